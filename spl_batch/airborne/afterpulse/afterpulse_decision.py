@@ -1,32 +1,30 @@
-r"""Which afterpulse candidates are afterpulses, by the returns around them.
+r"""Decision which afterpulse candidates are afterpulses, by the returns around them.
 
-Domain: space. The source gives up on vegetation and takes the bottom of water away [W17 7.6]: a
-true second return has the same signature as an afterpulse. What differs is what *other* beamlets
-see there. For a candidate at lag :math:`l` two rates per metre of beamlet compete:
+Domain: space. The source gives up on vegetation and loses the bottom of water [W17 7.6]: a true
+second return has the same signature as an afterpulse. *Other* beamlets tell them apart. For a
+candidate at lag :math:`l` two rates per metre of beamlet compete:
 
-- :math:`\lambda_a = p \sum f(l)`, column ``afterpulse_rate``, by the flightline's fitted law
+- :math:`\lambda_a = p \sum f(l)`, afterpulses: column ``afterpulse_rate``, by the flightline's law
   (:mod:`~spl_batch.airborne.afterpulse.afterpulse_law`);
 - :math:`\lambda_t = \rho\, r / n`, true returns: :math:`\rho` is the density of returns around it
-  [1/m3], and :math:`n / r`, expected noise density over the beamlet's noise rate, is the length of
-  beamlets per volume that listened, silent ones included [m/m3].
+  [1/m3] (:mod:`~spl_batch.airborne.afterpulse.foliage`). :math:`n / r`, expected noise density over
+  the beamlet's noise rate, is the length of beamlets per volume that listened [m/m3].
 
-The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. Returns count in :math:`\rho` by
-their own probability of being true, in a second round (expectation maximisation).
-:mod:`~spl_batch.airborne.afterpulse.foliage` gives :math:`\rho`.
+The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. In a second round returns count in
+:math:`\rho` by their own probability of being true (expectation maximisation).
 
-Behind a hard surface, a plane of parentless returns of all flightlines with next to nothing at the
-candidate's depth, a candidate is an afterpulse unless other beamlets' returns fill a flat
-ellipsoid, tilted as the plane is: they make a surface there, such as the bottom of water (within
-polygons fewer do).
+A surface is hard where returns without a parent make a plane, and next to nothing lies at the
+candidate's depth. Behind it a candidate is an afterpulse, unless other beamlets' returns fill a
+flat ellipsoid parallel to the plane: then there is a surface, such as the bottom of water. Within
+water polygons fewer of them do.
 
-A budget :math:`B` is the share of true returns that may go. At constant rates odds of at least
-:math:`\theta` mean lags up to :math:`s \ln(p / (s \theta \lambda_t))`; the share of true returns as
-near is largest, :math:`p / (e \theta)`, where :math:`s \lambda_t / p = 1 / (e \theta)`. So
-:math:`\theta = p / (e B)` keeps the budget in any foliage. In clumps smaller odds keep it.
+A budget :math:`B` is the share of true returns that may go. At constant rates, odds of at least
+:math:`\theta` mean lags up to :math:`s \ln(p / (s \theta \lambda_t))`. The share of true returns
+within them is at most :math:`p / (e \theta)`, where :math:`s \lambda_t / p = 1 / (e \theta)`. So
+:math:`\theta = p / (e B)` keeps the budget in any foliage; in clumps smaller odds keep it.
 
-In crowns the two rates are of one size, which bounds what can be had:
-``benchmarks/airborne/afterpulse/afterpulses.py`` prints removed against lost beside the best that
-the simulation's laws allow.
+In crowns the two rates are of one size. ``benchmarks/airborne/afterpulse/afterpulses.py`` prints
+removed against lost beside the best that the simulation's laws allow.
 """
 
 import math
@@ -56,12 +54,11 @@ FLAT_M: Final = (1.5, 0.2)
 """Horizontal and vertical radius of the ellipsoid that finds surfaces behind hard ones [m]."""
 
 WIDE_M: Final = max(FLAT_M[0], foliage.KERNELS_M[0][0])
-"""How far a count of returns looks, and how far a parent is sought aside [m]."""
+"""How far a count of returns looks, and how far aside a parent is sought [m]."""
 
 REACH_M: Final = 2.0 * WIDE_M + foliage.REACH_M
-"""How far the decision about a point looks: the second round counts returns by what the first
-one found, that by parents near by, and a parent is one as no other is nearer to its follower
-[m]."""
+"""How far a decision looks: a count, the first round's counts beside it, and the parents of those
+returns [m]."""
 
 AFTERPULSE_MIN: Final = 0.5
 """Probability from which the time domain's word is believed: behind hard surfaces."""
@@ -71,41 +68,41 @@ RESOLVED_MIN: Final = 0.5
 
 SURFACE_MAX: Final = 0.35
 WATER_MAX: Final = 0.5
-"""Below it a candidate behind a hard surface is a surface itself: on land, in water polygons."""
+"""A candidate behind a hard surface is a surface itself below this: on land, in water polygons."""
 
 PLANE_M: Final = (0.8, 1.0, 0.15)
-"""Cylinder around a parent in which such a plane is sought, radius and half-height, and its
-half-thickness [m]: three ranging spreads of the preset."""
+"""Cylinder around a parent in which a plane is sought: radius, half-height, and half-thickness of
+the plane, three ranging spreads of the preset [m]."""
 
 SPREADS: Final = (4.0, 7.0, 3.0)
-"""Where the ranging spread is larger than the preset's, the least vertical radius of the ellipsoid,
-half-height of the cylinder, and half-thickness of a plane [ranging spreads]."""
+"""Least vertical radius of the ellipsoid, half-height of the cylinder and half-thickness of a plane
+where the ranging spread is larger than the preset's [ranging spreads]."""
 
 PLANE_SHARE: Final = 0.7
 PLANE_LEAST: Final = 8
-"""Share of the returns in it that lie on the plane, and their least number [count]."""
+"""Returns in the cylinder that lie on the plane: their least share, and least number [count]."""
 
 SHARE: Final = 0.15
 """Afterpulses per detection where the flightline's own are not known [W17 7.5]."""
 
 CLUMPED_ODDS: Final = 0.4
-"""Odds that keep the budget where leaves hang in clumps, over those at constant rates: with them
-about as much is lost of a budget there as in evenly turbid crowns."""
+"""Odds in clumps over odds at constant rates: about as much of the budget is then lost in clumps as
+in evenly turbid crowns."""
 
 SETTLED: Final = 0.3
-"""Probability in crowns below which the first round is the last: it hardly rises so far."""
+"""Probability in crowns below which the first round is the last: a second one hardly raises it."""
 
 LEAST: Final = 0.1
 LEAST_ODDS: Final = 0.5
-"""Returns that a place behind a hard surface without any has, and the most that they are over the
-afterpulses due there: few come as late as the last ones, but nothing else comes from behind."""
+"""True returns that an empty place behind a hard surface counts for [count], and their most over
+the afterpulses due there: few afterpulses come that late, but nothing else comes from behind."""
 
 BATCH: Final = 1 << 17
 """Candidates in crowns that are weighed at once [count]."""
 
 STRIP_POINTS: Final = 3 << 20
-"""Points of a strip, which are listed by place at once [count]: a block's would take half as much
-memory again as the block does."""
+"""Points of a strip that are listed by place at once [count]; a whole block's would take half as
+much memory again as the block."""
 
 STRIP_M: Final = 12 * REACH_M
 """Least width of a strip, as each reads what lies around it [m]."""
@@ -114,8 +111,8 @@ STRIP_M: Final = 12 * REACH_M
 class Chances(NamedTuple):
     """What the neighbourhood says of the time domain's candidates."""
 
-    #: (m,): candidates about which something can be said: those where noise is expected, so that
-    #: the beamlets that listened are known; in no particular order.
+    #: (m,): candidates where noise is expected, so that the beamlets that listened are known; in
+    #: no particular order.
     rows: NDArray[np.intp]
     chance: NDArray[np.float64]  #: (m,): probability that each is an afterpulse.
     #: (m,): whether it lies behind a hard surface, of its shot or of all flightlines.
@@ -153,7 +150,7 @@ def resolve(
     rows, chance, hard, clumped, far = probability(table, density)
     spared = np.where(table.has(PointFlag.WATER)[rows], WATER_MAX, SURFACE_MAX)
     enough = _enough(table, rows, clumped, settings)
-    # As likely an afterpulse as not, it is no evidence, and there is no label for it to share.
+    # A return as likely an afterpulse as not is no evidence, and has no label to share.
     enough = np.where(far, np.minimum(enough, RESOLVED_MIN), enough)
     found.echo[rows] = chance >= np.where(hard, spared, enough)
     dependent[rows] = chance >= RESOLVED_MIN
@@ -183,10 +180,7 @@ def believed(table: PointTable) -> Echoes:
 def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
     """Probability that each candidate is an afterpulse, by its neighbourhood.
 
-    Parameters
-    ----------
-    table, density
-        As in :func:`resolve`, points in canonical order.
+    ``table, density``: as in :func:`resolve`, points in canonical order.
     """
     if "afterpulse_rate" not in table or not len(table):
         none = np.empty(0, np.bool_)
@@ -202,7 +196,7 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
 
 
 def _strips(x: NDArray[np.int64]) -> Iterator[list[slice]]:
-    """Rows of strips across x, which ascends; with what the second round counts; all in reach."""
+    """Rows of strips across x, which ascends: their own; those of round two; all in reach."""
     most = int(x[-1] - x[0]) // quanta(STRIP_M)
     count = max(min(len(x) // STRIP_POINTS, most), 1)
     if count == 1:
@@ -219,7 +213,7 @@ def _strips(x: NDArray[np.int64]) -> Iterator[list[slice]]:
 
 
 def _within(table: PointTable, density: NDArray[np.float64], start: int, end: int) -> Chances:
-    """The same of a strip and what lies around it; 0 for rows before ``start``, from ``end`` on."""
+    """Chances in a strip and what lies around it; 0 for rows outside ``start`` to ``end``."""
     usable = ~table.has(EXCLUDED)
     known = (table["afterpulse_rate"] > 0) & usable & (density > 0) & (table["line_density"] > 0)
     places = _Places(table)
@@ -240,7 +234,7 @@ def _within(table: PointTable, density: NDArray[np.float64], start: int, end: in
     open_ = np.flatnonzero(~hard & (rows >= start) & (rows < end))
     for last in (False, True):
         if last:
-            # Spheres would hold the surface itself, a level ellipsoid that of a steep roof.
+            # A sphere would hold the surface itself; a level ellipsoid that of a steep roof.
             for spread, own in _alike(sigma, hard):
                 flat_m = (FLAT_M[0], max(FLAT_M[1], SPREADS[0] * spread))
                 flat = places.around(at[own], true, (flat_m,), tilt[own])[:, 0] / UNIT**2
@@ -254,7 +248,7 @@ def _within(table: PointTable, density: NDArray[np.float64], start: int, end: in
             counts = places.around(at[some], true, foliage.KERNELS_M, own=foliage.OWN)
             returns = foliage.density(counts / UNIT**2, clumping[some])
             chance[some] = rate[some] / (rate[some] + returns * per_metre[some])
-        # All at once: what one finds must not hang on which were looked at before.
+        # All at once: no result may depend on which candidates came before.
         true[at[open_]] = _weights(1.0 - chance[open_])
     return Chances(rows, chance, hard, foliage.clumped(clumping), parents < 0)
 
@@ -270,7 +264,7 @@ def _spreads(table: PointTable, rows: NDArray[np.intp]) -> NDArray[np.float64]:
 def _alike(
     sigma: NDArray[np.float64], chosen: NDArray[np.bool_]
 ) -> Iterator[tuple[float, NDArray[np.intp]]]:
-    """Chosen ones by their ranging spread: a flightline has one, and few surveys have many."""
+    """Chosen rows by ranging spread: each flightline has one, and few surveys have many."""
     for spread in np.unique(sigma[chosen]):
         yield round(float(spread), 4), np.flatnonzero(chosen & (sigma == spread))
 
@@ -302,7 +296,7 @@ class _Places:
         self._place[order] = np.arange(len(order), dtype=np.int32)
 
     def in_turn(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
-        """Rows in the order of their places, as neighbours then share memory; and the places."""
+        """Rows in the order of their places, so that neighbours share memory; and the places."""
         place = self._place[rows]
         turn = _order(place)
         return rows[turn], place[turn]
@@ -321,8 +315,8 @@ class _Places:
     ) -> NDArray[np.int64]:
         """True returns around places, by kernel: (m, k) int64 [count / :data:`UNIT` ** 2].
 
-        ``true`` has weights by place. One of the same beamlet above counts for ``own``; those below
-        do not.
+        ``true``: weights by place. A return of the same beamlet counts for ``own`` above the place,
+        and not at all below.
         """
         listed = self._listed
         sums = np.empty((len(places), len(radii_m)), dtype=np.int64)
@@ -349,8 +343,12 @@ class _Places:
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int32]]:
         """Which places lie behind a hard surface of returns without a parent, and its slopes.
 
-        (m,) bool, and (m, 2) float64, 0 where there is none; then the places of their parents,
-        (m,) int32, -1 for none. ``alone`` goes by place, ``sigma`` is the ranging spread [m].
+        ``alone`` goes by place; ``sigma`` is the ranging spread [m].
+
+        Returns
+        -------
+        (m,) bool, (m, 2) float64, (m,) int32
+            Behind or not; slopes, 0 without a surface; places of the parents, -1 for none.
         """
         listed = self._listed
         out, tilt = np.empty(len(places), dtype=np.bool_), np.empty((len(places), 2))

@@ -1,18 +1,18 @@
-r"""How many afterpulses follow a detection, and how far behind it, flightline by flightline.
+r"""Law of a flightline's afterpulses: how many follow a detection, and how far behind it.
 
 Domain: time. [W17] 7.5 finds 10-20 afterpulses for 80-100 signal returns of a shot, in a band of
-2-3 m, and gives no law. Here it is a table, :math:`p f(l)`, afterpulses per detection and metre at
-lag l: what follows returns of hard planes that are alone in their shot, less the background. One
-shot in :data:`EVERY` is counted.
+2-3 m, and gives no law. Here it is a table, :math:`p f(l)`: afterpulses per detection and metre at
+lag l. It counts what follows returns of hard planes that are alone in their shot, less the
+background, in one shot of :data:`EVERY`.
 
 A lag is that of the *next* return of the beamlet, so the counts give a hazard: of :math:`A` returns
-without a follower before a bin of width w, n have one in it, and b A w of them are background:
+without a follower before a bin of width w, n have one in it, and b A w of those are background:
 
 .. math:: h = \max(n - b A w, 0) / (A w), \quad p f = h\, e^{-\int h}
 
 The sensor's own law, an exponential from the dead time to its longest lag, counts as :data:`PRIOR`
-afterpulses. Beyond the longest lag the table goes on where more follow than chance and background
-explain, also right behind that lag, and enough in all. The same planes tell the ranging spread
+afterpulses. The table goes on beyond the longest lag where more follow than chance and background
+explain, beginning right behind that lag, and enough in all. The same planes tell the ranging spread
 (:mod:`~spl_batch.airborne.afterpulse.ranging_spread`).
 """
 
@@ -44,7 +44,7 @@ from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
 DOMAIN: Final = "time"
 
 EVERY: Final = 4
-"""One shot in so many is observed; by shot number, so that no cut matters."""
+"""One shot in so many is observed, by shot number: no cut matters."""
 
 PRIOR: Final = 100.0
 """Afterpulses that the sensor's own figures are worth [count]."""
@@ -56,25 +56,25 @@ SURE: Final = 4.0
 """Standard deviations by which followers exceed background where a tail shows itself."""
 
 ABOVE: Final = 0.25
-"""And by how much of the background: fewer are as little seen as that is known."""
+"""And share of the background that they must exceed: it is known no better."""
 
 STARTS: Final = 1.0
-"""A tail goes on from the sensor's longest lag: in the three bins behind it more follow than
-background, by this share of it. Where noise falls along the gate, more follow near than deep."""
+"""Share by which the three bins behind the sensor's longest lag together exceed the background, if
+a tail goes on there. Noise that falls along the gate lets more follow near than deep."""
 
 TAIL_LEAST: Final = 0.01
-"""Followers of a tail beyond background, per return: fewer are seen where a bright point lights
-whole shots, whose few other returns are the ground behind it."""
+"""Least followers of a tail beyond background, per return: fewer are seen where a bright point
+lights whole shots, whose few other returns are the ground behind it."""
 
 PLANES_LEAST: Final = 30
-"""Hard planes that can tell a tail [count]: a few show what lies behind them."""
+"""Hard planes that can tell a tail [count]; a few may just have something behind them."""
 
 DEEP_M: Final = 40.0
-"""From this lag on what follows is background, where it is as much as the noise model says [m]."""
+"""Lag from which on followers are background, if they are as many as the noise model says [m]."""
 
 AGREES: Final = (0.7, 1.3)
-"""Followers so deep over the noise model's background, where the two agree; fewer where the gate
-ends, more where the noise model falls short."""
+"""Limits of such deep followers over the noise model's background, where the two agree: fewer come
+where the gate ends, more where the noise model falls short."""
 
 
 class AfterpulseLaw(NamedTuple):
@@ -131,7 +131,7 @@ def sensor_law(sensor: Sensor) -> AfterpulseLaw:
 
 
 def _nodes(dead_m: float, longest_m: float) -> NDArray[np.float64]:
-    """Lags at which a law is tabled [m]; the last one is the longest, or beyond it by a part."""
+    """Lags at which a law is tabled [m]; the last one is the longest, or just beyond it."""
     steps = math.ceil((longest_m - dead_m) / STEP_M - 1e-9)
     return dead_m + STEP_M * np.arange(steps + 1, dtype=np.float64)
 
@@ -238,7 +238,7 @@ def added(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Counts:
 def of_hard_planes(
     counts: Counts, sigma_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Entries, followers and returns that have none so far of planes that spread as hard ones."""
+    """Entries, followers and returns without one so far, of planes that spread as hard ones do."""
     hard = spread_as_hard(sigma_m)
     entries, followers = counts.entries[hard].sum(axis=0), counts.followers[hard].sum(axis=0)
     return entries, followers, np.cumsum(entries) - np.cumsum(followers) + 0.5 * followers
@@ -267,9 +267,9 @@ def _reach(
     n: NDArray[np.float64], background: NDArray[np.float64], edges: NDArray[np.float64],
     stated_m: float, least: float,
 ) -> float:  # fmt: skip
-    """Longest lag at which more follow than background and chance explain, or the stated [m].
+    """Longest lag at which more follow than background and chance explain, or the stated one [m].
 
-    So does a tail that goes on from the stated lag and has more followers than ``least``.
+    Also that of a tail which goes on from the stated lag with more followers than ``least``.
     """
     beyond = edges[:-1] >= stated_m
     more = np.where(beyond, n - background, 0.0)
@@ -300,7 +300,7 @@ def _tabled(
 ) -> AfterpulseLaw:
     """A law of so many afterpulses per detection in each bin, as a table."""
     middle, width = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
-    # What lies between the middles of bins is as exponential as what they hold.
+    # Between the middles of bins the law is as exponential as their contents are.
     level = np.log(np.maximum(share / width, 1e-12))
     nodes = _nodes(law.dead_m, longest_m)
     found = np.interp(nodes, middle, level)

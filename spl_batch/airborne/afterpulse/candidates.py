@@ -3,9 +3,9 @@
 Source: [W17] ch. 7 (DCC, robust regression, 68th percentile, 0.3 m), Eq. 3.3.
 
 Deviations. The published rule flags whatever lies below the plane. Here a return also needs a
-parent: an earlier return of its beamlet on that surface, or in front of it, at most ``lag_max_m``
-away; so the ground beside a roof stays. Returns behind another one of their beamlet take no part in
-the fit. A shot may hold up to three surfaces. Distances to the threshold are along the beam. Away
+parent: an earlier return of its beamlet on that surface or in front of it, at most ``lag_max_m``
+away. So the ground beside a roof stays. Returns behind another one of their beamlet take no part in
+the fit. A shot may hold up to three surfaces. Distances to the threshold run along the beam. Away
 from hard surfaces the lag gives a probability below one half, and the space domain decides
 (:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision`). Where beamlets cannot be told apart
 (:mod:`~spl_batch.airborne.beams.told_apart`), the published rule stands, down to ``lag_max_m``.
@@ -32,17 +32,17 @@ COLUMNS_ADDED: Final = ("afterpulse",)
 
 
 CHAIN: Final = 5.0 / 3.0
-"""How far behind a hard surface chains of afterpulses go, where the data show longer lags than the
-sensor states [longest lags]; 5 m and 3 m are the default and the source's longest."""
+"""How far chains of afterpulses go behind a hard surface where the data show longer lags than the
+sensor states [longest lags]; the default is 5 m, the source's longest 3 m."""
 
 
 BLIND: Final = 4.5
-"""A dead time of so many ranging spreads keeps a second return of a surface from being far behind
-it: the first one would have to be as far in front."""
+"""Ranging spreads from which on a dead time is long: a second return of the same surface then
+cannot lie far behind it, since the first would have to lie as far in front."""
 
 APART: Final = (2.5, 3.3)
-"""How far behind a surface a return is none of it, where the dead time is so long, and where it is
-not and a surface gives beamlets two returns [spreads]."""
+"""How far behind a surface a return no longer belongs to it: with so long a dead time, and without,
+where a surface gives beamlets two returns [spreads]."""
 
 
 def probability(
@@ -93,7 +93,7 @@ def probability(
 
 
 def observe(table: PointTable, beams: BeamTable, sensor: Sensor) -> dict[str, NDArray[np.int64]]:
-    """What the law of a flightline is fitted to, by the default idea of a hard surface.
+    """What a flightline's law is fitted to, with the default numbers for a hard surface.
 
     See :func:`spl_batch.airborne.afterpulse.afterpulse_law.observe`.
     """

@@ -1,22 +1,22 @@
-r"""How many returns per m3 a beamlet would have where one of its returns lies among leaves.
+r"""Density of the true returns that a beamlet would have among the leaves around it [1/m3].
 
 Domain: space. Returns are a Poisson process whose rate varies with the leaves. A place has counts
-:math:`N_k` of true returns in ever smaller spheres of volumes :math:`V_k`; the rate in each is
+:math:`N_k` of true returns in ever smaller spheres of volumes :math:`V_k`. The rate in each is
 gamma distributed about that in the one before:
 
 .. math:: \rho_k = \frac{N_k + \nu_k}{V_k + \nu_k / \rho_{k-1}}, \quad \nu_k = \frac{c}{(g_k - 1)^2}
 
-:math:`g_k` is the density in sphere k around *parents*, places with leaves, over that in the
-widest, summed over the parents near by (the pair correlation of the returns). It is 1 where leaves
-are spread evenly, and a small count is then mostly chance; it grows as clumps get smaller and
-rarer. A few pairs are added as evenly spread leaves have them, for weak light. A gamma law of that
-variance would have :math:`1 / (g - 1)`; but clumps are there or not, and crowns end.
+:math:`g_k`, the pair correlation, is the density in sphere k over that in the widest, around all
+*parents* near by: places with leaves. It is 1 where leaves are spread evenly, and a small count is
+then mostly chance; it grows as clumps get smaller and rarer. In weak light a few evenly spread
+pairs are added. A gamma law of that variance would have :math:`1 / (g - 1)`; but clumps are there
+or not, and crowns end.
 
-Around parents on a surface (water, brushwood) a flat ellipsoid takes the place of the widest
-sphere. Returns in front in the beamlet itself say that light came so far, but leaves take of it:
-:math:`\rho` times a factor between two, by :math:`g` in the smallest sphere, is the rate.
+Around parents on a surface (water, brushwood) a flat ellipsoid replaces the widest sphere. Returns
+in front in the same beamlet say that light came so far, but also that leaves took some of it: the
+rate is :math:`\rho` times a factor between two, by :math:`g` in the smallest sphere.
 
-Constants were chosen on simulated clumps 0.4, 0.8 and 1.5 m across and on evenly turbid crowns, at
+The constants were chosen on simulated clumps of 0.4, 0.8 and 1.5 m and on evenly turbid crowns, at
 1, 1/2, 1/4 and 1/8 of the light, with other seeds than
 ``benchmarks/airborne/afterpulse/afterpulses.py``.
 """
@@ -33,20 +33,19 @@ from spl_batch.lattice.tiles import cell_index, quanta
 DOMAIN: Final = "space"
 
 KERNELS_M: Final = ((1.5, 1.5), (1.5, 0.2), (0.7, 0.7), (0.5, 0.5))
-"""Horizontal and vertical radii: of what is as wide as crowns, of what is thin, of clumps [m]."""
+"""Horizontal and vertical radii of the kernels: wide as crowns, thin, and small as clumps [m]."""
 
 SURFACE_MIN: Final = 2.2
-"""How much denser than in the widest one returns are in the thin one around parents that lie on
-surfaces: more than 4 on a level plane, less over a bed, 2 at most in foliage. Only there the thin
-one takes part."""
+"""Density in the thin kernel over that in the widest, around parents, from which on they lie on a
+surface and the thin one takes part: it is above 4 on a level plane, less over a bed, at most 2 in
+foliage."""
 
 OWN: Final = 1.7
-"""Returns of other beamlets that one in front in the same beamlet is worth."""
+"""Other beamlets' returns that one in front in the same beamlet is worth."""
 
 SIGHT: Final = (1.1, 0.66)
-"""True rate of a beamlet that has returned something in front, over the one that all returns
-around it give: where leaves hang evenly, as its light has found a way so far, and where they hang
-in clumps, as those take it."""
+"""True rate of a beamlet that has a return in front, over the rate by all returns around: where
+leaves hang evenly, since its light has found a way so far, and in clumps, which take light."""
 
 HALF: Final = 0.3
 """g - 1 at which it is between the two."""
@@ -55,7 +54,7 @@ SHAPE: Final = 0.15
 """c above."""
 
 PAIRS: Final = 6
-"""Pairs of returns that evenly spread leaves lend to each sphere around parents [count]."""
+"""Evenly spread pairs of returns that are added to each sphere around parents [count]."""
 
 CLUMPED_MIN: Final = 0.005
 """Least g - 1: below it chance could turn the sign."""
@@ -70,8 +69,7 @@ CELLS: Final = 3
 """Columns on each side of a place's own whose parents are near by."""
 
 REACH_M: Final = (CELLS + 1) * CELL_M + KERNELS_M[0][0]
-"""How far the density at a place looks, if a follower is at most the widest radius aside of its
-parent [m]."""
+"""How far the density at a place looks, its parent at most the widest radius aside [m]."""
 
 
 def density(counts: NDArray[np.float64], clumping: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -125,11 +123,11 @@ def clumping(
     parents : (p,) intp
         Returns in front of others; one counts as often as it is named.
     weight : (p,) int16
-        What they count for, ``UNIT`` at most.
+        Their weights, ``UNIT`` at most.
     counts : (p, k) int64
         Kernel sums around them [count / ``UNIT`` ** 2].
     rows : (m,) intp
-        Where it is asked.
+        Points to answer for.
 
     Returns
     -------

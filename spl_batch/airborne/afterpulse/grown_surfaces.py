@@ -1,4 +1,4 @@
-"""Hard surfaces of many shots: planes that are grown from seeds, all of a step side by side.
+"""Hard surfaces of many shots: planes grown from seeds, each step for all shots side by side.
 
 See :mod:`spl_batch.airborne.afterpulse.candidates` for the method and its deviations.
 """
@@ -21,11 +21,11 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.simd import LANES, UL, absolute, ascending, load, number, pack, spread
 
 GROWN: Final = 2
-"""How often candidates on a surface replace those that it is fitted to [count]."""
+"""How often a surface is fitted again to the candidates that lie on it [count]."""
 
 
 class Left(NamedTuple):
-    """Candidates of some shots that no surface holds yet: those of a shot from its first row on."""
+    """Candidates of some shots that no surface holds yet; a shot's begin at its first row."""
 
     row: NDArray[np.uint64]  #: (n + 8,): their rows.
     #: (n + 8,): their coordinates across and along the beam [m].
@@ -68,7 +68,7 @@ def _added(count, end, shot, sets):  # type: ignore[no-untyped-def]
 
 @njit()
 def seed(shot: int, begin: int, left: Left, rules: Rules, count: int, sets: Sets) -> int:
-    """Candidates to start surfaces from: around the corners of the shot, and at one depth.
+    """Sets of candidates to start surfaces from: at the corners of the shot, and at one depth.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _farthest(low, high, u, v, su: float, sv: float):  # type: ignore[no-untyped
 def grown(
     shots: NDArray[np.int64], left: Left, rules: Rules, count: int, sets: Sets
 ) -> int:  # fmt: skip
-    """Replace the sets of trusted planes by the candidates that lie on these: how many remain."""
+    """Refill the sets of trusted planes with the candidates on them; how many sets remain."""
     kept = 0
     for one in range(count):
         if not sets.trusted[one]:
@@ -154,10 +154,10 @@ def find_surfaces(
 ) -> None:  # fmt: skip
     """Hard surfaces of shots: one plane as published, else several.
 
-    Where one plane does not do (roof beside ground, a ridge, ground under a tree), planes
-    are grown from the corners of the shot and from its fullest range; the largest one is
-    taken if it stands out from an even spread of the candidates, then the next. Shots have nothing
-    to do with each other; they are looked at together because their planes are fitted together.
+    Where one plane does not do (roof beside ground, a ridge, ground under a tree), planes grow from
+    the corners of the shot and from its fullest range. The largest is taken if it stands out from
+    an even spread of the candidates, then the next. Shots do not affect each other; they come
+    together because their planes are fitted together.
 
     Parameters
     ----------
@@ -168,8 +168,8 @@ def find_surfaces(
     candidate : (n,) bool
         Returns that may be of a surface.
     spread_max : (s,) float64
-        Most that the residuals of a surface spread [m]; infinite as published, where the
-        68th percentile alone decides. Those of a crown spread more than a roof's.
+        Largest spread of a surface's residuals [m], which keeps crowns out; infinite as published,
+        where the 68th percentile alone decides.
     planes : (s, SURFACES_MAX, 3) float64
         Filled.
     spreads : (s, SURFACES_MAX) float64
@@ -211,7 +211,7 @@ def find_surfaces(
 
 @njit()
 def _take_whole(count, sets, spread_max, planes, spreads, found, pending):  # type: ignore[no-untyped-def]
-    """Take planes that all candidates of a shot give; how many shots need more."""
+    """Take planes fitted to all candidates of a shot; how many shots need more."""
     waiting = 0
     for one in range(count):
         shot = sets.owner[one]
@@ -277,7 +277,7 @@ def _take_best(  # type: ignore[no-untyped-def]
 
 @njit()
 def _stands_out(best, begin, shot, left, rules):  # type: ignore[no-untyped-def]
-    """Whether a surface holds more candidates than they would if they were spread evenly."""
+    """Whether a surface holds more candidates than an even spread would give it."""
     size = left.size[shot]
     low = high = left.w[begin]
     for k in range(begin, begin + size):

@@ -25,14 +25,14 @@ SHARP = 3.0
 
 PASSED_MIN = 2.0
 PASSED_SHARE = 0.1
-"""A surface is penetrable when more scattered first returns lie behind it [count, share]."""
+"""A surface is penetrable if more scattered first returns lie behind it [count, share]."""
 
 NEAR_M = 1.6
-"""Reach across the beam of the returns that tell whether a place is hard [m]."""
+"""How far across the beam returns are looked at to tell whether a place is hard [m]."""
 
 
 BESIDE_MIN = 4
-"""Least returns of a surface around where a beamlet crosses it behind its last return [count]."""
+"""Returns that a surface needs around the place where a beamlet crosses it [count]."""
 
 
 class Rules(NamedTuple):
@@ -43,13 +43,12 @@ class Rules(NamedTuple):
     fine_m: float
     weight_min: float
     p68_max_m: float
-    #: below_m, lag_max_m, dead_m: threshold behind the plane, how far behind a surface others are
-    #: looked for, dead time.
+    #: Threshold behind the plane, how far behind a surface others are looked for, and dead time.
     below_m: float
     lag_max_m: float
     chain_m: float  #: How far behind a surface its afterpulses go, those of afterpulses among them.
     dead_m: float
-    #: Ranging spread; how many of it behind a surface a return is none of it.
+    #: Ranging spread, and how many of it behind a surface a return no longer belongs to it.
     sigma_m: float
     apart: float
     longest_m: float  #: The longest lag of an afterpulse.
@@ -110,7 +109,7 @@ def fit_surfaces(
 
 @njit()
 def densest(w, low, high, width):  # type: ignore[no-untyped-def]
-    """Start of the fullest range window and its count; the nearest of equals.
+    """Start of the fullest range window [m], and its count; the nearest of equals.
 
     Parameters
     ----------
@@ -120,12 +119,6 @@ def densest(w, low, high, width):  # type: ignore[no-untyped-def]
         First row to look at, and the one after the last; at least one.
     width : float
         Width of the window [m].
-
-    Returns
-    -------
-    start : float
-        [m].
-    count : int
     """
     counts, none, unit = np.empty(LANES), everywhere(0.0), everywhere(1.0)
     first, end, reach = np.uint64(low), np.uint64(high), everywhere(width)
@@ -147,11 +140,11 @@ def returns_behind(
     s: int, rows: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
     first: NDArray[np.bool_], rules: Rules,
 ) -> tuple[bool, float]:  # fmt: skip
-    """What beamlets that miss a surface return behind it.
+    """What lies behind a surface, of beamlets that miss it.
 
-    Few and scattered are background, many at one depth are the ground beside a roof;
-    many and scattered mean that the surface is penetrable: a crown, water. ``rows`` are the
-    first one of the shot and the one after its last.
+    Few and scattered returns are background; many at one depth are the ground beside a roof. Many
+    and scattered ones mean that the surface is penetrable: a crown, water. ``rows``: first row of
+    the shot, and the one after its last.
 
     Returns
     -------
@@ -186,9 +179,9 @@ def hit_beside(
     i: int, rows: tuple[int, int], behind: NDArray[np.float64], spread: float,
     u: NDArray[np.float64], v: NDArray[np.float64], rules: Rules,
 ) -> bool:  # fmt: skip
-    """Whether a surface has returns all around where a return's beamlet crosses it.
+    """Whether a surface has returns all around the place where a return's beamlet crosses it.
 
-    Of those within :data:`NEAR_M` across the beam at least :data:`BESIDE_MIN`, on both sides along
+    At least :data:`BESIDE_MIN` lie within :data:`NEAR_M` across the beam, on both sides along
     either axis.
     """
     count, left, right, low, high = 0, False, False, False, False

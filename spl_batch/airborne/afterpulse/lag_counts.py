@@ -1,4 +1,4 @@
-"""Lags of afterpulses: how often they come where nothing else can, and what follows.
+"""Counts of afterpulses by lag, behind planes where nothing else can follow.
 
 See :mod:`spl_batch.airborne.afterpulse.afterpulse_law`.
 """
@@ -20,29 +20,29 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.planes.robust_plane import residual
 
 CLEAN = 0.9
-"""Share of a shot's first returns on its plane and behind it that must lie on it."""
+"""Least share of a shot's first returns, on its plane and behind it, that lie on it."""
 
 PARENTS_MIN = 12
 """Least first returns on that plane [count]."""
 
 DEEP_MIN = 3.0
 DEEP_SHARE = 0.1
-"""Other beamlets' returns at one depth far behind the plane that are of a surface: least number,
-and share of those on the plane."""
+"""Other beamlets' returns at one depth far behind the plane that make a surface there: least
+number, and least share of those on the plane."""
 
 BEHIND = 2.5
-"""A follower so far behind the plane is none of the surface itself [spreads]."""
+"""A follower so far behind the plane does not belong to the surface itself [spreads]."""
 
 SPREAD_STEP_M = 0.01
 SPREADS = 64
-"""Steps in which planes are told by their spread [m], and how many there are."""
+"""Steps in which the spread of planes is counted [m], and how many there are."""
 
 STEP_M = 0.05
 """Steps in which a law is tabled [m]."""
 
 LAG_EDGES_M: Final = np.concatenate([np.arange(81) * STEP_M, np.geomspace(4.0, 60.0, 56)[1:]])
-"""Edges of the bins of lags [m]: as fine as the law near the return, a twentieth of the lag far
-behind it."""
+"""Edges of the bins of lags [m]: as fine as the law near the return, far behind it a twentieth of
+the lag."""
 
 
 @njit()
@@ -55,7 +55,7 @@ def across_beams(
 ) -> None:
     """Coordinates of points across the first beam of their shot.
 
-    Any two axes will do, as long as they depend on the beam alone.
+    The two axes are arbitrary, but depend on the beam alone.
 
     Parameters
     ----------
@@ -85,18 +85,18 @@ def across_beams(
 
 
 class Counts(NamedTuple):
-    """What the planes of a flightline show; parts of it add up.
+    """Counts behind the planes of a flightline; parts of it add up.
 
-    Lags are counted for planes that spread alike, as what is a hard surface depends on the ranging
-    noise, which is known when all are counted.
+    They are kept by the planes' spread: which planes are hard depends on the ranging noise, and
+    that is known only when all are counted.
     """
 
     #: (s,): planes by the spread of the returns on them, in steps of :data:`SPREAD_STEP_M`.
     planes: NDArray[np.int64]
-    #: (s, b): returns on them, by the shortest lag at which a follower would be seen to be none of
-    #: the surface itself; bins as in :data:`LAG_EDGES_M`.
+    #: (s, b): returns on them, by the shortest lag at which a follower no longer belongs to the
+    #: surface itself; bins as in :data:`LAG_EDGES_M`.
     entries: NDArray[np.int64]
-    #: (s, b): the next return of the beamlet, by its lag, where it is no shorter than that.
+    #: (s, b): the beamlet's next returns by lag, where no shorter than that.
     followers: NDArray[np.int64]
 
 
@@ -153,7 +153,7 @@ def observe_lags(
 
 @njit()
 def _candidates(starts, chosen, range_m, lag, rules, member, first, owner):  # type: ignore[no-untyped-def]
-    """Sets of first returns of chosen shots that may be of a surface: their number."""
+    """Sets of first returns of chosen shots that may be of a surface: how many they are."""
     sets = 0
     for shot in chosen:
         low, high = starts[shot], starts[shot + 1]
@@ -174,7 +174,7 @@ def _candidates(starts, chosen, range_m, lag, rules, member, first, owner):  # t
 
 @njit()
 def _observe(w, channel, lag, distance, spread, rules, edges, counts):  # type: ignore[no-untyped-def]
-    """Count what follows the first returns on a shot's plane if that is alone in it."""
+    """Count what follows the first returns on a plane that is alone in its shot."""
     first = lag == 0
     if not _alone(distance, first, spread, rules):
         return
@@ -200,7 +200,7 @@ def _observe(w, channel, lag, distance, spread, rules, edges, counts):  # type: 
 
 @njit()
 def _alone(distance, first, spread, rules):  # type: ignore[no-untyped-def]
-    """Whether first returns lie on the plane, and none of another surface behind it."""
+    """Whether the first returns lie on the plane and no other surface lies behind it."""
     on = near = deep = 0
     depths = np.empty(len(distance))
     for i in range(len(distance)):
@@ -242,7 +242,7 @@ def most_within(depths: NDArray[np.float64], width: float) -> int:
 
 @njit()
 def _scale(distance: NDArray[np.float64], on: NDArray[np.bool_]) -> float:
-    """Standard deviation of the returns on a plane, which takes three of them [m]."""
+    """Standard deviation of the returns on a plane, whose fit takes three of them [m]."""
     total, count = 0.0, 0
     for i in range(len(distance)):
         if on[i]:

@@ -1,4 +1,4 @@
-"""Bins of lags in which a law of afterpulses is fitted: wider where farther behind the return."""
+"""Bins of lags in which a law of afterpulses is fitted: the wider, the farther behind."""
 
 from typing import Final
 
@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse.lag_counts import LAG_EDGES_M
 
 COARSE: Final = (0.1, 0.15)
-"""Width of the bins of a law: at least so much [m], and so much of the lag behind the dead time."""
+"""Least width of a bin [m], and least share of the lag behind the dead time."""
 
 
 def coarse_bins(
     dead_m: float, stated_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:  # fmt: skip
-    """Edges of the bins of a law [m], the first at the dead time; where they are among the fine.
+    """Edges of the bins of a law [m], all of them fine edges; the first is at the dead time.
 
-    One is the stated longest lag, or the next of the fine ones behind it.
+    One is the stated longest lag, or the next fine edge behind it.
     """
     stated = stated_edge(dead_m, stated_m)
     at = int(np.searchsorted(LAG_EDGES_M, dead_m, side="right")) - 1
@@ -33,7 +33,7 @@ def coarse_bins(
 
 
 def stated_edge(dead_m: float, stated_m: float) -> int:
-    """The fine edge at the stated longest lag or next behind it; a bin lies before it at least."""
+    """Fine edge at the stated longest lag or next behind it, with a bin before it at least."""
     at = int(np.searchsorted(LAG_EDGES_M, dead_m, side="right"))
     last = len(LAG_EDGES_M) - 1
     return min(max(int(np.searchsorted(LAG_EDGES_M, stated_m - 1e-9)), at), last)

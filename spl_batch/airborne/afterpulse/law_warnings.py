@@ -1,7 +1,7 @@
-"""Where a flightline's returns and the facts of its sensor disagree, in words.
+"""Warnings where a flightline's returns disagree with the facts of its sensor.
 
-Domain: time. The law and the ranging spread of a flightline follow what it shows; a user is told
-where that is not what the sensor states, as other figures of the sensor may be wrong too.
+Domain: time. The law and the ranging spread follow the data. The user is told where they are not
+what the sensor states, as its other figures may be wrong too.
 """
 
 import math
@@ -17,13 +17,13 @@ from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.errors import Remark, grouped
 
 LATE_MIN: Final = 0.02
-"""Share of afterpulses with longer lags than the sensor states that is worth a word."""
+"""Share of afterpulses beyond the sensor's longest lag from which on a user is told."""
 
 
 def expected_and_seen(
     part: Mapping[str, NDArray[Any]], law: AfterpulseLaw, noise_per_m: float, within_m: float
 ) -> tuple[float, int]:
-    """How many returns of a stretch's hard planes are followed by the flightline's law, and are.
+    """Followers behind a stretch's hard planes: expected by the flightline's law, and found.
 
     Parameters
     ----------
@@ -44,17 +44,17 @@ def expected_and_seen(
 
 
 UNEVEN: Final = 1.5
-"""Times as often or as seldom as the law says that a stretch's returns may be followed."""
+"""Factor to the law, up or down, within which a stretch's followers are no news."""
 
 UNEVEN_SIGMA: Final = 6.0
-"""And by how many standard deviations of chance it must be more or less."""
+"""And standard deviations of chance."""
 
 
 def uneven(
     parts: Sequence[Mapping[str, NDArray[Any]]], spans_s: Sequence[tuple[float, float]],
     law: AfterpulseLaw, noise_per_m: float, sensor: Sensor,
 ) -> tuple[Remark, ...]:  # fmt: skip
-    """What to tell where stretches of a flightline do not follow its law.
+    """What to tell of stretches of a flightline that do not follow its law.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def uneven(
     law, noise_per_m
         Of the flightline; background per metre of beamlet [1/m].
     sensor : Sensor
-        Its longest lag: what follows later is told of a whole flightline alone.
+        Its longest lag: what follows later is told of whole flightlines only.
     """
     odd = []
     for part, span_s in zip(parts, spans_s, strict=True):

@@ -1,7 +1,7 @@
 """Ranging spread of a flightline, from the planes that its shots see.
 
-Domain: time. Returns on a hard plane spread by the ranging noise alone, and on others by more: the
-least that planes spread tells it. The sensor's own figure counts as :data:`PRIOR` planes.
+Domain: time. Returns on a hard plane spread by the ranging noise alone, on other planes by more:
+the least spread of planes tells it. The sensor's own figure counts as :data:`PRIOR` planes.
 """
 
 from typing import Final
@@ -15,21 +15,21 @@ from spl_batch.airborne.sensors.sensor import Sensor
 DOMAIN: Final = "time"
 
 PRIOR: Final = 15.0
-"""Planes that the sensor's own figure is worth [count]: fewer than 60 in all tell nothing else, as
+"""Planes that the sensor's own figure is worth [count]: fewer than 60 in all change nothing, as a
 few planes of shrubs look alike."""
 
 QUANTILE: Final = 0.2
-"""Share of the planes that spread less: a fifth of them is hard in any survey with planes."""
+"""Quantile of the planes' spreads: in any survey with planes a fifth of them is hard."""
 
 CHANCE: Final = 1.15
-"""Spread of hard planes over that quantile of it, as some twenty returns of a plane tell it."""
+"""Spread of hard planes over that quantile, as some twenty returns of a plane tell it."""
 
 BELIEVED: Final = 1.3
-"""How much larger than the sensor's it must be: little more is the roughness of the ground."""
+"""Factor to the sensor's spread below which a larger one is roughness of the ground."""
 
 
 def ranging_spread(planes: NDArray[np.int64], sensor: Sensor) -> float:
-    """One standard deviation of ranges [m], never less than the sensor's.
+    """One standard deviation of ranges, never less than the sensor's [m].
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Returns behind a hard surface: below the plane that others make around their parent.
 
-A parent is the return in front of one along the same beamlet. What lies around it, in an upright
-cylinder, is fitted by a plane; sums are of whole numbers, in any order.
+A parent is the return in front of one along the same beamlet. A plane is fitted to the returns in
+an upright cylinder around it. Sums are of whole numbers, so their order does not matter.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ def _near(
 ) -> np.int64:  # fmt: skip
     """List what counts in an upright cylinder around a point: how many they are.
 
-    ``offsets`` (3, m) is filled with their offsets, and beyond them. None is farther than ``span``
+    ``offsets`` (3, m) is filled with their offsets, and beyond them. They are at most ``span``
     up or down, and ``wide`` <= ``edge`` aside.
     """
     nx, ny = shape
@@ -57,15 +57,15 @@ def _parent(
     row: int, xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
     starts: NDArray[np.int64], shape: tuple[int, int], edge: int, lag: int, aside: int,
 ) -> int:  # fmt: skip
-    """The lowest return of the beamlet above one of it; -1 for none.
+    """The lowest return of the same beamlet above one; -1 for none.
 
-    It is at most ``lag`` higher and ``aside`` <= ``edge`` away.
+    It is at most ``lag`` higher, and ``aside`` <= ``edge`` away.
     """
     nx, ny = shape
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
     own = int(x // edge) * ny + int(y // edge)
-    # Most stand in its own column, and others must be lower. Of two as high the one farther west
-    # or south is taken, wherever columns begin.
+    # Most parents stand in the return's own column; others must be lower. Of two as high the one
+    # farther west or south is taken, wherever columns begin.
     found: int = _mate(row, xyz, time, channel, row + 1, starts[own + 1], z + lag, aside)
     top = z + lag if found < 0 else xyz[U2, found]
     for i in range(max((x - aside) // edge, 0), min((x + aside) // edge + 1, nx)):
@@ -93,9 +93,9 @@ def _before(xyz, one, other):  # type: ignore[no-untyped-def]
 
 @njit()
 def _mate(row, xyz, time, channel, begin, stop, top, aside):  # type: ignore[no-untyped-def]
-    """The first of a stretch of returns that is of a return's beamlet, and above it; -1 for none.
+    """The first of some returns that is of the same beamlet and above; -1 for none.
 
-    Heights ascend; none is looked for above ``top``, or farther aside.
+    Heights ascend; the search ends at ``top``.
     """
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
     moment, last, end = spread(time[row]), np.uint64(xyz.shape[1]) - UL, np.uint64(stop)
@@ -137,7 +137,7 @@ def _on_planes(
     offsets: NDArray[np.float64], size: np.int64, plane: NDArray[np.float64], level: float,
     thick: float,
 ) -> tuple[np.int64, np.int64]:  # fmt: skip
-    """How many are within ``thick`` of a plane, and of one off by ``level`` but not of it."""
+    """How many lie within ``thick`` of a plane, and how many only of one ``level`` away."""
     here = there = np.int64(0)
     a, b, c = plane[0], plane[1], plane[2]
     for i in range(np.uint64(size)):
@@ -198,7 +198,7 @@ def behind_plane(
     for q in range(len(rows)):
         row = rows[q]
         out[q], tilt[q, 0], tilt[q, 1] = False, 0.0, 0.0
-        # Most parents are near; a short search first spares a long one in crowns.
+        # Most parents are near: a short search first saves a long one in crowns.
         close = min(lag // 10, edge)
         parent = _parent(row, xyz, time, channel, starts, shape, edge, lag // 5, close)
         if parent < 0:

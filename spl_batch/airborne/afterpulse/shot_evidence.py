@@ -1,4 +1,4 @@
-"""Afterpulse evidence of one shot: hard surfaces, and parents in the same channel.
+"""Evidence for afterpulses within one shot: hard surfaces, and parents in the same channel.
 
 See :mod:`spl_batch.airborne.afterpulse.candidates` for the method and its source.
 """
@@ -24,10 +24,10 @@ from spl_batch.numerics.planes.robust_planes_simd import fit_planes
 from spl_batch.numerics.simd import LANES, UL, absolute, ascending, load, number, pack, spread
 
 TOGETHER = 128
-"""Shots whose planes are fitted together: that some are finished early hardly matters [count]."""
+"""Shots whose planes are fitted together; those that finish early hardly matter [count]."""
 
 HARD_SHARE = 0.8
-"""Least share of the returns of a hard place that lie on its plane."""
+"""Least share of a hard place's returns that lie on its plane."""
 
 HARD = 0.95
 """Probability of a return behind a parent on a hard surface."""
@@ -46,9 +46,9 @@ def soft_probability(
 ) -> float:  # fmt: skip
     """Probability of an afterpulse from its lag and what else returns at its range.
 
-    Density of afterpulses at this lag against that of real returns there, the latter
-    from the other beamlets' first returns within 1.5 m. ``rows`` are the first one of the shot
-    and the one after its last.
+    It weighs the density of afterpulses at this lag against that of real returns there, by the
+    other beamlets' first returns within 1.5 m. ``rows``: first row of the shot, and the one after
+    its last.
     """
     afterpulse = law_at(lag, rules.dead_m, rules.law)
     others, at = 0, w[i]
@@ -62,7 +62,7 @@ def soft_probability(
 def plane_probability(
     i: int, behind: NDArray[np.float64], spreads: NDArray[np.float64], rules: Rules
 ) -> float:
-    """The published rule, where channels are not known: below a plane and on no other."""
+    """The published rule, for unknown channels: below a plane and on no other."""
     flagged = False
     for s in range(len(behind)):
         if on_surface(behind[s, i], spreads[s], rules):
@@ -77,12 +77,12 @@ def follows_surface(
     spreads: NDArray[np.float64], depths: NDArray[np.float64], u: NDArray[np.float64],
     v: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
 ) -> bool:  # fmt: skip
-    """Whether a return lies on no surface and behind one that its own beamlet hit, or must have.
+    """Whether a return lies on no surface, and behind one that its beamlet hit or must have hit.
 
-    ``own`` is :func:`beamlet_of` it; ``depths`` (found,) holds what :func:`returns_behind` gives,
-    NaN for penetrable surfaces. Unless ranging noise is large, the dead time is longer than a hard
-    surface is thick, so half of it is distance enough. What lies behind a hard surface, with a
-    parent in front of it, follows the surface only if others have hit that close by.
+    ``own`` is :func:`beamlet_of` it; ``depths`` (found,) is what :func:`returns_behind` gives, NaN
+    for penetrable surfaces. Unless ranging noise is large, half the dead time is distance enough:
+    the dead time is longer than a hard surface is thick. Behind a hard surface with a parent in
+    front of it, a return follows the surface only if others have hit that close by.
     """
     for s in range(len(behind)):
         if abs(behind[s, i]) <= max(0.5 * rules.dead_m, rules.apart * spreads[s]):
@@ -168,7 +168,7 @@ def in_hard_place(
 ) -> bool:  # fmt: skip
     """Whether a return lies behind a parent whose neighbourhood is a piece of hard surface.
 
-    For what no plane of the whole shot fits: ridges, steps, rough ground. ``sets`` holds the
+    For places that no plane of the whole shot fits: ridges, steps, rough ground. ``sets`` holds the
     neighbours and their plane at ``which``.
     """
     a, b, c = sets.plane[which, 0], sets.plane[which, 1], sets.plane[which, 2]
@@ -278,7 +278,7 @@ def _first_returns(shots, channel, lag, rules, first):  # type: ignore[no-untype
 
 @njit()
 def _in_full_bins(shots, w, first, rules):  # type: ignore[no-untyped-def]
-    """First returns that may be of a surface: (n,) bool, by DCC; none in shots of few returns."""
+    """First returns that may be of a surface, by DCC: (n,) bool; none in shots of few returns."""
     keep = np.zeros(len(first), np.bool_)
     for shot in range(len(shots) - 1):
         low, high = shots[shot], shots[shot + 1]
@@ -305,10 +305,10 @@ def _lay_behind(rows, u, v, w, planes, spreads, first, rules, behind, depths):  
 def _judge(  # type: ignore[no-untyped-def]
     rows, behind, spreads, depths, channel, lag, u, v, w, first, rules, out, asked, askers
 ):
-    """Probabilities of a shot's returns by its surfaces and lags.
+    """Probabilities of a shot's returns by its surfaces and lags; how many are listed.
 
-    Lists returns that may lie behind a hard place, as their row, their parent's and ``rows``, in
-    ``asked`` from ``askers`` on; the number of those listed.
+    Listed in ``asked`` from ``askers`` on are returns that may lie behind a hard place: row,
+    parent's row, and ``rows``.
     """
     for i in range(rows[0], rows[1]):
         out[i] = 0.0
@@ -330,7 +330,7 @@ def _judge(  # type: ignore[no-untyped-def]
 
 @njit()
 def _look_around(asked, askers, u, v, w, first, rules, out):  # type: ignore[no-untyped-def]
-    """Raise the probability of what lies behind hard places, as :func:`_judge` lists it."""
+    """Raise the probability of returns behind hard places, as :func:`_judge` lists them."""
     room = 4 * len(u)
     sets, which = room_for(askers, room), np.empty(askers, np.int64)
     count = begin = 0
@@ -351,7 +351,7 @@ def _look_around(asked, askers, u, v, w, first, rules, out):  # type: ignore[no-
 
 @njit()
 def _same(last: int, begin: int, sets: Sets) -> int:
-    """The set of the shot that begins so which holds what the last one holds: often another."""
+    """The earlier set of the shot that equals the last one: often there is one."""
     low, size = sets.first[last], sets.first[last + 1] - sets.first[last]
     one = last
     while one > 0 and sets.member[sets.first[one - 1]] >= begin:

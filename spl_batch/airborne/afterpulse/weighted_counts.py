@@ -1,8 +1,8 @@
-"""Weighted counts of what other beamlets return around a point, in integers.
+"""Weighted counts of other beamlets' returns around a point, in integers.
 
-Points are listed by square columns of the plane, from the lowest up, so that a count looks
-at nine columns and in each at a slice of heights. Weights and kernels are integers: sums do
-not depend on the order in which points are met, so neither on tiles nor on blocks.
+Points are listed by square columns, from the lowest up: a count looks at nine columns, and in each
+at a slice of heights. Weights and kernels are integers, so sums do not depend on the order of
+points, and hence neither on tiles nor on blocks.
 """
 
 import math
@@ -154,7 +154,7 @@ def weigh_around(
 
 @njit()
 def spare_rows(n: int) -> NDArray[np.int64]:
-    """Rows to take of so few points that no vector would hold them: none of enough."""
+    """Rows to take where they are too few to fill a vector; none where they are enough."""
     return np.minimum(np.arange(LANES), n - 1) if n < LANES else np.arange(0)
 
 
@@ -165,8 +165,8 @@ def _move_up(
 ) -> int:  # fmt: skip
     """Where to begin in the columns around a point: its own column.
 
-    ``first`` (9,) receives places below which all heights are less than the point's by more
-    than ``span``; it holds those of a point in the column ``before``, beside which they mostly are.
+    ``first`` (9,) receives places below which all heights are more than ``span`` below the point.
+    It holds those of a point in the column ``before``: mostly they are close.
     """
     nx, ny = shape
     own = int(xyz[U0, row] // edge) * ny + int(xyz[U1, row] // edge)
@@ -194,11 +194,11 @@ def _ellipsoid(
     near: NDArray[np.uint64], mates: NDArray[np.uint64], flat: NDArray[np.float64],
     square: NDArray[np.float64],
 ) -> tuple[np.uint64, np.uint64]:  # fmt: skip
-    """List what counts in an ellipsoid around a point, whose horizontal radius is at most an edge.
+    """List what counts in an ellipsoid around a point; its horizontal radius is at most an edge.
 
-    ``near`` receives the rows, ``flat`` and ``square`` their squared distances from the axis and
-    from the middle plane, which may be tilted; ``mates`` the rows of the point's shot instead, its
-    own among them. Returns how many there are of both.
+    ``near`` receives the rows; ``flat`` and ``square`` their squared distances from the axis and
+    from the middle plane, which may be tilted. ``mates`` receives the rows of the point's shot, its
+    own among them. Returns the numbers of both.
     """
     nx, ny = shape
     x, y = spread(np.float64(xyz[U0, row])), spread(np.float64(xyz[U1, row]))
@@ -239,7 +239,7 @@ def _weighed(
     flat: NDArray[np.float64], square: NDArray[np.float64], worth: NDArray[np.int32],
     size: np.uint64, across: float, up: float,
 ) -> np.int64:  # fmt: skip
-    """Sum of weights times a kernel, in whole vectors: behind the last one weights are 0."""
+    """Sum of weights times a kernel, in whole vectors: weights behind the last one are 0."""
     total = np.int64(0)
     for i in range((size + np.uint64(WHOLE - 1)) // np.uint64(WHOLE) * np.uint64(WHOLE)):
         left = 1.0 - flat[i] * across - square[i] * up
