@@ -56,21 +56,12 @@ kept of noise. Where that is more than half, few boxes hold noise alone, and not
 
 
 class Box(NamedTuple):
-    """Cells around a cell, and the returns in them that noise may explain.
+    """Cells around a cell, and the returns in them that noise may explain."""
 
-    Parameters
-    ----------
-    reach : int
-        Columns on each side [count]; of layers one above and one below belong to it.
-    cluster : int
-        Returns that clusters of noise may have in it [count] ...
-    share : float
-        ... at most this share of those that were refused in it: clean clouds have no such
-        clusters, and a box that reaches beyond an edge holds less of both [1/1].
-    """
-
-    reach: int
-    cluster: int
+    reach: int  #: Columns on each side [count]; of layers one above and one below belong to it.
+    cluster: int  #: Returns that clusters of noise may have in it [count] ...
+    #: ... at most this share of those that were refused in it: clean clouds have no such clusters,
+    #: and a box that reaches beyond an edge holds less of both [1/1].
     share: float
 
 

@@ -1,10 +1,10 @@
-"""Which part of the gate holds background only, and how much of it a flightline offers.
+"""Noise region of a flightline: the part of the gate that holds background only.
 
 Source: [W17] 5.2.1: the gate less +-50 m around the peak of the heights.
 
-Deviations: the buffer is the largest of a ladder that leaves a fifth of the gate; where
-the two sides of the signal disagree, the one that signal reaches into is left out; where
-nothing is left, the uniform part of the gate's histogram is fitted.
+Deviations: the buffer is the largest of a ladder that leaves a fifth of the gate. Where the two
+sides of the signal disagree, the one that signal reaches into is left out. Where nothing is left,
+the uniform part of the gate's histogram is fitted.
 """
 
 from typing import Final, Literal, NamedTuple
@@ -18,13 +18,13 @@ from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, PROFILE_BINS
 from spl_batch.errors import Remark
 
 REGION_MIN: Final = 0.2
-"""Least share of the gate that a noise region has."""
+"""Least share of the gate in a noise region."""
 
 Side = Literal["both", "above", "below", "none"]
 
 
 class Region(NamedTuple):
-    """The noise region: which buffer and which sides of the signal are counted."""
+    """Buffer and sides of the signal that are counted."""
 
     buffer: int
     side: Side
@@ -36,8 +36,8 @@ def offered_lengths(
 ) -> NDArray[np.float64]:
     """Slant length of gate above and below each buffer: (m, 2, b) float64 [m].
 
-    The signal's height varies within an interval, and a length is never negative: what is
-    offered is the mean of the positive part, taken for a normal spread.
+    The signal's height varies within an interval: it is the mean of the positive part, for a normal
+    spread.
     """
     column = dict(zip(SUMMARY, summary.T, strict=True))
     cosine = column["cosine"][:, None]
@@ -95,7 +95,7 @@ def choose_region(
 
 
 def _short(share: float) -> Remark:
-    """That the part of the gate taken for signal had to shrink to this share."""
+    """Remark that the part of the gate taken for signal had to shrink to this share."""
     text = (
         "the range gate is short: noise is counted from "
         f"{100 * share:.0f} % of noise.buffer_m away from the surface on"
@@ -117,8 +117,8 @@ def profile_rate(
 ) -> float:
     """Uniform part of the histogram of heights around the signal [1/m].
 
-    Uniform background plus signal of one sign: the lower quartile of the rates of the
-    bins is background wherever signal fills less than three quarters of the gate.
+    Signal only adds: the lower quartile of the bins' rates is background wherever signal fills less
+    than three quarters of the gate.
     """
     column = dict(zip(SUMMARY, summary.T, strict=True))
     above, below = _around_signal(gate, column)

@@ -83,7 +83,7 @@ def ratio(total: NDArray[np.float64], number: NDArray[np.float64]) -> NDArray[np
 def square_shares() -> NDArray[np.float64]:
     """Share of a sphere over each square of its voxel: (4, 4) float64, sum 1.
 
-    The sphere sticks out of the voxel; what does belongs to the outer squares.
+    What sticks out of the voxel belongs to the outer squares.
     """
     fine = 200
     radius = sphere_radius_m(1.0)

@@ -1,7 +1,7 @@
-"""How much of a flightline's noise each channel of the receiver hears.
+"""Gains: how much of a flightline's noise each channel of the receiver hears.
 
-Domain: time. Dead channels hear nothing; the others' gains are counted, and shrunk towards one as
-far as chance explains their differences (empirical Bayes with a gamma prior).
+Domain: time. Dead channels hear nothing. The gains of others are counted, and shrunk towards one as
+far as chance explains their differences (empirical Bayes, gamma prior).
 """
 
 from typing import Final
@@ -31,7 +31,7 @@ def active_channels(
     beamlets : int
         Beamlets per shot.
     gain : (256,) float64
-        0 for dead channels, the same for all others, mean one over the beamlets.
+        0 for dead channels, equal for all others; mean one over the beamlets.
     warnings : tuple of Remark
     """
     live = seen > 0
@@ -50,7 +50,7 @@ def active_channels(
 
 
 def _dead(live: NDArray[np.int64], beamlets: int) -> str:
-    """Name the channels without returns, as far as those beside them tell their numbers."""
+    """Name the channels without returns, as far as their neighbours tell their numbers."""
     within = np.setdiff1d(np.arange(live[0], live[-1]), live).tolist()
     dead, ends = beamlets - len(live), f"below {live[0]} or above {live[-1]}"
     verb = "gives" if dead == 1 else "give"
@@ -74,12 +74,12 @@ def channel_gains(
     active : (256,) float64
         Gains from :func:`active_channels`; their mean is kept.
     """
-    # A live channel without noise returns keeps its mean share: it was seen, not counted.
+    # A live channel without noise returns was seen, not counted: it keeps its mean share.
     used = np.flatnonzero((active > 0) & (by_channel > 0))
     if len(used) == 0:
         return active
     n = by_channel[used].astype(np.float64)
-    # Weak channels are a kind of their own: only the ordinary ones share a prior.
+    # Weak channels are different: only ordinary ones share a prior.
     usual = float(np.median(n))
     ordinary = np.abs(n - usual) <= 5.0 * np.sqrt(usual + 1.0)
     expected = float(n[ordinary].mean())

@@ -1,8 +1,8 @@
-"""Where the range gate lies along the beams of a flightline.
+"""Range gate along the beams of a flightline.
 
 Source: [W17] 5.2.1 ("data from all the beamlets are truncated with the same range gate") does not
-say how to find it. Here the extreme returns of absolute windows of intervals, moved out by one mean
-spacing of the noise (the expected shortfall of a uniform sample), are its ends. A gate may be
+say how to find it. Here its ends are the extreme returns of absolute windows of intervals, moved
+out by one mean spacing of the noise: the expected shortfall of a uniform sample. A gate may be
 constant in slant range, follow the surface, or be cut at a height: the shortest one that explains
 the same returns is taken.
 """
@@ -21,10 +21,10 @@ WINDOW_INTERVALS: Final = 64
 """Intervals whose extremes are read together [count]."""
 
 GATE_MIN_M: Final = 60.0
-"""Shorter gates have to be stated; what looks like one is a scene without noise [m]."""
+"""Least length of a gate that is not stated: a shorter one is a scene without noise [m]."""
 
 GATE_ASSUMED_M: Final = 300.0
-"""Gate where neither the workflow nor the points say one [m]."""
+"""Gate where neither the workflow nor the points tell one [m]."""
 
 Kind = Literal["range", "height"]
 Basis = Literal["stated", "estimated", "assumed"]
@@ -33,22 +33,21 @@ Basis = Literal["stated", "estimated", "assumed"]
 class Gate(NamedTuple):
     """Gate of each interval."""
 
-    #: "range": ``near`` and ``far`` are slant ranges; "height": they are the upper and the lower
-    #: height.
+    #: What ``near`` and ``far`` are: "range", slant ranges; "height", upper and lower height.
     kind: Kind
     #: near, far (m,): edges [m].
     near: NDArray[np.float64]
     far: NDArray[np.float64]
     length_m: float
     warnings: tuple[Remark, ...]  #: What the report has to say.
-    #: Where its length comes from: ``stated``, ``estimated`` from the returns, or ``assumed``.
+    #: Source of its length: ``stated``, ``estimated`` from the returns, or ``assumed``.
     basis: Basis
 
 
 class _Edges(NamedTuple):
     """Edges in one of the three representations, increasing along the beam.
 
-    ``scale`` is what a metre of slant range is worth in it; ``extent`` is slant.
+    ``scale`` is its measure of a metre of slant range; ``extent`` is slant.
     """
 
     name: str
@@ -87,7 +86,7 @@ def fit_gate(
         _edges(("height", tilt), starts, noise, half, (-column["z_max"], -column["z_min"])),
         _edges(("surface", 1.0), starts, noise, half, (column["behind_min"], column["behind_max"])),
     ]
-    # Equal within what chance does to an extreme: the physical one, slant range, wins.
+    # Of lengths equal within chance the physical one, slant range, wins.
     best = candidates[0]
     for other in candidates[1:]:
         if other.extent < best.extent - max(2.0, 0.02 * best.extent):
@@ -95,8 +94,8 @@ def fit_gate(
     size = np.diff(np.append(starts, len(interval)))
     filled = _length_m(best, best.low, best.high, size)
     if gate_m is None:
-        # Points whose noise somebody has removed fill no gate: their extent is the scene's,
-        # and taking it for a gate would call trees noise.
+        # Points whose noise somebody has removed fill no gate. Their extent is the scene's: taken
+        # for a gate, it would call trees noise.
         seen = best.supported and filled >= GATE_MIN_M
     else:
         seen = best.supported and _differ(filled, gate_m)
@@ -149,7 +148,7 @@ def _differ(length_m: float, stated_m: float) -> bool:
 
 
 def _of_length(edges: _Edges, gate_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Edges of a gate of this length, longer where nothing but returns tells of edges."""
+    """Edges of a gate of this length, longer where returns alone tell of edges."""
     middle = 0.5 * (edges.low + edges.high)
     extent = edges.high - edges.low
     half = np.maximum(0.5 * gate_m * edges.scale, 0.0 if edges.supported else 0.5 * extent)
@@ -164,7 +163,7 @@ def _basis(length_m: float, stated_m: float | None, *, seen: bool) -> Basis:
 
 
 def _remarks(length_m: float, stated_m: float | None, basis: Basis) -> Iterator[Remark]:
-    """What to say of a gate, by the one length that everything else uses."""
+    """Remarks on a gate, by the one length that everything else uses."""
     if basis == "assumed":
         text = (
             "too few returns lie away from the surface to show the range gate, so "

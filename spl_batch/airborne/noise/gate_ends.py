@@ -1,4 +1,4 @@
-"""Layers of voxels in which a flightline's gate ends.
+"""Ends of a flightline's gate: the layers of voxels in which they lie.
 
 Domain: space. A beamlet stands for the same noise in each layer that it crosses, and for less where
 its gate ends. Such a layer takes the noise per beamlet of the layer above or below; the share of
@@ -17,21 +17,21 @@ from spl_batch.lattice.tables import VOXEL_FIXED_POINT
 DOMAIN: Final = "space"
 
 CUT: Final = 2.0
-"""Standard errors by which a beamlet stands for less than in the layer beside at a gate's end."""
+"""Standard errors by which a beamlet stands for less than in the next layer at a gate's end."""
 
 SLIVER: Final = 0.027
-"""Share of a sphere that sticks out of its voxel on one side: a smaller loss is no end in it."""
+"""Share of a sphere that sticks out of its voxel on one side: a smaller loss is no end."""
 
 ENOUGH: Final = 0.5
-"""Part of the beamlets of the layer beside that tells what a beamlet stands for."""
+"""Share of the next layer's beamlets that suffices to tell what a beamlet stands for."""
 
 INSIDE: Final = 0.9
-"""Share of a sphere that is listened to, at most, where the end's height counts: an end in the last
-metre of a layer cannot be told from a difference between layers."""
+"""Largest share of a sphere that is listened to where the end's height counts: an end in the last
+metre of a layer looks like a difference between layers."""
 
 HERE: Final = 12.0
-"""Weight of a voxel against those on either side where a beamlet's noise is found: silent beamlets,
-which the seen ones stand for, are more in one voxel than in the next."""
+"""Weight of a voxel against those on either side in what its beamlets stand for: the number of
+silent beamlets, which the seen ones stand for, differs between voxels."""
 
 
 class Gate(NamedTuple):
@@ -57,10 +57,10 @@ def without_ends(amount: NDArray[np.int64], beamlets: NDArray[np.float32], voxel
     own = of_spheres(beamlets)
     noise, number = nine(mean), nine(own)
     part = ratio(noise, number)
-    # a layer that few beamlets reach, those that leave the others', tells nothing
+    # A layer that only beams reach which leave the others' tells nothing.
     tells = number >= ENOUGH * tallest(number)
     whole = tallest(np.where(tells, part, 0.0))
-    # beamlets cross all layers: what differs by chance are those that lean in and out
+    # Beamlets cross all layers: only those that lean in and out differ, by chance.
     error = np.maximum(CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2)), SLIVER)
     cut = part < (1.0 - error) * whole
     here = np.where(tells, ratio(nine(mean, HERE), nine(own, HERE)), 0.0)

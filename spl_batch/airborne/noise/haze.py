@@ -11,13 +11,13 @@ x :data:`WINDOW` cubes of :data:`CUBE_M`, one layer high, hold air if they are
   .. math:: \kappa = k \sum n (n - 1) / \sum c (c - 1)
 
   is 1 in air, k on level ground or a roof, and well above 1 in a canopy. Three layers hold much
-  the same: crowns shade what is below them. Too few pairs to tell are no air;
+  the same; crowns shade what is below them. Without enough pairs there is no air;
 - *even across*: the upper quarter of the cubes holds no more than :data:`SMOOTH` times what the
   lower one does; crowns and gaps differ by more.
 
-There the noise is what is seen: the median of a cube and those beside it, which no wire moves, and
-the largest of these around, as the edges of air are noise, too. A point has the larger of the
-model's noise and this one. Signals weaker than the cloud are lost.
+The noise there is the median of a cube and those beside it, which no wire moves; and the largest
+of these around, as the edges of air are noise too. A point has the larger of this and the model's
+noise. Signals weaker than the cloud are lost.
 
 Counts are integers on absolute lattices; a point's noise depends on points up to :data:`REACH_M`.
 """
@@ -47,34 +47,34 @@ REACH_M: Final = (WINDOW + 1) * CUBE_M
 """How far a point's noise looks: half a square to its middle, half a square on, one cube beside."""
 
 FILLED: Final = 0.25
-"""Part of the cubes of a square that may hold less."""
+"""Share of a square's cubes that may hold less."""
 
 LEFT_OUT: Final = int(FILLED * WINDOW**2)
 """The same as a number of cubes [count]."""
 
 CLEARLY: Final = 1.5
-"""Times the expected noise, and one return more, that fills a cube."""
+"""Multiple of the expected noise that fills a cube, beside one return more."""
 
 EVEN: Final = 1.15
 """Largest clumping of air."""
 
 STEADY: Final = 1.4
-"""Largest ratio of the returns of three layers, one above the other."""
+"""Largest ratio between the returns of three layers, one above the other."""
 
 SMOOTH: Final = 3.0
 """Largest ratio of the quarters of a square."""
 
 PAIRS_LEAST: Final = 150
-"""Pairs in columns that tell it: chance then leaves an error of a sixth."""
+"""Pairs in columns that suffice: chance then leaves an error of a sixth."""
 
 CHANCE: Final = 3.0
-"""Standard deviations that chance is allowed where a square tells little."""
+"""Standard deviations of chance that are allowed where a square tells little."""
 
 SOLID: Final = 3.0
-"""Times the noise of a square beyond which a cube holds a surface, too."""
+"""Multiple of a square's noise from which on a cube holds a surface too."""
 
 EXACT: Final = 2.0**20
-"""Parts of an expected return that are told: whole ones add up alike in any blocks."""
+"""Parts of an expected return: whole ones add up alike in any blocks."""
 
 Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 Expected = Callable[[Axes], NDArray[np.float64]]
@@ -103,7 +103,7 @@ class Counts(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """Returns of cubes within noise alone, by layer, beside what the model expects."""
+    """Returns of cubes in noise alone, by layer, beside what the model expects."""
 
     layer: NDArray[np.int64]  #: (l,): index on the absolute lattice.
     returns: NDArray[np.int64]  #: (l,): returns [count].
@@ -128,10 +128,7 @@ def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
 
 
 def find_air(counts: Counts, expected: Expected) -> Air | None:
-    """Cubes of air with the noise in them; None where there is none.
-
-    ``counts``: from :func:`count_cubes`.
-    """
+    """Cubes of air with the noise in them; None where there is none."""
     candidate = _even(counts)
     if not candidate.any():
         return None
@@ -155,14 +152,14 @@ def noise_by_layer(
 ) -> Layers:
     """Noise that is seen beside noise that is expected, away from haze and surfaces.
 
-    Even squares of the absolute grid, without an empty column, hold noise alone.
+    Even squares of the absolute grid without an empty column hold noise alone.
 
     Parameters
     ----------
     counts, expected
         As for :func:`find_air`.
     core : (int, int, int, int)
-        West, south, east, north: squares whose middle lies in it count [quanta].
+        West, south, east, north: squares count whose middle lies in it [quanta].
     """
     edge, half = quanta(CUBE_M), WINDOW // 2
     asked = np.zeros(counts.held.shape, np.bool_)
@@ -239,7 +236,7 @@ def _count(xyz: Axes) -> Counts:
 
 
 def _numbered(index: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Indices that occur, ascending, and which of them each is: without sorting them all."""
+    """Indices that occur, ascending, and which of them each is; without sorting all."""
     low = int(index.min())
     index = index - low
     held = np.zeros(int(index.max()) + 1, np.bool_)
@@ -275,7 +272,7 @@ def _three(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _with_beside(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Marked places and those above and below; marked are only such as have both."""
+    """Marked places with those above and below, where these exist."""
     out = marked.copy()
     out[:, :, 1:] |= marked[:, :, :-1]
     out[:, :, :-1] |= marked[:, :, 1:]
@@ -299,7 +296,7 @@ def _centres(counts: Counts, at: tuple[NDArray[np.intp], ...]) -> Axes:
 def _around(
     counts: Counts, seed: NDArray[np.bool_], lowest: NDArray[np.int32], expected: Expected
 ) -> Air:
-    """Air in the squares of the seeds, and what it makes of the cubes beside."""
+    """Air in the squares of the seeds, and in the cubes beside."""
     size = (WINDOW, WINDOW, 1)
     level = ndimage.maximum_filter(np.where(seed, lowest, 0), size, mode="constant")
     held = (level > 0) & (counts.held > 0) & (counts.held <= SOLID * level)
@@ -310,7 +307,7 @@ def _around(
     wide = largest.copy()
     wide[:, :, 1:][:, :, joined] = np.maximum(wide[:, :, 1:], largest[:, :, :-1])[:, :, joined]
     wide[:, :, :-1][:, :, joined] = np.maximum(wide[:, :, :-1], largest[:, :, 1:])[:, :, joined]
-    # Beside the air a cube that holds much more holds something else.
+    # A cube beside the air that holds much more holds something else.
     wide[counts.held > SOLID * wide] *= level[counts.held > SOLID * wide] > 0
     at = np.nonzero(wide)
     cube = np.column_stack(

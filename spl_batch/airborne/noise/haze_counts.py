@@ -41,7 +41,7 @@ def count_strips(  # type: ignore[no-untyped-def]
 def quarters(  # type: ignore[no-untyped-def]
     count, asked, half, rank, lower, upper
 ):
-    """Counts that all but ``rank`` cubes of the square around each asked cube reach, or do not."""
+    """Count that all but ``rank`` cubes of the square around each asked cube reach, or do not."""
     nx, ny, layers = count.shape
     held = np.empty((2 * half + 1) ** 2, np.int32)
     for i in range(half, nx - half):

@@ -1,4 +1,4 @@
-"""The line noise model of one flightline as a value, and its way to disk and back."""
+"""Line noise model of one flightline as a value, and its way to disk and back."""
 
 from dataclasses import dataclass, fields
 from typing import Any, cast

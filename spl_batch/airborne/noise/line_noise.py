@@ -10,10 +10,10 @@ Sources: [W17] Eq. 5.1, [W18] 2.2.1.
 | rho_l | ``rate`` x ``gain`` of the channel |
 
 Deviations: silent shots count as fired; R is what the gate really leaves, as a slant length; the
-buffer shrinks where the gate is short; rates of intervals and gains of channels are shrunk towards
-their neighbours and towards one (empirical Bayes, gamma prior). Where the buffer has shrunk,
-intervals far above those around hold signal and are left out, if their two sides differ or the
-signal's height varies as much as the buffer lets it.
+buffer shrinks where the gate is short. Rates of intervals are shrunk towards their neighbours and
+gains of channels towards one (empirical Bayes, gamma prior). Where the buffer has shrunk, intervals
+far above those around hold signal, if their two sides differ or the signal's height varies as much
+as the buffer; they are left out.
 """
 
 from typing import Any, Final
@@ -38,24 +38,24 @@ COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
 COLUMNS_ADDED: Final = ("line_density",)
 
 SEEN_TARGET: Final = 15.0
-"""Beamlets seen that a window of shots should have; exp(-15) of the windows are empty."""
+"""Seen beamlets that a window of shots should have; exp(-15) of the windows are empty."""
 
 RETURNS_MIN: Final = 20.0
-"""Fewer beamlets seen per interval than this, and the median is one of the noise returns."""
+"""Least seen beamlets per interval: with fewer, the median is one of the noise returns."""
 
 RAISE_INTERVAL: Final = "raise noise.interval_shots"
-"""Remedy where an interval holds few beamlets that are seen."""
+"""Remedy where few beamlets of an interval are seen."""
 
 CLIP_SIGMA: Final = 4.0
-"""Poisson deviations above its neighbourhood from which an interval's count holds signal."""
+"""Poisson deviations above its neighbourhood from which on an interval's count holds signal."""
 
 SIDES_SIGMA: Final = 3.0
-"""Poisson deviations by which an interval's counts above and below the signal differ, where one
-side holds some: a brighter sky, or brighter ground, adds to both alike."""
+"""Poisson deviations between an interval's counts above and below the signal, if one side holds
+some: a brighter sky or ground adds to both alike."""
 
 SPREAD: Final = 0.25
-"""Standard deviation of the signal's height in an interval, over the buffer, from which there may
-be signal beyond it on both sides: a fifteenth of the interval is a buffer higher than the rest."""
+"""Standard deviation of an interval's signal height over the buffer, from which on there may be
+signal beyond it on both sides: a fifteenth of the interval is then a buffer higher."""
 
 CLIP_ROUNDS: Final = 5
 """Times that the neighbourhood is counted again without such intervals."""
@@ -106,7 +106,7 @@ def fit(
         by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
         gain = channel_gains(by_channel, gain_active)
     seen = np.where(present, merged["beamlets"][rows], 0)
-    # Where channels are not told apart every return is a beamlet's, as far as anyone knows.
+    # Where channels are not told apart, each return counts as a beamlet.
     looks = seen if beamlets > 1 else np.where(present, merged["returns"][rows], 0)
     return LineModel(
         interval=interval,
@@ -129,7 +129,7 @@ def fit(
 
 
 def _few(merged: dict[str, NDArray[Any]]) -> tuple[Remark, ...]:
-    """Warn of intervals with so few returns that noise is taken for their signal."""
+    """Warn of intervals with so few returns that noise is taken for signal."""
     per_interval = float(merged["beamlets"].mean())
     if per_interval >= RETURNS_MIN:
         return ()
@@ -166,8 +166,8 @@ def _fired(
     """
     interval = merged["interval"]
     step = np.diff(interval)
-    # Empty runs are geometric; a run longer than one in a thousand such flightlines shows
-    # once was no chance: the laser was off or the points were cut out.
+    # Lengths of empty runs are geometric. A run that not one in a thousand such flightlines would
+    # show is no chance: the laser was off, or points were cut out.
     empty = max(_empty_share(merged, step, interval_shots), 1e-300)
     longest = np.log(1e3 * len(interval)) / -np.log(empty) if empty < 1.0 else 0.0
     bridged = step - 1 <= longest
@@ -232,8 +232,8 @@ def _quiet(
 ) -> NDArray[np.bool_]:
     """Intervals whose count can be background alone: (m,) bool.
 
-    A shrunk buffer is lower than towers are tall: where an interval sees roof and ground, one
-    of them lies in its noise region. Signal only adds.
+    A shrunk buffer is lower than towers are tall: where an interval sees roof and ground, one of
+    them lies in its noise region. Signal only adds.
 
     Parameters
     ----------
@@ -244,10 +244,10 @@ def _quiet(
     exposure : (m,) float64
         Length that was listened to, over all beamlets [m].
     half : int
-        Intervals on each side that are around one [count].
+        Intervals of the neighbourhood on each side [count].
     torn : (m,) bool
-        From :func:`_torn`; the others are quiet, however many they count: what shines on them may
-        change from one to the next, as they are a piece of a scan's turn each.
+        From :func:`_torn`; others are quiet, however many they count: each is a piece of a scan's
+        turn, and what shines on it may change from one to the next.
     """
     quiet = np.ones(len(interval), dtype=np.bool_)
     for _ in range(CLIP_ROUNDS):
@@ -276,10 +276,10 @@ def _torn(
     buffer_m : float
         Half-height around the signal that is left out [m].
     """
-    # One side may hear more than the other all along, as where returns blind what is behind them.
+    # One side may hear more all along, as where returns blind what is behind them.
     usual = counted.sum(axis=0) / np.maximum(exposure.sum(axis=0), 1.0)
     (up, down), (e_up, e_down) = counted.T.astype(np.float64), (exposure * usual).T
-    # Of one sky up e_down - down e_up is 0 but for chance, with this variance.
+    # With one sky, up e_down - down e_up is 0 but for chance, with this variance.
     chance = (up + down) * e_up * e_down
     differ = np.abs(up * e_down - down * e_up) > SIDES_SIGMA * np.sqrt(chance)
     torn: NDArray[np.bool_] = differ | (summary[:, SUMMARY.index("signal_sd")] > SPREAD * buffer_m)
@@ -287,7 +287,7 @@ def _torn(
 
 
 def _seen_window(seen: NDArray[np.int64], fired: NDArray[np.int64], interval_shots: int) -> int:
-    """Shots over which beamlets stand in for silent ones: a divisor of the interval."""
+    """Shots over which seen beamlets stand in for silent ones: a divisor of the interval."""
     per_shot = float(seen.sum()) / float(fired.sum())
     for shots in range(1, interval_shots + 1):
         if interval_shots % shots == 0 and shots * per_shot >= SEEN_TARGET:

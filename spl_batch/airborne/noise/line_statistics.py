@@ -1,15 +1,14 @@
-"""First pass of the line noise density: statistics that stretches add up to.
+"""Statistics of line noise: the first pass, which adds up over stretches.
 
-Source: [W17] 5.2.1. Everything is keyed on absolute interval numbers,
-``shot // interval_shots``, or is an integer count, so that parts merge in any order.
+Source: [W17] 5.2.1. Everything is keyed on absolute interval numbers, ``shot // interval_shots``,
+or is an integer count, so parts merge in any order.
 
-Deviations: the peak is sought in pieces of an interval as short as its returns allow
-(relief), in a sliding window instead of the source's 1 m bins; several buffers are
-counted side by side, because how much the gate leaves is known only at the end; a
-return that follows another of its own beamlet within :data:`FOLLOWER_M` may be its
-afterpulse and is not counted (the length that returns blind is taken off the exposure),
-unless returns lie so close together that this would leave less than half of the gate to count
-in, as where no channel numbers tell the returns of a shot apart in much noise.
+Deviations: because of relief, the peak is sought in pieces of an interval as short as its returns
+allow, in a sliding window instead of 1 m bins. Several buffers are counted side by side: how much
+the gate leaves is known only at the end. A return that follows another of its own beamlet within
+:data:`FOLLOWER_M` may be its afterpulse and is not counted; the length that returns blind is taken
+off the exposure. It counts where this would blind more than half of the gate, as where much noise
+comes without channel numbers.
 """
 
 from collections.abc import Sequence
@@ -32,8 +31,8 @@ FOLLOWER_M: Final = 5.0
 """Reach of afterpulses; [W17] ch. 7 finds nearly all within 2-3 m [m]."""
 
 BLIND_MOST: Final = 0.5
-"""Share of an interval's gate from which on, blinded, the followers count as noise as well: the
-little that is left to count in is the difference of two large lengths, and may be nothing."""
+"""Blinded share of an interval's gate from which on followers count as noise too: what is left is
+the difference of two large lengths, and may be nothing."""
 
 PROFILE_BINS: Final = 2048
 """1 m bins of the histogram of heights below the signal."""
@@ -100,7 +99,7 @@ def observe(
         "first": offset[starts[:-1]],
         "last": offset[starts[1:] - 1] if m else offset[:0],
     }
-    # Sorted all at once: numpy does it with vector instructions, a kernel without.
+    # Sorted all at once: numpy has vector instructions for it, a kernel has none.
     order = lexicographic_order([np.repeat(np.arange(m), out["returns"]), table["z"]])
     observe_intervals(
         starts, table["z"] * QUANTUM_M, order, range_m, np.maximum(cosine, 0.1), offset, channel,
@@ -117,7 +116,7 @@ def _crowded(
     range_m: NDArray[np.float64],
     blind_m: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Returns of intervals whose returns would blind too much of their own gate: (n,) bool."""
+    """Returns of intervals whose followers blind too much of their own gate: (n,) bool."""
     if len(starts) < 2:
         return np.zeros(len(range_m), dtype=np.bool_)
     first = starts[:-1]
@@ -139,7 +138,7 @@ def merge(
 ) -> dict[str, NDArray[Any]]:
     """Join the statistics of a flightline's stretches, in any order.
 
-    ``parts``: at least one result of :func:`observe` or of :func:`merge`; no interval in two.
+    ``parts``: results of :func:`observe` or of :func:`merge`, one at least.
 
     Raises
     ------

@@ -12,8 +12,8 @@ flightline's density is found on squares, 2.5 m wide in voxels of 10 m, and flig
   (:mod:`~spl_batch.airborne.noise.gate_ends`).
 
 Between the centres of squares, and of layers without an end, the density is linear, along the lean
-of the beams. ``benchmarks/airborne/filter/null_edges.py`` prints the share of noise that is kept
-along edges of surveys, ``benchmarks/airborne/filter/null_calibration.py`` along sharp ones.
+of the beams. ``benchmarks/airborne/filter/null_edges.py`` prints the share of noise kept along
+edges of surveys, ``benchmarks/airborne/filter/null_calibration.py`` along sharp ones.
 """
 
 from collections.abc import Sequence
@@ -40,20 +40,20 @@ MARGIN_VOXELS: Final = 2
 
 PRIOR: Final = 20.0
 """Beamlets that the squares around are worth against a square's own, and the voxel's mean against
-both: chance leaves an error of at most 11 %, where as many tell [count]."""
+both: the error of chance is at most 11 % where as many tell [count]."""
 
 BLUR: Final = 4.0
-"""Weight of a square's own count against a neighbour's along an axis, where counts are blurred."""
+"""Weight of a square's own count against a neighbour's along an axis, in a blur."""
 
 SURE: Final = 4.0
-"""Squares whose number of beamlets is as sure as a blurred one."""
+"""Squares whose counts together are as sure as a blurred one."""
 
 RIDGE: Final = 2.0
-"""Times that what a blur takes off a ridge is given back: blurring and linear interpolation both
-flatten the ridges that turning scans make along the edges of swaths."""
+"""How often a ridge gets back what a blur takes off it: blur and linear interpolation flatten the
+ridges of turning scans along the edges of swaths."""
 
 LEAST: Final = 0.15
-"""Part of the density that is left at the edge of a flightline, within a square of it."""
+"""Share of the density that is left at the edge of a flightline, within a square of it."""
 
 
 class Listened(NamedTuple):
@@ -114,7 +114,7 @@ def around(
 
 
 def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Beamlets over squares as far as chance lets their own counts tell; 0 beside covered ones."""
+    """Beamlets over squares, as far as chance lets their counts tell; 0 beside covered ones."""
     prior, inside = np.float32(PRIOR), covered.astype(np.float32)
     area: NDArray[np.float32] = np.maximum(blurred(inside, BLUR), np.float32(1.0))
     around: NDArray[np.float32] = inside * blurred(beamlets, BLUR) / area

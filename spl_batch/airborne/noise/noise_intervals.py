@@ -1,7 +1,6 @@
-"""What a stretch of returns says about noise, interval by interval [W17 5.2.1].
+"""Noise counts of a stretch of returns, interval by interval [W17 5.2.1].
 
-Each interval stands alone: nothing here looks over its edge, so a flightline may be cut
-at any of them.
+Nothing here looks over an interval's edge, so a flightline may be cut at any of them.
 """
 
 import math
@@ -12,11 +11,11 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 
 GROUP_RETURNS = 100
-"""Returns that a group should have, so that its own peak is sure [count]."""
+"""Returns that make the peak of a group sure [count]."""
 
 GROUPS_MAX = 60
-"""Most groups of an interval: its arc on the ground, tens of metres long, is cut in as many
-pieces, so that on a slope each has its own signal."""
+"""Most groups of an interval: its arc on the ground, tens of metres long, is cut into pieces, so
+that on a slope each has its own signal."""
 
 
 @njit()
@@ -61,8 +60,8 @@ def signal_heights(
 ) -> NDArray[np.float64]:
     """Height of the signal in each group of one interval: (n_groups,) float64 [m].
 
-    The group's own peak where it is beyond chance, else the interval's; where that is
-    not either, the median, which unlike a chance peak does not select noise.
+    The group's own peak where it is beyond chance, else the interval's, else the median: unlike a
+    chance peak it does not select noise.
 
     Parameters
     ----------
@@ -83,7 +82,7 @@ def signal_heights(
     out = np.full(n_groups, height)
     if n_groups == 1:
         return out
-    # Returns put together by group, in one pass, in which they stay in order.
+    # Returns by group, in one pass that keeps their order.
     stop = np.zeros(n_groups + 1, dtype=np.int64)
     for g in group:
         stop[g + 1] += 1
@@ -218,7 +217,7 @@ def observe_intervals(
             side = 0 if below[i] < 0 else 1
             b = len(buffers) - 1
             while b >= 0 and abs(below[i]) > buffers[b]:
-                # In front of the signal the region ends with the buffer; behind it, what a
+                # In front of the signal the region ends with the buffer. Behind it, what a
                 # blinded piece loses beyond the gate comes in over the buffer's edge.
                 room = (abs(below[i]) - buffers[b]) / cosine[i] if side == 0 else np.inf
                 blinded[m, side, b] += min(blind_m[i], room)

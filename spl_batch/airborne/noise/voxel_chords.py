@@ -1,7 +1,7 @@
-"""Lengths of beamlets inside the spheres of a voxel lattice [W17 Eq. 5.2, 6.1; W18 Eq. 1].
+"""Chords: lengths of beamlets inside the spheres of a voxel lattice [W17 Eq. 5.2, 6.1; W18 Eq. 1].
 
-Every beamlet is reckoned relative to the voxel that holds its own return, so its chords
-come out the same to the last bit whatever else is deposited along with it.
+Every beamlet is reckoned from the voxel that holds its own return: its chords are the same to the
+last bit, whatever else is deposited.
 """
 
 import math
@@ -14,7 +14,7 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.simd import LANES
 
 STEEP: Final = 0.7
-"""Vertical part of a direction from which a beam crosses a voxel's height in one square."""
+"""Vertical part of a direction from which on a beam crosses a voxel's height in one square."""
 
 MOST: Final = 65535
 """Beamlets at which the count of a square stops."""
@@ -56,9 +56,9 @@ def cover(
 ) -> None:
     """Count a beamlet in the squares that it crosses half-way up each layer that it listens in.
 
-    A square is a quarter of a voxel's edge wide. A layer is as high as its spheres: all that
-    adds to their amount counts, however little. Beams nearer to the horizontal than
-    :data:`STEEP` cross too many squares to tell by one; they count in the whole voxel.
+    A square is a quarter of a voxel's edge wide, a layer as high as its spheres: all that adds to
+    their amount counts. Beams nearer to the horizontal than :data:`STEEP` cross too many squares
+    and count in the whole voxel.
 
     Parameters
     ----------
@@ -131,8 +131,8 @@ def deposit_beamlet(
 ) -> None:
     """Add one beamlet's chords to every sphere that it crosses.
 
-    Only spheres near the line are looked at: layer by layer along the axis that the line
-    follows most, those whose centre lies within ``radius / |u|`` of the line's place there.
+    Only spheres near the line are looked at: in each layer along the axis that the line follows
+    most, those whose centre lies within ``radius / |u|`` of the line.
 
     Parameters
     ----------
@@ -190,10 +190,10 @@ def deposit_beamlet(
 
 @njit()
 def steepness(edge: float, radius: float) -> float:
-    """Vertical part of a direction from which :func:`deposit_steep` measures every sphere.
+    """Vertical part of a direction from which on :func:`deposit_steep` measures every sphere.
 
-    ``sqrt(2) edge`` times the vertical part is the least distance at which a line sees the centres
-    of two spheres across from each other. A little more than ``2 radius`` leaves room for rounding.
+    ``sqrt(2) edge`` times it is the least distance at which a line sees the centres of two spheres
+    across from each other. A little more than ``2 radius`` leaves room for rounding.
     """
     return max(STEEP, 1.000001 * math.sqrt(2.0) * radius / edge)
 
@@ -214,10 +214,9 @@ def deposit_steep(
 ) -> None:
     """What :func:`deposit_beamlet` adds, to the last bit, for steep beams and with squares.
 
-    A steep line can touch the four spheres around it in a layer, and of two that lie across from
-    each other only the one that it runs deeper in. These two are measured in each layer without a
-    branch, so that the loop compiles to vector instructions; it runs to a multiple of
-    :data:`LANES`.
+    A steep line can touch the four spheres around it in a layer, and of two across from each other
+    only the one that it runs deeper in. These two are measured without a branch, so the loop
+    compiles to vector instructions; it runs to a multiple of :data:`LANES`.
 
     Parameters
     ----------
@@ -238,7 +237,7 @@ def deposit_steep(
         ux, uy, along = direction[row, 0], direction[row, 1], direction[row, 2]
         px, py, pz = point[row, 0], point[row, 1], point[row, 2]
         i0, j0, k0 = voxel[row, 0], voxel[row, 1], voxel[row, 2]
-        # Named here: what stands in an array is read again after each store into another one.
+        # Own names: values in an array are read again after each store into another one.
         start, stop, per_m = near[row], far[row], weight[row]
         low, high = pz + start * along, pz + stop * along
         if low > high:

@@ -8,7 +8,7 @@ Sources: [W17] Eq. 5.2-5.3, 6.1-6.2; [W18] Eq. 1-2.
 | l_i | chord, :func:`~spl_batch.airborne.noise.voxel_chords.chord_length` |
 | n_u, n | ``VoxelPart.shots``, ``VoxelPart.beamlets`` |
 
-Deviations: points do not hold silent beamlets, and the published gamma counts a shot that merely
+Deviations: points hold no silent beamlets, and the published gamma counts a shot that merely
 touches the sphere as a whole one. By default the seen beamlets of a few shots share out equally
 what these shots listened to. A beamlet counts once, however many returns it has; chords end at the
 gate. Where channels are unknown, each return is a beamlet of its shot.
@@ -35,7 +35,7 @@ FAR_Q: Final = 1_000_000
 """Empty columns or rows of more than this divide a stretch's voxels into boxes [quanta]."""
 
 UNEVEN: Final = 1.15
-"""Densities of a voxel and one above or below it that differ by less have no gate's end between."""
+"""Difference of the densities of a voxel and one above or below, under which no gate ends there."""
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
 COLUMNS_ADDED: Final = ()
@@ -80,7 +80,7 @@ def deposit_apart(
     settings: NoiseSettings,
     far_q: int | None = FAR_Q,
 ) -> list[VoxelPart]:
-    """The same as a box of voxels for each place of the stretch.
+    """A stretch's share as a box of voxels for each place of it.
 
     A single stray point would stretch one box over all that lies between.
 
@@ -190,7 +190,7 @@ def _box(
 ) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
     """Voxels that beamlets within a box can touch: first index and number along each axis."""
     radius = sphere_radius_m(voxel_m)
-    # One voxel more on each side: candidates are looked at before they are measured.
+    # One voxel more on each side, for candidates that are yet to be measured.
     corner = np.floor((low - 2 * radius) / voxel_m).astype(np.int64) - 1
     stop = np.floor((high + 2 * radius) / voxel_m).astype(np.int64) + 2
     size = stop - corner
@@ -238,7 +238,7 @@ def density(
 def within_gate(per_m3: NDArray[np.float64]) -> NDArray[np.float64]:
     """Density of the part of each voxel that is listened to, roughly, for testing points in it.
 
-    It serves points that no known flightline covers, and the published correction; others have
+    For points that no known flightline covers, and for the published correction; others have
     :mod:`~spl_batch.airborne.noise.local_noise`. A voxel that a gate's end cuts takes the largest
     of itself and its two vertical neighbours; differences below :data:`UNEVEN` are chance.
 

@@ -13,18 +13,11 @@ from spl_batch.engine.report.picture import Extent, MapPlace, Picture
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A rectangle on a map.
+    """A rectangle on a map."""
 
-    Parameters
-    ----------
-    box : tuple of float
-        Left and upper edge, width and height, as shares of the picture.
-    text : str
-        What it means.
-    """
-
+    #: Left and upper edge, width and height, as shares of the picture.
     box: tuple[float, float, float, float]
-    text: str
+    text: str  #: What it means.
 
     @property
     def style(self) -> str:
@@ -35,21 +28,11 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A map that can be chosen.
+    """A map that can be chosen."""
 
-    Parameters
-    ----------
-    key : str
-        Its key among the pictures.
-    picture : Picture
-        The map, or why there is none.
-    marks : tuple of Mark
-        Places that failed, as far as the map shows them.
-    """
-
-    key: str
-    picture: Picture
-    marks: tuple[Mark, ...]
+    key: str  #: Its key among the pictures.
+    picture: Picture  #: The map, or why there is none.
+    marks: tuple[Mark, ...]  #: Places that failed, as far as the map shows them.
 
 
 def layers(

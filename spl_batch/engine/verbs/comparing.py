@@ -35,36 +35,21 @@ FOLDER: Final = "compare"
 
 @dataclass(frozen=True, slots=True)
 class Methods:
-    """What a receiver fills in whose methods can be compared.
+    """What a receiver fills in whose methods can be compared."""
 
-    Parameters
-    ----------
-    known : str
-        Names of all methods, as a message lists them.
-    keys : callable
-        Of a method's name and the workflow: ``key.path=value`` that make a run one of this method,
-        or None where there is no such method. It raises where something that it needs is missing.
-    until : str
-        Last stage of what the methods share, which is done first.
-    share : callable
-        Of two stores, the workflow and a method's name: the stages that this method can use of the
-        workflow's own run. What is more than finished tasks it hands on itself.
-    write : callable
-        Of the output folder and reports by method: writes ``compare.html`` and ``compare.json`` and
-        returns what they say, with ``methods``.
-    row : callable
-        Of one of these: what the console shows of it.
-    titles : tuple of str
-        Heads of the console's columns.
-    """
-
-    known: str
+    known: str  #: Names of all methods, as a message lists them.
+    #: Of a method's name and the workflow: ``key.path=value`` that make a run one of this method,
+    #: or None where there is no such method. It raises where something that it needs is missing.
     keys: Callable[[str, Any], Sequence[str] | None]
-    until: str
+    until: str  #: Last stage of what the methods share, which is done first.
+    #: Of two stores, the workflow and a method's name: the stages that this method can use of the
+    #: workflow's own run. What is more than finished tasks it hands on itself.
     share: Callable[[Store, Store, Any, str], Collection[str]]
+    #: Of the output folder and reports by method: writes ``compare.html`` and ``compare.json`` and
+    #: returns what they say, with ``methods``.
     write: Callable[[Path, Mapping[str, Any]], Any]
-    row: Callable[[Any], tuple[str, ...]]
-    titles: tuple[str, ...]
+    row: Callable[[Any], tuple[str, ...]]  #: Of one of these: what the console shows of it.
+    titles: tuple[str, ...]  #: Heads of the console's columns.
 
 
 @dataclass(frozen=True, slots=True)

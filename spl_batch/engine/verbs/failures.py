@@ -16,24 +16,12 @@ from spl_batch.engine.watch.tile_map import extent_m
 
 @dataclass(frozen=True, slots=True)
 class Invocation:
-    """The command line that a run was, or would have been, started by.
+    """The command line that a run was, or would have been, started by."""
 
-    Parameters
-    ----------
-    workflow : str
-        Workflow file, as it was given.
-    workers : int
-        Worker processes, by which work was cut.
-    memory_bytes : int
-        Memory limit, by which work was cut [byte].
-    overrides : sequence of str
-        ``key.path=value``.
-    """
-
-    workflow: Path | str
-    workers: int
-    memory_bytes: int
-    overrides: Sequence[str] = ()
+    workflow: Path | str  #: Workflow file, as it was given.
+    workers: int  #: Worker processes, by which work was cut.
+    memory_bytes: int  #: Memory limit, by which work was cut [byte].
+    overrides: Sequence[str] = ()  #: ``key.path=value``.
 
     def alone(self, task: Task) -> str:
         """Command that does one task of this run, in the process that it starts."""
@@ -54,24 +42,12 @@ def _size(count: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """A task that failed.
+    """A task that failed."""
 
-    Parameters
-    ----------
-    stage : str
-        Stage of the command line.
-    task : Task
-        The task.
-    receipt : Receipt
-        With the reason.
-    command : str
-        Command that does it alone.
-    """
-
-    stage: str
-    task: Task
-    receipt: Receipt
-    command: str
+    stage: str  #: Stage of the command line.
+    task: Task  #: The task.
+    receipt: Receipt  #: With the reason.
+    command: str  #: Command that does it alone.
 
 
 AGAIN: Final = "run again: only what failed is tried"

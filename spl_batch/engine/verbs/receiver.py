@@ -36,56 +36,30 @@ class Prepared(Generic[L, C]):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How much of a machine may be used.
+    """How much of a machine may be used."""
 
-    Parameters
-    ----------
-    memory_bytes : int
-        Memory limit of a worker [byte].
-    workers : int
-        Worker processes, 1 at the least [count].
-    """
-
-    memory_bytes: int
-    workers: int
+    memory_bytes: int  #: Memory limit of a worker [byte].
+    workers: int  #: Worker processes, 1 at the least [count].
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a workflow stands, and where its results go.
+    """Where a workflow stands, and where its results go."""
 
-    Parameters
-    ----------
-    workflow : Path
-        The file, as it was given.
-    base : Path
-        Folder that its relative paths start from.
-    output : Path
-        Folder of the results.
-    """
-
-    workflow: Path
-    base: Path
-    output: Path
+    workflow: Path  #: The file, as it was given.
+    base: Path  #: Folder that its relative paths start from.
+    output: Path  #: Folder of the results.
 
 
 class FirstLook(NamedTuple):
-    """What a plan finds in the inputs.
+    """What a plan finds in the inputs."""
 
-    Parameters
-    ----------
-    faults, warnings : tuple of str
-        What is wrong with some of them, which a run leaves out; what is odd.
-    rows : tuple of (str, str)
-        Label and value of what else they tell.
-    unreadable, unreadable_points : int
-        Inputs whose points cannot be read though their headers can, and what these promise
-        [count]; ``faults`` has the reasons.
-    """
-
+    #: What is wrong with some of them, which a run leaves out; what is odd.
     faults: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    rows: tuple[tuple[str, str], ...] = ()
+    rows: tuple[tuple[str, str], ...] = ()  #: Label and value of what else they tell.
+    #: Inputs whose points cannot be read though their headers can, and what these promise [count];
+    #: ``faults`` has the reasons.
     unreadable: int = 0
     unreadable_points: int = 0
 
