@@ -50,11 +50,24 @@ def test_the_default_has_what_the_extras_of_results_name() -> None:
         assert set(extras[name]) <= set(PROJECT["dependencies"]), name
 
 
-def test_the_image_has_no_rights_and_copies_what_the_build_needs() -> None:
-    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
-    assert re.search(r"^USER (?!root)", text, re.MULTILINE)
-    sent = (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()
-    copied = {
-        name for line in re.findall(r"^COPY (.+)", text, re.MULTILINE) for name in line.split()[:-1]
-    }
-    assert {f"!{name}" for name in copied} <= set(sent)
+def test_the_conda_recipe_builds_and_starts_what_the_project_does() -> None:
+    recipe = loaded("conda/recipe.yaml")
+    scripts = [f"{name} = {place}" for name, place in PROJECT["scripts"].items()]
+    assert recipe["build"]["python"]["entry_points"] == scripts
+    (backend,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+    assert backend.replace(">=", " >=") in recipe["requirements"]["host"]
+    assert f"python {PROJECT['requires-python']}" in recipe["requirements"]["host"]
+    assert recipe["schema_version"] == 1
+    assert (ROOT / "conda" / recipe["source"]["path"]).resolve() == ROOT
+    assert (ROOT / recipe["about"]["license_file"]).is_file()
+
+
+def test_the_citation_has_what_its_format_asks_for() -> None:
+    citation = loaded("CITATION.cff")
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["message"]
+    assert citation["title"] == "spl_batch"
+    for work in (citation, *citation["references"]):
+        assert work["title"]
+        assert all("name" in one or "family-names" in one for one in work["authors"])
+    assert all({"type", "title", "authors"} <= set(work) for work in citation["references"])

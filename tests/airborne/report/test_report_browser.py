@@ -176,6 +176,19 @@ def test_a_print_shows_every_map_and_no_buttons(page: Page) -> None:
 def test_it_fits_a_telephone(page: Page, path: Path) -> None:
     page.open(path, width=390, height=800)
     assert page.ask("document.documentElement.scrollWidth") <= 390
+    high = page.ask("document.querySelector('#clip .stage').getBoundingClientRect().height")
+    assert high > 0.7 * width(page, "#clip .stage"), "points are no narrow strip"
+
+
+def test_only_what_is_too_wide_for_a_telephone_says_scroll(page: Page, path: Path) -> None:
+    page.open(path, width=390, height=800)
+    said = page.ask(
+        "[...document.querySelectorAll('figure')].map(f => [f.scrollWidth > f.clientWidth || "
+        "[...f.querySelectorAll('.sheet')].some(s => s.scrollWidth > f.clientWidth), "
+        "getComputedStyle(f.querySelector('figcaption'), '::before').content.includes('Scroll')])"
+    )
+    assert [True, True] in said
+    assert all(wide == told for wide, told in said), said
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
