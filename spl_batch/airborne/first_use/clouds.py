@@ -13,7 +13,7 @@ import numpy as np
 from spl_batch.airborne.plan.inputs.channel_dimension import numbered_dimension
 from spl_batch.airborne.plan.inputs.first_look import holds_few
 from spl_batch.airborne.sensors.sensor import Sensor
-from spl_batch.formats.crs import look_like_degrees
+from spl_batch.formats.crs import crs_name, look_like_degrees
 from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
 from spl_batch.formats.las.reader import SAMPLE_POINTS, Ends, LasFacts, inspect, read_ends
 
@@ -110,7 +110,12 @@ def channel_guess(looks: Sequence[CloudLook], sensor: Sensor) -> Guess:
 
 def crs_guess(looks: Sequence[CloudLook]) -> Guess:
     """CRS of the files, by their headers."""
-    names = sorted({look.facts.crs.name for look in looks if look.facts.crs is not None})
+    told = [look.facts.crs for look in looks if look.facts.crs is not None]
+    wrong = sorted({crs_name(crs) for crs in told if crs.is_geocentric})
+    if wrong:
+        reason = f"the files name {wrong[0]}, which is geocentric: name the CRS of the coordinates"
+        return Guess(None, reason)
+    names = sorted({crs.name for crs in told})
     if not names and any(look_like_degrees(look.facts.mins_m, look.facts.maxs_m) for look in looks):
         return Guess(None, "no file names one, and the coordinates look like degrees")
     if not names:

@@ -2,7 +2,9 @@
 
 import glob
 import json
+import math
 import re
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +26,10 @@ from spl_batch.errors import grouped, named, plain
 
 SMALL_M2: Final = 10_000.0
 """Area below which it is told in square metres [m2]."""
+
+SPARSE_M2: Final = 2.0
+"""Density in its box below which a cloud without beamlet numbers is taken for linear-mode lidar:
+single-photon surveys have ten times as many points and more, noise included [1/m2]."""
 
 _PLAIN: Final = re.compile(r"[A-Za-z][\w./*:-]*")
 
@@ -111,7 +117,9 @@ def _clouds(looks: Sequence[CloudLook]) -> str:
 def _times(made: Proposal, folder: Folder) -> None:
     spans = [look.span_s for look in folder.lines if look.span_s is not None]
     if not spans:
-        made.unknown.append(("gps_time", "missing, so there are no shots: noise is not told"))
+        has = all(look.facts.has_gps_time for look in folder.lines)
+        seen = "one value for all points that were looked at" if has else "missing"
+        made.unknown.append(("gps_time", f"{seen}, so there are no shots: noise is not told"))
         return
     standards = sorted({look.standard for look in folder.lines if look.span_s is not None})
     first, last = min(low for low, _ in spans), max(high for _, high in spans)
@@ -167,13 +175,26 @@ def _polygons(made: Proposal, folder: Folder) -> None:
         made.open("water", names[0], reason, indent="")
 
 
+_KEPT: Final = ("filter: {method: none}", "afterpulse: {enabled: false}")
+"""Lines of a workflow by which every point stays."""
+
+
 def _filter(made: Proposal, folder: Folder, channel: Guess) -> None:
+    """Whether there is noise to be found, and what that needs."""
     if all(look.span_s is None for look in folder.lines):
+        text = "# Without times no noise is told: every point stays; ground and surfaces are made."
+        made.lines += ["", text, *_KEPT]
+        return
+    if channel.value is None and _points_per_m2(folder.lines) < SPARSE_M2:
+        why = (
+            "no beamlet numbers and few points per m2: taken for linear-mode lidar, of which every "
+            "point stays; if single photons were counted, delete the last two lines of the workflow"
+        )
+        made.unknown.append(("filter", why))
         made.lines += [
             "",
-            "# Without times no noise is told: every point stays; ground and surfaces are made.",
-            "filter: {method: none}",
-            "afterpulse: {enabled: false}",
+            *textwrap.wrap(f"? {why}", 98, initial_indent="# ", subsequent_indent="# "),
+            *_KEPT,
         ]
         return
     made.lines += [
@@ -182,14 +203,23 @@ def _filter(made: Proposal, folder: Folder, channel: Guess) -> None:
         "# acquisition: {prf_hz: 60000, gate_m: 300}",
     ]
     if channel.value is None:
-        why = "linear-mode lidar has no such noise: for such, use the last lines of the workflow"
+        why = (
+            "if this is linear-mode lidar, which has no such noise, remove the # before the last "
+            "two lines of the workflow"
+        )
         made.unknown.append(("filter", why))
         made.lines += [
             "",
-            "# Conventional (linear-mode) lidar has no such noise; for ground and surfaces alone:",
-            "# filter: {method: none}",
-            "# afterpulse: {enabled: false}",
+            *textwrap.wrap(f"? {why}", 98, initial_indent="# ", subsequent_indent="# "),
         ]
+        made.lines += [f"# {line}" for line in _KEPT]
+
+
+def _points_per_m2(looks: Sequence[CloudLook]) -> float:
+    """Points per area of the boxes; infinite where these have none."""
+    area_m2 = sum(look.area_m2 for look in looks)
+    points = sum(look.facts.n_points for look in looks)
+    return points / area_m2 if area_m2 >= 1.0 else math.inf
 
 
 def _left_out(folder: Folder) -> Iterator[str]:

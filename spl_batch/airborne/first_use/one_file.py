@@ -146,8 +146,10 @@ def _refuse(
 ) -> None:
     """Refuse names that no result may have."""
     for path, suffix in results:
-        if path.suffix.lower() != suffix or path.name.lower().endswith(f".copc{suffix}"):
-            raise WorkflowError(f"{path}: write a name that ends in {suffix}, and not in .copc.laz")
+        copc = path.name.lower().endswith(".copc.laz")
+        if path.suffix.lower() != suffix or copc:
+            but = ", and not in .copc.laz" * copc
+            raise WorkflowError(f"{path}: write a name that ends in {suffix}{but}")
         if path.exists() and source.exists() and path.samefile(source):
             raise WorkflowError(f"{path}: this is the input; name another file")
         mine = path.exists() and own.get(str(path.resolve())) == _stamp(path)

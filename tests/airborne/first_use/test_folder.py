@@ -123,10 +123,35 @@ def test_without_times_only_ground_and_surfaces_are_proposed(tmp_path: Path) -> 
     line = surveys.flightline(shots=50)
     line["gps_time"] = np.zeros_like(line["gps_time"])
     surveys.write_cloud(tmp_path / "2023.laz", line, channel=False)
-    _, content = begun(tmp_path)
+    found, content = begun(tmp_path)
+    assert "one value for all points that were looked at" in dict(found.unknown)["gps_time"]
     assert content["filter"] == {"method": "none"}
     assert content["afterpulse"] == {"enabled": False}
     assert not api.plan(tmp_path / "workflow.yaml").faults
+
+
+@pytest.mark.parametrize(("metres", "kept"), [(400.0, True), (1.0, False)])
+def test_a_sparse_cloud_without_beamlets_is_taken_for_linear_mode(
+    tmp_path: Path, *, metres: float, kept: bool
+) -> None:
+    line = surveys.flightline(shots=50)
+    for axis, begins in zip("xy", surveys.ORIGIN_M, strict=True):
+        line[axis] = begins + metres * (line[axis] - begins)
+    surveys.write_cloud(tmp_path / "a.laz", line, channel=False)
+    found, content = begun(tmp_path)
+    assert ("filter" in content) == kept
+    assert "linear-mode lidar" in dict(found.unknown)["filter"]
+    text = found.workflow.read_text(encoding="utf-8")
+    assert "filter: {method: none}" in text
+    assert max(map(len, text.splitlines())) <= 120
+
+
+def test_a_geocentric_crs_record_is_no_crs_of_a_survey(tmp_path: Path) -> None:
+    line = surveys.flightline(shots=50)
+    surveys.write_cloud(tmp_path / "a.laz", line, crs="EPSG:4978")
+    found, _ = begun(tmp_path)
+    assert "geocentric" in dict(found.unknown)["crs"]
+    assert "# crs: " in found.workflow.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

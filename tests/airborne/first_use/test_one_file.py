@@ -81,9 +81,9 @@ def test_nothing_is_replaced_unless_told(line: Path, tmp_path: Path) -> None:
     (tmp_path / "work.laz.work").mkdir()
     for arguments, said in (
         ((line, there), "is there already; name another file, or add --force"),
-        ((line, tmp_path / "new.laz", "--dtm", there), "write a name that ends in .tif"),
-        ((line, tmp_path / "new.las"), "write a name that ends in .laz"),
-        ((line, tmp_path / "new.copc.laz"), "write a name that ends in .laz"),
+        ((line, tmp_path / "new.laz", "--dtm", there), "write a name that ends in .tif\n"),
+        ((line, tmp_path / "new.las"), "write a name that ends in .laz\n"),
+        ((line, tmp_path / "new.copc.laz"), "ends in .laz, and not in .copc.laz"),
         ((line, line, "--force"), "this is the input"),
         ((line, tmp_path / "new.laz", "--sensor", "spl99"), "no preset 'spl99'"),
         ((line, tmp_path / "new.laz", "--trajectory", "no.csv"), "no.csv does not exist"),
