@@ -124,7 +124,7 @@ class Chances(NamedTuple):
 
 
 class Echoes(NamedTuple):
-    """What is an afterpulse, and what depends on another return: two (n,) bool."""
+    """Afterpulses, and returns that depend on another one: two (n,) bool."""
 
     echo: NDArray[np.bool_]
     dependent: NDArray[np.bool_]

@@ -59,7 +59,7 @@ def room_for(sets: int, members: int) -> Sets:
 
 @njit()
 def _added(count, end, shot, sets):  # type: ignore[no-untyped-def]
-    """Number of sets with one that ends here, if it is large enough."""
+    """Close the open set before row ``end`` if it is large enough; the number of sets."""
     if end - sets.first[count] < RETURNS_MIN:
         return count
     sets.owner[count], sets.first[count + 1] = shot, end
@@ -288,7 +288,7 @@ def _stands_out(best, begin, shot, left, rules):  # type: ignore[no-untyped-def]
 
 @njit()
 def _leave(plane, spread, begin: int, shot: int, left: Left, rules: Rules) -> None:  # type: ignore[no-untyped-def]
-    """Leave the candidates that are not on a plane."""
+    """Take the candidates on a plane off the list."""
     end = begin
     for k in range(begin, begin + left.size[shot]):
         u, v, w = left.u[k], left.v[k], left.w[k]

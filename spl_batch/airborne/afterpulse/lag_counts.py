@@ -253,7 +253,7 @@ def _scale(distance: NDArray[np.float64], on: NDArray[np.bool_]) -> float:
 
 @njit()
 def law_at(lag: float, dead_m: float, law: NDArray[np.float64]) -> float:
-    """Afterpulses per detection and metre at a lag, linear between what is tabled [1/m]."""
+    """Afterpulses per detection and metre at a lag, linear between tabled values [1/m]."""
     at = max(lag - dead_m, 0.0) / STEP_M
     k = min(int(at), len(law) - 1)
     up = min(k + 1, len(law) - 1)

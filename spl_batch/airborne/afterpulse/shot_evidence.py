@@ -131,8 +131,6 @@ def neighbours(at, rows, u, v, w, first, reach_m, out, begin):  # type: ignore[n
 
     Parameters
     ----------
-    at : int
-        The return.
     rows : (int, int)
         First row of the shot, and the one after its last.
     u, v, w : (n + 8 or more,) float64

@@ -1,4 +1,4 @@
-"""Noise of a block as the model has it, and as it is where haze or cloud fills the air."""
+"""Noise of a block: as the model has it, and as it is where haze or cloud fills the air."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
@@ -25,12 +25,12 @@ from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta
 
 CUBES_MOST: Final = 2_000_000
-"""Cubes that are counted at once, 60 bytes each [count]: those of a wide block with few points
-would take more than its points do."""
+"""Cubes that are counted at once [count], 60 bytes each: those of a wide block with few points take
+more than the points do."""
 
 STRIPS: Final = 4
-"""Into how many strips a block is cut at the least, where they are no narrower than their margin
-[count]: what is counted of a strip takes 32 bytes a point."""
+"""Least number of strips of a block that are no narrower than their margin [count]: counts of a
+strip take 32 bytes a point."""
 
 MARGIN: Final = round(REACH_M / CUBE_M)
 """What a strip reads on each side [cubes]."""
@@ -82,7 +82,7 @@ def _strips(xyz: Axes) -> Iterator[tuple[int, int]]:
 def _look_at(
     span: tuple[int, int], xyz: Axes, counted: NDArray[np.bool_], model: NoiseModel, core: Bounds
 ) -> Look:
-    """Air of a strip, and noise by layer where squares have their middles in it."""
+    """Air of a strip, and noise by layer of the squares with their middles in it."""
     (low, high), margin = span, quanta(REACH_M)
     counts = count_cubes(xyz, counted & (xyz[0] >= low - margin) & (xyz[0] < high + margin))
     if counts is None:
@@ -142,12 +142,9 @@ def noise_in_air(
 
 
 def facts_of(looks: Sequence[Look]) -> dict[str, Any]:
-    """What a report says of a block, by its parts: ``air`` of :func:`_summary`, and ``layers``.
+    """Report entries of a block from those of its parts: ``air`` of :func:`_summary`, ``layers``.
 
-    Returns
-    -------
-    dict
-        ``layers``: index, returns and expected returns of each; empty where nothing was looked at.
+    ``layers`` has index, returns and expected returns of each; none where nothing was looked at.
     """
     layers: dict[int, tuple[int, float]] = {}
     for told in (look.layers for look in looks if look.layers is not None):
@@ -159,7 +156,7 @@ def facts_of(looks: Sequence[Look]) -> dict[str, Any]:
 
 
 def _summary(looks: Sequence[Look]) -> dict[str, Any] | None:
-    """What a report says of the air over what a block owns; None where there is none.
+    """Report entry on the air over what a block owns; None where there is none.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Points of two kinds counted in the cells of a lattice whose wide gaps are closed."""
+"""Counts of two kinds of points in the cells of a lattice, its wide gaps closed."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ def lowest_and_highest(
     """
     x, y, z = xyz
     met, far = 0, np.int64(1 << 62)
-    # Numbers of their own: what stands in an array is written at each point.
+    # Own numbers: what stands in an array is written at each point.
     west, south, low, east, north, high = far, far, far, -far, -far, -far
     for i in range(len(kind)):
         first, second = kind[i] == kinds[0], kind[i] == kinds[1]

@@ -4,9 +4,9 @@ Domain: space. Columns needed: x, y, z, flags, and those of
 :mod:`~spl_batch.airborne.afterpulse.afterpulse_decision` where the time domain ran; columns added:
 noise_class, p_value, wire.
 
-Every method decides about the same points: those that the survey may use, without the
-afterpulses, about which the time domain and the neighbourhood agree first. For our own tests
-a return that depends on another one is no evidence either, and shares its label
+Every method decides about the same points: those that the survey may use, without afterpulses,
+which time domain and neighbourhood decide first. For our own tests a return that depends on another
+one is no evidence either, and shares its label
 (:mod:`~spl_batch.airborne.beams.dependent_returns`); the sources' filters count every return.
 :data:`METHODS` names the module that judges.
 """
@@ -41,7 +41,7 @@ _GIVEN: Final = PointFlag.WITHHELD | PointFlag.VENDOR_NOISE
 
 
 class Method(NamedTuple):
-    """How one filter judges, how far it looks [m], and whether it adds noise up over voxels."""
+    """How a filter judges, how far it looks [m], and whether it adds noise up over voxels."""
 
     judge: Callable[[Cloud, FilterSettings], Verdict]
     reach_m: Callable[[FilterSettings], float]
@@ -62,7 +62,7 @@ METHODS: Final = MappingProxyType(
 
 
 class Independent(NamedTuple):
-    """Returns that are judged by themselves, and what is judged with them."""
+    """Returns that are judged by themselves, and columns for that."""
 
     rows: NDArray[np.int32]  #: (m,): where they are in the table, ascending.
     cloud: Cloud
@@ -87,15 +87,15 @@ def reach_m(settings: FilterSettings) -> float:
 
 
 def asks_for_means(settings: FilterSettings) -> bool:
-    """Whether the filter adds up noise over whole voxels: it needs their means, silence included.
+    """Whether the filter adds up noise over whole voxels and needs their means, silence included.
 
-    The others test a point in the noise of what is listened to around it.
+    Others test a point in the noise of what is listened to around it.
     """
     return settings.method != "none" and METHODS[settings.method].by_voxel
 
 
 def asks_for_air(settings: FilterSettings, noise: NoiseSettings) -> bool:
-    """Whether haze is looked for: by our own tests, the sources' know none."""
+    """Whether haze is looked for: only by our own tests."""
     return noise.haze and _independent(settings)
 
 
@@ -120,7 +120,7 @@ def denoise(
     query : (n,) bool
         Points to decide.
     afterpulse : AfterpulseSettings
-        From which probability an afterpulse is believed.
+        From which probability on an afterpulse is believed.
     exact : bool
         Whether p is wanted where it is far smaller than the decision needs
         (:func:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_test.judge`); labels stay the same.
@@ -128,9 +128,8 @@ def denoise(
     Returns
     -------
     NoiseColumns
-        For the m query points: ``noise_class`` (m,) uint8 and ``p_value`` (m,)
-        float32, P(as much evidence | noise), NaN where not assessed; ``wire`` (m,) uint8,
-        1 for what is surely a conductor.
+        Of the m query points: ``noise_class`` (m,) uint8; ``p_value`` (m,) float32, P(as much
+        evidence | noise), NaN where not assessed; ``wire`` (m,) uint8, 1 for a sure conductor.
     """
     found = resolve(table, density, settings, afterpulse)
     chosen = independent(table, density, query, found, settings)
@@ -158,7 +157,7 @@ def independent(
     echo, dependent = found
     judged = ~table.has(EXCLUDED) & ~echo & ~dependent & (settings.method != "none")
     rows = np.flatnonzero(judged).astype(np.int32)
-    # A parent outside the area of interest is judged for the sake of who follows it.
+    # A parent outside the area of interest is judged for its followers.
     wanted = _with_parents(table, query & ~table.has(UNFILTERED), dependent)
     wanted &= ~table.has(EXCLUDED | PointFlag.NO_BEAM)
     return Independent(rows, _cloud(table, rows, density, wanted))
@@ -236,8 +235,8 @@ def verdict_on(
     Returns
     -------
     Verdict
-        Of the points asked for. The two share alpha, and p: a share x of pure noise has p <= x
-        by either of them, so what the scan keeps of it is added to the p of the test, from the
+        Of the points asked for. Test and scan share alpha, and p: a share x of pure noise has
+        p <= x by either. So what the scan keeps of it is added to the p of the test, from the
         scan's own alpha on.
     (m,) bool
         Points that are surely of a conductor.
@@ -265,7 +264,7 @@ def resolve(
     settings: FilterSettings,
     afterpulse: AfterpulseSettings,
 ) -> afterpulse_decision.Echoes:
-    """What is an afterpulse, and what is no evidence of its own.
+    """Afterpulses, and returns that are no evidence of their own.
 
     Parameters
     ----------
@@ -283,7 +282,7 @@ def resolve(
 def _with_parents(
     table: PointTable, query: NDArray[np.bool_], dependent: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Points to decide, and those that a dependent one of them may follow: (n,) bool."""
+    """Points to decide, and those that one of them may depend on: (n,) bool."""
     asked = np.flatnonzero(query & dependent)
     if not len(asked):
         return query
@@ -298,7 +297,7 @@ def _with_parents(
 
 
 def _independent(settings: FilterSettings) -> bool:
-    """Whether returns that depend on another one are left out of the evidence."""
+    """Whether dependent returns are left out of the evidence."""
     return settings.method == "vsaes" and settings.test != "published"
 
 
@@ -308,7 +307,7 @@ def _cloud(
     density: NDArray[np.float64],
     asked: NDArray[np.bool_],
 ) -> Cloud:
-    """Rows of a table with coordinates relative to their smallest: exact, and 32 bits do."""
+    """Rows of a table with coordinates relative to their smallest: exact in 32 bits."""
     xyz = np.empty((len(rows), 3), dtype=np.int32)
     anchor = [0, 0, 0]
     for axis, name in enumerate("xyz"):

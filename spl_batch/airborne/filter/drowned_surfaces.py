@@ -1,15 +1,14 @@
-"""Whether a surface stands out of dense noise: it fills a place, clusters of noise do not.
+"""Drowned surfaces: those that do not stand out of dense noise.
 
-Domain: space. Our own. Where several returns of noise lie in each cubic metre, the noise that is
-kept by chance comes in clusters of dozens, most of all at the edges of a flightline, where the
-expected noise is known least. No number of returns in a box tells them from ground. Ground lies in
-most of the columns of a square, clusters lie in few: so a cell is ground only if in its square
-enough columns hold a cell that is clearly richer in kept returns. What does not stand out is
-drowned; there the terrain is void.
+Domain: space. Our own. With several returns of noise in each cubic metre, noise that is kept by
+chance comes in clusters of dozens, most of all at the edges of a flightline, where the expected
+noise is known least. No number of returns in a box tells them from ground. But ground lies in most
+columns of a square, clusters in few: a cell is ground only if enough columns of its square hold a
+cell that is clearly richer in kept returns. Where none is, the terrain is void.
 
-Near a surface the filter keeps noise too, which lies below it as well as above. In dense noise that
-is enough to carry a terrain 1 to 2 m too low. There a return is ground only if more kept ones lie
-within :data:`NEAR_M` than noise explains.
+Near a surface the filter keeps noise above and below it. If dense, it carries a terrain 1 to 2 m
+too low. There a return is ground only if more kept ones lie within :data:`NEAR_M` than noise
+explains.
 """
 
 from typing import Any, Final
@@ -26,31 +25,30 @@ from spl_batch.numerics.poisson import noise_tail_probability
 DOMAIN: Final = "space"
 
 CROWDED: Final = 20
-"""Refused returns of a cell of 5 m, in the mean of a square, from which on noise is dense: 0.16
-per m3 [count]."""
+"""Refused returns of a 5 m cell, in the mean of a square, from which on noise is dense: 0.16 per m3
+[count]."""
 
 RICH: Final = (4, 0.1)
-"""Kept returns of a cell that is clearly richer than noise: so many, and at least this share of
-those that were refused in it [count, 1/1]."""
+"""Kept returns of a cell that is clearly richer than noise: their least number, and least share of
+the refused ones [count, 1/1]."""
 
 SQUARE: Final = 3
-"""Columns on each side of one that are looked at: 35 m, as the wider box of stray returns."""
+"""Columns on each side that are looked at: 35 m, as the wider box of stray returns."""
 
 LAYERS: Final = 2
 """Layers above and below that belong to a column: ground may rise by 25 m in the square."""
 
 FULL: Final = 0.45
-"""Share of the columns of a square that a surface fills: a shore along its middle stays."""
+"""Least share of a square's columns that a surface fills; a shore along its middle passes."""
 
 CLEAR: Final = 2
-"""Layers below the lowest surface that are not looked at for noise alone: 10 m."""
+"""Layers below the lowest surface that are not searched for noise alone: 10 m."""
 
 NEAR_M: Final = 0.7
-"""How near the returns of a surface lie to each other [m]: noise that is so near to it moves the
-terrain by less."""
+"""How near a surface's returns lie to each other [m]; noise that near moves the terrain less."""
 
 CHANCE: Final = 1e-3
-"""Share of noise of its density that has as many returns so near."""
+"""Share of noise of this density that has as many returns that near."""
 
 CELL_M3: Final = 125.0
 """Volume of a cell [m3]."""
@@ -65,7 +63,7 @@ def unfilled(kept: Cells, gone: Cells) -> Marks:
     Parameters
     ----------
     kept, gone : (a, b, c) int64
-        Returns of each cell of 5 m that the filter kept, and refused [count].
+        Returns of each 5 m cell that the filter kept, and refused [count].
 
     Returns
     -------
@@ -82,7 +80,7 @@ def unfilled(kept: Cells, gone: Cells) -> Marks:
 def dense_noise(kept: Cells, gone: Cells) -> NDArray[np.float32]:
     """Noise around cells where it is dense, 0 elsewhere: (a, b, c) [1/m3].
 
-    The largest mean of a square of the layers around: a surface hides noise in its own layer.
+    The largest mean over a square among the layers around: in its own layer a surface hides noise.
     """
     mean = _summed(gone, 0) / np.maximum(_summed(kept + gone > 0, 0), 1)
     most = ndimage.maximum_filter1d(mean, 2 * LAYERS + 1, axis=2, mode="constant")
@@ -111,7 +109,7 @@ def lonely(
     asked = np.flatnonzero(usable & (noise > 0))
     if not len(asked):
         return out
-    # Whole quanta below 2**53 and their squares are exact: the order of points does not count.
+    # Whole quanta below 2**53 and their squares are exact, so points may come in any order.
     xyz = np.column_stack([table[axis][usable] - table[axis].min() for axis in "xyz"])
     tree = cKDTree(xyz.astype(np.float64))
     own = (noise > 0)[usable]
@@ -124,15 +122,15 @@ def lonely(
 
 
 def drowned_columns(signal: Marks, standing: Marks) -> Marks:
-    """Columns with signal that have none of what stands out, nor have those beside: (a, b) bool."""
+    """Columns with signal that neither hold nor adjoin anything that stands out: (a, b) bool."""
     near: Marks = ndimage.maximum_filter(standing, 3, mode="constant")
     return signal & ~near
 
 
 def below_surfaces(surface: Marks) -> Marks:
-    """Cells well below the lowest surface of their column and those beside it: (a, b, c) bool.
+    """Cells well below the lowest surface of their column and its neighbours: (a, b, c) bool.
 
-    Nothing real lies there, so what was kept of it is noise.
+    What was kept there is noise.
     """
     wide = ndimage.maximum_filter(surface, (3, 3, 2 * CLEAR + 1), mode="constant")
     out: Marks = ~np.logical_or.accumulate(wide, axis=2) & wide.any(axis=2, keepdims=True)
@@ -140,13 +138,13 @@ def below_surfaces(surface: Marks) -> Marks:
 
 
 def _of_columns(cells: Marks) -> Marks:
-    """Whether a column holds such a cell around a height."""
+    """Whether a marked cell lies in the column within :data:`LAYERS` of each height."""
     held: Marks = ndimage.maximum_filter1d(cells, 2 * LAYERS + 1, axis=2, mode="constant")
     return held
 
 
 def _summed(cells: NDArray[Any], layers: int) -> Cells:
-    """Sum over the square around each cell, and so many layers above and below it."""
+    """Sum over the square around each cell, and ``layers`` above and below it."""
     total = cells.astype(np.int64)
     for axis, reach in enumerate((SQUARE, SQUARE, layers)):
         if reach:

@@ -28,12 +28,12 @@ class Expected(NamedTuple):
     """Noise density at points [1/m3]."""
 
     mean: NDArray[np.float64]  #: (m,): of the whole voxel of each point that it was asked for.
-    #: (n,): of the part of it that is listened to: what points are tested with.
+    #: (n,): of the part of it that is listened to; points are tested with it.
     local: NDArray[np.float64]
 
 
 class _Box(NamedTuple):
-    """Voxels of points with those around: whether an edge lies here does not show in one."""
+    """Voxels of points with those around: an edge here may show in none of them alone."""
 
     corner: tuple[int, int, int]
     shape: tuple[int, int, int]
@@ -122,14 +122,14 @@ def model_of_lines(
     beamlets: int,
     settings: NoiseSettings,
 ) -> NoiseModel | None:
-    """The same of parts that lie anywhere.
+    """The same from parts that lie anywhere.
 
     Parameters
     ----------
     xyz, beamlets, settings
         As for :func:`expected_noise`.
     lines : sequence of sequences of Adder
-        Of each flightline, what adds the shares of its stretches; see :func:`adding`.
+        Adders of each flightline's stretches; see :func:`adding`.
     """
     if not len(xyz[0]) or not lines:
         return None

@@ -1,4 +1,4 @@
-"""What every noise filter of the space domain is given, and what it gives back."""
+"""Interface of the noise filters of the space domain: what each is given and gives back."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 class Cloud:
     """Independent returns of a block and its halo, in canonical order.
 
-    Withheld points, afterpulses and the followers of other returns are not among them.
+    Without withheld points, afterpulses and followers of other returns.
     """
 
     xyz: NDArray[np.int32]  #: (n, 3): coordinates relative to ``anchor`` [quanta]; >= 0.
@@ -20,8 +20,7 @@ class Cloud:
     #: (:func:`~spl_batch.airborne.filter.denoise.asks_for_means`).
     density: NDArray[np.float64]
     asked: NDArray[np.bool_]  #: (n,): points to decide.
-    #: (n,): points that the filter of single shots (DCC) calls noise; all False where it did not
-    #: run.
+    #: (n,): points that the filter of single shots (DCC) calls noise; False where it did not run.
     shot_noise: NDArray[np.bool_]
 
     def around(self, margin: int, axes: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -46,7 +45,7 @@ class Verdict:
     """Decision about the m points asked for, in their order."""
 
     signal: NDArray[np.bool_]  #: (m,): true where the point is a signal.
-    #: (m,): probability of so much evidence if it is noise; NaN where the method has none.
+    #: (m,): probability of as much evidence if it is noise; NaN where the method has none.
     p_value: NDArray[np.float32]
 
 

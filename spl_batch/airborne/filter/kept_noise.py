@@ -1,8 +1,8 @@
-"""How much noise is kept because it lies within the signal, where nothing tells it apart.
+"""Noise that is kept because it lies within the signal, where nothing tells it apart.
 
 Domain: space, on the points that a ground cell owns, after the filter. No source has it. Noise
 among the returns of a surface has signal for neighbours, so any filter keeps it. Its number is the
-volume of the cubes of :data:`EDGE_M` that hold a kept return, by the density of noise there. The
+volume of the cubes of :data:`EDGE_M` that hold a kept return, times the noise density there. The
 cubes are as thick as the neighbourhood in which our filter keeps half of the noise
 (``benchmarks.airborne.filter.near_surface``); ``benchmarks.airborne.quality`` prints how near that
 comes.
@@ -26,8 +26,7 @@ EDGE_M: Final = 1.2
 """Edge of a cube: 0.6 m from a surface half of the noise is kept [m]."""
 
 PARTS: Final = 100_000
-"""A noise return is counted in so many parts, so that sums are those of integers; of up to 80 in
-a cube."""
+"""Parts of a noise return: sums are then those of integers; up to 80 returns in a cube."""
 
 
 def within_signal(table: PointTable, cell: Bounds) -> int:

@@ -10,7 +10,7 @@ from spl_batch.numerics.compiled import njit
 _Place = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]
 
 AMOUNT_BITS = 23
-"""Of a number that are for the amount; the others tell the cube."""
+"""Bits of a number for the amount; the others tell the cube."""
 
 _MOST = (1 << AMOUNT_BITS) - 1
 

@@ -1,4 +1,4 @@
-"""Kept returns of places where nothing stands: no surface may rest on them.
+"""Stray returns: kept where nothing stands, so that no surface may rest on them.
 
 The test keeps a stated share of pure noise, in clusters. Off the edge of a survey or over dark
 water such a cluster would be the only ground for tens of metres. There kept returns are few beside
@@ -9,11 +9,11 @@ refused ones. Our own rule asks twice:
   surface rests on nothing. A floor of a quarry or canyon fills its own box; ground that is seen
   through gaps of a canopy continues, and fills a wider one.
 
-Where noise is so dense that clusters of it reach any such number, the ground has to fill the place
-too (:mod:`~spl_batch.airborne.filter.drowned_surfaces`).
+Where clusters of dense noise reach any such number, the ground has to fill the place too
+(:mod:`~spl_batch.airborne.filter.drowned_surfaces`).
 
-In clean clouds few returns make a surface. What share of pure noise is kept the cloud itself says,
-as the filter may be any: in the boxes with noise alone least of what was delivered was kept.
+In clean clouds few returns make a surface. As the filter may be any, the cloud itself tells the
+share of pure noise that is kept: by the boxes of which least was kept, which hold noise alone.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -51,8 +51,8 @@ KEPT_SHARE: Final = 0.002
 NOISE_QUANTILE: Final = 0.1
 NOISE_RETURNS: Final = 100
 NOISE_SHARE: Final = 0.5
-"""Of the wide boxes with so many returns, the tenth where least was kept tells the share that is
-kept of noise. Where that is more than half, few boxes hold noise alone, and nothing is known."""
+"""Wide boxes with so many returns tell the share of noise that is kept, by the tenth where least
+was kept. If that is more than half, few boxes hold noise alone, and nothing is known."""
 
 
 class Box(NamedTuple):
@@ -280,7 +280,7 @@ def _bare_columns(kept: Count, gone: Count, odds: float) -> NDArray[np.bool_]:
 
 
 def _explained(refused: Count, box: Box, odds: float) -> NDArray[np.float64]:
-    """Kept returns that noise may leave beside so many refused ones [count]."""
+    """Kept returns that noise may leave beside ``refused`` ones [count]."""
     limit: NDArray[np.float64] = np.minimum(box.cluster, box.share * refused)
     return limit + odds * refused
 

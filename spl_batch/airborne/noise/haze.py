@@ -50,7 +50,7 @@ FILLED: Final = 0.25
 """Share of a square's cubes that may hold less."""
 
 LEFT_OUT: Final = int(FILLED * WINDOW**2)
-"""The same as a number of cubes [count]."""
+"""That share as a number of cubes [count]."""
 
 CLEARLY: Final = 1.5
 """Multiple of the expected noise that fills a cube, beside one return more."""
@@ -265,14 +265,14 @@ def _even(counts: Counts) -> NDArray[np.bool_]:
 
 
 def _three(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Places that are marked with those above and below."""
+    """Places that are marked, and both the ones above and below them."""
     out = np.zeros(marked.shape, np.bool_)
     out[:, :, 1:-1] = marked[:, :, 1:-1] & marked[:, :, :-2] & marked[:, :, 2:]
     return out
 
 
 def _with_beside(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Marked places with those above and below, where these exist."""
+    """Marked places and all above and below them."""
     out = marked.copy()
     out[:, :, 1:] |= marked[:, :, :-1]
     out[:, :, :-1] |= marked[:, :, 1:]

@@ -1,18 +1,18 @@
 r"""Neighbours inside each point's adaptive ellipsoid [W18 Eq. 3-8; W17 Eq. 5.4-5.6, 6.3-6.5].
 
-Shape, symbols and deviations: :mod:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_shape`. Beside
-these: k, ``count``, are peers inside without the query point; rho v, ``expected``, is noise density
-times the volume of the capped ellipsoid; where spacings are given, only peers count
+:mod:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_shape` has shape, symbols and deviations. Also
+here: k, ``count``, is the peers inside without the query point; rho v, ``expected``, is noise
+density times the volume of the capped ellipsoid. Where spacings are given, only peers count
 (:mod:`spl_batch.airborne.filter.ellipsoid.spacing`).
 
-With ``tie`` the score puts a point between the tails of its count and of the next by where the
-outermost of the k inside lies: for points strewn evenly in an ellipsoid
+With ``tie`` the score puts a point between the tails of its count and of the next, by where the
+outermost of the k inside lies. For points strewn evenly in an ellipsoid
 
 .. math:: s = P(K > k) + u\,P(K = k), \quad u = (\max_i f_i)^{3 k / 2}
 
 is uniform, with f the flags of Eq. 5; a signal's are nearer the middle.
 
-Counting stops at the critical count, which most points reach among the neighbours that shaped the
+Counting stops at the critical count. Most points reach it among the neighbours that shaped the
 ellipsoid, without walking the tree.
 """
 
@@ -63,7 +63,7 @@ from spl_batch.numerics.simd import (
 )
 
 CHUNK: Final = 2048
-"""Leaves whose neighbours are kept at a time, so that their spacings come with them [count]."""
+"""Leaves whose neighbours are kept at a time, with their spacings [count]."""
 
 LOGS: Final = 256
 """Factorials whose logarithms are kept [count]."""
@@ -103,15 +103,13 @@ def count_inside(
         Of the density [quanta].
     spacing : (n,) float64, optional
         Squared spacing at each slot of the tree [quanta2]; without it every neighbour is a peer.
-        What is negative is not known yet: it is found out and filled in where needed, at
-        query points at least.
+        Unknown ones are negative, and filled in where needed, at query points at least.
     rule : Spacing
-        What a spacing is that is not known yet.
+        What an unknown spacing is.
     peer_ratio : float
-        Only peers are counted: neighbours whose spacing is at least that of the point
-        divided by this; >= 1.
+        A peer's spacing is at least the point's divided by this; >= 1.
     scores_only : bool
-        Whether the first two of what follows are not wanted, and are empty.
+        Leave the first two of what follows empty.
 
     Returns
     -------
@@ -194,7 +192,7 @@ def _among(near, member, found, least, ratio2, outer):  # type: ignore[no-untype
 
 @njit()
 def _score(inside, mean, outermost, tie, stop, least, log_mean, logs):  # type: ignore[no-untyped-def]
-    """Tail of a count; with ``tie`` between it and the next by the outermost point inside.
+    """Tail of a count; with ``tie``, between it and the next by the outermost point inside.
 
     ``least`` is the tail of ``stop``, which is more than ``inside``.
     """
@@ -209,7 +207,7 @@ def _score(inside, mean, outermost, tie, stop, least, log_mean, logs):  # type: 
 def _neighbours(  # type: ignore[no-untyped-def]
     points, boxes, edges, depth, leaves, asked, shape, space, rule, others, found, last
 ):
-    """Neighbours of the points asked for of some leaves, with the spacings that come with them.
+    """Neighbours of the points asked for of some leaves, with their spacings.
 
     ``asked`` (m,), ``others`` (m, k), ``found`` (m,) and ``last`` (m,), the slots of the
     neighbours, their number and the squared distance of the farthest, count from the first leaf's
@@ -248,7 +246,7 @@ def _count_all(  # type: ignore[no-untyped-def]
         end = min(begin + chunk, leaves + leaves)
         low, _ = leaf_slots(begin, depth, n)
         _, high = leaf_slots(end - U1, depth, n)
-        # Rows lie far apart in memory: they are fetched, and put back, many at a time.
+        # Rows lie far apart in memory: many are fetched, and put back, at a time.
         for at in range(high - low):
             row = points[U3, low + at]
             asked[at], noise[at] = query[row], density[row] / volume
@@ -284,7 +282,7 @@ def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
     points, boxes, depth, slots, asked, density, shape, alpha, space, rule, ratio2, tie, others,
     found, last, count, expected, tail,
 ):  # fmt: skip
-    """Points asked for of a range of slots; arrays but those of the tree start with the first."""
+    """Points asked for of a range of slots; all arrays but the tree's start at the first."""
     n = np.uint64(points.shape[1])
     near = np.zeros((LANES, 5, shape.neighbours + LANES))
     bodies, members, held = no_bodies(), np.empty(LANES, np.uint64), U0

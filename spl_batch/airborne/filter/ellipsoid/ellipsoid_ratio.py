@@ -1,8 +1,7 @@
 """Count in the adaptive ellipsoid over the count in the sphere of its volume [W17 5.2.2].
 
-With n_s other points nearer than the radius and n_e of them all inside the ellipsoid, a
-point stays if n_e >= ratio n_s, and there is one at all. The count in the ellipsoid
-stops where that is decided.
+With n_s other points nearer than the radius and n_e of them inside the ellipsoid, a point stays if
+n_e >= ratio n_s > 0. The count in the ellipsoid stops where that is decided.
 """
 
 import math

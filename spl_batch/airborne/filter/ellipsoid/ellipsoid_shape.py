@@ -44,7 +44,7 @@ class Shape(NamedTuple):
 
 @njit(fastmath={"reassoc"})
 def covariance(near, member, found, moments, column):  # type: ignore[no-untyped-def]
-    """Covariance of neighbours; the sums are whole numbers, so their order is free.
+    """Covariance of neighbours; the sums are whole numbers, in any order.
 
     ``near`` (m, 3, k) has the offsets of the neighbours of some members, a column of ``moments``
     (6, m) receives xx, xy, xz, yy, yz, zz.
@@ -76,8 +76,7 @@ def covariance(near, member, found, moments, column):  # type: ignore[no-untyped
 def _axes(values, shape, axes, member):  # type: ignore[no-untyped-def]
     """Semi-axes (3, m) of a member from eigenvalues [W18 Eq. 3]; returns the volume.
 
-    Without a cap it is the sphere's to the last bit, so that the critical count of one
-    point serves the next.
+    Uncapped it is the sphere's to the last bit, so points share a critical count.
     """
     floor = shape.floor * shape.floor
     product = 1.0

@@ -12,16 +12,16 @@
 - hysteresis: a point that passes at ``weak_alpha`` only needs ``link_count`` peers within
   ``link_m`` that pass by themselves. Links are not chained.
 
-``calibrated``, the default, keeps peers and hysteresis, and replaces the division: the score, ties
-broken, is compared with what pure noise of the same density scores
+``calibrated``, the default, keeps peers and hysteresis, and replaces the division. It compares the
+score, ties broken, with what pure noise of the same density scores
 (:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`), so a share alpha of noise is kept
 at any density (``benchmarks/airborne/filter/null_calibration.py``). Links may add ``link_share`` of
 alpha: in dense noise they are shorter.
 
-Borders: neighbours within the cap shape the ellipsoid, and fewer than four leave the sphere; with
-no noise expected one neighbour inside makes a signal; but for the published test a point with none
+Borders: neighbours within the cap shape the ellipsoid; fewer than four leave the sphere. With no
+noise expected, one neighbour inside makes a signal. Except in the published test, a point with none
 is background, unless fewer than :data:`HARDLY_EXPECTED` noise points are expected within the cap:
-so clouds without noise keep their lone returns. Coincident points are neighbours like any other.
+clouds without noise keep their lone returns. Coincident points are neighbours like any other.
 """
 
 from collections.abc import Callable
@@ -42,7 +42,7 @@ from spl_batch.numerics.poisson import noise_tail_probability
 DOMAIN: Final = "space"
 
 HARDLY_EXPECTED: Final = 0.05
-"""Noise within the neighbours' cap below which a lone return is a real one [points]."""
+"""Noise points expected within the neighbours' cap below which a lone return is real [points]."""
 
 LEAST: Final = 0.5
 """Part of alpha that this test gets, whatever another one takes."""
@@ -51,8 +51,8 @@ BATCH: Final = 1 << 17
 """Points that a table is looked up for at once [count]."""
 
 TOLD_TO: Final = 1e-6
-"""Score down to which the calibrated test counts on beyond its decision: at any density less than
-the 3e-5 that p is tabulated to."""
+"""Score down to which the calibrated test counts on beyond its decision: at any density below the
+3e-5 that p is tabulated to."""
 
 Spent = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Share of pure noise of given densities [1/m3] that is kept, array for array."""
@@ -83,13 +83,12 @@ def judge(
     cloud : Cloud
         Independent returns of a block and its halo.
     exact : bool
-        Count on until the score is below 1e-12, so that p is exact down to there. Without
-        it counting stops once the decision stands and, calibrated, the score is below
-        :data:`TOLD_TO`: p of what lies farther down is that of the count where counting
-        stopped, an upper bound, the same whatever the tiling.
+        Count on until the score is below 1e-12: p is exact down to there. Otherwise counting stops
+        once the decision stands and, calibrated, the score is below :data:`TOLD_TO`: p farther down
+        is that of the count where counting stopped, an upper bound, the same whatever the tiling.
     spent : callable, optional
-        Share of pure noise that another test keeps, by noise density: what is left of alpha is
-        spent here, at least half of it.
+        Share of pure noise that another test keeps, by noise density. The rest of alpha is spent
+        here, at least half of it.
 
     Returns
     -------
@@ -107,7 +106,7 @@ def judge(
     linked = settings.link_count > 0
     assessed = cloud.around(quanta(settings.link_m), (0, 1, 2)) if linked else asked
     most = _at_most(settings, exact=exact)
-    # Of a block of millions each array counts, most of all while the tree is built.
+    # Of a block of millions each array counts, above all while the tree is built.
     tree = build(cloud.xyz)
     limit = _limits(cloud.density, assessed, settings, spent)
     found = evidence(
@@ -135,7 +134,7 @@ def _pass_with_peers(
     found: Evidence,
     settings: FilterSettings,
 ) -> None:
-    """Let weak points pass that have enough peers in ``signal``; the others' spacings go."""
+    """Let weak points pass that have enough peers in ``signal``; drops the others' spacings."""
     row = found.tree.points[3]
     chosen = np.zeros(len(signal), np.bool_)
     chosen[weak] = True
@@ -158,7 +157,7 @@ def _limits(
 ) -> NDArray[np.float64]:
     """Score that passes alone: (n,) float64, 0 for what is not assessed.
 
-    It is found a batch of points at a time: a table's look-up takes many arrays.
+    In batches of points: the look-up in a table takes many arrays.
     """
     limit = np.zeros(len(density))
     for first in range(0, len(density), BATCH):
@@ -192,7 +191,7 @@ def _batched(
     density: NDArray[np.float64],
     values: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The same, a batch of points at a time: a table's look-up takes many arrays."""
+    """The same in batches of points: the look-up in a table takes many arrays."""
     out = np.empty(len(density))
     for first in range(0, len(out), BATCH):
         some = slice(first, first + BATCH)
@@ -207,7 +206,7 @@ def _weak(
     settings: FilterSettings,
     spent: Spent | None,
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Chosen points that pass with links, and their longest links [quanta]; found by batches."""
+    """Chosen points that pass with links, and their longest links [quanta]; in batches."""
     rows, links = [], []
     for first in range(0, max(len(density), 1), BATCH):
         some = first + np.flatnonzero(chosen[first : first + BATCH])
@@ -228,7 +227,7 @@ class _Links(NamedTuple):
 def _links(
     density: NDArray[np.float64], settings: FilterSettings, alpha: NDArray[np.float64]
 ) -> _Links:
-    """Limits of the same rule for points that do not pass alone."""
+    """Score that passes with links, and longest link [quanta]."""
     if settings.test == "tail":
         ones = np.ones(len(density))
         return _Links(ones * settings.weak_alpha, ones * float(quanta(settings.link_m)))
@@ -239,7 +238,7 @@ def _links(
 
 
 def _at_most(settings: FilterSettings, *, exact: bool) -> float:
-    """Score down to which is counted where less would do for the decision."""
+    """Score down to which counting goes on beyond the decision."""
     told = TOLD_TO if settings.test == "calibrated" else 1.0
     return min(told, EXACT_TO) if exact else told
 

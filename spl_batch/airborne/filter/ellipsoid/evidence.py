@@ -1,8 +1,7 @@
-"""How strongly each return's neighbourhood speaks against noise: scores of adaptive ellipsoids.
+"""Scores of adaptive ellipsoids: how strongly each return's neighbourhood speaks against noise.
 
-Domain: space. What :mod:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_test` decides by and what
-:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution` draws under the null is computed here,
-once.
+Domain: space. :mod:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_test` decides by them, and
+:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution` draws them under the null.
 """
 
 from typing import Final, NamedTuple

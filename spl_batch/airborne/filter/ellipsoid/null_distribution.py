@@ -1,9 +1,9 @@
-"""What pure noise scores in the adaptive-ellipsoid test: the null distribution, drawn once.
+"""Null distribution of the adaptive-ellipsoid test: what pure noise scores, drawn once.
 
-Domain: space. An ellipsoid is fitted to the points that it counts, so its count is not Poisson
-under the null, as [W18 Eq. 6-8] take it. How far off it is depends on the density of the noise and
-the settings of the test alone. So uniform noise in periodic boxes is scored by the code that scores
-surveys, for densities from 1e-4 to 10 per m3, and tabulated by density:
+Domain: space. An ellipsoid is fitted to the points that it counts, so under the null its count is
+not Poisson, as [W18 Eq. 6-8] take it. The difference depends only on the noise density and the
+test's settings. So the code that scores surveys scores uniform noise in periodic boxes of 1e-4 to
+10 per m3, and tabulates by density:
 
 ==================== ===================================================================
 ``NullTable.score``  the score that a share p of pure noise does not exceed
@@ -56,8 +56,8 @@ IRRELEVANT: Final = frozenset(
         "cylinder",
     }
 )
-"""Settings that the null distribution does not depend on. A setting that is not named here is part
-of a table's key: a new one draws a table of its own and cannot be overlooked."""
+"""Settings that the null distribution does not depend on. Any other setting is part of a table's
+key: a new one draws its own table and cannot be overlooked."""
 
 DENSITIES: Final = 10.0 ** np.linspace(-4, 1, 51)
 """Noise densities of the table [1/m3]."""
@@ -95,7 +95,7 @@ class NullTable:
     #: (d, p): log score that this share does not exceed, descending along each row.
     score: NDArray[np.float64]
     alpha: NDArray[np.float64]  #: (a,): log level of the whole decision, descending.
-    #: (d, a): log share of noise that may pass alone, so that with links alpha do.
+    #: (d, a): log share of noise that may pass alone, so that alpha pass with links.
     own: NDArray[np.float64]
     link_m: NDArray[np.float64]  #: (d, a): log of the longest link [m].
 
@@ -289,14 +289,14 @@ def repeated(
     size: NDArray[np.int64],
     around: NDArray[np.int64],
 ) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.bool_]]:
-    """Uniform noise in a box of any size, and its images so far around it.
+    """Uniform noise in a box of any size, and its images around it.
 
     Parameters
     ----------
     rng, density
         As for :func:`periodic_noise`, which says what is returned.
     size, around : (3,) int64
-        Edges of the box; what images are needed around it, at most as much [quanta].
+        Edges of the box; width of the images around it, at most the same [quanta].
     """
     number = rng.poisson(density * float(np.prod(size / quanta(1.0))))
     xyz = rng.integers(0, size, (number, 3))
@@ -333,8 +333,8 @@ def _links(
 ) -> _Links:
     """How alpha is shared between points that pass alone and linked ones.
 
-    Links get ``link_share`` of it or what they use, if that is less; fewer strong points
-    make fewer links, so the rest is found in two rounds.
+    Links get ``link_share`` of it, or what they use if that is less. Fewer strong points make fewer
+    links, so the rest is found in two rounds.
     """
     if settings.link_count == 0:
         return _Links(alpha, max(settings.link_m, SHORTEST_M))

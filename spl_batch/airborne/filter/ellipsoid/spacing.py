@@ -1,8 +1,8 @@
 r"""Spacing of the returns around a point, and neighbours that belong to as thin a structure.
 
 An ellipsoid fitted to noise just above a surface reaches down and counts the surface. But the
-surface's returns lie close together, and the noise far from all of them. A neighbour is a *peer* of
-a point, and speaks for it, when its own spacing is not much smaller than the point's,
+surface's returns lie close together, the noise far from all of them. A neighbour is a *peer*, and
+speaks for a point, when its spacing is not much smaller than the point's,
 
 .. math:: s_q \ge s_p / c.
 
@@ -72,12 +72,12 @@ def enough_peers(
     wanted: int,
     peer_ratio: float,
 ) -> NDArray[np.bool_]:
-    """Which places have enough peers of theirs around them: (m,) bool.
+    """Which places have enough peers around them: (m,) bool.
 
     Parameters
     ----------
     spacing : (n,) float64
-        Their squared spacings, by slot [quanta2]; negative for those that do not count.
+        Squared spacings of the points, by slot [quanta2]; negative for those that do not count.
     places : (m, 3) int32
         Coordinates relative to the tree's anchor [quanta].
     own : (m,) float64
@@ -145,8 +145,6 @@ def peers_within(points, boxes, depth, wide, x, y, z, own, limit, wanted, stack)
         Its squared spacing [quanta2].
     limit : float
         Squared distance, inclusive [quanta2].
-    wanted : int
-        Count at which to stop.
     stack : (64,) uint64
         Scratch.
 
@@ -194,7 +192,7 @@ def _enough_all(points, boxes, depth, wide, places, own, limit, wanted, out):  #
 
 @njit()
 def _distances(points, boxes, depth, wide, places, own, limit, wanted, out):  # type: ignore[no-untyped-def]
-    """Squared distance to the n-th peer: branches beyond the n-th so far are left out."""
+    """Squared distance to the n-th peer; leaves out branches beyond the n-th so far."""
     depth = np.uint64(depth)
     n, first = np.uint64(points.shape[1]), U1 << depth
     stack, best = np.empty(64, dtype=np.uint64), np.empty(wanted, dtype=np.float64)

@@ -5,10 +5,10 @@ noise density are noise, N_tot being the noise that is expected. Then the rest a
 themselves: noise where the count in the adaptive ellipsoid is below 20 % of that in the sphere.
 
 Deviations. The source takes N_tot over its whole data set, from a region without signal [W17 Eq.
-4.1]. Here points compete within squares of an absolute grid, and N_tot is the voxel-spherical
-density times the volume of the cubes that hold points. Points that tie with the N_tot-th go with
-it. The density is the mean of the point's voxel, silent parts included; the source takes the one at
-the top of the beamlet. All flightlines are judged together. A point with no other in its sphere is
+4.1]. Here points compete within squares of an absolute grid; N_tot is the voxel-spherical density
+times the volume of the cubes that hold points, and points that tie with the N_tot-th go with it.
+The density is the mean of the point's voxel, silent parts included; the source takes the one at the
+top of the beamlet. All flightlines are judged together. A point with no other in its sphere is
 noise. Floor and caps of the ellipsoid are those of
 :mod:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_counts`.
 """
@@ -35,8 +35,8 @@ DOMAIN: Final = "space"
 def reach_m(settings: FilterSettings) -> float:
     """How far the verdict on a point looks [m].
 
-    The ellipsoid's neighbours must themselves have passed the first step, which looks at a
-    whole square, all of whose points look one sphere farther.
+    The ellipsoid's neighbours must have passed the first step. It looks at a whole square, all of
+    whose points look one sphere farther.
     """
     second = max(settings.neighbour_cap_m, settings.axis_cap_m, settings.aes.radius_m)
     return second + settings.aes.square * settings.aes.voxel_m + settings.aes.radius_m

@@ -1,8 +1,7 @@
 """Upright cylinder around each point [W17 3.2.2, Eq. 3.2, after Cossio 2009].
 
-Domain: space. Points with a height difference below D1 / 2 and a squared horizontal
-distance below D2 are correlated with the point; their number decides. The source gives
-neither D1, D2 nor the number: the defaults are ours.
+Domain: space. The points with a height difference below D1 / 2 and a squared horizontal distance
+below D2 are counted. The source gives neither D1, D2 nor the least count: the defaults are ours.
 """
 
 from typing import Final

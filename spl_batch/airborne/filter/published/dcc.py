@@ -1,9 +1,9 @@
 """Differential cell count, shot by shot [W17 3.2.3; Eq. 3.3 with a correction].
 
-Domain: time for :func:`shot_noise`, which needs whole shots; the flag travels with the
-point, and :func:`judge` only reads it. The correction of Eq. 3.3 is told in
-:mod:`~spl_batch.airborne.beams.differential_cell_count`. Ranges take the place of the source's
-elevations, so that a bin is as long in a slanting beam as in an upright one.
+Domain: time for :func:`shot_noise`, which needs whole shots; the flag travels with the point, and
+:func:`judge` only reads it. :mod:`~spl_batch.airborne.beams.differential_cell_count` tells the
+correction of Eq. 3.3. Ranges replace the source's elevations, so a bin is as long in a slanting
+beam as in an upright one.
 """
 
 from typing import Final

@@ -1,13 +1,12 @@
 """Multi-level filter [W17 3.2.4, after Swatantran et al. 2016].
 
-Domain: space. First the fullest height bin of 30 m and the two beside it stay, 90 m in
-all; then a point stays if its voxel of 3 m and the 26 around it hold 30 points; then the
-same with voxels of 1 m and a lower number. Each level counts what the one before left,
-the point itself included.
+Domain: space. First the fullest height bin of 30 m and the two beside it stay, 90 m in all. Then a
+point stays if its voxel of 3 m and the 26 around it hold 30 points; then the same with voxels of
+1 m and a lower number. Each level counts what the one before left, the point itself included.
 
-The source does not say over which area the fullest bin is sought, nor the last level's
-number: both are settings, and their defaults are ours. Bins, squares and voxels lie on
-absolute grids. Of equally full bins the lowest counts.
+The source says neither over which area the fullest bin is sought, nor the last level's number: both
+are settings with defaults of ours. Bins, squares and voxels lie on absolute grids. Of equally full
+bins the lowest counts.
 """
 
 from typing import Final

@@ -1,12 +1,11 @@
 """Voxels as full as their surroundings' mean [W17 5.4, after Tang et al. 2016].
 
-Domain: space. Voxels of 3 m x 3 m x 0.3 m; a voxel with fewer points than the mean is
-noise, all of it.
+Domain: space. Voxels of 3 m x 3 m x 0.3 m; one with fewer points than the mean is noise.
 
-The source says that "the threshold for noise removal was the mean point density" and not
-over which voxels. Here it is the mean count of the *occupied* voxels (over all of them it
-would be below one point, and nothing would be removed) in the same square of an absolute
-grid, as a label may not depend on what lies far away.
+The source says that "the threshold for noise removal was the mean point density" and not over which
+voxels. Here it is the mean count of the *occupied* voxels in the same square of an absolute grid:
+over all of them it would be below one point and remove nothing, and a label may not depend on what
+lies far away.
 """
 
 from typing import Final

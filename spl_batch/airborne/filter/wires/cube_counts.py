@@ -1,9 +1,9 @@
 """Points in the cells around each point's own cell, of the absolute lattice.
 
 A window of three slabs moves through the points along x. Each point adds one to the nine cells
-around its own when its slab comes in, and takes it away when it goes out; in between a look at
-its own cell tells the count. So the cost is a point's, however wide or high the cloud is: along
-each axis a gap counts as a single cell.
+around its own when its slab comes in, and takes it away when it goes out; in between its own cell
+tells the count. The cost is a point's, however wide or high the cloud: along each axis a gap counts
+as one cell.
 """
 
 import math

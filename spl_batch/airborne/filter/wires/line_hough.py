@@ -2,9 +2,9 @@ r"""Fullest straight tube through each point among nearly horizontal directions.
 
 Every neighbour within the half-length L adds one to the directions that pass it closely: a Hough
 transform of one point, over cells of azimuth and slope. A typical parabola, by which a conductor
-hangs, is taken away first. A tube is a window of (2 w + 1)^2 cells, with w = 1 in the outer half of
-its length, 3 in the next quarter and 7 within; so it is as wide as stated on average. Four cells of
-16 bits share a word, and are added two to a row.
+hangs, is taken away first. A tube is a window of (2 w + 1)^2 cells, w = 1 in the outer half of its
+length, 3 in the next quarter and 7 within: on average as wide as stated. Four cells of 16 bits
+share a word, and are added two to a row.
 
 ====== ==========================================================================
 symbol name
@@ -206,7 +206,7 @@ def _fullest_window(start, nx, ny, span):  # type: ignore[no-untyped-def]
 def _cone(  # type: ignore[no-untyped-def]
     points, low, high, x, y, z, bend, steep, outer, inner, near, dx, dy, flat, rise
 ):
-    """Add the offsets, without the parabola, of what of a stretch is in the double cone of a place.
+    """Add the offsets, less the parabola, of a stretch's points in the double cone of a place.
 
     Four of ten are. Returns how many there are then.
     """
@@ -258,7 +258,7 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
     first = np.empty((2 * span + 1) ** 2, np.int64)
     last, floor, stop = np.empty_like(first), np.empty_like(first), np.empty_like(first)
     place = np.empty((2, len(first)))
-    # Arrays that stay as they are: numba counts the references to each view of one.
+    # Arrays that stay as they are: numba counts references to each view.
     room = _fullest_window(start, nx, ny, span)
     dx, dy, flat, rise = (
         np.empty(room + 8),

@@ -1,7 +1,7 @@
-r"""Tubes that agree with one another, and the points that they hold.
+r"""Agreement of tubes with one another, and the points that they hold.
 
-A conductor is longer than a tube, and seldom alone: tubes along it point along one another,
-those of its neighbours lie side by side. Chance tubes point anywhere.
+A conductor is longer than a tube, and seldom alone: tubes along it point along one another, those
+of its neighbours lie side by side. Chance tubes point anywhere.
 
 ====== ==========================================================================
 symbol name

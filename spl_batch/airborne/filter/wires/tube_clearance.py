@@ -1,4 +1,4 @@
-r"""What is around a tube, whether its line hangs free and goes on from end to end.
+r"""Clearance of a tube: what is around it, whether its line hangs free and goes from end to end.
 
 ====== ==========================================================================
 symbol name

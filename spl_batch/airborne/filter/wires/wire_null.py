@@ -1,10 +1,10 @@
-"""What the scan for conductors keeps of pure noise, so that the point-wise test can make room.
+"""Share of pure noise that the scan for conductors keeps, and the point-wise test allows for.
 
 Domain: space. ``filter.alpha`` is the share of pure noise that the whole filter keeps. What the
 scan (:mod:`~spl_batch.airborne.filter.wires.wire_scan`) keeps of it depends on the density of the
 noise, and is drawn as in :mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`. The
-point-wise test gets the rest of alpha (:func:`spent`), at least half of it: where the scan would
-take more, it is made stricter (:func:`fitted`). What both keep is counted twice, on the safe side.
+point-wise test gets the rest of alpha (:func:`spent`), at least half: a scan that would take more
+is made stricter (:func:`fitted`). What both keep is counted twice, on the safe side.
 
 The default settings' table ships (``wire_null.json``, written by
 ``python -m benchmarks.airborne.filter.null_table``); others draw a coarser one on first use.
@@ -36,14 +36,14 @@ IRRELEVANT: Final = frozenset({"enabled", "classify"})
 """Settings that the share does not depend on."""
 
 DENSITIES: Final = 10.0 ** np.linspace(-2, 0, 51)
-"""Noise densities of the table [1/m3]; its first and last shares hold beyond. A tube is significant
-from a whole number of returns on: the share jumps by up to a factor of four, and steps are small
-against that."""
+"""Noise densities of the table [1/m3]; its first and last shares hold beyond. The returns that make
+a tube significant are a whole number: the share jumps by up to a factor of four, and steps are
+small against that."""
 
 COARSE: Final = DENSITIES[::10]
 POINTS: Final = 100_000
 """Noise densities that are drawn where no shipped table fits, and points for each [count]: too few
-for ups and downs."""
+to show ups and downs."""
 
 HEIGHT_M: Final = 120.0
 """Height of the box of noise [m]."""
@@ -127,10 +127,10 @@ def parse_table(content: Mapping[str, Any]) -> WireNull:
 
 
 def smoothed(share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shares smoothed over neighbouring densities, the ends going on beyond themselves.
+    """Shares smoothed over neighbouring densities; beyond the ends these go on.
 
-    A chance tube keeps many points at once: drawn shares differ by far more than their number
-    of points tells.
+    A chance tube keeps many points at once, so drawn shares scatter far more than their number of
+    points tells.
     """
     padded = np.pad(share, len(SMOOTH) // 2, mode="edge")
     smooth: NDArray[np.float64] = np.convolve(padded, SMOOTH, mode="valid")

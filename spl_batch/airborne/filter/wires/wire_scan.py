@@ -3,7 +3,7 @@ r"""Directional scan with voting: conductors too thin for a test of single point
 Domain: space. Most of the 15 nearest neighbours of a conductor with 0.1-0.3 returns per metre and
 flightline are noise. What it has is length. The scan
 
-1. leaves out what a surface explains: returns of which the 3 m cube around them holds
+1. leaves out what a surface explains: returns whose surrounding 3 m cube holds at least
    ``surface_returns`` and twice the noise expected there;
 2. looks through each remaining point for the fullest tube among nearly horizontal directions
    (:mod:`~spl_batch.airborne.filter.wires.line_hough`), and half as long again where enough was
@@ -12,15 +12,14 @@ flightline are noise. What it has is length. The scan
    those of conductors beside it (:mod:`~spl_batch.airborne.filter.wires.tube_agreement`). Each is
    worth :data:`INLINE` or :data:`ABREAST` powers of ten;
 4. drops tubes that cross others on their line, or lie in a sheet of returns;
-5. keeps the points that at least ``votes`` tubes hold that are significant with all of this. A
-   chance tube keeps :data:`MEMBERS` points at once, so alpha is divided by that;
-6. on request calls conductors what :data:`SURE_VOTES` tubes hold closely that are more significant
-   yet, filled from end to end, and free: next to nothing but noise and a few lines alongside is
-   beside, above or below them. Edges of roofs, walls, fences and crowns have what they belong to
-   beside them.
+5. keeps points in at least ``votes`` tubes that are significant with all of this. A chance tube
+   keeps :data:`MEMBERS` points at once, so alpha is divided by that;
+6. on request calls points conductors that :data:`SURE_VOTES` still more significant tubes hold
+   closely. These tubes are filled from end to end and free: beside, above and below them is next to
+   nothing but noise and a few lines alongside. Edges of roofs, walls, fences and crowns are not.
 
-Tubes shrink where more than :data:`CROWD` noise points would be met. The points to start from are
-drawn by a hash of their coordinates; all others are counted and voted for.
+Tubes shrink where more than :data:`CROWD` noise points would be met. A hash of their coordinates
+draws the points to start from; all others are counted and voted for.
 
 Nothing here needs the verdict of the ellipsoid test, so the reaches of the two do not add.
 ``benchmarks/airborne/filter/wire_scan.py`` prints what is kept of pure noise, by density.
@@ -53,7 +52,7 @@ COLUMN_M: Final = 8.0
 """Edge of the columns in which tubes are counted [m]; speed only."""
 
 CROWD: Final = 100.0
-"""Noise points in the double cone of the first look beyond which tubes get shorter [count]."""
+"""Noise points in the double cone of the first look from which on tubes get shorter [count]."""
 
 LOOKS: Final = (1.0, 1.5)
 """Length of tubes in the first and in the second look [length of the first]."""
@@ -82,27 +81,27 @@ ABOVE_M: Final = 2.0
 """Farthest conductor of the same line, across and upwards [m]."""
 
 SPREAD: Final = 0.01
-"""Widening of a tube drawn out beyond the returns that shape it [rise/run]."""
+"""Widening of a tube's line beyond the returns that shape it [rise/run]."""
 
 MEMBERS: Final = 8.0
-"""Points that a chance tube keeps per point started from: divides alpha."""
+"""Points that a chance tube keeps per point started from; divides alpha."""
 
 SURE: Final = 1e-2
 SURE_VOTES: Final = 3
 SURE_RADIUS: Final = 0.6
-"""A class is given to what so many free tubes hold within this part of their half-width that are
-significant at this part of alpha."""
+"""Free tubes that give a point its class: how many must hold it, within which part of their
+half-width, and significant at which part of alpha."""
 
 RINGS_M: Final = (0.4, 0.8, 2.0)
-"""Off the line of a tube: its own returns, its nearest surroundings, and all that must be free
-but for the conductors beside it [m]."""
+"""Distances off the line of a tube: its own returns, its nearest surroundings, and all that must be
+free but for the conductors beside it [m]."""
 
 BESIDE_MOST: Final = (0.15, 2.0)
-"""Returns beyond noise from the first to the second, and to the third, of these distances, for
-each of the line's own, at most."""
+"""Most returns beyond noise, per return of the line, from the first to the second of these
+distances, and from there to the third."""
 
 PARTS_LEAST: Final = 5
-"""Parts of a tube, of eight, that hold returns of the line, at least [count]."""
+"""Least number of a tube's eight parts that hold returns of the line [count]."""
 
 
 class Found(NamedTuple):
@@ -111,8 +110,8 @@ class Found(NamedTuple):
     signal: NDArray[np.bool_]  #: (m,): kept by the scan.
     #: (m,): sure enough to be classified as a conductor; all False where that is not asked for.
     wire: NDArray[np.bool_]
-    #: (m,): of the point's own tube and its agreeing ones, alpha for points voted for; NaN where
-    #: there is none.
+    #: (m,): of the point's own tube and its agreeing ones; alpha for points voted for, NaN without
+    #: a tube.
     p_value: NDArray[np.float32]
 
 
@@ -132,10 +131,10 @@ def reach_m(settings: WireSettings) -> float:
     """How far the scan of a point looks [m]."""
     if not settings.enabled:
         return 0.0
-    # Its line moves across only, and its flanks lie across: little is added to its length.
+    # Its line moves only across, where its flanks lie too: little is added to its length.
     tube = settings.half_length_m + 3.0 * settings.radius_m
     agreeing_m = math.hypot(settings.stretch * settings.half_length_m, BESIDE_M)
-    # A voting tube, one that agrees with it, the returns of that one, their cubes.
+    # A voting tube, one that agrees with it, that one's returns, their cubes.
     return 2.0 * tube + agreeing_m + 2.0 * CELL_M
 
 
@@ -251,7 +250,7 @@ def _score(
 def _free(
     cloud: Cloud, tubes: Tubes, chosen: NDArray[np.bool_], settings: WireSettings
 ) -> NDArray[np.bool_]:
-    """Chosen tubes along whose line there is little but the line, from end to end: (m,) bool."""
+    """Chosen tubes that go on from end to end with little beside their line: (m,) bool."""
     m = int(np.count_nonzero(chosen))
     count, held = np.zeros((m, len(RINGS_M)), np.int32), np.zeros((m, PARTS), np.bool_)
     length = tubes.length[chosen]
