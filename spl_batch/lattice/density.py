@@ -1,8 +1,8 @@
-"""Where the points of a survey lie: counts in squares of the tile grid, and what units hold.
+"""Density of a survey's points by place: counts in squares of the tile grid, and what units hold.
 
-Before any work the headers tell it: the points of a file spread evenly over its bounding
-box, and where boxes overlap they add up. After the shuffle the tiles tell it. Either way
-a survey is a few dense pieces, so that a million tiles are a few arrays.
+Before any work, headers tell it: a file's points spread evenly over its bounding box, and overlaps
+add up. After the shuffle the tiles tell it. A survey is a few dense pieces, so that a million tiles
+are a few arrays.
 """
 
 import math
@@ -20,7 +20,7 @@ MAX_SQUARES = 8_000_000
 """Squares of a piece; a larger one is counted in squares of twice the edge, and so on."""
 
 FEW_SQUARES = 4096
-"""Squares that a piece may have however few its points are; beyond, it has no more than points."""
+"""Squares that a piece may have, however few its points; beyond, no more squares than points."""
 
 FAR_Q = 10_000_000
 """Straight gap beyond which what lies on either side is a piece of its own [quanta]."""
@@ -87,7 +87,7 @@ class Piece:
         return Peak(float(read[row, column]), Bounds(west, south, west + unit_q, south + unit_q))
 
     def cut(self, shapes: Sequence[tuple[int, int]], halo_q: int, most: float) -> list[Cut]:
-        """Units of several shapes: those of the first, and of those too full their parts.
+        """Units of the first shape; those that are too full in parts of the next shapes.
 
         Parameters
         ----------
@@ -130,13 +130,13 @@ class Piece:
     def _sums(
         self, total: NDArray[np.float64], step: int, reach: tuple[int, int]
     ) -> NDArray[np.float64]:
-        """What square units hold that begin every so often and are so wide, with a halo."""
+        """Points of square units, one every ``step``; ``reach``: their edge, and the halo."""
         return self._shaped_sums(total, (step, step), (reach[0], reach[0]), reach[1])
 
     def _shaped_sums(
         self, total: NDArray[np.float64], steps: tuple[int, int], shape: tuple[int, int], halo: int
     ) -> NDArray[np.float64]:
-        """The same of units that are so wide and high and begin every so often along each axis."""
+        """Points of units of a shape, one every ``steps`` along each axis, with a halo."""
         along_y = self._between(total, 0, steps[1], (shape[1], halo))
         return self._between(along_y, 1, steps[0], (shape[0], halo))
 

@@ -1,9 +1,9 @@
 """Lexicographic order of rows by sorting one packed integer for each.
 
-Sorting key after key moves every row once per key. Most rows differ in the first keys
-already: these are packed into one 64-bit word with the row's number below them, and words
-are sorted, many of them digit by digit [Knuth, vol. 3, 5.2.5]. Rows that are still equal, few,
-are put in order by all keys.
+Sorting key after key moves every row once per key. Most rows already differ in the first keys:
+these are packed into one 64-bit word, above the row's number, and words are sorted, many of them
+digit by digit [Knuth, vol. 3, 5.2.5]. The few rows that are still equal are put in order by all
+keys.
 """
 
 from collections.abc import Callable, Sequence
@@ -66,9 +66,9 @@ def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
 
 
 def in_order(keys: Sequence[NDArray[Any]]) -> bool:
-    """Whether rows are in the order of their keys already; what cannot be compared is not.
+    """Whether rows are in the order of their keys already; not if they cannot be compared.
 
-    ``keys``: sequence of (n,) arrays, at least one, the first one decides first.
+    ``keys``: sequence of (n,) arrays, one at least; the first one decides first.
     """
     n = len(keys[0])
     # Rows in no order show it early.
@@ -123,7 +123,7 @@ def _compiled() -> Callable[..., None]:
 
 
 def _deal(word: NDArray[np.uint64], first: int, bits: int, out: NDArray[np.uint64]) -> None:
-    """Put words in the order of a digit, those of the same one as they came."""
+    """Sort words by a digit; equal ones keep their order."""
     low, mask = np.uint64(first), np.uint64((1 << bits) - 1)
     place = np.zeros((1 << bits) + 1, np.int64)
     for i in range(len(word)):

@@ -1,8 +1,7 @@
 """Frozen value types that travel between the storeys; names, dtypes and units of columns.
 
-A *table* is a set of equally long numpy columns. Coordinates are integers on the
-survey-wide lattice (:data:`~spl_batch.constants.QUANTUM_M`), never metres relative to
-something that a partition of the survey decides.
+A *table* is a set of equally long numpy columns. Coordinates are integers on the survey-wide
+lattice (:data:`~spl_batch.constants.QUANTUM_M`), never metres relative to a part of the survey.
 """
 
 from collections.abc import Mapping, Sequence

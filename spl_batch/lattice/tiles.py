@@ -1,9 +1,8 @@
 """Ownership, halo and index arithmetic on the absolute lattice; pure functions.
 
 Every region is half-open, ``[min, max)``, in integer quanta of
-:data:`~spl_batch.constants.QUANTUM_M`, and every grid is anchored at coordinate
-zero. A point therefore belongs to exactly one tile, ground cell, voxel and raster
-cell, whatever else is in the survey.
+:data:`~spl_batch.constants.QUANTUM_M`, and every grid is anchored at coordinate zero. So a point
+belongs to exactly one tile, ground cell, voxel and raster cell, whatever else is in the survey.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -6,9 +6,9 @@ array, and look like a surface. In a shot of bloom
 - *nearly all channels* have a return within :data:`WINDOW_M` of range. On level ground beams lean,
   and ranges spread over the array;
 - *light goes on*: many of these channels see the true surface close behind. Behind ground and roofs
-  there are afterpulses only, which are fewer. Returns before say nothing: leaves.
+  there are only afterpulses, which are fewer. Returns in front may be leaves and say nothing.
 
-A bright surface that lets light pass, square to the beam, as water below the sensor, has both. So
+A bright surface square to the beam that lets light pass, as water below the sensor, has both. So
 these returns are counted and told; they become noise only where the settings ask for it. No source
 has a rule for it.
 """

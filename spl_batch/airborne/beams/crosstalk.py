@@ -1,12 +1,12 @@
 """Crosstalk: a detection in one channel sets off the channels beside it at the same moment.
 
 Domain: time. Crosstalk makes pairs of noise, which look like a signal of two beamlets. Far from the
-surface, pairs of one shot within :data:`SAME_M` of range are counted: of beamlets one pitch apart,
-by their directions, and of those somewhat farther apart. Chance makes as many of both. Wires and
-towers make pairs, too, but not everywhere: a flightline is cut into :data:`PARTS`, and the half
+surface, pairs of one shot within :data:`SAME_M` of range are counted, by their directions: of
+beamlets one pitch apart, and of those somewhat farther apart. Chance makes as many of both. Wires
+and towers make pairs too, but not everywhere: a flightline is cut into :data:`PARTS`, and the half
 with fewest pairs must show it. One shot in :data:`EVERY` is counted.
 
-It is told and nothing is removed: which of a pair set the other off is not known. No source has a
+It is told, and nothing is removed: nobody knows which of a pair set the other off. No source has a
 rule for it.
 """
 
@@ -25,13 +25,13 @@ from spl_batch.lattice.tables import BeamTable, PointTable
 DOMAIN: Final = "time"
 
 EVERY: Final = 8
-"""One shot in so many is looked at; by shot number, so that no cut matters."""
+"""One shot in so many is looked at, by shot number: no cut matters."""
 
 SAME_M: Final = 0.15
 """Ranges of one moment: three times the ranging noise of the instrument [m]."""
 
 FAR_M: Final = 30.0
-"""How far from most returns of its shot a return is noise: farther than trees and houses [m]."""
+"""How far from most returns of its shot a return is noise: beyond trees and houses [m]."""
 
 BESIDE: Final = (0.6, 1.25)
 """Directions of beamlets side by side [pitches of the array]."""
@@ -46,8 +46,8 @@ NEIGHBOURS: Final = 3.6
 """Channels beside one, on average over such an array [count]."""
 
 CLOSER: Final = 4.0
-"""Times more often than by chance that pairs must lie side by side: patches of ground between
-towers have half as many."""
+"""Factor to chance by which more pairs must lie side by side: patches of ground between towers
+reach half of it."""
 
 PARTS: Final = 16
 """Parts of a flightline that are compared [count]."""

@@ -1,9 +1,9 @@
-"""Returns that depend on another one: no evidence of their own, and judged with it.
+"""Dependent returns: no evidence of their own, and judged with the return that they follow.
 
-Domain: space. An afterpulse follows *any* detection, noise too: two returns where the null
-hypothesis of [W18] Eq. 6-8 expects one, so that pairs of pairs pass the test. A follower whose
-probability of being an afterpulse is :data:`DEPENDENT_MIN` or more does not count as a neighbour,
-and shares the label of the return in front of it in its beamlet.
+Domain: space. An afterpulse follows *any* detection, noise too: it makes two returns where the null
+hypothesis of [W18] Eq. 6-8 expects one, and pairs of pairs pass the test. So a follower that is an
+afterpulse with a probability of :data:`DEPENDENT_MIN` or more does not count as a neighbour, and
+shares the label of the return in front of it in its beamlet.
 
 Deviation: the sources count every return.
 """

@@ -5,7 +5,7 @@ shot's time.
 
 Deviations: without a trajectory the scan angle gives the beam, across the flight direction, or it
 is vertical. Its origin is then where it crosses the height :data:`STAND_IN_HEIGHT_M`: ranges still
-order the returns of a beam. Nothing depends on how a flightline is cut.
+order the returns of a beam. How a flightline is cut does not matter.
 """
 
 from collections.abc import Sequence
@@ -248,7 +248,7 @@ def off_one_beam(table: PointTable) -> tuple[int, int, int]:
 
 
 def ordered_times(time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Times in order; as they are where they are in order already."""
+    """Times in order; the given array if they are."""
     return np.sort(time_s) if np.any(time_s[1:] < time_s[:-1]) else time_s
 
 

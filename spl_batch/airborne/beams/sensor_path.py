@@ -1,8 +1,8 @@
-"""Where the sensor was, from the points alone: lines of sight and where they meet.
+"""Path of the sensor, from the points alone: where lines of sight meet.
 
-Returns of one beamlet lie on one line, and all lines of a shot, and of the shots around
-it, meet at the sensor. [W17] 6.2.2 and [W18] 2.2.2 take the sensor's position from the
-trajectory; nothing in them says what to do without. Here
+Returns of one beamlet lie on one line; all lines of a shot, and of those around it, meet at the
+sensor. [W17] 6.2.2 and [W18] 2.2.2 take its position from the trajectory, and do not say what to do
+without one. Here
 
 | symbol | name |
 |---|---|
@@ -10,13 +10,13 @@ trajectory; nothing in them says what to do without. Here
 | S | ``spread``: sum of (z - c)^2; the variance of b is that of a return over S |
 | P(t) | the sensor: linear between whole seconds, [X, Y, Z] |
 
-P minimises the robust sum of (X - a_x - b_x (Z - c))^2 S / (Z - c)^2, likewise in y, plus
-what is known of any aircraft: it accelerates little, climbs slowly, and flies above the
-points. Without a channel dimension a shot's pencil of beamlets stands for one line; its
-width is the error that the robust scale then finds.
+P minimises the robust sum of (X - a_x - b_x (Z - c))^2 S / (Z - c)^2, likewise in y, plus what is
+known of any aircraft: it accelerates little, climbs slowly, and flies above the points. Without a
+channel dimension a shot's pencil of beamlets stands for one line; the robust scale then finds its
+width as the error.
 
-Nothing depends on how a flightline is cut: lines are chosen within absolute intervals of
-shots, and the seconds are absolute.
+How a flightline is cut does not matter: lines are chosen within absolute intervals of shots, and
+the seconds are absolute.
 """
 
 from collections.abc import Sequence
@@ -162,8 +162,8 @@ def find_path(lines: Lines, span_s: tuple[float, float]) -> Path:
         return Path(None, len(lines.time_s), None)
     seconds = np.arange(np.floor(span_s[0]), np.floor(span_s[1]) + 2.0)
     found = intersect(lines, seconds)
-    # Neighbours in time share what is wrong with them: pieces go to one half or the other,
-    # by a golden-section sequence that no scan keeps pace with.
+    # Neighbours in time share their errors: pieces go to one half or the other by a golden-section
+    # sequence, which no scan keeps pace with.
     piece = (np.floor(lines.time_s * 100.0) * 0.6180339887498949) % 1.0 < 0.5
     halves = [intersect(lines.take(np.flatnonzero(part)), seconds) for part in (piece, ~piece)]
     error = _disagreement(lines, *(Trajectory(seconds, half) for half in halves))
@@ -241,8 +241,8 @@ def _solve(
 ) -> NDArray[np.float64]:
     """Weighted least squares with the aircraft's prior: (knots, 3) float64 [m].
 
-    ``place`` is the knot before each line and how far it lies towards the next one;
-    ``lift`` is what the squares gain in slope where they shrink with the height.
+    ``place``: the knot before each line, and how far towards the next one the line lies. ``lift``:
+    what the squares gain in slope where they shrink with the height.
     """
     knot, share = place
     band = np.zeros((_HALF_BAND + 1, 3 * knots))

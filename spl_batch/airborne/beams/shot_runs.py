@@ -1,8 +1,7 @@
 """Runs of equal shots and beamlets in a table that is in time order.
 
-A shot is the run of rows with one ``gps_time``, a beamlet the run with one
-``gps_time`` and one channel; nothing here looks at shot *numbers*, which two shots
-share where the times jitter.
+A shot is the run of rows with one ``gps_time``, a beamlet that with one ``gps_time`` and channel.
+Shot *numbers* do not count: two shots share one where times jitter.
 """
 
 import numpy as np

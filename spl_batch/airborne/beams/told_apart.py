@@ -1,9 +1,8 @@
 """Beamlets of a shot told apart by where they point, where files do not number them.
 
-Domain: time. Returns of one beamlet lie on one line of sight; those beside it are a pitch away. So
-returns whose directions differ by less than a part of the pitch are of one beamlet. Numbers mean
-nothing beyond their shot: the same one is another beamlet in the next shot, and neither a channel's
-gain nor a dead one is told.
+Domain: time. Returns of one beamlet lie on one line of sight; the next line is a pitch away. So
+returns whose directions differ by less than a part of the pitch are of one beamlet. A number is
+another beamlet in the next shot, so neither gains nor dead channels can be told.
 """
 
 from typing import Final

@@ -1,4 +1,4 @@
-"""How bright and how noisy: the link budget of a scene, solved where the scene asks."""
+"""Link budget of a scene, solved for the brightness and the noise that the scene asks for."""
 
 import math
 from typing import NamedTuple
@@ -90,7 +90,7 @@ def make_receiver(scene: Scene) -> Receiver:
 
 
 def _or(own: float | None, stated: float) -> float:
-    """What the scene says of its own detector, else what is stated of the instrument."""
+    """Value of the scene's own detector, else the instrument's stated one."""
     return stated if own is None else own
 
 
@@ -118,8 +118,8 @@ def physical_noise(scene: Scene) -> Noise:
 def solve_noise(scene: Scene, passes: list[Pass], pieces: list[list[Chunk]]) -> Noise:
     """Background that gives the density the scene asks for.
 
-    A beamlet puts ``rate / cos(off-nadir)`` points into each metre of height; the sum over
-    the beamlets that hit the extent, divided by its area, is the density at the ground.
+    A beamlet puts ``rate / cos(off-nadir)`` points into each metre of height. The sum over the
+    beamlets that hit the extent, over its area, is the density at the ground.
     """
     noise = physical_noise(scene)
     if scene.sky.background_per_m3 is None:
@@ -143,8 +143,8 @@ def tune_wires(
 ) -> SceneArrays:
     """Arrays whose wires send back what ``returns_per_m`` asks for.
 
-    The beamlets that pass one metre of wire are integrated over; the reflectance that solves it may
-    exceed 1: it stands for a brighter laser. ``layout`` tells where its wires are.
+    It integrates over the beamlets that pass one metre of wire. The reflectance that solves it may
+    exceed 1, for a brighter laser. ``layout`` has the places of the wires.
     """
     wire = layout.arrays.wire.copy()
     area = scene.extent_m[0] * scene.extent_m[1]

@@ -1,4 +1,4 @@
-"""What comes with the flightlines: trajectory, reference, checkpoints, truth, workflow."""
+"""Companions of the flightlines: trajectory, reference, checkpoints, truth, workflow."""
 
 import math
 from collections.abc import Iterator
@@ -137,8 +137,8 @@ def _reference_pieces(
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """Points of the reference, of some pulses at a time.
 
-    One source of chance gives all places, then all returns, then all noise, so that what is
-    between them waits on disk: the points do not depend on how many are made at once.
+    One source of chance gives all places, then all returns, then all noise; in between they wait on
+    disk. So the points do not depend on how many are made at once.
     """
     seed = np.random.SeedSequence(scene.seed, spawn_key=(4,))
     n = round(scene.reference.density_per_m2 * scene.extent_m[0] * scene.extent_m[1])
@@ -171,7 +171,7 @@ def _reference_points(
     z: NDArray[np.float64],
     kind: NDArray[np.uint8],
 ) -> dict[str, NDArray[Any]]:
-    """LAS dimensions of the returns of some pulses, of which this is the first."""
+    """LAS dimensions of the returns of some pulses; ``first``: number of the first one."""
     n = len(xy)
     seen = np.isfinite(z)
     returns = seen.sum(axis=1).astype(np.uint8)

@@ -1,10 +1,9 @@
 """A single-photon channel: Poisson events, dead time, afterpulses [W17 2.1, 2.2, 7.1].
 
-One beamlet of one shot is a list of photo-electrons sorted by range. The channel records
-the first, is blind for the dead time, records the next, and so on (multi-stop). Every
-recorded detection may start an afterpulse in the same channel, after the dead time, and
-an afterpulse may start another. Lags follow an exponential law, and a share of them a tail: a
-longer exponential, or a power law.
+One beamlet of one shot is a list of photo-electrons sorted by range. The channel records the first,
+is blind for the dead time, records the next, and so on (multi-stop). After the dead time every
+recorded detection may start an afterpulse in the same channel, and that another. Lags follow an
+exponential law, a share of them a tail: a longer exponential, or a power law.
 """
 
 import math
@@ -78,7 +77,7 @@ def draw_lag(rng: np.random.Generator, receiver: Receiver) -> float:
 
 @njit()
 def walked(at: float, electrons: int, walk_m: float) -> float:
-    """Range that is measured where so many photo-electrons make one detection [m]."""
+    """Range that is measured where several photo-electrons make one detection [m]."""
     return at - walk_m * (1.0 - 1.0 / electrons)
 
 

@@ -63,8 +63,6 @@ class PointsWriter:
 
     Parameters
     ----------
-    laz, truth : Path
-        Where to write; usually temporary names.
     header : LasHeader
         As :func:`las_header` makes it, with the extra dimensions of the points.
     """
@@ -113,13 +111,7 @@ def folder_of(scene: Scene) -> str:
 
 
 class PointFiles:
-    """Files of a survey's returns and their truth, each whole or not there.
-
-    Parameters
-    ----------
-    scene : Scene
-        Says how they are handed over.
-    """
+    """Files of a survey's returns and their truth, each whole or not there."""
 
     def __init__(self, scene: Scene, out: Path, stack: ExitStack) -> None:
         self._scene, self._out, self._open = scene, out, stack
@@ -184,8 +176,6 @@ def write_points(
 
     Parameters
     ----------
-    path : Path
-        Where to write.
     header : LasHeader
         As :func:`las_header` makes it.
     pieces : iterable of mapping
@@ -260,8 +250,6 @@ def raster_rows(
 
     Parameters
     ----------
-    path : Path
-        Where to write.
     shape : (int, int)
         Rows and columns.
 

@@ -4,10 +4,10 @@ Returns of a layer are a Poisson process along each beamlet [W17 Eq. 2.6] of the
 
 .. math:: \lambda(x, y, z, t) = \lambda_0 \, p(x - v t) \, h(z)
 
-with patches p, a random field between 0 and 1 with waves about ``patch_m`` long that the wind v
-carries along, and a layer h whose edges fall off linearly over ``edge_m``. Fog falls off
-exponentially with the height above the ground. Nothing comes from behind a hard surface. Air does
-not weaken what lies behind it here. [W17] has no such air.
+The patches p are a random field between 0 and 1, with waves about ``patch_m`` long that the wind v
+carries along. The edges of the layer h fall off linearly over ``edge_m``, fog exponentially with
+the height above the ground. Nothing comes from behind a hard surface, and air does not weaken what
+lies behind it. [W17] has no such air.
 """
 
 import math

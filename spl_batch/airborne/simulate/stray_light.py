@@ -1,7 +1,7 @@
-"""Light that reaches channels it was not meant for: bloom and crosstalk.
+"""Stray light: bloom and crosstalk, which reach channels that they were not meant for.
 
-A retro-reflector sends so much light back that the optics spread it over the whole array: every
-channel of a shot that lights it sees it, at its range. Crosstalk is electrical or optical: a
+A retro-reflector sends so much light back that the optics spread it over the whole array: all
+channels of a shot that lights it see it, at its range. Crosstalk, electrical or optical: a
 detection in one channel may set off a channel beside it at the same moment. Channels stand in the
 array as [W17] Eq. 2.9 counts them; [W17] has neither effect.
 """

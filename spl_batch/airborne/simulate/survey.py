@@ -286,8 +286,8 @@ def _columns(
 ) -> dict[str, NDArray[Any]]:
     """Recorded returns as LAS dimensions.
 
-    The scan angle is that of the beam across the flight direction, as LAS defines it; the
-    part along the flight direction, which a circular scan has too, finds no place in LAS.
+    The scan angle is the beam's across the flight direction. LAS has no place for the part along
+    it, which a circular scan has too.
     """
     beam = points.xyz - run.position(time_s)
     heading = np.radians(run.flight.heading_deg)

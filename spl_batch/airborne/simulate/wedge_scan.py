@@ -1,13 +1,12 @@
 r"""Rotating-wedge scan with a square array of beamlets [W17 Eq. 2.8-2.15].
 
-Body frame: x to starboard, y to the nose, z up. The scan angle is zero at the nose and
-grows clockwise seen from above.
+Body frame: x to starboard, y to the nose, z up. The scan angle is zero at the nose and grows
+clockwise seen from above.
 
-Deviations. Eq. 2.11 as printed turns the array by :math:`+\alpha` while Eq. 2.12 turns
-the beam by :math:`-\alpha`; here both turn the same way, so the array keeps its
-attitude to the scanned circle. The :math:`z` of the pixel vector in Eq. 2.14, not defined
-there, is zero. Boresight angles and lever arm of Eq. 2.8 are zero: what is delivered is
-calibrated.
+Deviations. Eq. 2.11 as printed turns the array by :math:`+\alpha`, Eq. 2.12 the beam by
+:math:`-\alpha`; here both turn the same way, so the array keeps its attitude to the scanned circle.
+The :math:`z` of the pixel vector in Eq. 2.14, not defined there, is zero. Boresight angles and
+lever arm of Eq. 2.8 are zero: delivered data is calibrated.
 """
 
 import numpy as np

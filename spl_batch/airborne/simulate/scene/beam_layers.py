@@ -44,8 +44,8 @@ def _add_water(
 ) -> int:
     """Clear water over a bottom: a thin surface, then a column that only attenuates.
 
-    Rays go straight on and light is not slowed down: depths are apparent ones, as in files
-    whose maker has not corrected for refraction. Both ways are attenuated.
+    Rays go straight on and light is not slowed down: depths are apparent, as in files without a
+    correction for refraction. Both ways are attenuated.
     """
     top = (pond[0] - o[2]) / d[2]
     if top >= hard:
@@ -145,8 +145,8 @@ def look(
     kind = float(scene.ground_kind[j, i])
     first, last = cell_range(scene, x, y)
     solids, crowns = len(scene.solid), len(scene.crown)
-    # Entries ascend, and opaque solids have the lowest numbers: `hard` is final before any
-    # layer is cut at it.
+    # Entries ascend, and opaque solids have the lowest numbers: `hard` is final before a layer is
+    # cut at it.
     n = 0
     for entry in range(first, last):
         item = scene.cell_item[entry]

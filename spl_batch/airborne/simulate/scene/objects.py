@@ -112,15 +112,7 @@ def _wall(axis: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
 
 
 def bridge_solid(bridge: Bridge, ground: Ground) -> Solid:
-    """Deck of a bridge, from the ground at one end to that at the other.
-
-    Parameters
-    ----------
-    bridge : Bridge
-        The bridge.
-    ground : Ground
-        Carries its ends.
-    """
+    """Deck of a bridge, from the ground at one end to that at the other."""
     start, end = (np.array(place) for place in bridge.ends_m)
     heights = [ground_at(ground, *place) for place in (start, end)]
     span = float(np.hypot(*(end - start)))
@@ -221,7 +213,7 @@ def catenary(span_m: float, z0_m: float, z1_m: float, sag_m: float) -> tuple[flo
 def crown_rows(
     scene: Scene, ground: Ground, rng: np.random.Generator, taken: list[shapely.Geometry]
 ) -> list[tuple[float, ...]]:
-    """Crowns until the asked cover is reached, away from what is taken.
+    """Crowns on free places until the asked cover is reached.
 
     Parameters
     ----------

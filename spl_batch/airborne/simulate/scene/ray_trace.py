@@ -7,7 +7,7 @@ slant range [m].
 Ground is a grid of heights, bilinear between its nodes; clear water stands over parts of it. A
 solid is the intersection of half-spaces ``a x + b y + c z <= d``, without end downwards: opaque (a
 building; these come first) or turbid (a lattice tower). A crown is a turbid ellipsoid. A wire is a
-catenary of which a beam of Gaussian profile lights a part. Only objects listed for the cell of a
+catenary; a beam of Gaussian profile lights a part of it. Only objects listed for the cell of a
 ray's ground hit are tried.
 """
 

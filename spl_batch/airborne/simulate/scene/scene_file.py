@@ -1,7 +1,7 @@
 """The scene file: what stands on the ground, who flies over it, with which instrument.
 
-Places are metres east and north of the scene's origin. Defaults are written here and
-nowhere else; an unknown key is an error that names the nearest known one.
+Places are metres east and north of the scene's origin. All defaults are written here; an unknown
+key is an error that names the nearest known one.
 """
 
 import math
@@ -122,9 +122,8 @@ class Wires(Section):
 class Water(Section):
     """A pond or lake: flat and dark, opaque or clear.
 
-    Clear water has a depth: light that passes its surface meets the bottom, attenuated on
-    both ways. Refraction and the lower speed of light in water are left out, so the depth is
-    the apparent one.
+    Clear water has a depth: light that passes its surface meets the bottom, attenuated both ways.
+    The depth is apparent, without refraction and the lower speed of light in water.
     """
 
     ring_m: tuple[Place, ...] = Field(min_length=3, description="Corners, east and north [m].")
