@@ -1,8 +1,8 @@
 """Breaklines of water: polygons and lines with heights, of any vector format.
 
-A polygon in which a line lies is a river, whose heights are the line's; any other is a lake, with
-one height: that of all its vertices, or a field :data:`HEIGHT_FIELDS`. Every fault of a file is
-told at once.
+A polygon with a line in it is a river, whose heights are the line's. Any other is a lake of one
+height: that of all its vertices, or a field :data:`HEIGHT_FIELDS`. Every fault of a file is told at
+once.
 """
 
 from collections.abc import Iterator
@@ -120,7 +120,7 @@ def _layers(path: Path) -> Iterator[tuple[str, Geometries, Heights, str | None]]
 
 
 def _in_metres(path: Path, own: str | None) -> None:
-    """Refuse a CRS in feet: heights are taken as they are, and may be in feet as well."""
+    """Refuse a CRS in feet: heights, which are not converted, may be in feet as well."""
     if own is None:
         return
     crs = CRS.from_user_input(own)

@@ -1,7 +1,7 @@
 """Checkpoints of a field survey: CSV or any vector format, in the survey's CRS.
 
-A checkpoint is a place whose height was measured better than the product's. What is wrong with one
-leaves out that one alone and is told in a sentence that names it.
+A checkpoint is a place whose height was measured better than the product's. A fault leaves out that
+checkpoint alone, and is told in a sentence that names it.
 """
 
 import csv
@@ -36,7 +36,7 @@ COLUMNS: Final = ("id", "x", "y", "z", "surface")
 """Columns that a file has; ``accuracy_m`` and ``crs`` are optional."""
 
 PARTS: Final = "PARTS"
-"""Points in the geometry of a row; no field has this name, as those are in lower case."""
+"""Points in the geometry of a row; fields are in lower case, so none has this name."""
 
 SAME_PLACE_M: Final = 0.01
 """Checkpoints nearer to each other than this in every axis are one [m]."""
@@ -162,7 +162,7 @@ def _vector_rows(path: Path) -> list[_Row]:
 
 
 def _single(shapes: NDArray[Any]) -> NDArray[Any]:
-    """Shapes, where one of a single part is that part: many programs write MultiPoints alone.
+    """Shapes, single-part ones as that part: many programs write nothing but MultiPoints.
 
     Empty ones are none.
     """
@@ -182,7 +182,7 @@ def _number(value: Any) -> float | None:
 
 
 def _checked(rows: Sequence[_Row], accuracy_m: float | None, remarks: list[str]) -> list[_Row]:
-    """Rows whose values can be used, with their values as they are wanted."""
+    """Rows with usable values, converted."""
     kept: list[_Row] = []
     faults: dict[str, list[str]] = {}
     for number, row in enumerate(rows, start=1):

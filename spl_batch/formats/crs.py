@@ -51,7 +51,7 @@ def parse_crs(text: str, key: str) -> CRS:
 def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
     """CRS in metres that a user names; none where none is named, or it has a fault.
 
-    ``faults``: what is wrong with it is added to it.
+    ``faults``: its fault is added to it.
     """
     if text is None:
         return None
@@ -79,8 +79,8 @@ def crs_from_wkt(data: bytes) -> CRS | None:
 def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | None:
     """CRS of GeoTIFF keys, user-defined ones too; none where they define none.
 
-    GDAL has the one complete reader of such keys, so the records, which are TIFF tags
-    byte for byte, are put into a TIFF of one pixel.
+    Only GDAL reads such keys completely. The records are TIFF tags byte for byte, so they are put
+    into a TIFF of one pixel.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def look_like_degrees(
 
 
 def like_degrees(corners: Sequence[Sequence[float]], key: str) -> str:
-    """What is wrong with files of which :func:`look_like_degrees` is true, and what helps.
+    """Fault of files of which :func:`look_like_degrees` is true, and its remedy.
 
     ``corners``: of their boxes. ``key``: of the workflow that names their CRS.
     """

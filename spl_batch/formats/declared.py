@@ -1,8 +1,8 @@
-"""What a file declares of itself: integers in bounds, and sizes that its bytes can hold.
+"""Declarations of a file about itself: integers in bounds, and sizes that its bytes can hold.
 
-Counts, shapes and lengths come before the data that they describe. A damaged or hostile one makes
-a library allocate without bound, loop for hours, or overflow. So each is compared with what can
-be before anything is read by it.
+Counts, shapes and lengths come before the data that they describe. A damaged or hostile one makes a
+library allocate without bound, loop for hours, or overflow. So each is checked before anything is
+read by it.
 """
 
 import operator
@@ -20,7 +20,7 @@ BOMB_RATIO: Final = 1200
 of their size, a column of zeros a hundredth."""
 
 SMALL_BYTES: Final = 512 << 20
-"""What is no larger than this may be as dense as it likes [byte]."""
+"""Size up to which data may be packed to any density [byte]."""
 
 
 def bounded(
@@ -30,26 +30,15 @@ def bounded(
 
     Parameters
     ----------
-    path : Path or str
-        The file.
     what : str
         What the integer is, with its unit where it has one.
-    value : object
-        As a library gave it.
-    least, most : int
-        What it may be.
     remedy : str
         What helps.
-
-    Returns
-    -------
-    int
-        The value.
 
     Raises
     ------
     InputError
-        If it is no integer, or out of bounds.
+        If it is no integer, or not from ``least`` to ``most``.
     """
     try:
         whole = operator.index(value)
@@ -64,7 +53,7 @@ def bounded(
 
 @contextmanager
 def gathered(faults: list[str]) -> Iterator[None]:
-    """Keep what is wrong with a file, so that all its faults are told at once."""
+    """Keep a file's faults, so that all are told at once."""
     try:
         yield
     except InputError as error:
@@ -76,10 +65,6 @@ def refuse_bomb(path: Path | str, what: str, declared_bytes: int, stored_bytes: 
 
     Parameters
     ----------
-    path : Path or str
-        The file.
-    what : str
-        What is declared.
     declared_bytes, stored_bytes : int
         Size once it is unpacked, and as it lies in the file [byte].
 

@@ -1,8 +1,8 @@
-"""Which clock a GPS time is on, and how to bring two clocks together.
+"""Clock of a GPS time, and the way from one clock to another.
 
 LAS knows seconds of the GPS week and adjusted standard time, GPS time less 10^9 s
-[LAS 1.4 R15, section 2.4, global encoding]. The header's bit is often wrong, so the values
-decide. Adjusted times of the first eight days after 2011-09-14 look like week seconds.
+[LAS 1.4 R15, section 2.4, global encoding]. The header's bit is often wrong, so the values decide.
+Adjusted times of the first eight days after 2011-09-14 look like week seconds.
 """
 
 from collections.abc import Callable
@@ -88,8 +88,8 @@ def clock(
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]] | None:
     """How times of a trajectory become the points'; None where nothing is to be done.
 
-    Week seconds say nothing of the week, so the week is taken that brings each record
-    closest to the points; records that wrap round at its end may change places.
+    Week seconds do not tell the week: the one is taken that brings each record closest to the
+    points. Records that wrap round at its end may change places.
 
     Parameters
     ----------

@@ -59,7 +59,8 @@ def _layers(path: Path) -> Iterator[tuple[NDArray[Any], str | None]]:
     """Polygons of each layer that holds some, and their CRS."""
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
-    # What GDAL remarks of a damaged file is no line for a screen: that no polygon is left is told.
+    # GDAL's remarks on a damaged file are no lines for a screen: the user is told that no polygon
+    # is left.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         for name, _ in pyogrio.list_layers(path):

@@ -1,7 +1,7 @@
-"""Files that are either whole or not there: temporary name, rename; fsync of what is delivered.
+"""Files that are whole or not there: temporary name, rename; fsync of what is delivered.
 
-A file of the working store does not wait for the disk: each tells when it is not what was written,
-as after a loss of power, and is made again.
+A file of the working store does not wait for the disk: after a loss of power it tells that it is
+not what was written, and is made again.
 """
 
 import errno
@@ -49,8 +49,8 @@ def scratch_name(path: Path) -> Path:
 def owned_by(mark: str, content: str) -> Iterator[None]:
     """Put nothing in place in this block, in this thread, once somebody else works there.
 
-    A task goes on when its run is killed elsewhere; what the run after it makes must not be
-    replaced by what this one made with other settings.
+    A task goes on when its run is killed elsewhere. It must not replace what the next run makes
+    with other settings.
 
     Parameters
     ----------

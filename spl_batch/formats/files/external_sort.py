@@ -1,11 +1,10 @@
 """Rows of any number in the order of their keys: sorted stretches wait on disk.
 
-Rows come in stretches. Each is sorted and put on disk, with the key of its first row and of each
-further :data:`SAMPLE_ROWS`-th. These keys say where all stretches can be cut so that the rows
-between two cuts, of whichever stretch, are few: they are read, sorted and handed on. Memory does
-not depend on how many rows there are nor on what order they came in, but for the sample, 8 bytes
-of each :data:`SAMPLE_ROWS` rows, and :data:`SAMPLE_ROWS` rows of each stretch that reaches
-between two cuts.
+Each stretch of rows is sorted and put on disk, with the key of its first row and of each further
+:data:`SAMPLE_ROWS`-th. These keys say where to cut all stretches so that few rows lie between two
+cuts: these are read, sorted and handed on. Memory depends neither on the number of rows nor on
+their order, but for 8 bytes of each :data:`SAMPLE_ROWS` rows, and :data:`SAMPLE_ROWS` rows of each
+stretch that reaches between two cuts.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

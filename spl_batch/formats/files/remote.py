@@ -1,7 +1,7 @@
 """Places on an object store: paths that look like pathlib's, and whole objects only.
 
-An object is written to a local temporary file first and then put in one request, so that it
-is there as a whole or not at all. Failures of the store concern everything: they stop the run.
+An object is written to a local temporary file and then put in one request: it is there as a whole
+or not at all. Failures of the store concern everything: they stop the run.
 """
 
 import fcntl
@@ -89,7 +89,7 @@ def reaching(path: Path) -> Iterator[None]:
 def uploading(path: Path) -> Iterator[Path]:
     """Give a local temporary name; put it in place when the block succeeds.
 
-    Of a directory the chunks come first, what describes them last.
+    Of a directory the chunks come first, and their description last.
     """
     with _upload_folder() as folder:
         temporary = folder / path.name
@@ -220,7 +220,7 @@ class RemoteFile(io.RawIOBase):
         return self._place
 
     def read(self, size: int | None = -1) -> bytes:
-        """So many bytes, fewer at the end of the file."""
+        """Bytes, ``size`` of them or fewer at the end of the file."""
         left = self._size - self._place
         stop = self._place + (left if size is None or size < 0 else min(size, left))
         if stop <= self._place:

@@ -1,9 +1,8 @@
 """Random access to point records, uncompressed or LAZ, in bounded memory.
 
-LAZ is decoded chunk by chunk through the file's own chunk table. That is exact for
-chunks of any size - the decompressor's own seek is not where they vary, as in COPC -
-and a damaged chunk is named by the points that it holds. (LAZ has no checksums: damage
-that decodes to other values of an attribute cannot be seen.)
+LAZ is decoded chunk by chunk through the file's own chunk table. That is exact for chunks of any
+size; the decompressor's own seek is not where they vary, as in COPC. A damaged chunk is named by
+its points. (LAZ has no checksums: damage that decodes to other values cannot be seen.)
 """
 
 import struct
@@ -184,11 +183,6 @@ def _guarded(path: str, fault: str, call: Any) -> Any:
 class RecordReader:
     """Reads point records of one file by position; a context manager.
 
-    Parameters
-    ----------
-    header : LasHeader
-        Checked header of the file.
-
     Raises
     ------
     InputError
@@ -332,8 +326,8 @@ class RecordReader:
     def _check_layers(self, packed: bytes, size: int, begin: int, end: int) -> None:
         """Compare a chunk's layer sizes with its bytes, of which the first are enough.
 
-        The decoder would believe sizes of damaged layers and allocate gigabytes. A chunk
-        is its first point, the number of points, the size of each layer, the layers.
+        The decoder would believe sizes of damaged layers and allocate gigabytes. A chunk is its
+        first point, the number of points, the size of each layer, the layers.
         """
         if self._n_layers == 0:
             return

@@ -1,9 +1,8 @@
 """Cloud-optimised point clouds: LAZ whose chunks are the nodes of an octree [COPC 1.0].
 
-A node keeps one point of each of its 128^3 cells and hands the others to its children; a
-node with few points keeps them all. Which point stays depends on the order of the
-records alone, cells are whole numbers of raw coordinate steps, so the same records give
-the same bytes.
+A node keeps one point of each of its 128^3 cells and hands the others to its children; a node with
+few points keeps them all. The order of the records alone decides which point stays, and cells are
+whole numbers of raw coordinate steps: the same records give the same bytes.
 """
 
 import struct

@@ -1,8 +1,8 @@
 """The fixed part of a LAS file, read and checked before any library trusts it.
 
-Counts and offsets of a broken header make readers loop for minutes or allocate without
-bound, so this module reads the header, the VLRs and the places of the EVLRs itself
-[LAS 1.4 R15, sections 2.4-2.7] and reports every fault of a file in one error.
+Counts and offsets of a broken header make readers loop for minutes or allocate without bound. So
+this module reads header, VLRs and places of EVLRs itself [LAS 1.4 R15, sections 2.4-2.7], and
+reports every fault of a file in one error.
 """
 
 import math

@@ -1,7 +1,7 @@
-"""Records of a LAS header that standard readers parse: whether they can.
+"""Records of a LAS header that standard readers parse, and whether they can.
 
-A reader that knows a kind of record may fail on the whole file where one is damaged. What is
-delivered must open everywhere, so such a record is not copied.
+A damaged one may make a reader fail on the whole file. What is delivered must open everywhere, so
+such a record is not copied.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from spl_batch.errors import is_fault, one_line
 from spl_batch.formats.las.header import Evlr, LasHeader, Vlr
 
 _PARSED_BYTES: Final = 1 << 20
-"""Known records are short: a longer one is copied as it is [byte]."""
+"""Longest record that is parsed [byte]: known ones are short, longer ones are copied."""
 
 
 def reads_back(path: Path, record: Vlr | Evlr) -> bool:
@@ -24,7 +24,7 @@ def reads_back(path: Path, record: Vlr | Evlr) -> bool:
 
 
 def broken_records(header: LasHeader) -> Iterator[str]:
-    """What is wrong with each record that cannot be parsed: user id, record id and reason."""
+    """User id, record id and fault of each record that cannot be parsed."""
     records: list[Vlr | Evlr] = [*header.vlrs, *header.evlrs]
     for record in records:
         fault = _fault(header.path, record)

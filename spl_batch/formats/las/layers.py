@@ -1,14 +1,14 @@
 """Layered LAZ with other classes and more extra bytes, without decoding what stays.
 
-Of point formats 6-10 a chunk keeps each field in a layer of its own: the first record as it is, the
-number of points, the size of every layer, the layers. How classes are coded depends on the returns
-of a pulse and the scanner channel, flags and an extra byte on the scanner channel alone [LASzip,
-``laswriteitemcompressed_v3.cpp``]. So a copy takes the layers of all other fields from the input,
-and these from records in which nothing else is set. It decodes as if all had been compressed anew;
-where the input is of the same compressor it is the same bytes.
+A chunk of point formats 6-10 keeps each field in a layer of its own: the first record as it is, the
+number of points, the size of every layer, the layers. The coding of classes depends on the returns
+of a pulse and the scanner channel, that of flags and an extra byte on the scanner channel alone
+[LASzip, ``laswriteitemcompressed_v3.cpp``]. So a copy takes the layers of all other fields from the
+input, and these from records in which nothing else is set. It decodes as if all had been compressed
+anew; where the input is of the same compressor it is the same bytes.
 
-What is needed of the input's records is one number each (:func:`given_of`), kept by whoever has
-decoded them once.
+Of each of the input's records one number is needed (:func:`given_of`), kept by whoever has decoded
+them once.
 """
 
 import io

@@ -1,4 +1,4 @@
-"""Which dimensions of point records hold small whole numbers, as beamlet numbers are."""
+"""Dimensions of point records that hold small whole numbers, as beamlet numbers are."""
 
 from typing import Any, Final, NamedTuple
 

@@ -1,8 +1,8 @@
-"""Reading LAS, LAZ and COPC: facts without the points, and points as a stream.
+"""Reader of LAS, LAZ and COPC: facts without the points, and points as a stream.
 
-Coordinates become integers on the survey lattice. Where scale and offset are whole
-multiples of the quantum that is integer arithmetic and exact; elsewhere coordinates
-are rounded to the nearest quantum, and a warning says so.
+Coordinates become integers on the survey lattice. That is exact integer arithmetic where scale and
+offset are whole multiples of the quantum; elsewhere they are rounded to the nearest quantum, and a
+warning says so.
 """
 
 from collections.abc import Callable, Iterator
@@ -117,8 +117,8 @@ def _rounding(header: LasHeader) -> Iterator[str]:
 def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
     """CRS of a file, and what is odd about its record.
 
-    A record that cannot be understood counts as missing, with a warning: then the
-    workflow has to name the CRS.
+    A record that cannot be understood counts as missing, with a warning: the workflow then has to
+    name the CRS.
     """
     try:
         crs = _wkt_crs(header)
@@ -301,8 +301,8 @@ def _coordinate(
 ) -> NDArray[np.int64]:
     """Coordinates of one axis on the lattice [quanta]: (n,) int64.
 
-    A point well outside the header's bounding box means damaged data, which LAZ has no
-    checksum against, or a box that the plan must not rely on.
+    A point well outside the header's bounding box means damaged data, against which LAZ has no
+    checksum, or a box that the plan must not rely on.
     """
     raw = records["XYZ"[axis]]
     scale, offset = header.scales[axis], header.offsets[axis]

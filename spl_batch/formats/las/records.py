@@ -87,8 +87,8 @@ def record_layout(header: LasHeader) -> RecordLayout:
     left = room - bounded(
         header.path, "extra bytes that are described", held, most=room, remedy=_REWRITE
     )
-    # Bytes that nothing describes get names, so that a copy can carry them along. The
-    # standard has a type for such blocks, which common readers misunderstand.
+    # Bytes that nothing describes get names, so that a copy can carry them along: common readers
+    # misunderstand the standard's own type for such blocks.
     for plain in ["<u8"] * (left // 8) + ["u1"] * (left % 8):
         name = f"undescribed_{len(extra)}"
         field = f"extra_{len(extra)}"

@@ -1,7 +1,6 @@
-"""Classified clouds out: what the input had is kept, labels come beside it.
+"""Writer of classified clouds: what the input had is kept, labels come beside it.
 
-Output is LAS 1.4, point formats 6-10, compressed. The same input and labels give the
-same bytes.
+Output is LAS 1.4, point formats 6-10, compressed. The same input and labels give the same bytes.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -84,7 +83,7 @@ _INT32: Final = np.iinfo(np.int32)
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What is known of a file's points by who has decoded them before."""
+    """Facts of a file's points from whoever has decoded them before."""
 
     #: ``given(start, stop)`` is :func:`~spl_batch.formats.las.layers.given_of` of these records.
     given: Callable[[int, int], NDArray[np.uint32]]
@@ -104,13 +103,12 @@ def write_classified(
 ) -> int:
     """Copy a file with new classes and the extra bytes of :data:`ADDED`.
 
-    Every point comes once and in order, with all its dimensions, raw coordinates, scale
-    and offset. Point formats 0-5 become 6-10. Records that describe the old packing
-    (LASzip, COPC) are left out, and so are those that no reader could parse
-    (:func:`~spl_batch.formats.las.known_records.broken_records`); all others are kept. A CRS in
-    GeoTIFF
-    keys, which formats 6-10 do not know, is given as WKT as well. Extra bytes that the input
-    has under a name of :data:`ADDED` are replaced.
+    Every point comes once and in order, with all its dimensions, raw coordinates, scale and offset.
+    Point formats 0-5 become 6-10. Records are kept, but for those that describe the old packing
+    (LASzip, COPC) or that no reader could parse
+    (:func:`~spl_batch.formats.las.known_records.broken_records`). Formats 6-10 know no GeoTIFF
+    keys: a CRS in these is given as WKT as well. Extra bytes of the input under a name of
+    :data:`ADDED` are replaced.
 
     Parameters
     ----------

@@ -209,7 +209,7 @@ def _verify(cog: Path, marks: Iterable[tuple[Window, int]]) -> None:
 
 
 def _averages(fine: Any, made: Any, window: Window) -> bool:
-    """Whether a part of an overview lies between the finer cells that it is the mean of."""
+    """Whether each cell of an overview's part lies between the finer cells whose mean it is."""
     values = made.read(1, window=window)
     rows = _finer(window.row_off, window.height, fine.height / made.height, fine.height)
     cols = _finer(window.col_off, window.width, fine.width / made.width, fine.width)

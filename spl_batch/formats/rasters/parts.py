@@ -145,7 +145,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]:
-    """Cells that make one along a side, and shape, of an overview."""
+    """Cells along a side of one of an overview's, and the overview's shape."""
     step = max(1, math.ceil(max(size) / largest))
     rows, columns = (math.ceil(side / step) for side in size)
     return step, (rows, columns)

@@ -1,7 +1,7 @@
 """First and last time of a trajectory file, from its ends alone.
 
-A look before the work: records in between may lie outside, and what is damaged there is found
-when the file is read (:mod:`spl_batch.formats.trajectory.records`).
+A look before the work. Records in between may lie outside; damage there is found when the file is
+read (:mod:`spl_batch.formats.trajectory.records`).
 """
 
 import csv
@@ -21,7 +21,7 @@ from spl_batch.formats.trajectory.records import PARQUET_SUFFIXES, columns_of, c
 from spl_batch.formats.trajectory.sbet import SBET_RECORD, SBET_SUFFIXES
 
 _END_BYTES: Final = 1 << 16
-"""What is read of the end of a CSV, and half of what is read of its start [byte]."""
+"""Bytes that are read of the end of a CSV, and half of those of its start [byte]."""
 
 
 def ends(path: Path) -> tuple[float, float] | None:

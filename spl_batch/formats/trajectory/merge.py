@@ -1,8 +1,8 @@
 """Trajectory files joined in the order of time, a span at a time, whatever their length.
 
-Records are brought into the survey's CRS one batch after the other and wait on disk; what
-lies before the next batch's first record is in order and goes on. Of files that are each
-in time order, a few batches are in memory at once.
+Records are brought into the survey's CRS batch by batch and wait on disk; those before the next
+batch's first record are in order and go on. Of files that are each in time order, a few batches are
+in memory at once.
 """
 
 from collections.abc import Callable, Iterator, Sequence

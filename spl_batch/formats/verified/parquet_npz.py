@@ -1,15 +1,14 @@
 """Point tables as Parquet, and small arrays as NPZ; both tell when a byte of them is damaged.
 
 Numbers are stored byte by byte (byte-stream split): neighbouring points share their high bytes,
-which then cost next to nothing. Parquet has no numbers of one byte, and what it makes of them is
-written twice as fast this way as with a dictionary. A dictionary is for long numbers that take few
-values; what is mostly zero is stored as it is. Over all goes LZ4, which writes and reads twice as
-fast as zstd; the files are as large.
+which then cost next to nothing. Parquet has no numbers of one byte; its substitutes are written
+twice as fast this way as with a dictionary. A dictionary is for long numbers that take few values;
+what is mostly zero is stored as it is. Over all goes LZ4, which writes and reads twice as fast as
+zstd, to files as large.
 
-Parquet has checksums for pages but none for its footer, which says where they are and what
-lies in them. A checksum of it is put before it, where the format leaves bytes unread, so any
-reader of Parquet still reads the file. An NPZ carries a hash of itself as the comment of
-the archive.
+Parquet has checksums for pages but none for its footer, which says where they are and what lies in
+them. So one is put before the footer, where the format leaves bytes unread: any reader of Parquet
+still reads the file. An NPZ carries a hash of itself as the comment of the archive.
 """
 
 import hashlib
@@ -36,7 +35,7 @@ _FEW_VALUES: Final = {"source", "afterpulse_share", "range_sigma"}
 """Columns of long numbers that take few values."""
 
 _MOSTLY_ZERO: Final = {"afterpulse", "afterpulse_rate"}
-"""Columns of numbers most of which are zero."""
+"""Columns whose numbers are mostly zero."""
 
 _SEAL: Final = struct.Struct("<4sI")
 _SEAL_MARK: Final = b"SPLB"
@@ -149,7 +148,7 @@ def reading(path: Path) -> Iterator[pq.ParquetFile]:
 
 @contextmanager
 def naming_damage(path: Path) -> Iterator[None]:
-    """Turn what is raised over a file that cannot be read into a :class:`DamagedError`."""
+    """Turn errors over a file that cannot be read into a :class:`DamagedError`."""
     try:
         yield
     except MemoryError:

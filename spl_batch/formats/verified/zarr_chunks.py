@@ -1,10 +1,10 @@
 """Zarr arrays whose every byte is verified when it is read.
 
 Chunks are packed by Zstandard and end with a CRC-32C; the metadata, which Zarr writes, carries a
-hash of itself among the attributes. Files are read and written here, so that a chunk appears whole
-or not at all, and so that one that is gone does not pass for an empty one. Chunks are coded here,
-too, by the codecs that Zarr calls: it hands each over to other threads, which took three
-milliseconds, ten times what coding a raster cell takes. Zarr reads what is written here.
+hash of itself among the attributes. Files are read and written here: a chunk appears whole or not
+at all, and one that is gone does not pass for an empty one. Chunks are coded here too, by Zarr's
+codecs: Zarr hands each over to other threads, which took three milliseconds, ten times what coding
+a raster cell takes. Zarr reads what is written here.
 """
 
 import hashlib
