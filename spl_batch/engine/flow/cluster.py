@@ -16,7 +16,7 @@ KEPT_BYTES: Final = 1 << 40
 
 WATCHING: Final[Mapping[str, Any]] = {
     # dask samples what each worker executes a hundred times a second, and measures event loops
-    # fifty times: that takes 4 % of a core for each process, on a machine whose cores all work.
+    # fifty times: 4 % of a core for each process, on a machine whose cores all work.
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "1s",
@@ -27,9 +27,9 @@ what it costs."""
 
 SETTINGS: Final[Mapping[str, Any]] = {
     **WATCHING,
-    # What waits on a worker is blamed with it when it dies, so the rest waits at the scheduler.
-    # More of it would serve tasks of milliseconds; those of a second keep workers busy as well
-    # with this: `python -m benchmarks.engine.scheduler cluster` prints both.
+    # A worker that dies takes the blame for what waits on it, so the rest waits at the scheduler.
+    # More of it would serve tasks of milliseconds; with tasks of a second this keeps workers busy
+    # as well: `python -m benchmarks.engine.scheduler cluster` prints both.
     "distributed.scheduler.worker-saturation": 1.1,
     # A task that has ended two workers is not given a third.
     "distributed.scheduler.allowed-failures": 1,
@@ -43,9 +43,9 @@ SETTINGS: Final[Mapping[str, Any]] = {
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": 0.95,
     # dask has workers give back each freed page at once. Tables of points come and go by the
-    # hundred, arrays of a region by the dozen: faults of pages that were just given back took a
-    # tenth to a sixth of the processor's time. So all that a worker allocates, Arrow's memory
-    # too, lies in one place, in large pages where the system has them, and is used again.
+    # hundred, arrays of a region by the dozen: page faults took a tenth to a sixth of the
+    # processor's time. So all that a worker allocates, Arrow's memory too, lies in one place, in
+    # large pages where the system has them, and is used again.
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": KEPT_BYTES,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_MAX_": 0,
     "distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX": 1,
@@ -85,7 +85,7 @@ def local_cluster(workers: int, memory_bytes: int) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def silent() -> Iterator[None]:
-    """Keep dask's own complaints off the screen: what matters of them is told in a line.
+    """Keep dask's own complaints off the screen: a line tells what matters of them.
 
     It reads its settings for logging when it is imported, and has a logger for each part.
     """

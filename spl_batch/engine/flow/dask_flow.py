@@ -23,8 +23,8 @@ IN_FLIGHT_PER_THREAD: Final = 3
 """Tasks handed to the scheduler for each worker thread [count]."""
 
 LARGE_POINTS: Final = 4_000_000
-"""A task of so many points takes so long that it had better wait for the first worker that is free
-than behind what another one is doing [count]: the largest come first, so that all end together."""
+"""Points from which on a task waits for the first free worker, not behind another task [count]: the
+largest come first, so that all end together."""
 
 TICK_S: Final = 2.0
 """How often the workers are looked at [s]; less often where they are hundreds."""
@@ -114,7 +114,7 @@ class _Flow:
             self._look()
 
     def close(self) -> None:
-        """Let go of what is still on its way."""
+        """Let go of jobs that are still on their way."""
         for future in self.running:
             with contextlib.suppress(Exception):
                 future.cancel()
@@ -277,8 +277,7 @@ class _Flow:
 def workers_of(client: Any) -> dict[str, Mapping[str, Any]]:
     """Facts of each worker by address, as the scheduler knows them now.
 
-    ``Client.scheduler_info`` gives what the client holds, and that is overwritten every two
-    seconds with one that lists no workers.
+    Every two seconds ``Client.scheduler_info`` is overwritten with one that lists no workers.
     """
     return dict(client.sync(client.scheduler.identity)["workers"])
 

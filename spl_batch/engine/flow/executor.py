@@ -1,7 +1,7 @@
 """Tasks on dask: the only storey that imports it.
 
-dask is the scheduler, not the data structure: tasks are coarse, few are in flight at a
-time, and nothing but names and small facts travels in a message.
+dask is the scheduler, not the data structure: tasks are coarse, few are in flight, and messages
+carry only names and small facts.
 """
 
 import contextlib
@@ -152,7 +152,7 @@ def _client(
 
 @contextlib.contextmanager
 def _closing_calmly(observer: Observer) -> Iterator[contextlib.ExitStack]:
-    """Close cluster and client, and go on where a busy machine does not let them end in time.
+    """Close cluster and client, and go on where a busy machine does not end them in time.
 
     All tasks are done by then; what is left of the workers ends with this process.
     """

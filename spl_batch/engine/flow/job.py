@@ -1,4 +1,4 @@
-"""Doing one job, here or on a worker, and what those who do and watch it agree on."""
+"""One job, done here or on a worker, and what those who do and watch it agree on."""
 
 import contextlib
 import time

@@ -1,4 +1,4 @@
-"""What workers of one machine do once, each its share, before their first task."""
+"""Preparation of one machine's workers: each does its share once, before its first task."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -8,7 +8,7 @@ from typing import Any, Final
 from spl_batch.engine.flow.job import Observer
 
 QUICK_S: Final = 5.0
-"""Time after which a user is told what is being waited for [s]."""
+"""Time after which a user is told why nothing happens [s]."""
 
 TOPIC: Final = "spl-batch-ahead"
 """What workers tell of their steps under."""
@@ -26,9 +26,8 @@ PATIENCE_S: Final = 600.0
 class Ahead:
     """Something to do before the first task."""
 
-    #: Does a share, from 0, of so many, and says how much was left to do. It is sent to workers, so
-    #: it is a function of a module. Its third argument is to be told how many steps of how many are
-    #: done.
+    #: Does a share, from 0, of so many, and says how much was left to do. Workers are sent it, so
+    #: it is a function of a module. Its third argument is told how many steps of how many are done.
     work: Work
     what: str  #: What is being done, in words.
     done: bool = False
@@ -38,7 +37,7 @@ class Ahead:
     def share_out(self, client: Any, workers: Sequence[str], observer: Observer) -> None:
         """Have each worker do its share, unless that is done.
 
-        What fails is told and left to the tasks, which do it when they need it.
+        Failures are told and left to the tasks, which do it when they need it.
 
         ``observer``: told what takes long or fails.
         """

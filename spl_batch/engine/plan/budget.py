@@ -1,4 +1,4 @@
-"""What any run is expected to cost, what cannot fit, and rates that a store has measured."""
+"""Expected cost of any run, tasks that cannot fit, and rates that a store has measured."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -76,8 +76,6 @@ def measured_rates(
     ----------
     typical : mapping of str to float
         Points per second and worker where nothing was measured.
-    context : RunContext, optional
-        Where measured rates may lie.
 
     Returns
     -------

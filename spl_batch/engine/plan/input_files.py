@@ -31,7 +31,7 @@ def check_keys(sources: Iterable[AnySource]) -> None:
 
 
 def stem_names(sources: Sequence[AnySource]) -> dict[int, str]:
-    """What results of each file are called, by key: its stem, with the key where two share it."""
+    """Names of each file's results, by key: its stem, with the key where two share it."""
     stems = Counter(Path(source.name).stem for source in sources)
     found = {}
     for source in sources:
@@ -52,8 +52,6 @@ def expand(
 
     Parameters
     ----------
-    names : str or sequence of str, optional
-        Paths or patterns.
     key : str
         Key of the workflow that they come from.
     faults : list of str

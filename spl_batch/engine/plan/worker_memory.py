@@ -7,7 +7,7 @@ WORKER_BASE_BYTES: Final = 600 * 2**20
 """Resident memory of a worker that has compiled its kernels, rounded up [byte]."""
 
 LOADED_BASE_BYTES: Final = 400 * 2**20
-"""The same of a worker whose kernels another process has compiled [byte]."""
+"""Resident memory of a worker whose kernels another process has compiled [byte]."""
 
 USABLE_SHARE: Final = 0.9
 """Part of a worker's limit that the plan uses: dask ends a worker at 95 %."""
@@ -19,5 +19,5 @@ def usable_bytes(limit: int) -> int:
 
 
 def enough_mib(needed: int) -> int:
-    """Smallest memory limit of a worker under which a task may hold so many bytes [MiB]."""
+    """Smallest memory limit of a worker under which a task may hold some bytes [MiB]."""
     return math.ceil(needed / USABLE_SHARE / 2**20)

@@ -1,7 +1,7 @@
-"""Several methods side by side: what any comparison writes down, as JSON and as a page.
+"""Comparison of several methods as JSON and as a page.
 
-What every page of a comparison has stands in ``comparison.html.j2``. A receiver's template extends
-it by the block ``sections``.
+``comparison.html.j2`` has what every page of a comparison has; a receiver's template extends it by
+the block ``sections``.
 """
 
 import json

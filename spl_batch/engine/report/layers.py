@@ -1,7 +1,7 @@
 """Maps of one place that a reader switches between, with what failed marked on each.
 
-The page needs no script for it: radio buttons and style sheets do it, so that it works by keyboard
-and where scripts are not let run, and all maps are shown where a page is printed.
+Radio buttons and style sheets do it without a script: it works by keyboard and where no script may
+run, and a printed page shows all maps.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -44,8 +44,6 @@ def layers(
     ----------
     keys : iterable of str
         Keys of the maps, in their order; those without a picture are left out.
-    pictures : mapping of str to Picture
-        Pictures of the report.
     failures : sequence of Failure
         What did not make it, places among it.
     """

@@ -1,7 +1,7 @@
 """Maps of rasters: shaded relief, ramps and differences, with scale bar and north arrow.
 
-Rows run from north to south, as in the GeoTIFFs. Rasters that are larger than a picture
-are averaged in blocks first; a cell without a value takes no part in an average.
+Rows run from north to south, as in the GeoTIFFs. Rasters larger than a picture are averaged in
+blocks first; cells without a value take no part.
 """
 
 import math

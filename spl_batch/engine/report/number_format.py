@@ -1,7 +1,7 @@
 """Numbers as people read them; every function shows ``None`` as a dash.
 
-Every receiver's report and console takes its numbers from here. A report has typographic spaces
-and signs, a console plain ones: :func:`as_ascii` makes the one of the other.
+Every receiver's report and console takes its numbers from here. A report has typographic spaces and
+signs, a console plain ones: :func:`as_ascii` converts.
 """
 
 import re
@@ -72,7 +72,7 @@ def plain(value: float | None) -> str:
 
 
 def percent(part: float | None, digits: int = 1) -> str:
-    """Share as a percentage; what is not nothing is never shown as 0 %."""
+    """Share as a percentage; only nothing is shown as 0 %."""
     if part is None:
         return DASH
     least = 10.0**-digits

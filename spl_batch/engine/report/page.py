@@ -1,8 +1,8 @@
 """One HTML page that opens anywhere, without a network: text, tables and pictures inside.
 
-What every report has stands in ``page.html.j2``: title, verdicts, key numbers, failures,
-cost, provenance. A receiver's template extends it by the blocks ``overview``, ``sections``
-and ``method``.
+``page.html.j2`` has what every report has: title, verdicts, key numbers, failures, cost,
+provenance. A receiver's template extends it by the blocks ``overview``, ``sections`` and
+``method``.
 """
 
 import datetime as dt
@@ -80,7 +80,7 @@ def render_page(
         Names the one script that the page may run, as a content security policy does; none may
         where it is empty.
     **more
-        What the template needs beside it; ``pictures``, a mapping of str to
+        More for the template; ``pictures``, a mapping of str to
         :class:`~spl_batch.engine.report.picture.Picture`, is always among it.
 
     Returns
@@ -182,7 +182,7 @@ def _stages(stages: Mapping[str, StagePerformance]) -> list[dict[str, Any]]:
 
 
 def _written(created: str) -> str:
-    """Time stamp as people read it; left as it is where it is no ISO time."""
+    """Time stamp as people read it; unchanged where it is no ISO time."""
     try:
         moment = dt.datetime.fromisoformat(created)
     except ValueError:

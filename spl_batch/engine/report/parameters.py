@@ -48,7 +48,7 @@ def _differing(
 
 
 def _inner(field: FieldInfo) -> type[BaseModel] | None:
-    """The model of a key that holds keys of its own; None where it may be one of several."""
+    """Model of a key that holds keys of its own; None where it may be one of several."""
     kinds = (field.annotation, *get_args(field.annotation))
     found = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
     return found[0] if len(found) == 1 else None

@@ -1,4 +1,4 @@
-"""What a run keeps beside its receipts, and the parts that every receiver's report has."""
+"""Record of a run beside its receipts, and the parts that every receiver's report has."""
 
 import hashlib
 import json
@@ -58,7 +58,7 @@ class StageCost:
         self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
 
     def skip(self, receipt: Receipt) -> None:
-        """Count a task that an earlier run did, with what it cost then."""
+        """Count a task of an earlier run, with its cost then."""
         self.skipped += 1
         self.wall_s += receipt.wall_s
         self.points += receipt.points
@@ -77,13 +77,13 @@ class RunFacts:
     notes: Iterable[str] = ()
     reference: Iterable[str] = ()
     not_read: int = 0  #: Points that unreadable files promise [count].
-    #: The part of its duration that runs before it took; None where they did something and nothing
-    #: tells how long it took, as their log is gone or another output's [s].
+    #: The part of its duration that earlier runs took [s]; None where they did something and
+    #: nothing tells how long, as their log is gone or another output's.
     earlier_s: float | None = 0.0
     #: Length of the log when this was known: later runs add to the duration [byte].
     log_bytes: int = 0
-    #: Time that workers compiled before the first task; None where nothing was left to compile, or
-    #: tasks did it [s].
+    #: Time that workers compiled before the first task [s]; None where nothing was left to compile,
+    #: or tasks did it.
     compile_s: float | None = None
 
 
@@ -111,7 +111,7 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
 
 
 def stands(done: Receipts, context: RunContext[Any], facts: RunFacts) -> bool:
-    """Whether the report that is there says what it would now, the cost of the run left aside."""
+    """Whether the present report still holds, but for the cost of the run."""
     try:
         kept = recall(context.output)
     except StoreError:

@@ -1,9 +1,9 @@
 """Colours, type and the way from a matplotlib figure to a small PNG.
 
-Figures are made with the object interface and an Agg canvas, and no figure outlives its
-picture. All text is in DejaVu Sans, which matplotlib brings along,
-so pictures are the same on every machine. Colours can be told apart by colour-blind
-readers: ramps grow steadily in lightness, the diverging one runs from blue to red.
+Figures are made with the object interface and an Agg canvas, and none outlives its picture. All
+text is in DejaVu Sans, which matplotlib brings along: pictures are the same on every machine.
+Colour-blind readers can tell the colours apart: ramps grow steadily in lightness, the diverging one
+runs from blue to red.
 """
 
 import io
@@ -106,8 +106,6 @@ def to_png(drawn: Figure, largest: int = LARGEST_PNG) -> tuple[bytes, int, int]:
 
     Parameters
     ----------
-    drawn : Figure
-        Made by :func:`figure`.
     largest : int
         Bytes that the PNG should not exceed.
 

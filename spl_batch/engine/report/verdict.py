@@ -48,7 +48,7 @@ def _failed(failure: Failure) -> str:
 
 
 def _of_which(work: Performance, noun: str) -> str:
-    """Speed of a run, and what it took itself where it went on with the work of others."""
+    """Speed of a run, and its own time where it went on with earlier runs' work."""
     if work.part_alone:
         return f" for this part alone; the rest was finished before{_compiling(work)}"
     apart = " apart from compiling" if work.compile_s else ""
@@ -60,7 +60,7 @@ def _of_which(work: Performance, noun: str) -> str:
 
 
 def _compiling(work: Performance) -> str:
-    """What of a first run on a machine is not asked of later ones."""
+    """Time of compiling, which only the first run on a machine takes."""
     return f", {duration(work.compile_s)} of it compiling, once" if work.compile_s else ""
 
 

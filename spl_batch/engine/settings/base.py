@@ -34,5 +34,5 @@ class BaseWorkflow(Section):
     outputs: StoreSettings = StoreSettings()
 
     def faults(self) -> Iterable[str]:
-        """What is wrong that no single key shows, each with key, value and remedy."""
+        """Faults that no single key shows, each with key, value and remedy."""
         return ()

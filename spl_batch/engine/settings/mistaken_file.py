@@ -1,4 +1,4 @@
-"""What a file or folder is that a command was given and cannot take, and which command takes it."""
+"""Files and folders that a command was given and cannot take, and the command that takes each."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -22,7 +22,7 @@ _FORMATS: Final[Mapping[bytes, str]] = {
     b"%PDF": "a PDF",
     b"PK\x03\x04": "a ZIP archive",
 }
-"""How files begin, and what they are."""
+"""Kinds of files by their first bytes."""
 
 _SCENE_KEYS: Final = frozenset(
     {
@@ -53,7 +53,7 @@ def is_scene(content: Mapping[str, Any]) -> bool:
 
 
 def called(path: Path) -> str:
-    """What a file or folder is and which command takes it; empty for what may be a workflow."""
+    """Kind of a file or folder, and the command that takes it; empty for a possible workflow."""
     if path.is_dir():
         return _folder(path)
     try:

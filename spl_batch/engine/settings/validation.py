@@ -1,4 +1,4 @@
-"""What is wrong with a workflow or a scene: one line, every fault, the nearest known key."""
+"""Faults of a workflow or a scene: one line, every fault, the nearest known key."""
 
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ def validated(model: type[M], content: Mapping[str, Any], where: str) -> M:
 
 
 def _of_another_member(error: Any) -> bool:
-    """Whether it only says that a mapping is no name, where either may stand."""
+    """Whether an error only says that a mapping is no name, where either may stand."""
     given = isinstance(error.get("input"), Mapping)
     return given and error["type"] == "string_type" and error["loc"][-1] == "str"
 

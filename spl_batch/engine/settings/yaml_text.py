@@ -1,7 +1,6 @@
-"""YAML as settings are written in it: no key twice, and nothing that grows as it is read.
+"""YAML of settings: no key twice, and nothing that grows as it is read.
 
-Aliases could make gigabytes of a few lines, and deep nesting stops a parser; a workflow has
-neither.
+Aliases could make gigabytes of a few lines, and deep nesting stops a parser: neither is taken.
 """
 
 from typing import Any, Final

@@ -1,9 +1,9 @@
-"""What runs have written into an output folder, so that nothing else is deleted or replaced.
+"""Record of the files that runs have delivered, so that nothing else is deleted or replaced.
 
-``delivered.json`` lies beside the results and outlives the working store. It names the survey
-that the output belongs to and every file that its runs have delivered, with size, time of writing
-and checksum. A file is named there before it is written, so that a run that was killed finds its
-own files again.
+``delivered.json`` lies beside the results and outlives the working store. It names the survey that
+the output belongs to and every file that its runs have delivered, with size, time of writing and
+checksum. A file is named there before it is written: a run that was killed finds its own files
+again.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

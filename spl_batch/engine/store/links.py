@@ -1,7 +1,7 @@
 """One store's files in another: hard links where the file system has them, else copies.
 
-Nothing in a store is ever written in place, only renamed into place, so a link can be
-replaced on one side without the other noticing.
+Files of a store are only renamed into place, never written there: replacing one side of a link does
+not touch the other.
 """
 
 import os

@@ -16,7 +16,7 @@ from spl_batch.errors import WorkflowError
 from spl_batch.formats.files.atomic import scratch_name, stop_if_full
 
 PATIENCE_S: Final = 1.0
-"""How long a run waits for the lock; a look at it by :func:`holder` is over in no time [s]."""
+"""How long a run waits for the lock [s]; a look at it by :func:`holder` takes no time."""
 
 
 @contextmanager

@@ -1,8 +1,8 @@
-"""Whose an output folder is: a run writes only where nothing of somebody else's can be lost.
+"""Owner of an output folder: a run writes only where nothing of somebody else's can be lost.
 
-An output belongs to the survey that the last run there worked on. Two runs work on the same
-survey if they have an input in common: a file at the same path, or one of the same size that
-begins alike, wherever it lies now. The name does not count, as names are copied with workflows.
+An output belongs to the survey that the last run there worked on. Two runs work on the same survey
+if they have an input in common: a file at the same path, or one anywhere of the same size that
+begins alike. The name does not count: names are copied with workflows.
 """
 
 import hashlib
@@ -55,12 +55,7 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
 def refuse_foreign(prepared: Prepared[Any, Any], deliveries: Deliveries) -> None:
     """Refuse an output folder in which a run could replace what is not its own.
 
-    Parameters
-    ----------
-    prepared : Prepared
-        The run.
-    deliveries : Deliveries
-        What earlier runs have left in its output folder.
+    ``deliveries``: what earlier runs have left in it.
 
     Raises
     ------
@@ -171,7 +166,7 @@ def _in_common(earlier: Iterable[Sequence[Any]], prepared: Prepared[Any, Any]) -
 
 
 def _reported(output: Path) -> dict[str, Any] | None:
-    """Survey of the report that lies in an output; None where there is none of ours."""
+    """Survey of the report in an output; None where there is none of ours."""
     try:
         report = json.loads((output / REPORT_FILES[0]).read_bytes())
         inputs = report["provenance"]["inputs"]

@@ -1,4 +1,4 @@
-"""What every task is given, and what it hands back."""
+"""Context that every task is given, and what it hands back."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ class RunContext(Generic[W]):
 
     @property
     def crs(self) -> CRS | None:
-        """CRS of what is processed."""
+        """CRS of the processed data; None without one."""
         return CRS.from_wkt(self.crs_wkt) if self.crs_wkt else None
 
     def resolve(self, name: str) -> Path:
@@ -51,4 +51,4 @@ class Produced:
 
 
 TaskFunction = Callable[[Mapping[str, Any], Any], Produced]
-"""Does one task: arguments and context in, what it produced out."""
+"""Function of a kind of task: arguments and context in, what it produced out."""

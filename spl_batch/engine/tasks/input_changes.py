@@ -50,7 +50,7 @@ def stamp(path: Path) -> tuple[int, int]:
 
 
 def stamp_if_there(path: Path) -> list[int]:
-    """The stamp of an input for the task that is to read it; zeros for one that is gone by now.
+    """The stamp of an input for the task that is to read it; zeros for one that is gone.
 
     That task says so, and fails alone.
     """

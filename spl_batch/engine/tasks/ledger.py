@@ -1,4 +1,4 @@
-"""What a run knows of its inputs and of what is finished, and how phases make tasks of that.
+"""Ledger of a run: its inputs, what is finished, and how phases make tasks of that.
 
 Every receiver's plan is a list of :class:`Phase` over a :class:`Ledger` of its own.
 """
@@ -54,8 +54,8 @@ W = TypeVar("W", bound=BaseWorkflow)
 class Ledger(Generic[I, W]):
     """What a run knows so far: inputs, limits, and the receipts of what is finished.
 
-    ``shared`` says that the memory limit is the workers' share of this machine, as nobody has said
-    otherwise; ``remarks`` are what is odd about the limits.
+    ``shared``: the memory limit is the workers' share of this machine, unless told otherwise.
+    ``remarks``: oddities of the limits.
     """
 
     inputs: I

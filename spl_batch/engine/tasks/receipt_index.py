@@ -1,8 +1,8 @@
 """Finished tasks of a kind in little memory: what later phases need of their receipts.
 
-A survey has a tile for every 10 000 m2, and a receipt with its mappings takes kilobytes.
-The shelf keeps the digest, the points and those facts that something reads, as one short
-string for each task, and makes receipts of them when they are asked for.
+A survey has a tile for every 10 000 m2, and a receipt with its mappings takes kilobytes. The shelf
+keeps digest, points and the facts that something reads as one short string for each task, and makes
+receipts of them on demand.
 """
 
 import json
@@ -20,15 +20,15 @@ UNREAD_FACTS: Final[Mapping[str, frozenset[str]]] = {
 
 
 def delivers(kind: str) -> bool:
-    """Whether outputs of a kind are what a user sees: which ones there are is asked at the end."""
+    """Whether a user sees outputs of a kind: the end asks which ones there are."""
     return kind.startswith("deliver_") or kind == "mosaic"
 
 
 class Shelf(Mapping[str, Receipt]):
     """Receipts of the finished tasks of one kind, by name.
 
-    Those that it gives back lack the key, the cost and what :data:`UNREAD_FACTS` names,
-    and unless :func:`delivers` says that a user sees them the outputs.
+    They lack the key, the cost and what :data:`UNREAD_FACTS` names, and the outputs too, unless
+    :func:`delivers` says that a user sees them.
     """
 
     def __init__(self, kind: str) -> None:

@@ -32,7 +32,7 @@ class Kind:
     """A kind of task."""
 
     stage: str  #: Stage of the command line that it belongs to.
-    #: What does it, or where that lies, as ``module:name``: who plans, or looks at a run, loads no
+    #: Its function, or where that lies, as ``module:name``: planning and looking at a run load no
     #: kernels.
     function: TaskFunction | str
     settings: tuple[str, ...]  #: Parts of the workflow that its result depends on.
@@ -126,13 +126,11 @@ def finished(
 ) -> Receipt | None:
     """Receipt of a task that needs no doing: it matches, and its outputs are there.
 
-    Outputs are known by their size. What lies in the store is verified where it is read; of what
-    is delivered the checksum is looked at where the file was written to after the task was done.
+    Outputs are known by their size. Files of the store are verified where they are read. The
+    checksum of a delivered file is looked at if it was written to after the task was done.
 
     Parameters
     ----------
-    key : str
-        From :func:`task_key`.
     verify : bool
         Compare the checksums of all outputs, which reads all of them.
     """
@@ -168,8 +166,8 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
         If something concerns every task, such as a full disk.
     """
     start = time.perf_counter()
-    # From here on the outputs of an earlier receipt may be overwritten: it must not speak for
-    # them if this task is killed half-way.
+    # From here on an earlier receipt's outputs may be overwritten: it must not speak for them if
+    # this task is killed half-way.
     forget_receipt(context.store, task.kind, task.name)
     try:
         function = _kind(task, context).loaded()

@@ -15,14 +15,14 @@ class Task:
     needs: tuple[tuple[str, str], ...] = ()  #: Kind and name of the tasks whose results it reads.
     points: int = 0  #: Points that it handles, for progress [count].
     refused: str = ""  #: Why it cannot be started, with a remedy; empty where it can.
-    #: Further arguments that change how the work is done and not what comes out: they are no part
-    #: of a receipt's key.
+    #: Further arguments that change how the work is done, not what comes out: no part of a
+    #: receipt's key.
     how: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """What a task leaves behind, written last: a matching one means that it is done."""
+    """Receipt of a task, written last: a matching one means that the task is done."""
 
     kind: str
     name: str

@@ -1,8 +1,8 @@
 """The tasks of a phase one by one: which are finished, which are left, none kept.
 
-A survey has as many tasks of a kind as it has tiles, and a task with its arguments takes
-kilobytes. They are made twice instead: once to see which are finished, once to be done,
-and only those on their way to a worker, or about to be, exist.
+A survey has as many tasks of a kind as tiles, and each with its arguments takes kilobytes. So they
+are made twice: once to see which are finished, once to be done. Only those on their way to a
+worker, or about to be, exist.
 """
 
 from collections.abc import Iterator
@@ -15,8 +15,8 @@ from spl_batch.engine.tasks.runner import failure, finished, task_key
 from spl_batch.engine.tasks.task import Receipt, Task
 
 SORTED: Final = 64
-"""Tasks of which the largest is handed out first [count]: in a small survey, where the last ones
-decide when a phase ends, these are small."""
+"""Tasks of which the largest is handed out first [count]: in a small survey the last ones decide
+when a phase ends, and so are small."""
 
 
 class Worklist:

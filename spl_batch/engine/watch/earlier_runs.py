@@ -1,8 +1,8 @@
-"""How long earlier runs took for what a later one finds finished.
+"""Duration of earlier runs, for what a later one finds finished.
 
 A run that writes its report keeps its duration, earlier ones included, beside the receipts. One
-that was stopped or killed leaves its lines in ``log.jsonl`` alone: it lasted from its first line
-to its last. What is linked from another output's store has its time beside it.
+that was stopped or killed leaves only its lines in ``log.jsonl``: it lasted from the first to the
+last. What is linked from another output's store has its time beside it.
 """
 
 import json
@@ -24,7 +24,7 @@ WORK_EVENT: Final = b'"event": "Task'
 """What it has where a run does something; one that finds everything finished has no such line."""
 
 _SHARED: Final = "shared.json"
-"""Beside the receipts: how long what is linked from another store took."""
+"""File beside the receipts: duration of what is linked from another store."""
 
 _End = Callable[[mmap.mmap, int, int], int]
 """Where a run's lines that count end, from those where they begin and end; -1 if none does."""
@@ -52,7 +52,7 @@ def earlier_wall_s(output: Path) -> float | None:
 
 
 def share_time(source: Path, target: Path, stages: Collection[str]) -> None:
-    """Let an output know how long what it has in common with another took there.
+    """Tell an output the duration, in another one, of what both have in common.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _any_work(whole: mmap.mmap, at: int, end: int) -> int:
 
 
 def _durations(log: Path, begin: int, ends: _End) -> list[float]:
-    """Durations of runs that were not forgotten, 0 of those of which nothing counts [s]."""
+    """Durations of runs that were not forgotten; 0 for those that count for nothing [s]."""
     found: list[float] = []
     if not log.exists() or not log.stat().st_size:
         return found

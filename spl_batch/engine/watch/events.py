@@ -1,4 +1,4 @@
-"""What a run tells those who watch it; each event is also a line of ``log.jsonl``."""
+"""Events that a run tells those who watch it; each is also a line of ``log.jsonl``."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -42,9 +42,8 @@ class PhaseStarted:
     tasks: int
     skipped: int
     points: int  #: Points that the tasks to do will handle [count].
-    #: Where its tiles lie and which are finished, as
-    #: :meth:`spl_batch.engine.watch.tile_map.TileMap.record` gives it; empty where tasks are no
-    #: places.
+    #: Where its tiles lie and which are finished, by
+    #: :meth:`spl_batch.engine.watch.tile_map.TileMap.record`; empty where tasks are no places.
     tiles: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -1,4 +1,4 @@
-"""The state of a run as its log tells it, which any process may read while it grows."""
+"""State of a run as its log tells it, which any process may read while it grows."""
 
 import json
 import mmap
@@ -18,7 +18,7 @@ LOG: Final = "log.jsonl"
 """Name of the log, below the output."""
 
 _CLOCKS_S: Final = 0.05
-"""Files' times may be so much coarser than the log's [s]."""
+"""How much coarser than the log's the times of files may be [s]."""
 
 _BLOCK_BYTES: Final = 1 << 22
 """Bytes of the log read at once [byte]."""
@@ -74,7 +74,7 @@ class Follower:
         return self.status
 
     def _take_unheard(self) -> None:
-        """Count tasks in that were finished as their run was stopped, which its log has not."""
+        """Count in the tasks that were finished while their run was stopped: its log lacks them."""
         store = Store(self.output)
         for (kind, name), stage in list(self.status.begun.items()):
             receipt = read_receipt(store, kind, name)

@@ -34,7 +34,7 @@ LOG_WORKERS_S = 10.0
 
 @dataclass
 class Progress:
-    """What has come of a run so far, and who is told."""
+    """State of a run, and those who are told of it."""
 
     output: Path
     listener: Listener

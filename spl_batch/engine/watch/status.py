@@ -1,7 +1,7 @@
-"""What is done, running, failed and left: the state of a run, told event by event.
+"""State of a run, event by event: what is done, running, failed and left.
 
-The same state is made from the events of a run in this process and from the lines of its
-log (:mod:`spl_batch.engine.watch.log_follower`).
+It is made alike from the events of a run in this process and from the lines of its log
+(:mod:`spl_batch.engine.watch.log_follower`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -70,12 +70,12 @@ class StageStatus:
         return max(left_s, self.expected_s - self.elapsed_s) if self.phases_left else left_s
 
     def _left_of_phases_s(self) -> float:
-        """The same of the phases that have begun."""
+        """Time left of the phases that have begun [s]."""
         expected_s = self.expected_s * self.left / self.total
         if self.points_per_s == 0:
             return expected_s
-        # The first tasks compile kernels and warm caches: their rate is no rate to go by. Squared,
-        # as it multiplies a time that falls with the points that are done.
+        # The first tasks compile kernels and warm caches: their rate tells little. Squared, as it
+        # multiplies a time that falls with the points that are done.
         weight = min(self.points / (TRUSTED_SHARE * self.points_to_do), 1.0) ** 2
         if not expected_s:
             weight = 1.0

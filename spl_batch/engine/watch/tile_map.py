@@ -31,9 +31,8 @@ class State(IntEnum):
 class TileMap:
     """Units of an absolute grid, counted by state in cells of ``step`` x ``step`` squares.
 
-    A unit is a square of the grid, named by its column and row, or a rectangle of several,
-    of which the name tells the first and then how many lie along its sides: it counts in each
-    cell of the map that it touches.
+    A unit is a square of the grid, named by its column and row, or a rectangle of several, named by
+    the first and by how many lie along its sides. It counts in each cell that it touches.
     """
 
     edge_m: float
