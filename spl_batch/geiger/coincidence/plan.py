@@ -1,4 +1,4 @@
-"""What coincidence processing will do: inputs, phases, cost."""
+"""Plan of coincidence processing: inputs, phases, cost."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -39,13 +39,13 @@ INDEX_BYTES: Final = 100 * 2**20
 ``python -m benchmarks.engine.memory coincidence`` measures it."""
 
 BYTES_PER_VOXEL: Final = 60
-"""Peak memory of a sub-volume: four rasters and what is found in it [byte]."""
+"""Peak memory per voxel of a sub-volume: four rasters and its points [byte]."""
 
 HELD_BYTES_PER_DETECTION: Final = 150
 """Peak memory of a tile by the detections of all frames that look at it [byte]."""
 
 SLANT: Final = 0.05
-"""Looks from the side reach a tile from so far for each metre of gate [m/m]."""
+"""Distance from which looks reach a tile from the side, per metre of gate [m/m]."""
 
 STORE_BYTES_PER_DETECTION: Final = 16
 DELIVERED_BYTES_PER_DETECTION: Final = 12
@@ -165,7 +165,7 @@ def _usable(
 
 @dataclass
 class L1Ledger(Ledger[L1Inputs, CoincidenceWorkflow]):
-    """What a run knows so far."""
+    """Inputs and finished tasks of a run."""
 
     @cached_property
     def tiles(self) -> dict[str, int]:
@@ -311,10 +311,10 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
 
 
 def _tiles(ledger: L1Ledger) -> tuple[int, float]:
-    """Tiles that there will be, and detections of the frames that look at the fullest of them.
+    """Number of tiles, and detections of the frames that look at the fullest of them.
 
-    As if each row group spread its rows evenly over its extent; of a file whose footer does not
-    tell extents all rows count to every tile.
+    As if each row group spread its rows evenly over its extent; where a file's footer tells no
+    extents, all its rows count to every tile.
     """
     array, tile_q = ledger.workflow.array, ledger.workflow.tile_q
     around_m = 0.5 * SLANT * (array.gate_stop_m - array.gate_start_m)

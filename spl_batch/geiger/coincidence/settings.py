@@ -126,8 +126,8 @@ class CoincidenceSettings(Section):
     def voxel_quanta(self, array: ArraySettings) -> int:
         """Edge of a voxel on the survey's lattice, at least 5 [quanta].
 
-        Half of what a detector sees on the ground [M20 4.1], rounded down to whole quanta,
-        so that the sampling stays on the safe side.
+        Half of what a detector sees on the ground [M20 4.1], rounded down to whole quanta: the
+        sampling stays on the safe side.
         """
         if self.voxel_m is not None:
             return round(self.voxel_m * QUANTA_PER_M)

@@ -1,10 +1,10 @@
-"""Errors of surfaces against what is true [G15 3.7, Eq. 3-16 to 3-27].
+"""Errors of surfaces against the truth [G15 3.7, Eq. 3-16 to 3-27].
 
-Down is positive: a positive bias means too deep. The source's angle of a surface, Eq. 3-25, is
-that of the mean of its normals; the mean of its pixels' angles is given beside it, which cannot
-let slopes cancel. Expectations are means over what is known.
+Down is positive: a positive bias means too deep. The source's angle of a surface, Eq. 3-25, is that
+of the mean of its normals; the mean of its pixels' angles, in which slopes cannot cancel, is given
+beside it. Expectations are means over what is known.
 
-Deviation: the source's truth is one depth and one normal; here each pixel of each acquisition may
+Deviation: the source's truth is one depth and one normal. Here each pixel of each acquisition may
 have its own, so that waves can be judged.
 """
 

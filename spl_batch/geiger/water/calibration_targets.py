@@ -1,8 +1,8 @@
 """Frames for calibration are read before anything starts.
 
-Without one of its distances a calibration would silently be another, so a run with a damaged file
-of a target comes to nothing. These files are few: ``plan`` and ``run`` read them through, and
-refuse with the same words.
+Without one of its distances a calibration would silently be another, so a damaged file of a target
+ends the run. These files are few: ``plan`` and ``run`` read them through, and refuse with the same
+words.
 """
 
 from spl_batch.engine.tasks.worklist import Worklist

@@ -1,12 +1,12 @@
 """Files of frames: HDF5 or Zarr with an array ``frames`` of time bins, and perhaps its truth.
 
 ``frames`` is (n, rows, cols), whole numbers >= 0: the time bin of the only hit of a pixel in a
-frame, 0 for none. A group ``truth`` may lie beside it, for each acquisition of so many frames as
+frame, 0 for none. A group ``truth`` may lie beside it, for each acquisition of as many frames as
 its attribute ``frames_per_acquisition`` says: ``down_m`` (a, rows, cols) and ``normals``
 (a, rows, cols, 3). What is declared is checked before a value is read.
 
-Frames are read in pieces of a bounded number of values, whole chunks at a time: a chunk is
-decompressed at once, so what a file declares of them is part of what a task needs.
+Frames are read in pieces of a bounded number of values, whole chunks at a time. A chunk is
+decompressed at once, so its declared size is part of what a task needs.
 """
 
 from collections.abc import Iterator, Mapping
@@ -53,7 +53,7 @@ class FrameFacts:
 
 @dataclass(frozen=True, slots=True)
 class FrameTruth:
-    """What is true of some acquisitions."""
+    """Truth of some acquisitions."""
 
     down_m: NDArray[np.float64]  #: (a, rows, cols): down coordinate along each line of sight [m].
     normals: NDArray[np.float64]  #: (a, rows, cols, 3): unit normals out of the water.
@@ -121,14 +121,14 @@ def _piece_frames(array: Any) -> int:
 
 
 def _piece_bytes(array: Any) -> int:
-    """Values as they are decoded, those of the frames wanted, and these as bins [byte]."""
+    """Memory of a piece: decoded values, those of the wanted frames, and these as bins [byte]."""
     size = array.dtype.itemsize
     wanted = min(_piece_frames(array), array.shape[0]) * array.shape[1] * array.shape[2]
     return int(max(wanted * size, _chunk_bytes(array)) + wanted * (size + 2))
 
 
 def _chunk_bytes(array: Any) -> int:
-    """A chunk as it is decoded, 0 where there is none [byte]."""
+    """Size of a decoded chunk, 0 without any [byte]."""
     return int(np.prod(array.chunks, dtype=object) * array.dtype.itemsize) if array.chunks else 0
 
 

@@ -1,4 +1,4 @@
-"""Where the pixels look, and from ranges to places in the local frame [G15 3.5].
+"""Looks of the pixels, and places in the local frame from ranges [G15 3.5].
 
 Frames: the sensor's has z along the optical axis; the local one is north, east, down.
 """

@@ -71,7 +71,7 @@ class WaterInputs:
 
 
 class WaterLedger(Ledger[WaterInputs, WaterWorkflow]):
-    """What a run knows so far."""
+    """Inputs and finished tasks of a run."""
 
     @property
     def per(self) -> int:
@@ -92,7 +92,7 @@ class WaterLedger(Ledger[WaterInputs, WaterWorkflow]):
 
 
 def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInputs:
-    """Find and check every file of a workflow, from what it declares.
+    """Find and check every file of a workflow by its declarations.
 
     Raises
     ------

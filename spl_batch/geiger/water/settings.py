@@ -1,7 +1,7 @@
-"""Settings of the water surface, each default written here and nowhere else.
+"""Settings of the water surface, with all their defaults.
 
-Defaults are those of the source's instrument [G15 tables 3.1-3.3]. The local frame is its
-own: north, east, down [m].
+Defaults are those of the source's instrument [G15 tables 3.1-3.3]. The local frame is its own:
+north, east, down [m].
 """
 
 from collections.abc import Iterator

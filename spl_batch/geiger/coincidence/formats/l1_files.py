@@ -94,8 +94,8 @@ def inspect(path: Path, columns: Sequence[str]) -> int:
 def extents(path: Path) -> tuple[Extent, ...] | None:
     """Where the rows of each row group of a checked file lie; None if its footer does not tell.
 
-    A row of each group is read first: where the footer is damaged, reading says so, while a look at
-    its statistics ends the whole process.
+    A row of each group is read first: with a damaged footer that raises, while a look at its
+    statistics ends the whole process.
     """
     with pq.ParquetFile(path, pre_buffer=False) as file:
         if not _readable(file):
@@ -131,7 +131,7 @@ def _fits(kind: pa.DataType, name: str) -> bool:
 
 
 class _Checks:
-    """What is wrong with the values of a file, counted stretch by stretch."""
+    """Faults of a file's values, counted stretch by stretch."""
 
     def __init__(self, columns: Sequence[str]) -> None:
         self._nulls = dict.fromkeys(columns, 0)
@@ -172,7 +172,7 @@ class _Checks:
 
 
 def _stretches(path: Path, columns: Sequence[str], rows: int) -> Iterator[dict[str, NDArray[Any]]]:
-    """Columns of a file, so many rows at a time; all sound, or every fault is raised at the end."""
+    """Columns of a file, some rows at a time; at the end every fault is raised."""
     inspect(path, columns)
     checks = _Checks(columns)
     try:
@@ -269,7 +269,7 @@ def detections_in_order(
 
 
 def _as_sorted(name: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Integers as they are, metres on the survey's lattice."""
+    """Integers unchanged, metres on the survey's lattice."""
     return values if name in _WHOLE else np.rint(values * QUANTA_PER_M).astype(np.int64)
 
 

@@ -1,1 +1,1 @@
-"""What a report on coincidence processing says, and its page."""
+"""Report on coincidence processing: its model and its page."""

@@ -1,4 +1,4 @@
-"""What a report on coincidence processing says: one frozen model, from which its schema is made."""
+"""Model of a report on coincidence processing: frozen, and the source of its schema."""
 
 from typing import Literal
 

@@ -82,6 +82,6 @@ def simulate(
 
 
 def _tell(progress: Callable[[float], None] | None, before: int, passes: int, share: float) -> None:
-    """Tell how much of all passes is flown, where some are and this one is in part."""
+    """Tell the flown share of all passes: some whole ones and a part of this one."""
     if progress is not None:
         progress((before + share) / passes)

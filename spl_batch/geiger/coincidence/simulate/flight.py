@@ -1,6 +1,6 @@
 """A flight over the artificial scene: frames, and the detections in them [M20 3.3].
 
-Each frame has random numbers of its own, so what is simulated does not depend on the others.
+Each frame has its own random numbers, so it does not depend on the others.
 """
 
 import math

@@ -1,9 +1,9 @@
 """The artificial scene and the flight of [M20 3.1, 3.3, Table 1]; what they leave open is ours.
 
 The source has two sets of 36 tri-bars and names the widths 17.5, 15, 12.5, 10 and 9 cm, the last
-four of them a row of four in the 16 smallest. Ours are: the other widths, 100 to 1 cm, with those
-among them; their places, the extent of a canopy, the painted figure, and a square leaf of a
-detector's ground size for each of the source's foliage points.
+four of them a row of four in the 16 smallest. Ours are the other widths, 100 to 1 cm, and all
+places; the extent of a canopy; the painted figure; and a square leaf of a detector's ground size
+for each of the source's foliage points.
 """
 
 import math

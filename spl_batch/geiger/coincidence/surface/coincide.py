@@ -1,9 +1,9 @@
 """Stage ``coincide``: detections and looks of a region in, points out.
 
-Domain: space. Needs every frame that looks at the region, with all its detections, also those
-far above it: they end their looks. Reach: half a neighbourhood of voxels, and one voxel for the
-weights. Points belong to the region that holds their voxel's centre, so the result does not
-depend on how the survey is cut. Rasters are made only where enough detections coincide.
+Domain: space. Needs every frame that looks at the region, with all its detections: also those far
+above it end their looks. Reach: half a neighbourhood of voxels, and one voxel for the weights.
+Points belong to the region that holds their voxel's centre, so the result does not depend on how
+the survey is cut. Rasters are made only where enough detections coincide.
 """
 
 import math
@@ -33,9 +33,9 @@ from spl_batch.geiger.coincidence.tables import Detections, Frames, Points
 from spl_batch.lattice.tiles import Bounds
 
 BESIDE = 1
-"""Voxels beyond half a neighbourhood from which a point's strength is compared [count].
+"""Voxels beyond half a neighbourhood within which a point's strength is compared [count].
 
-What a target's edge blurs over ends half a neighbourhood away: what is compared reaches inside.
+The blur of a target's edge ends half a neighbourhood away: the comparison reaches inside.
 """
 
 
@@ -111,8 +111,8 @@ def _volumes(
 ) -> Iterator[Box]:
     """Boxes of at most a sub-volume's size that hold everything worth rastering.
 
-    A neighbourhood of w voxels takes weight from places within w + 1 edges: these lie in a block
-    of two by two by two cells of that edge. Blocks with too few detections are left out.
+    A neighbourhood of w voxels takes weight from places within w + 1 edges, in a block of two by
+    two by two cells of that edge. Blocks with too few detections are left out.
     """
     cell = chosen.window_voxels + 1
     blocks = _crowded(scene.xyz // (cell * scene.edge_q), least_detections(chosen)) * cell
@@ -132,7 +132,7 @@ def _volumes(
 
 
 def _crowded(cells: NDArray[np.int64], least: int) -> NDArray[np.int64]:
-    """First cells of the blocks of 2 x 2 x 2 cells that hold at least so many: (b, 3)."""
+    """First cells of the blocks of 2 x 2 x 2 cells that hold enough detections: (b, 3)."""
     filled, count = np.unique(cells, axis=0, return_counts=True)
     spread = np.stack(np.meshgrid(*[[0, -1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     blocks = (filled[:, None] + spread).reshape(-1, 3)

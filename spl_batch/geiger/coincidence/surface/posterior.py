@@ -7,8 +7,8 @@ not their algorithm.
 
 In a cube of w voxels' edge around a detection there are k others among n interrogations. Noise
 alone gives a Poisson number of mean ``a = n q``, q being the noise detections per voxel's edge of a
-look; a surface adds ``b = p n / w``, p its detections per look, as each look crosses w layers. With
-prior share s of neighbourhoods that hold a surface the detection stays when
+look. A surface adds ``b = p n / w``, p being its detections per look: each look crosses w layers.
+With prior share s of neighbourhoods that hold a surface the detection stays when
 
     log(s / (1 - s)) + k log((a + b) / a) - b > 0.
 """
@@ -43,8 +43,8 @@ def log_odds(
     out : (n,) float64
         Receives the log odds; without a look, those of the prior.
     """
-    # Interrogations of a surface's neighbourhood are n, its looks n / w: the ratio of the two
-    # means depends on neither.
+    # n interrogations of a surface's neighbourhood are n / w looks: the ratio of the two means
+    # depends on neither.
     gain = math.log1p(surface_share / (window * noise_share))
     start = math.log(prior / (1.0 - prior))
     for row in range(len(out)):

@@ -16,11 +16,11 @@ Deviations, with reasons:
   ``(I - v1 v1') p_center``, that of a surface ``v3 v3' p_center``, v3 being the normal.
 - The source does not say where it normalises by interrogations. Here the polynomial's value is
   divided by their mean in the neighbourhood: quotients of voxels are mostly noise.
-- A point must be the strongest along its normal, within the reach of its neighbourhood, for a
+- A point must be the strongest along its normal, within the reach of its neighbourhood: a
   polynomial of few detections has maxima of its own beside surfaces.
-- A threshold does not tell the blur beyond a target's edge from a faint target. A point whose
-  detections lie farther to the side than on a straight edge (:func:`edge_offset`), or that has
-  less than a share of what is strong beside it (:func:`drop_weaker`), is blur.
+- No threshold tells the blur beyond a target's edge from a faint target. A point is blur if its
+  detections lie farther to the side than on a straight edge (:func:`edge_offset`), or if it has
+  less than a share of what is strong beside it (:func:`drop_weaker`).
 - One point per voxel at most: of a peak, else a ridge, else a surface, by how many of the
   curvatures are comparable with the strongest.
 """
@@ -242,8 +242,8 @@ def drop_weaker(
     """Find points that have no stronger one before or behind them, nor much stronger ones beside.
 
     Before and behind is within 45 degrees of the point's own normal; of equal ones the first in the
-    order of voxels stays. Beside is everything else: what is strong there is the mean of the values
-    weighted with themselves, the point's own among them.
+    order of voxels stays. Beside is everything else: its strength is the mean of the values, the
+    point's own among them, weighted with themselves.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def drop_weaker(
     half, reach : int
         Voxels on either side that are looked at before and behind, and in all; reach >= half.
     share : float
-        Least part of what is strong beside a point that it needs itself.
+        Least part of the strength beside it that a point needs.
     keep : (n,) bool
         Receives whether a point stays.
     """

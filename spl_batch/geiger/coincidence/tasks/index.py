@@ -61,7 +61,7 @@ def index_frames(args: Mapping[str, Any], context: CoincidenceContext) -> Produc
 
 
 class _FrameTally:
-    """What is to be known of a file's frames, part by part in their order."""
+    """Facts of a file's frames, gathered part by part in their order."""
 
     def __init__(self, array: ArraySettings) -> None:
         self._array = array
@@ -128,7 +128,7 @@ def index_file(args: Mapping[str, Any], context: CoincidenceContext) -> Produced
 
 
 class _DetectionTally:
-    """What is to be known of a file's detections, part by part in their order."""
+    """Facts of a file's detections, gathered part by part in their order."""
 
     def __init__(self, args: Mapping[str, Any], context: CoincidenceContext) -> None:
         self._args, self._context = args, context

@@ -1,7 +1,7 @@
 """Sums over frames of time bins: where hits lie, and how many a pixel has [G15 Eq. 2-1, 2-3].
 
-A frame holds for each pixel the bin of its only hit; 0 means that it had none. Everything that
-is added up is integer, so that pieces of a file may be added in any order.
+A frame holds for each pixel the bin of its only hit, 0 for none. All sums are integers, so pieces
+of a file may come in any order.
 """
 
 import numpy as np

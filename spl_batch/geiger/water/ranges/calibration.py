@@ -1,4 +1,4 @@
-"""From mean bins to ranges, and how that is fitted from frames of a target [G15 3.4.3-3.4.4].
+"""Ranges from mean bins, and the fit of that from frames of a target [G15 3.4.3-3.4.4].
 
 The measured time of a pixel is
 
@@ -8,12 +8,12 @@ t being the actual time of flight. The source's own fit: R0 and R1 by a line thr
 dim pixels (Eq. 3-1, 3-2), then ``walk = A exp(B I)`` through what brighter ones lack (Eq. 3-4,
 3-5). The joint fit: R0, R1 and the echo's spread of the first-photon law
 (:mod:`~spl_batch.geiger.water.ranges.range_walk`) by weighted least squares over all pixels and
-distances, in turn with a delay for each pixel, which is shrunk towards nothing as far as the
+distances, in turn with a delay for each pixel. The delay is shrunk towards nothing as far as the
 spread of its hits explains it.
 
-Deviations from the source. The target is flat and stands across the axis, so an outer pixel's
-range is longer than the axis': the source takes one distance for all. The walk is added to the
-measured time, before the scale is divided out: it was defined as a difference of measured times.
+Deviations from the source. The target is flat and stands across the axis, so an outer pixel's range
+is longer than the axis'; the source takes one distance for all. The walk was defined as a
+difference of measured times: it is added to the measured time, before the scale is divided out.
 Delays of pixels are new.
 """
 
@@ -206,7 +206,7 @@ def _fit_joint(observations: Sequence[Observation], settings: CalibrationSetting
 
 
 def _with_delays(observations: Sequence[Observation], fitted: CalibrationSettings) -> Calibration:
-    """Mean delay of each pixel over the observations, shrunk, and what is left of their spread."""
+    """Mean delay of each pixel over the observations, shrunk, and the rest of their spread."""
     none = Calibration(fitted, np.zeros_like(observations[0].actual_ns))
     hits, delay, expected = (np.zeros_like(none.pixel_ns) for _ in range(3))
     for seen in observations:

@@ -1,4 +1,4 @@
-"""From frames to one mean time for each pixel: gate, intensity, mean bin, dead pixels.
+"""Mean time of each pixel from frames: gate, intensity, mean bin, dead pixels.
 
 [G15 2.2.5, 2.2.6, 3.4.2]; Eq. 2-1 is the intensity, Eq. 2-3 the mean.
 

@@ -1,13 +1,13 @@
-r"""How much too early the first of several photons is: the range walk of a Geiger-mode pixel.
+r"""Range walk of a Geiger-mode pixel: how much too early the first of several photons is.
 
-A pixel that expects n photo-electrons of an echo fires at the first of them. For an echo whose
-photons come at times spread by a normal law with standard deviation s, and with
-:math:`I = 1 - e^{-n}` the share of frames with a hit, the hit's mean is early by :math:`s\,g(I)`,
+A pixel that expects n photo-electrons of an echo fires at the first of them. Their times spread by
+a normal law with standard deviation s; :math:`I = 1 - e^{-n}` is the share of frames with a hit.
+The hit's mean is early by :math:`s\,g(I)`,
 
 .. math:: g = -\frac{1}{I} \int z\, n\, \varphi(z)\, e^{-n \Phi(z)}\, dz .
 
-This follows from the Poisson law of detection alone; [G15 3.4.4] instead fits an exponential to
-what it measured, and puts it down to faster avalanches.
+This follows from the Poisson law of detection alone; [G15 3.4.4] instead fits an exponential to its
+measurements, and puts it down to faster avalanches.
 """
 
 from functools import cache

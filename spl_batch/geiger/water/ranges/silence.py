@@ -1,9 +1,9 @@
-"""Whether chance explains the frames of a file in which no pixel has a hit.
+"""Silence: whether chance explains the frames of a file in which no pixel has a hit.
 
 Hits of a frame are Poisson with a mean L, so a frame is empty with probability exp(-L). Missing
-frames are empty as well and would lower L. It is therefore taken from the frames that have hits:
-their mean number of hits is L / (1 - exp(-L)) [Johnson, Kemp, Kotz, *Univariate Discrete
-Distributions*, zero-truncated Poisson]. The number of empty frames is then binomial.
+frames are empty too and would lower L, so it is taken from the frames that have hits: their mean
+number of hits is L / (1 - exp(-L)) [Johnson, Kemp, Kotz, *Univariate Discrete Distributions*,
+zero-truncated Poisson]. The number of empty frames is then binomial.
 """
 
 from typing import Final

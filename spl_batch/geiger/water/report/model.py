@@ -1,4 +1,4 @@
-"""What the report of a water surface says; ``report.json`` is this model, as it stands."""
+"""Model of the report of a water surface: ``report.json`` is this, as it stands."""
 
 from typing import Literal
 

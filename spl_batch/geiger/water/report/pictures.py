@@ -20,7 +20,7 @@ PANELS = (
     ("mse_m2", "root mean square error [mm]", 1e3),
     ("normal_deg", "angle of the normal [deg]", 1.0),
 )
-"""Errors of a pixel, what they are called, and the factor to that unit."""
+"""Errors of a pixel: their names, and the factor to the unit in the name."""
 
 
 @dataclass(frozen=True, slots=True)

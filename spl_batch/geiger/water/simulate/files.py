@@ -89,7 +89,7 @@ def _water(scene: WaterScene, view: View, k: int, path: Path) -> int:
 def _targets(
     scene: WaterScene, wanted: TargetFrames, out: Path
 ) -> tuple[list[dict[str, Any]], int]:
-    """Frames of a flat target across the axis, at distances that are known so well only."""
+    """Frames of a flat target across the axis, at distances that are known with an error."""
     rng = np.random.default_rng((scene.seed, 1_000_000))
     view = view_of(scene.camera, MountSettings(off_nadir_deg=0.0))
     listed: list[dict[str, Any]] = []

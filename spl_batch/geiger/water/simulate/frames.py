@@ -1,11 +1,11 @@
 """Frames of a Geiger-mode array over a hard target, calm or wavy water, with their truth.
 
-Each pixel of each frame is drawn by the law of detection itself. The photo-electrons of an echo
-are a Poisson process in time, so the first of them comes when its cumulative intensity reaches an
-exponential variate: :math:`n F(t) = E`. Dark counts and background light, a steady process from the
-moment of arming, compete with it, and only the earlier of both is recorded: one hit for each pixel
-and frame. Range walk, and the blinding by noise in front of the gate, follow from that and are not
-put in. Then come the jitter of the avalanche, the delay of the pixel, the clock and its bins.
+Each pixel of each frame is drawn by the law of detection itself. The photo-electrons of an echo are
+a Poisson process in time: the first comes when its cumulative intensity reaches an exponential
+variate, :math:`n F(t) = E`. Dark counts and background light, a steady process from the moment of
+arming, compete with it, and only the earlier of both is recorded: one hit for each pixel and frame.
+Range walk, and the blinding by noise in front of the gate, follow from that. Then come the jitter
+of the avalanche, the delay of the pixel, the clock and its bins.
 
 Left out: crosstalk and afterpulses (the array is gated once a frame and rests between), glint, and
 the size of a pixel's footprint on a slope.
@@ -129,7 +129,7 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Array:
-    """What is fixed to one instrument: (rows, cols) each."""
+    """Properties of one instrument's pixels: (rows, cols) each."""
 
     photoelectrons: Floats  #: Expected of an echo [count].
     delay_ns: Floats  #: Of the pixel [ns].

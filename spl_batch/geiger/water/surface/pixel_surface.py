@@ -1,24 +1,23 @@
-"""From the hits of an acquisition to a surface: places and normals of its pixels.
+"""Surface of an acquisition from its hits: places and normals of its pixels.
 
 ``windowed`` is the source's chain [G15 3.6.2]: places by Eq. 3-9, median and fast non-local means
 of the down coordinate (Eq. 2-4, 2-8 to 2-13), a regression plane in a window of 3 x 3 or 5 x 5
-pixels, its normal (Eq. 2-14 to 2-26). The non-local means are scikit-image's: a pixel's own weight
-is 2 there, where Eq. 2-9 gives it the greatest of the others'; and the sum of a patch's squared
-differences is compared with h squared times its pixels, where Eq. 2-13 compares its square with h
-squared. Dead pixels take their neighbours' median.
+pixels, its normal (Eq. 2-14 to 2-26). The non-local means are scikit-image's. A pixel's own weight
+is 2 there; Eq. 2-9 gives it the greatest of the others'. The sum of a patch's squared differences
+is compared with h squared times its pixels; Eq. 2-13 compares its square with h squared. Dead
+pixels take their neighbours' median.
 
-``adaptive`` neither filters nor fixes a window. The inverse of the depth along the optical axis is
-regressed on the image coordinates, in which a plane in space is a plane too, and which are free of
-error where north and east carry the range's. First comes a polynomial over the whole array, shrunk
-towards a plane as far as noise explains it
-(:mod:`~spl_batch.geiger.water.surface.polynomial_trend`): most
-waves are longer than the array is wide. What it leaves goes to planes in growing windows
-(:mod:`~spl_batch.geiger.water.surface.window_planes`). A pixel's weight is the inverse variance of
-its mean, from the spread of single hits in the acquisition and from what the calibration leaves. A
-pixel far from the median of those around it takes no part.
+``adaptive`` neither filters nor fixes a window. It regresses the inverse of the depth along the
+optical axis on the image coordinates: there a plane in space is a plane too, and they are free of
+error, while north and east carry the range's. First comes a polynomial over the whole array, as
+most waves are longer than it is wide, shrunk towards a plane as far as noise explains it
+(:mod:`~spl_batch.geiger.water.surface.polynomial_trend`). What it leaves goes to planes in growing
+windows (:mod:`~spl_batch.geiger.water.surface.window_planes`). A pixel's weight is the inverse
+variance of its mean, from the spread of single hits in the acquisition and from what the
+calibration leaves. A pixel far from the median of those around it takes no part.
 
-Either way a pixel without a range, such as a dead one, takes what its neighbours say of its place,
-if one within two pixels has a range.
+Either way a pixel without a range, such as a dead one, takes its place from its neighbours, if one
+within two pixels has a range.
 """
 
 from dataclasses import dataclass

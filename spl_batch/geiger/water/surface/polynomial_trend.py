@@ -1,10 +1,10 @@
 """A polynomial through all pixels, shrunk towards a plane as far as noise explains it.
 
 The plane's three numbers are free. Those of the higher terms, Legendre polynomials in both image
-coordinates, have a normal prior whose variance falls from order to order. The result is a mean
-over sizes and falls of that prior, each weighted by how likely the pixels are under it, the
-plane's numbers and the terms integrated out [M92]: the most likely one alone is far off now and
-then. A level surface thus keeps the plane's small error, and a wave gets its curvature.
+coordinates, have a normal prior whose variance falls from order to order. The result is a mean over
+sizes and falls of that prior, weighted by how likely the pixels are under each, the plane's numbers
+and the terms integrated out [M92]: the most likely one alone is far off now and then. So a level
+surface keeps the plane's small error, and a wave gets its curvature.
 
 - **[M92]** D. MacKay: *Bayesian interpolation*. Neural Computation 4, 1992.
 """

@@ -1,12 +1,11 @@
 """Surfaces as rasters, and many surfaces as one: cells lie on whole multiples of their edge.
 
-They count from where easting and northing are 0, wherever the local frame begins, so cells of
-acquisitions from several places fit onto each other.
+They count from where easting and northing are 0, wherever the local frame begins: cells of
+acquisitions from several places fit onto each other. Rows count from the south, as in
+:mod:`spl_batch.numerics.triangulation.tin_raster`.
 
-Rows count from the south here, as in :mod:`spl_batch.numerics.triangulation.tin_raster`. Deviation:
-the source's
-raster is the array itself, whose pixels lie unevenly on the water; here it has equal cells, which
-take their depth from the triangles between pixels.
+Deviation: the source's raster is the array itself, whose pixels lie unevenly on the water. Here
+cells are equal, and take their depth from the triangles between pixels.
 """
 
 import math

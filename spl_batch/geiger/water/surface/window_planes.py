@@ -1,13 +1,13 @@
 """Planes through windows of pixels: the source's, and weighted ones whose windows grow.
 
-[G15 2.5.1, Eq. 2-15 to 2-26] regresses the down coordinate on north and east in a window
-around each pixel. :func:`fixed_windows` does that.
+[G15 2.5.1, Eq. 2-15 to 2-26] regresses the down coordinate on north and east in a window around
+each pixel. :func:`fixed_windows` does that.
 
 :func:`growing_windows` differs. It regresses the inverse of the depth along the optical axis,
 :math:`1/z = a + b x + c y`, on the image coordinates x and y. A plane in space is exactly such a
-plane in the image, and x and y are free of error, where north and east carry the range's. Each
+plane in the image, and x and y are free of error, while north and east carry the range's. Each
 pixel has the weight that its hits give it. The window is chosen by the intersection of confidence
-intervals: it grows as long as the intervals of all windows so far have a value in common, so it is
+intervals: it grows as long as the intervals of all windows so far have a value in common. So it is
 wide where the surface is even and narrow where it bends.
 
 - **[G97]** A. Goldenshluger, A. Nemirovski: *On spatial adaptive estimation of nonparametric

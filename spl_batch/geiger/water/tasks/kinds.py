@@ -1,4 +1,4 @@
-"""What the tasks of the water surface do."""
+"""Kinds of task of the water surface."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
