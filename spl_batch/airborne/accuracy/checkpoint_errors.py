@@ -1,13 +1,16 @@
-"""Vertical accuracy at checkpoints, as the ASPRS standards of 2023 want it told.
+"""Vertical accuracy at checkpoints, as the second edition of the ASPRS standards wants it told.
 
-Source: ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, Version 1.0
-(2023), sections 7.1, 7.4, 7.13 and 7.15. The accuracy of a product has two components: how well it
+Source: ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2: Version 1.0
+(2023), sections 7.1, 7.4 and 7.13; the wording is that of Version 2 (2024), section 7.16. Both
+agree in what is computed here. The accuracy of a product has two components: how well it
 fits the checkpoints, ``RMSE_V1``, and how well the checkpoints are known, ``RMSE_V2``;
 
     RMSE_V = sqrt(RMSE_V1^2 + RMSE_V2^2).
 
 Non-vegetated (NVA) and vegetated (VVA) checkpoints are told apart, 30 of them at least, and no
-accuracy at 95 % confidence is stated any more. VVA is reported and does not pass or fail.
+accuracy at 95 % confidence is stated any more. VVA is an RMSE too; it is reported and does not pass
+or fail. With fewer checkpoints the standard has another sentence, which names their number; here it
+follows the words that they are insufficient.
 
 Deviation: heights are compared with the DTM, bilinear between cell centres, and not with a TIN of
 the ground points.
@@ -23,6 +26,10 @@ import numpy as np
 STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data"
 
 EDITION: Final = "Edition 2, Version 1.0 (2023)"
+"""Where the numbers of sections are from that requirements cite."""
+
+IN_FORCE: Final = "Edition 2, Version 2 (2024)"
+"""What a statement is made by."""
 
 ENOUGH: Final = 30
 """Checkpoints of a kind that a statement needs [count]."""
@@ -92,13 +99,13 @@ def statement(nva: AtCheckpoints, vva: AtCheckpoints, class_m: float) -> str:
 
     ``class_m``: vertical accuracy class that was asked for: the largest RMSE_V [m].
     """
-    source = f"{STANDARD}, Edition 2 (2023)"
+    source = f"{STANDARD}, {IN_FORCE}"
     found = [
-        _found("NVA", "non-vegetated", nva),
-        *([_found("VVA", "vegetated", vva)] if vva.n else []),
+        _found("Non-Vegetated Vertical Accuracy (NVA)", "open", nva),
+        *([_found("Vegetated Vertical Accuracy (VVA)", "vegetated", vva)] if vva.n else []),
     ]
     if not nva.enough or nva.rmse_v_m is None:
-        return f"Insufficient for a statement: {_lacking(nva)}. {' '.join(found)}"
+        return f"Insufficient for a statement: {_lacking(nva)} ({source}). {' '.join(found)}"
     meets = "meet" if nva.rmse_v_m <= class_m else "be compared with, and does not meet,"
     return (
         f"This data set was tested to {meets} {source} for a {_cm(class_m)} RMSE_V Vertical "
@@ -108,14 +115,14 @@ def statement(nva: AtCheckpoints, vva: AtCheckpoints, class_m: float) -> str:
 
 def _lacking(nva: AtCheckpoints) -> str:
     if nva.n < ENOUGH:
-        return f"{nva.n} of the {ENOUGH} non-vegetated checkpoints that it needs lie on the terrain"
+        return f"{nva.n} of the {ENOUGH} open checkpoints that it needs lie on the terrain"
     return "the accuracy of the checkpoints themselves is not given"
 
 
 def _found(name: str, kind: str, of: AtCheckpoints) -> str:
     if of.rmse_v1_m is None:
-        return f"{name} was not tested: no {kind} checkpoint lies on the terrain."
-    few = "" if of.n >= ENOUGH else f" (fewer than {ENOUGH}: for information)"
+        return f"The {name} was not tested: no {kind} checkpoint lies on the terrain."
+    few = "" if of.n >= ENOUGH else ", using the reduced number of checkpoints"
     own = (
         "the checkpoints' own accuracy is not known"
         if of.rmse_v2_m is None
@@ -123,7 +130,7 @@ def _found(name: str, kind: str, of: AtCheckpoints) -> str:
     )
     whole = "not known" if of.rmse_v_m is None else _cm(of.rmse_v_m)
     return (
-        f"{name} accuracy was found to be RMSE_V = {whole} at {of.n} checkpoints{few}: fit "
+        f"The {name} was found to be RMSE_V = {whole} at {of.n} checkpoints{few}: fit "
         f"{_cm(of.rmse_v1_m)}, {own}."
     )
 

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 from spl_batch.airborne.accuracy.checkpoint_errors import AtCheckpoints
 from spl_batch.airborne.pulses.smooth_surfaces import Repeatability
+from spl_batch.airborne.pulses.swath_coverage import SwathTotals
 
 
 class Level(NamedTuple):
@@ -82,6 +83,8 @@ class Evidence:
     nva: AtCheckpoints | None
     vva: AtCheckpoints | None
     pulses: PulseTotals | None  #: First returns, by the level's spacing; None where nobody counted.
+    single: bool  #: Whether each swath is judged by itself; else all of them together.
+    by_swath: Mapping[str, SwathTotals]  #: First returns of each flightline, by its name.
     water_known: bool  #: Whether polygons say where water is.
     swaths: SwathDifferences | None  #: None where no flightlines were compared.
     #: Smooth places of single flightlines; None where there are none, or nobody looked.

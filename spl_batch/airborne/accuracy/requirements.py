@@ -6,13 +6,14 @@ limits of a quality level are in :data:`~spl_batch.airborne.accuracy.evidence.LE
 passes for want of evidence: what nobody measured is "cannot tell", with what would tell it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
 from spl_batch.airborne.accuracy.checkpoint_errors import EDITION, ENOUGH, STANDARD
 from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence
 from spl_batch.airborne.pulses.smooth_surfaces import TWICE
+from spl_batch.airborne.pulses.swath_coverage import SwathTotals
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE
 from spl_batch.engine.report.number_format import centimetres, number, percent, significant
 from spl_batch.errors import named
@@ -130,32 +131,81 @@ def _mean_error(known: Evidence) -> Requirement:
 
 
 def _density(known: Evidence) -> Requirement:
-    required = f"at least {significant(known.pulses_per_m2)} first returns per m\N{SUPERSCRIPT TWO}"
-    place = ("Aggregate nominal pulse density", required)
+    limit = f"at least {significant(known.pulses_per_m2)} first returns per m\N{SUPERSCRIPT TWO}"
+    place = ("Aggregate nominal pulse density", f"{limit}{_MIDDLE if known.single else ''}")
     where = (LBS, f"{COLLECTION}, Nominal Pulse Spacing; Table 1")
     if known.pulses is None or not known.pulses.area_m2:
         return Requirement(*place, "not counted", "cannot tell", _NOT_COUNTED, *where)
-    found = known.pulses.pulses / known.pulses.area_m2
-    answer: Answer = "pass" if found >= known.pulses_per_m2 else "fail"
-    why = "highest signal return of each pulse, all flightlines together, water excepted"
-    text = f"{significant(found)} per m\N{SUPERSCRIPT TWO}"
-    return Requirement(*place, text, answer, why, *where)
+    together = known.pulses.pulses / known.pulses.area_m2
+    least = {name: one.middle_pulses / one.middle_m2 for name, one in _judged(known).items()}
+    why = "highest signal return of each pulse, water excepted"
+    return _by_swath(known, place, (together, least, known.pulses_per_m2), _per_m2, why, where)
 
 
 _NOT_COUNTED: Final = "the raster cells were made by a version that did not count: run again"
+
+_MIDDLE: Final = " in the middle 95 % of each flightline"
+
+SMALL_SHARE: Final = 0.01
+"""A flightline with less than this share of the largest one's area is not judged by itself, and
+fewer first returns in none of them do not matter."""
+
+
+def _per_m2(density: float) -> str:
+    return f"{significant(density)} per m\N{SUPERSCRIPT TWO}"
+
+
+def _judged(known: Evidence) -> Mapping[str, SwathTotals]:
+    """Swaths that are large enough to be judged; none where many returns lie in no flightline."""
+    named = {name: one for name, one in known.by_swath.items() if name}
+    lost = sum(one.pulses for name, one in known.by_swath.items() if not name)
+    if not named or lost > SMALL_SHARE * sum(one.pulses for one in named.values()):
+        return {}
+    least = SMALL_SHARE * max(one.middle_m2 for one in named.values())
+    return {name: one for name, one in named.items() if one.squares and one.middle_m2 >= least}
+
+
+def _by_swath(
+    known: Evidence,
+    place: tuple[str, str],
+    numbers: tuple[float, Mapping[str, float], float],
+    text: Callable[[float], str],
+    why: str,
+    where: tuple[str, str],
+) -> Requirement:
+    """Judge what all flightlines have together, what each has by itself, by their limit."""
+    together, by_swath, limit = numbers
+    whole = f"{text(together)}, all flightlines together"
+    enough = together >= limit
+    if not known.single:
+        return Requirement(*place, whole, "pass" if enough else "fail", why, *where)
+    if not by_swath:
+        if not enough:
+            return Requirement(*place, whole, "fail", why, *where)
+        why = "nothing tells flightlines apart: one by itself may have less"
+        return Requirement(*place, whole, "cannot tell", why, *where)
+    name = min(by_swath, key=lambda name: (by_swath[name], name))
+    found = f"{text(by_swath[name])} in {name}"
+    if len(by_swath) > 1:
+        found += f", the least of {len(by_swath)} flightlines; all together {text(together)}"
+    answer: Answer = "pass" if by_swath[name] >= limit else "fail"
+    if answer == "fail" and enough:
+        why += "; a survey that reaches it by multiple coverage has requirements.coverage: multiple"
+    return Requirement(*place, found, answer, why, *where)
 
 
 def _distribution(known: Evidence) -> Requirement:
     edge_m = 2 * LEVELS[known.level].spacing_m
     required = f"{percent(FILLED_SHARE, 0)} of squares of {edge_m:.2f} m hold a first return"
-    place = ("Spatial distribution", required)
+    place = ("Spatial distribution", f"{required}{',' + _MIDDLE if known.single else ''}")
     where = (LBS, f"{COLLECTION}, Spatial Distribution and Regularity")
     if known.pulses is None or not known.pulses.squares:
         return Requirement(*place, "not counted", "cannot tell", _NOT_COUNTED, *where)
-    share = known.pulses.filled / known.pulses.squares
-    answer: Answer = "pass" if share >= FILLED_SHARE else "fail"
-    why = f"{number(known.pulses.squares)} squares, all flightlines together, water excepted"
-    return Requirement(*place, percent(share), answer, why, *where)
+    together = known.pulses.filled / known.pulses.squares
+    shares = {name: one.filled / one.squares for name, one in _judged(known).items()}
+    squares = sum(one.squares for one in _judged(known).values())
+    why = f"{number(squares or known.pulses.squares)} squares, water excepted"
+    return _by_swath(known, place, (together, shares, FILLED_SHARE), percent, why, where)
 
 
 def _voids(known: Evidence) -> Requirement:

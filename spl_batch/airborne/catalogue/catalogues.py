@@ -115,8 +115,8 @@ def _layers(args: Mapping[str, Any], clouds: Sequence[Cloud]) -> Iterator[Layer]
     boxes = {cloud.href: shapely.box(*cloud.box_m) for cloud in clouds}
     lines = args["flightlines"]
     flown = [_together([boxes[href] for href in one["files"]]) for one in lines]
-    said = {key: [one[key] for one in lines] for key in ("id", "points", "first_s", "last_s")}
-    yield Layer("flightlines", flown, {**said, "per_m2": _per_m2(said["points"], flown)})
+    keys = ("id", "points", "first_s", "last_s", "area_m2", "per_m2")
+    yield Layer("flightlines", flown, {key: [one[key] for one in lines] for key in keys})
     yield Layer(
         "files",
         list(boxes.values()),

@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
+from spl_batch.airborne.accuracy.evidence import LEVELS
+from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import refusal
 from spl_batch.engine.tasks.task import Task
@@ -67,7 +69,10 @@ def _cloud(survey: Survey, key: str, as_copc: bool) -> dict[str, Any]:  # noqa: 
 
 
 def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    level = LEVELS[survey.workflow.requirements.quality_level].spacing
+    swaths = swath_totals(survey.of("surface").values(), survey.flown, level)
     for line in survey.flown:
+        swath = swaths.get(line.name)
         files = [clouds[key]["href"] for key in line.sources if key in clouds]
         if files:
             yield {
@@ -75,5 +80,7 @@ def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[
                 "points": line.points,
                 "first_s": line.first_s,
                 "last_s": line.last_s,
+                "area_m2": None if swath is None else swath.area_m2,
+                "per_m2": None if swath is None else swath.pulses / swath.area_m2,
                 "files": files,
             }

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN
+from spl_batch.airborne.pulses.swath_coverage import SwathTotals, by_flightline
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.tasks.pulses import SWATHS
 from spl_batch.airborne.tasks.return_rate import most_points
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.tables import ShotClock
@@ -188,3 +190,24 @@ def _prf(
     if votes:
         return max(votes, key=lambda rate: (votes[rate], rate)), "estimated"
     return FALLBACK_PRF_HZ, "assumed"
+
+
+def swath_totals(
+    cells: Iterable[Receipt], lines: Sequence[Flightline], spacing: str
+) -> dict[str, SwathTotals]:
+    """First returns of each flightline by its name; empty where a cell was made without them.
+
+    Parameters
+    ----------
+    cells : iterable of Receipt
+        Ground cells whose surfaces are made.
+    lines : sequence of Flightline
+        The flightlines.
+    spacing : str
+        Which nominal pulse spacing.
+    """
+    facts = [receipt.facts for receipt in cells if not receipt.failed]
+    if any(SWATHS not in of_cell for of_cell in facts):
+        return {}
+    flown = [(line.name, line.psid, line.first_s, line.last_s) for line in lines]
+    return by_flightline((of_cell[SWATHS] for of_cell in facts), flown, spacing)

@@ -4,9 +4,11 @@ Source: USGS Lidar Base Specification, Collection Requirements: nominal pulse de
 spatial distribution, 90 % of the squares of twice the nominal spacing hold a first return; data
 voids, areas of (4 x spacing)^2 without one.
 
-Squares lie on absolute grids, so that no tiling changes them. Deviations: all swaths count
-together, not each by itself; a void is a whole empty square of four spacings, not any shape of its
-area; only places that were flown count (:mod:`~spl_batch.airborne.products.flown_cells`).
+Squares lie on absolute grids, so that no tiling changes them. All swaths count together: voids may
+be filled by another one. Single swaths are those of
+:mod:`~spl_batch.airborne.pulses.swath_coverage`. Deviations: a void is a whole empty square of four
+spacings, not any shape of its area; only places that were flown count
+(:mod:`~spl_batch.airborne.products.flown_cells`).
 """
 
 from collections.abc import Mapping

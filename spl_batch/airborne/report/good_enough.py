@@ -21,11 +21,17 @@ from spl_batch.airborne.accuracy.evidence import (
 )
 from spl_batch.airborne.accuracy.requirements import requirements
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines
+from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, swath_totals
 from spl_batch.airborne.products.footprint import SQUARE_M2
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage
 from spl_batch.airborne.pulses.smooth_surfaces import STEPS, Repeatability, repeatability
-from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics, StripPair
+from spl_batch.airborne.report.model import (
+    Checkpoint,
+    Checkpoints,
+    CheckpointStatistics,
+    StripPair,
+    Swath,
+)
 from spl_batch.airborne.report.model import Requirement as RequirementReport
 from spl_batch.airborne.report.strip_pairs import strip_pairs
 from spl_batch.airborne.tasks import checkpoints, pulses
@@ -59,6 +65,8 @@ def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
         nva=nva,
         vva=vva,
         pulses=_pulses(done, limits.spacing),
+        single=asked.coverage == "single",
+        by_swath=swath_totals(done.get("surface", {}).values(), flown, limits.spacing),
         water_known=workflow.water is not None,
         swaths=_swaths(strip_pairs(done)),
         smooth=_smooth(done, limits.spacing),
@@ -145,6 +153,23 @@ def _pulses(done: Receipts, spacing: str) -> PulseTotals | None:
         filled=sum(one.filled for one in found),
         void_m2=sum(one.void for one in found) * place_m2,
         bare_m2=sum(of_cell[pulses.BARE] for of_cell in facts) * SQUARE_M2,
+    )
+
+
+def swath_reports(done: Receipts, context: Context) -> tuple[Swath, ...]:
+    """Density of each flightline by itself, as a report has it."""
+    workflow = context.workflow
+    flown = find_flightlines(done.get("index_file", {}), workflow)
+    spacing = LEVELS[workflow.requirements.quality_level].spacing
+    return tuple(
+        Swath(
+            id=name or None,
+            area_m2=one.area_m2,
+            pulses=one.pulses,
+            middle_per_m2=one.middle_pulses / one.middle_m2,
+            filled_share=one.filled / one.squares if one.squares else None,
+        )
+        for name, one in swath_totals(done.get("surface", {}).values(), flown, spacing).items()
     )
 
 

@@ -216,7 +216,7 @@ class Requirement(Part):
 
 
 class CheckpointStatistics(Part):
-    """Vertical accuracy at checkpoints of one kind, as ASPRS Edition 2 (2023) defines it."""
+    """Vertical accuracy at checkpoints of one kind, by Edition 2 of the ASPRS standards."""
 
     n: Count = Field(description="Checkpoints on the terrain model [count].")
     mean_m: Number = Field(None, description="Mean of DTM minus checkpoint [m].")
@@ -251,6 +251,22 @@ class Checkpoints(Part):
     nva: CheckpointStatistics = Field(description="At open, non-vegetated checkpoints.")
     vva: CheckpointStatistics = Field(description="At vegetated checkpoints.")
     points: tuple[Checkpoint, ...] = ()
+
+
+class Swath(Part):
+    """What one flightline covers by itself, water excepted."""
+
+    id: str | None = Field(None, description="Name of the flightline; null for what lies in none.")
+    area_m2: Number = Field(description="Area that it covers [m2].")
+    pulses: Count = Field(description="First signal returns on it [count].")
+    middle_per_m2: Number = Field(
+        description="First signal returns in its middle, some 95 % of the area [1/m2]."
+    )
+    filled_share: Number = Field(
+        None,
+        description="Share of the squares of twice the nominal spacing of the quality level, in "
+        "its middle, that hold one, 0..1.",
+    )
 
 
 class StripPair(Part):
@@ -293,6 +309,7 @@ class Report(Part):
     checkpoints: Checkpoints | None = Field(None, description="Null without checkpoints.")
     density: Density = Density()
     noise: Noise = Noise()
+    swaths: tuple[Swath, ...] = Field((), description="Density of each flightline by itself.")
     strips: tuple[StripPair, ...] = Field(
         (), description="Pairs of flightlines that share enough planar patches, by their names."
     )

@@ -11,7 +11,7 @@ from spl_batch.airborne.filter.kept_noise import PARTS
 from spl_batch.airborne.hydro.flattening import bank_warnings
 from spl_batch.airborne.report.clip_view import cut_clip
 from spl_batch.airborne.report.coverage import area_km2, density, unsure_terrain
-from spl_batch.airborne.report.good_enough import checkpoint_report, judged
+from spl_batch.airborne.report.good_enough import checkpoint_report, judged, swath_reports
 from spl_batch.airborne.report.model import (
     Accuracy,
     Basis,
@@ -79,6 +79,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         checkpoints=checkpoint_report(done, context),
         density=density(done, context, counts.ground),
         noise=noise,
+        swaths=swath_reports(done, context),
         strips=strip_pairs(done),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),

@@ -13,6 +13,10 @@ class RequirementSettings(Section):
     quality_level: Literal["QL0", "QL1", "QL2", "QL3"] = Field(
         "QL2", description="Quality level of the USGS Lidar Base Specification."
     )
+    coverage: Literal["single", "multiple"] = Field(
+        "single",
+        description="Whether each flightline has the density by itself, or all of them together.",
+    )
     rmse_v_m: Positive | None = Field(
         None, description="Largest RMSE_V at open checkpoints; by default the level's [m]."
     )

@@ -15,6 +15,7 @@ from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, EmptySquares, not
 from spl_batch.airborne.pulses.pulse_maps import PulseMaps, flightline_of
 from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, Ends
 from spl_batch.airborne.pulses.smooth_surfaces import SQUARE_M, STEPS, smooth_sums
+from spl_batch.airborne.pulses.swath_coverage import Swaths, pass_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.formats.polygons import contains, read_polygons
@@ -57,12 +58,13 @@ SMOOTH: Final = "smooth"
 """Fact of a ground cell: sums of :mod:`~spl_batch.airborne.pulses.smooth_surfaces` by spacing; of
 each thickness that is there: its number, places, cells, squared differences [quanta2]."""
 
+SWATHS: Final = "swaths"
+"""Fact of a ground cell: what :class:`~spl_batch.airborne.pulses.swath_coverage.Swaths` found, on
+flown squares, no water."""
+
 STEP_Q: Final = quanta(SQUARE_M)
 """Parts of a cell are cut at multiples of this: a place of smooth ground is judged as one
 [quanta]."""
-
-PASS_S: Final = 60.0
-"""Returns of one point source id in the same minute are of one pass [s]."""
 
 COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id")
 """What is looked at, and ``noise_class, flags``."""
@@ -166,6 +168,7 @@ class Pulses:
         self._signal, self._empty = Covered(core, workflow.products), EmptySquares(self._region)
         self._count = np.zeros(self._signal.squares().shape, np.int64)
         self._smooth = {level: np.zeros((STEPS, 3), np.int64) for level in SPACINGS}
+        self._swaths = Swaths(core, reach(workflow.products))
         size = quanta(workflow.products.cell_m)
         self._maps = PulseMaps(core, size) if workflow.products.maps else None
         self._overlap = workflow.classes.overlap
@@ -182,7 +185,9 @@ class Pulses:
             ((y[own] - region.ymin) // SQUARE_Q, (x[own] - region.xmin) // SQUARE_Q),
             1,
         )
-        sums = smooth_sums(returns.first, _passes(returns), shared(part, self._core))
+        number = pass_of(returns.time_s, returns.point_source_id)
+        self._swaths.add(x, y, number)
+        sums = smooth_sums(returns.first, number, shared(part, self._core))
         for level, found in sums.items():
             self._smooth[level] += found
         if self._maps is None and not self._overlap:
@@ -218,6 +223,7 @@ class Pulses:
                 level: list(self._empty.coverage(flown, spacing)[0])
                 for level, spacing in SPACINGS.items()
             },
+            SWATHS: self._swaths.facts(dry, self._region),
             SMOOTH: {
                 level: [[k, *sums[k].tolist()] for k in np.flatnonzero(sums[:, 0]).tolist()]
                 for level, sums in self._smooth.items()
@@ -233,9 +239,3 @@ class Pulses:
             Its raster of density, nodata where nothing was flown.
         """
         return {} if self._maps is None else self._maps.rasters(~not_flown(density))
-
-
-def _passes(returns: PulseReturns) -> NDArray[np.int64]:
-    """A number for each pass of a flightline: one that turns comes back some minutes later."""
-    minute = np.nan_to_num(np.floor(returns.time_s / PASS_S), nan=-1.0).astype(np.int64)
-    return minute * 2**16 + returns.point_source_id

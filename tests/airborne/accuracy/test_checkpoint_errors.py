@@ -60,10 +60,13 @@ def test_the_statement_is_in_the_words_of_the_standard() -> None:
     text = statement(many(30), many(31, scale=0.12, accuracy=0.05), 0.10)
     assert text.startswith(
         "This data set was tested to meet ASPRS Positional Accuracy Standards for Digital "
-        "Geospatial Data, Edition 2 (2023) for a 10.0 cm RMSE_V Vertical Accuracy Class."
+        "Geospatial Data, Edition 2, Version 2 (2024) for a 10.0 cm RMSE_V Vertical Accuracy "
+        "Class. The Non-Vegetated Vertical Accuracy (NVA) was found to be RMSE_V = 5.0 cm at 30 "
+        "checkpoints: fit 4.0 cm"
     )
-    assert "NVA accuracy was found to be RMSE_V = 5.0 cm at 30 checkpoints: fit 4.0 cm" in text
-    assert "VVA accuracy was found to be RMSE_V = 13.0 cm at 31 checkpoints" in text
+    assert "The Vegetated Vertical Accuracy (VVA) was found to be RMSE_V = 13.0 cm at 31" in text
+    few = statement(many(12), many(0), 0.10)
+    assert "RMSE_V = 5.0 cm at 12 checkpoints, using the reduced number of checkpoints" in few
 
 
 @pytest.mark.parametrize(
@@ -71,7 +74,7 @@ def test_the_statement_is_in_the_words_of_the_standard() -> None:
     [
         (many(29), "Insufficient for a statement: 29 of the 30"),
         (many(30, accuracy=None), "Insufficient for a statement: the accuracy of the checkpoints"),
-        (many(0), "NVA was not tested"),
+        (many(0), "(NVA) was not tested"),
         (many(30, scale=0.2), "does not meet"),
     ],
 )

@@ -8,6 +8,7 @@ from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointError, at_ch
 from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence, PulseTotals, SwathDifferences
 from spl_batch.airborne.accuracy.requirements import answers, requirements
 from spl_batch.airborne.pulses.smooth_surfaces import Repeatability
+from spl_batch.airborne.pulses.swath_coverage import SwathTotals
 
 NOTHING = Evidence(
     level="QL2",
@@ -16,6 +17,8 @@ NOTHING = Evidence(
     nva=None,
     vva=None,
     pulses=None,
+    single=True,
+    by_swath={},
     water_known=True,
     swaths=None,
     smooth=None,
@@ -31,6 +34,14 @@ NOTHING = Evidence(
 SMOOTH = "Smooth surface repeatability"
 LARGEST = "Swath overlap, largest difference"
 GOOD = PulseTotals(pulses=2000, area_m2=1000.0, squares=500, filled=450, void_m2=0.0, bare_m2=0.0)
+DENSITY, EVEN = "Aggregate nominal pulse density", "Spatial distribution"
+SWATH = SwathTotals(700.0, 1500, 600.0, 1200, 300, 270)
+THIN, PATCHY = SWATH._replace(middle_pulses=1199), SWATH._replace(filled=269)
+TINY = SwathTotals(5.0, 2, 5.0, 2, 9, 1)
+
+
+def of(*swaths: SwathTotals) -> dict[str, SwathTotals]:
+    return {f"0000{k}_1": swath for k, swath in enumerate(swaths)}
 
 
 def verdict(known: Evidence, name: str) -> str:
@@ -87,10 +98,21 @@ def test_what_nobody_measured_cannot_be_told() -> None:
         ({"vva": checkpoints(30, 0.5)}, "Absolute vertical accuracy, VVA", "pass"),
         ({"nva": checkpoints(31, 0.9)}, "Systematic error", "fail"),
         ({"nva": checkpoints(30, 0.9)}, "Systematic error", "pass"),
-        ({"pulses": GOOD}, "Aggregate nominal pulse density", "pass"),
-        ({"pulses": replace(GOOD, pulses=1999)}, "Aggregate nominal pulse density", "fail"),
-        ({"pulses": GOOD}, "Spatial distribution", "pass"),
-        ({"pulses": replace(GOOD, filled=449)}, "Spatial distribution", "fail"),
+        ({"pulses": GOOD}, DENSITY, "cannot tell"),
+        ({"pulses": replace(GOOD, pulses=1999)}, DENSITY, "fail"),
+        ({"pulses": GOOD, "single": False}, DENSITY, "pass"),
+        ({"pulses": GOOD, "single": False, "by_swath": of(THIN)}, DENSITY, "pass"),
+        ({"pulses": replace(GOOD, pulses=1999), "single": False}, DENSITY, "fail"),
+        ({"pulses": GOOD, "by_swath": of(SWATH, SWATH)}, DENSITY, "pass"),
+        ({"pulses": GOOD, "by_swath": of(SWATH, THIN)}, DENSITY, "fail"),
+        ({"pulses": GOOD, "by_swath": of(SWATH, TINY)}, DENSITY, "pass"),
+        ({"pulses": GOOD, "by_swath": {**of(SWATH), "": TINY}}, DENSITY, "pass"),
+        ({"pulses": GOOD, "by_swath": {**of(SWATH), "": SWATH}}, DENSITY, "cannot tell"),
+        ({"pulses": GOOD}, EVEN, "cannot tell"),
+        ({"pulses": replace(GOOD, filled=449)}, EVEN, "fail"),
+        ({"pulses": GOOD, "single": False}, EVEN, "pass"),
+        ({"pulses": GOOD, "by_swath": of(SWATH, SWATH)}, EVEN, "pass"),
+        ({"pulses": GOOD, "by_swath": of(SWATH, PATCHY)}, EVEN, "fail"),
         ({"pulses": GOOD}, "Data voids", "pass"),
         ({"pulses": replace(GOOD, void_m2=8.0)}, "Data voids", "fail"),
         ({"pulses": replace(GOOD, void_m2=8.0), "water_known": False}, "Data voids", "cannot tell"),

@@ -206,10 +206,26 @@ def test_the_index_counts_what_is_there(output: Path) -> None:
     points = sum(len(laspy.read(path)) for path in (output / "laz").rglob("*.laz"))
     for layer in ("files", "tiles", "flightlines", "blocks"):
         assert columns[layer]["points"].sum() == points
+        if layer == "flightlines":
+            continue
         areas = shapely.area(shapely.from_wkb(places[layer]))
         per_m2 = columns[layer]["points"] / areas
         np.testing.assert_allclose(columns[layer]["per_m2"], per_m2, rtol=1e-6)
     report = read(output / "report.json")
+    swaths = {one["id"]: one for one in report["swaths"]}
+    for name, area, density in zip(
+        *(columns["flightlines"][key] for key in ("id", "area_m2", "per_m2")), strict=True
+    ):
+        assert area == swaths[name]["area_m2"]
+        assert density == pytest.approx(swaths[name]["pulses"] / area)
+        # by the delivered cloud: pulses of its signal, and squares of 1 m that hold any
+        cloud = laspy.read(output / "laz" / "lines" / f"line_{int(name[:5])}.laz")
+        signal = np.asarray(cloud["noise_class"]) == 0
+        sent = np.column_stack([cloud.gps_time, cloud["channel"]])[signal]
+        share = swaths[name]["pulses"] / len(np.unique(sent, axis=0))
+        assert 0.92 < share <= 1.0, "all but those on squares that its rim cuts"
+        held = np.unique(np.floor(cloud.xyz[signal, :2]), axis=0)
+        assert area == pytest.approx(len(held), rel=0.2)
     errors = {one["id"]: one["error_m"] for one in report["checkpoints"]["points"]}
     told = dict(zip(columns["checkpoints"]["id"], columns["checkpoints"]["error_m"], strict=True))
     assert set(told) == set(errors)
