@@ -6,7 +6,7 @@ checkpoint alone, and is told in a sentence that names it.
 
 import csv
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, isnan
 from pathlib import Path
@@ -259,18 +259,18 @@ def _in_crs(
     for stated, members in by_crs.items():
         source = _named_crs(stated) if stated else own
         names = [rows[k]["id"] for k in members]
+        moved = np.full((len(members), 3), np.nan)
         if stated and source is None:
             remarks.append(_left_out(names, f"their CRS {stated!r} is not known"))
-            move = None
         elif source is None or crs is None or _alike(source, crs):
             continue
         else:
-            move = _transformation(path, source, crs)
-            remarks.append(_told(names, source, crs))
-        xyz = np.array([rows[k]["xyz"] for k in members], np.float64)
-        moved = None if move is None else move(xyz)
-        for at, k in enumerate(members):
-            placed[k] = {} if moved is None else {**rows[k], "xyz": moved[at].tolist()}
+            xyz = np.array([rows[k]["xyz"] for k in members], np.float64)
+            moved = _transformed(path, source, crs, xyz)
+            there: NDArray[np.bool_] = np.all(np.isfinite(moved), axis=1)
+            remarks += _told(names, there, source, crs)
+        for k, place in zip(members, moved, strict=True):
+            placed[k] = {**rows[k], "xyz": place.tolist()} if np.isfinite(place).all() else {}
     return [row for row in placed if row]
 
 
@@ -290,15 +290,22 @@ def _heights_differ(one: CRS, other: CRS) -> bool:
     return first is not None and second is not None and not first.equals(second)
 
 
-def _told(names: Sequence[str], source: CRS, crs: CRS) -> str:
+def _told(names: Sequence[str], moved: NDArray[np.bool_], source: CRS, crs: CRS) -> Iterator[str]:
+    """What to say of checkpoints of another CRS that were transformed, and of those that cannot."""
     heights = "heights too" if _heights_differ(source, crs) else "heights are taken as they are"
-    noun = "checkpoint is" if len(names) == 1 else "checkpoints are"
-    return f"{len(names)} {noun} transformed from {crs_name(source)} to {crs_name(crs)}; {heights}"
+    count, whence = int(moved.sum()), f"from {crs_name(source)} to {crs_name(crs)}"
+    if count:
+        noun = "checkpoint is" if count == 1 else "checkpoints are"
+        yield f"{count} {noun} transformed {whence}; {heights}"
+    lost = [name for name, there in zip(names, moved, strict=True) if not there]
+    if lost:
+        yield _left_out(lost, f"no place with such coordinates can be transformed {whence}")
 
 
-def _transformation(
-    path: Path, source: CRS, crs: CRS
-) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+def _transformed(
+    path: Path, source: CRS, crs: CRS, xyz: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Places in another CRS, (n, 3); infinite where one of them cannot be transformed."""
     whole = _heights_differ(source, crs)
     ends = (source, crs) if whole else (horizontal(source), horizontal(crs))
     try:
@@ -306,23 +313,33 @@ def _transformation(
         transformer = Transformer.from_crs(*ends, always_xy=True, only_best=whole)
     except ProjError as error:
         raise _untransformed(path, source, crs, error) from None
+    x, y, z = xyz.T
+    if whole:
+        moved = np.column_stack(transformer.transform(x, y, z))
+        if not np.isfinite(moved).any():
+            _refuse_without_grid(path, transformer, xyz, (source, crs))
+        return moved
+    return np.column_stack([*transformer.transform(x, y), z])
 
-    def move(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
-        try:
-            x, y, z = xyz.T
-            if whole:
-                return np.column_stack(transformer.transform(x, y, z, errcheck=True))
-            x, y = transformer.transform(x, y, errcheck=True)
-            return np.column_stack([x, y, z])
-        except ProjError as error:
-            raise _untransformed(path, source, crs, error) from None
 
-    return move
+def _refuse_without_grid(
+    path: Path, transformer: Transformer, xyz: NDArray[np.float64], ends: tuple[CRS, CRS]
+) -> None:
+    """Raise what PROJ says where it moves no place for want of a grid."""
+    try:
+        transformer.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], errcheck=True)
+    except ProjError as error:
+        if _LACKING.search(str(error)):
+            raise _untransformed(path, *ends, error) from None
+
+
+_LACKING: Final = re.compile(r"Grid (\S+) is not available")
+"""How PROJ says that a grid is not there."""
 
 
 def _untransformed(path: Path, source: CRS, crs: CRS, error: ProjError) -> InputError:
     """What PROJ says, and what helps; it names the grids that it lacks."""
-    lacking = re.findall(r"Grid (\S+) is not available", str(error))
+    lacking = _LACKING.findall(str(error))
     between = f"{crs_name(source)} to {crs_name(crs)}"
     if lacking:
         return InputError(

@@ -71,6 +71,24 @@ def test_another_crs_is_transformed_and_an_unknown_one_left_out(tmp_path: Path) 
     assert "'EPSG:nonsense' is not known: C" in remarks[1]
 
 
+def test_a_place_that_no_crs_has_is_left_out_alone(tmp_path: Path) -> None:
+    text = (
+        "id,x,y,z,surface,accuracy_m,crs\n"
+        "A,-95.4,29.7,20,open,0.02,EPSG:4326\n"
+        "B,29.7,-95.4,20,open,0.02,EPSG:4326\n"  # latitude and longitude the wrong way round
+        "C,1e9,1e9,20,open,0.02,EPSG:2193\n"
+        "D,272000,3290000,20,open,0.02,\n"
+    )
+    found, remarks = read(tmp_path / "c.csv", text)
+    assert [one.id for one in found] == ["A", "D"]
+    said = {remark.rpartition(": ")[2]: remark for remark in remarks if "left out" in remark}
+    assert sorted(said) == ["B", "C"]
+    for remark in said.values():
+        assert remark.startswith("1 checkpoint is left out, as no place with such coordinates can")
+    (told,) = [remark for remark in remarks if "left out" not in remark]
+    assert told.startswith("1 checkpoint is transformed from ")
+
+
 def test_heights_above_a_geoid_need_its_grid(tmp_path: Path) -> None:
     path = tmp_path / "c.csv"
     path.write_text(HEAD + "A,272000,3290000,20,open,0.02\n")

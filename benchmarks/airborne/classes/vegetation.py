@@ -14,6 +14,7 @@ what is left alone, and all else is classed by its height above a triangulation 
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -84,8 +85,10 @@ def _by_height(above_m: NDArray[np.float64], limits_m: Sequence[float]) -> NDArr
 
 def _classes(xyz: NDArray[np.float64], limits_m: Sequence[float]) -> NDArray[np.int64]:
     quanta = np.rint(xyz * QUANTA_PER_M).astype(np.int64)
-    columns = {"x": quanta[:, 0], "y": quanta[:, 1], "z": quanta[:, 2].astype(np.int32)}
-    table = PointTable({**columns, "flags": np.zeros(len(xyz), np.uint8)})
+    columns: dict[str, NDArray[Any]] = dict(zip("xyz", quanta.T, strict=True))
+    columns["z"] = columns["z"].astype(np.int32)
+    columns["flags"] = np.zeros(len(xyz), np.uint8)
+    table = PointTable(columns)
     everything = np.ones(len(xyz), np.bool_)
     ground = ground_mask(table, everything, GroundSettings(), everything)
     corner = xyz[0]
