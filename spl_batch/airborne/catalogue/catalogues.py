@@ -95,7 +95,7 @@ def _of_qgis(
 ) -> list[Path]:
     index = index_layers.NAME
     return [
-        *qgis.write_styles(output, rasters),
+        *qgis.write_styles(output, rasters, vpc),
         qgis.write_layers(output, rasters, vpc, index, layers, crs),
     ]
 

@@ -1,7 +1,9 @@
 """A layer file and styles for QGIS: one double-click shows terrain, shade, density and classes.
 
 ``survey.qlr`` is a layer definition with relative paths; ``dtm.qml`` and so on lie beside their
-rasters, where QGIS finds them when one is opened by itself. Written for QGIS 3.34 and later.
+rasters, and ``survey.qml`` with the colours of classes beside the virtual point cloud, where QGIS
+finds them when one is opened by itself. ``failures.qml`` is for whoever opens that layer of the
+index, since QGIS finds no style by a layer's name. Written for QGIS 3.34 and later.
 """
 
 from collections.abc import Iterator, Sequence
@@ -78,12 +80,16 @@ def style_name(raster: str) -> str:
     return f"{raster.removesuffix('.tif')}.qml"
 
 
-def write_styles(output: Path, rasters: Sequence[RasterFile]) -> Iterator[Path]:
-    """Write a style beside each raster."""
-    for raster in rasters:
+def write_styles(output: Path, rasters: Sequence[RasterFile], vpc: str | None) -> Iterator[Path]:
+    """Write a style beside each raster and the virtual point cloud, and that of failures."""
+    styles = {style_name(raster.href): _pipe(_coloured(raster)) for raster in rasters}
+    if vpc is not None:
+        styles[f"{vpc.removesuffix('.vpc')}.qml"] = _classes()
+    styles["failures.qml"] = _symbol("failures")
+    for name, style in styles.items():
         root = ET.Element("qgis", version=VERSION, hasScaleBasedVisibilityFlag="0")
-        root.append(_pipe(_coloured(raster)))
-        path = output / style_name(raster.href)
+        root.append(style)
+        path = output / name
         write_bytes(path, _text(root, "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"))
         yield path
 

@@ -9,11 +9,17 @@ import numpy as np
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.footprint import SQUARE_M2
 from spl_batch.airborne.report.model import Density
+from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.tasks.pulses import _CELLS, _HEIGHTS, _SQUARES, _UNSURE, _VOIDS, UNSURE_M
+from spl_batch.engine.report.number_format import significant
 from spl_batch.engine.report.run_record import Receipts
 
 UNSURE_SHARE: Final = 0.02
 """A larger share of the terrain that is not known well is told."""
+
+
+VEGETATION_PER_M2: Final = 1.0
+"""Below this density shrubs become ground (``benchmarks.airborne.classes.vegetation``) [1/m2]."""
 
 
 def area_km2(done: Receipts) -> float | None:
@@ -54,6 +60,19 @@ def unsure_terrain(done: Receipts) -> tuple[str, ...]:
         f"{share:.1%} of the terrain model lies so far from ground returns, for ground as rough as "
         f"it is there, that its standard deviation is more than {UNSURE_M:g} m: dtm_quality.tif "
         "says where; do not measure heights or volumes there"
+    )
+    return (text,)
+
+
+def sparse_vegetation(found: Density, asked: ClassSettings) -> tuple[str, ...]:
+    """A warning where classes of low and medium vegetation are asked of too few returns."""
+    density_m2 = found.mean_per_m2
+    if asked.vegetation is None or density_m2 is None or density_m2 >= VEGETATION_PER_M2:
+        return ()
+    text = (
+        f"{significant(density_m2)} returns per m2 are too few for classes 3 and 4 of "
+        f"classes.vegetation: below {VEGETATION_PER_M2:g} per m2 the ground takes shrubs and "
+        f"hedges lower than {asked.vegetation.high:g} m; do not rest anything on these two classes"
     )
     return (text,)
 

@@ -10,7 +10,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.kept_noise import PARTS
 from spl_batch.airborne.hydro.flattening import bank_warnings
 from spl_batch.airborne.report.clip_view import cut_clip
-from spl_batch.airborne.report.coverage import area_km2, density, unsure_terrain
+from spl_batch.airborne.report.coverage import area_km2, density, sparse_vegetation, unsure_terrain
 from spl_batch.airborne.report.good_enough import checkpoint_report, judged, swath_reports
 from spl_batch.airborne.report.model import (
     Accuracy,
@@ -71,13 +71,14 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
     """
     found, counts = compared(done, context), _counts(done, context, facts)
     noise = _noise(done, context, counts.background)
+    covered = density(done, context, counts.ground)
     report = Report(
         survey=_survey(done, context),
         counts=counts,
         accuracy=_accuracy(found),
         requirements=judged(done, context),
         checkpoints=checkpoint_report(done, context),
-        density=density(done, context, counts.ground),
+        density=covered,
         noise=noise,
         swaths=swath_reports(done, context),
         strips=strip_pairs(done),
@@ -94,6 +95,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *drowned_warning(done),
             *kept_warning(done, context.workflow.filter),
             *unsure_terrain(done),
+            *sparse_vegetation(covered, context.workflow.classes),
             *bank_warnings(
                 r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts
             ),

@@ -294,6 +294,8 @@ def test_layers_and_styles_are_xml_whose_sources_exist(output: Path) -> None:
         style = xml(raster.with_suffix(".qml"))
         shades = [float(item.get("value")) for item in style.iter("item")]
         assert shades == sorted(shades)
+    classes = {one.get("value") for one in xml(output / "survey.qml").iter("category")}
+    assert {"2", "7", "18"} <= classes
     assert xml(output / "metadata.xml").tag.endswith("MD_Metadata")
 
 
@@ -310,7 +312,8 @@ def test_qgis_opens_every_layer(output: Path) -> None:
         [system, "-c", QGIS, output / "survey.qlr"], capture_output=True, text=True, check=True,
         env={"QT_QPA_PLATFORM": "offscreen", "PATH": "/usr/bin", "HOME": str(output.parent)},
     ).stdout  # fmt: skip
-    version, *layers = json.loads(said.splitlines()[-1])
+    version, styled, *layers = json.loads(said.splitlines()[-1])
+    assert styled == "no", "the style of failures loads, and leaves areas unfilled"
     assert len(layers) >= 8
     unreadable = ["clouds by class"] if version < 33200 else []  # virtual clouds came with 3.32
     assert [name for name, valid in layers if not valid] == unreadable
@@ -318,11 +321,15 @@ def test_qgis_opens_every_layer(output: Path) -> None:
 
 QGIS = """
 import json, sys
-from qgis.core import Qgis, QgsApplication, QgsLayerDefinition, QgsProject
+from qgis.core import Qgis, QgsApplication, QgsLayerDefinition, QgsProject, QgsVectorLayer
 app = QgsApplication([], False); app.initQgis()
 project = QgsProject.instance(); root = project.layerTreeRoot()
 assert QgsLayerDefinition().loadLayerDefinition(sys.argv[1], project, root)[0]
-print(json.dumps([Qgis.QGIS_VERSION_INT] +
+folder = sys.argv[1].rpartition("/")[0]
+areas = QgsVectorLayer(folder + "/index.gpkg|layername=blocks", "areas", "ogr")
+assert areas.loadNamedStyle(folder + "/failures.qml")[1]
+filled = areas.renderer().symbol().symbolLayer(0).properties()["style"]
+print(json.dumps([Qgis.QGIS_VERSION_INT, filled] +
                  [[one.name(), one.layer().isValid()] for one in root.findLayers()]), flush=True)
 import os; os._exit(0)
 """
@@ -378,7 +385,7 @@ def test_what_has_no_place_on_earth_is_not_listed(
     assert len(remarks) == 1
     assert remarks[0].startswith(reason)
     assert ("survey.crs" in remarks[0]) is (crs is None)
-    assert {path.name for path in written} == {"index.gpkg", "survey.qlr"}
+    assert {path.name for path in written} == {"index.gpkg", "survey.qlr", "failures.qml"}
     with closing(sqlite3.connect(tmp_path / "index.gpkg")) as database:
         assert database.execute("SELECT srs_id FROM gpkg_contents").fetchall() == [(srs_id,)]
 

@@ -4,8 +4,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
-from spl_batch.airborne.report.coverage import unsure_terrain
+from spl_batch.airborne.report.coverage import sparse_vegetation, unsure_terrain
+from spl_batch.airborne.report.model import Density
+from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.pulses import covered
 from spl_batch.constants import NODATA
@@ -29,6 +32,15 @@ def test_little_of_it_none_or_a_run_that_did_not_count_says_nothing() -> None:
     assert unsure_terrain({}) == ()
     earlier: Any = {"surface": {"a": SimpleNamespace(facts={"voids": 3})}}
     assert unsure_terrain(earlier) == ()
+
+
+@pytest.mark.parametrize(("per_m2", "told"), [(0.24, 1), (0.99, 1), (1.0, 0), (None, 0)])
+def test_low_vegetation_of_few_returns_is_told(per_m2: float | None, told: int) -> None:
+    asked = ClassSettings.model_validate({"vegetation": {}})
+    said = sparse_vegetation(Density(mean_per_m2=per_m2), asked)
+    assert len(said) == told
+    assert all("too few for classes 3 and 4" in text for text in said)
+    assert sparse_vegetation(Density(mean_per_m2=per_m2), ClassSettings()) == ()
 
 
 def test_a_ground_cell_counts_heights_and_those_that_may_be_off() -> None:
