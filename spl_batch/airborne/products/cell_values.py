@@ -1,8 +1,8 @@
-"""Points into raster cells: order inside cells, robust means, supported tops, void filling.
+"""Points in raster cells: order inside cells, robust means, supported tops, void filling.
 
-Cells are numbered ``row * cols + col``, row 0 being the *southernmost*; the stage turns
-the finished raster north up. Coordinates are integer differences to the corner of the
-raster, so every comparison here is exact and no result depends on the order of points.
+Cells are numbered ``row * cols + col``, row 0 being the *southernmost*; the stage turns the
+finished raster north up. Coordinates are integer differences to the corner of the raster, so every
+comparison is exact and the order of points does not matter.
 """
 
 import numpy as np

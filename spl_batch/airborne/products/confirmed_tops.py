@@ -1,18 +1,18 @@
 """Highest return of each raster cell that others confirm: noise must not stand out.
 
-Noise that the filter leaves hangs mostly a few metres above surfaces and crowns. A count in a
+Noise that the filter leaves hangs mostly a few metres above surfaces and crowns, where a count in a
 sphere takes it for a thin crown. So only *peers* confirm a return
 (:mod:`spl_batch.airborne.filter.ellipsoid.spacing`): a crown's top has its twigs, noise above a
 roof only other noise. Spheres of several radii are tried: a roof is confirmed within half a metre,
-a thin crown within two. Neighbours are looked for cell by cell: few returns ask, and a cell or two
-is far.
+a thin crown within two. Neighbours are looked for cell by cell, as few returns ask and one or two
+cells are far.
 
 Ground returns need no confirmation and give none: noise just above sparse ground must not live on
 it.
 
-Where nearly all tops around stand far above a cell's own confirmed return, its highest return that
-is no higher than most of them counts (:func:`lift_pits`): at the rim of a crown twigs are sparse.
-In a cell with returns of which none is confirmed, two of the tops around are enough.
+At the rim of a crown twigs are sparse. Where nearly all tops around stand far above a cell's own
+confirmed return, its highest return counts that is no higher than most of them (:func:`lift_pits`).
+In a cell whose returns are all unconfirmed, two of the tops around are enough.
 """
 
 from typing import NamedTuple
@@ -33,8 +33,7 @@ class Support(NamedTuple):
     """What confirms a return: spheres, the smallest first."""
 
     radius: NDArray[np.int64]  #: (s,): radii [quanta].
-    #: (k, s): peers that each must hold, the confirmed one itself not counted, by how much noise
-    #: there is around [count].
+    #: (k, s): peers that each must hold, besides the confirmed one, by the noise around [count].
     needed: NDArray[np.int64]
     noise: NDArray[np.int64]  #: (cells,): which row of these is that of a raster cell.
     #: Spacing is the distance to this neighbour, at most the largest radius [count].
@@ -75,7 +74,7 @@ def confirmed_tops(
 
 @njit()
 def _tops(xyz, ground, start, grid, neighbours, cap2, ratio2, limit, needed, noise, tops):  # type: ignore[no-untyped-def]
-    """From the highest return of each cell down to the first that is confirmed.
+    """The first confirmed return of each cell, from the highest down.
 
     A spacing is found when it is needed, and kept.
     """
@@ -123,7 +122,7 @@ def _gap2(xyz, p, row, col, size):  # type: ignore[no-untyped-def]
 def _find_spacing(xyz, start, grid, p, cell, cap2, nearest, spacing):  # type: ignore[no-untyped-def]
     """Squared spacing of a return, if it is not known yet [quanta2].
 
-    Rings of cells around its own are looked through until none can hold a nearer neighbour.
+    Rings of cells around its own are searched until none can hold a nearer neighbour.
     """
     if not np.isnan(spacing[p]):
         return
@@ -171,11 +170,10 @@ def _look_through(xyz, p, low, high, nearest):  # type: ignore[no-untyped-def]
 def _has_peers(  # type: ignore[no-untyped-def]
     xyz, ground, start, grid, p, cell, limit, wanted, ratio2, cap2, nearest, spacing
 ):
-    """Whether a return has so many peers within a distance, itself among them.
+    """Whether a return has enough peers within a distance, itself among them.
 
     As :func:`spl_batch.airborne.filter.ellipsoid.spacing.peers_within`, which is given all
-    spacings; here few are
-    asked for and each costs a search, so they are found on the way, and no more than wanted.
+    spacings. Here few are needed and each costs a search, so they are found on the way.
     """
     cols, size = grid
     rows, row, col = (len(start) - 1) // cols, cell // cols, cell % cols

@@ -1,10 +1,9 @@
-"""Which raster cells of a ground cell were flown.
+"""Raster cells of a ground cell that were flown.
 
-Light comes back from everywhere that was flown, be it noise. A cell was flown that holds a
-return of any kind, or lies in a gap between such cells no wider than twice
-``products.void_max_m`` (a closing: it does not grow outwards). Only returns about as high as the
-ground around count: beams lean, so that off the edge of a swath there is noise far above and
-below ground that no beamlet met.
+Light comes back from everywhere that was flown, if only as noise. A cell was flown if it holds a
+return of any kind, or lies in a gap between such cells no wider than twice ``products.void_max_m``
+(a closing: it does not grow outwards). Only returns about as high as the ground around count: beams
+lean, and off the edge of a swath noise lies far above and below ground that no beamlet met.
 """
 
 from typing import Final
@@ -20,8 +19,8 @@ Heights = tuple[int, int]
 """Lowest and highest [quanta]."""
 
 NEAR_GROUND_M: Final = 10.0
-"""Returns so far above the highest and below the lowest ground around count: a beam that leans
-by 15 degrees is 3 m off there [m]."""
+"""How far above the highest and below the lowest ground around a return counts [m]: a beam that
+leans by 15 degrees is 3 m off there."""
 
 
 def ground_heights(table: PointTable, region: Bounds) -> Heights | None:

@@ -4,7 +4,7 @@ Squares of a fixed absolute grid that hold a return count, and gaps between them
 :mod:`~spl_batch.airborne.products.flown_cells`, which says where ``density.tif`` has a value. There
 a raster cell at the edge of a survey counts as a whole, so coarse cells would cover more. Around
 sparse returns a rim of half their mean spacing counts too. Each square belongs to one ground cell,
-so that areas add up.
+so areas add up.
 """
 
 from collections.abc import Callable
@@ -179,8 +179,8 @@ def _shape(squares: Bounds) -> tuple[int, int]:
 def _with_rim(closed: NDArray[np.bool_], points: int) -> NDArray[np.bool_]:
     """Squares with those that lie less than half the mean spacing from one.
 
-    Sparse returns end inside the place that they stand for; a held square reaches half its width
-    beyond its returns already.
+    Sparse returns end inside the place that they stand for; a held square already reaches half its
+    width beyond its returns.
     """
     spacing = np.sqrt(np.count_nonzero(closed) / points)
     rim = min(spacing / 2 - 0.5, WIDEST_RIM)

@@ -1,10 +1,10 @@
 """Returns that fill the air just above the ground everywhere, as fog does.
 
-Domain: space. Fog has neighbours enough to pass any test of noise, and its top becomes the surface.
-A place of :data:`SQUARE_M` is *filled* in a step of height where much more returns than noise
+Domain: space. Fog has enough neighbours to pass any test of noise, and its top becomes the surface.
+A place of :data:`SQUARE_M` is *filled* in a step of height where many more returns than noise
 explains lie evenly over its cells of 1 m. Bushes, trees and walls leave gaps; roads and roofs have
-nothing there. Most places filled are fog, or low vegetation without a gap. It is told, and nothing
-is taken away. Our own rule; the sources are silent on it.
+nothing there. If most places are filled it is fog, or low vegetation without a gap. It is told, and
+nothing is removed. Our own rule: no source has one.
 """
 
 from typing import Final

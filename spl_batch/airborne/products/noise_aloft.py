@@ -1,8 +1,8 @@
 """Noise around raster cells, by the returns that the filter refused.
 
-Domain: space. A top is believed by how unlikely noise makes the returns around it. Where a swath's
-edge lies in a ground cell noise is several times as dense there as on its average, and a clump of
-it that was kept would stand in the surface model.
+Domain: space. A top is believed if noise hardly makes the returns around it. Where a swath's edge
+crosses a ground cell, noise is several times as dense on one side as on average: a kept clump of it
+would stand in the surface model.
 """
 
 from typing import Final
@@ -25,7 +25,7 @@ STEP: Final = 1.1
 """Ratio of the densities that are told apart: each is rounded up to the next."""
 
 HELD: Final = 0.25
-"""Least part of a square that counts as flown over: the rim of a survey is no density."""
+"""Least part of a square that counts as flown over: the rim of a survey has no density."""
 
 
 class RefusedReturns:

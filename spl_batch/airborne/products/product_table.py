@@ -8,8 +8,8 @@ class Product(NamedTuple):
 
     name: str  #: Name of its array in the store, and of its file.
     meaning: str  #: What it holds, as its band is called.
-    #: Unit of its values, as GDAL's unit type; 1 where they have none: an empty one is read as
-    #: metres where the CRS has a vertical part.
+    #: Unit of its values, as GDAL's unit type; 1 where they have none: where the CRS has a vertical
+    #: part an empty one is read as metres.
     unit: str
     delivered: bool = True  #: Whether it goes into the output; else it serves the report alone.
     is_map: bool = False  #: Whether it is one of the maps of ``products.maps``.

@@ -1,33 +1,32 @@
 r"""Terrain, surface, height, density and intensity rasters of one ground cell.
 
-Domain: space. A ground cell is an absolute square whose edge is a whole multiple of the
-raster cell; it and a fixed margin around it decide its rasters, whatever tile, block or
-task they are computed in.
+Domain: space. A ground cell is an absolute square whose edge is a whole multiple of the raster
+cell. It and a fixed margin around it decide its rasters, whatever tile, block or task computes
+them.
 
 ====== ========================================================================
-DTM    TIN through one vertex per raster cell: the robust mean (x, y, z) of its
-       ground returns, evaluated at cell centres. The spread of a single range
-       (5 cm) stays in a TIN through single returns; averaging removes it, and
-       averaging positions too keeps slopes unbiased. In water polygons ground returns are
-       put on the water's level first (:mod:`~spl_batch.airborne.ground.water_level`).
+DTM    TIN through one vertex per raster cell, evaluated at cell centres: the robust
+       mean (x, y, z) of its ground returns. Through single returns a TIN would keep
+       the spread of a range (5 cm); means of positions too keep slopes unbiased. In
+       water polygons ground returns are put on the water's level first
+       (:mod:`~spl_batch.airborne.ground.water_level`).
 DSM    Highest return of the cell that is ground or that its peers confirm: more of
        them in a sphere than noise alone puts there, spheres from ``dsm_near_m`` to
-       ``dsm_support_m`` being tried in turn (:mod:`spl_batch.airborne.products.confirmed_tops`).
-       What noise puts there is measured by the returns that the filter refused;
-       without any, ``dsm_support`` returns do. A wire of few returns per metre
-       stands out of the DSM where there is little noise only. In a pit, more than 2 m
-       below most cells around, the highest return up to their level does
-       without peers; so does, where none is ground or confirmed, the highest up to the
-       level of two of them. Never below the DTM.
-       A cell without such a return takes the nearest value within
-       ``dsm_void_max_m``, of several the lowest.
+       ``dsm_support_m`` in turn (:mod:`spl_batch.airborne.products.confirmed_tops`).
+       The returns that the filter refused measure that noise; without any,
+       ``dsm_support`` returns do. A wire of few returns per metre stands out of the
+       DSM only where there is little noise. In a pit, more than 2 m below most cells
+       around, the highest return up to their level needs no peers. Where none is
+       ground or confirmed, nor does the highest up to the level of two of them.
+       Never below the DTM. A cell without such a return takes the nearest value
+       within ``dsm_void_max_m``, of several the lowest.
 CHM    DSM - DTM, hence >= 0; nodata where either is.
 sigma  Standard deviation of the DTM, by how far the nearest ground is and what that distance
        costs around (:mod:`~spl_batch.airborne.products.terrain_quality`).
 ====== ========================================================================
 
-Returns that the filter has not assessed (no beam; or no filter at all) take part in a
-raster cell only where it holds no assessed signal: there they are all that is known.
+Returns that the filter has not assessed (no beam; or no filter at all) take part in a raster cell
+only where it holds no assessed signal.
 """
 
 from typing import Final

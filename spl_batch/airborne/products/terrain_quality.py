@@ -1,17 +1,18 @@
-"""How well the terrain is known: a standard deviation for each cell of the DTM.
+"""Standard deviation of the terrain: how well each cell of the DTM is known.
 
-A DTM is interpolated between cells that hold ground returns. What it may be off in a cell without
-any follows from two things that the ground itself tells: how far the nearest ground is, and how
-much heights here differ from what is interpolated over such a distance. The second is measured
-where the ground is known: of each cell with ground the plane through the ground in a square ring
-around it is taken, whose inner radius is the distance in question, and the plane is compared with
-the cell's own height. That is cross-validation with a hole of growing size, the empirical form of
-a variogram of residuals about a local drift [Kraus et al. 2006 estimate DTM accuracy from density,
-distance and curvature in the same way]. Deviations from them: the distance enters by what it costs
-here, not by a fixed formula; and the deviation is 1.2533 times the mean absolute difference, so
-that few gross errors do not widen it everywhere.
+A DTM is interpolated between cells that hold ground returns. Its error in other cells follows from
+two things that the ground itself tells: how far the nearest ground is, and how much heights here
+differ from what is interpolated over such a distance. The second is measured where the ground is
+known: each cell with ground is compared with the plane through the ground in a square ring around
+it, whose inner radius is the distance in question. That is cross-validation with a hole of growing
+size, the empirical form of a variogram of residuals about a local drift [Kraus et al. 2006 estimate
+DTM accuracy from density, distance and curvature in the same way].
 
-What no point can tell is not in it: shrubs or a terrace of fill that were taken for ground.
+Deviations from them: the distance enters by what it costs here, not by a fixed formula. The
+deviation is 1.2533 times the mean absolute difference, so that few gross errors do not widen it
+everywhere.
+
+It cannot show what no point tells: shrubs or a terrace of fill that were taken for ground.
 """
 
 from typing import Final
@@ -62,9 +63,9 @@ def terrain_sigma(means: Grid, cell_m: float) -> Grid:
 def _differences(means: Grid, held: NDArray[np.bool_], cell_m: float) -> Grid:
     """Deviation from the planes of rings, around each cell: (rings, rows, columns) [m].
 
-    No larger ring gives less. Where a ring holds too little, the next larger one speaks for it;
-    where that does too, it gives as much more than the next smaller one as its radius is larger.
-    Where none of them holds enough, what each gives in the whole area counts.
+    No larger ring gives less. For a ring that holds too little the next larger one speaks; without
+    one, the next smaller one, times the ratio of the radii. Where none holds enough, what each
+    gives in the whole area counts.
     """
     places = _moments(means, held, cell_m)
     levels = np.full((len(RINGS), *held.shape), np.nan)
@@ -124,8 +125,8 @@ def _off_ring(held: NDArray[np.bool_], moments: Grid, ring: int) -> tuple[Grid, 
 def _at_distance(levels: Grid, away: Grid) -> Grid:
     """Deviation at each cell by its distance to ground [cells]; linear between the rings.
 
-    A cell with ground is its own mean of returns: what differs from its neighbours is shared
-    between it and them. Beyond the largest ring the deviation grows with the distance.
+    A cell with ground is its own mean of returns: it shares with its neighbours what differs
+    between them. Beyond the largest ring the deviation grows with the distance.
     """
     found = levels[0].copy()
     for k in range(1, len(RINGS)):

@@ -1,9 +1,9 @@
 """Voids of a terrain model that are too wide to be filled: lakes without light, halls, dense woods.
 
-Ground is interpolated up to ``products.void_max_m`` from where it was found, and what lies farther
-stays void. A void counts where terrain lies all around it. One that is open to the edge of the
-survey counts where it was flown and is wider than :data:`RIM_M` to each side: beams lean, so that
-off the edge of a swath there is a narrow rim that was flown and has no ground.
+Ground is interpolated up to ``products.void_max_m`` from where it was found; beyond, it stays void.
+A void counts where terrain lies all around it. One that is open to the edge of the survey counts
+where it was flown and is wider than :data:`RIM_M` to each side: beams lean, so off the edge of a
+swath a narrow rim was flown and has no ground.
 
 Large rasters are looked at in squares of several cells. A square is void where one of its cells is;
 areas are those of the cells.

@@ -162,8 +162,8 @@ def match_points(
     aim = np.empty(9)
     west, south, size, cols = cells
     fires = ~np.isnan(blocks.pattern[:, :, 0])
-    # Points lie by place and beamlets by time: each is far from the last in memory. Many that
-    # are asked for at once come together.
+    # Points lie by place and beamlets by time, each far from the last in memory: many are asked
+    # for at once.
     where, words, held = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE, np.int64), 0
     for p in rows:
         c = int(channel[p])

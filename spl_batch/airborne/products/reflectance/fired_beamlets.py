@@ -1,4 +1,4 @@
-"""Where every fired beamlet pointed, silent ones and silent shots included.
+"""Directions of all fired beamlets, silent ones and silent shots included.
 
 Source: [W17] Eq. 2.8-2.15 for the geometry (a rigid array behind a scanner), 8.2.2 for its use.
 Each detection, noise too, lies on the axis of its beamlet. So a block of a few shots shows the path
@@ -9,8 +9,8 @@ flightline is cut does not matter. The line model says which shots were fired, a
 channel is.
 
 Deviations: a channel's place in the array is that of Eq. 2.9 where the returns agree with it; else
-the block's own returns tell it, and a channel without any counts as not fired. A block that neither
-describes is left out.
+the block's own returns tell it, and a channel without any counts as not fired. A block that fits
+neither is left out.
 """
 
 import math
@@ -61,7 +61,7 @@ _BY_BLOCK: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
         "origin": (2, 3),
     }
 )
-"""What a part has for each block, and its shape; on disk one table, which is read at once."""
+"""Fields of a part for each block, with their shapes; on disk one table, which is read at once."""
 
 _NUMBERS: Final = ("constant_m2", "t0_s", "prf_hz", "dropped")
 """What it has once."""

@@ -1,7 +1,7 @@
 """The surface that beams meet first, for the rays of beamlets that were not seen.
 
-Domain: space. A raster of heights and slopes; not the DSM: the median of the first returns
-of a cell, whatever is below them, without what noise has left in the air.
+Domain: space. A raster of heights and slopes. It is not the DSM, but the median of the first
+returns of a cell, whatever is below them, without what noise has left in the air.
 """
 
 from typing import Final
@@ -60,9 +60,9 @@ def credible_heights(
 ) -> NDArray[np.float64]:
     """Heights of cells without those where noise may be taken for a surface (NaN).
 
-    A surface goes on in two of the eight neighbours at least. Where few returns support it,
-    it is dark, or few beamlets were fired at it; then it is no farther than
-    :data:`NEAR_SURE_M` above or below the nearest one of which there is no doubt.
+    A surface goes on in at least two of the eight neighbours. Where few returns support it, it is
+    dark, or few beamlets were fired at it: then it is no farther than :data:`NEAR_SURE_M` above or
+    below the nearest sure one.
     """
     padded = np.pad(height, 1, constant_values=np.nan)
     returns = np.pad(count, 1)

@@ -67,7 +67,7 @@ FIXED_POINT: Final = 2.0**32
 
 
 class Terms(NamedTuple):
-    """What of the link budget is allowed for; all of it, but to show what each term does."""
+    """Terms of the link budget that are allowed for; all, but to show what each one does."""
 
     range: bool = True
     incidence: bool = True
