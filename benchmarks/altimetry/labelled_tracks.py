@@ -11,20 +11,20 @@ the noise that the filter itself expects among the photons that it takes, over t
 Other filters run as published, by scikit-learn (``pip install 'spl-batch[peers]'``); mDBSCAN is
 this project's. "ours, no land" leaves out what lies within 10 m of a photon of land: labels with
 one signal photon per shot call the others of the land, and its trees, noise. How much they call
-noise there is printed beside what it would be at the density elsewhere, and so is the noise beside
-labelled signal, which no label can tell from it.
+noise there is printed beside what it would be at the density elsewhere. Labels of water hold one
+photon of a shot and half a metre, so noise in the cluster of labelled signal is never labelled:
+what is told there is printed apart.
 
-``--vary`` measures ours on what is made of each track: half and a quarter of the photons, the
-other way round, noise added, a gate of 40 m, pieces of 2 km. ``--picture FOLDER`` draws labels and
-ours of each track. ``--halves`` cuts each track in the middle. ``--scale KEY=FACTOR`` multiplies a
-setting of ``signal``, to see what hangs on it.
+``--picture FOLDER`` draws labels and ours of each track. ``--halves`` cuts each track in the
+middle. ``--scale KEY=FACTOR`` multiplies a setting of ``signal``, to see what hangs on it.
+:mod:`benchmarks.altimetry.varied_tracks` measures what is made of the tracks.
 """
 
 import argparse
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -46,8 +46,9 @@ NOISE, SURFACE, FLOOR, LAND = 1, 2, 3, 4
 LAND_M, BAND_M = 10.0, 2.0
 """Reach of a photon of land along the track; half-height of what is looked at around it [m]."""
 
-BESIDE_M = (10.0, 0.5)
-"""Along the track and in height: noise so near to labelled signal is hardly labelled noise [m]."""
+CLUSTER_M = (0.35, 0.5)
+"""Half of a shot's spacing, and the height of a cluster: of photons so near to each other labels of
+water hold one [m]."""
 
 HEADS = ("photons", "kept", "F1", "balanced", "floor", "precision", "recall", "told", "s/M")
 
@@ -122,6 +123,17 @@ def peer(name: str) -> Callable[[Labelled], Found]:
     return run
 
 
+def measured(kept: Mask, label: NDArray[np.int64]) -> tuple[float, float, float]:
+    """Balanced accuracy, F1 and recall of the floor."""
+    known = label > 0
+    kept, signal, floor = kept[known], label[known] > NOISE, label[known] == FLOOR
+    both = np.count_nonzero(kept & signal)
+    recall = both / np.count_nonzero(signal) if signal.any() else np.nan
+    rejected = 1.0 - kept[~signal].mean() if (~signal).any() else np.nan
+    f1 = 2 * both / (kept.sum() + signal.sum()) if signal.any() else np.nan
+    return (recall + rejected) / 2.0, f1, kept[floor].mean() if floor.any() else np.nan
+
+
 def row(name: str, found: Found, label: NDArray[np.int64]) -> None:
     """A line of the table."""
     known = label > 0
@@ -151,23 +163,29 @@ def over_land(track: Labelled, along: NDArray[np.int64]) -> Mask:
     return near
 
 
-def beside_signal(track: Labelled, found: Found) -> None:
-    """Noise told and labelled among what is taken, beside labelled signal and off it."""
+def in_cluster(track: Labelled, places: Sequence[NDArray[Any]]) -> Mask:
+    """Places in the cluster of a photon of labelled signal, (n,) bool."""
+    size = np.array(CLUSTER_M) * QUANTA_PER_M
+    signal = track.label > NOISE
+    tree = cKDTree(np.stack([values[signal] for values in track.photons], axis=1) / size)
+    near = tree.query(np.stack(places, axis=1) / size, p=np.inf)[0]
+    inside: Mask = np.asarray(near <= 1.0)
+    return inside
+
+
+def where_labels_tell(track: Labelled, found: Found) -> None:
+    """Noise told and labelled among what is taken, away from land: in clusters and off them."""
     if found.told_at is None:
         return
     false = found.kept & (track.label == NOISE)
     photons = [values[false & ~over_land(track, track.photons[0])] for values in track.photons]
     *at, told = (v[~over_land(track, found.told_at[0])] for v in found.told_at)
-    size = np.array([BESIDE_M[0], BESIDE_M[1]]) * QUANTA_PER_M
-    signal = track.label > NOISE
-    tree = cKDTree(np.stack([values[signal] for values in track.photons], axis=1) / size)
-    told_near, labelled_near = (
-        tree.query(np.stack(places, axis=1) / size)[0] <= 1.0 for places in (at, photons)
-    )
+    near, labelled = in_cluster(track, at), in_cluster(track, photons)
+    off = np.count_nonzero(~labelled)
     print(
-        f"  noise away from land within {BESIDE_M[0]:g} x {BESIDE_M[1]:g} m of labelled signal: "
-        f"told {told[told_near].sum():.0f}, labelled {np.count_nonzero(labelled_near)}; off it: "
-        f"told {told[~told_near].sum():.0f}, labelled {np.count_nonzero(~labelled_near)}"
+        f"  noise away from land, off clusters of labelled signal: told {told[~near].sum():.0f}, "
+        f"labelled {off}: {told[~near].sum() / max(off, 1):.2f}; in them: told "
+        f"{told[near].sum():.0f}, labelled {np.count_nonzero(labelled)}"
     )
 
 
@@ -192,38 +210,6 @@ def without_land(track: Labelled, found: Found) -> None:
         f"  over {cells} m of land the labels call {there} photons within {BAND_M:g} m of it "
         f"noise; as dense as elsewhere in the gate they would be {expected:.0f}"
     )
-
-
-def varied(track: Labelled) -> list[Labelled]:
-    """What is made of a track to see what breaks; the same each time."""
-    rng = np.random.default_rng(1)
-    along, height = track.photons
-    level = np.median(height[track.label == SURFACE])
-
-    def made(name: str, rows: Mask, *, turned: bool = False) -> Labelled:
-        x = (along.max() - along if turned else along)[rows]
-        order = np.argsort(x, kind="stable")
-        photons = x[order], height[rows][order]
-        return Labelled(name, photons, track.label[rows][order])
-
-    every = np.ones(len(along), np.bool_)
-    parts = [
-        made(f"{share:g} of it", rng.uniform(size=len(along)) < share) for share in (0.5, 0.25)
-    ]
-    parts.append(made("turned", every, turned=True))
-    parts.append(made("gate 40 m", (height > level - 25_000) & (height < level + 15_000)))
-    for density in (0.01, 0.03):
-        n = rng.poisson(density * np.ptp(along) * np.ptp(height) / 1e6)
-        x = np.concatenate([along, rng.integers(along.min(), along.max(), n)])
-        z = np.concatenate([height, rng.integers(height.min(), height.max(), n)]).astype(np.int32)
-        order = np.argsort(x, kind="stable")
-        label = np.concatenate([track.label, np.full(n, NOISE)])[order]
-        parts.append(Labelled(f"+{density:g}/m2", (x[order], z[order]), label))
-    for first in range(int(along.min()), int(along.max()), 2_000_000):
-        inside = (along >= first) & (along < first + 2_000_000)
-        if np.count_nonzero(inside & (track.label > NOISE)) > 100:
-            parts.append(made(f"from {first // 1_000_000} km", inside))
-    return parts
 
 
 def draw(track: Labelled, found: Found, folder: Path) -> None:
@@ -333,7 +319,7 @@ def measure(
             row(name, found, track.label)
             if name == "ours":
                 without_land(track, found)
-                beside_signal(track, found)
+                where_labels_tell(track, found)
                 if picture is not None:
                     draw(track, found, picture)
     if len(tracks) > 1:
@@ -351,7 +337,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--halves", action="store_true", help="cut each track in the middle")
-    parser.add_argument("--vary", action="store_true", help="ours on what is made of each track")
     parser.add_argument("--picture", type=Path, metavar="FOLDER", help="draw each track there")
     parser.add_argument("--scale", action="append", default=[], metavar="KEY=FACTOR")
     options = parser.parse_args(arguments)
@@ -364,12 +349,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     water = [read_csv(path) for path in sorted(options.folder.glob("*.csv"))]
     if options.halves:
         water = [part for track in water for part in halves(track)]
-    if options.vary:
-        for track in water:
-            print(f"{track.name}, varied" + "".join(f"{head:>10}" for head in HEADS))
-            for part in varied(track):
-                row(part.name, ours(part, signal), part.label)
-        return
     if water:
         measure(water, signal, options.picture)
     for atl03 in sorted(options.folder.glob("atl03*.h5")):

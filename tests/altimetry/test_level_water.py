@@ -405,6 +405,6 @@ def test_layers_that_may_be_neither_land_nor_floor_are_told() -> None:
     )
     assert "2.5 m below the water surface" in echo
     (under,) = told(floor, (0.0, 0.0, 0.6))
-    assert "called surface" in under
+    assert "photons more lie 0.3 to 1 m below the water surface than as far above it" in under
     (cloud,) = told(np.where((x >= 1000.0) & (x < 1400.0), -12.0, floor))
     assert "200 signal photons between 1 and 1.4 km lie more than 1 m above" in cloud

@@ -2,7 +2,8 @@
 
 By night a cell of 20 m holds no noise at all: what it spans is its surface. So gate and rate are
 read from the shortest stretch around a cell that holds some tens of noise photons, 2 km at most. By
-day that is the cell and those beside it.
+day that is the cell and those beside it. Both ends of the gate have to be seen: a floor has photons
+enough below a surface, and none of them tells where the gate ends above it.
 """
 
 from typing import Final
@@ -20,6 +21,9 @@ STRETCH_CELLS: Final = 50
 
 STRETCH_PHOTONS: Final = 30
 """Noise photons that gate and rate are read from, where a stretch has as many [count]."""
+
+END_PHOTONS: Final = 8
+"""Of them on either side of the surface, so that both ends of the gate are seen [count]."""
 
 _FEW_BINS: Final = 0.1
 """Empty bins over what is away from the surface, where the gate is too narrow for bins."""
@@ -52,26 +56,35 @@ def gates(
         Surface of each cell; photons farther than a height bin from it are noise [quanta].
     """
     n = len(index)
-    away = np.abs(height - peak[cell]) > quanta(settings.slice_m)
-    count = np.bincount(cell[away], minlength=n)
+    off = height - peak[cell]
+    least = quanta(settings.slice_m)
+    below, above = (np.bincount(cell[side], minlength=n) for side in (off < -least, off > least))
     low = np.full(n, np.iinfo(np.int32).max, np.int64)
     high = np.full(n, np.iinfo(np.int32).min, np.int64)
     np.minimum.at(low, cell, height)
     np.maximum.at(high, cell, height)
-    reach, seen = stretches(index, count, 0)
+    reach, _ = stretches(index, below + above, 0)
+    # A floor, and the water above it, tell nothing of the upper end.
+    for one in (below, above):
+        reach = np.maximum(reach, stretches(index, one, 0, END_PHOTONS)[0])
     first = np.searchsorted(index, index - reach)
     stop = np.searchsorted(index, index + reach, side="right")
     bounds = np.stack([first, stop], axis=1).ravel()
     # A row more, so that the last stretch may end where the cells do.
-    least = np.minimum.reduceat(np.append(low, low[-1:]), bounds)[::2] if n else low
-    most = np.maximum.reduceat(np.append(high, high[-1:]), bounds)[::2] if n else high
-    more = (most - least) // np.maximum(seen - 1, 4)
+    lowest = np.minimum.reduceat(np.append(low, low[-1:]), bounds)[::2] if n else low
+    highest = np.maximum.reduceat(np.append(high, high[-1:]), bounds)[::2] if n else high
+    total = np.concatenate([[0], np.cumsum(below + above)])
+    seen = total[stop] - total[first]
+    more = (highest - lowest) // np.maximum(seen - 1, 4)
     more[seen < 2] = 0
-    return (least - more).astype(np.int32), (most + more).astype(np.int32)
+    return (lowest - more).astype(np.int32), (highest + more).astype(np.int32)
 
 
 def stretches(
-    index: NDArray[np.int64], count: NDArray[np.int64], least: int
+    index: NDArray[np.int64],
+    count: NDArray[np.int64],
+    least: int,
+    photons: int = STRETCH_PHOTONS,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Cells to each side that hold enough noise photons, and those photons: (n,) int64 each.
 
@@ -85,7 +98,7 @@ def stretches(
     wider = STRETCH_CELLS
     while True:
         within = _around(index, count, wider)
-        enough = (within >= STRETCH_PHOTONS) | (wider == STRETCH_CELLS)
+        enough = (within >= photons) | (wider == STRETCH_CELLS)
         reach[enough], seen[enough] = wider, within[enough]
         if wider <= least:
             return reach, seen

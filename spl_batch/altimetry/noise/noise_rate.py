@@ -41,6 +41,9 @@ HALO_CELLS: Final = STRETCH_CELLS + 2 * REACH_CELLS + 5
 NOTHING_SEEN: Final = 3.0
 """Upper 95 % bound of what is expected where nothing is counted [count]."""
 
+WINDOW_LEAST_M: Final = 4.0
+"""Least gate away from a surface: no noise there tells of so much of it [m]."""
+
 CAP_UNITS: Final = 5.0
 """Farthest neighbour in the scaled plane [units]; 78 noise photons are expected nearer."""
 
@@ -76,13 +79,15 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     peak = _surface(index, table)
     low, high = gates(index, cell, height, (peak + base) * bin_q + bin_q // 2, settings)
     water = find_water(index, cell, height, (low, high), settings.cell_m)
+    # A floor may be brighter than the surface above it.
+    peak = np.where(water.level != NO_WATER, water.level // bin_q - base, peak)
     first = -(-(low.astype(np.int64)) // bin_q) - base
     last = high.astype(np.int64) // bin_q - base
     column = np.arange(width)
     whole = (column >= first[:, None]) & (column < last[:, None])
     # Below a water surface noise is counted by depth.
     dry = (column > peak[:, None]) | (water.level == NO_WATER)[:, None]
-    whole = np.where((whole & dry).any(axis=1)[:, None], whole & dry, whole)
+    whole &= dry
     reach = -(-quanta(settings.buffer_m) // bin_q)
     empty = np.zeros_like(whole)
     for part in (0.25, 0.5, 1.0):
@@ -224,6 +229,8 @@ def density_from_window(cells: Cells, settings: RateSettings) -> NDArray[np.floa
     whole = areas[-1]
     overall = counts[-1] / whole if whole > 0 else 0.0
     expected = np.where(count > 0, count, NOTHING_SEEN)
+    # Where no noise shows how far the gate reaches, what photons span is none of its length.
+    area = np.where(count > 0, area, np.maximum(area, (stop - first) * cell_m * WINDOW_LEAST_M))
     density: NDArray[np.float64] = np.where(
         area > 0, expected / np.where(area > 0, area, 1.0), overall
     )

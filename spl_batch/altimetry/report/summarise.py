@@ -152,11 +152,13 @@ def _odd_layers(delivered: Mapping[str, Any]) -> Iterator[str]:
             "surface is among the signal, and heights of ground and canopy are not to be relied "
             "on there"
         )
-    if layers["under"].photons >= max(SAID_LEAST, _UNDER_SHARE * surface):
+    under = layers["under"]
+    if under.photons >= max(SAID_LEAST, _UNDER_SHARE * surface):
         yield (
-            f"{where['under']} lie {layers['under'].depth_m:g} to 1 m below a water surface and "
-            "none as far above it: echoes of the detector or a shallow floor are called surface, "
-            "which lies too low by them"
+            f"between {under.from_m / 1000:g} and {under.to_m / 1000:g} km, "
+            f"{grouped(under.photons)} signal photons more lie {under.depth_m:g} to 1 m below the "
+            "water surface than as far above it: an echo of the detector or a shallow floor is "
+            "called surface there, and the surface lies too low"
         )
     echo = layers["echo"]
     if echo.photons >= max(SAID_LEAST, _ECHO_SHARE * delivered["floor"]):
