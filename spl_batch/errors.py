@@ -30,6 +30,14 @@ def grouped(value: float, digits: int = 0) -> str:
     return f"{value:,.{digits}f}".replace(",", " ")
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things: ``1 point``, ``2 points``.
+
+    ``noun``: in the plural.
+    """
+    return f"{grouped(count)} {noun.removesuffix('s') if count == 1 else noun}"
+
+
 def storage(count: float) -> str:
     """Bytes in the largest binary unit that there is one of; nothing is shown as 0."""
     if count >= 2**30:

@@ -295,9 +295,11 @@ def _catalogue_files(task: Task) -> list[str]:
 
 
 def _of_further_pieces(output: Path) -> list[Path]:
-    """Terrain of the other pieces of a survey, of few; their folder where there are more."""
-    found = sorted(output.glob("dtm_[0-9]*.tif"))
-    return found if len(found) <= FEW_PIECES else [output]
+    """Terrain and surface of the other pieces of a survey, of few; their folder for more."""
+    dtms = sorted(output.glob("dtm_[0-9]*.tif"))
+    if len(dtms) > FEW_PIECES:
+        return [output]
+    return [path for dtm in dtms for path in (dtm, dtm.with_name(dtm.name.replace("dtm", "dsm")))]
 
 
 RECEIVER: Final[Receiver[Any, Any]] = Imaging()

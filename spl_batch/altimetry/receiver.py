@@ -17,7 +17,7 @@ from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
-from spl_batch.errors import Said, WorkflowError, grouped, shared
+from spl_batch.errors import Said, WorkflowError, counted, grouped, shared
 
 _WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -126,7 +126,7 @@ def _unplaced(tracks: Tracks, taken: Mapping[str, Receipt]) -> Iterator[Said]:
     for source, beam, key in tracks.beams():
         lost = taken[key].points - taken[key].facts["placed"] if key in taken else 0
         if lost:
-            text = f"{grouped(lost)} photons have no height or place and are delivered unlabelled"
+            text = f"{counted(lost, 'photons')} without height or place, delivered unlabelled"
             yield Said(f"{source.name} {beam.name}", text, lost)
 
 

@@ -14,7 +14,7 @@ from rich.text import Text
 from spl_batch.engine.report.number_format import as_ascii, large
 from spl_batch.engine.watch.status import RunStatus, StageStatus
 from spl_batch.engine.watch.tile_map import State, TileMap
-from spl_batch.errors import grouped
+from spl_batch.errors import counted, grouped
 
 COLOURS: Final = {
     State.NOTHING: None,
@@ -162,7 +162,7 @@ def _facts(status: RunStatus) -> list[str]:
         used, limit = status.workers["memory_mb"], status.workers["limit_mb"]
         of = f" of {grouped(limit)}" if limit else ""
         peak = f", {grouped(status.peak_mb)} at most so far" if status.peak_mb else ""
-        count = ", ".join(_counted(status.workers[noun], noun) for noun in ("workers", "threads"))
+        count = ", ".join(counted(status.workers[noun], noun) for noun in ("workers", "threads"))
         lines.append(f"  {count}; most memory {grouped(used)}{of} MiB{peak}")
     elif status.peak_mb:
         lines.append(f"  memory {grouped(status.peak_mb)} MiB at most so far")
@@ -173,10 +173,6 @@ def _facts(status: RunStatus) -> list[str]:
     if status.dashboard and status.ended is None:
         lines.append(f"  dask dashboard {status.dashboard}")
     return lines
-
-
-def _counted(count: int, nouns: str) -> str:
-    return f"{grouped(count)} {nouns.removesuffix('s') if count == 1 else nouns}"
 
 
 def _failures(status: RunStatus) -> list[RenderableType]:

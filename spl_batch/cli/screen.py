@@ -18,7 +18,7 @@ from spl_batch.engine.report import number_format as texts
 from spl_batch.engine.report.number_format import (
     as_ascii,
 )
-from spl_batch.errors import grouped, storage
+from spl_batch.errors import counted, grouped, storage
 
 if TYPE_CHECKING:  # each command loads what it needs only
     from spl_batch.api import (
@@ -149,7 +149,7 @@ def _finished(left: "Left | None") -> list[tuple[str, str]]:
 
 
 def _tasks(count: int) -> str:
-    return f"{grouped(count)} task{'s' * (count != 1)}"
+    return counted(count, "tasks")
 
 
 def _time_left(left: "Left | None") -> str:

@@ -15,6 +15,7 @@ from spl_batch.engine.watch.events import (
     Event,
     Note,
     PhaseStarted,
+    RunStarted,
     TaskEnded,
     TaskStarted,
     WorkersReady,
@@ -83,7 +84,7 @@ class View:
         self._lock = threading.Lock()
         self._status = RunStatus()
         self._simulated = StageStatus("simulate")
-        self._over = False
+        self._over = self._runs = False
         self._compiled: Compiled | None = None
         self._heard_s = time.time()
 
@@ -101,6 +102,7 @@ class View:
         with self._lock:
             self._status.feed(as_record(event))
             self._heard_s = time.time()
+            self._runs |= isinstance(event, RunStarted)
             if isinstance(event, Compiling):
                 self._compiled = self._compiled or Compiled()
                 self._compiled.hear(event.done, event.of)
@@ -123,6 +125,8 @@ class View:
     def draw(self) -> RenderableType:
         """The view as it is now."""
         with self._lock:
+            if self._simulates:
+                self._simulated.latest_s = time.time()  # it goes on while nothing is heard of it
             stages = bars([self._simulated, *self._status.rows])
             if self._over:
                 return stages
@@ -130,12 +134,17 @@ class View:
                 return Group(stages, self._between())
             return Group(stages, *details(self._status))
 
+    @property
+    def _simulates(self) -> bool:
+        """Whether a simulation is at work, whose bar has the clock."""
+        return bool(self._simulated.began_s) and not (self._runs or self._over)
+
     def _between(self) -> Text:
         """What is done where no task runs, and for how long: that it is alive."""
         if self._compiled is not None:
             return Text(f"  {self._compiled}", style="dim")
         quiet_s = time.time() - self._heard_s
-        if quiet_s < QUIET_S:
+        if quiet_s < QUIET_S or self._simulates:
             return Text("")
         word = "writing the report" if self._status.reporting else "getting ready"
         return Text(f"  {word}, {duration(quiet_s)}", style="dim")
@@ -204,8 +213,9 @@ class PlainView(View):
                     for name, stage in self._status.stages.items()
                     if busy[name]
                 )
-            if self._simulated.left and not self._status.kinds:
-                return f"simulate: {self._simulated.done} %, at work on the next"
+            if self._simulates:
+                what = "at work on the next" if self._simulated.left else "writing the last"
+                return f"simulate: {self._simulated.done} %, {what}"
             return self._between().plain.strip()
 
     def _maybe_compiling(self, stage: StageStatus) -> str:

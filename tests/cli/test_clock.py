@@ -122,6 +122,23 @@ def test_a_quick_simulation_takes_two_lines(console: Console, clock: list[float]
     assert lines_of(console) == ["simulate: begun", "simulate: 100 %"]
 
 
+def test_a_simulation_has_one_clock(
+    console: Console, clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(view.time, "time", lambda: clock[0])
+    drawn = view.View(console)
+    drawn.simulated(0.5)
+    clock[0] += 7.0
+    console.print(drawn.draw())
+    said = "\n".join(lines_of(console))
+    assert "simulate" in said
+    assert "getting ready" not in said
+    drawn.on_event(RunStarted("w.yaml", 1, "code", stages=("index", "surfaces"), anew=True))
+    clock[0] += 7.0
+    console.print(drawn.draw())
+    assert lines_of(console)[-1].strip().startswith("getting ready, "), "that of the run"
+
+
 def test_compiling_that_is_piped_says_how_far_it_is_now_and_then(
     console: Console, clock: list[float]
 ) -> None:

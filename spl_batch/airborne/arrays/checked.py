@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
 from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
-from spl_batch.errors import InputError, WorkflowError, grouped
+from spl_batch.errors import InputError, WorkflowError, counted, grouped
 from spl_batch.formats.crs import look_like_degrees
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.lattice.row_order import lexicographic_order
@@ -95,17 +95,23 @@ def points_of(
             f"an array of shape {place.shape}, {place.dtype}; give (n, 3) numbers: easting, "
             "northing, height in metres",
         )
-    faults = list(_misplaced(place))
+    wrong: dict[str, list[str]] = {"xyz": _misplaced(place)}
     held: dict[str, Numbers] = {}
     for name, values in {"water": water, **columns}.items():
         if values is not None:
             found = np.asarray(values)
             if found.shape not in {(), (len(place),)}:
-                faults.append(f"{name} has shape {found.shape}; give one value for each point")
+                wrong[name] = [
+                    f"has shape {found.shape}; give one value for each of {len(place)} points"
+                ]
                 continue
             held[name] = np.ascontiguousarray(np.broadcast_to(found, (len(place),)))
-    if faults:
-        raise InputError("xyz", faults)
+    named = {name: faults for name, faults in wrong.items() if faults}
+    if len(named) == 1:
+        raise InputError(*named.popitem())
+    if named:
+        told = (f"{name}: {fault}" for name, faults in named.items() for fault in faults)
+        raise InputError("arrays", list(told))
     whole = np.rint(place.astype(np.float64, copy=False) * QUANTA_PER_M).astype(np.int64)
     base = dict(zip("xyz", whole.T, strict=True))
     wet = held.pop("water", np.zeros(len(place), np.bool_))
@@ -119,7 +125,8 @@ def _misplaced(place: Numbers) -> list[str]:
     bad = np.flatnonzero(~np.isfinite(place).all(axis=1))
     if len(bad):
         faults.append(
-            f"{len(bad)} points are not finite, the first is number {bad[0]}; leave them out"
+            f"{counted(len(bad), 'points')} not finite, the first is number {bad[0]}; "
+            "leave such out"
         )
     limits = np.array([FARTHEST_M, FARTHEST_M, HIGHEST_M])
     far = np.flatnonzero(

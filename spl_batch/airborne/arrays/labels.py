@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_SIGNAL
-from spl_batch.errors import grouped
+from spl_batch.errors import counted, grouped
 
 Basis = Literal["given", "beams", "intersection", "vertical", "cloud"]
 
@@ -73,8 +73,8 @@ class Labels:
         said = [f"{grouped(n)} {name}" for n, name in zip(counts, kinds, strict=True)]
         said += [f"{grouped(left)} not assessed"] if (left := len(self) - sum(counts)) else []
         said += [f"noise density {_BASES[self.basis]}"]
-        counted = f"Labels({grouped(len(self))} points: {', '.join(said)})"
-        return "\n".join([counted, *(f"warning: {text}" for text in self.warnings)])
+        whole = f"Labels({counted(len(self), 'points')}: {', '.join(said)})"
+        return "\n".join([whole, *(f"warning: {text}" for text in self.warnings)])
 
 
 class ExpectedNoise(NamedTuple):

@@ -22,7 +22,7 @@ from spl_batch.airborne.first_use.clouds import (
 )
 from spl_batch.airborne.first_use.folder import Folder
 from spl_batch.airborne.sensors.sensor import load_preset
-from spl_batch.errors import grouped, named, plain
+from spl_batch.errors import counted, grouped, named, plain
 
 SMALL_M2: Final = 10_000.0
 """Area below which it is told in square metres [m2]."""
@@ -105,7 +105,7 @@ def propose(folder: Folder) -> Proposal:
 def _clouds(looks: Sequence[CloudLook]) -> str:
     """How much there is."""
     points = sum(look.facts.n_points for look in looks)
-    said = f"{len(looks)} file{'s' * (len(looks) != 1)}, {grouped(points)} points"
+    said = f"{counted(len(looks), 'files')}, {counted(points, 'points')}"
     area_m2 = sum(look.area_m2 for look in looks)
     if area_m2 < 1.0:  # of degrees, or of next to nothing
         return said

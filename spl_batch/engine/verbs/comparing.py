@@ -125,10 +125,7 @@ def compare(
     output = (path.resolve().parent / settings.output).resolve()
     url = settings.outputs.store
     keys = {}
-    for name in listed(methods, found.known):
-        own = found.keys(name, settings)
-        if own is None:
-            raise WorkflowError(f"--methods: no method {name!r}; there are {found.known}")
+    for name, own in _chosen(methods, found, settings).items():
         store = store_of(output, name, url)
         keys[name] = [*overrides, f"output={json.dumps(str(store.output))}", *own]
         if url:
@@ -173,19 +170,31 @@ def _once(listener: Listener) -> Listener:
     return listen
 
 
-def listed(methods: str | Sequence[str], known: str) -> list[str]:
-    """Names of a list such as ``"bayes,dbscan"``, each once, in the order given.
+def _chosen(
+    methods: str | Sequence[str], found: Methods, settings: Any
+) -> dict[str, Sequence[str]]:
+    """Keys of each method that is asked for, by name.
 
     Raises
     ------
     WorkflowError
-        If fewer than two are given.
+        If there is no such method, or fewer than two are given.
     """
-    names = methods.split(",") if isinstance(methods, str) else methods
-    chosen = list(dict.fromkeys(name.strip() for name in names if name.strip()))
+    chosen = {}
+    for name in listed(methods):
+        own = found.keys(name, settings)
+        if own is None:
+            raise WorkflowError(f"--methods: no method {name!r}; there are {found.known}")
+        chosen[name] = own
     if len(chosen) < 2:
-        raise WorkflowError(f"--methods: name two or more of {known}, separated by commas")
+        raise WorkflowError(f"--methods: name two or more of {found.known}, separated by commas")
     return chosen
+
+
+def listed(methods: str | Sequence[str]) -> list[str]:
+    """Names of a list such as ``"bayes,dbscan"``, each once, in the order given."""
+    names = methods.split(",") if isinstance(methods, str) else methods
+    return list(dict.fromkeys(name.strip() for name in names if name.strip()))
 
 
 def folder_of(name: str) -> str:

@@ -63,6 +63,12 @@ def test_points_that_are_there_twice_are_told() -> None:
     assert not any("repeat" in text for text in told)
 
 
+def test_one_point_is_one_point() -> None:
+    assert repr(spl_batch.filter_points(CLOUD[:1] + 1000.0, 0.01)).startswith("Labels(1 point: ")
+    with pytest.raises(InputError, match="xyz: 1 point not finite, the first is number 0"):
+        spl_batch.filter_points([[np.nan, 0.0, 0.0], [1.0, 2.0, 3.0]])
+
+
 def test_a_given_density_decides() -> None:
     given = 0.0156
     labels = spl_batch.filter_points(CLOUD, given)
@@ -134,12 +140,12 @@ def test_expected_noise_elsewhere_needs_beams() -> None:
     [
         ({"xyz": np.zeros((5, 2))}, r"shape \(5, 2\)"),
         ({"xyz": [["a", "b", "c"]]}, "give \\(n, 3\\) numbers"),
-        ({"xyz": [[0.0, np.nan, 0.0]]}, "1 points are not finite, the first is number 0"),
+        ({"xyz": [[0.0, np.nan, 0.0]]}, "1 point not finite, the first is number 0"),
         ({"xyz": [[0.0, 0.0, 2e7]]}, "point number 0 lies at 0, 0, 2e\\+07"),
         ({"noise_density": -1.0}, "-1 .* 0 or more"),
         ({"noise_density": [0.1, 0.2]}, r"shape \(2,\)"),
         ({"xyz": CLOUD * [5e-5, 5e-5, 1] + [8.5, 47.3, 0]}, "look like degrees; reproject"),
-        ({"gps_time": [0.0, 1.0]}, "gps_time has shape"),
+        ({"gps_time": [0.0, 1.0]}, "gps_time: has shape"),
         ({"gps_time": 0.0}, "11 000 points have the time 0, and no shot has so many"),
         ({"gps_time": np.nan}, "no time is usable; leave it out"),
         ({"channel": np.zeros(len(CLOUD))}, "give both"),

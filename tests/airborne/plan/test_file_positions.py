@@ -121,6 +121,9 @@ def test_two_plots_far_apart_are_run_each_by_itself_and_named(tmp_path: Path) ->
         flat = " ".join(ended.text.split())
         assert "lines/wrong.laz: 2 121 km from the rest of the survey (lines/near.laz)" in flat
         assert "check its CRS and coordinates" in flat
+    shown = flat.partition("rasters")[2].partition("clouds")[0].split()
+    names = [Path(name).name for name in shown if name.endswith(".tif")]
+    assert names == ["dtm.tif", "dsm.tif", "dtm_2.tif", "dsm_2.tif"]
     for name in ("dtm.tif", "dtm_2.tif"):
         assert raster(tmp_path / "out" / name).size < 10_000
 
