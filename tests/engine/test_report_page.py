@@ -371,6 +371,19 @@ class TestPictures:
             said = " ".join(words(drawn))
             assert all(text in said for text in maps.corner_texts(extent))
 
+    @pytest.mark.parametrize("north_m", [3_300_299.0, 3_300_150.0, 3_300_002.0])
+    def test_the_name_of_the_profile_is_clear_of_the_coordinates(self, north_m: float) -> None:
+        line = (500_001.0, north_m, 500_399.0, north_m)
+        raster = Raster(np.arange(12.0).reshape(3, 4), EXTENT, line)
+        drawn = maps.draw_relief(raster, "t", "u")
+        drawn.canvas.draw()
+        boxes = {t.get_text(): t.get_window_extent() for t in drawn.axes[0].texts}
+        name = boxes.pop("profile")
+        assert drawn.axes[0].get_window_extent().contains(*name.min)
+        assert drawn.axes[0].get_window_extent().contains(*name.max)
+        corners = [boxes[text] for text in maps.corner_texts(EXTENT)]
+        assert not any(name.overlaps(corner) for corner in corners)
+
     def test_the_profile_has_its_line_on_the_maps(self) -> None:
         line = (500_010.0, 3_300_050.0, 500_110.0, 3_300_050.0)
         raster = Raster(np.arange(12.0).reshape(3, 4), EXTENT, line)

@@ -34,6 +34,9 @@ from spl_batch.lattice.tiles import Bounds, quanta
 EDGE_M: Final = 100.0
 """Edge of the square [m]."""
 
+WHOLE: Final = 0.9
+"""Share of its edge that points must fill for the square to be called one of that edge."""
+
 AROUND_M: Final = 30.0
 """Noise is shown so far below and above the signal: the gate is longer [m]."""
 
@@ -162,12 +165,11 @@ def view_of(clip: Clip) -> ClipView:
     whole = np.rint((clip.xyz_m - corner) / extent * 65_535).astype("<u2")
     counts = np.bincount(clip.kind, minlength=len(KINDS)).tolist()
     kinds = [Kind(k, *KINDS[k], n) for k, n in enumerate(counts) if n]
-    shown, east, north = len(clip.kind), *clip.corner_m
+    shown = len(clip.kind)
     caption = (
-        f"{number(shown)}{f' of {number(clip.of)}' if clip.of > shown else ''} points of a square "
-        f"of {EDGE_M:.0f} m from {number(east)} E, {number(north)} N, around the profile; heights "
-        f"{number(round(low[2]))} to {number(round(high[2]))} m. Noise farther above and below is "
-        "left out."
+        f"{number(shown)}{f' of {number(clip.of)}' if clip.of > shown else ''} points of "
+        f"{_place(clip, low, high)}, around the profile; heights {number(round(low[2]))} to "
+        f"{number(round(high[2]))} m. Noise farther above and below is left out."
     )
     title = "The points, seen from above at an angle"
     alt = f"{title}: {', '.join(f'{number(kind.points)} {kind.name}' for kind in kinds)}."
@@ -175,6 +177,16 @@ def view_of(clip: Clip) -> ClipView:
                     *STILL_PX)  # fmt: skip
     packed = base64.b64encode(whole.tobytes() + clip.kind.tobytes()).decode("ascii")
     return ClipView(shown, packed, [round(float(e), 3) for e in extent], kinds, still)
+
+
+def _place(clip: Clip, low: NDArray[np.float64], high: NDArray[np.float64]) -> str:
+    """Where the points are: in the square, or in the part of it that a small survey has."""
+    east, north = clip.corner_m
+    across = np.ceil(high - low)[:2]
+    if across.max() > WHOLE * EDGE_M:
+        return f"a square of {EDGE_M:.0f} m from {number(east)} E, {number(north)} N"
+    sides = " \N{MULTIPLICATION SIGN} ".join(f"{side:.0f} m" for side in across)
+    return f"{sides} from {number(np.floor(low[0]))} E, {number(np.floor(low[1]))} N"
 
 
 def _still(

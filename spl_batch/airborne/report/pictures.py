@@ -165,6 +165,9 @@ def _or_missing(
     return draw(raster)
 
 
+FLAT: Final = 0.25
+"""Share of the heights of terrain and surface below which the terrain has colours of its own."""
+
 RELIEF_TEXT: Final[Mapping[str, tuple[str, str]]] = {
     "dtm": (
         "Terrain (DTM)",
@@ -176,8 +179,8 @@ RELIEF_TEXT: Final[Mapping[str, tuple[str, str]]] = {
     "dsm": (
         "Surface (DSM)",
         (
-            "Highest surface. Look for lone spikes{spikes}, and for crisp roof edges. Same colours "
-            "as the terrain."
+            "Highest surface. Look for lone spikes{spikes}, and for crisp roof edges. {colours} "
+            "the terrain."
         ),
     ),
 }
@@ -187,16 +190,15 @@ def _relief(inputs: PictureInputs, key: str, *, photons: bool, piece: int = 1) -
     title, caption = RELIEF_TEXT[key]
     if piece > 1:
         title += f", piece {piece}"
+    limits = _heights(inputs, key)
+    shared = limits == _heights(inputs, "dtm" if key == "dsm" else "dsm")
     caption = caption.format(
+        colours="Same colours as" if shared else "Colours of its own, as it spans more than",
         pits=", which would be afterpulses taken for ground" if photons else "",
         spikes=", which would be noise taken for signal" if photons else "",
     )
     if getattr(inputs, key) is not None and getattr(inputs, key).line_m is not None:
         caption += " The line is the profile's."
-    # One ramp for both, so that terrain and surface can be compared by colour.
-    both = [r for r in (inputs.dtm, inputs.dsm) if r is not None and r.any_value]
-    ends = [spread(reduce_raster(r).values, 0.5, 99.5) for r in both]
-    limits = (min(e[0] for e in ends), max(e[1] for e in ends)) if ends else None
     return _or_missing(
         getattr(inputs, key),
         title,
@@ -205,6 +207,25 @@ def _relief(inputs: PictureInputs, key: str, *, photons: bool, piece: int = 1) -
             draw_relief(raster, title, "height [m]", limits), title, caption, raster
         ),
     )
+
+
+def _heights(inputs: PictureInputs, key: str) -> tuple[float, float] | None:
+    """Ends of a ramp of heights: one for both, so that terrain and surface compare by colour.
+
+    Terrain far flatter than what stands on it would be of one colour: each has its own then.
+    """
+    both = {"dtm": inputs.dtm, "dsm": inputs.dsm}
+    ends = {
+        name: spread(reduce_raster(raster).values, 0.5, 99.5)
+        for name, raster in both.items()
+        if raster is not None and raster.any_value
+    }
+    if not ends:
+        return None
+    whole = min(e[0] for e in ends.values()), max(e[1] for e in ends.values())
+    low, high = ends.get("dtm", whole)
+    flat = high - low < FLAT * (whole[1] - whole[0])
+    return ends.get(key, whole) if flat else whole
 
 
 class Amount(NamedTuple):

@@ -26,6 +26,9 @@ TALLEST_IN: Final = 5.6
 LARGEST_PX: Final = 900
 """More cells than this along a side are averaged: the picture has no pixels for them."""
 
+NAMED_BELOW: Final = 0.9
+"""Share of a map's height from which on a line's name stands below it: above there is no room."""
+
 
 @dataclass(frozen=True, slots=True)
 class Raster:
@@ -300,7 +303,7 @@ def furnish(
 ) -> None:
     """Add scale bar, coordinates of two corners and a line to a map, and set its limits."""
     if line_m is not None:
-        _line(axes, line_m)
+        _line(axes, line_m, extent_m)
     _corners(axes, extent_m)
     west, east, south, north = extent_m
     wide, high = east - west, north - south
@@ -362,13 +365,20 @@ def _corners(axes: Axes, extent_m: tuple[float, float, float, float]) -> None:
         place(start, bottom / layout.height, f"lower right\n{lower}", va="bottom", **look)
 
 
-def _line(axes: Axes, line_m: tuple[float, float, float, float]) -> None:
-    """Where the profile runs."""
+def _line(
+    axes: Axes,
+    line_m: tuple[float, float, float, float],
+    extent_m: tuple[float, float, float, float],
+) -> None:
+    """Where the profile runs; its name is at the middle, since corners have their coordinates."""
     x0, y0, x1, y1 = line_m
+    middle = (x0 + x1) / 2, (y0 + y1) / 2
+    above = middle[1] < extent_m[2] + NAMED_BELOW * (extent_m[3] - extent_m[2])
     axes.plot([x0, x1], [y0, y1], color=style.AFTERPULSE, linewidth=1.4, zorder=5,
               path_effects=[_halo(3.0)])  # fmt: skip
     axes.annotate(
-        "profile", (x0, y0), xytext=(1, 3), textcoords="offset points", fontsize=6.5,
+        "profile", middle, xytext=(0, 3 if above else -3), textcoords="offset points",
+        fontsize=6.5, ha="center", va="bottom" if above else "top",
         color=style.AFTERPULSE, path_effects=[_halo(2.2)], zorder=6,
     )  # fmt: skip
 

@@ -18,6 +18,7 @@ _RAISED: Final = "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u
 _SUPERSCRIPT: Final = str.maketrans("0123456789-", _RAISED)
 _LOWERED: Final = str.maketrans(_RAISED, "0123456789-")
 _UNIT: Final = re.compile(r"((?:\d|per) k?m)([23])(?!\.?\w)")
+_GROUPED: Final = re.compile(r"(?<![\w.,:/-])\d{1,3}(?: \d{3})+(?![\w:/-])")
 _POWER: Final = re.compile(f"(?<=10)[{_RAISED}]+")
 
 
@@ -57,8 +58,12 @@ def alike(values: Sequence[float | None], factor: float = 1.0) -> list[str]:
 
 
 def typeset(sentence: str) -> str:
-    """A sentence of a log or a console with the units that a page has: ``12 m2`` as ``12 m²``."""
-    return _UNIT.sub(lambda found: found[1] + found[2].translate(_SUPERSCRIPT), sentence)
+    """A sentence of a log or a console with units and spaces of a page: ``1 200 m2``, ``m²``.
+
+    No line ends within a number then.
+    """
+    whole = _GROUPED.sub(lambda found: found[0].replace(" ", THIN), sentence)
+    return _UNIT.sub(lambda found: found[1] + found[2].translate(_SUPERSCRIPT), whole)
 
 
 def _raised(exponent: int) -> str:

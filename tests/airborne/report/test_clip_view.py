@@ -77,6 +77,17 @@ def test_the_largest_square_is_small() -> None:
     assert re.search(r"of 10\W000\W000", view.still.caption)
 
 
+def test_a_plot_is_not_called_a_square_that_it_does_not_fill() -> None:
+    rng = np.random.default_rng(0)
+    whole, plot = (rng.uniform(0, size, (5_000, 3)) + 700.0 for size in ((100, 100, 5), (21, 9, 5)))
+    captions = [
+        view_of(Clip(xyz, np.zeros(len(xyz), np.uint8), (700.0, 700.0), len(xyz))).still.caption
+        for xyz in (whole, plot)
+    ]
+    assert "points of a square of 100 m from 700 E, 700 N" in captions[0]
+    assert "points of 21 m \N{MULTIPLICATION SIGN} 9 m from 700 E, 700 N" in captions[1]
+
+
 def test_the_still_picture_shows_what_is_nearest() -> None:
     toward = np.array([-np.sin(0.5) * np.sin(1.1), -np.cos(0.5) * np.sin(1.1), np.cos(1.1)])
     along = np.arange(-40, 41)

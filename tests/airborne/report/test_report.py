@@ -370,6 +370,16 @@ class TestFormat:
         assert shown.replace(NARROW, " ") == expected
 
     @pytest.mark.parametrize(
+        ("said", "shown"),
+        [
+            ("of 1 200 m2 in 12 345 678", f"of 1{NARROW}200 m\u00b2 in 12{NARROW}345{NARROW}678"),
+            ("2_100 200, 0.5 300 m, 7 12", "2_100 200, 0.5 300 m, 7 12"),
+        ],
+    )
+    def test_no_line_ends_within_a_number(self, said: str, shown: str) -> None:
+        assert text.typeset(said) == shown
+
+    @pytest.mark.parametrize(
         "function",
         [
             text.number,

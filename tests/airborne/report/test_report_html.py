@@ -266,6 +266,19 @@ class TestPictures:
         shown = Page(render(make_report(), made)).text
         assert all(picture.caption in shown for picture in made.values())
 
+    def test_terrain_under_one_tall_tree_has_colours_of_its_own(self) -> None:
+        hilly = make_inputs()
+        assert "Same colours as the terrain" in make_pictures(hilly, make_report())["dsm"].caption
+        low = np.linspace(0.0, 0.5, 1200).reshape(30, 40)
+        tall = low.copy()
+        tall[5:9, 5:9] = 17.0
+        flat = PictureInputs(dtm=Raster(low, EXTENT), dsm=Raster(tall, EXTENT))
+        made = make_pictures(flat, make_report())
+        assert "Colours of its own, as it spans more than the terrain" in made["dsm"].caption
+        shades = np.asarray(Image.open(io.BytesIO(made["dtm"].png)).convert("RGB"))
+        middle = shades[shades.shape[0] // 2, : shades.shape[1] * 2 // 3].reshape(-1, 3)
+        assert np.ptp(middle[middle.sum(axis=1) < 740].astype(int), axis=0).max() > 60
+
     def test_rasters_without_a_value_are_missing(self) -> None:
         nothing = Raster(np.full((5, 5), -9999.0, dtype=np.float32), EXTENT)
         inputs = PictureInputs(*[nothing] * 7, np.full(3, np.nan), None)
