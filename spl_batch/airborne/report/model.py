@@ -54,7 +54,9 @@ class Flightline(Part):
         "where lines through several returns of one beamlet meet.",
     )
     seen_fraction: Number = Field(
-        None, description="Beamlets with at least one return / beamlets fired, 0..1."
+        None,
+        description="Beamlets with at least one return / beamlets fired, in the intervals that "
+        "hold returns, 0..1.",
     )
     noise_per_m: Number = Field(
         None, description="Mean noise returns per metre of beamlet, over the flightline [1/m]."

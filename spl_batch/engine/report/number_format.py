@@ -46,6 +46,15 @@ def significant(value: float | None, figures: int = 3, *, power: bool = False) -
     return number(rounded, digits)
 
 
+def expected_count(value: float | None, how: str) -> str:
+    """A number of things that are expected, not counted; a part of one is none to speak of.
+
+    ``how``: how sure it is, as ``about`` or ``at most``.
+    """
+    few = value is not None and 0 < value < 1
+    return "fewer than 1" if few else f"{how} {significant(value, 2)}"
+
+
 def _needs_power(value: float) -> bool:
     return value != 0 and not 1e-4 <= abs(value) < 1e6
 

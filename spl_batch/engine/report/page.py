@@ -131,6 +131,7 @@ def environment(package: str = HOME) -> Environment:
                 "number",
                 "plain",
                 "significant",
+                "expected_count",
                 "alike",
                 "typeset",
                 "percent",

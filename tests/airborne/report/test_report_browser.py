@@ -191,6 +191,16 @@ def test_only_what_is_too_wide_for_a_telephone_says_scroll(page: Page, path: Pat
     assert all(wide == told for wide, told in said), said
 
 
+def test_on_a_telephone_the_button_is_below_the_points(page: Page, path: Path) -> None:
+    page.open(path, width=400, height=900)
+    assert page.ask(
+        "(() => { const b = document.querySelector('.clip .start').getBoundingClientRect();"
+        "const i = document.querySelector('.clip img').getBoundingClientRect();"
+        "const hint = getComputedStyle(document.querySelector('.clip figcaption'), '::before');"
+        "return b.height > 0 && b.top >= i.bottom && hint.content == 'none'; })()"
+    )
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_can_be_read(page: Page, scheme: str) -> None:
     page.media(scheme=scheme)

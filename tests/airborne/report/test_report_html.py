@@ -18,6 +18,7 @@ from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, m
 from spl_batch.airborne.report.survey_files import write_report
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.engine.report import maps, style
+from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.parts import Performance, Statistics
 from spl_batch.engine.report.picture import Picture
 from spl_batch.errors import StoppedError
@@ -192,7 +193,7 @@ class TestPage:
         assert "Failures: 2" in parsed.text
         for failure in make_failures():
             assert failure.place in parsed.text
-            assert failure.reason in parsed.text
+            assert text.typeset(failure.reason) in parsed.text
         assert "copy the file again" in parsed.text
 
     def test_long_tables_are_cut_and_say_so(self) -> None:
