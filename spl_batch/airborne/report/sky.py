@@ -203,13 +203,17 @@ def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:
     ground = _ground(context, (low[0], low[1], high[0], high[1]))
     base, of = (0.0, "in height") if ground is None else (ground, "above the mean ground")
     listed = ", ".join(
-        f"{_times(band.times)} times between {band.low_m - base:.0f} and {band.high_m - base:.0f} m"
+        f"{_times(band.times)} times between {round(band.low_m - base)} and "
+        f"{round(band.high_m - base)} m"  # whole numbers know no -0
         for band in bands
     )
+    hint = ""
+    if context.workflow.survey.channel_dimension is None:
+        hint = "; if this is linear-mode lidar, which has no such noise, set filter.method: none"
     yield as_ascii(
         f"away from all surfaces the noise is not what its model expects: {listed} {of}. The "
         "noise changes along the gate. Where there is more of it, the filter keeps more than "
-        "filter.alpha says; where there is less, weak signals are lost"
+        f"filter.alpha says; where there is less, weak signals are lost{hint}"
     )
 
 

@@ -35,7 +35,8 @@ def block(squares, low, high, returns=9000, expected=500.0, west=0):
 
 @pytest.fixture
 def context(tmp_path):
-    return SimpleNamespace(output=tmp_path)
+    survey = SimpleNamespace(channel_dimension=None)
+    return SimpleNamespace(output=tmp_path, workflow=SimpleNamespace(survey=survey))
 
 
 def done(airs=(), layers=()):
@@ -99,6 +100,10 @@ def test_noise_that_falls_along_the_gate_is_told_with_its_heights(context):
     (text,) = misfit_warning(done(layers=[below + above[:8], above[8:]]), context)
     assert "1.40 times between 0 and 100 m" in text
     assert "-100" not in text
+    assert "if this is linear-mode lidar" in text
+    context.workflow.survey.channel_dimension = "user_data"
+    (text,) = misfit_warning(done(layers=[below + above]), context)
+    assert "linear" not in text
 
 
 def test_a_difference_by_chance_or_in_few_returns_is_not_told(context):
