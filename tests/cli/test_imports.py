@@ -15,6 +15,27 @@ from tests import surveys
 FOREIGN = ("matplotlib", "h5py", "skimage", "sklearn", "pystac", "s3fs", "xarray", "bokeh")
 """Packages of reports, of other receivers, of clusters and object stores."""
 
+WITHOUT = """
+import sys
+from importlib import metadata
+
+hidden, known = {*sys.argv.pop(1).split()}, metadata.version
+sys.modules.update(dict.fromkeys(hidden))
+
+def version(name):
+    if name.replace("scikit-", "sk") in hidden:
+        raise metadata.PackageNotFoundError(name)
+    return known(name)
+
+metadata.version = version
+from spl_batch.cli import main
+try:
+    main(sys.argv[1:])
+except SystemExit as end:
+    print("ended with", end.code, "loaded", [name for name in hidden if sys.modules[name]])
+"""
+"""A command, where packages are neither to be imported nor known to be installed."""
+
 
 def python(code: str, *arguments: object) -> str:
     found = subprocess.run(  # noqa: S603 - what stands here
@@ -28,22 +49,30 @@ def python(code: str, *arguments: object) -> str:
 
 
 @pytest.mark.slow
-def test_a_filter_run_loads_nothing_of_reports_and_other_receivers(
+def test_a_filter_run_needs_nothing_of_reports_and_other_receivers(
     small_lines: Path, tmp_path: Path
 ) -> None:
-    code = (
-        "import sys; from spl_batch.cli import main\n"
-        "try: main(sys.argv[2:])\n"
-        "except SystemExit as end: assert end.code == 0\n"
-        "print('loaded', sorted({m.split('.')[0] for m in sys.modules} & {*sys.argv[1].split()}))"
-    )
     line = small_lines.parent / "lines" / "line_1.laz"
     known = [f"--set=acquisition.prf_hz={surveys.PRF_HZ}", "--set=acquisition.gate_m=60"]
     said = python(
-        code, " ".join(FOREIGN), "denoise", line, tmp_path / "o.laz", "--workers", 0, *known
+        WITHOUT, " ".join(FOREIGN), "denoise", line, tmp_path / "o.laz", "--workers", 0, *known
     )
-    assert (tmp_path / "o.laz").exists(), said
-    assert "loaded []" in said
+    assert "ended with 0 loaded []" in said, said
+    assert (tmp_path / "o.laz").exists()
+
+
+@pytest.mark.parametrize(
+    ("lacks", "scene", "extra"),
+    [("h5py", "water_scene.yaml", "geiger"), ("h5py", "altimetry_scene.yaml", "altimetry")],
+)
+def test_a_simulation_names_the_package_that_it_lacks(
+    tmp_path: Path, lacks: str, scene: str, extra: str
+) -> None:
+    place = Path(__file__).parents[2] / "workflows" / scene
+    said = python(WITHOUT, lacks, "simulate", place, tmp_path / "out")
+    assert f"need the package {lacks}, which is not installed; " in said
+    assert f"pip install 'spl-batch[{extra}]'" in said
+    assert "ended with 2" in said
 
 
 def test_a_receiver_names_the_package_that_it_lacks() -> None:

@@ -180,7 +180,8 @@ def _settings(
     sections: Mapping[str, Any] | None, sensor: Any, alpha: float | None, method: str | None
 ) -> Workflow:
     """Settings with the two that have arguments of their own."""
-    given = {key: value for key, value in (("alpha", alpha), ("method", method)) if value}
+    named = (("alpha", alpha), ("method", method))
+    given = {key: value for key, value in named if value is not None}
     merged = dict(sections or {})
     if given:
         merged["filter"] = {**merged.get("filter", {}), **given}

@@ -123,7 +123,7 @@ def ground_points(
         If a setting is unknown or wrong.
     """
     merged = dict(settings or {})
-    if method:
+    if method is not None:
         merged["ground"] = {**merged.get("ground", {}), "method": method}
     workflow = settings_of(merged)
     table = _labelled(xyz, labels, water)
@@ -174,7 +174,7 @@ def rasterize(
         If a setting is unknown or wrong.
     """
     merged = dict(settings or {})
-    if cell_m:
+    if cell_m is not None:
         merged["products"] = {**merged.get("products", {}), "cell_m": cell_m}
     workflow = settings_of(merged)
     table = _labelled(xyz, labels, water)

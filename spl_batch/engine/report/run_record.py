@@ -21,7 +21,7 @@ from spl_batch.engine.report.parts import (
 )
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.runner import LIBRARIES
+from spl_batch.engine.tasks.runner import LIBRARIES, library_version
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import StoreError
 from spl_batch.formats.files.atomic import checksum, write_bytes
@@ -215,7 +215,7 @@ def provenance(context: RunContext[Any], inputs: Sequence[InputFile]) -> Provena
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         python=platform.python_version(),
         platform=f"{platform.system()} {platform.machine()}",
-        libraries={"spl-batch": __version__, **{name: version(name) for name in LIBRARIES}},
+        libraries={"spl-batch": __version__, **{n: library_version(n) for n in LIBRARIES}},
         parameters=context.workflow.model_dump(mode="json"),
         inputs=tuple(inputs),
     )

@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
@@ -81,6 +81,14 @@ def stages(receiver: str) -> tuple[str, ...]:
     return (*dict.fromkeys((*(kind.stage for kind in kinds(receiver).values()), "report")),)
 
 
+def library_version(name: str) -> str:
+    """Version of a library; "missing" where it is not installed, as some need not be."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"
+
+
 @cache
 def code_version(receiver: str) -> str:
     """Version of the project, hash of the code and of the libraries that decide results.
@@ -92,7 +100,7 @@ def code_version(receiver: str) -> str:
     """
     digest = hashlib.blake2b(content_hash(task_files(receiver)).encode(), digest_size=8)
     for name in DECISIVE:
-        digest.update(f"{name} {version(name)}".encode())
+        digest.update(f"{name} {library_version(name)}".encode())
     return f"{__version__}+{digest.hexdigest()}"
 
 

@@ -165,6 +165,7 @@ def test_each_fault_names_the_array_and_the_remedy(arguments: dict[str, Any], sa
         ({"settings": {"tiling": {}}}, "settings: tiling"),
         ({"settings": {"filter": {"alhpa": 1}}}, "alpha"),
         ({"alpha": 2.0}, "alpha"),
+        ({"alpha": 0}, "alpha"),
         ({"method": "best"}, "method"),
         ({"sensor": "spl1"}, "spl100"),
     ],
@@ -172,6 +173,11 @@ def test_each_fault_names_the_array_and_the_remedy(arguments: dict[str, Any], sa
 def test_each_wrong_setting_is_named(arguments: dict[str, Any], said: str) -> None:
     with pytest.raises(WorkflowError, match=said):
         spl_batch.filter_points(CLOUD, **arguments)
+
+
+def test_cells_of_no_size_are_refused() -> None:
+    with pytest.raises(WorkflowError, match="cell_m"):
+        spl_batch.rasterize(CLOUD, cell_m=0)
 
 
 def test_terrain_of_degrees_is_refused() -> None:

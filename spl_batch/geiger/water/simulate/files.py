@@ -15,7 +15,7 @@ from spl_batch.geiger.water.formats import FrameTruth, write_frames
 from spl_batch.geiger.water.pixel_geometry import View, view_of
 from spl_batch.geiger.water.settings import MountSettings
 from spl_batch.geiger.water.simulate.frames import Target, acquisitions
-from spl_batch.geiger.water.simulate.scene import TargetFrames, WaterScene
+from spl_batch.geiger.water.simulate.scene import TargetFrames, WaterScene, load_scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +37,13 @@ class WaterSummary:
             ("frames", grouped(self.frames)),
             ("frames of targets", grouped(self.targets)),
         ]
+
+
+def simulate_file(
+    scene: Path, out: Path, *, progress: Callable[[float], None] | None = None
+) -> WaterSummary:
+    """Simulate a scene file."""
+    return simulate(load_scene(scene), out, progress=progress)
 
 
 def simulate(
