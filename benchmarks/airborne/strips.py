@@ -90,11 +90,11 @@ def _of_truth(folder: Path) -> tuple[float | None, ...]:
         table = concat(list(iter_points(path, channel_dimension=None, source=0)), names)
         parts.append(table.take(~np.isin(kind, none)))
     points: PointTable = concat(parts, names)
-    passes = find_passes(points, 60.0)
+    passes = find_passes([points], 60.0)
     strips = [Strip(f"{k}", k, 0.0, np.inf) for k in (1, 2)]
     west, south = (int(points[axis].min()) for axis in "xy")
     east, north = (int(points[axis].max()) + 1 for axis in "xy")
-    patches = find_patches(points, passes, Bounds(west, south, east, north))
+    patches = find_patches([points], passes, Bounds(west, south, east, north))
     names_of = named_passes(passes.psid, passes.time_s, strips)
     (pair,) = pair_table([(names_of, patches)])
     return pair.east_m, pair.north_m, pair.up_m

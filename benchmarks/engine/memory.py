@@ -7,10 +7,11 @@ own, and prints for each kind of task the highest resident memory above what the
 held before it, by the points that the plan counts for it: what the constants of
 :mod:`spl_batch.airborne.plan.task_memory` are taken from.
 
-``strips WORKFLOW [KEY=VALUE ...]`` runs a workflow up to its surfaces and does its fullest surface
-cell again, at once and in 8, 16 and 28 strips: memory above what the process held before it, by the
-points of the cell and its margin, processor time, and whether the bytes are the same. A line
-through these gives the bytes of a point of the cell and of a strip in the same module.
+``strips WORKFLOW [KEY=VALUE ...]`` runs a workflow up to its surfaces and does the ground, the
+comparison of flightlines and the surfaces of its fullest cell again, at once and in more and more
+strips: points that the cell owns and that the fullest strip reads, memory above what the process
+held before, processor time, and whether the bytes are the same. Lines through these give the bytes
+of a point of the cell and of a strip in :mod:`spl_batch.airborne.plan.memory.cell_memory`.
 
 ``areas FOLDER`` flies strips of once, twice, four and eight times the area and runs each
 with two workers under a limit: peak memory by stage, which follows the largest stretch or block
@@ -31,7 +32,8 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -46,11 +48,13 @@ from pyproj import CRS
 from spl_batch import api
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import space_tasks
-from spl_batch.airborne.plan.halo import surface_reach_m
+from spl_batch.airborne.plan.memory.cell_memory import looks_at
+from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.store import label_tables
-from spl_batch.airborne.tasks import space_domain, surfaces
+from spl_batch.airborne.strips import strip_comparison
+from spl_batch.airborne.tasks import cell_classes, space_domain, surfaces
 from spl_batch.engine.flow import job
 from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks import runner
@@ -61,7 +65,8 @@ from spl_batch.formats.trajectory.sbet import BLOCK_RECORDS, SBET_RECORD
 from spl_batch.geiger.coincidence.formats import l1_files
 from spl_batch.geiger.coincidence.settings import ArraySettings
 from spl_batch.geiger.coincidence.tables import Attitudes
-from spl_batch.lattice.tiles import quanta
+from spl_batch.lattice.eastings import Cut, Eastings
+from spl_batch.lattice.tiles import Bounds, parse_cell
 
 AREAS = (1, 2, 4, 8)
 """Lengths of the strips, in lengths of the shortest."""
@@ -69,8 +74,23 @@ AREAS = (1, 2, 4, 8)
 LENGTH_M, WIDTH_M = 200.0, 100.0
 """Size of the shortest strip [m]."""
 
-STRIPS = (1, 8, 16, 28)
-"""Into how many strips a surface cell is cut [count]."""
+STRIPS = (1, 4, 8, 16, 28)
+"""Into how many strips a cell is cut, where they may be as narrow [count]."""
+
+CELL_TASKS = {
+    "ground": space_domain.ground,
+    "strip_patches": strip_comparison.strip_patches,
+    "surface": surfaces.surface,
+}
+"""Tasks of a cell that may be done in strips."""
+
+LOOKS = (
+    (surfaces, "_reflectance", "tops"),
+    (surfaces, "_surfaces", "tops"),
+    (surfaces, "_pulses", "pulses"),
+    (cell_classes, "classes", "classes"),
+)
+"""What looks at a surface cell: module, function, name of the look."""
 
 FILE_POINTS = 250_000
 """Points of a file [count]."""
@@ -150,39 +170,72 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
 
 
 def strips(workflow: Path, overrides: Sequence[str]) -> None:
-    """Print the memory of the fullest surface cell, in more and more strips."""
+    """Print the memory of the tasks of the fullest ground cell, in more and more strips."""
     result = api.run(workflow, workers=0, until="surfaces", overrides=overrides)
     if result.exit_status:
         raise SystemExit(f"{workflow}: the run failed")
-    task, held, context = _fullest(workflow, overrides)
-    print(f"{'strips':>8s}{'points':>14s}{'MiB':>8s}{'bytes each':>12s}{'s':>8s}  bytes")
-    whole = None
-    for count in STRIPS:
-        begin_s = time.process_time()
-        with Peak().watching() as peak:
-            produced = surfaces.surface({**task.args, "strips": count}, context)
-        spent_s = time.process_time() - begin_s
-        found = [path.read_bytes() for path in produced.outputs], produced.facts
-        whole = whole or found
-        more = peak.highest - peak.before
-        same = "same" if found == whole else "OTHERS"
-        print(f"{count:8d}{held:14,.0f}{more / 2**20:8.0f}{more / held:12.0f}{spent_s:8.1f}"
-              f"  {same}",
-              flush=True)  # fmt: skip
+    print(f"{'task':14s}{'strips':>7s}{'look':>9s}{'cell':>12s}{'strip':>12s}{'MiB':>7s}{'s':>7s}"
+          "  bytes")  # fmt: skip
+    for kind, function in CELL_TASKS.items():
+        task, parts, context = _fullest(kind, workflow, overrides)
+        whole = None
+        for count in STRIPS:
+            cuts = {look: cut(count) for look, cut in parts.items()}
+            seen: dict[str, int] = {}
+            begin_s = time.process_time()
+            with Peak().watching() as peak, _looking(seen, peak.before):
+                ends = {look: list(found.ends[1:-1]) for look, found in cuts.items()}
+                produced = function({**task.args, "cuts": ends}, context)
+            spent_s = time.process_time() - begin_s
+            found = [path.read_bytes() for path in produced.outputs], produced.facts
+            whole = whole or found
+            same = "same" if found == whole else "OTHERS"
+            for look, cut in cuts.items():
+                most = seen.get(look, peak.highest - peak.before)
+                print(f"{kind:14s}{cut.strips:7d}{look:>9s}{task.points:12,d}{cut.fullest:12,d}"
+                      f"{most / 2**20:7.0f}{spent_s:7.1f}  {same}", flush=True)  # fmt: skip
 
 
-def _fullest(workflow: Path, overrides: Sequence[str]) -> tuple[Task, float, Context]:
-    """Surface task that holds most points, how many, and what it runs in."""
+@contextlib.contextmanager
+def _looking(seen: dict[str, int], before: int) -> Iterator[None]:
+    """Note the memory above what there was before, by look at a surface cell."""
+
+    def watched(function: Callable[..., Any], look: str) -> Callable[..., Any]:
+        def work(*args: Any) -> Any:
+            with Peak().watching() as peak:
+                found = function(*args)
+            seen[look] = max(seen.get(look, 0), peak.highest - before)
+            return found
+
+        return work
+
+    with contextlib.ExitStack() as stack:
+        for home, name, look in LOOKS:
+            function = watched(getattr(home, name), look)
+            stack.enter_context(mock.patch.object(home, name, function))
+        yield
+
+
+def _fullest(
+    kind: str, workflow: Path, overrides: Sequence[str]
+) -> tuple[Task, dict[str, Callable[[int], Cut]], Context]:
+    """The task of a kind that holds most points, how its looks are cut, and what it runs in."""
     prepared = prepare(workflow, overrides)
     survey, context = prepared.ledger, prepared.context
-    for kind in ("index_file", "scatter", "build_tile", "denoise", "ground"):
-        for receipt in read_receipts(context.store, kind):
-            survey.of(kind).put(receipt)
-    reach = quanta(surface_reach_m(context.workflow))
-    units = survey.ground_cells.units(survey.counts, survey.tile_q, reach)
-    held = {unit.name: unit.held for unit in units}
-    task = max(space_tasks.surface(survey), key=lambda task: held[task.name])
-    return task, held[task.name], context
+    for done in ("index_file", "scatter", "build_tile", "denoise", "ground"):
+        for receipt in read_receipts(context.store, done):
+            survey.of(done).put(receipt)
+    phase = next(phase for phase in PHASES if phase.kind == kind)
+    task = max(phase.tasks(survey), key=lambda task: len(task.args["tiles"]))
+    spread = space_tasks.spread_over(list(map(parse_cell, task.args["tiles"])), survey)
+    core = Bounds(*task.args["core"])
+    task = replace(task, points=round(spread(core).total))
+
+    def cut_by(region: Eastings, step: int, reach: int) -> Callable[[int], Cut]:
+        return lambda count: region.cut(step, reach, region.total / count)
+
+    found = looks_at(kind, core, spread, context.workflow)
+    return task, {look: cut_by(*how) for look, how in found.items()}, context
 
 
 def areas(folder: Path, memory: str) -> None:

@@ -29,9 +29,10 @@ from spl_batch.airborne.plan.inputs.findings import (
 )
 from spl_batch.airborne.plan.inputs.first_look import first_look
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
+from spl_batch.airborne.plan.memory.cell_memory import strips_cost
 from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
-from spl_batch.airborne.plan.task_memory import REMEDIES, strips_cost
+from spl_batch.airborne.plan.task_memory import REMEDIES
 from spl_batch.airborne.precompile import compile_share
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, NAMES, PRODUCTS
 from spl_batch.airborne.report.model import Report
@@ -138,11 +139,12 @@ class Imaging(Receiver[Survey, Context]):
             f"{surface_reach_m(settings):g} m for its rasters"
         )
         cells = grouped(cost.cells)
-        if cost.strips > 1:
-            cells += (
-                f"; --memory allows rasters in strips, up to {cost.strips} of a cell: they take "
-                f"{strips_cost(cost.strips):.1f} times as long as at once"
-            )
+        for what, strips in (("the ground", cost.ground_strips), ("rasters", cost.strips)):
+            if strips > 1:
+                cells += (
+                    f"; --memory allows {what} in strips, up to {strips} of a cell: that takes "
+                    f"{strips_cost(strips):.1f} times as long as at once"
+                )
         return [
             ("area", f"{grouped(area_km2, 3)} km2 of tiles"),
             ("stretches", f"{grouped(cost.stretches)} of flightlines"),

@@ -9,12 +9,12 @@ import pytest
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import task_memory
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs
+from spl_batch.airborne.plan.memory.heaviest_tasks import needs
 from spl_batch.airborne.plan.phases import PHASES, Phase
 from spl_batch.airborne.plan.space_tasks import build
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import (
     STRETCH_POINTS,
-    needs,
     refusal,
     stretch_points,
     task_bytes,
@@ -28,7 +28,7 @@ from spl_batch.engine.tasks.receipt_index import Shelf
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import SORTED, Worklist
 from spl_batch.lattice.density import from_counts
-from spl_batch.lattice.tiles import CellId
+from spl_batch.lattice.tiles import CellId, cell_bounds, parse_cell
 
 WORKFLOW = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "w")
 NAMES = ("a", "b", "c", "heavy")
@@ -166,7 +166,8 @@ def test_only_the_unit_that_cannot_fit_is_refused() -> None:
         ("0_0", 1000),
         ("50_50", full // task_memory.BYTES_PER_POINT["ground"] * 60),
     ):
-        tile = {"points": points, "sources": [], "outside_aoi": 0, "no_beam": 0}
+        slab = [*cell_bounds(parse_cell(name), known.tile_q), points]
+        tile = {"points": points, "slabs": [slab], "sources": [], "outside_aoi": 0, "no_beam": 0}
         known.of("build_tile").put(receipt("build_tile", name, **tile))
     for kind in ("denoise", "ground", "surface"):
         phase = next(p for p in PHASES if p.kind == kind)

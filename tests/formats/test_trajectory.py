@@ -342,3 +342,19 @@ def test_what_is_written_does_not_depend_on_the_pieces(tmp_path: Path) -> None:
         write_trajectory(tmp_path / f"{k}.parquet", pieces)
     first = (tmp_path / "0.parquet").read_bytes()
     assert all((tmp_path / f"{k}.parquet").read_bytes() == first for k in (1, 2))
+
+
+@pytest.mark.parametrize(("end", "refused"), [("", True), ("25", True), ("25.125", False)])
+def test_a_csv_that_ends_within_a_number_is_refused(
+    tmp_path: Path, *, end: str, refused: bool
+) -> None:
+    path = tmp_path / "track.csv"
+    path.write_text("gps_time,x,y,z\n1.5,10.000,20.000,25.125\n2.5,11.000,20.500," + end)
+    if refused:
+        with pytest.raises(InputError, match=r"cut off: copy it again|empty values"):
+            list(read_records(path))
+    else:
+        ((time, _),) = read_records(path)
+        assert time.tolist() == [1.5, 2.5]
+    path.write_text(path.read_text() + "25\n")
+    assert sum(len(time) for time, _ in read_records(path)) == 2, "a line that ends is believed"

@@ -157,6 +157,24 @@ def middle_m(heights: NDArray[np.int32]) -> float:
     return float(np.median(heights) * QUANTUM_M) if len(heights) else -np.inf
 
 
+def middle_of_counts_m(heights: NDArray[np.int32], counts: NDArray[np.int64]) -> float:
+    """What :func:`middle_m` finds of heights that come with how many have each.
+
+    Parameters
+    ----------
+    heights : (n,) int32
+        In any order, some perhaps more than once [quanta].
+    counts : (n,) int64
+        Returns of each [count].
+    """
+    if not len(heights):
+        return -np.inf
+    order = np.argsort(heights, kind="stable")
+    past = np.cumsum(counts[order])
+    ranks = [(past[-1] - 1) // 2, past[-1] // 2]
+    return float(heights[order][np.searchsorted(past, ranks, side="right")].mean() * QUANTUM_M)
+
+
 def _surface_below(
     table: PointTable, cell: Bounds, dtm: NDArray[np.float32], level_m: float | None
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

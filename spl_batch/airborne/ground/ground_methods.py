@@ -103,7 +103,7 @@ def ground_mask(
 
 
 class Band(NamedTuple):
-    """Some of the points of a ground cell: whole rows of blocks.
+    """Some of the points of a ground cell: those of whole blocks.
 
     Parameters
     ----------
@@ -129,8 +129,8 @@ def ground_in_bands(
     Parameters
     ----------
     bands : callable
-        Gives the bands of a ground cell and its buffer from the south; it is called several times,
-        and no band is held while the next is made.
+        Gives the bands of a ground cell and its buffer; it is called several times, and no band is
+        held while the next is made.
 
     Returns
     -------

@@ -94,7 +94,7 @@ class Surface(NamedTuple):
 
 
 class Strip(NamedTuple):
-    """A band of whole rows of blocks.
+    """Some of the points of a place, of whole blocks.
 
     Parameters
     ----------
@@ -122,8 +122,8 @@ def multiscale_masks(
     Parameters
     ----------
     strips : callable
-        Gives all strips from the south, and is called three times, so that none need be held; one
-        point at least is evidence.
+        Gives all strips, and is called three times, so that none need be held; one point at least
+        is evidence.
     sigma_m : float
         Standard deviation of a range [m].
 
@@ -222,17 +222,20 @@ def _nodes(strips: Iterable[Place], sigma_m: float) -> tuple[Float, NDArray[np.b
     """Lowest layers of cells that are no low noise: (n, 3) [m]; and which are of hard cells."""
     parts = [part for part in map(partial(_layers, sigma_m), strips) if part is not None]
     found, hard, row, column = zip(*parts, strict=True)
-    nodes = Nodes(*(np.concatenate(some) for some in zip(*found, strict=True)))
     at = [np.concatenate(some) for some in (row, column)]
     rows, columns = (int(np.ptp(along)) + 1 for along in at)
-    nodes = nodes._replace(cell=(at[0] - at[0].min()) * columns + at[1] - at[1].min())
+    cell = (at[0] - at[0].min()) * columns + at[1] - at[1].min()
+    # Cell by cell, however the strips lie.
+    order = np.argsort(cell, kind="stable")
+    nodes = Nodes(*(np.concatenate(some)[order] for some in zip(*found, strict=True)))
+    nodes = nodes._replace(cell=cell[order])
     above = ~sunk(nodes, rows, columns, CELL_M)
     # A single return below many others is ground where its neighbours continue it, else noise.
     if nodes.doubtful.any():
         above &= ~nodes.doubtful | supported(nodes, rows, columns, CELL_M)
     if not above.any():
         above[:] = True
-    return nodes.xyz[above], np.concatenate(hard)[above]
+    return nodes.xyz[above], np.concatenate(hard)[order][above]
 
 
 def _layers(sigma_m: float, own: Place) -> tuple[Nodes, NDArray[np.bool_], Index, Index] | None:

@@ -12,8 +12,9 @@ from spl_batch.airborne.plan.block_size import choose_sizes, count_blocks
 from spl_batch.airborne.plan.ground_cells import GroundCells
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.point_boxes import point_boxes
+from spl_batch.airborne.plan.memory.cell_memory import strips_cost
+from spl_batch.airborne.plan.memory.heaviest_tasks import Need, needs
 from spl_batch.airborne.plan.survey_ledger import Survey
-from spl_batch.airborne.plan.task_memory import Need, needs, strips_cost
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of
@@ -66,6 +67,7 @@ class SurveyCost(Cost):
     #: less than :data:`MUCH_READ`, and what they read then.
     roomier: tuple[int, float] | None
     strips: int  #: In how many strips the fullest surface cell is done [count].
+    ground_strips: int  #: In how many the ground of the fullest cell is found [count].
     halo_m: float  #: Halo of a block, the sum of the reaches of the filter's steps [m].
 
 
@@ -84,11 +86,12 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     stretches = sum(-(-s.facts.n_points // survey.stretch_points) for s in sources)
     held = _needs(survey, pieces, boxes)
     heaviest = max(held, key=lambda need: need.memory_bytes)
-    strips = max(need.parts for need in held if need.kind == "surface")
+    strips = {need.kind: need.parts for need in held if need.kind}
     typical = {
         **RATES_POINTS_PER_S,
         "denoise": RATES_POINTS_PER_S["denoise"] * CORE_COST / (CORE_COST - 1 + blocks.read),
-        "surfaces": RATES_POINTS_PER_S["surfaces"] / strips_cost(strips),
+        "ground": RATES_POINTS_PER_S["ground"] / strips_cost(strips["ground"]),
+        "surfaces": RATES_POINTS_PER_S["surfaces"] / strips_cost(strips["surface"]),
     }
     rates, measured = measured_rates(typical, context)
     compared = sum(facts.n_points for facts in survey.inputs.reference)
@@ -112,7 +115,8 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         block_tiles=blocks.tiles,
         block_reads=blocks.read,
         roomier=_roomier(survey, pieces) if blocks.read > MUCH_READ else None,
-        strips=strips,
+        strips=strips["surface"],
+        ground_strips=strips["ground"],
         halo_m=halo_m(workflow),
         tasks=tasks,
         disk_bytes=points * (STORE_BYTES_PER_POINT + _copies(workflow) * DELIVERED_BYTES_PER_POINT)

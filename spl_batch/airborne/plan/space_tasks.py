@@ -1,6 +1,7 @@
 """Tasks of the space domain: tiles, blocks, ground cells, and what is delivered of them."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
 from spl_batch.airborne.plan.block_size import Holders
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
+from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts
 from spl_batch.airborne.plan.space_units import (
     Unit,
     fired_index,
@@ -20,11 +22,8 @@ from spl_batch.airborne.plan.space_units import (
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
 from spl_batch.airborne.plan.task_memory import (
     LEAST_PART_Q,
-    ground_bands,
-    longer_side,
     part_points,
     refusal,
-    surface_strips,
     task_bytes,
 )
 from spl_batch.airborne.products.product_table import (
@@ -33,8 +32,9 @@ from spl_batch.airborne.products.product_table import (
     is_piece,
     products,
 )
-from spl_batch.airborne.tasks.surfaces import strip_q
+from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.tasks.task import Task
+from spl_batch.lattice.eastings import Eastings
 from spl_batch.lattice.tiles import Bounds, CellId, cell_runs, grow, parse_cell, quanta
 
 
@@ -141,10 +141,7 @@ def ground(survey: Survey) -> Iterator[Task]:
         noise = holders.of(cell.tiles)
         args = {**cell_args(cell), "halo": halo, "noise": named_units("noise", noise)}
         needs = (*tile_needs(cell), *label_needs("denoise", noise))
-        side, limit = longer_side(cell.core) + 2 * halo, survey.memory_bytes
-        bands, needed = ground_bands(cell.held, cell.points, side, survey.workflow, limit)
-        refused = refusal("ground", cell.held, limit, needed)
-        how = {"bands": bands}
+        refused, how = cell_in_memory("ground", cell, survey)
         yield Task("ground", cell.name, args, needs, cell.points, refused, how)
 
 
@@ -174,11 +171,27 @@ def surface(survey: Survey) -> Iterator[Task]:
         }
         labels = (*label_needs("denoise", noise), *label_needs("ground", ground_of))
         needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
-        width, limit = cell.core.xmax - cell.core.xmin + 2 * halo, survey.memory_bytes
-        strips, needed = surface_strips(cell.held, width, strip_q(survey.workflow), limit)
-        refused = refusal("surface", cell.held, limit, needed)
-        how = {"strips": strips}
+        refused, how = cell_in_memory("surface", cell, survey)
         yield Task("surface", cell.name, args, needs, cell.points, refused, how)
+
+
+def cell_in_memory(kind: str, cell: Unit, survey: Survey) -> tuple[str, dict[str, object]]:
+    """Why a task of a ground cell cannot be started, empty if it can; and how it is cut."""
+    limit = survey.memory_bytes
+    most = sum(survey.counts[tile] for tile in cell.tiles)
+    if task_bytes(kind, most) <= usable_bytes(limit):  # wherever in the tiles they are
+        return "", {"cuts": {}}
+    spread = spread_over(cell.tiles, survey)
+    parts = cell_parts(kind, cell.core, spread, survey.workflow, limit)
+    cuts = {look: list(cut) for look, cut in parts.cuts.items()}
+    return refusal(kind, cell.held, limit, parts.memory_bytes), {"cuts": cuts}
+
+
+def spread_over(tiles: Sequence[CellId], survey: Survey) -> Spread:
+    """Where the points of some tiles lie."""
+    built = survey.of("build_tile")
+    slabs = [slab for tile in tiles for slab in built[str(tile)].facts["slabs"]]
+    return partial(Eastings.of_slabs, [(slab[:4], slab[4]) for slab in slabs])
 
 
 def knows_reflectance(survey: Survey) -> bool:

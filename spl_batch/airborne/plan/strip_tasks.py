@@ -3,9 +3,14 @@
 from collections.abc import Iterator
 
 from spl_batch.airborne.plan.flightlines import is_timeless
-from spl_batch.airborne.plan.space_tasks import cell_args, label_needs, named_units, tile_needs
+from spl_batch.airborne.plan.space_tasks import (
+    cell_args,
+    cell_in_memory,
+    label_needs,
+    named_units,
+    tile_needs,
+)
 from spl_batch.airborne.plan.survey_ledger import Survey
-from spl_batch.airborne.plan.task_memory import refusal
 from spl_batch.airborne.products.product_table import SWATH_DIFFERENCES
 from spl_batch.airborne.strips.strip_patches import SQUARE_M
 from spl_batch.engine.tasks.task import Task
@@ -22,8 +27,8 @@ def patches(survey: Survey) -> Iterator[Task]:
         noise = holders.of(cell.tiles)
         args = {**cell_args(cell), "noise": named_units("noise", noise)}
         needs = (*tile_needs(cell), *label_needs("denoise", noise))
-        refused = refusal("strip_patches", cell.held, survey.memory_bytes)
-        yield Task("strip_patches", cell.name, args, needs, 0, refused)
+        refused, how = cell_in_memory("strip_patches", cell, survey)
+        yield Task("strip_patches", cell.name, args, needs, 0, refused, how)
 
 
 def pairs(survey: Survey) -> Iterator[Task]:

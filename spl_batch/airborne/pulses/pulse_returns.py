@@ -10,7 +10,7 @@ return of number 1, which counts as its first and its last one.
 
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,12 @@ from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointTable, concat
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "return_number")
+
+_PULSE: Final = ("gps_time", "channel")
+"""Columns that a pulse's returns share."""
+
+_SLOTS: Final = 2**16
+"""Counts of returns by time and beamlet, of which crowds stand out [count]."""
 
 _MIX: Final = np.uint64(0x9E37_79B9_7F4A_7C15)
 """Odd number that spreads the bits of a time (Knuth's multiplicative hashing)."""
@@ -51,25 +57,78 @@ def ends_in_parts(tables: Callable[[], Iterable[PointTable]], shares: int) -> li
     """
     ends: list[Ends] = []
     for share in range(shares):
-        chosen = list(map(partial(_share, share, shares), tables()))
+        crowds: list[NDArray[np.complex128]] = []
+        chosen = list(map(partial(_share, share, shares, crowds), tables()))
         if not ends:
-            ends = [(np.zeros(n, np.bool_), np.zeros(n, np.bool_)) for n, _, _ in chosen]
-        cuts = np.cumsum([len(rows) for _, rows, _ in chosen])[:-1]
-        rows = [rows for _, rows, _ in chosen]
-        table = concat([part for _, _, part in chosen], COLUMNS_NEEDED)
+            ends = [(np.zeros_like(some.alone), np.zeros_like(some.alone)) for some in chosen]
+        for masks, dealt in zip(ends, chosen, strict=True):
+            for mask in masks:
+                mask[dealt.alone] = True
+        if crowds:
+            crowded = np.concatenate(crowds)
+            chosen = [_apart(*some, crowded) for some in zip(ends, chosen, strict=True)]
+        rows = [dealt.rows for dealt in chosen]
+        cuts = np.cumsum(list(map(len, rows)))[:-1]
+        table = concat([dealt.returns for dealt in chosen], COLUMNS_NEEDED)
         del chosen
         for side, found in enumerate(pulse_ends(table)):
-            for mask, mine, part in zip(ends, rows, np.split(found, cuts), strict=True):
-                mask[side][mine] = part
+            for masks, mine, part in zip(ends, rows, np.split(found, cuts), strict=True):
+                masks[side][mine] = part
     return ends
 
 
-def _share(share: int, shares: int, table: PointTable) -> tuple[int, NDArray[np.intp], PointTable]:
-    """Length of a table, and rows and values of the returns in a share of the pulses."""
+class _Dealt(NamedTuple):
+    """Returns of a table in a share of the pulses."""
+
+    alone: NDArray[
+        np.bool_
+    ]  #: (n,): returns of the table that are told, and are pulses' only ones.
+    rows: NDArray[np.intp]  #: (k,): which returns are still to be told.
+    returns: PointTable  #: Those.
+
+
+def _share(
+    share: int, shares: int, crowds: list[NDArray[np.complex128]], table: PointTable
+) -> _Dealt:
+    """Returns of a table in a share of the pulses; adds to the crowds.
+
+    Where more returns of a table have one time and beamlet than a pulse can have, each is told by
+    itself and none is held: otherwise all that a coarse clock gives one time lie in one share.
+    """
+    timed = np.isfinite(table["gps_time"])
+    only = table["return_number"] <= 1
+    alone = ~timed & only
     # 0.0 for -0.0: equal times have equal bits.
     key = (table["gps_time"] + 0.0).view(np.uint64) + table["channel"]
-    rows = np.flatnonzero(((key * _MIX) >> np.uint64(32)) % np.uint64(shares) == share)
-    return len(table), rows, table.select(COLUMNS_NEEDED).take(rows)
+    mixed = (key * _MIX) >> np.uint64(32)
+    rows = np.flatnonzero(timed & (mixed % np.uint64(shares) == share))
+    slot = (mixed[rows] // np.uint64(shares) % np.uint64(_SLOTS)).astype(np.intp)
+    full = np.bincount(slot, minlength=_SLOTS) > MOST_RETURNS
+    some = rows[full[slot]]
+    pulse, place, count = np.unique(
+        _pulse(table.select(_PULSE).take(some)), return_inverse=True, return_counts=True
+    )
+    crowded = count > MOST_RETURNS
+    if crowded.any():
+        crowds.append(pulse[crowded])
+        crowd = some[crowded[place]]
+        alone[crowd] = only[crowd]
+        rows = np.setdiff1d(rows, crowd, assume_unique=True)
+    return _Dealt(alone, rows, table.select(COLUMNS_NEEDED).take(rows))
+
+
+def _apart(ends: Ends, dealt: _Dealt, crowds: NDArray[np.complex128]) -> _Dealt:
+    """What is left where crowds of other tables are told, each return by itself."""
+    crowd = np.isin(_pulse(dealt.returns), crowds)
+    for mask in ends:
+        mask[dealt.rows[crowd]] = dealt.returns["return_number"][crowd] <= 1
+    return dealt._replace(rows=dealt.rows[~crowd], returns=dealt.returns.take(~crowd))
+
+
+def _pulse(table: PointTable) -> NDArray[np.complex128]:
+    """Time and beamlet of each return as one number."""
+    found: NDArray[np.complex128] = table["gps_time"] + 1j * table["channel"]
+    return found
 
 
 def pulse_ends(table: PointTable) -> Ends:

@@ -25,7 +25,8 @@ from spl_batch.airborne.strips.strip_patches import (
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
-from spl_batch.lattice.tables import EXCLUDED
+from spl_batch.lattice.eastings import once, strips_between
+from spl_batch.lattice.tables import EXCLUDED, PointTable
 from spl_batch.lattice.tiles import Bounds, parse_cell
 
 MAP_CELLS: Final = 500
@@ -41,22 +42,29 @@ def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
         parse_cell(tile): [(kind, name) for kind, name in listed]
         for tile, listed in args["noise"].items()
     }
-    table, _ = read_region(
-        context.store,
-        [parse_cell(name) for name in args["tiles"]],
-        region(core),
-        (*COLUMNS_NEEDED, "flags"),
-        {"noise_class": noise},
-        ordered=False,
-    )
-    signal = (table["noise_class"] == NOISE_SIGNAL) & ~table.has(EXCLUDED)
-    table = table.select(COLUMNS_NEEDED).take(signal)
-    passes = find_passes(table, context.workflow.survey.gap_s)
-    found = find_patches(table, passes, core)
+    tiles = [parse_cell(name) for name in args["tiles"]]
+    parts = strips_between(region(core), args.get("cuts", {}).get("patches", ()))
+
+    def read(part: Bounds) -> PointTable:
+        columns = (*COLUMNS_NEEDED, "flags")
+        table, _ = read_region(
+            context.store, tiles, part, columns, {"noise_class": noise}, ordered=False, keep=_signal
+        )
+        return table.select(COLUMNS_NEEDED)
+
+    points = once(parts, read)
+    passes = find_passes(map(points, parts), context.workflow.survey.gap_s)
+    found = find_patches(map(points, parts), passes, core)
     path = context.store.path("strips", f"{args['cell']}.npz")
     write_arrays(path, {**found, "psid": passes.psid, "time_s": passes.time_s})
     facts = {"patches": len(found["rise"]), "left_out": passes.left_out}
     return Produced([path], facts)
+
+
+def _signal(table: PointTable) -> NDArray[np.bool_]:
+    """Which points are compared."""
+    found: NDArray[np.bool_] = (table["noise_class"] == NOISE_SIGNAL) & ~table.has(EXCLUDED)
+    return found
 
 
 def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:

@@ -10,9 +10,10 @@ discrepancies in airborne laserscanner data*, PE&RS 68(9), 933-940): heights, wh
 horizontal part. He takes points of a triangulation; whole patches have a known noise.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,63 +68,112 @@ Patches = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Passes:
-    """Which points of a region were flown over in one go."""
+    """What was flown over a region in one go."""
 
-    psid: NDArray[np.int64]  #: (s,): point source id of each pass.
-    #: (s,): second in which it begins there; NaN where its points have no time.
+    psid: NDArray[np.int64]  #: (s,): point source id of each pass, rising.
+    #: (s,): second in which it begins there, rising for an id; NaN where its points have no time.
     time_s: NDArray[np.float64]
-    of_point: NDArray[np.int32]  #: (n,): pass of each point.
-
-    @property
-    def returns(self) -> NDArray[np.int64]:
-        """Points of each pass [count]."""
-        return np.bincount(self.of_point, minlength=len(self.psid))
+    returns: NDArray[np.int64]  #: (s,): points of each [count].
+    lowest: NDArray[np.int64]  #: (s,): height of its lowest point [quanta].
 
     @property
     def left_out(self) -> int:
         """Passes that could have patches, but are beyond :data:`MOST_PASSES` [count]."""
         return max(int((self.returns >= FEWEST).sum()) - MOST_PASSES, 0)
 
+    def of(self, table: PointTable) -> NDArray[np.int32]:
+        """Pass of each point of one of the tables that they were found in: (n,) int32."""
+        found = np.empty(len(table), np.int32)
+        for one, mine in _by_id(table):
+            passes, second = np.flatnonzero(self.psid == one), np.floor(table["gps_time"][mine])
+            begins = self.time_s[passes]
+            timed = passes[np.isfinite(begins)]
+            place = np.searchsorted(self.time_s[timed], second, side="right") - 1
+            found[mine] = np.where(
+                np.isfinite(second), timed[place] if len(timed) else 0, passes[0]
+            )
+        return found
 
-def find_passes(table: PointTable, gap_s: float) -> Passes:
+
+class _Seen(NamedTuple):
+    """Points of one point source id, by second; NaN for those without a time."""
+
+    second: NDArray[np.float64]
+    returns: NDArray[np.int64]
+    lowest: NDArray[np.int64]
+
+
+def find_passes(tables: Iterable[PointTable], gap_s: float) -> Passes:
     """Divide points by point source id and, where one has long pauses, by time.
 
     Parameters
     ----------
-    table : PointTable
-        Points with ``gps_time`` and ``point_source_id``.
+    tables : iterable of PointTable
+        Points with ``gps_time``, ``point_source_id`` and ``z``, table by table.
     gap_s : float
         A pause of more than this parts two passes [s].
     """
-    psid, time = table["point_source_id"], table["gps_time"]
-    timed = np.isfinite(time)
-    of_point = np.empty(len(table), np.int32)
-    ids: list[int] = []
-    starts: list[float] = []
+    seen: dict[int, list[_Seen]] = {}
+    for of_table in map(_seen, tables):
+        for one, found in of_table.items():
+            seen.setdefault(one, []).append(found)
+    passes: list[tuple[int, float, int, int]] = []
+    for one in sorted(seen):
+        second, count, lowest = (np.concatenate(some) for some in zip(*seen[one], strict=True))
+        begins, place = np.unique(second, return_inverse=True)  # NaN comes last, and once
+        opens = np.diff(begins, prepend=-np.inf) > gap_s
+        opens |= np.isnan(begins)
+        number = (np.cumsum(opens) - 1)[place]
+        returns = np.zeros(int(opens.sum()), np.int64)
+        np.add.at(returns, number, count)
+        low = np.full(len(returns), np.iinfo(np.int64).max)
+        np.minimum.at(low, number, lowest)
+        mine = zip(begins[opens].tolist(), returns.tolist(), low.tolist(), strict=True)
+        # those without a time first
+        passes += [(one, *rest) for rest in sorted(mine, key=lambda rest: not np.isnan(rest[0]))]
+    psid, time_s, returns_of, lowest_of = zip(*passes, strict=True) if passes else ((), (), (), ())
+    return Passes(
+        np.array(psid, np.int64),
+        np.array(time_s, np.float64),
+        np.array(returns_of, np.int64),
+        np.array(lowest_of, np.int64),
+    )
+
+
+def _by_id(table: PointTable) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Each point source id of a table, and its points."""
+    psid = table["point_source_id"]
     for one in np.flatnonzero(np.bincount(psid)).tolist():
-        mine = np.flatnonzero(psid == one)
-        known = mine[timed[mine]]
-        if len(known) < len(mine):
-            of_point[mine] = len(ids)
-            ids.append(one)
-            starts.append(np.nan)
-        if len(known):
-            second = np.floor(time[known])
-            held, place = _distinct(second)
-            begins = np.diff(held, prepend=-np.inf) > gap_s
-            of_point[known] = (len(ids) + np.cumsum(begins) - 1)[place]
-            starts += held[begins].tolist()
-            ids += [one] * int(begins.sum())
-    return Passes(np.array(ids, np.int64), np.array(starts), of_point)
+        yield one, np.flatnonzero(psid == one)
 
 
-def find_patches(table: PointTable, passes: Passes, core: Bounds) -> Patches:
+def _seen(table: PointTable) -> dict[int, _Seen]:
+    """Points of a table by point source id and second."""
+    found = {}
+    for one, mine in _by_id(table):
+        time, z = table["gps_time"][mine], table["z"][mine].astype(np.int64)
+        timed = np.isfinite(time)
+        parts = []
+        if not timed.all():
+            low = z[~timed].min(keepdims=True)
+            parts.append(_Seen(np.array([np.nan]), np.array([np.count_nonzero(~timed)]), low))
+        if timed.any():
+            held, place = _distinct(np.floor(time[timed]))
+            low = np.full(len(held), np.iinfo(np.int64).max)
+            np.minimum.at(low, place, z[timed])
+            parts.append(_Seen(held, np.bincount(place, minlength=len(held)), low))
+        found[one] = _Seen(*(np.concatenate(some) for some in zip(*parts, strict=True)))
+    return found
+
+
+def find_patches(tables: Iterable[PointTable], passes: Passes, core: Bounds) -> Patches:
     """Patches of a ground cell that two passes share.
 
     Parameters
     ----------
-    table : PointTable
-        Signal returns with ``x, y, z`` of :func:`region`.
+    tables : iterable of PointTable
+        Signal returns with :data:`COLUMNS_NEEDED` of :func:`region`, table by table: those in which
+        the passes were found.
     core : Bounds
         What the cell owns: patches in squares that begin in it [quanta].
 
@@ -147,12 +197,17 @@ def find_patches(table: PointTable, passes: Passes, core: Bounds) -> Patches:
         return _joined(found)
     number = np.full(len(passes.psid), -1, np.int16)
     number[chosen] = np.arange(strips)
-    strip = number[passes.of_point]
-    mine = strip >= 0
-    x, y, z = (np.ascontiguousarray(table[axis][mine], np.int64) for axis in "xyz")
-    corner = np.array([whole.xmin, whole.ymin, z.min()], np.int64)
+    corner = np.array([whole.xmin, whole.ymin, passes.lowest[chosen].min()], np.int64)
     moments = np.zeros((strips, rows, columns, 10), np.int64)
-    add_moments(x, y, z, strip[mine], corner, edge, joined, moments)
+
+    def add(table: PointTable) -> None:
+        strip = number[passes.of(table)]
+        mine = strip >= 0
+        x, y, z = (np.ascontiguousarray(table[axis][mine], np.int64) for axis in "xyz")
+        add_moments(x, y, z, strip[mine], corner, edge, joined, moments)
+
+    for _ in map(add, tables):  # a table is held by nothing while the next one is read
+        pass
     order = sorted(range(strips), key=lambda k: (passes.psid[chosen[k]], passes.time_s[chosen[k]]))
     free = {pair: np.ones((rows, columns), np.bool_) for pair in combinations(order, 2)}
     for level in range(LEVELS):

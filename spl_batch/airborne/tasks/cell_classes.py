@@ -17,7 +17,7 @@ from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.store.label_tables import Labelled, Origin, write_labels
-from spl_batch.airborne.tasks.space_domain import Cell, once
+from spl_batch.airborne.tasks.space_domain import Cell
 from spl_batch.constants import (
     CLASS_HIGH_NOISE,
     CLASS_LOW_NOISE,
@@ -27,6 +27,7 @@ from spl_batch.constants import (
     NOISE_NOT_ASSESSED,
     NOISE_SIGNAL,
 )
+from spl_batch.lattice.eastings import once
 from spl_batch.lattice.tables import EXCLUDED, PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 
@@ -67,6 +68,11 @@ def step_q(asked: ClassSettings) -> int:
     return lcm(*map(quanta, squares_m))
 
 
+def reach_q(asked: ClassSettings) -> int:
+    """What a part of a cell reads around it [quanta]."""
+    return quanta(max(kept_noise.EDGE_M, REACH_M if asked.building else 0.0))
+
+
 def classes(
     cell: Cell, arrays: Rasters, lines: Sequence[NDArray[np.int64]]
 ) -> tuple[Path, dict[str, Any], int]:
@@ -93,8 +99,8 @@ def classes(
     workflow, building = cell.context.workflow, cell.context.workflow.classes.building
     wires = ("wire",) if workflow.filter.wires.classify else ()
     columns = (*point_classes.COLUMNS_NEEDED, *wires, "noise_density")
-    reach = quanta(max(kept_noise.EDGE_M, REACH_M if building else 0.0))
-    parts = cell.parts(cell.core, step_q(workflow.classes))
+    reach = reach_q(workflow.classes)
+    parts = cell.parts(cell.core, "classes")
     points = once(parts, lambda part: cell.read(grow(part, reach), columns))
     noise = _Noise(cell.core, quanta(workflow.products.cell_m))
     for part in parts:
@@ -119,7 +125,8 @@ class _Noise:
         self._shape = (core.ymax - core.ymin) // size, (core.xmax - core.xmin) // size
         self._total = np.zeros(self._shape[0] * self._shape[1])
         self._count = np.zeros(len(self._total), np.int64)
-        self._heights: list[NDArray[np.int32]] = []
+        # Heights of signal and how many have each: few, however many points there are.
+        self._heights: list[tuple[NDArray[np.int32], NDArray[np.int64]]] = []
         self.kept = 0
 
     def add(self, table: PointTable, part: Bounds) -> None:
@@ -130,7 +137,8 @@ class _Noise:
         # Sums in 64 bits of so few values of 24 bits each are exact: their order does not count.
         number = cell_number(mine, self._core, self._size)
         add_up_finite(number, mine["noise_density"], self._total, self._count)
-        self._heights.append(table["z"][owned & (table["noise_class"] == NOISE_SIGNAL)])
+        signal = owned & (table["noise_class"] == NOISE_SIGNAL)
+        self._heights.append(np.unique(table["z"][signal], return_counts=True))
 
     def raster(self) -> NDArray[np.float32]:
         """Mean expected noise density of each raster cell, north up [1/m3]."""
@@ -140,7 +148,8 @@ class _Noise:
 
     def level_m(self) -> float:
         """Median height of the signal [m]."""
-        return point_classes.middle_m(np.concatenate(self._heights))
+        heights, counts = (np.concatenate(some) for some in zip(*self._heights, strict=True))
+        return point_classes.middle_of_counts_m(heights, counts)
 
 
 def _median(noise: NDArray[np.float32]) -> float | None:
@@ -158,7 +167,7 @@ def _floor(cell: Cell) -> Floor:
         table = cell.read(part, ("x", "y", "z", "noise_class", "ground", "flags"))[0]
         floor.add(table, _usable(table))
 
-    for part in cell.parts(region):
+    for part in cell.parts(region, "tops"):
         add(part)
     return floor
 

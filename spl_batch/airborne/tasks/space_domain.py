@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import pairwise
-from math import lcm
 from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -17,10 +15,10 @@ from spl_batch.airborne.filter.drowned_surfaces import NEAR_M
 from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.filter.stray_returns import Bare, bare_cells
 from spl_batch.airborne.ground import ground_methods as grounding
-from spl_batch.airborne.ground.multiscale_surface import BLOCK_M
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.store.label_tables import Origin, read_region, write_labels
 from spl_batch.engine.tasks.context import Produced
+from spl_batch.lattice.eastings import strips_between
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import (
     Bounds,
@@ -107,14 +105,15 @@ def _judged(args: Mapping[str, Any], context: Context, core: Bounds) -> _Judged:
 
 
 def ground(args: Mapping[str, Any], context: Context) -> Produced:
-    """Find the ground of a cell, band by band where not all of it fits in memory."""
+    """Find the ground of a cell, strip by strip where not all of it fits in memory."""
     core, cells = Bounds(*args["core"]), tile_cells(args["tiles"])
     noise = {"noise_class": label_units(args["noise"])}
 
-    def read(band: Bounds, columns: Sequence[str]) -> tuple[PointTable, Origin]:
-        return read_region(context.store, cells, band, columns, noise, ordered=False)
+    def read(part: Bounds, columns: Sequence[str]) -> tuple[PointTable, Origin]:
+        return read_region(context.store, cells, part, columns, noise, ordered=False)
 
-    region, count = grow(core, args["halo"]), args.get("bands", 1)
+    region = grow(core, args["halo"])
+    parts = strips_between(region, args.get("cuts", {}).get("ground", ()))
 
     def judged(table: PointTable, origin: Origin, bare: Bare | None) -> grounding.Band:
         owned = inside(table["x"], table["y"], core)
@@ -123,13 +122,13 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
             bare.mark_columns(table, usable, standing)
         return grounding.Band(table, usable, owned, origin)
 
-    def points(band: Bounds, bare: Bare | None) -> grounding.Band:
-        # Neighbours in the next band count, as far as the cell reads.
-        found = judged(*read(shared(grow(band, quanta(NEAR_M)), region), _GROUND_COLUMNS), bare)
-        mine = inside(found.table["x"], found.table["y"], band)
+    def points(part: Bounds, bare: Bare | None) -> grounding.Band:
+        # Neighbours in the next strip count, as far as the cell reads.
+        found = judged(*read(shared(grow(part, quanta(NEAR_M)), region), _GROUND_COLUMNS), bare)
+        mine = inside(found.table["x"], found.table["y"], part)
         return found._replace(usable=found.usable & mine, asked=found.asked & mine)
 
-    if count == 1:
+    if len(parts) == 1:
         table, origin = read(region, _GROUND_COLUMNS)
         bare = bare_cells(lambda: (table,))
         standing = _no_column(bare)
@@ -137,11 +136,10 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         mask = grounding.ground_mask(band.table, band.usable, context.workflow.ground, band.asked)
         found = [_owned((band, mask))]
     else:
-        bands = _bands(region, cells, quanta(context.workflow.tiling.tile_m), count)
-        bare = bare_cells(lambda: (read(band, ("x", "y", "z"))[0] for band in bands))
+        bare = bare_cells(lambda: (read(part, ("x", "y", "z"))[0] for part in parts))
         standing = _no_column(bare)
         given = partial(points, bare=bare)
-        found = list(map(_owned, grounding.ground_in_bands(lambda: map(given, bands))))
+        found = list(map(_owned, grounding.ground_in_bands(lambda: map(given, parts))))
     path = context.store.labels("ground", args["cell"])
     write_labels(path, found)
     labels = [part["ground"] for _, part in found]
@@ -163,17 +161,6 @@ def _owned(
     return band.origin.of(band.asked), {"ground": mask[band.asked]}
 
 
-def _bands(region: Bounds, tiles: Sequence[CellId], tile_q: int, count: int) -> list[Bounds]:
-    """About so many bands of whole rows of blocks, from the south, of what has points."""
-    edge = quanta(BLOCK_M)
-    low = max(region.ymin, min(tile.j for tile in tiles) * tile_q)
-    high = min(region.ymax, (max(tile.j for tile in tiles) + 1) * tile_q)
-    first, past = low // edge, -(-high // edge)
-    cuts = {first + (past - first) * k // count for k in range(1, count)} - {first}
-    ends = [region.ymin, *(edge * cut for cut in sorted(cuts)), region.ymax]
-    return [region._replace(ymin=south, ymax=north) for south, north in pairwise(ends)]
-
-
 def tile_cells(names: Sequence[str]) -> list[CellId]:
     """Tiles by name, as a task's arguments carry them."""
     return [parse_cell(name) for name in names]
@@ -193,17 +180,9 @@ class Cell(NamedTuple):
     context: Context
     core: Bounds
 
-    def parts(self, region: Bounds, step: int = 1) -> list[Bounds]:
-        """Strips from west to east; raster cells, and squares of an edge [quanta], are whole.
-
-        Tiles are read by easting: a strip reads little else.
-        """
-        step = lcm(quanta(self.context.workflow.products.cell_m), step)
-        first, past = region.xmin // step, -(-region.xmax // step)
-        count = self.args.get("strips", 1)
-        cuts = {first + (past - first) * k // count for k in range(1, count)} - {first}
-        ends = [region.xmin, *(step * cut for cut in sorted(cuts)), region.xmax]
-        return [region._replace(xmin=west, xmax=east) for west, east in pairwise(ends)]
+    def parts(self, region: Bounds, look: str) -> list[Bounds]:
+        """Strips of a region from west to east, cut as the plan says for one of the looks."""
+        return strips_between(region, self.args.get("cuts", {}).get(look, ()))
 
     def read(
         self,
@@ -218,11 +197,3 @@ class Cell(NamedTuple):
             self.context.store, tile_cells(self.args["tiles"]), region,
             [k for k in columns if k not in labels], labels, ordered=False, keep=keep,
         )  # fmt: skip
-
-
-def once(parts: Sequence[Bounds], read: Callable[[Bounds], T]) -> Callable[[Bounds], T]:
-    """Read what is asked for; where there is one part only, once."""
-    if len(parts) > 1:
-        return read
-    only = read(parts[0])
-    return lambda _: only

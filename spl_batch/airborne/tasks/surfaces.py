@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Mapping
 from math import lcm
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,27 +23,45 @@ from spl_batch.airborne.products import surface_rasters as surfacing
 from spl_batch.airborne.products.footprint import Footprint
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
+from spl_batch.airborne.products.top_surface import top_margin
 from spl_batch.airborne.pulses.pulse_returns import ends_in_parts
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import cell_classes, pulses
-from spl_batch.airborne.tasks.space_domain import Cell, once
+from spl_batch.airborne.tasks.space_domain import Cell
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
+from spl_batch.lattice.eastings import once
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, overlap, quanta
 
 Rasters = dict[str, NDArray[np.float32]]
 
 
-def strip_q(workflow: Workflow) -> int:
-    """Width that a strip of a cell has at the least in each of the looks [quanta]."""
-    cell = quanta(workflow.products.cell_m)
-    return max(lcm(cell, pulses.STEP_Q), lcm(cell, cell_classes.step_q(workflow.classes)))
+class Look(NamedTuple):
+    """How strips of a cell may be cut where it is looked at."""
+
+    step_q: int  #: They begin at multiples of this [quanta].
+    reach_q: int  #: What each of them reads on either side [quanta].
+    margin_q: int  #: What is read around the cell [quanta].
+
+
+def looks_at_surface(workflow: Workflow, halo_q: int) -> dict[str, Look]:
+    """The looks at a surface cell, by name; ``tops`` are all that ask for whole raster cells alone.
+
+    ``halo_q``: what is read around the cell at the most [quanta].
+    """
+    cell, near = quanta(workflow.products.cell_m), min(halo_q, pulses.reach(workflow.products))
+    around = cell_classes.reach_q(workflow.classes)
+    return {
+        "tops": Look(cell, top_margin(workflow.products) * cell, halo_q),
+        "pulses": Look(lcm(cell, pulses.STEP_Q), 0, near),
+        "classes": Look(lcm(cell, cell_classes.step_q(workflow.classes)), around, around),
+    }
 
 
 def surface(args: Mapping[str, Any], context: Context) -> Produced:
@@ -77,7 +95,7 @@ def _reflectance(cell: Cell) -> Rasters:
             part, reflectance.COLUMNS_NEEDED, lambda some: some["noise_class"] == NOISE_SIGNAL
         )[0]
 
-    parts = cell.parts(grow(cell.core, quanta(reflectance.reach_m(products))))
+    parts = cell.parts(grow(cell.core, quanta(reflectance.reach_m(products))), "tops")
     points = once(parts, read)
     paths = [store.path("fired", f"{name}.npz") for name in cell.args["fired"]]
     fired = [FiredPart.from_arrays(read_arrays(path)) for path in paths]
@@ -91,7 +109,7 @@ def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_]]:
     # The intensity raster is of detections or of what was delivered.
     seen = surfacing.COLUMNS_OF_INTENSITY if cell.args["fired"] is None else ()
     looked_at = (*surfacing.COLUMNS_NEEDED, "afterpulse", *seen)
-    parts = cell.parts(grow(cell.core, cell.args["halo"]))
+    parts = cell.parts(grow(cell.core, cell.args["halo"]), "tops")
 
     def known(region: Bounds) -> PointTable:
         return cell.read(region, looked_at, surface_points.known)[0]
@@ -123,7 +141,7 @@ def _pulses(cell: Cell) -> pulses.Pulses:
     workflow = cell.context.workflow
     found = pulses.Pulses(cell.core, cell.args["passes"], cell.context)
     near = min(cell.args["halo"], pulses.reach(workflow.products))
-    parts = cell.parts(grow(cell.core, near), pulses.STEP_Q)
+    parts = cell.parts(grow(cell.core, near), "pulses")
 
     def read(part: Bounds) -> PointTable:
         columns = (*pulses.COLUMNS, "flags", "noise_class")

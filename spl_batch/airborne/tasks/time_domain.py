@@ -37,6 +37,7 @@ from spl_batch.formats.verified.parquet_npz import (
     write_arrays,
     write_table,
 )
+from spl_batch.lattice.eastings import slabs_of
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import (
     EXCLUDED,
@@ -176,6 +177,7 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {
         "points": len(table),
         "z": [int(table["z"].min()), int(table["z"].max())] if len(table) else None,
+        "slabs": slabs_of(table["x"], table["y"]),
         "outside_aoi": int(np.count_nonzero(table.has(PointFlag.OUTSIDE_AOI))),
         "no_beam": int(np.count_nonzero(table.has(PointFlag.NO_BEAM))),
         "sources": sorted({str(s) for piece in pieces for s in _different(piece["source"])}),

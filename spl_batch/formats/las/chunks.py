@@ -332,16 +332,12 @@ class RecordReader:
         if self._n_layers == 0:
             return
         start, head = self._dtype.itemsize, self._layers_head
-        fits = len(packed) >= start + head.size
-        if fits:
-            n_points, *sizes = head.unpack_from(packed, start)
-            fits = n_points == end - begin and start + head.size + sum(sizes) == size
-        if not fits:
-            raise InputError(
-                str(self.path),
-                f"points {begin} to {end - 1} have layers that do not fit their"
-                f" {size} bytes: it is damaged, copy it again",
-            )
+        named, least = f"points {begin} to {end - 1}", start + head.size
+        bounded(self.path, f"bytes read of {named}", len(packed), least=least, most=size)
+        count, *sizes = head.unpack_from(packed, start)
+        there = size - least
+        bounded(self.path, f"count of {named}", count, least=end - begin, most=end - begin)
+        bounded(self.path, f"bytes of the layers of {named}", sum(sizes), least=there, most=there)
 
     def _decode(self, chunk: int, out: NDArray[Any]) -> None:
         table = self._table

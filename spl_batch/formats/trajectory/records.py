@@ -29,6 +29,9 @@ SBET_CRS: Final = "EPSG:4979"
 BATCH_RECORDS: Final = 65_536
 """Records that are read at once, about [count]."""
 
+_LAST_BYTES: Final = 4096
+"""Bytes at the end of a file that hold its last two lines."""
+
 PARQUET_SUFFIXES: Final = frozenset({".parquet", ".pq"})
 
 Records = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -187,11 +190,27 @@ def _read_csv(path: Path) -> Iterator[Records]:
     with open_input(path) as file:
         given, delimiter = csv_head(file)
         names = columns_of(path, given)
+        _refuse_cut_record(path, file)
         try:
             for batch in _csv_batches(file, given, names, delimiter):
                 yield _arrays(path, batch, names)
         except pa.ArrowException as error:
             raise InputError(str(path), f"is not a CSV trajectory: {_line(error)}") from None
+
+
+def _refuse_cut_record(path: Path, file: BinaryIO) -> None:
+    """Refuse a file that ends within a number: what is left of it would be taken for a place."""
+    here = file.tell()
+    file.seek(max(path.stat().st_size - _LAST_BYTES, here))
+    *lines, last = file.read().decode("utf-8", errors="replace").rstrip(" ").split("\n")
+    file.seek(here)
+    digits, before = (len(line.rstrip().rpartition(".")[2]) for line in (last, (lines or [""])[-1]))
+    if last.strip() and lines and digits < before:
+        raise InputError(
+            str(path),
+            f"its last line ends without a line break and with fewer digits than the one before:"
+            f" {last.strip()[-60:]!r}; it is cut off: copy it again, or end the line",
+        )
 
 
 def csv_head(file: BinaryIO) -> tuple[list[str], str]:

@@ -32,9 +32,9 @@ class Scene:
 
 def patches_of(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> tuple[list[str], Patches]:
     points = two_strips(shift, noise_m=scene.noise_m, heights=scene.heights, seed=seed)
-    passes = find_passes(points, 60.0)
+    passes = find_passes([points], 60.0)
     names = named_passes(passes.psid, passes.time_s, STRIPS)
-    return names, find_patches(points, passes, CORE)
+    return names, find_patches([points], passes, CORE)
 
 
 def pair(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> PairDifference:
@@ -185,9 +185,9 @@ def test_the_largest_difference_is_that_of_all_patches() -> None:
     )
     step = second & (x // 5000 == 7) & (y // 5000 == 3)
     points = points.with_columns(z=points["z"] + np.where(step, 500, 0).astype(np.int32))
-    passes = find_passes(points, 60.0)
+    passes = find_passes([points], 60.0)
     names = named_passes(passes.psid, passes.time_s, STRIPS)
-    patches = find_patches(points, passes, CORE._replace(xmax=10_160_000, ymax=20_160_000))
+    patches = find_patches([points], passes, CORE._replace(xmax=10_160_000, ymax=20_160_000))
     assert np.count_nonzero(patches["beyond"]) > 0
     (found,) = pair_table([(names, patches)])
     assert found.largest_m == pytest.approx(0.5, abs=0.05)

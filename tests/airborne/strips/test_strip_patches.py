@@ -72,8 +72,8 @@ def oracle(first: NDArray[Any], second: NDArray[Any]) -> dict[str, float]:
 
 def test_patches_are_what_least_squares_over_their_points_gives() -> None:
     points = two_strips(Shift(0.2, -0.1, 0.05), per_m2=0.4)
-    passes = find_passes(points, 60.0)
-    patches = find_patches(points, passes, CORE)
+    passes = find_passes([points], 60.0)
+    patches = find_patches([points], passes, CORE)
     assert set(patches["edge_m"]) == {5.0, 10.0}, "those of 5 m that hold too little are joined"
     xyz = np.stack([points[axis] / 1000 for axis in "xyz"], axis=1)
     for k in range(0, len(patches["rise"]), 7):
@@ -114,9 +114,11 @@ def test_a_pair_that_shares_much_is_thinned_and_keeps_its_slopes() -> None:
 def test_passes_are_parted_by_id_and_by_pauses() -> None:
     time = np.array([5.0, 6.0, 5.5, 300.0, 301.0, np.nan, 5.0, 70.0, 1e9])
     psid = np.array([1, 1, 1, 1, 1, 1, 2, 2, 2])
-    points = PointTable({"gps_time": time, "point_source_id": psid.astype(np.uint16)})
-    passes = find_passes(points, 100.0)
-    assert passes.of_point.tolist() == [1, 1, 1, 2, 2, 0, 3, 3, 4]
+    points = PointTable(
+        {"gps_time": time, "point_source_id": psid.astype(np.uint16), "z": np.zeros(9, np.int32)}
+    )
+    passes = find_passes([points], 100.0)
+    assert passes.of(points).tolist() == [1, 1, 1, 2, 2, 0, 3, 3, 4]
     assert passes.psid.tolist() == [1, 1, 1, 2, 2]
     assert passes.time_s[1:].tolist() == [5.0, 300.0, 5.0, 1e9]
     assert np.isnan(passes.time_s[0])
@@ -137,23 +139,39 @@ def test_crumbs_of_passes_cost_nothing_and_change_nothing() -> None:
     points = PointTable(
         {k: np.concatenate([lines[k], crumbs[k]]).astype(lines[k].dtype) for k in names}
     )
-    passes = find_passes(points, 60.0)
+    passes = find_passes([points], 60.0)
     assert len(passes.psid) == n + 2
-    assert passes.of_point.max() == n + 1
+    assert passes.of(points).max() == n + 1
     assert passes.left_out == 0
-    assert _same(find_patches(points, passes, CORE), wanted)
+    assert _same(find_patches([points], passes, CORE), wanted)
 
 
 def test_of_many_passes_those_with_most_returns_are_compared() -> None:
     sizes = [2.0, 2.0, *[0.5] * MOST_PASSES]
     many = table([ground(k + 1, Shift(), per_m2=d, edge_m=20) for k, d in enumerate(sizes)])
-    passes = find_passes(many, 60.0)
+    passes = find_passes([many], 60.0)
     assert passes.left_out == 2
-    patches = find_patches(many, passes, CORE)
+    patches = find_patches([many], passes, CORE)
     used = {*patches["first"].tolist(), *patches["second"].tolist()}
     returns = passes.returns
     assert used <= set(np.argsort(-returns, kind="stable")[:MOST_PASSES].tolist())
     assert {0, 1} <= used
+
+
+def test_a_cell_in_strips_has_the_same_patches() -> None:
+    points = two_strips(Shift(0.1, 0.0, 0.03), per_m2=1.0)
+    timeless = np.arange(len(points)) % 50 == 0
+    points = points.with_columns(gps_time=np.where(timeless, np.nan, points["gps_time"]))
+    west, east = np.quantile(points["x"], [0.2, 0.7])
+    cuts = np.searchsorted([west, east], points["x"], side="right")
+    strips = [points.take(cuts == k) for k in range(3)]
+    assert min(map(len, strips)) > 0
+    whole, parts = find_passes([points], 60.0), find_passes(strips, 60.0)
+    for name in ("psid", "time_s", "returns", "lowest"):
+        assert np.array_equal(getattr(whole, name), getattr(parts, name), equal_nan=True)
+    found = find_patches(strips, parts, CORE)
+    assert len(found["rise"])
+    assert _same(found, find_patches([points], whole, CORE))
 
 
 @settings(max_examples=15)
@@ -197,8 +215,8 @@ def _owned(points: PointTable, core: Bounds) -> dict[str, NDArray[Any]]:
     return find_patches(*_passed(points.take(inside)), core)
 
 
-def _passed(points: PointTable) -> tuple[PointTable, Any]:
-    return points, find_passes(points, 60.0)
+def _passed(points: PointTable) -> tuple[list[PointTable], Any]:
+    return [points], find_passes([points], 60.0)
 
 
 def _same(one: Mapping[str, NDArray[Any]], other: Mapping[str, NDArray[Any]]) -> bool:

@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,18 +10,22 @@ import pyarrow.parquet as pq
 import pytest
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.ground.multiscale_surface import BLOCK_M
 from spl_batch.airborne.plan import phases
 from spl_batch.airborne.plan.block_size import Sizes, count_blocks
+from spl_batch.airborne.plan.ground_cells import GroundCells
+from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts
+from spl_batch.airborne.plan.memory.heaviest_tasks import needs
 from spl_batch.airborne.plan.space_units import Unit, parts_of
 from spl_batch.airborne.plan.survey_ledger import Survey
-from spl_batch.airborne.plan.task_memory import surface_strips
-from spl_batch.airborne.settings.workflow import parse_workflow
+from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
 from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.preparing import prepare
-from spl_batch.lattice.density import from_counts
-from spl_batch.lattice.tiles import Bounds, CellId
+from spl_batch.lattice.density import Box, from_boxes, from_counts
+from spl_batch.lattice.eastings import Eastings
+from spl_batch.lattice.tiles import Bounds, CellId, grow, quanta
 
 FLAGS: Final = ("building", "overlap", "withheld")
 
@@ -60,13 +65,27 @@ def only_task(survey: Survey, kind: str) -> Task:
     return max(phase.tasks(survey), key=lambda task: task.points)
 
 
+def cuts_of(task: Task, context: Context, count: int) -> dict[str, Any]:
+    """Cuts that make about so many strips of each look at a cell, as a plan would say."""
+    core, workflow = Bounds(*task.args["core"]), context.workflow
+    looks = {"ground": (quanta(BLOCK_M), task.args["halo"])}
+    if task.kind == "surface":
+        asked = surfaces.looks_at_surface(workflow, task.args["halo"])
+        looks = {name: (look.step_q, look.margin_q) for name, look in asked.items()}
+    cuts = {}
+    for name, (step, margin) in looks.items():
+        spread = Eastings.even(1_000_000, grow(core, margin))
+        cuts[name] = list(spread.cut(step, 0, 1_000_000 / count).ends[1:-1])
+    return {"cuts": cuts}
+
+
 @pytest.mark.parametrize(
     ("kind", "how"),
     [
         ("denoise", {"parts": None}),
-        ("ground", {"bands": 3}),
-        ("ground", {"bands": 200}),
-        ("surface", {"strips": 8}),
+        ("ground", {"parts": 3}),
+        ("ground", {"parts": 200}),
+        ("surface", {"parts": 8}),
     ],
 )
 def test_parts_give_the_same_labels(
@@ -79,6 +98,8 @@ def test_parts_give_the_same_labels(
         middle, third = (west + east) // 2 + 7, south + (north - south) // 3
         how = {"parts": [[west, south, middle, north], [middle, south, east, third],
                          [middle, third, east, north]]}  # fmt: skip
+    else:
+        how = cuts_of(task, context, int(str(how["parts"])))
     labels = {"denoise": "noise", "ground": "ground", "surface": "classes"}[kind]
     work = {"surface": surfaces.surface}.get(kind) or getattr(space_domain, kind)
     path = context.store.labels(labels, task.args.get("block") or task.args["cell"])
@@ -105,7 +126,7 @@ def test_a_surface_cell_has_the_same_bytes_in_any_strips(finished: tuple[Survey,
     context = replace(context, workflow=prepared.context.workflow)
     found: list[dict[str, Any]] = []
     for count in (1, 5):
-        produced = surfaces.surface({**task.args, "strips": count}, context)
+        produced = surfaces.surface({**task.args, **cuts_of(task, context, count)}, context)
         files = {path.name: path.read_bytes() for path in produced.outputs}
         found.append({**files, **produced.facts, "points": produced.points})
     whole, strips = found
@@ -121,21 +142,73 @@ def test_memory_decides_on_the_parts_and_is_in_no_key(finished: tuple[Survey, Co
     short = replace(survey, memory_bytes=450 << 20)
     wet = only_task(short, "ground")
     dry = replace(short, workflow=survey.workflow.model_copy(update={"water": None}))
-    assert wet.how == only_task(survey, "ground").how == {"bands": 1}, "a level asks for all of it"
-    assert only_task(dry, "ground").how["bands"] > 1
+    assert wet.how == only_task(survey, "ground").how == {"cuts": {}}, "a level asks for all of it"
+    assert only_task(dry, "ground").how["cuts"]["ground"]
     assert only_task(dry, "ground").args == wet.args
     assert len(only_task(short, "denoise").how["parts"]) > 1
 
 
-def test_a_surface_cell_of_five_million_points_fits_into_one_gibibyte() -> None:
-    strips, needed = surface_strips(4_800_000, 280_000, 10_000, 1 << 30)
-    assert 1 < strips <= 28
-    assert needed <= 0.9 * 2**30
-    assert surface_strips(4_800_000, 280_000, 10_000, 2 << 30)[0] == 1
-    strips, needed = surface_strips(11_800_000, 280_000, 10_000, 1 << 30)
-    assert 1 < strips <= 28, "150 returns per m2"
-    assert needed <= 0.9 * 2**30
-    assert surface_strips(30_000_000, 280_000, 10_000, 1 << 30)[1] > 2**30, "too much is refused"
+SQUARE: Final = Bounds(0, 0, 200_000, 200_000)
+
+
+def even(density_m2: float) -> Spread:
+    """Points that lie evenly for ever."""
+
+    def spread(region: Bounds) -> Eastings:
+        return Eastings.even(density_m2 * region.area_m2, region)
+
+    return spread
+
+
+def plain(**sections: object) -> Workflow:
+    return parse_workflow({"survey": {"flightlines": "a"}, "output": "o", **sections}, "w")
+
+
+@pytest.mark.parametrize(
+    ("kind", "density_m2"), [("ground", 150), ("surface", 150), ("strip_patches", 200)]
+)
+def test_150_returns_per_m2_fit_into_one_gibibyte(kind: str, density_m2: float) -> None:
+    parts = cell_parts(kind, SQUARE, even(density_m2), plain(), 1 << 30)
+    assert parts.strips > 1
+    assert parts.memory_bytes <= 0.9 * 2**30
+    assert cell_parts(kind, SQUARE, even(density_m2), plain(), 8 << 30).strips == 1
+    assert cell_parts(kind, SQUARE, even(900), plain(), 1 << 30).memory_bytes > 2**30
+
+
+@pytest.mark.parametrize("kind", ["ground", "surface"])
+def test_a_corridor_is_cut_within_its_width_or_refused(kind: str) -> None:
+    """As many returns as in an even cell, in a tenth of its width."""
+    low, high = (
+        cell_parts(kind, SQUARE, partial(Eastings.of_slabs, [((west, -60_000, east, 260_000), n)]),
+                   plain(), 1 << 30)
+        for west, east, n in ((90_000, 122_000, 4_800_000), (90_000, 122_000, 30_000_000))
+    )  # fmt: skip
+    assert low.strips > 1
+    assert low.memory_bytes <= 0.9 * 2**30
+    assert all(any(90_000 < cut < 122_000 for cut in cuts) for cuts in low.cuts.values())
+    assert high.memory_bytes > 2**30, "too much is refused, no worker is killed"
+
+
+def test_a_plan_counts_what_a_cell_with_strips_of_its_neighbours_owns() -> None:
+    box = Box(Bounds(-13_000, -13_000, 213_000, 213_000), 7_500_000)
+    limit, workflow = 1 << 30, plain()
+    pieces = list(from_boxes([box], 100_000))
+    found = needs(pieces, workflow, 2_000_000, files=[7_500_000], limit=limit, boxes=[box])
+    core = GroundCells.of_workflow([box.bounds], workflow).core(CellId(0, 0))
+    assert core == Bounds(-200_000, -200_000, 400_000, 400_000)
+    told = {need.kind: (need.memory_bytes, need.parts) for need in found if need.kind}
+    assert set(told) == {"ground", "surface", "strip_patches"}
+    for kind, planned in told.items():
+        parts = cell_parts(kind, core, partial(Eastings.of_slabs, [box]), workflow, limit)
+        assert planned == (parts.memory_bytes, parts.strips)
+
+
+def test_the_halo_of_buildings_counts() -> None:
+    asked = plain(classes={"building": True})
+    alone, with_roofs = (
+        cell_parts("surface", SQUARE, even(110), workflow, 1 << 30) for workflow in (plain(), asked)
+    )
+    assert with_roofs.memory_bytes > alone.memory_bytes or with_roofs.strips > alone.strips
 
 
 def test_a_plan_counts_what_parts_read() -> None:
