@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
@@ -204,8 +205,9 @@ def _refuse_cut_record(path: Path, file: BinaryIO) -> None:
     file.seek(max(path.stat().st_size - _LAST_BYTES, here))
     *lines, last = file.read().decode("utf-8", errors="replace").rstrip(" ").split("\n")
     file.seek(here)
-    digits, before = (len(line.rstrip().rpartition(".")[2]) for line in (last, (lines or [""])[-1]))
-    if last.strip() and lines and digits < before:
+    fields = [re.split(r"[,;\t]", line.rstrip())[-1] for line in (*lines[-1:], last)]
+    digits = [len(field.partition(".")[2]) for field in fields]
+    if last.strip() and digits[-1] < digits[0]:
         raise InputError(
             str(path),
             f"its last line ends without a line break and with fewer digits than the one before:"
