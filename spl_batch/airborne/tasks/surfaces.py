@@ -148,8 +148,8 @@ def _pulses(cell: Cell) -> pulses.Pulses:
         return cell.read(part, columns, pulses.usable)[0].select(pulses.COLUMNS)
 
     points = once(parts, read)
-    shares = -(-len(parts) // 3)  # returns of three strips at once: fewer readings
-    ends = ends_in_parts(lambda: map(points, parts), shares)
+    # As many returns are looked at together as a strip has.
+    ends = ends_in_parts(lambda: map(points, parts), len(parts))
     for part, of_part in zip(parts, ends, strict=True):
         found.add(pulses.returns_of(points(part), of_part), part)
     return found

@@ -25,10 +25,10 @@ GROUND_HELD_BYTES: Final = 16
 PATCHES_BYTES: Final = 24 * 2**20
 """Memory of a cell whose flightlines are compared in strips: sums by square, whatever it holds."""
 
-CELL_BYTES: Final = 72 * 2**20
-"""Memory of a surface cell in strips: its rasters and squares, whatever it holds."""
+RASTER_BYTES: Final = 400
+"""Memory of a surface cell in strips, by each raster cell of it and its margin [byte]."""
 
-GATHERED_BYTES: Final = 27
+GATHERED_BYTES: Final = 20
 """And by each of its points: what all strips tell [byte]."""
 
 LOOK_BYTES: Final[Mapping[str, int]] = MappingProxyType(
@@ -75,7 +75,7 @@ def cell_parts(kind: str, core: Bounds, spread: Spread, workflow: Workflow, limi
     whole = task_bytes(kind, points)
     if whole <= usable_bytes(limit) or not _may_be_cut(kind, workflow):
         return Parts(whole)
-    held = LOADED_BASE_BYTES + _held(kind, points, spread(core).total)
+    held = LOADED_BASE_BYTES + _held(kind, core, spread, points, workflow)
     found: dict[str, Cut] = {}
     for name, (region, step_q, reach_q) in looks.items():
         most = (usable_bytes(limit) - held) / LOOK_BYTES[name]
@@ -109,13 +109,15 @@ def _may_be_cut(kind: str, workflow: Workflow) -> bool:
     return kind != "ground" or (workflow.ground.method == "multiscale" and workflow.water is None)
 
 
-def _held(kind: str, points: float, owned: float) -> int:
+def _held(kind: str, core: Bounds, spread: Spread, points: float, workflow: Workflow) -> int:
     """What is held of all strips of a cell [byte]."""
     if kind == "ground":
-        return int(owned * GROUND_HELD_BYTES)
+        return int(spread(core).total * GROUND_HELD_BYTES)
     if kind == "strip_patches":
         return PATCHES_BYTES
-    return CELL_BYTES + int(points * GATHERED_BYTES)
+    wide = grow(core, quanta(surface_reach_m(workflow)))
+    rasters = wide.area_m2 / workflow.products.cell_m**2 * RASTER_BYTES
+    return int(rasters + points * GATHERED_BYTES)
 
 
 def strips_cost(strips: int) -> float:
