@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import optimize
 from scipy.optimize import isotonic_regression
 
 from benchmarks.altimetry.photon_beams import Beam
@@ -306,6 +307,24 @@ def test_refraction_is_that_of_the_paper(angle_deg: float) -> None:
     across, up = refracted(depth, angle_deg)
     np.testing.assert_allclose(up, p * np.sin(beta), rtol=1e-9)
     np.testing.assert_allclose(across, p * np.cos(beta), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("angle_deg", [0.4, 5.0, 30.0])
+def test_refraction_is_that_of_the_ray_that_takes_least_time(angle_deg: float) -> None:
+    """Fermat's principle, without Snell's law: to a floor 10 m deep, from 400 m above the water."""
+    high, deep = 400.0, 10.0
+    floor = high * np.tan(np.radians(angle_deg)) + 2.0
+
+    def time(at: float) -> float:
+        return float(AIR * np.hypot(at, high) + WATER * np.hypot(floor - at, deep))
+
+    at = optimize.minimize_scalar(time, bounds=(0.0, floor), options={"xatol": 1e-10}).x
+    angle = np.arctan2(at, high)
+    # The product goes on in air for as much time as the light takes in water.
+    apparent = WATER / AIR * np.hypot(floor - at, deep)
+    across, up = refracted(np.array([apparent * np.cos(angle)]), float(np.degrees(angle)))
+    assert up[0] == pytest.approx(apparent * np.cos(angle) - deep, abs=1e-5)
+    assert across[0] == pytest.approx(at + apparent * np.sin(angle) - floor, abs=1e-4)
 
 
 def test_refraction_moves_nothing_above_water_and_a_quarter_of_the_depth_below() -> None:
