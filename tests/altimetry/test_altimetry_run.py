@@ -357,7 +357,7 @@ def test_photons_without_a_height_stay_without_a_label(tmp_path: Path) -> None:
     assert ended.status == 0
     found = report(workflow)
     assert found["counts"]["not_assessed"] == 3
-    assert any("3 photons have no height or place" in text for text in found["warnings"])
+    assert any("3 photons without height or place" in text for text in found["warnings"])
     assert any("states no noise rate" in text for text in found["warnings"])
     table = labels(tmp_path / "out", "a/gt1r")
     assert (table["signal"][100:103] == 255).all()
