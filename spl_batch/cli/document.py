@@ -83,7 +83,7 @@ def of_status(status: "RunStatus") -> dict[str, Any]:
             for stage in status.stages.values()
         },
         "running": [status.called[task] for task in status.running],
-        "failures": [asdict(one) for one in status.failures],
+        "failures": [asdict(one) for one in (*status.unusable, *status.failures)],
     }
 
 

@@ -1,6 +1,6 @@
 """The live view of a run: stages, a map of tiles by state, workers, failures, time left."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from spl_batch.engine.report.number_format import as_ascii, large
-from spl_batch.engine.watch.status import RunStatus, StageStatus
+from spl_batch.engine.watch.status import FailedTask, RunStatus, StageStatus
 from spl_batch.engine.watch.tile_map import State, TileMap
 from spl_batch.errors import counted, grouped
 
@@ -103,7 +103,7 @@ def details(status: RunStatus, *, working: bool = True) -> list[RenderableType]:
     parts: list[RenderableType] = maps(status) if status.tiles else []
     if working:
         parts += [Text(line, style="dim") for line in _facts(status)]
-    return [*parts, *_failures(status)]
+    return [*parts, *failed_lines(status.failures)]
 
 
 def bars(stages: Iterable[StageStatus]) -> Table:
@@ -175,11 +175,12 @@ def _facts(status: RunStatus) -> list[str]:
     return lines
 
 
-def _failures(status: RunStatus) -> list[RenderableType]:
+def failed_lines(failures: Sequence[FailedTask]) -> list[RenderableType]:
+    """Lines of the first tasks or inputs that failed, and how many more there are."""
     lines: list[RenderableType] = [
-        Text(f"  failed: {one.task}: {one.reason}", style="red") for one in status.failures[:SHOWN]
+        Text(f"  failed: {one.task}: {one.reason}", style="red") for one in failures[:SHOWN]
     ]
-    more = len(status.failures) - len(lines)
+    more = len(failures) - len(lines)
     if more > 0:
         lines.append(Text(f"  and {more} more, all in log.jsonl", style="red"))
     return lines

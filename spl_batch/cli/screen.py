@@ -13,7 +13,7 @@ from rich.text import Text
 
 from spl_batch.cli.console import PlainConsole, is_screen
 from spl_batch.cli.lines import LINE_MAX, screen_lines
-from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, taken
+from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, failed_lines, taken
 from spl_batch.engine.report import number_format as texts
 from spl_batch.engine.report.number_format import (
     as_ascii,
@@ -196,7 +196,8 @@ def _whole(status: "RunStatus") -> RenderableType:
         )
     killed = status.ended is None and status.holder is None
     said = [Text(text) for text in (_what_it_does(status), *_store_gone(status))]
-    return Group(table, *said, *details(status, working=not killed))
+    inputs = failed_lines(status.unusable)
+    return Group(table, *said, *inputs, *details(status, working=not killed))
 
 
 def _store_gone(status: "RunStatus") -> list[str]:

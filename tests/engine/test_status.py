@@ -385,6 +385,27 @@ def test_a_run_that_never_began_its_work_hides_nothing(tmp_path: Path) -> None:
     assert api.status(tmp_path).stages["denoise"].done == 0, "a run that works speaks for itself"
 
 
+def test_inputs_that_cannot_be_used_are_failures_of_the_latest_run(tmp_path: Path) -> None:
+    bad = [{"path": "cut.laz", "reason": "ends within a point"}]
+    log = tmp_path / "log.jsonl"
+
+    def told(*events: Any) -> tuple[str, list[Any]]:
+        log.write_text("".join(json.dumps(as_record(event)) + "\n" for event in events))
+        document = json.loads(surveys.command("status", tmp_path, "--json").out)
+        return surveys.command("status", tmp_path).out, document["failures"]
+
+    worked = [*a_run()[1:], RunEnded(1)]
+    page, failures = told(RunStarted("w.yaml", 2, "code", unusable=bad), *worked)
+    assert "failed: cut.laz: ends within a point" in page
+    assert [one["task"] for one in failures] == ["cut.laz", "denoise 1_0"]
+    idle = [PhaseStarted("index", "index_file", 0, 4, 0), RunEnded(1)]
+    started = RunStarted("w.yaml", 2, "code", unusable=bad)
+    assert told(*a_run(), started, *idle)[1][0]["task"] == "cut.laz"
+    working = PhaseStarted("index", "index_file", 4, 0, 9)
+    assert [f["task"] for f in told(*a_run(), started, working)[1]] == ["cut.laz"]
+    assert "cut.laz" not in told(started, *worked, RunStarted("w.yaml", 2, "code"), *idle)[0]
+
+
 def test_a_run_with_nothing_to_do_leaves_the_times_of_those_that_worked(tmp_path: Path) -> None:
     """As after ``compare``, which asks for the stages that its filters share."""
     events = [*a_run(), ReportStarted(), RunEnded(0), RunStarted("w.yaml", 2, "code")]

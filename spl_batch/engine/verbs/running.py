@@ -130,8 +130,13 @@ def run(
         code = prepared.context.code
         phases = Counter(progress.stage(phase.kind) for phase in prepared.receiver.phases)
         anew = not prepared.context.store.path("receipts").exists()
+        unusable = [
+            {"path": bad.path, "reason": "; ".join(bad.faults)}
+            for bad in prepared.ledger.inputs.bad
+        ]
+        expected_s = _expected_s(cost)
         progress.tell(
-            RunStarted(str(workflow), workers, code, _expected_s(cost), order, phases, anew)
+            RunStarted(str(workflow), workers, code, expected_s, order, phases, anew, unusable)
         )
         progress.tidy()
         compiles = prepared.receiver.compiles

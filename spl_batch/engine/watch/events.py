@@ -21,6 +21,8 @@ class RunStarted:
     phases: Mapping[str, int] = field(default_factory=dict)
     #: Whether there is nothing that earlier runs have finished, or it was forgotten.
     anew: bool = False
+    #: Path and reason of each input file that cannot be used.
+    unusable: Sequence[Mapping[str, str]] = ()
 
 
 @dataclass(frozen=True, slots=True)

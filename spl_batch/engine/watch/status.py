@@ -84,9 +84,9 @@ class StageStatus:
 
 @dataclass(frozen=True, slots=True)
 class FailedTask:
-    """A task that failed."""
+    """A task that failed, or an input file that cannot be used."""
 
-    #: What a user calls it; why; the command that does it alone.
+    #: What a user calls it; why; the command that does it alone, none for a file.
     task: str
     reason: str
     command: str
@@ -104,6 +104,8 @@ class RunStatus:
     #: What a user calls those tasks.
     called: dict[tuple[str, str], str] = field(default_factory=dict)
     failures: list[FailedTask] = field(default_factory=list)
+    #: Input files that the latest run cannot use.
+    unusable: list[FailedTask] = field(default_factory=list)
     #: Fields of the latest :class:`~spl_batch.engine.watch.events.WorkersSeen`.
     workers: Mapping[str, Any] = field(default_factory=dict)
     peak_mb: float = 0.0  #: Highest memory that a worker has reported [MiB].
@@ -165,6 +167,7 @@ class RunStatus:
             self.ended, self.waiting, self.reporting = None, [record], False
         else:
             self._start_over(record)
+        self.unusable = _unusable(record)
 
     def _start_over(self, record: Mapping[str, Any]) -> None:
         fresh = RunStatus(order=tuple(record.get("stages") or stages_of(IMAGING)))
@@ -185,6 +188,7 @@ class RunStatus:
         if self.waiting:
             started, *finished = self.waiting
             self._start_over(started)
+            self.unusable = _unusable(started)
             for phase in finished:
                 self._begin(phase)
         self._begin(record)
@@ -265,6 +269,10 @@ class RunStatus:
         self.called.clear()
         for tiles in self.tiles.values():
             tiles.running[:] = 0
+
+
+def _unusable(started: Mapping[str, Any]) -> list[FailedTask]:
+    return [FailedTask(one["path"], one["reason"], "") for one in started.get("unusable", ())]
 
 
 def _seconds(record: Mapping[str, Any]) -> float:
