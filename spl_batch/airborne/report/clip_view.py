@@ -186,7 +186,8 @@ def _place(clip: Clip, low: NDArray[np.float64], high: NDArray[np.float64]) -> s
     if across.max() > WHOLE * EDGE_M:
         return f"a square of {EDGE_M:.0f} m from {number(east)} E, {number(north)} N"
     sides = " \N{MULTIPLICATION SIGN} ".join(f"{side:.0f} m" for side in across)
-    return f"{sides} from {number(np.floor(low[0]))} E, {number(np.floor(low[1]))} N"
+    west, south = np.floor(low[:2] + clip.corner_m)
+    return f"{sides} from {number(west)} E, {number(south)} N"
 
 
 def _still(

@@ -79,7 +79,7 @@ def test_the_largest_square_is_small() -> None:
 
 def test_a_plot_is_not_called_a_square_that_it_does_not_fill() -> None:
     rng = np.random.default_rng(0)
-    whole, plot = (rng.uniform(0, size, (5_000, 3)) + 700.0 for size in ((100, 100, 5), (21, 9, 5)))
+    whole, plot = (rng.uniform(0, size, (5_000, 3)) for size in ((100, 100, 5), (21, 9, 5)))
     captions = [
         view_of(Clip(xyz, np.zeros(len(xyz), np.uint8), (700.0, 700.0), len(xyz))).still.caption
         for xyz in (whole, plot)
