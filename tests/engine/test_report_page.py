@@ -373,7 +373,7 @@ class TestPictures:
 
     @pytest.mark.parametrize("north_m", [3_300_299.0, 3_300_150.0, 3_300_002.0])
     def test_the_name_of_the_profile_is_clear_of_the_coordinates(self, north_m: float) -> None:
-        line = (500_001.0, north_m, 500_399.0, north_m)
+        line = (500_001.0, north_m, 502_399.0, north_m)  # longer than the map
         raster = Raster(np.arange(12.0).reshape(3, 4), EXTENT, line)
         drawn = maps.draw_relief(raster, "t", "u")
         drawn.canvas.draw()

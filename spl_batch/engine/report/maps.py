@@ -372,8 +372,11 @@ def _line(
 ) -> None:
     """Where the profile runs; its name is at the middle, since corners have their coordinates."""
     x0, y0, x1, y1 = line_m
-    middle = (x0 + x1) / 2, (y0 + y1) / 2
-    above = middle[1] < extent_m[2] + NAMED_BELOW * (extent_m[3] - extent_m[2])
+    west, east, south, north = extent_m
+    # A profile may be longer than a small map.
+    ends = np.clip([[x0, y0], [x1, y1]], (west, south), (east, north))
+    middle = tuple(ends.mean(axis=0).tolist())
+    above = middle[1] < south + NAMED_BELOW * (north - south)
     axes.plot([x0, x1], [y0, y1], color=style.AFTERPULSE, linewidth=1.4, zorder=5,
               path_effects=[_halo(3.0)])  # fmt: skip
     axes.annotate(
