@@ -10,10 +10,12 @@ arguments; ``python -m benchmarks.airborne.signatures`` writes it.
 
 import importlib
 import json
+import os
 import re
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any, Final
@@ -25,6 +27,9 @@ from spl_batch.errors import StoppedError
 from spl_batch.numerics.compiled import is_kept
 
 _ARRAY: Final = re.compile(r"(readonly )?array\((\w+), (\d)d, ([ACF])\)")
+
+WATCHED: Final = "watched"
+"""Argument of the process that compiles: it ends when its standard input does."""
 
 
 def signatures() -> dict[str, list[str]]:
@@ -73,11 +78,11 @@ def compile_share(share: int, shares: int, tell: Tell = _tell_nobody) -> int:
 
 def _elsewhere(share: int, shares: int, tell: Tell) -> int:
     """Compile in another process; kernels that were compiled [count]."""
-    command = (sys.executable, "-m", __name__, str(share), str(shares))
+    command = (sys.executable, "-m", __name__, str(share), str(shares), WATCHED)
     last = "0"
     with tempfile.TemporaryFile("w+") as errors:
         with subprocess.Popen(  # noqa: S603 - this project's own module
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors, text=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True
         ) as child:
             for line in child.stdout or ():
                 *steps, last = line.split()
@@ -177,8 +182,17 @@ def _called(kernel: Dispatcher) -> Iterator[str]:
             waiting.extend(v for v in values if isinstance(v, Dispatcher))
 
 
+def _end_with_parent() -> None:
+    """End this process when the one that started it is gone: its end of the pipe closes then."""
+    while os.read(sys.stdin.fileno(), 1):
+        pass
+    os._exit(1)
+
+
 if __name__ == "__main__":
-    mine, of_all = map(int, sys.argv[1:])
+    mine, of_all = map(int, sys.argv[1:3])
+    if sys.argv[3:] == [WATCHED]:
+        threading.Thread(target=_end_with_parent, daemon=True).start()
 
     def _say(done: int, of: int) -> None:
         sys.stdout.write(f"{done} {of}\n")

@@ -86,6 +86,18 @@ def test_a_share_that_another_process_compiles_is_loaded(monkeypatch: pytest.Mon
         precompile.compile_share(15, 16)
 
 
+def test_compiling_ends_with_the_process_that_asked_for_it() -> None:
+    command = (sys.executable, "-m", precompile.__name__, "0", "1", precompile.WATCHED)
+    with subprocess.Popen(  # noqa: S603 - this project's own module
+        command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as left:
+        assert left.stdin is not None
+        assert left.stdout is not None
+        assert left.stdout.readline().startswith(b"0 ")
+        left.stdin.close()
+        assert left.wait() == 1, "as its parent is gone, and it had not loaded all"
+
+
 class Told:
     """An observer that keeps what it is told."""
 
