@@ -156,7 +156,7 @@ def _legend() -> Text:
 def _facts(status: RunStatus) -> list[str]:
     """Workers, running tasks, time left: a line each."""
     lines = []
-    if status.ended is None and status.left_s > 0:
+    if status.ended is None and round(status.left_s):
         lines.append(f"  time left about {duration(status.left_s)}")
     if status.workers:
         used, limit = status.workers["memory_mb"], status.workers["limit_mb"]

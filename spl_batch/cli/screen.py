@@ -192,7 +192,7 @@ def _whole(status: "RunStatus") -> RenderableType:
             str(stage.left or ""),
             as_ascii(texts.large(stage.points_per_s)) if stage.points_per_s else "",
             taken(stage) if stage.elapsed_s > 0 or stage.of_earlier_runs else "",
-            duration(stage.left_s) if stage.left else "",
+            duration(stage.left_s) if round(stage.left_s) else "",
         )
     killed = status.ended is None and status.holder is None
     said = [Text(text) for text in (_what_it_does(status), *_store_gone(status))]

@@ -190,7 +190,7 @@ class PlainView(View):
         elif isinstance(event, TaskEnded) and time.monotonic() - self._printed_s > LINE_S:
             stage = self._status.stages[event.stage]
             rate = f", {speed(stage.points_per_s)}" if stage.points_per_s else ""
-            left = f", {duration(stage.left_s)} left" if stage.left else ""
+            left = f", {duration(stage.left_s)} left" if round(stage.left_s) else ""
             self._say(f"{event.stage}: {stage.total - stage.left}/{stage.total}{rate}{left}")
 
     def beat(self) -> None:

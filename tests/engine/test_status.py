@@ -221,6 +221,25 @@ def test_the_rate_is_that_of_all_workers_together() -> None:
     assert stage.left_s == 300 / stage.points_per_s
 
 
+def test_tasks_without_points_are_foretold_by_those_that_ended() -> None:
+    stage = StageStatus("report", total=6, done=5, found=1, points=100, points_to_do=100)
+    stage.began_s, stage.latest_s = 1000.0, 1360.0
+    assert stage.left_s == 90.0, "four took 6 min, one is left"
+    stage.done, stage.found, stage.expected_s = 1, 1, 30.0
+    assert stage.left_s == 25.0, "nothing has ended: what was expected"
+
+
+def test_no_time_left_is_told_where_none_is_known() -> None:
+    began = [
+        RunStarted("w.yaml", 2, "0.1+x"),
+        PhaseStarted("index", "index_file", 2, 0, 0),
+        TaskStarted("index", "index_file", "1", "tcp://a:1"),
+    ]
+    assert "time left" not in drawn(live.draw(fed(began)))
+    small = [RunStarted("w.yaml", 2, "0.1+x", {"index": 0.2}), *began[1:]]
+    assert "time left" not in drawn(live.draw(fed(small))), "it was 'about 0 s'"
+
+
 def test_first_tasks_that_compile_do_not_foretell_the_rest() -> None:
     stage = StageStatus("denoise", total=100, left_points=10_000, points_to_do=10_000)
     stage.began_s, stage.latest_s, stage.expected_s = 1000.0, 1000.0, 50.0

@@ -72,6 +72,9 @@ class StageStatus:
     def _left_of_phases_s(self) -> float:
         """Time left of the phases that have begun [s]."""
         expected_s = self.expected_s * self.left / self.total
+        if self.left_points == 0:  # tasks that handle no points: each takes as long as another
+            ended = self.total - self.left - self.found
+            return max(expected_s, self.elapsed_s * self.left / ended) if ended else expected_s
         if self.points_per_s == 0:
             return expected_s
         # The first tasks compile kernels and warm caches: their rate tells little. Squared, as it
