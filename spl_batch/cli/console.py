@@ -1,5 +1,6 @@
 """A console for texts that others wrote, and whether somebody sits before it."""
 
+import os
 from collections.abc import Iterable
 
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -23,9 +24,11 @@ def is_screen(console: Console) -> bool:
     """Whether what is printed can be drawn over later.
 
     `FORCE_COLOR` asks for colours, and rich then takes a pipe for a terminal. Notebooks set it for
-    the commands of their cells, and show the codes that move a cursor as text.
+    the commands of their cells, and show the codes that move a cursor as text. They may run these
+    commands in a terminal; Jupyter's kernels set `JPY_PARENT_PID`.
     """
-    return console.is_interactive and console.file.isatty()
+    terminal = console.is_interactive and console.file.isatty()
+    return terminal and "JPY_PARENT_PID" not in os.environ
 
 
 def _shown(segment: Segment) -> Segment:

@@ -198,6 +198,8 @@ def test_unknown_keys_and_options(survey: Path) -> None:
     refused(run(survey, "--set", "survey.flightlines=*.laz"), "not valid YAML", "quote it")
     refused(run(survey, "--set", "products.cell_m=0.3"), "ground.cell_m", "whole multiple")
     refused(run(survey, "--memory", "lots"), "--memory lots")
+    refused(run(survey, "--set", "output=s3://bucket/x"), "s3://bucket/x is a URL", "outputs.store")
+    assert not (survey.parent / "s3:").exists(), "it had become a folder"
     assert run(survey, "--until", "nowhere").status == 2
     assert run(survey, "--no-such-option").status == 2
     assert surveys.command("run").status == 2

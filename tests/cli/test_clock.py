@@ -14,6 +14,7 @@ from rich.console import Console
 
 from spl_batch.cli import view, watching
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
+from spl_batch.cli.console import is_screen
 from spl_batch.engine.watch.events import (
     Compiling,
     Note,
@@ -206,3 +207,16 @@ def test_what_takes_long_is_said_and_what_does_not_is_not(
     with saying_if_slow("reading", after_s=0.01):
         time.sleep(0.2)
     assert capsys.readouterr().err == "info: reading\n"
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_cells_of_a_notebook_get_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    console = Console(file=Terminal(), force_interactive=True)
+    monkeypatch.delenv("JPY_PARENT_PID", raising=False)
+    assert is_screen(console)
+    monkeypatch.setenv("JPY_PARENT_PID", "1")
+    assert not is_screen(console), "their terminal shows codes that move a cursor as text"

@@ -59,6 +59,11 @@ def prepare(
     limit = limit_bytes(memory, workers, remote=remote)
     workflow = load_any(path, overrides)
     base = path.resolve().parent
+    if "://" in workflow.output:
+        raise WorkflowError(
+            f"output: {workflow.output} is a URL: write a folder of this machine; "
+            "outputs.store may lie on an object store"
+        )
     place = Place(path, base, (base / workflow.output).resolve())
     found: Receiver[Any, Any] = receiver(workflow.kind)
     prepared = found.prepare(workflow, place, Limits(limit, max(workers, 1)))
