@@ -144,7 +144,12 @@ def _refuse(
     *,
     force: bool,
 ) -> None:
-    """Refuse names that no result may have."""
+    """Refuse names that no result may have, and a workflow or scene as the input."""
+    if source.suffix.lower() in {".yaml", ".yml"}:
+        raise WorkflowError(
+            f"{source}: this is a YAML file, and denoise takes a LAS or LAZ file; "
+            "`spl-batch run` takes a workflow, `spl-batch simulate` a scene"
+        )
     for path, suffix in results:
         copc = path.name.lower().endswith(".copc.laz")
         if path.suffix.lower() != suffix or copc:

@@ -27,7 +27,8 @@ def test_a_cloud_alone_is_filtered_and_says_what_its_noise_is_from() -> None:
     assert np.median(labels.noise_density) == pytest.approx(len(NOISE) / (40 * 40 * 120), rel=0.05)
     assert len(labels) == len(CLOUD)
     assert repr(labels).startswith("Labels(11 000 points: ")
-    assert "0 afterpulses, noise density measured where the cloud is empty)" in repr(labels)
+    assert "afterpulses not looked for without gps_time and channel, noise" in repr(labels)
+    assert "noise density measured where the cloud is empty)" in repr(labels)
 
 
 def test_coordinates_that_lost_their_decimals_are_told() -> None:

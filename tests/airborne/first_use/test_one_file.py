@@ -89,6 +89,7 @@ def test_nothing_is_replaced_unless_told(line: Path, tmp_path: Path) -> None:
         ((line, tmp_path / "new.laz", "--trajectory", "no.csv"), "no.csv does not exist"),
         ((line, tmp_path / "work.laz"), "work.laz.work: this folder is needed"),
         ((tmp_path / "no.laz", tmp_path / "new.laz"), "no.laz"),
+        ((tmp_path / "w.yaml", tmp_path / "new.laz"), "`spl-batch run` takes a workflow"),
     ):
         ended = denoise(*arguments)
         assert ended.status == 2, said
