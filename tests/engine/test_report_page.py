@@ -233,6 +233,7 @@ class TestStructure:
     def test_the_print_keeps_headings_with_their_tables(self, pages: dict[str, str]) -> None:
         printed = pages["airborne"].split("@media print", 1)[1].split("</style>", 1)[0]
         assert re.search(r"h2, h3, \.lead, [^{}]*\{ break-after: avoid; \}", printed)
+        assert "break-after: page" not in printed, "it left a page nearly empty"
         assert "orphans: 1" in printed, "a row of maps may stand alone at the end of a page"
         assert re.search(r"pre\.small \{ font-size: 6pt", printed)
 
