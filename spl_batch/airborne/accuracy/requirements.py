@@ -202,8 +202,9 @@ def _distribution(known: Evidence) -> Requirement:
     if known.pulses is None or not known.pulses.squares:
         return Requirement(*place, "not counted", "cannot tell", _NOT_COUNTED, *where)
     together = known.pulses.filled / known.pulses.squares
-    shares = {name: one.filled / one.squares for name, one in _judged(known).items()}
-    squares = sum(one.squares for one in _judged(known).values())
+    judged = _judged(known)
+    shares = {name: one.filled / one.squares for name, one in judged.items()}
+    squares = sum(one.squares for one in judged.values())
     why = f"{number(squares or known.pulses.squares)} squares, water excepted"
     return _by_swath(known, place, (together, shares, FILLED_SHARE), percent, why, where)
 

@@ -14,6 +14,7 @@ from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
 from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
 from spl_batch.errors import InputError, WorkflowError, counted, grouped
 from spl_batch.formats.crs import look_like_degrees
+from spl_batch.formats.files import external_sort
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointFlag, PointTable
@@ -199,12 +200,9 @@ def repeated(table: PointTable, *, timed: bool) -> tuple[str, ...]:
     ``timed``: whether times tell copies; without, only many in one place can be no chance.
     """
     n = len(table)
-    keys = [table[name] for name in _COPIED]
-    order = lexicographic_order(keys) if n else np.zeros(0, np.intp)
-    same = np.ones(max(n - 1, 0), np.bool_)
-    for key in keys:
-        same &= key[order[1:]] == key[order[:-1]]
-    count = int(np.count_nonzero(same))
+    order = lexicographic_order([table[name] for name in _COPIED]) if n else np.zeros(0, np.intp)
+    ordered = {name: table[name][order] for name in _COPIED}
+    count = len(external_sort.repeated(ordered, _COPIED))
     if count <= (0 if timed else CHANCE * n):
         return ()
     as_said = "time, channel, return number and place" if timed else "place"

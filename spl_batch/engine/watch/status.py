@@ -168,14 +168,15 @@ class RunStatus:
     def _run_started(self, record: Mapping[str, Any]) -> None:
         if self.kinds:  # what earlier runs did stands until this one has something to do
             self.ended, self.waiting, self.reporting = None, [record], False
+            self.unusable = _unusable(record)
         else:
             self._start_over(record)
-        self.unusable = _unusable(record)
 
     def _start_over(self, record: Mapping[str, Any]) -> None:
         fresh = RunStatus(order=tuple(record.get("stages") or stages_of(IMAGING)))
         for name in self.__slots__:
             setattr(self, name, getattr(fresh, name))
+        self.unusable = _unusable(record)
         for name, seconds in record.get("expected_s", {}).items():
             self.stages[name].expected_s = seconds
         for name, phases in record.get("phases", {}).items():
@@ -191,7 +192,6 @@ class RunStatus:
         if self.waiting:
             started, *finished = self.waiting
             self._start_over(started)
-            self.unusable = _unusable(started)
             for phase in finished:
                 self._begin(phase)
         self._begin(record)
