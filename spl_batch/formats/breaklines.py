@@ -17,6 +17,7 @@ from pyproj import CRS
 
 from spl_batch.errors import InputError
 from spl_batch.formats.crs import crs_name, vertical
+from spl_batch.formats.gdal_files import refuse_referring
 from spl_batch.formats.polygons import in_crs
 
 HEIGHT_FIELDS: Final = ("z", "height", "elevation")
@@ -65,6 +66,7 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
 
     if not path.exists():
         raise InputError(str(path), "no such file; check the path")
+    refuse_referring(path)
     names: list[str] = []
     parts: list[Geometries] = []
     fields: list[Heights] = []

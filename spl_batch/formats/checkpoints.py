@@ -20,6 +20,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import InputError, named
 from spl_batch.formats.crs import crs_name, horizontal, same_crs, vertical
+from spl_batch.formats.gdal_files import refuse_referring
 
 Surface = Literal["open", "vegetated"]
 """Whether heights there are non-vegetated (NVA) or vegetated (VVA) ones."""
@@ -134,6 +135,7 @@ def _refuse_without(path: Path, names: Iterable[str]) -> None:
 def _vector_rows(path: Path) -> list[_Row]:
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
+    refuse_referring(path)
     rows: list[_Row] = []
     try:
         for layer, kind in pyogrio.list_layers(path):

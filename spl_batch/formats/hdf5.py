@@ -33,6 +33,25 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
         yield file
 
 
+def refuse_foreign(path: Path, found: h5py.Dataset) -> None:
+    """Refuse a dataset whose values lie in another file, whatever file that is.
+
+    A link, a virtual dataset or external storage would lead a run to read what nobody has named,
+    and a link to write there.
+
+    Raises
+    ------
+    InputError
+        If they do.
+    """
+    if found.is_virtual or found.external or found.file.filename != str(path):
+        raise InputError(
+            str(path),
+            f"{(found.name or '?').lstrip('/')} lies in another file: copy its values into this"
+            " one (h5repack)",
+        )
+
+
 @contextmanager
 def told_as_damage(path: Path, format_name: str) -> Iterator[None]:
     """Turn what a library raises over a file that is open into one line about that file.

@@ -14,6 +14,7 @@ from pyproj.exceptions import CRSError, ProjError
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError
 from spl_batch.formats.crs import crs_name, horizontal, same_crs
+from spl_batch.formats.gdal_files import refuse_referring
 
 _POLYGONAL: Final = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
@@ -37,6 +38,7 @@ def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
 
     if not path.exists():
         raise InputError(str(path), "no such file; check the path")
+    refuse_referring(path)
     parts = []
     try:
         for shapes, own in _layers(path):

@@ -172,6 +172,31 @@ def _count(path: Path) -> None:
         file["gt1r/geolocation/segment_ph_cnt"][0] += 3
 
 
+def _counts(values: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    """Photons by segment that add up as they did, modulo 2^64 at the least."""
+
+    def change(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            name = "gt1r/geolocation/segment_ph_cnt"
+            count = values(file[name][()])
+            del file[name]
+            file[name] = count
+
+    return change
+
+
+def _negative(count: np.ndarray) -> np.ndarray:
+    count[0] -= 1000
+    count[-1] += 1000
+    return count
+
+
+def _wrapping(count: np.ndarray) -> np.ndarray:
+    count = count.astype(np.uint64)
+    count[[0, -1]] += np.uint64(2**63)
+    return count
+
+
 def _nothing(path: Path) -> None:
     with h5py.File(path, "w") as file:
         file.create_group("orbit_info")
@@ -192,6 +217,9 @@ def _unequal(path: Path) -> None:
         (_drop("gt1r/heights/h_ph"), "no dataset gt1r/heights/h_ph"),
         (_drop("gt1r/geolocation/segment_ph_cnt"), "no dataset gt1r/geolocation/segment_ph_cnt"),
         (_count, "subset it again"),
+        (_counts(_negative), "segment_ph_cnt is -"),
+        (_counts(_wrapping), "segment_ph_cnt is 9223372036854"),
+        (_counts(lambda count: count + 0.5), "segment_ph_cnt holds float64"),
         (_nothing, "neither gtxx/heights"),
         (_unequal, "differ in length"),
     ],

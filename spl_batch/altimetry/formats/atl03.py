@@ -18,6 +18,7 @@ from spl_batch.altimetry.formats.slices import Slice
 from spl_batch.altimetry.photon_table import Background
 from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import InputError
+from spl_batch.formats.declared import DAMAGED, bounded
 from spl_batch.formats.hdf5 import open_hdf5
 
 BEAMS: Final = ("gt1l", "gt1r", "gt2l", "gt2r", "gt3l", "gt3r")
@@ -43,7 +44,7 @@ def beams(path: Path, file: h5py.File) -> list[tuple[str, int, str, bool]]:
             continue
         count = equal_lengths(path, file, f"{name}/heights", _PHOTON)
         equal_lengths(path, file, f"{name}/geolocation", _SEGMENT)
-        placed = int(dataset(path, file, f"{name}/geolocation/segment_ph_cnt")[()].sum())
+        placed = int(segment_photons(path, file, name).sum())
         if placed != count:
             raise InputError(
                 str(path),
@@ -56,6 +57,24 @@ def beams(path: Path, file: h5py.File) -> list[tuple[str, int, str, bool]]:
             str(path), "neither gtxx/heights (ATL03) nor photon/channelxxx (MABEL) in it"
         )
     return found
+
+
+def segment_photons(path: Path, file: h5py.File, beam: str) -> NDArray[np.int64]:
+    """Photons of each segment of a beam [count]: none is negative, their sum is a whole number.
+
+    Raises
+    ------
+    InputError
+        If one is not from 0 to the photons of the beam.
+    """
+    name = f"{beam}/geolocation/segment_ph_cnt"
+    most = len(dataset(path, file, f"{beam}/heights/h_ph"))
+    count: NDArray[Any] = dataset(path, file, name)[()]
+    if count.dtype.kind not in "iu":
+        raise InputError(str(path), f"{name} holds {count.dtype}, not whole numbers: {DAMAGED}")
+    for value in (count.min(initial=0), count.max(initial=0)):
+        bounded(path, name, value, most=most)
+    return count.astype(np.int64)
 
 
 def slices(path: Path, beam: str, chunk: int) -> Iterator[Slice]:
@@ -108,7 +127,7 @@ def _segments(
         values: NDArray[Any] = dataset(path, file, f"{beam}/geolocation/{name}")[()]
         return values
 
-    count = column("segment_ph_cnt").astype(np.int64)
+    count = segment_photons(path, file, beam)
     some = count > 0
     start = (np.cumsum(count) - count)[some]
     return column("segment_dist_x")[some], column("delta_time")[some], start

@@ -15,10 +15,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.altimetry.formats.atl03 import segment_photons
 from spl_batch.altimetry.formats.hdf5 import dataset, equal_lengths
 from spl_batch.formats.hdf5 import open_hdf5
 
 _PHOTON: Final = ("classed_pc_flag", "classed_pc_indx", "ph_segment_id", "delta_time")
+
+_SEGMENT: Final = ("segment_id", "segment_ph_cnt", "delta_time")
 
 _SAME_TIME_S: Final = 1.0
 """A photon is nearer than this to its segment's time [s]; a segment is 20 m, another pass a day."""
@@ -86,7 +89,8 @@ def find_labels(atl03: Path, files: Iterable[Path], beam: str) -> PhotonClasses 
         If a file cannot be read or lacks what is needed.
     """
     with open_hdf5(atl03) as file:
-        count = dataset(atl03, file, f"{beam}/geolocation/segment_ph_cnt")[()].astype(np.int64)
+        equal_lengths(atl03, file, f"{beam}/geolocation", _SEGMENT)
+        count = segment_photons(atl03, file, beam)
         number = dataset(atl03, file, f"{beam}/geolocation/segment_id")[()].astype(np.int64)
         time_s = dataset(atl03, file, f"{beam}/geolocation/delta_time")[()]
     segments = Segments(number, time_s, count, np.cumsum(count) - count)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from spl_batch.errors import InputError
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
+from spl_batch.formats.hdf5 import refuse_foreign
 
 _CHUNK: Final = 65_536
 
@@ -39,7 +40,8 @@ def dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def _check_size(path: Path, name: str, found: h5py.Dataset) -> None:
-    """Refuse a dataset that declares more than its file can hold."""
+    """Refuse a dataset that lies elsewhere, or declares more than its file can hold."""
+    refuse_foreign(path, found)
     count = bounded(path, f"values of {name}", int(found.size or 0), most=_VALUES_MAX)
     refuse_bomb(path, name, count * found.dtype.itemsize, path.stat().st_size)
     chunk = int(np.prod(found.chunks or (0,), dtype=object)) * found.dtype.itemsize

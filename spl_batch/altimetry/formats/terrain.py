@@ -15,7 +15,7 @@ from rasterio.windows import Window
 
 from spl_batch.errors import InputError, as_input_fault
 from spl_batch.formats.declared import bounded
-from spl_batch.formats.las.header import open_input
+from spl_batch.formats.gdal_files import refuse_referring
 
 _BLOCK: Final = 512
 
@@ -44,8 +44,7 @@ def sample_terrain(
     InputError
         If it cannot be read, or has no CRS.
     """
-    with open_input(path):
-        pass
+    refuse_referring(path, raster=True)
     heights = np.full(len(latitude), np.nan)
     with as_input_fault(path), _opened(path) as raster:
         transformer = Transformer.from_crs("EPSG:4326", raster.crs, always_xy=True)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from spl_batch.errors import InputError
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
-from spl_batch.formats.hdf5 import open_hdf5, told_as_damage
+from spl_batch.formats.hdf5 import open_hdf5, refuse_foreign, told_as_damage
 
 HDF5: Final = frozenset({".h5", ".hdf5", ".hdf"})
 ZARR: Final = ".zarr"
@@ -33,6 +33,9 @@ CHUNK_FRAMES: Final = 1000
 
 _FRAMES_MAX: Final = 2**40
 """Frames of a file [count]."""
+
+TRUTH: Final = ("down_m", "normals")
+"""Arrays of the truth."""
 
 PIECE_VALUES: Final = 2_048_000
 """Values that are read at once, where a chunk holds no more: 2000 frames of 32 x 32 [count]."""
@@ -90,6 +93,7 @@ def inspect_frames(path: Path, rows: int, cols: int) -> FrameFacts:
         array = group["frames"]
         if not hasattr(array, "dtype"):
             raise InputError(str(path), "'frames' is a group, not an array; store (n, rows, cols)")
+        _refuse_foreign(path, array)
         faults = _array_faults(array, rows, cols)
         truth = 0
         if "truth" in group and not faults:
@@ -100,9 +104,17 @@ def inspect_frames(path: Path, rows: int, cols: int) -> FrameFacts:
         _refuse_huge(path, array)
         held = _piece_bytes(array)
         if truth:
-            held += sum(_chunk_bytes(group[f"truth/{name}"]) for name in ("down_m", "normals"))
+            for name in TRUTH:
+                _refuse_foreign(path, group[f"truth/{name}"])
+            held += sum(_chunk_bytes(group[f"truth/{name}"]) for name in TRUTH)
         chunk = int(array.chunks[0]) if array.chunks else 0
         return FrameFacts(int(array.shape[0]), rows, cols, truth, chunk, held)
+
+
+def _refuse_foreign(path: Path, array: Any) -> None:
+    """Refuse an array of an HDF5 file that lies in another one."""
+    if isinstance(array, h5py.Dataset):
+        refuse_foreign(path, array)
 
 
 def _refuse_huge(path: Path, array: Any) -> None:
@@ -158,7 +170,7 @@ def _truth(group: Any, shape: tuple[int, ...]) -> tuple[int, list[str]]:
     }
     faults = []
     for name, expected in wanted.items():
-        found = tuple(group[name].shape) if name in group else None
+        found = tuple(getattr(group[name], "shape", ())) if name in group else None
         if found != expected:
             faults.append(f"truth/{name} has the shape {found}, expected {expected}")
     return per, faults
