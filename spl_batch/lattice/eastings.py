@@ -26,6 +26,34 @@ Float = NDArray[np.float64]
 T = TypeVar("T")
 
 
+Slab = tuple[Sequence[float], float]
+"""Half-open rectangle (xmin, ymin, xmax, ymax) [quanta], and the points that it holds."""
+
+
+class Slabs(NamedTuple):
+    """Points by slabs, of which regions hold shares."""
+
+    box: Float  #: (s, 4): their rectangles [quanta].
+    points: Float  #: (s,): what they hold [count].
+
+    @classmethod
+    def of(cls, slabs: Iterable[Slab]) -> Self:
+        """Slabs as arrays."""
+        listed = list(slabs)
+        box = np.array([bounds for bounds, _ in listed], np.float64).reshape(-1, 4)
+        return cls(box, np.array([count for _, count in listed], np.float64))
+
+    def within(self, region: Bounds) -> float:
+        """Points of a region [count]."""
+        share = np.ones(len(self.points))
+        for low, high in ((0, 2), (1, 3)):
+            start = self.box[:, low]
+            end = np.maximum(self.box[:, high], start + 1.0)
+            there = np.minimum(end, region[high]) - np.maximum(start, region[low])
+            share *= np.clip(there / (end - start), 0.0, 1.0)
+        return round(float(share @ self.points), 6)
+
+
 class Cut(NamedTuple):
     """Strips of a region."""
 
@@ -47,7 +75,7 @@ class Eastings(NamedTuple):
     points: Float  #: (s,): points of it that lie in the region [count].
 
     @classmethod
-    def of_slabs(cls, slabs: Iterable[tuple[Sequence[float], float]], region: Bounds) -> Self:
+    def of_slabs(cls, slabs: Iterable[Slab], region: Bounds) -> Self:
         """Points of slabs that lie in a region.
 
         Parameters

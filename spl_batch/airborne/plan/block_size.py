@@ -11,8 +11,9 @@ from typing import Any, Final, NamedTuple
 
 from spl_batch.airborne.plan.block_layout import ORIGIN, Block, Layout, around, parse_block
 from spl_batch.airborne.plan.halo import halo_m
-from spl_batch.airborne.plan.space_units import parts_of, unit_within
-from spl_batch.airborne.plan.task_memory import LEAST_PART_Q, part_points, points_within
+from spl_batch.airborne.plan.memory.block_parts import parts_of
+from spl_batch.airborne.plan.space_units import unit_within
+from spl_batch.airborne.plan.task_memory import points_within
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.store.working_store import Store, read_json, write_json
 from spl_batch.engine.tasks.task import Receipt
@@ -164,7 +165,7 @@ def count_blocks(
         layout = layout_of(counts, workflow)
         found = blocks(layout, sizes, workflow, memory_bytes)
         longest = max((max(block.columns, block.rows) for block in found), default=sizes.tiles)
-        read = sum(_read(layout, block, memory_bytes) for block in found)
+        read = sum(_read(layout, block, workflow, memory_bytes) for block in found)
         return Expected(len(found), longest, read / points)
     shapes = _shapes(sizes.tiles, workflow)
     cuts = _cuts(pieces, workflow, sizes.under(memory_bytes), sizes.tiles)
@@ -175,15 +176,15 @@ def count_blocks(
     return Expected(sum(cut.units for cut in cuts), longest, reading / points)
 
 
-def _read(layout: Layout, block: Block, memory_bytes: int) -> int:
+def _read(layout: Layout, block: Block, workflow: Workflow, memory_bytes: int) -> float:
     """Points that a block reads, part by part where not all of it fits into memory [count]."""
+    named = (str(block), CellId(block.i, block.j))
 
-    def held(part: Bounds) -> int:
-        named = (str(block), CellId(block.i, block.j))
-        return unit_within(part, layout.counts, layout.tile_q, layout.halo_q, named).held
+    def points(region: Bounds) -> int:
+        return unit_within(region, layout.counts, layout.tile_q, 0, named).held
 
-    most = part_points(memory_bytes)
-    return sum(map(held, parts_of(layout.unit(block), held, most, LEAST_PART_Q)))
+    parts = parts_of(block.core(layout.tile_q), points, workflow, memory_bytes)
+    return math.fsum(part.held for part in parts)
 
 
 def _few_tiles(pieces: Sequence[Piece], workflow: Workflow) -> dict[CellId, int] | None:

@@ -18,6 +18,11 @@ def halo_m(workflow: Workflow) -> float:
     return denoise.reach_m(workflow.filter) + (haze.REACH_M if air else 0.0)
 
 
+def filter_reach_m(workflow: Workflow) -> float:
+    """What of its halo the filter itself looks at [m]."""
+    return denoise.reach_m(workflow.filter)
+
+
 def surface_reach_m(workflow: Workflow) -> float:
     """Margin that a ground cell's rasters read [m]."""
     reaches = [surface_rasters.reach_m(workflow.products), reflectance.reach_m(workflow.products)]

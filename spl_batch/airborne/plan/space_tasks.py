@@ -11,18 +11,15 @@ from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
 from spl_batch.airborne.plan.block_size import Holders
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
+from spl_batch.airborne.plan.memory.block_parts import parts_of
 from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts
 from spl_batch.airborne.plan.space_units import (
     Unit,
     fired_index,
-    parts_of,
-    unit_within,
     voxel_index,
 )
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
 from spl_batch.airborne.plan.task_memory import (
-    LEAST_PART_Q,
-    part_points,
     refusal,
     task_bytes,
 )
@@ -34,8 +31,8 @@ from spl_batch.airborne.products.product_table import (
 )
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.tasks.task import Task
-from spl_batch.lattice.eastings import Eastings
-from spl_batch.lattice.tiles import Bounds, CellId, cell_runs, grow, parse_cell, quanta
+from spl_batch.lattice.eastings import Eastings, Slab, Slabs
+from spl_batch.lattice.tiles import CellId, cell_runs, grow, parse_cell, quanta
 
 
 class _Pieces(NamedTuple):
@@ -113,24 +110,12 @@ def denoise(survey: Survey) -> Iterator[Task]:
             *tile_needs(block),
             *(("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))),
         )
-        cut = _parts(block, survey)
-        held = max(_held(part, survey) for part in cut)
-        needed = task_bytes("denoise" if len(cut) == 1 else "denoise_part", held)
-        refused = refusal("denoise", held, survey.memory_bytes, needed)
-        how = {"parts": [list(part) for part in cut]}
+        points = Slabs.of(_slabs(block.tiles, survey)).within
+        cut = parts_of(block.core, points, survey.workflow, survey.memory_bytes)
+        worst = max(cut, key=lambda part: part.memory_bytes)
+        refused = refusal("denoise", worst.held, survey.memory_bytes, worst.memory_bytes)
+        how = {"parts": [list(part.core) for part in cut]}
         yield Task("denoise", block.name, args, needs, block.points, refused, how)
-
-
-def _parts(block: Unit, survey: Survey) -> list[Bounds]:
-    """What of a block is judged at once: all of it, where that fits into memory."""
-    most = part_points(survey.memory_bytes)
-    return parts_of(block, lambda part: _held(part, survey), most, LEAST_PART_Q)
-
-
-def _held(part: Bounds, survey: Survey) -> int:
-    """Points that a part of a block reads [count]."""
-    named = ("", CellId(0, 0))
-    return unit_within(part, survey.counts, survey.tile_q, survey.halo_q, named).held
 
 
 def ground(survey: Survey) -> Iterator[Task]:
@@ -189,9 +174,14 @@ def cell_in_memory(kind: str, cell: Unit, survey: Survey) -> tuple[str, dict[str
 
 def spread_over(tiles: Sequence[CellId], survey: Survey) -> Spread:
     """Where the points of some tiles lie."""
+    return partial(Eastings.of_slabs, _slabs(tiles, survey))
+
+
+def _slabs(tiles: Sequence[CellId], survey: Survey) -> list[Slab]:
+    """Rectangles in which the points of some tiles lie, and how many in each."""
     built = survey.of("build_tile")
-    slabs = [slab for tile in tiles for slab in built[str(tile)].facts["slabs"]]
-    return partial(Eastings.of_slabs, [(slab[:4], slab[4]) for slab in slabs])
+    found = (slab for tile in tiles for slab in built[str(tile)].facts["slabs"])
+    return [(slab[:4], slab[4]) for slab in found]
 
 
 def knows_reflectance(survey: Survey) -> bool:

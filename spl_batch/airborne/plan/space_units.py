@@ -1,7 +1,7 @@
 """Tiles, blocks and ground cells: which points each unit of the space domain reads."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from spl_batch.engine.tasks.task import Receipt
@@ -80,31 +80,6 @@ def unit_within(
         owned += counts[tile] if overlap(bounds, core) else 0
     # shares of tiles add up to whole points, but for the last bit of a sum
     return Unit(*named, core, tuple(near), int(owned), math.ceil(round(held, 6)))
-
-
-def parts_of(
-    unit: Unit, held: Callable[[Bounds], int], most: tuple[int, int], least_q: int
-) -> list[Bounds]:
-    """Parts of what a unit owns: halves of it, and of these, while one reads too much.
-
-    ``most``: points that may be held of all of it, and of a part [count]. ``least_q``: no side is
-    cut to less [quanta].
-    """
-    if held(unit.core) <= most[0]:
-        return [unit.core]
-    whole, waiting = [], [unit.core]
-    while waiting:
-        part = waiting.pop()
-        wide, high = part.xmax - part.xmin, part.ymax - part.ymin
-        if (part != unit.core and held(part) <= most[1]) or max(wide, high) < 2 * least_q:
-            whole.append(part)
-        elif wide >= high:
-            middle = part.xmin + wide // 2
-            waiting += [part._replace(xmin=middle), part._replace(xmax=middle)]
-        else:
-            middle = part.ymin + high // 2
-            waiting += [part._replace(ymin=middle), part._replace(ymax=middle)]
-    return whole
 
 
 def _area(region: Bounds) -> int:

@@ -26,7 +26,7 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "scatter": 540,
         "build_tile": 280,
         "denoise": 150,
-        "denoise_part": 100,
+        "denoise_air": 90,
         "ground": 215,
         "strip_patches": 80,
         "surface": 150,
@@ -66,12 +66,17 @@ def points_within(kind: str, limit: int) -> int:
     return max(usable_bytes(limit) - LOADED_BASE_BYTES, 0) // BYTES_PER_POINT[kind]
 
 
-def part_points(limit: int) -> tuple[int, int]:
-    """Points that a denoise block may hold, and that a part of one may [count].
+def part_bytes(held: float, near: float) -> int:
+    """Memory of a part of a denoise block, its worker included [byte].
 
-    A part is small beside its halo, of which the outer half is looked at for haze alone.
+    Parameters
+    ----------
+    held : float
+        Points that it reads: for air it looks at all of them, with few columns [count].
+    near : float
+        Those among them that the filter looks at [count].
     """
-    return points_within("denoise", limit), points_within("denoise_part", limit)
+    return max(task_bytes("denoise_air", held), task_bytes("denoise", near))
 
 
 def stretch_points(limit: int) -> int:

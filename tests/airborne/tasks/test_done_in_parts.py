@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,9 +16,9 @@ from spl_batch.airborne.ground.multiscale_surface import BLOCK_M
 from spl_batch.airborne.plan import phases
 from spl_batch.airborne.plan.block_size import Sizes, count_blocks
 from spl_batch.airborne.plan.ground_cells import GroundCells
+from spl_batch.airborne.plan.memory.block_parts import parts_of
 from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts
 from spl_batch.airborne.plan.memory.heaviest_tasks import needs
-from spl_batch.airborne.plan.space_units import Unit, parts_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
 from spl_batch.airborne.tasks import space_domain, surfaces
@@ -25,7 +26,7 @@ from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.lattice.density import Box, from_boxes, from_counts
-from spl_batch.lattice.eastings import Eastings
+from spl_batch.lattice.eastings import Eastings, Slabs
 from spl_batch.lattice.tiles import Bounds, CellId, grow, quanta
 
 FLAGS: Final = ("building", "overlap", "withheld")
@@ -33,19 +34,51 @@ FLAGS: Final = ("building", "overlap", "withheld")
 CORE = Bounds(0, 0, 40_000, 100_000)
 
 
+def evenly(per_m2: float) -> Callable[[Bounds], float]:
+    """Points that lie evenly for ever."""
+    return lambda region: region.area_m2 * per_m2
+
+
 def test_parts_are_halves_and_cover_the_whole() -> None:
-    unit = Unit("u", CellId(0, 0), CORE, (), 0, 0)
-    parts = parts_of(
-        unit, lambda part: part.xmax - part.xmin + part.ymax - part.ymin, (70_000, 70_000), 25_000
+    whole, parts = (
+        [part.core for part in parts_of(CORE, evenly(100), plain(), limit)]
+        for limit in (8 << 30, 1 << 30)
     )
-    assert sorted(parts) == [
-        Bounds(0, 0, 40_000, 25_000),
-        *(Bounds(0, low, 40_000, low + 25_000) for low in (25_000, 50_000, 75_000)),
+    assert whole == [CORE]
+    assert parts == [Bounds(0, 0, 40_000, 50_000), Bounds(0, 50_000, 40_000, 100_000)]
+    # what needs too much at any size is cut down to the least side, and no further
+    least = parts_of(CORE, evenly(10_000), plain(), 1 << 30)
+    assert {(p.core.xmax - p.core.xmin, p.core.ymax - p.core.ymin) for p in least} == {
+        (20_000, 12_500)
+    }
+    assert sum(p.core.area_m2 for p in least) == CORE.area_m2
+    assert min(p.memory_bytes for p in least) > 1 << 30
+
+
+def test_parts_of_150_returns_per_m2_fit_into_one_gibibyte() -> None:
+    block = Bounds(0, 0, 100_000, 100_000)
+    parts = parts_of(block, evenly(150), plain(), 1 << 30)
+    assert len(parts) > 1
+    assert max(part.memory_bytes for part in parts) <= 0.9 * 2**30
+
+
+def test_points_that_the_filter_looks_at_cost_more_than_those_far_away() -> None:
+    """All of a clump is near; of even points most are in the outer halo, seen for air alone."""
+    clump = Slabs.of([((40_000, 40_000, 60_000, 60_000), 5_000_000)]).within
+    even_ = evenly(5_000_000 / 210**2)
+    most = [
+        max(part.memory_bytes for part in parts_of(CORE, points, plain(), 1 << 30))
+        for points in (clump, even_)
     ]
-    assert parts_of(unit, lambda _: 1, (1, 1), 1) == [CORE]
-    # what holds too much at any size is cut down to the least side, and no further
-    least = parts_of(unit, lambda _: 2, (1, 1), 20_000)
-    assert {(p.xmax - p.xmin, p.ymax - p.ymin) for p in least} == {(20_000, 25_000)}
+    assert most[0] > 0.9 * 2**30 > most[1]
+
+
+def test_a_slab_shares_its_points_by_area() -> None:
+    slabs = Slabs.of([((0, 0, 100, 40), 800), ((100, 0, 100, 40), 9)])
+    assert slabs.within(Bounds(0, 0, 101, 40)) == 809
+    assert slabs.within(Bounds(50, 10, 100, 20)) == 100
+    assert slabs.within(Bounds(-90, -90, -1, -1)) == 0
+    assert Slabs.of([]).within(CORE) == 0
 
 
 @pytest.fixture(scope="module")

@@ -39,7 +39,7 @@ def _long_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def _large_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The four passes are one block with 8 GiB, and several with less."""
-    heavy = {**task_memory.BYTES_PER_POINT, "denoise": 88_000, "denoise_part": 88_000}
+    heavy = {**task_memory.BYTES_PER_POINT, "denoise": 88_000, "denoise_air": 88_000}
     monkeypatch.setattr(task_memory, "BYTES_PER_POINT", heavy)
 
 

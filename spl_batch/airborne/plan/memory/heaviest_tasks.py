@@ -7,21 +7,21 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from spl_batch.airborne.plan.ground_cells import GroundCells
-from spl_batch.airborne.plan.halo import halo_m, surface_reach_m
+from spl_batch.airborne.plan.halo import filter_reach_m, halo_m, surface_reach_m
 from spl_batch.airborne.plan.memory.cell_memory import cell_parts
 from spl_batch.airborne.plan.task_memory import (
     LEAST_PART_Q,
     NAMES,
     REMEDIES,
     UNEVEN,
-    points_within,
+    part_bytes,
     task_bytes,
 )
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.delivery import PASS_POINTS
 from spl_batch.airborne.tasks.index import CHUNK_POINTS
 from spl_batch.constants import QUANTUM_M
-from spl_batch.engine.plan.worker_memory import LOADED_BASE_BYTES
+from spl_batch.engine.plan.worker_memory import LOADED_BASE_BYTES, usable_bytes
 from spl_batch.errors import grouped
 from spl_batch.formats.trajectory.merge import WAITING_RECORDS
 from spl_batch.lattice.density import Box, Peak, Piece, largest
@@ -136,14 +136,20 @@ def _cells(
 def _part(pieces: Sequence[Piece], workflow: Workflow, limit: int) -> Need:
     """The fullest denoise block, or the fullest of the largest parts of blocks that fit."""
     edge = (workflow.tiling.block_tiles or 1) * quanta(workflow.tiling.tile_m)
-    halo, most = quanta(halo_m(workflow)), points_within("denoise_part", limit)
-    peak = largest(piece.peak(edge, halo) for piece in pieces)
-    if peak.points <= points_within("denoise", limit):
+    halo, near = quanta(halo_m(workflow)), quanta(filter_reach_m(workflow))
+
+    def fullest(reach: int) -> Peak:
+        return largest(piece.peak(edge, reach) for piece in pieces)
+
+    peak, usable = fullest(halo), usable_bytes(limit)
+    if task_bytes("denoise", peak.points) <= usable:
         return _need("denoise", peak)
-    while peak.points > most and edge >= 2 * LEAST_PART_Q:
+    needed = usable + 1
+    while needed > usable and edge >= 2 * LEAST_PART_Q:
         edge //= 2
-        peak = largest(piece.peak(edge, halo) for piece in pieces)
-    return _need("denoise", peak, task_bytes("denoise_part", peak.points))
+        peak = fullest(halo)
+        needed = part_bytes(peak.points, fullest(near).points)
+    return _need("denoise", peak, needed)
 
 
 def _need(kind: str, peak: Peak, needed: int | None = None) -> Need:
