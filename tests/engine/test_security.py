@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import re
+import socket
 import subprocess
 import sys
 import zipfile
@@ -19,9 +20,13 @@ import psutil
 import pytest
 import yaml
 
+from spl_batch.cli.lines import LINE_MAX
 from spl_batch.engine.flow import executor
 from spl_batch.engine.flow.cluster import local_cluster
+from spl_batch.engine.settings.yaml_text import NODES_MAX, TEXT_MAX
 from spl_batch.errors import DamagedError, InputError, WorkflowError
+from spl_batch.formats.declared import BOMB_RATIO, SMALL_BYTES
+from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water.formats import inspect_frames, iter_frames
 from tests import surveys
@@ -225,6 +230,72 @@ def test_a_link_within_the_output_or_to_a_faster_disk_is_none(survey: Path, tmp_
     ended = surveys.command("run", survey, "--workers", 0, "--until", "index")
     assert ended.status == 0, ended.text
     assert (tmp_path / "scratch/receipts").is_dir()
+
+
+def test_a_link_in_place_of_a_file_is_replaced_and_not_followed(tmp_path: Path) -> None:
+    elsewhere, path = tmp_path / "elsewhere", tmp_path / "dtm.tif"
+    elsewhere.write_bytes(b"kept")
+    path.symlink_to(elsewhere)
+    write_bytes(path, b"made")
+    assert elsewhere.read_bytes() == b"kept"
+    assert path.read_bytes() == b"made"
+    assert not path.is_symlink()
+
+
+# Ports, limits, what is installed
+
+
+def test_a_run_without_workers_opens_no_port(survey: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("a port is opened")
+
+    for method in ("bind", "listen", "connect"):
+        monkeypatch.setattr(socket.socket, method, refuse)
+    ended = surveys.command("run", survey, "--workers", 0, "--until", "index")
+    assert ended.status == 0, ended.text
+
+
+def test_the_numbers_of_the_page_are_those_that_hold() -> None:
+    assert (TEXT_MAX, NODES_MAX, SMALL_BYTES) == (1 << 20, 50_000, 512 << 20)
+    text = " ".join(PAGE.split())
+    for words in (
+        "at most 1 MiB and 50 000 values",
+        f"declare more than 512 MiB and more than {BOMB_RATIO} times their bytes",
+        f"a line on the screen has at most {LINE_MAX} characters",
+    ):
+        assert words in text
+
+
+NONE = "No known vulnerabilities found"
+UNKNOWN = "Dependency not found on PyPI and could not be audited:"
+AUDITS = {
+    "nothing is known": (
+        f"{NONE}\nName Skip Reason\n---- ----\nnumpy {UNKNOWN} numpy (2)\ndask {UNKNOWN} dask (1)",
+        0,
+        "faults are not known of 2 packages, which the registry's list of faults does not have",
+    ),
+    "no faults": (NONE, 0, NONE),
+    "a fault": (
+        "numpy 2 PYSEC-1",
+        1,
+        "look at what follows; without a network no faults are known\nnumpy 2 PYSEC-1",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", AUDITS)
+def test_ci_tells_known_faults_and_where_none_are_known(tmp_path: Path, kind: str) -> None:
+    """The step never fails, and says in one line that a registry tells nothing."""
+    table, status, says = AUDITS[kind]
+    text = (ROOT / ".ci/run").read_text(encoding="utf-8")
+    (step,) = re.findall(r"^audit\(\) \{.*?^\}", text, re.DOTALL | re.MULTILINE)
+    for name, said, code in (("pip", "", 0), ("pip-licenses", "", 0), ("pip-audit", table, status)):
+        command = tmp_path / name
+        command.write_text(f"#!/bin/sh\nprintf '%s' \"{said}\"\nexit {code}\n")
+        command.chmod(0o755)
+    script = f'set -euo pipefail; work={tmp_path}; PATH="$work:$PATH"; {step}; audit'
+    ended = subprocess.run(["bash", "-c", script], capture_output=True, check=False, text=True)  # noqa: S603, S607
+    assert (ended.returncode, ended.stdout.strip(), ended.stderr) == (0, says, "")
 
 
 def test_the_page_says_what_is_trusted() -> None:

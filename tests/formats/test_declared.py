@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 import rasterio
 import yaml
+import zarr
 from hypothesis import given
 from hypothesis import strategies as st
 from rasterio.transform import Affine
@@ -90,8 +91,11 @@ def test_frames_that_are_not_there_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "f.h5"
     with h5py.File(path, "w") as file:
         file.create_dataset("frames", (2**34, 4, 5), "u2", chunks=(1000, 4, 5))
-    with pytest.raises(InputError, match="frames would unpack to"):
-        inspect_frames(path, 4, 5)
+    group = zarr.open_group(tmp_path / "f.zarr", mode="w")
+    group.create_array("frames", shape=(2**34, 4, 5), chunks=(1000, 4, 5), dtype="u2")
+    for made in (path, tmp_path / "f.zarr"):
+        with pytest.raises(InputError, match="frames would unpack to"):
+            inspect_frames(made, 4, 5)
 
 
 def constant(path: Path, names: Any, rows: int, kinds: Any = pa.float64) -> Path:
