@@ -29,7 +29,7 @@ import yaml
 import zarr
 from numpy.typing import NDArray
 
-from benchmarks.engine.memory import Peak
+from benchmarks.engine.peak import Peak
 from spl_batch import api
 from spl_batch.altimetry.simulate import Track, scene, simulate_track
 from spl_batch.constants import SPEED_OF_LIGHT_M_S

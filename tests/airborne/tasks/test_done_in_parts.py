@@ -200,7 +200,7 @@ def plain(**sections: object) -> Workflow:
 
 
 @pytest.mark.parametrize(
-    ("kind", "density_m2"), [("ground", 150), ("surface", 150), ("strip_patches", 200)]
+    ("kind", "density_m2"), [("ground", 280), ("surface", 150), ("strip_patches", 200)]
 )
 def test_150_returns_per_m2_fit_into_one_gibibyte(kind: str, density_m2: float) -> None:
     parts = cell_parts(kind, SQUARE, even(density_m2), plain(), 1 << 30)
@@ -244,6 +244,8 @@ def test_the_halo_of_buildings_counts() -> None:
         cell_parts("surface", SQUARE, even(110), workflow, 1 << 30) for workflow in (plain(), asked)
     )
     assert len(with_roofs.cuts["classes"]) > len(alone.cuts["classes"])
+    dense = cell_parts("surface", SQUARE, even(150), asked, 1 << 30)
+    assert dense.memory_bytes <= 0.9 * 2**30
 
 
 def test_a_plan_counts_what_parts_read() -> None:
