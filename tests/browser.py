@@ -86,9 +86,15 @@ class Page:
         path.write_bytes(base64.b64decode(self._ask("Page.captureScreenshot")["data"]))
 
     def accessible(self) -> list[dict[str, Any]]:
-        """What a screen reader is told of."""
+        """What a screen reader is told of, in the order in which it is read."""
         nodes: list[dict[str, Any]] = self._ask("Accessibility.getFullAXTree")["nodes"]
-        return [node for node in nodes if not node["ignored"]]
+        known = {node["nodeId"]: node for node in nodes}
+        waiting, read = [nodes[0]], []
+        while waiting:
+            node = waiting.pop()
+            read.append(node)
+            waiting += [known[k] for k in reversed(node.get("childIds", ())) if k in known]
+        return [node for node in read if not node["ignored"]]
 
     def pdf(self) -> bytes:
         """The page as it is printed."""

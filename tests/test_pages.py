@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 import matplotlib as mpl
+import numpy as np
 import pytest
 
 from spl_batch.cli import cli
@@ -35,6 +36,29 @@ def test_the_code_of_the_tutorial_runs(
         exec(compile(block, "tutorial.md", "exec"), names)  # noqa: S102 - it is our own page
     before, after = (len(axes.collections[0].get_offsets()) for axes in names["figure"].axes)
     assert before > after > 0
+
+
+def test_the_code_of_the_page_on_arrays_runs(
+    tiny_survey: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (line, *_) = sorted(tiny_survey.parent.glob("flightlines/*.laz"))
+    (tmp_path / "flightline.laz").symlink_to(line)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    *first, beams = blocks("arrays.md", "python")
+    assert len(first) == 2
+    for block in first:
+        exec(compile(block, "arrays.md", "exec"), names)  # noqa: S102 - it is our own page
+    assert names["labels"].basis == names["noise"].basis == "cloud"
+    told = re.search(r"# (\d\.\d+): 3 000 points", first[-1])
+    assert told
+    assert float(np.median(names["noise"].density)) == pytest.approx(float(told[1]), abs=5e-4)
+    exec(compile(beams, "arrays.md", "exec"), names)  # noqa: S102
+    found = names["noise"]
+    assert found.basis == "intersection"
+    assert found.density.shape == found.mean.shape == (20,)
+    assert (found.density > 0).all()
+    assert found.mean.min() < found.density.min(), "less where a voxel is cut by the gate"
 
 
 @pytest.mark.parametrize("name", GUIDES)

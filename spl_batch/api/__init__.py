@@ -1,8 +1,10 @@
 """The verbs of the project, usable from a notebook; the command line only calls these.
 
-A verb is imported when it is asked for: planning needs no pictures, say.
+A verb is imported when it is asked for: planning needs no pictures, say. In a notebook a verb that
+takes long shows what it does below its cell, unless it is given a listener.
 """
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +84,20 @@ _HOMES = {
 }
 
 
+_SHOWN = {
+    "compare": ("listener",),
+    "denoise": ("listener",),
+    "quickstart": ("listener", "progress"),
+    "run": ("listener",),
+    "simulate": ("progress",),
+}
+"""Verbs that take long, and the arguments by which they tell how far they are."""
+
+
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    found = getattr(import_module(_HOMES[name]), name)
+    if name in _SHOWN and "ipykernel" in sys.modules:  # a notebook's
+        return import_module("spl_batch.cli.watching").shown(found, _SHOWN[name])
+    return found

@@ -204,7 +204,9 @@ def compare(
 
 @cli.command()
 @OUTPUT
-@click.option("--watch", is_flag=True, help="Show it again and again until the run ends.")
+@click.option(
+    "--watch", is_flag=True, help="Show it until the run ends; wait for one that has not begun."
+)
 @document.option
 def status(output: Path, watch: bool, as_json: bool) -> int:  # noqa: FBT001 - click passes flags by name
     """Say what is done, running, failed and left in OUTPUT, also while a run works there."""
@@ -216,6 +218,7 @@ def status(output: Path, watch: bool, as_json: bool) -> int:  # noqa: FBT001 - c
     if as_json:
         document.print_document(document.of_status(api.status(output)))
     elif watch:
+        screen.await_run(output)
         screen.watch_status(api.Follower(output))
     else:
         screen.print_status(api.status(output))
@@ -262,13 +265,13 @@ def main(arguments: list[str] | None = None) -> None:
     interrupted = "interrupted" + "; the same command continues" * goes_on
     # As the command of its process it began with that: loading Python and packages counts.
     CLOCK.set(CommandClock(process_age_s() if arguments is None else 0.0))
-    document.ASKED.set(False)
+    document.ASKED.set("--json" in given)  # options may not be read as far as that
     try:
         with _ended_in_order(told, _STOPPING + "; what is finished is kept" * goes_on):
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
     except click.ClickException as error:
         error.show()
-        if document.ASKED.get() or "--json" in given:  # options may not have been read that far
+        if document.ASKED.get():
             document.print_error(error.format_message(), 2)
         sys.exit(2)
     except click.Abort:

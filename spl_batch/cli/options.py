@@ -1,5 +1,6 @@
 """Arguments and options that several commands share, and the clock of the command that runs."""
 
+import os
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
@@ -7,10 +8,30 @@ from typing import Any
 import click
 
 from spl_batch.cli.clock import CommandClock
+from spl_batch.errors import WorkflowError, named
 
 CLOCK: ContextVar[CommandClock] = ContextVar("command clock", default=CommandClock())  # noqa: B039 - never changed
 
-WORKFLOW = click.argument("workflow", type=click.Path(path_type=Path))
+
+def _there(_context: click.Context, _argument: click.Parameter, path: Path) -> Path:
+    """Refuse a workflow that is not there before anything is loaded, which takes seconds."""
+    if ":/" not in str(path) and not os.path.lexists(path):  # of a URL a later line tells
+        raise WorkflowError(f"{path}: no such file{_near(path)}")
+    return path
+
+
+def _near(path: Path) -> str:
+    """Workflows that lie where a file was looked for."""
+    try:
+        found = sorted(one.name for one in path.parent.iterdir() if one.suffix in _YAML)
+    except OSError:
+        return "; check the path"
+    return f"; there is {named(found, 3)}" if found else "; check the path"
+
+
+_YAML = {".yaml", ".yml"}
+
+WORKFLOW = click.argument("workflow", type=click.Path(path_type=Path), callback=_there)
 OUTPUT = click.argument("output", type=click.Path(path_type=Path))
 SETTINGS = click.option(
     "--set",

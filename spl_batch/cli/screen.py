@@ -12,12 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from spl_batch.cli.console import PlainConsole, is_screen
-from spl_batch.cli.lines import LINE_MAX, screen_lines
+from spl_batch.cli.lines import LINE_MAX, say_error, screen_lines
 from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, failed_lines, taken
 from spl_batch.engine.report import number_format as texts
 from spl_batch.engine.report.number_format import (
     as_ascii,
 )
+from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.errors import counted, grouped, storage
 
 if TYPE_CHECKING:  # each command loads what it needs only
@@ -164,6 +165,26 @@ def _time_left(left: "Left | None") -> str:
 def print_status(status: "RunStatus") -> None:
     """Print the state of the latest run."""
     _OUT.print(_whole(status))
+
+
+def await_run(output: Path, every_s: float = 1.0) -> None:
+    """Wait until a run has begun in a folder that is not there yet, or holds nothing else."""
+    if _may_begin(output):
+        say_error(f"info: no run has begun in {output} yet: waiting for one; Ctrl-C ends")
+    while _may_begin(output):
+        time.sleep(every_s)
+
+
+def _may_begin(output: Path) -> bool:
+    """Whether a run may be about to begin: nothing is there but the lock that it takes first."""
+    if url_fault(output):
+        return False
+    try:
+        return {path.name for path in output.iterdir()} <= {"store"}
+    except FileNotFoundError:
+        return True
+    except OSError:  # a file, say, of which the command tells
+        return False
 
 
 def watch_status(follower: "Follower", every_s: float = 1.0) -> "RunStatus":

@@ -8,13 +8,16 @@ import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from rich.console import Console
 
-from spl_batch.cli import view, watching
+from spl_batch import api
+from spl_batch.cli import screen, view, watching
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
 from spl_batch.cli.console import is_screen
+from spl_batch.engine.verbs import simulation
 from spl_batch.engine.watch.events import (
     Compiling,
     Note,
@@ -170,6 +173,67 @@ def test_a_notebook_has_one_output_that_is_drawn_anew(
     assert "simulate" in drawn[-1]["text/plain"]
     assert drawn[-1]["text/html"].startswith("<pre")
     assert capsys.readouterr().out == "warning: a cloud <b>\n"
+
+
+def test_in_a_notebook_verbs_show_what_they_do_unless_somebody_listens(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shown: list[str] = []
+    handle = SimpleNamespace(update=lambda data, **_: shown.append(data["text/plain"]))
+    ipython = SimpleNamespace(display=lambda *_, **__: handle)
+    monkeypatch.setitem(sys.modules, "IPython.display", ipython)
+    given: dict[str, Any] = {}
+
+    def verb(workflow: str, *, listener: Any = None, progress: Any = None) -> str:
+        given.update(listener=listener, progress=progress)
+        if progress is not None:
+            progress(0.5)
+        return workflow
+
+    monkeypatch.setattr(simulation, "simulate", verb)
+    monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
+    assert api.simulate is verb, "elsewhere they are silent"
+    monkeypatch.setitem(sys.modules, "ipykernel", SimpleNamespace())
+    assert api.simulate("w") == "w"  # type: ignore[call-arg]
+    assert given == {"listener": None, "progress": None}, "a kernel's library is no notebook yet"
+    monkeypatch.setattr(watching, "_ERR", SimpleNamespace(is_jupyter=True))
+    assert api.simulate("w") == "w"  # type: ignore[call-arg]
+    assert "simulate" in shown[-1]
+    shown.clear()
+    mine = print
+    watching.shown(verb, ("listener",))("w", listener=mine)
+    assert given == {"listener": mine, "progress": None}
+    assert shown == []
+
+
+def test_a_terminal_is_drawn_anew_where_something_has_changed() -> None:
+    said = ["a", "a", "a", "b", "b", "b"]
+    waits = iter([False] * len(said) + [True])
+    live = SimpleNamespace(console=Console(file=io.StringIO()), refresh=lambda: drawn.append(1))
+    drawn: list[int] = []
+    over = SimpleNamespace(wait=lambda _: next(waits))
+    watching._draw(SimpleNamespace(draw=lambda: said.pop(0)), live, over)  # type: ignore[arg-type]
+    assert len(drawn) == 2
+    assert said == []
+
+
+def test_a_run_that_has_not_begun_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "out"
+    steps = iter([output, output / "store", output / "log.jsonl"])
+
+    def sleep(_: float) -> None:
+        next(steps).mkdir()
+
+    monkeypatch.setattr(screen.time, "sleep", sleep)
+    screen.await_run(output)
+    assert (output / "log.jsonl").exists()
+    assert capsys.readouterr().err.startswith(f"info: no run has begun in {output} yet: waiting")
+    screen.await_run(output)
+    screen.await_run(Path(__file__))
+    screen.await_run(Path("s3://bucket/out"))
+    assert capsys.readouterr().err == "", "what will be no output of a run is told by the command"
 
 
 def test_a_silence_that_is_piped_is_broken_ever_more_rarely(

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from spl_batch import api
 from tests import surveys
 
 
@@ -33,6 +34,23 @@ def test_plan_run_and_status_give_one_document_each(small: Path) -> None:
     assert status["stages"]["deliver"]["done"] == status["stages"]["deliver"]["total"] > 0
     plan = document("plan", small)
     assert plan["left"]["stage"] == ""
+
+
+def test_results_are_shown_by_python_in_lines_that_a_person_reads(small: Path) -> None:
+    small.unlink()
+    begun = repr(api.init(small.parent))
+    assert begun.startswith("Beginning\n  workflow  ")
+    assert "  not told  " in begun
+    plan = repr(api.plan(small)).splitlines()
+    assert plan[0] == "PlanSummary"
+    assert [line for line in plan if line.split()[:2] == ["points", "6"]]
+    ended = api.RunResult(0, small, None, (("points", "7 in, 7 out"),), (("cloud", [small]),))
+    rows = [line.split(maxsplit=1) for line in repr(ended).splitlines()[1:]]
+    assert ["points", "7 in, 7 out"] in rows
+    assert ["cloud", str(small)] in rows
+    status = api.RunStatus()
+    assert "denoise" in repr(status)
+    assert "stopped before its end" in repr(status)
 
 
 def test_faults_and_errors_are_in_the_document(small: Path, tmp_path: Path) -> None:

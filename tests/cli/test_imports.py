@@ -83,11 +83,12 @@ def test_a_receiver_names_the_package_that_it_lacks() -> None:
     assert len(told.strip().splitlines()) <= 2
 
 
+@pytest.mark.parametrize("verb", ["plan", "run"])
 def test_a_run_that_could_write_no_report_does_not_begin(
-    small: Path, monkeypatch: pytest.MonkeyPatch
+    verb: str, small: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # type: ignore[arg-type]
-    ended = surveys.command("run", small)
+    ended = surveys.command(verb, small)
     assert ended.status == 2
     assert "reports need the package matplotlib" in ended.err
     assert not (small.parent / "out").exists()

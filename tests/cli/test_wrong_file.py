@@ -1,6 +1,8 @@
 """A command that was given the wrong file says what it is and which command takes it."""
 
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -20,7 +22,9 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "blob").write_bytes(bytes(range(256)))
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "report.json").write_text('{"survey": {"flightlines": 3}}')
-    (tmp_path / "results" / "dtm.tif").write_bytes(b"II*\0....")
+    for raster in ("results/dtm.tif", "dem.tif"):
+        (tmp_path / raster).write_bytes(b"II*\0....")
+    (tmp_path / "more.zip").write_bytes(b"PK\x03\x04....")
     return tmp_path
 
 
@@ -34,7 +38,14 @@ def folder(tmp_path: Path) -> Path:
         ("plan", "lines/x.laz", "a point file", "name it in a workflow file"),
         ("simulate", "lines/x.laz", "a point file", "name it in a workflow file"),
         ("run", "blob", "a binary file", "name it in a workflow file"),
-        ("run", "results/dtm.tif", "a TIFF raster", "name it in a workflow file"),
+        ("run", "results/dtm.tif", "a TIFF raster of a run's results", "the folder that it lies"),
+        ("run", "dem.tif", "a TIFF raster", "no command reads rasters"),
+        ("plan", "more.zip", "a ZIP archive", "unpack it"),
+        ("init", "lines/x.laz", "one file", "`spl-batch init {}/lines`"),
+        ("run", "s3://bucket/w.yaml", "this is a URL", "of this machine"),
+        ("init", "s3://bucket", "this is a URL", "of this machine"),
+        ("status", "https://host/out", "this is a URL", "of this machine"),
+        ("quickstart", "s3://bucket/q", "this is a URL", "of this machine"),
         ("run", "results/report.json", "of a run's results", "take the folder that it lies in"),
         ("run", ".", "a folder", "such as scene.yaml"),
         ("run", "lines", "a folder of point files", "survey.flightlines"),
@@ -57,13 +68,39 @@ def test_one_line_says_what_it_is(
     options: list[object] = ["--methods", "aes,voxel"] if command == "compare" else []
     if command == "simulate":
         options = [folder / "made"]
-    ended = surveys.command(command, folder / name, *options)
+    ended = surveys.command(command, name if "://" in name else folder / name, *options)
     assert ended.status == 2
-    (line,) = ended.err.splitlines()
+    *slow, line = ended.err.splitlines()
+    assert all(one.startswith(("info: ", "getting ready")) for one in slow), slow
     assert len(line.replace(str(folder), "")) < 300
     assert what in line
     assert remedy.format(folder) in line
     assert not (folder / "made").exists()
+
+
+def test_a_missing_workflow_is_told_before_anything_is_loaded(folder: Path) -> None:
+    code = "import sys; from spl_batch.cli import main\ntry: main(sys.argv[1:])\nfinally: "
+    code += "print('loaded' if {'pyarrow', 'numba', 'yaml'} & set(sys.modules) else 'at once')"
+    said = subprocess.run(  # noqa: S603 - what stands here
+        [sys.executable, "-c", code, "run", folder / "workflw.yaml"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert said.stdout == "at once\n"
+    assert said.returncode == 2
+    near = "there is scene.yaml, workflow.yaml"
+    assert said.stderr == f"spl-batch: {folder / 'workflw.yaml'}: no such file; {near}\n"
+    ended = surveys.command("plan", folder / "lines" / "no.yaml")
+    assert ended.err.endswith("no such file; check the path\n")
+
+
+def test_inputs_that_are_urls_are_named_as_they_were_given(folder: Path) -> None:
+    given = {"survey.flightlines": "s3://b/*.laz", "survey.trajectory": "s3://b/t.csv",
+             "water": "https://host/lakes.gpkg"}  # fmt: skip
+    options = [word for key, name in given.items() for word in ("--set", f"{key}={name}")]
+    ended = surveys.command("plan", folder / "workflow.yaml", *options)
+    assert ended.status == 2
+    for key, name in given.items():
+        assert f"{key}: {name}: this is a URL" in ended.err
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,16 @@ def test_version_and_licence_are_the_same_everywhere() -> None:
     assert citation["license"] == recipe["about"]["license"] == PROJECT["license"]
 
 
+def test_the_changelog_has_the_version_and_groups_what_users_notice() -> None:
+    lines = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines()
+    versions = [line for line in lines if line.startswith("## ")]
+    assert versions[0].startswith(f"## [{spl_batch.__version__}] - ")
+    groups = [line.removeprefix("### ") for line in lines if line.startswith("### ")]
+    assert {"Added", "Changed", "Fixed"} <= set(groups)
+    assert set(groups) <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+    assert len(groups) <= 6 * len(versions)
+
+
 def test_the_conda_recipe_has_the_requirements_of_the_project() -> None:
     expected = {"python": PROJECT["requires-python"]}
     for text in PROJECT["dependencies"]:

@@ -31,6 +31,9 @@ COARSE_M: Final = 0.01
 MOST_OF_A_SHOT: Final = 10_000
 """Returns of one time above which it is no shot's: 100 beamlets return some hundreds [count]."""
 
+FEWEST: Final = 10
+"""Points below which nothing tells degrees from metres: the box around them is small either way."""
+
 CHANCE: Final = 0.01
 """Share of points that may lie where another one does, as in dense clouds of whole centimetres."""
 
@@ -147,7 +150,7 @@ def require_metres(table: PointTable) -> None:
     InputError
         If the coordinates look like degrees.
     """
-    if not len(table):
+    if len(table) < FEWEST:
         return
     low, high = ([float(f(table[axis])) * QUANTUM_M for axis in "xy"] for f in (np.min, np.max))
     if look_like_degrees(low, high):

@@ -8,6 +8,7 @@ from spl_batch.airborne.first_use.clouds import SENSOR
 from spl_batch.airborne.first_use.commented import propose
 from spl_batch.airborne.first_use.folder import look_through
 from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.engine.watch.listing import listed
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.files.atomic import write_bytes
 
@@ -23,6 +24,11 @@ class Beginning:
     found: tuple[tuple[str, str], ...]  #: Key or word, and what the files tell of it.
     unknown: tuple[tuple[str, str], ...]  #: Key, and what they do not tell.
     left_out: tuple[str, ...]  #: Files that the workflow does not name, and why.
+
+    def __repr__(self) -> str:
+        unknown = (("not told", f"{label}: {text}") for label, text in self.unknown)
+        left = (("left out", text) for text in self.left_out)
+        return listed("Beginning", (("workflow", str(self.workflow)), *self.found, *unknown, *left))
 
 
 def init(folder: Path | str, *, force: bool = False) -> Beginning:

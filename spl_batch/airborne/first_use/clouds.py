@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.channel_dimension import numbered_dimension
 from spl_batch.airborne.plan.inputs.first_look import holds_few
 from spl_batch.airborne.sensors.sensor import Sensor
-from spl_batch.formats.crs import crs_name, look_like_degrees
+from spl_batch.formats.crs import crs_name, look_like_degrees, same_crs
 from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
 from spl_batch.formats.las.reader import SAMPLE_POINTS, Ends, LasFacts, inspect, read_ends
 
@@ -106,6 +107,21 @@ def channel_guess(looks: Sequence[CloudLook], sensor: Sensor) -> Guess:
             low, high = min(one.low for one in numbers), max(one.high for one in numbers)
             return Guess(name, f"is called so, and holds {low} to {high}")
     return Guess(None, "no dimension holds beamlet numbers, so each shot counts as one beamlet")
+
+
+def by_crs(looks: Sequence[CloudLook]) -> list[tuple[CRS, list[CloudLook]]]:
+    """Clouds by the CRS that their headers name, that of most points first."""
+    found: list[tuple[CRS, list[CloudLook]]] = []
+    for look in looks:
+        crs = look.facts.crs
+        if crs is None or not look.facts.n_points:
+            continue
+        alike = next((those for one, those in found if same_crs(one, crs)), None)
+        if alike is None:
+            found.append((crs, [look]))
+        else:
+            alike.append(look)
+    return sorted(found, key=lambda one: -sum(look.facts.n_points for look in one[1]))
 
 
 def crs_guess(looks: Sequence[CloudLook]) -> Guess:

@@ -11,18 +11,21 @@ from pathlib import Path
 from typing import Any, Final
 
 import yaml
+from pyproj import CRS
 
 from spl_batch.airborne.first_use.clouds import (
     SENSOR,
     STANDARDS,
     CloudLook,
     Guess,
+    by_crs,
     channel_guess,
     crs_guess,
 )
 from spl_batch.airborne.first_use.folder import Folder
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.errors import counted, grouped, named, plain
+from spl_batch.formats.crs import crs_name, same_crs
 
 SMALL_M2: Final = 10_000.0
 """Area below which it is told in square metres [m2]."""
@@ -63,11 +66,22 @@ class Proposal:
         self.unknown.append((key, reason))
         self.lines += [f"  # ? {reason}", *_key(key, value, "  ")]
 
+    def note(self, key: str, reason: str) -> None:
+        """Write what has to be settled elsewhere, as a comment."""
+        self.unknown.append((key, reason))
+        self.lines += _wrapped(f"? {key}: {reason}", "  ")
+
     def open(self, key: str, example: Any, reason: str, *, indent: str = "  ") -> None:
         """Write a key as a comment, and above it what is not known."""
         self.unknown.append((key, plain(reason)))
         shown = [f"{indent}# {line.strip()}" for line in _key(key, example, "")]
         self.lines += [f"{indent}# ? {plain(reason)}", *shown]
+
+
+def _wrapped(text: str, indent: str = "") -> list[str]:
+    """A comment, in more than one line where it is long."""
+    begin = f"{indent}# "
+    return textwrap.wrap(plain(text), 98, initial_indent=begin, subsequent_indent=begin)
 
 
 def propose(folder: Folder) -> Proposal:
@@ -111,7 +125,14 @@ def _clouds(looks: Sequence[CloudLook]) -> str:
         return said
     small = area_m2 < SMALL_M2
     area = f"{grouped(area_m2)} m2" if small else f"{grouped(area_m2 / 1e6, 3)} km2"
-    return f"{said}, boxes of {area} in all, {points / area_m2:.1f} points per m2 of them"
+    return f"{said}, boxes of {area} in all, {_density(points / area_m2)} points per m2 of them"
+
+
+def _density(per_m2: float) -> str:
+    """A density in digits that show it, however small."""
+    if per_m2 < 0.01:
+        return "under 0.01"
+    return grouped(per_m2, 1 if per_m2 >= 1.0 else 2)
 
 
 def _times(made: Proposal, folder: Folder) -> None:
@@ -129,11 +150,14 @@ def _times(made: Proposal, folder: Folder) -> None:
     made.lines.append(f"  # {seen}")
     if folder.trajectories:
         paths = [*folder.trajectories]
-        more = f"; {named([folder.named(p) for p in folder.doubles], 3)} has it too"
+        names = named([folder.named(path) for path in paths], 3)
+        whose = "its times meet" if len(paths) == 1 else "their times meet"
+        doubles = named([folder.named(path) for path in folder.doubles], 3)
+        more = f"; {doubles} {'has' if len(folder.doubles) == 1 else 'have'} them too"
         made.known(
             "trajectory",
             _patterns(folder, paths),
-            f"its times meet those of the flightlines{more if folder.doubles else ''}",
+            f"{names}: {whose} those of the flightlines{more if folder.doubles else ''}",
         )
     else:
         made.open(
@@ -144,21 +168,49 @@ def _times(made: Proposal, folder: Folder) -> None:
 
 
 def _crs(made: Proposal, folder: Folder) -> None:
+    several = by_crs(folder.lines)
     crs = crs_guess(folder.lines)
-    if crs.value is None:
+    if len(several) > 1:
+        made.note("CRS", _of_several(folder, several))
+    elif crs.value is None:
         made.open("crs", "EPSG:32615", crs.reason)
     else:
         made.found.append(("CRS", crs.reason))
         made.lines.append(f"  # CRS: {plain(crs.reason)}")
 
 
+def _of_several(folder: Folder, several: Sequence[tuple[CRS, Sequence[CloudLook]]]) -> str:
+    """That flightlines are in more than one CRS, and what helps."""
+    parts = []
+    for crs, looks in several:
+        names = named([folder.named(path) for path in _paths(looks)], 2)
+        parts.append(f"{crs_name(crs)} in {names}")
+    return (
+        f"the flightlines are in {len(several)} CRS: {'; '.join(parts)}. A run takes the first, of "
+        "most points, and leaves the other files out as failures: reproject them, or put the files "
+        "of each CRS into a folder of its own and init each"
+    )
+
+
+def _foreign_references(folder: Folder) -> list[CloudLook]:
+    """References that are not in the survey's CRS, which a run would refuse."""
+    several = by_crs(folder.lines)
+    return [
+        look
+        for look in folder.references
+        if several and look.facts.crs is not None and not same_crs(look.facts.crs, several[0][0])
+    ]
+
+
 def _reference(made: Proposal, folder: Folder) -> None:
-    if not folder.references and not folder.checkpoints:
+    foreign = _foreign_references(folder)
+    references = [look for look in folder.references if look not in foreign]
+    if not references and not folder.checkpoints:
         return
     made.section("reference")
-    if folder.references:
-        paths = _paths(folder.references)
-        reason = f"class 2, ground, in other clouds: {_clouds(folder.references)}"
+    if references:
+        paths = _paths(references)
+        reason = f"class 2, ground, in other clouds: {_clouds(references)}"
         made.known("points", _patterns(folder, paths), reason, "reference")
     if folder.checkpoints:
         names = [folder.named(path) for path in folder.checkpoints]
@@ -191,11 +243,7 @@ def _filter(made: Proposal, folder: Folder, channel: Guess) -> None:
             "point stays; if single photons were counted, delete the last two lines of the workflow"
         )
         made.unknown.append(("filter", why))
-        made.lines += [
-            "",
-            *textwrap.wrap(f"? {why}", 98, initial_indent="# ", subsequent_indent="# "),
-            *_KEPT,
-        ]
+        made.lines += ["", *_wrapped(f"? {why}"), *_KEPT]
         return
     made.lines += [
         "",
@@ -208,11 +256,7 @@ def _filter(made: Proposal, folder: Folder, channel: Guess) -> None:
             "two lines of the workflow"
         )
         made.unknown.append(("filter", why))
-        made.lines += [
-            "",
-            *textwrap.wrap(f"? {why}", 98, initial_indent="# ", subsequent_indent="# "),
-        ]
-        made.lines += [f"# {line}" for line in _KEPT]
+        made.lines += ["", *_wrapped(f"? {why}"), *(f"# {line}" for line in _KEPT)]
 
 
 def _points_per_m2(looks: Sequence[CloudLook]) -> float:
@@ -229,6 +273,10 @@ def _left_out(folder: Folder) -> Iterator[str]:
             yield str(error)
     for paths, why in (
         (_paths(folder.others), "no times or beamlet numbers like the others', no ground"),
+        (
+            _paths(_foreign_references(folder)),
+            "ground in another CRS than the flightlines'; reproject it to make it the reference",
+        ),
         (folder.results, "delivered by a run"),
         (folder.elsewhen, "times of another flight"),
         (folder.foreign, "files of another receiver"),

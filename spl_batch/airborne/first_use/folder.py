@@ -13,6 +13,7 @@ from spl_batch.airborne.first_use.clouds import CloudLook, channel_guess, look_a
 from spl_batch.airborne.plan.inputs.first_look import gap_s, in_time_of
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.constants import CLASS_GROUND
+from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.engine.store.deliveries import RECORD
 from spl_batch.engine.store.output_lock import lock_file
 from spl_batch.errors import InputError, WorkflowError
@@ -87,8 +88,7 @@ def look_through(path: Path, sensor: Sensor) -> Folder:
         If it is no folder, or no cloud in it can be used.
     """
     if not path.is_dir():
-        what = "is a file" if path.exists() else "no such folder"
-        raise WorkflowError(f"{path}: {what}; name the folder that holds the files")
+        raise WorkflowError(f"{path}: {_no_folder(path)}")
     found = Folder(path)
     files = sorted(_files(path))
     _sort_clouds([file for file in files if file.suffix.lower() in CLOUDS], sensor, found)
@@ -104,6 +104,20 @@ def look_through(path: Path, sensor: Sensor) -> Folder:
         raise WorkflowError(_nothing(found))
     _sort_trajectories(found)
     return found
+
+
+def _no_folder(path: Path) -> str:
+    """Why a path is no folder, and which command takes it."""
+    if fault := url_fault(path):
+        return fault
+    if not path.exists():
+        return "no such folder; name the folder that holds the files"
+    if path.suffix.lower() in CLOUDS:
+        return (
+            "this is one file: `spl-batch denoise` takes it without a workflow, "
+            f"`spl-batch init {path.parent}` all files of its folder"
+        )
+    return "is a file; name the folder that holds the files"
 
 
 def _files(folder: Path) -> Iterator[Path]:

@@ -21,6 +21,7 @@ from spl_batch.airborne.first_use.clouds import (
 )
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.engine.report.number_format import as_ascii, of_all
+from spl_batch.engine.settings.mistaken_file import refuse_urls
 from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
 from spl_batch.engine.tasks.task import Receipt
@@ -96,6 +97,7 @@ def denoise(
     cloud, raster = Path(target), None if dtm is None else Path(dtm)
     folder = cloud.with_name(cloud.name + WORK)
     results = [(cloud, ".laz"), *([] if raster is None else [(raster, ".tif")])]
+    refuse_urls(source, target, trajectory, dtm)
     _refuse(Path(source), results, _moved(folder), force=force)
     look = look_at(Path(source))
     guessed, content = _proposal(look, trajectory, sensor, ground=ground)

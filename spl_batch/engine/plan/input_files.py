@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.engine.tasks.ledger import AnySource
 from spl_batch.errors import WorkflowError, named
 
@@ -61,6 +62,9 @@ def expand(
         return ()
     found: dict[Path, None] = {}
     for name in [names] if isinstance(names, str) else names:
+        if fault := url_fault(name):
+            faults.append(f"{key}: {name}: {fault}")
+            continue
         pattern = str(base / name)
         magic = glob.has_magic(name)
         # glob takes absolute patterns as well as relative ones, Path.glob does not.

@@ -14,6 +14,7 @@ from pydantic import Field
 from spl_batch.engine.report.page import environment
 from spl_batch.engine.report.parts import Count, Part
 from spl_batch.engine.report.picture import Picture
+from spl_batch.engine.report.table_names import named_tables
 from spl_batch.formats.files.atomic import write_bytes
 
 
@@ -48,5 +49,6 @@ def write_comparison(
     """
     content = json.dumps(report.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     page: Any = environment(package).get_template(template)
+    text = named_tables(page.render(report=report, pictures=pictures))
     write_bytes(out / "compare.json", content.encode())
-    write_bytes(out / "compare.html", page.render(report=report, pictures=pictures).encode())
+    write_bytes(out / "compare.html", text.encode())

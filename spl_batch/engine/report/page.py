@@ -18,6 +18,7 @@ from spl_batch import errors
 from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.parameters import changed, without
 from spl_batch.engine.report.parts import Failure, Performance, Provenance, StagePerformance
+from spl_batch.engine.report.table_names import named_tables
 from spl_batch.engine.report.verdict import Verdict
 
 LONGEST_TABLE: Final = 200
@@ -89,7 +90,7 @@ def render_page(
         HTML without any reference to another file; the same input gives the same text.
     """
     used = without(report.provenance.parameters, front.unused)
-    return (
+    page = (
         environment(package)
         .get_template(template)
         .render(
@@ -110,6 +111,7 @@ def render_page(
             **more,
         )
     )
+    return named_tables(page)
 
 
 @cache

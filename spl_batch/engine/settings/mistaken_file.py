@@ -1,5 +1,6 @@
 """Files and folders that a command was given and cannot take, and the command that takes each."""
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -7,22 +8,31 @@ from typing import Any, Final
 import yaml
 
 from spl_batch.engine.settings.yaml_text import parse_yaml
+from spl_batch.errors import WorkflowError
 
 _HEAD_BYTES: Final = 4096
 _MOST_YAML_BYTES: Final = 1 << 20
 
-_FORMATS: Final[Mapping[bytes, str]] = {
-    b"LASF": "a point file (LAS or LAZ)",
-    b"\x89HDF": "an HDF5 file",
-    b"PAR1": "a Parquet file",
-    b"II*\0": "a TIFF raster",
-    b"II+\0": "a TIFF raster",
-    b"MM\0*": "a TIFF raster",
-    b"SQLite": "a database or GeoPackage",
-    b"%PDF": "a PDF",
-    b"PK\x03\x04": "a ZIP archive",
+_AS_INPUT: Final = "name it in a workflow file, which `spl-batch run` takes"
+_AS_CLOUD: Final = f"{_AS_INPUT}, or label it alone by `spl-batch denoise`"
+_AS_RASTER: Final = "no command reads rasters; `spl-batch run` takes a workflow file"
+_AS_ARCHIVE: Final = "unpack it; `spl-batch run` takes a workflow file"
+
+_FORMATS: Final[Mapping[bytes, tuple[str, str]]] = {
+    b"LASF": ("a point file (LAS or LAZ)", _AS_CLOUD),
+    b"\x89HDF": ("an HDF5 file", _AS_INPUT),
+    b"PAR1": ("a Parquet file", _AS_INPUT),
+    b"II*\0": ("a TIFF raster", _AS_RASTER),
+    b"II+\0": ("a TIFF raster", _AS_RASTER),
+    b"MM\0*": ("a TIFF raster", _AS_RASTER),
+    b"SQLite": ("a database or GeoPackage", _AS_INPUT),
+    b"%PDF": ("a PDF", "`spl-batch run` takes a workflow file"),
+    b"PK\x03\x04": ("a ZIP archive", _AS_ARCHIVE),
 }
-"""Kinds of files by their first bytes."""
+"""Kinds of files by their first bytes, and what helps who gives one to a command."""
+
+_URL: Final = re.compile(r"[A-Za-z][\w+.-]+:/")
+"""How a URL begins, also where two slashes have become one as those of a path do."""
 
 _SCENE_KEYS: Final = frozenset(
     {
@@ -52,6 +62,26 @@ def is_scene(content: Mapping[str, Any]) -> bool:
     return simulated or bool(_SCENE_KEYS & content.keys())
 
 
+def url_fault(name: Path | str) -> str:
+    """Why a place cannot be used that is a URL; empty where it is none."""
+    if not _URL.match(str(name)) or Path(name).exists():
+        return ""
+    return "this is a URL: copy or mount it, and name a file or folder of this machine"
+
+
+def refuse_urls(*names: Path | str | None) -> None:
+    """Refuse places that are not of this machine; a path made of one would be a folder `s3:`.
+
+    Raises
+    ------
+    WorkflowError
+        One line that names the first.
+    """
+    for name in names:
+        if name is not None and (fault := url_fault(name)):
+            raise WorkflowError(f"{name}: {fault}")
+
+
 def called(path: Path) -> str:
     """Kind of a file or folder, and the command that takes it; empty for a possible workflow."""
     if path.is_dir():
@@ -59,11 +89,16 @@ def called(path: Path) -> str:
     try:
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
-    except OSError:  # the caller says why it cannot be read
-        return ""
-    for begin, what in _FORMATS.items():
+    except OSError:  # else the caller says why it cannot be read
+        return url_fault(path)
+    for begin, (what, remedy) in _FORMATS.items():
         if head.startswith(begin):
-            return f"this is {what}; {_AS_INPUT}"
+            made = remedy == _AS_RASTER and _is_output(path.parent)
+            return (
+                f"this is {what} of a run's results; {_AS_OUTPUT}"
+                if made
+                else (f"this is {what}; {remedy}")
+            )
     if b"\0" in head:
         return f"this is a binary file; {_AS_INPUT}"
     if path.name == "log.jsonl" or path.name in _REPORTS or path.suffix.lower() == ".html":
@@ -71,7 +106,6 @@ def called(path: Path) -> str:
     return ""
 
 
-_AS_INPUT: Final = "name it in a workflow file, which `spl-batch run` takes"
 _AS_OUTPUT: Final = (
     "`spl-batch status` and `spl-batch report` take the folder that it lies in, `spl-batch run` "
     "the workflow"
@@ -103,7 +137,7 @@ def no_output(path: Path, verb: str) -> str:
     """Why a path is no output folder of a run; empty where it may be one."""
     takes = f"`spl-batch {verb}` takes the output folder of a run"
     if not path.exists():
-        return f"there is no such folder; {takes}"
+        return url_fault(path) or f"there is no such folder; {takes}"
     if path.is_dir():
         return "" if _is_output(path) else f"{_no_run(path)}; {takes}"
     if path.name in _OUTPUT_MARKS or path.suffix.lower() == ".html":

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
+from spl_batch.engine.settings.mistaken_file import refuse_urls
 from spl_batch.engine.store.deliveries import RECORD
 from spl_batch.engine.store.output_lock import lock_file
 from spl_batch.engine.store.working_store import read_json, write_json
@@ -41,6 +42,7 @@ def simulating(folder: Path, scene: Path) -> Iterator[None]:
     WorkflowError
         If it holds a file that no simulation made, or one that has changed since.
     """
+    refuse_urls(folder)
     made = _made(folder)
     given = (
         {scene.resolve().relative_to(folder.resolve()).as_posix()}
@@ -86,6 +88,7 @@ def quickstarted(folder: Path) -> bool:
     WorkflowError
         If the folder holds anything else.
     """
+    refuse_urls(folder)
     made = _made(folder)
     if made is None:
         names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()

@@ -12,6 +12,7 @@ from spl_batch.engine.verbs.failures import failures
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.watch.earlier_runs import earlier_wall_s, log_bytes
 from spl_batch.engine.watch.events import Note, ReportStarted
+from spl_batch.engine.watch.listing import listed
 from spl_batch.engine.watch.progress import Progress
 from spl_batch.errors import DamagedError
 from spl_batch.receivers import report_model
@@ -42,6 +43,11 @@ class RunResult:
     report: Any
     screen: tuple[tuple[str, str], ...] = ()
     results: tuple[tuple[str, list[Path]], ...] = ()
+
+    def __repr__(self) -> str:
+        files = ((label, ", ".join(map(str, paths))) for label, paths in self.results if paths)
+        own = (("exit status", str(self.exit_status)), ("output", str(self.output)))
+        return listed("RunResult", (*own, *self.screen, *files))
 
 
 def stages_of(prepared: Prepared[Any, Any]) -> tuple[str, ...]:

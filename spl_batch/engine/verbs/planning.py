@@ -14,7 +14,8 @@ from spl_batch.engine.tasks.runner import kinds, stages
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.receiver import Prepared
-from spl_batch.errors import storage, told_together
+from spl_batch.engine.watch.listing import listed
+from spl_batch.errors import grouped, refuse_without, storage, told_together
 from spl_batch.formats.files.atomic import names_in
 
 LOOKED_AT: Final = 50_000
@@ -84,6 +85,20 @@ class PlanSummary:
     left: Left | None = None
     unusable: int = 0
 
+    def __repr__(self) -> str:
+        needed, limit = (grouped(n / 2**20) for n in (self.cost.memory_bytes, self.limit_bytes))
+        own = (
+            ("files", f"{grouped(self.files)}, {grouped(self.unusable)} unusable beside them"),
+            ("points", grouped(self.points)),
+            *self.rows,
+            ("tasks", grouped(self.cost.tasks)),
+            ("disk", storage(self.cost.disk_bytes)),
+            ("memory", f"{needed} of each worker's {limit} MiB"),
+            ("time", f"{grouped(self.cost.time_s)} s"),
+        )
+        odd = (("warning", text) for text in self.warnings)
+        return listed("PlanSummary", (*own, *odd, *(("unusable", text) for text in self.faults)))
+
     @property
     def exit_status(self) -> int:
         """What the command ends with: 1 where a run would leave files out."""
@@ -116,8 +131,11 @@ def plan(
         If the workflow is wrong, no input is usable, or the output cannot be used.
     PlanError
         If a task cannot fit into the memory limit.
+    MissingPackageError
+        If a package is missing that a report needs.
     """
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
+    refuse_without("matplotlib", "reports", "report")
     cost, inputs = fitting_cost(prepared), prepared.ledger.inputs
     deliveries = usable(prepared)
     receiver = prepared.receiver

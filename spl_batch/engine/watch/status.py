@@ -10,6 +10,7 @@ from datetime import datetime
 from typing import Any, Final
 
 from spl_batch.engine.tasks.runner import stages as stages_of
+from spl_batch.engine.watch.listing import listed
 from spl_batch.engine.watch.tile_map import TileMap
 from spl_batch.receivers import IMAGING
 
@@ -132,6 +133,16 @@ class RunStatus:
     #: What lies in the output folder though its store is gone, and with it all that was finished:
     #: the next run starts over; None where the store is there.
     delivered: tuple[str, ...] | None = None
+
+    def __repr__(self) -> str:
+        state = "working" if self.holder else "stopped before its end"
+        if self.ended is not None:
+            state = f"ended with exit status {self.ended['exit_status']}"
+        done = (
+            (one.stage, f"{one.done} of {one.total} done, {one.failed} failed") for one in self.rows
+        )
+        failed = (("failed", f"{one.task}: {one.reason}") for one in self.failures)
+        return listed("RunStatus", (("run", state), *done, *failed))
 
     def __post_init__(self) -> None:
         self.stages = {name: StageStatus(name) for name in self.order}

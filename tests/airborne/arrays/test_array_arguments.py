@@ -65,6 +65,7 @@ def test_points_that_are_there_twice_are_told() -> None:
 
 
 def test_one_point_is_one_point() -> None:
+    assert len(spl_batch.filter_points([[1.0, 2.0, 3.0]])) == 1, "no point alone is in degrees"
     assert repr(spl_batch.filter_points(CLOUD[:1] + 1000.0, 0.01)).startswith("Labels(1 point: ")
     with pytest.raises(InputError, match="xyz: 1 point not finite, the first is number 0"):
         spl_batch.filter_points([[np.nan, 0.0, 0.0], [1.0, 2.0, 3.0]])

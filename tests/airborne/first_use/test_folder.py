@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from spl_batch import api
-from spl_batch.airborne.first_use import folder
+from spl_batch.airborne.first_use import commented, folder
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.las.writer import write_classified
@@ -33,7 +33,9 @@ def test_a_simulated_survey_is_found_whole(tiny_survey: Path, tmp_path: Path) ->
     assert content["reference"]["points"] == given["reference"]["points"]
     told = dict(found.found)
     assert "86 123 points" in told["flightlines"]
-    assert "trajectory.sbet has it too" in told["trajectory"]
+    assert told["trajectory"] == (
+        "trajectory.csv: its times meet those of the flightlines; trajectory.sbet has them too"
+    )
     assert "UTM zone 15N" in told["CRS"]
     assert dict(found.unknown).keys() == {"sensor", "water"}
     text = found.workflow.read_text(encoding="utf-8")
@@ -154,6 +156,33 @@ def test_a_geocentric_crs_record_is_no_crs_of_a_survey(tmp_path: Path) -> None:
     assert "# crs: " in found.workflow.read_text(encoding="utf-8")
 
 
+def test_flightlines_of_several_crs_are_told_with_what_helps(tmp_path: Path) -> None:
+    for k, crs in enumerate(("EPSG:32615", "EPSG:32615", "EPSG:32616", "EPSG:2154")):
+        surveys.write_cloud(tmp_path / f"{k}.laz", surveys.flightline(shots=50), crs=crs)
+    line = surveys.flightline(shots=50)
+    ground = {**line, "classification": np.full(len(line["x"]), 2, np.uint8)}
+    surveys.write_cloud(tmp_path / "other" / "r.laz", ground, channel=False, crs="EPSG:3857")
+    found, content = begun(tmp_path)
+    said = dict(found.unknown)["CRS"]
+    assert said.startswith("the flightlines are in 3 CRS: 'WGS 84 / UTM zone 15N' (EPSG:32615) in ")
+    assert "in 0.laz, 1.laz; " in said
+    assert "reproject them, or put the files of each CRS into a folder of its own" in said
+    assert "CRS" not in dict(found.found)
+    text = found.workflow.read_text(encoding="utf-8")
+    assert "# ? CRS: the flightlines are in 3 CRS" in text
+    assert max(map(len, text.splitlines())) <= 120
+    assert "reference" not in content
+    (left,) = found.left_out
+    assert left.startswith("other/r.laz: ground in another CRS than the flightlines'; reproject")
+    assert len(api.plan(found.workflow).faults) == 2
+
+
+def test_a_small_density_is_told_in_digits_that_show_it() -> None:
+    assert [commented._density(d) for d in (1234.56, 16.04, 0.42, 0.03, 0.0004)] == [
+        "1 234.6", "16.0", "0.42", "0.03", "under 0.01",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("name", "said"),
     [("", "no LAS, LAZ or COPC file"), ("t.h5", "docs/altimetry.md"), ("t.laz", "no cloud can be")],
@@ -164,7 +193,7 @@ def test_a_folder_without_a_survey_is_refused(tmp_path: Path, name: str, said: s
     with pytest.raises(WorkflowError, match=said):
         api.init(tmp_path)
     if name:
-        with pytest.raises(WorkflowError, match="is a file; name the folder"):
+        with pytest.raises(WorkflowError, match=r"is (a file; name the folder|one file: )"):
             api.init(tmp_path / name)
     with pytest.raises(WorkflowError, match="no such folder"):
         api.init(tmp_path / "nowhere")

@@ -90,12 +90,17 @@ def test_nothing_is_replaced_unless_told(line: Path, tmp_path: Path) -> None:
         ((line, tmp_path / "work.laz"), "work.laz.work: this folder is needed"),
         ((tmp_path / "no.laz", tmp_path / "new.laz"), "no.laz"),
         ((tmp_path / "w.yaml", tmp_path / "new.laz"), "`spl-batch run` takes a workflow"),
+        (("s3://bucket/in.laz", tmp_path / "new.laz"), "in.laz: this is a URL"),
+        ((line, "s3://bucket/out.laz"), "out.laz: this is a URL"),
+        ((line, tmp_path / "new.laz", "--dtm", "s3://b/dtm.tif"), "dtm.tif: this is a URL"),
+        ((line, tmp_path / "new.laz", "--trajectory", "s3://b/t.csv"), "s3://b/t.csv: this is"),
     ):
         ended = denoise(*arguments)
         assert ended.status == 2, said
         assert said in ended.err
     assert there.read_bytes() == b"somebody's"
     assert {p.name for p in tmp_path.iterdir()} == {"there.laz", "work.laz.work"}
+    assert not Path("s3:").exists()
 
 
 def test_a_file_without_times_is_told_what_helps(tmp_path: Path) -> None:

@@ -22,6 +22,16 @@ SHOWN = (
 FOCUS = "document.activeElement.id || document.activeElement.className"
 
 
+RESTING = """new Promise(done => {
+  let last = -1;
+  const timer = setInterval(() => {
+    const now = document.activeElement.scrollLeft;
+    if (now > 0 && now == last) { clearInterval(timer); done(now); }
+    last = now;
+  }, 400);
+})"""
+"""Where an element has scrolled to, once it stands still."""
+
 WEBGL = ("--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader")
 
 
@@ -85,8 +95,7 @@ def test_keys_choose_a_map_and_its_size(page: Page) -> None:
     page.press("Tab")
     assert page.ask(FOCUS) == "pan"
     page.press("ArrowRight", times=3)
-    page.ask("new Promise(done => setTimeout(done, 400))")
-    place = page.ask("document.activeElement.scrollLeft")
+    place = page.ask(RESTING)
     assert place > 0
     # The other map shows the same place.
     page.ask("document.getElementById('layer-dtm').click()")
@@ -141,16 +150,81 @@ def test_without_webgl_the_still_picture_stays(path: Path, tmp_path: Path) -> No
         assert not page.ask("document.querySelector('#clip .start').checkVisibility()")
 
 
+def told(page: Page) -> list[tuple[str, str, str]]:
+    """Role, name and description of all that a screen reader stops at, in its order."""
+    return [
+        tuple(node.get(key, {}).get("value", "") for key in ("role", "name", "description"))  # type: ignore[misc]
+        for node in page.accessible()
+    ]
+
+
+CONTROLS = {"application", "button", "checkbox", "figure", "form", "heading", "image", "link",
+            "radio", "region", "slider", "table"}  # fmt: skip
+
+
 def test_every_control_has_a_name(page: Page) -> None:
     page.ask("document.querySelector('#clip .start').click()")
-    named = [
-        node["name"]["value"]
-        for node in page.accessible()
-        if node["role"]["value"]
-        in {"application", "button", "checkbox", "image", "link", "radio", "region", "slider"}
-    ]
-    assert len(named) > 25
-    assert all(named)
+    named = [(role, name) for role, name, _ in told(page) if role in CONTROLS]
+    assert len(named) > 50
+    assert [pair for pair in named if not pair[1]] == []
+    radios = [name for role, name in named if role == "radio"]
+    assert len(set(radios)) == len(radios), "who hears one knows what it is of"
+    stops = page.ask(
+        "[...document.querySelectorAll('[tabindex]')].filter(e => e.checkVisibility())"
+        ".filter(e => !e.getAttribute('role') || !e.getAttribute('aria-label')).length"
+    )
+    assert stops == 0
+
+
+def test_a_reader_of_screens_is_told_which_layer_is_shown(page: Page) -> None:
+    def layers() -> dict[str, str]:
+        return {
+            node["name"]["value"]: next(
+                one["value"]["value"] for one in node["properties"] if one["name"] == "checked"
+            )
+            for node in page.accessible()
+            if node["role"]["value"] == "radio" and node["name"]["value"].startswith("Layer: ")
+        }
+
+    def maps() -> list[str]:
+        return [name for role, name, _ in told(page) if role == "figure" and name in titles]
+
+    titles = [name.removeprefix("Layer: ") for name in layers()]
+    assert layers() == {"Layer: Terrain (DTM)": "true", "Layer: Point density": "false"}
+    assert maps() == ["Terrain (DTM)"]
+    page.ask("document.getElementById('layer-dtm').focus()")
+    page.press("ArrowRight")
+    assert layers() == {"Layer: Terrain (DTM)": "false", "Layer: Point density": "true"}
+    assert maps() == ["Point density"], "a map that is not shown is not read"
+    seen = told(page)
+    (at,) = [k for k, one in enumerate(seen) if one[:2] == ("figure", "Point density")]
+    words = next(name for role, name, _ in seen[at:] if role == "image")
+    assert words.startswith("Point density. ")
+    assert any(role == "image" and "failed in stage" in name for role, name, _ in seen)
+
+
+def test_a_reader_of_screens_is_told_what_the_points_show_and_the_keys(page: Page) -> None:
+    before = [one for one in told(page) if "square of 100 m" in one[1]]
+    assert before, "the still picture is told in words"
+    assert ("button", "Turn these points", "") in told(page)
+    page.ask("document.querySelector('#clip .start').click()")
+    seen = told(page)
+    (points,) = [one for one in seen if one[0] == "application"]
+    assert "arrow keys to turn" in points[2]
+    assert "0 to begin again" in points[2]
+    boxes = [name for role, name, _ in seen if role == "checkbox"]
+    assert {"ground (2\u202f000)", "background noise (2\u202f000)"} <= set(boxes)
+
+
+def test_a_reader_of_screens_is_told_of_the_profile_and_its_sizes(page: Page) -> None:
+    seen = told(page)
+    title = "Vertical profile, before and after"
+    (at,) = [k for k, one in enumerate(seen) if one[:2] == ("figure", title)]
+    inside = [name for role, name, _ in seen[at:] if role == "radio"][:3]
+    assert inside == [f"{title}, size: {size}" for size in ("fit", "2 \u00d7", "4 \u00d7")]
+    image = next(name for role, name, _ in seen[at:] if role == "image")
+    assert image.startswith(f"{title}. ")
+    assert len(image) > 60
 
 
 def test_it_runs_no_other_script_and_asks_for_nothing(page: Page, path: Path) -> None:

@@ -17,6 +17,7 @@ from spl_batch.airborne.plan.inputs.file_positions import (
 )
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
+from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.errors import InputError, Said, WorkflowError, named, shared
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.crs import (
@@ -93,7 +94,9 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         ("breaklines", workflow.breaklines),
         ("reference.checkpoints", checkpoints),
     ):
-        if name is not None and not (base / name).exists():
+        if name is not None and (fault := url_fault(name)):
+            faults.append(f"{key}: {name}: {fault}")
+        elif name is not None and not (base / name).exists():
             faults.append(f"{key}: {base / name} does not exist")
     refuse_own(paths, output, "survey.flightlines", faults)
     if faults:
