@@ -164,15 +164,30 @@ def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
     if crs is None:
         raise WorkflowError(f"{key}: the files have no CRS that it could complete: set survey.crs")
     found = vertical(crs)
-    if found is not None and not found.equals(named):
+    if found is not None and not same_heights(found, named):
         raise WorkflowError(
             f"{key}: the files say {crs_name(found)}, not {crs_name(named)}; leave the key out, or "
             "correct the files"
         )
-    if found is not None:
-        return crs
+    return crs if found is not None else compound(crs, named)
+
+
+def compound(crs: CRS, heights: CRS) -> CRS:
+    """The horizontal part of a CRS, with a vertical one."""
     flat = horizontal(crs)
-    return CompoundCRS(f"{flat.name} + {named.name}", [flat, named])
+    return CompoundCRS(f"{flat.name} + {heights.name}", [flat, heights])
+
+
+def same_heights(a: CRS, b: CRS) -> bool:
+    """Whether two vertical CRS have the same datum and unit, whatever their names.
+
+    Files often name the model of a geoid beside the datum that it realises.
+    """
+    if a.equals(b) or (a.to_epsg() is not None and a.to_epsg() == b.to_epsg()):
+        return True
+    units = [[axis.unit_conversion_factor for axis in crs.axis_info] for crs in (a, b)]
+    known = a.datum is not None and b.datum is not None
+    return known and units[0] == units[1] and a.datum.name == b.datum.name
 
 
 def same_crs(a: CRS, b: CRS) -> bool:

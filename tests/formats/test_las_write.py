@@ -14,9 +14,10 @@ from pyproj import CRS
 
 from spl_batch.errors import InputError, StoppedError, WorkflowError
 from spl_batch.formats.las.convert import EXTENDED_FORMAT
+from spl_batch.formats.las.copc_copy import copy_as_copc
 from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records
-from spl_batch.formats.las.reader import inspect, iter_points
+from spl_batch.formats.las.reader import header_crs, inspect, iter_points
 from spl_batch.formats.las.writer import write_classified, write_points
 from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
 from tests.io_files import VERSIONS, patch, write_las
@@ -174,6 +175,34 @@ def test_crs(tmp_path: Path, version: str, point_format: int) -> None:
         assert header.parse_crs().to_epsg() == crs.to_epsg()
 
 
+@pytest.mark.parametrize("where", ["vlrs", "evlrs"])
+@pytest.mark.parametrize(
+    ("own", "wanted"),
+    [
+        ("EPSG:2154", [2154, 5703]),  # the record gets the vertical datum that it lacks
+        ("EPSG:2154+5720", [2154, 5720]),
+        ("EPSG:4978", [32615, 5703]),  # no coordinates of a survey are geocentric
+        ("nonsense", [32615, 5703]),
+    ],
+)
+def test_a_record_without_a_vertical_datum_gets_that_of_the_survey(
+    tmp_path: Path, own: str, wanted: list[int], where: str
+) -> None:
+    text = own if own == "nonsense" else CRS.from_user_input(own).to_wkt("WKT1_GDAL")
+    record = laspy.VLR("LASF_Projection", 2112, "", text.encode() + b"\0")
+    given: dict[str, Any] = {where: [record], "scales": (0.01,) * 3}
+    src = write_las(tmp_path / "a.laz", **given)
+    classify(src, tmp_path / "b.laz", crs=CRS.from_user_input("EPSG:32615+5703"))
+    copy_as_copc(tmp_path / "b.laz", tmp_path / "b.copc.laz")
+    for name in ("b.laz", "b.copc.laz"):
+        found = header_crs(read_header(tmp_path / name))[0]
+        assert found is not None
+        assert [part.to_epsg() for part in found.sub_crs_list] == wanted
+        records = laspy.read(tmp_path / name).header
+        both = [*records.vlrs, *(records.evlrs or [])]
+        assert [one.record_id for one in both].count(2112) == 1
+
+
 def test_no_points(tmp_path: Path) -> None:
     assert classify(write_las(tmp_path / "a.laz", n=0), tmp_path / "b.laz") == 0
     assert len(laspy.read(tmp_path / "b.laz").points) == 0
@@ -277,7 +306,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("which", BROKEN)
-@pytest.mark.parametrize("extended", [False, True])
+@pytest.mark.parametrize("where", ["vlrs", "evlrs"])
 def test_a_record_that_no_reader_parses_is_left_out(
     tmp_path: Path,
     which: str,

@@ -357,7 +357,7 @@ def _no_class_12(known: Evidence) -> Requirement:
 def _vertical_datum(known: Evidence) -> Requirement:
     named_datum = known.vertical_datum is not None
     why = (
-        "the coordinate reference system is a compound one"
+        "the CRS of clouds, rasters and catalogues is a compound one"
         if named_datum
         else "the CRS of the input has no vertical part: name it in survey.vertical_crs"
         if known.has_crs

@@ -8,7 +8,8 @@ Terrain outside is not touched: no hydro-enforcement, single lines do nothing.
 
 A cell belongs to a water where its centre lies inside; of several the lowest counts. Its height
 depends on its centre alone, so no tiling changes it. Where nobody flew, which is where density has
-no value, nothing is filled.
+no value, voids stay; terrain that reaches over water there, as triangles do off the edge of a
+swath, becomes water like all other.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -106,14 +107,14 @@ def flatten(rasters: dict[str, Raster], water: Raster) -> Banks:
     ----------
     rasters : dict of str to (rows, cols) float32
         ``dtm, dsm, chm, dtm_quality`` of a ground cell; are changed where its ``density`` tells
-        that it was flown. A surface lies nowhere below the water; how well a breakline is known
-        nobody says, so that ``dtm_quality`` is void.
+        that it was flown, and where ``dtm`` has a height all the same. A surface lies nowhere below
+        the water; how well a breakline is known nobody says, so that ``dtm_quality`` is void.
     water : (rows, cols) float32
         From :func:`water_heights`.
     """
-    flown = rasters["density"] != np.float32(NODATA)
-    wet = (water != np.float32(NODATA)) & flown
-    dry = (rasters["dtm"] != np.float32(NODATA)) & ~wet
+    held = rasters["dtm"] != np.float32(NODATA)
+    wet = (water != np.float32(NODATA)) & (held | (rasters["density"] != np.float32(NODATA)))
+    dry = held & ~wet
     banks = dry & binary_dilation(wet, np.ones((3, 3), np.bool_))
     beside = _highest_beside(water, wet)
     flooded = banks & (rasters["dtm"] < beside - ABOVE_M)

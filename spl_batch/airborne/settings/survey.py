@@ -28,7 +28,7 @@ class SurveySettings(Section):
     vertical_crs: str | None = Field(
         None,
         description="Vertical CRS of the heights, in metres, where the files name none, e.g. "
-        "EPSG:5703: rasters and catalogues get a compound CRS. No height changes.",
+        "EPSG:5703: clouds, rasters and catalogues get a compound CRS. No height changes.",
     )
     flightlines: str | tuple[str, ...] = Field(
         description="LAS, LAZ or COPC files: a path or glob, or several, relative to this file."

@@ -6,8 +6,9 @@ from spl_batch.errors import InputError
 from spl_batch.formats.crs import WKT_KEY
 from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
 from spl_batch.formats.las.copc import write_copc
-from spl_batch.formats.las.frame import Frame, preamble
+from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr
 from spl_batch.formats.las.header import read_header
+from spl_batch.formats.las.reader import header_crs
 from spl_batch.formats.las.records import EXTRA_BYTES_KEY
 
 POINT_FORMATS = (6, 7, 8)
@@ -18,7 +19,7 @@ def copy_as_copc(src: Path, dst: Path) -> int:
     """Write the points of a file as an octree.
 
     All dimensions are kept, extra bytes too, and so are scale, offset and the records of the
-    header; extended records are left out. The order of the points changes.
+    header; extended records are left out, but for the CRS. The order of the points changes.
 
     ``src``: LAS or LAZ of point format 6, 7 or 8.
 
@@ -44,6 +45,9 @@ def copy_as_copc(src: Path, dst: Path) -> int:
         records, layout = reader.read(0, header.n_points), reader.layout
     dropped = {LASZIP_KEY, EXTRA_BYTES_KEY}
     vlrs = [v for v in header.vlrs if v.key not in dropped and v.key[0] != "copc"]
+    crs = header_crs(header)[0]
+    if crs is not None and WKT_KEY not in {v.key for v in vlrs}:
+        vlrs.append(wkt_vlr(crs))
     frame = Frame(
         preamble=preamble(header.raw, wkt=WKT_KEY in {v.key for v in vlrs}),
         scales=header.scales,

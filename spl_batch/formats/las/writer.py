@@ -20,7 +20,7 @@ from spl_batch.constants import (
     QUANTUM_M,
 )
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import WKT_KEY
+from spl_batch.formats.crs import WKT_KEY, compound, vertical
 from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
 from spl_batch.formats.las.convert import conversion
 from spl_batch.formats.las.copc import write_copc
@@ -33,7 +33,7 @@ from spl_batch.formats.las.frame import (
     write_laz,
     write_packed,
 )
-from spl_batch.formats.las.header import LasHeader, Vlr, read_header
+from spl_batch.formats.las.header import Evlr, LasHeader, Vlr, read_header
 from spl_batch.formats.las.known_records import reads_back
 from spl_batch.formats.las.layers import LayerCopy, can_be_copied
 from spl_batch.formats.las.reader import header_crs
@@ -119,7 +119,8 @@ def write_classified(
         :data:`KEEP_BUT_GROUND` keep the input's) and ``noise_class`` (uint8) and, with
         diagnostics, ``noise_density`` and ``p_value`` (float32) of these points.
     crs : CRS or None
-        CRS for an input that carries none.
+        The survey's, for an input that carries none, or none that is understood; where it is a
+        compound one an input without a vertical datum gets that one beside its own.
     flags : bool
         Whether labels have ``set_flags`` (uint8): classification flags that are set beside those
         of the input.
@@ -164,8 +165,7 @@ def write_classified(
                 _label(first, convert.layout, before[:1], of_first, names)
                 yield stop - start, copy.chunk(chunk, first, own)
 
-        vlrs, wkt = _vlrs(header, crs)
-        evlrs = [e for e in header.evlrs if e.key[0] != "copc" and reads_back(src, e)]
+        vlrs, evlrs, wkt = _records(header, crs)
         frame = Frame(
             preamble=preamble(header.raw, wkt=wkt),
             scales=header.scales,
@@ -208,16 +208,33 @@ def _label(
         out[field[name]] = classes if name == "input_classification" else values[name]
 
 
-def _vlrs(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], bool]:
-    """Records that are kept, and whether there is a WKT record among them."""
+def _records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr], bool]:
+    """Records and extended records that are kept, and whether a WKT record is among them."""
     dropped = {LASZIP_KEY, EXTRA_BYTES_KEY}
-    kept = [v for v in header.vlrs if v.key not in dropped and v.key[0] != "copc"]
-    kept = [v for v in kept if reads_back(header.path, v)]
-    evlrs = {e.key for e in header.evlrs if reads_back(header.path, e)}
-    if WKT_KEY in {v.key for v in kept} | evlrs:
-        return kept, True
-    known = header_crs(header)[0] or crs
-    return (kept, False) if known is None else ([*kept, wkt_vlr(known)], True)
+    own = header_crs(header)[0]
+    written = _delivered_crs(own, crs)
+    if written is not own:
+        dropped.add(WKT_KEY)
+
+    def is_kept(record: Vlr | Evlr) -> bool:
+        gone = record.key in dropped or record.key[0] == "copc"
+        return not gone and reads_back(header.path, record)
+
+    vlrs, evlrs = [*filter(is_kept, header.vlrs)], [*filter(is_kept, header.evlrs)]
+    known = WKT_KEY in {record.key for record in (*vlrs, *evlrs)}
+    if not known and written is not None:
+        vlrs.append(wkt_vlr(written))
+    return vlrs, evlrs, known or written is not None
+
+
+def _delivered_crs(own: CRS | None, survey: CRS | None) -> CRS | None:
+    """CRS of a delivered cloud, by that of its input and that of the survey."""
+    if survey is None:
+        return own
+    if own is None or own.is_geocentric:  # not understood, or wrong over coordinates in metres
+        return survey
+    heights = vertical(survey)
+    return own if heights is None or vertical(own) is not None else compound(own, heights)
 
 
 def write_points(

@@ -119,6 +119,21 @@ def test_what_rests_on_water_is_no_lower_and_banks_are_counted() -> None:
     assert not [*bank_warnings([])]
 
 
+def test_terrain_that_reaches_over_water_off_the_survey_is_water_too() -> None:
+    # Beside the edge of a swath the TIN goes on over cells that no return says were flown.
+    rasters = {k: np.full((3, 4), 12.0, np.float32) for k in ("dtm", "dsm", "chm", "dtm_quality")}
+    rasters["density"] = np.zeros((3, 4), np.float32)
+    rasters["density"][:, 2:] = NODATA
+    rasters["dtm"][:, 3] = rasters["dsm"][:, 2:] = rasters["chm"][:, 2:] = NODATA
+    flatten(rasters, np.full((3, 4), 10, np.float32))
+    assert (rasters["dtm"][:, :3] == 10).all()
+    assert (rasters["dtm_quality"][:, :3] == NODATA).all()
+    assert (rasters["dsm"][:, :2] == 12).all()
+    assert (rasters["dsm"][:, 2] == 10).all()
+    assert (rasters["chm"][:, 2] == 0).all()
+    assert (rasters["dtm"][:, 3] == NODATA).all()
+
+
 def test_water_that_nobody_flew_stays_void() -> None:
     rasters = {k: np.full((3, 4), NODATA, np.float32) for k in ("dtm", "dsm", "chm", "dtm_quality")}
     rasters["density"] = np.zeros((3, 4), np.float32)

@@ -21,12 +21,16 @@ from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.errors import InputError, Said, WorkflowError, named, shared
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.crs import (
+    compound,
+    crs_name,
     crs_problems,
     horizontal,
     like_degrees,
     look_like_degrees,
     parse_crs,
     same_crs,
+    same_heights,
+    vertical,
     with_vertical,
 )
 from spl_batch.formats.files.atomic import checksum
@@ -104,6 +108,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     good, bad = _inspect(paths)
     good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
     crs, good, mismatched = _survey_crs(workflow, good)
+    crs, good, lowered = _with_heights(crs, workflow.survey.crs, good)
+    mismatched += lowered
     if not any(facts.n_points for facts in good):
         bad += [InputError(str(facts.path), "the file holds no points") for facts in good]
         good = []
@@ -123,6 +129,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         warnings.append(
             "no input file carries a CRS and survey.crs is not set: rasters will have none"
         )
+    warnings += _without_heights(crs, placed)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
         Source(f.path, name_below(f.path, base), name, source_key(name), f)
@@ -251,6 +258,53 @@ def _survey_crs(
                 text += ", or leave out survey.crs, which is for files that carry none"
             bad.append(InputError(str(facts.path), text))
     return horizontal(given), agreeing, bad
+
+
+def _with_heights(
+    crs: CRS | None, stated: str | None, files: Sequence[LasFacts]
+) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
+    """The survey's CRS with its vertical one, if there is any; files that name another are bad.
+
+    It is that of the setting ``survey.crs``, else what most points say.
+    """
+    named = None if stated is None else vertical(parse_crs(stated, "survey.crs"))
+    if crs is None:
+        return None, list(files), []
+    if named is None:
+        votes: Counter[str] = Counter()
+        for facts in files:
+            heights = _heights(facts)
+            if heights is not None and facts.n_points:
+                votes[heights.to_wkt()] += facts.n_points
+        named = CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
+    if named is None:
+        return crs, list(files), []
+    good: list[LasFacts] = []
+    bad: list[InputError] = []
+    for facts in files:
+        heights = _heights(facts)
+        if heights is None or not facts.n_points or same_heights(heights, named):
+            good.append(facts)
+        else:
+            text = f"its heights are {crs_name(heights)}, the survey's {crs_name(named)}"
+            bad.append(InputError(str(facts.path), f"{text}: transform the file"))
+    return compound(crs, named), good, bad
+
+
+def _heights(facts: LasFacts) -> CRS | None:
+    """Vertical CRS that a file names."""
+    return None if facts.crs is None else vertical(facts.crs)
+
+
+def _without_heights(crs: CRS | None, files: Iterable[tuple[str, LasFacts]]) -> list[str]:
+    """What to say of files without a vertical CRS beside others that have one."""
+    named = None if crs is None else vertical(crs)
+    some = [(name, facts) for name, facts in files if facts.crs is not None and facts.n_points]
+    lacking = [name for name, facts in some if _heights(facts) is None]
+    if named is None or len(lacking) == len(some):
+        return []
+    text = f"no vertical CRS in the file; its heights are taken as {crs_name(named)}, as of others"
+    return list(shared((Said(name, text) for name in lacking), "files"))
 
 
 def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:

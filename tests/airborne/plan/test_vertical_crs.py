@@ -1,0 +1,63 @@
+"""The vertical datum of a survey: what its files name, or the workflow for those that do not."""
+
+from pathlib import Path
+
+import pytest
+from pyproj import CRS
+
+from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, gather_inputs
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.errors import WorkflowError
+from spl_batch.formats.crs import vertical
+from tests import surveys
+
+UTM, NAVD88, EGM96 = "EPSG:32615", "EPSG:32615+5703", "EPSG:32615+5773"
+
+
+def gathered(folder: Path, files: list[str | None], **survey: str) -> Inputs:
+    for k, text in enumerate(files):
+        surveys.write_cloud(folder / f"{k}.laz", surveys.flightline(shots=5), crs=text)
+    content = {"survey": {"flightlines": "*.laz", **survey}, "output": "out"}
+    workflow = Workflow.model_validate(content)
+    return gather_inputs(workflow, folder, folder / "out")
+
+
+def code(crs: CRS | None) -> int | None:
+    part = None if crs is None else vertical(crs)
+    return None if part is None else part.to_epsg()
+
+
+@pytest.mark.parametrize(
+    ("crs", "survey", "wanted"),
+    [
+        ([UTM, UTM], {}, None),
+        ([NAVD88, NAVD88], {}, 5703),
+        ([NAVD88, NAVD88], {"vertical_crs": "EPSG:5703"}, 5703),
+        ([UTM, UTM], {"vertical_crs": "EPSG:5703"}, 5703),
+        ([None, None], {"crs": NAVD88}, 5703),
+        ([UTM, None], {"crs": NAVD88}, 5703),
+    ],
+)
+def test_a_survey_has_the_vertical_datum_of_its_files(tmp_path, crs, survey, wanted) -> None:
+    inputs = gathered(tmp_path, crs, **survey)
+    assert code(inputs.crs) == wanted
+    assert inputs.crs is not None
+    assert len(inputs.sources) == len(crs)
+    assert not [text for text in inputs.warnings if "vertical" in text]
+
+
+def test_files_of_another_datum_are_bad_and_those_of_none_are_told(tmp_path: Path) -> None:
+    inputs = gathered(tmp_path, [NAVD88, NAVD88, EGM96, UTM])
+    assert code(inputs.crs) == 5703
+    assert [Path(fault.path).name for fault in inputs.bad] == ["2.laz"]
+    assert "its heights are 'EGM96 height' (EPSG:5773), the survey's 'NAVD88 height'" in str(
+        inputs.bad[0]
+    )
+    (told,) = [text for text in inputs.warnings if "no vertical CRS" in text]
+    assert told.startswith("3.laz: ")
+    assert "NAVD88" in told
+
+
+def test_a_named_datum_contradicts_no_file(tmp_path: Path) -> None:
+    with pytest.raises(WorkflowError, match="vertical_crs: the files say 'NAVD88 height'"):
+        gathered(tmp_path, [NAVD88], vertical_crs="EPSG:5773")
