@@ -214,7 +214,7 @@ def _checked(rows: Sequence[_Row], accuracy_m: float | None, remarks: list[str])
     return kept
 
 
-_SEVERAL: Final = "each is to be one point, and they are several"
+_SEVERAL: Final = "a checkpoint is one point, not several"
 _NOWHERE: Final = "x, y or z is no finite number"
 _STRANGE: Final = "the surface is neither open nor vegetated"
 _UNSURE: Final = "accuracy_m is no positive number of metres"
@@ -263,7 +263,7 @@ def _in_crs(
         names = [rows[k]["id"] for k in members]
         moved = np.full((len(members), 3), np.nan)
         if stated and source is None:
-            remarks.append(_left_out(names, f"their CRS {stated!r} is not known"))
+            remarks.append(_left_out(names, f"the CRS {stated!r} is not known"))
         elif source is None or crs is None or _alike(source, crs):
             continue
         else:

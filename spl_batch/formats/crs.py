@@ -186,8 +186,8 @@ def same_heights(a: CRS, b: CRS) -> bool:
     if a.equals(b) or (a.to_epsg() is not None and a.to_epsg() == b.to_epsg()):
         return True
     units = [[axis.unit_conversion_factor for axis in crs.axis_info] for crs in (a, b)]
-    known = a.datum is not None and b.datum is not None
-    return known and units[0] == units[1] and a.datum.name == b.datum.name
+    datums = [None if crs.datum is None else crs.datum.name for crs in (a, b)]
+    return datums[0] is not None and datums[0] == datums[1] and units[0] == units[1]
 
 
 def same_crs(a: CRS, b: CRS) -> bool:

@@ -172,6 +172,6 @@ def test_a_row_without_a_point_or_with_several_leaves_out_itself(tmp_path: Path,
         (name, x, y, z if deep else 7.0) for name, x, y, z in wanted
     ]
     assert remarks == [
-        "1 checkpoint is left out, as each is to be one point, and they are several: D",
+        "1 checkpoint is left out, as a checkpoint is one point, not several: D",
         "2 checkpoints are left out, as x, y or z is no finite number: C, E",
     ]

@@ -306,7 +306,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("which", BROKEN)
-@pytest.mark.parametrize("where", ["vlrs", "evlrs"])
+@pytest.mark.parametrize("extended", [False, True])
 def test_a_record_that_no_reader_parses_is_left_out(
     tmp_path: Path,
     which: str,

@@ -222,7 +222,10 @@ def _voids(known: Evidence) -> Requirement:
         if not known.water_known:
             why = "it may be water, of which nothing is known: draw it and name it as water"
             return Requirement(*place, found, "cannot tell", why, *where)
-        why = "dark surfaces and shadows of buildings are excepted too, and not told apart here"
+        why = (
+            "dark surfaces and shadows of buildings are excepted too, and not told apart here; "
+            "voids.tif (products.maps: true) shows where"
+        )
         return Requirement(*place, found, "fail", why, *where)
     if pulses.bare_m2 > EDGE_SHARE * pulses.area_m2:
         why = (

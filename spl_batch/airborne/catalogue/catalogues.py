@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -32,7 +33,11 @@ REMEDY: Final = "; name it in survey.crs"
 
 
 def write_catalogues(
-    output: Path, name: str, crs: CRS | None, args: Mapping[str, Any]
+    output: Path,
+    name: str,
+    crs: CRS | None,
+    args: Mapping[str, Any],
+    outlines: Mapping[str, shapely.MultiPolygon] = MappingProxyType({}),
 ) -> tuple[list[Path], list[str]]:
     """Write every catalogue of the clouds and rasters of a run.
 
@@ -41,7 +46,9 @@ def write_catalogues(
     args : mapping
         ``clouds`` (``href``, ``span_s``), ``rasters``, ``flightlines`` (``id, points, first_s,
         last_s, files``), ``blocks`` (name, core, whether it is finished), ``tiles`` (points by
-        name), ``tile_q`` and ``checkpoints``, as the plan gives them.
+        name), ``tile_q``, ``checkpoints`` and ``steps`` (sentences), as the plan gives them.
+    outlines : mapping of str to MultiPolygon
+        Where flightlines lie, by their names; others lie in the boxes of their files.
 
     Returns
     -------
@@ -52,13 +59,13 @@ def write_catalogues(
     """
     clouds = [read_cloud(output, one["href"], _span(one["span_s"])) for one in args["clouds"]]
     rasters = [read_raster_file(output, href) for href in args["rasters"]]
-    layers = [layer for layer in _layers(args, clouds) if len(layer.shapes)]
+    layers = [layer for layer in _layers(args, clouds, outlines) if len(layer.shapes)]
     written = [index_layers.write_index(output, layers, crs)]
     held = [cloud for cloud in clouds if cloud.points]
     reason = _why_without_places(crs, held, rasters)
     vpc = None
     if crs is not None and not reason:
-        written += _of_places(output, Delivery(name, crs, held, rasters))
+        written += _of_places(output, Delivery(name, crs, held, rasters), args)
         vpc = virtual_cloud.NAME
     written += _of_qgis(output, rasters, vpc, [layer.name for layer in layers], crs)
     remark = f"{reason}: no STAC, no virtual point cloud and no metadata are written"
@@ -78,11 +85,12 @@ def _why_without_places(
     return ""
 
 
-def _of_places(output: Path, with_points: Delivery) -> list[Path]:
+def _of_places(output: Path, with_points: Delivery, args: Mapping[str, Any]) -> list[Path]:
+    told = args["checkpoints"], len(args["flightlines"]), args["steps"]
     return [
         *write_stac(output, with_points),
         virtual_cloud.write_vpc(output, with_points),
-        metadata.write_metadata(output, with_points),
+        metadata.write_metadata(output, with_points, *told),
     ]
 
 
@@ -104,7 +112,11 @@ def _span(seconds: Sequence[float] | None) -> Span:
     return UNKNOWN_SPAN if seconds is None else utc_span(*seconds)
 
 
-def _layers(args: Mapping[str, Any], clouds: Sequence[Cloud]) -> Iterator[Layer]:
+def _layers(
+    args: Mapping[str, Any],
+    clouds: Sequence[Cloud],
+    outlines: Mapping[str, shapely.MultiPolygon],
+) -> Iterator[Layer]:
     """Topmost first."""
     points = args["checkpoints"]
     yield Layer(
@@ -114,7 +126,10 @@ def _layers(args: Mapping[str, Any], clouds: Sequence[Cloud]) -> Iterator[Layer]
     )
     boxes = {cloud.href: shapely.box(*cloud.box_m) for cloud in clouds}
     lines = args["flightlines"]
-    flown = [_together([boxes[href] for href in one["files"]]) for one in lines]
+    flown = [
+        outlines.get(one["id"]) or _together([boxes[href] for href in one["files"]])
+        for one in lines
+    ]
     keys = ("id", "points", "first_s", "last_s", "area_m2", "per_m2")
     yield Layer("flightlines", flown, {key: [one[key] for one in lines] for key in keys})
     yield Layer(

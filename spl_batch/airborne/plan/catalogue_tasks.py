@@ -7,6 +7,7 @@ from spl_batch.airborne.accuracy.evidence import LEVELS
 from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import refusal
+from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.tasks.task import Task
 
 
@@ -47,14 +48,29 @@ def catalogue(survey: Survey) -> Iterator[Task]:
         "tiles": {str(tile): count for tile, count in sorted(survey.counts.items())},
         "tile_q": survey.tile_q,
         "checkpoints": [one for r in checkpoints.values() for one in r.facts["checkpoints"]],
+        "cells": sorted(survey.of("surface")),
+        "steps": [*_steps(survey.workflow)],
     }
     needs = (
         *(("deliver_file", key) for key in clouds),
         *(("deliver_copc", key) for key in sorted(twins)),
         *((kind, name) for kind, name, _ in rasters),
         *(("checkpoints", name) for name in sorted(checkpoints)),
+        *(("surface", name) for name in sorted(survey.of("surface"))),
     )
     yield Task("deliver_catalogue", "all", args, needs)
+
+
+def _steps(workflow: Workflow) -> Iterator[str]:
+    """What is done to the points, for whoever asks where the results come from."""
+    if workflow.filter.method != "none":
+        yield f"Noise was classified by the filter {workflow.filter.method}."
+    if workflow.afterpulse.enabled:
+        yield "Afterpulses of the detector were classified."
+    yield f"Ground was classified by the method {workflow.ground.method}."
+    yield f"Rasters of {workflow.products.cell_m:g} m were made of the signal."
+    if workflow.breaklines is not None:
+        yield "The terrain model was hydro-flattened by breaklines."
 
 
 def _cloud(survey: Survey, key: str, as_copc: bool) -> dict[str, Any]:  # noqa: FBT001 - one caller
@@ -77,6 +93,7 @@ def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[
         if files:
             yield {
                 "id": line.name,
+                "psid": line.psid,
                 "points": line.points,
                 "first_s": line.first_s,
                 "last_s": line.last_s,

@@ -57,26 +57,31 @@ class PulseMaps:
         self._swaths += _swaths(first, line, self._core, self._shape)
         self._known |= bool((line >= 0).any())
 
-    def rasters(self, flown: NDArray[np.bool_]) -> dict[str, NDArray[np.float32]]:
+    def rasters(
+        self, flown: NDArray[np.bool_], judged: NDArray[np.bool_]
+    ) -> dict[str, NDArray[np.float32]]:
         """What was made.
 
         Parameters
         ----------
         flown : (rows, cols) bool
             Which raster cells were flown, row 0 southernmost.
+        judged : (rows, cols) bool
+            Which of them voids are looked for in: with signal around, no water.
 
         Returns
         -------
         dict of str to (rows, cols) float32
             Row 0 northernmost, nodata where nothing was flown: ``first_returns`` and
             ``last_returns`` [1/m2]; ``voids``, edge of the largest empty square of four nominal
-            spacings that covers the cell's centre, 0 without any [m]; ``swaths``, flightlines with
-            a first return in the cell [count], nodata everywhere where no flightlines are known.
+            spacings that covers the cell's centre, 0 without any, nodata where nothing was judged
+            [m]; ``swaths``, flightlines with a first return in the cell [count], nodata everywhere
+            where no flightlines are known.
         """
         area_m2 = (self._size * QUANTUM_M) ** 2
-        voids = np.zeros(self._shape)
+        voids = np.where(judged, 0.0, np.nan)
         for spacing in sorted(SPACINGS.values()):
-            _, empty = self._empty.coverage(flown, spacing)
+            _, empty = self._empty.coverage(judged, spacing)
             voids[empty] = VOID_SPACINGS * spacing * QUANTUM_M
         found = {
             "first_returns": self._first / area_m2,

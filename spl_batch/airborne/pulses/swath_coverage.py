@@ -13,15 +13,18 @@ left out, so that of swaths wider than some 800 m more than the middle 95 % is j
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
 from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from spl_batch.airborne.products.flown_cells import close
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS
+from spl_batch.airborne.pulses.swath_outline import Packed, outline, packed
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 
@@ -54,6 +57,9 @@ Found = tuple[int, int, int, list[list[int]]]
 A ring is its number, first returns, squares of a swath, and squares of twice the spacing and those
 filled, by spacing.
 """
+
+Outlined = tuple[int, int, int, Packed]
+"""A swath of a region: point source id, first and last minute, and where it lies."""
 
 Flown = tuple[str, int, float, float]
 """Name, point source id, first and last time of a flightline [s]."""
@@ -122,8 +128,27 @@ class Swaths:
         """
         return [
             (psid, first, last, rings)
+            for psid, first, last, held, closed in self._closed
+            if (rings := self._rings(held, closed, there, region))
+        ]
+
+    def outlines(self) -> list[Outlined]:
+        """Where each pass lies within the region, water or not."""
+        own = _owned(self._core, EDGE_Q)
+        rows = slice(own.ymin - self._near.ymin, own.ymax - self._near.ymin)
+        columns = slice(own.xmin - self._near.xmin, own.xmax - self._near.xmin)
+        return [
+            (psid, first, last, squares)
+            for psid, first, last, _, closed in self._closed
+            if (squares := packed(closed[rows, columns], own)) is not None
+        ]
+
+    @cached_property
+    def _closed(self) -> list[tuple[int, int, int, "_Held", NDArray[np.bool_]]]:
+        """Passes, and the squares of 1 m that they cover."""
+        return [
+            (psid, first, last, held, close(held.count > 0, GAP))
             for psid, first, last, held in self._passes()
-            if (rings := self._rings(held, there, region))
         ]
 
     def _passes(self) -> Iterator[tuple[int, int, int, "_Held"]]:
@@ -137,9 +162,14 @@ class Swaths:
             if k + 1 == len(keys) or keys[k + 1] != (psid, minute + 1):
                 yield psid, first, minute, held
 
-    def _rings(self, held: "_Held", there: NDArray[np.bool_], region: Bounds) -> list[list[int]]:
+    def _rings(
+        self,
+        held: "_Held",
+        closed: NDArray[np.bool_],
+        there: NDArray[np.bool_],
+        region: Bounds,
+    ) -> list[list[int]]:
         """Rings of a swath within the region that have an area."""
-        closed = close(held.count > 0, GAP)
         depth = np.full(closed.shape, self._deepest)
         if not closed.all():
             depth = np.minimum(distance_transform_edt(closed).astype(np.int64) - 1, self._deepest)
@@ -151,7 +181,7 @@ class Swaths:
                 for low, high in ((squares.xmin, squares.xmax), (squares.ymin, squares.ymax))
             )
             at = np.ix_(y // EDGE_Q - self._near.ymin, x // EDGE_Q - self._near.xmin)
-            return depth[at], closed[at] & _at(there, region, x, y)
+            return depth[at], closed[at] & at_places(there, region, x, y)
 
         own = _owned(self._core, EDGE_Q)
         ring, mine = counted(own, EDGE_Q)
@@ -204,7 +234,7 @@ def _shape(squares: Bounds) -> tuple[int, int]:
     return squares.ymax - squares.ymin, squares.xmax - squares.xmin
 
 
-def _at(
+def at_places(
     there: NDArray[np.bool_], region: Bounds, x: NDArray[np.int64], y: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """What an array over a region says at places on a grid; at the edge what lies beside."""
@@ -239,6 +269,26 @@ def by_flightline(
                 total[number] += counts
     level = 2 + 2 * list(SPACINGS).index(spacing)
     return {name: _totals(sums[name], level) for name in sorted(sums) if sums[name][:, 1].any()}
+
+
+def outlines(
+    found: Iterable[Sequence[Outlined]], flown: Sequence[Flown]
+) -> dict[str, shapely.MultiPolygon]:
+    """Outline of each flightline, by its name.
+
+    Parameters
+    ----------
+    found : iterable of sequence of Outlined
+        What :meth:`Swaths.outlines` found in each region, or a receipt has of it.
+    flown : sequence of (str, int, float, float)
+        The flightlines.
+    """
+    pieces: dict[str, list[Packed]] = {}
+    for of_region in found:
+        for psid, first, last, squares in of_region:
+            name = _flightline(psid, first, last, flown)
+            pieces.setdefault(name, []).append(squares)
+    return {name: outline(of_line) for name, of_line in pieces.items() if name}
 
 
 def _flightline(psid: int, first: int, last: int, flown: Sequence[Flown]) -> str:

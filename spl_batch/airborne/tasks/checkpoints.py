@@ -5,29 +5,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
 from spl_batch.airborne.accuracy import Raster
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.errors import Remark, grouped, named
+from spl_batch.errors import Remark, named
 from spl_batch.formats.checkpoints import Checkpoint, read_checkpoints
 from spl_batch.formats.crs import parse_crs
-from spl_batch.formats.rasters.parts import read_part, windows
+from spl_batch.formats.rasters.parts import read_part
 
 
 def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
     """Compare the terrain of every piece of the survey with checkpoints."""
-    settings = context.workflow.reference
-    stated = settings.checkpoints_crs if settings else None
-    own = None if stated is None else parse_crs(stated, "reference.checkpoints_crs")
-    accuracy_m = settings.checkpoints_accuracy_m if settings else None
-    path = Path(args["path"])
-    known, remarks = read_checkpoints(path, context.crs, own, accuracy_m)
+    # What is wrong with single ones was told before the work began.
+    known, _ = read_named(Path(args["path"]), context.crs, context.workflow.reference)
     found = [_record(point, _terrain_m(point, args["rasters"], context)) for point in known]
     beyond = [one["id"] for one in found if one["error_m"] is None]
-    if known and len(beyond) == len(known):
-        remarks.append(_all_beyond(known, context.output / f"{args['rasters'][0]}.tif"))
-    elif beyond:
+    remarks: list[str] = []
+    if beyond:
         noun = "checkpoint lies" if len(beyond) == 1 else "checkpoints lie"
         remarks.append(
             f"{len(beyond)} {noun} where the terrain model has no value, outside of the survey or "
@@ -42,23 +39,19 @@ def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
     return Produced([], facts, len(known))
 
 
-def _all_beyond(points: Sequence[Checkpoint], terrain: Path) -> str:
-    """Where all checkpoints lie and where the terrain does: a wrong CRS shows at once."""
-    with windows(terrain) as model:
-        rows, columns = model.shape
-        west_m, north_m = model.left_m, model.top_m
-        survey = _box((west_m, west_m + columns * model.cell_m),
-                      (north_m - rows * model.cell_m, north_m))  # fmt: skip
-    mine = _box([point.x_m for point in points], [point.y_m for point in points])
-    return (
-        f"none of {len(points)} checkpoints lies on the terrain: they lie within {mine}, the "
-        f"terrain within {survey}; name their CRS in reference.checkpoints_crs if it is another"
-    )
+def read_named(
+    path: Path, crs: CRS | None, settings: ReferenceSettings | None
+) -> tuple[list[Checkpoint], list[str]]:
+    """Checkpoints of a file as a workflow has them, and what is wrong with some.
 
-
-def _box(x_m: Sequence[float], y_m: Sequence[float]) -> str:
-    east, north = (f"{grouped(min(v))} to {grouped(max(v))}" for v in (x_m, y_m))
-    return f"{east} E, {north} N"
+    Raises
+    ------
+    InputError
+        If the file as a whole cannot be used.
+    """
+    stated = settings.checkpoints_crs if settings else None
+    own = None if stated is None else parse_crs(stated, "reference.checkpoints_crs")
+    return read_checkpoints(path, crs, own, settings.checkpoints_accuracy_m if settings else None)
 
 
 def _terrain_m(point: Checkpoint, rasters: Iterable[str], context: Context) -> float | None:

@@ -1,6 +1,6 @@
 """Stage ``deliver``: labels back to the input files, mosaics, points by tile."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -15,11 +15,13 @@ from spl_batch.airborne.products import hillshade
 from spl_batch.airborne.products.hillshade import BLOCK
 from spl_batch.airborne.products.product_table import HILLSHADE, SWATH_DIFFERENCES
 from spl_batch.airborne.products.wide_voids import Void, void_sentence, wide_voids
+from spl_batch.airborne.pulses.swath_coverage import Outlined, outlines
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
 from spl_batch.airborne.strips.strip_comparison import difference_map
-from spl_batch.airborne.tasks import index
+from spl_batch.airborne.tasks import index, pulses
 from spl_batch.constants import NODATA, NOISE_SIGNAL
+from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.errors import Remark, WorkflowError, grouped
@@ -212,9 +214,21 @@ def deliver_copc(args: Mapping[str, Any], context: Context) -> Produced:
 def deliver_catalogue(args: Mapping[str, Any], context: Context) -> Produced:
     """Write what other tools open at once: STAC, virtual point cloud, index, QGIS, metadata."""
     name = context.workflow.survey.name
-    written, remarks = write_catalogues(context.output, name, context.crs, args)
+    drawn = outlines(
+        _outlined(args["cells"], context),
+        [(one["id"], one["psid"], one["first_s"], one["last_s"]) for one in args["flightlines"]],
+    )
+    written, remarks = write_catalogues(context.output, name, context.crs, args, drawn)
     facts = {"name": "catalogue", "warnings": [Remark(text) for text in remarks]}
     return Produced(written, facts)
+
+
+def _outlined(cells: Iterable[str], context: Context) -> Iterator[Sequence[Outlined]]:
+    """Where swaths lie in each ground cell, by its receipt."""
+    for name in cells:
+        receipt = read_receipt(context.store, "surface", name)
+        if receipt is not None and not receipt.failed:
+            yield receipt.facts.get(pulses.OUTLINES, ())
 
 
 def deliver_hillshade(args: Mapping[str, Any], context: Context) -> Produced:

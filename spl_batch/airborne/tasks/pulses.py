@@ -15,7 +15,7 @@ from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, EmptySquares, not
 from spl_batch.airborne.pulses.pulse_maps import PulseMaps, flightline_of
 from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, Ends
 from spl_batch.airborne.pulses.smooth_surfaces import SQUARE_M, STEPS, smooth_sums
-from spl_batch.airborne.pulses.swath_coverage import Swaths, pass_of
+from spl_batch.airborne.pulses.swath_coverage import Swaths, at_places, pass_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.formats.polygons import contains, read_polygons
@@ -61,6 +61,9 @@ each thickness that is there: its number, places, cells, squared differences [qu
 SWATHS: Final = "swaths"
 """Fact of a ground cell: what :class:`~spl_batch.airborne.pulses.swath_coverage.Swaths` found, on
 flown squares, no water."""
+
+OUTLINES: Final = "swath_outlines"
+"""Fact of a ground cell: where each swath lies in it."""
 
 STEP_Q: Final = quanta(SQUARE_M)
 """Parts of a cell are cut at multiples of this: a place of smooth ground is judged as one
@@ -144,6 +147,13 @@ def returns_of(table: PointTable, ends: Ends) -> PulseReturns:
     return PulseReturns(xyz, xy, *of_first)
 
 
+class Judged(NamedTuple):
+    """Squares of a cell that requirements look at, row 0 southernmost; water is none."""
+
+    dry: NDArray[np.bool_]  #: (rows, cols): what was flown.
+    counted: NDArray[np.bool_]  #: (rows, cols): where there is signal around.
+
+
 class Pulses:
     """What the pulses of a ground cell tell; their returns come part by part.
 
@@ -198,44 +208,61 @@ class Pulses:
         if self._overlap:
             self.lines.append(lines_by_square(returns.first[:, :2], line))
 
-    def facts(self, squares: NDArray[np.bool_]) -> dict[str, Any]:
-        """What the report needs to know: whole numbers, so that sums do not depend on their order.
-
-        Nothing here depends on the raster's cells: at the edge of a survey coarse ones would count
-        ground that nobody has flown.
+    def judged(self, squares: NDArray[np.bool_]) -> Judged:
+        """Which of the cell's squares count.
 
         Parameters
         ----------
         squares : (rows, cols) bool
-            The cell's squares that were flown (:mod:`~spl_batch.airborne.products.footprint`).
+            Those that were flown (:mod:`~spl_batch.airborne.products.footprint`).
         """
         context, dry = self._context, squares
         if context.workflow.water is not None:
             polygons = read_polygons(context.resolve(context.workflow.water), context.crs)
             dry = refused(squares, self._core, lambda x, y: ~contains(polygons, x, y))
-        signal = self._signal.squares()
-        flown = dry & signal
+        return Judged(dry, dry & self._signal.squares())
+
+    def facts(self, judged: Judged) -> dict[str, Any]:
+        """What the report needs to know: whole numbers, so that sums do not depend on their order.
+
+        Nothing here depends on the raster's cells: at the edge of a survey coarse ones would count
+        ground that nobody has flown.
+        """
+        dry, flown = judged
         return {
             PULSES: int(self._count[flown].sum()),
             FLOWN: int(np.count_nonzero(flown)),
-            BARE: int(np.count_nonzero(dry & ~signal)),
+            BARE: int(np.count_nonzero(dry & ~flown)),
             LEVELS: {
                 level: list(self._empty.coverage(flown, spacing)[0])
                 for level, spacing in SPACINGS.items()
             },
             SWATHS: self._swaths.facts(dry, self._region),
+            OUTLINES: self._swaths.outlines(),
             SMOOTH: {
                 level: [[k, *sums[k].tolist()] for k in np.flatnonzero(sums[:, 0]).tolist()]
                 for level, sums in self._smooth.items()
             },
         }
 
-    def rasters(self, density: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+    def rasters(
+        self, density: NDArray[np.float32], judged: Judged
+    ) -> dict[str, NDArray[np.float32]]:
         """Maps of the cell, where they are asked for.
 
         Parameters
         ----------
         density : (rows, cols) float32
             Its raster of density, nodata where nothing was flown.
+        judged : Judged
+            Voids are looked for where the report counts them.
         """
-        return {} if self._maps is None else self._maps.rasters(~not_flown(density))
+        if self._maps is None:
+            return {}
+        flown, core = ~not_flown(density), self._core
+        size = (core.xmax - core.xmin) // flown.shape[1]
+        x, y = (
+            np.arange(low + size // 2, high, size)
+            for low, high in ((core.xmin, core.xmax), (core.ymin, core.ymax))
+        )
+        return self._maps.rasters(flown, flown & at_places(judged.counted, self._region, x, y))

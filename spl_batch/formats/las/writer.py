@@ -221,7 +221,7 @@ def _records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr],
         return not gone and reads_back(header.path, record)
 
     vlrs, evlrs = [*filter(is_kept, header.vlrs)], [*filter(is_kept, header.evlrs)]
-    known = WKT_KEY in {record.key for record in (*vlrs, *evlrs)}
+    known = WKT_KEY in {v.key for v in vlrs} | {e.key for e in evlrs}
     if not known and written is not None:
         vlrs.append(wkt_vlr(written))
     return vlrs, evlrs, known or written is not None

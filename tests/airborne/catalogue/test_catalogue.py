@@ -6,7 +6,6 @@ import sqlite3
 import subprocess
 from contextlib import closing
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -27,8 +26,6 @@ from referencing.jsonschema import DRAFT7
 from spl_batch import api
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.catalogue.delivered_files import utc_span
-from spl_batch.airborne.tasks.checkpoints import checkpoints as compare_checkpoints
-from spl_batch.errors import grouped
 from tests import surveys
 from tests.formats.test_geoid import by_hand, write_grid
 
@@ -211,6 +208,8 @@ def test_the_index_counts_what_is_there(output: Path) -> None:
         areas = shapely.area(shapely.from_wkb(places[layer]))
         per_m2 = columns[layer]["points"] / areas
         np.testing.assert_allclose(columns[layer]["per_m2"], per_m2, rtol=1e-6)
+    lines = shapely.from_wkb(places["flightlines"])
+    drawn = dict(zip(columns["flightlines"]["id"], lines, strict=True))
     report = read(output / "report.json")
     swaths = {one["id"]: one for one in report["swaths"]}
     for name, area, density in zip(
@@ -225,6 +224,12 @@ def test_the_index_counts_what_is_there(output: Path) -> None:
         share = swaths[name]["pulses"] / len(np.unique(sent, axis=0))
         assert 0.92 < share <= 1.0, "all but those on squares that its rim cuts"
         held = np.unique(np.floor(cloud.xyz[signal, :2]), axis=0)
+        shape = drawn[name]
+        centres = shapely.points(held + 0.5)
+        assert shapely.distance(shape, centres).max() < 5.1, "each return lies in the outline"
+        corners = shapely.get_coordinates(shapely.convex_hull(shapely.union_all(centres)))
+        assert shapely.distance(shape, shapely.points(corners)).max() < 5.1
+        assert shape.area < area + 8 * shape.length
         assert area == pytest.approx(len(held), rel=0.2)
     errors = {one["id"]: one["error_m"] for one in report["checkpoints"]["points"]}
     told = dict(zip(columns["checkpoints"]["id"], columns["checkpoints"]["error_m"], strict=True))
@@ -247,21 +252,6 @@ def test_checkpoint_errors_are_those_of_the_raster(output: Path) -> None:
         height = np.array([1 - v, v]) @ square @ np.array([1 - u, u])
         assert one["error_m"] == pytest.approx(height - one["z_m"], abs=1e-6)
     assert report["statement"].startswith("Insufficient for a statement: 6 of the 30")
-
-
-def test_checkpoints_that_all_lie_elsewhere_are_told_with_both_places(
-    output: Path, tmp_path: Path
-) -> None:
-    path = tmp_path / "degrees.csv"
-    path.write_text("id,x,y,z,surface,accuracy_m\nA,-93.2,44.9,20,open,0.01\n")
-    context = SimpleNamespace(workflow=SimpleNamespace(reference=None), crs=None, output=output)
-    args = {"name": path.name, "path": str(path), "rasters": ["dtm"]}
-    (warning,) = compare_checkpoints(args, context).facts["warnings"]
-    with rasterio.open(output / "dtm.tif") as source:
-        west, _, east, _ = source.bounds
-    for said in ("none of 1 checkpoints", "-93 to -93 E, 45 to 45 N", "reference.checkpoints_crs",
-                 f"{grouped(west)} to {grouped(east)} E"):  # fmt: skip
-        assert said in warning.text
 
 
 def xml(path: Path) -> ET.Element:
@@ -296,7 +286,43 @@ def test_layers_and_styles_are_xml_whose_sources_exist(output: Path) -> None:
         assert shades == sorted(shades)
     classes = {one.get("value") for one in xml(output / "survey.qml").iter("category")}
     assert {"2", "7", "18"} <= classes
-    assert xml(output / "metadata.xml").tag.endswith("MD_Metadata")
+
+
+ORDER = {
+    "MD_Metadata": "fileIdentifier language characterSet hierarchyLevel contact dateStamp "
+    "metadataStandardName metadataStandardVersion referenceSystemInfo identificationInfo "
+    "dataQualityInfo",
+    "MD_DataIdentification": "citation abstract descriptiveKeywords spatialRepresentationType "
+    "spatialResolution language topicCategory extent",
+    "EX_Extent": "geographicElement temporalElement verticalElement",
+    "EX_VerticalExtent": "minimumValue maximumValue verticalCRS",
+    "DQ_DataQuality": "scope report lineage",
+    "DQ_AbsoluteExternalPositionalAccuracy": "nameOfMeasure measureDescription "
+    "evaluationMethodType result",
+    "LI_Lineage": "statement processStep source",
+}
+"""Children in the order of the ISO 19139 schemas."""
+
+GMD = "{http://www.isotc211.org/2005/gmd}"
+
+
+def test_metadata_keep_the_order_of_the_standard_and_tell_the_accuracy(output: Path) -> None:
+    root = xml(output / "metadata.xml")
+    assert root.tag == f"{GMD}MD_Metadata"
+    for name, wanted in ORDER.items():
+        (element,) = root.iter(f"{GMD}{name}")
+        tags = [child.tag.removeprefix(GMD) for child in element]
+        places = [wanted.split().index(tag) for tag in tags]
+        assert places == sorted(places)
+        assert set(tags) == set(wanted.split())
+    report = read(output / "report.json")
+    (value,) = root.iter(f"{GMD}value")
+    found = "".join(value.itertext()).strip()
+    assert float(found) == pytest.approx(report["checkpoints"]["nva"]["rmse_v_m"], abs=1e-4)
+    said = "".join(root.itertext())
+    for words in ("elevation", "6 open checkpoints", "30 are needed", "32615", "EPSG",
+                  "classified by the filter vsaes"):  # fmt: skip
+        assert words in said
 
 
 def test_qgis_opens_every_layer(output: Path) -> None:
@@ -362,7 +388,8 @@ SITE = (
 
 def nothing_but(name: str) -> dict[str, Any]:
     """Arguments of a catalogue of one cloud alone."""
-    lists: dict[str, Any] = {k: [] for k in ("rasters", "flightlines", "blocks", "checkpoints")}
+    names = ("rasters", "flightlines", "blocks", "checkpoints", "steps")
+    lists: dict[str, Any] = {key: [] for key in names}
     clouds = [{"href": name, "span_s": None}]
     return {**lists, "clouds": clouds, "tiles": {}, "tile_q": 1000}
 

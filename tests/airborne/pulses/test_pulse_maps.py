@@ -1,21 +1,31 @@
 """Maps of pulses and relief against loops, analytic slopes, and another tiling of one survey."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pyogrio
 import pytest
 import rasterio
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pyproj import CRS
 from rasterio.enums import ColorInterp
 
 from spl_batch.airborne.products import hillshade
 from spl_batch.airborne.products.product_table import SWATHS
+from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage
 from spl_batch.airborne.pulses.pulse_maps import NAMES, PulseMaps, flightline_of
+from spl_batch.airborne.settings import ProductSettings
+from spl_batch.airborne.tasks import pulses
 from spl_batch.constants import NODATA
 from spl_batch.lattice.tiles import Bounds
 from tests import surveys
+
+if TYPE_CHECKING:
+    from spl_batch.airborne.context import Context
 
 
 @settings(max_examples=30)
@@ -29,7 +39,8 @@ def test_each_cell_counts_its_own(seed: int, n: int) -> None:
     made = PulseMaps(core, 2000)
     for south in (first[:, 1] < 8000, first[:, 1] >= 8000):
         made.add(first[south], last[south], line[south])
-    maps = made.rasters(flown)
+    judged = flown & (rng.random((3, 4)) < 0.8)
+    maps = made.rasters(flown, judged)
     for row in range(3):
         for col in range(4):
             west, south = core.xmin + 2000 * col, core.ymin + 2000 * row
@@ -46,7 +57,39 @@ def test_each_cell_counts_its_own(seed: int, n: int) -> None:
             lines = {int(k) for k, there in zip(line, held[0], strict=True) if there and k >= 0}
             known = (line >= 0).any()
             assert found["swaths"] == (len(lines) if known else np.float32(NODATA))
-            assert found["voids"] in np.array([0, 1.4, 2.84, 5.64], np.float32)
+            looked = np.array([0, 1.4, 2.84, 5.64], np.float32)
+            assert found["voids"] in (looked if judged[row, col] else [np.float32(NODATA)])
+
+
+def test_the_map_of_voids_is_what_the_table_of_requirements_counts(tmp_path: Path) -> None:
+    # Returns each 0.25 m, but in a square of 12 m, half of which is water, and beyond an edge.
+    side = np.arange(125, 60_000, 250)
+    x, y = (grid.ravel() for grid in np.meshgrid(side, side))
+    kept = ~((abs(x - 30_000) < 6_000) & (abs(y - 30_000) < 6_000)) & (x < 50_000)
+    water = shapely.to_wkb(np.array([shapely.box(30, 10, 55, 50)], object))
+    pyogrio.raw.write(tmp_path / "w.gpkg", water, [], [], geometry_type="Polygon", crs="EPSG:32615")
+    products = ProductSettings(maps=True)
+    workflow = SimpleNamespace(
+        products=products, classes=SimpleNamespace(overlap=False), water="w.gpkg"
+    )
+    context = SimpleNamespace(
+        workflow=workflow, crs=CRS.from_epsg(32615), resolve=lambda name: tmp_path / name
+    )
+    core = Bounds(0, 0, 60_000, 60_000)
+    made = pulses.Pulses(core, [], cast("Context", context))
+    xyz = np.column_stack([x, y, np.zeros(len(x), np.int64)])[kept]
+    times, ids = np.zeros(len(xyz)), np.ones(len(xyz), np.uint16)
+    made.add(pulses.PulseReturns(xyz, xyz[:, :2], times, ids), core)
+    judged = made.judged(np.ones((240, 240), np.bool_))
+    voids = made.rasters(np.zeros((60, 60), np.float32), judged)["voids"][::-1]
+    for level, edge_m in (("QL1", 1.4), ("QL2", 2.84)):
+        counted = Coverage(*made.facts(judged)[pulses.LEVELS][level])
+        table_m2 = counted.void * (SPACINGS[level] / 1000) ** 2
+        assert table_m2 == pytest.approx(12 * 6, rel=0.12)
+        assert np.count_nonzero(voids >= np.float32(edge_m)) == pytest.approx(table_m2, rel=0.1)
+    assert (voids[12:48, 31:50] == np.float32(NODATA)).all(), "water is not judged"
+    assert (voids[:, 51:] == np.float32(NODATA)).all(), "nor what lies beyond all signal"
+    assert (voids[:, :20] == 0).all()
 
 
 def test_returns_belong_to_the_pass_of_their_id_that_holds_their_time() -> None:

@@ -5,11 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from spl_batch.airborne.pulses import swath_outline
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS
 from spl_batch.airborne.pulses.swath_coverage import (
     GAP,
@@ -17,8 +19,10 @@ from spl_batch.airborne.pulses.swath_coverage import (
     RINGS,
     Swaths,
     by_flightline,
+    outlines,
     pass_of,
 )
+from spl_batch.airborne.pulses.swath_outline import outline, packed
 from spl_batch.lattice.tiles import Bounds
 
 REACH_Q = 40_000
@@ -32,6 +36,41 @@ def found_in(core: Bounds, x, y, number, there=None, parts: int = 1):
     if there is None:
         there = np.ones((1, 1), np.bool_)
     return swaths.facts(there, core)
+
+
+def test_outlines_of_cells_side_by_side_are_one() -> None:
+    # A swath of 60 m that crosses two cells at an angle, and another one that nobody flew.
+    rng = np.random.default_rng(3)
+    along, across = rng.uniform(0, 380, 60_000), rng.uniform(-30, 30, 60_000)
+    x = np.rint((along * 0.8 - across * 0.6 + 40) * 1000).astype(np.int64)
+    y = np.rint((along * 0.6 + across * 0.8 + 60) * 1000).astype(np.int64)
+    number = pass_of(np.full(len(x), 30.0), np.full(len(x), 7, np.uint16))
+    found = []
+    for core in (Bounds(0, 0, 200_000, 400_000), Bounds(200_000, 0, 400_000, 400_000)):
+        swaths = Swaths(core, REACH_Q)
+        swaths.add(x, y, number)
+        found.append(swaths.outlines())
+    (shape,) = outlines(found, [("a", 7, 0.0, 60.0), ("b", 8, 0.0, 60.0)]).values()
+    true = shapely.Polygon([(58, 36), (362, 264), (326, 312), (22, 84)])
+    assert len(shape.geoms) == 1
+    assert shapely.covers(shapely.buffer(shape, 6), true)
+    assert shapely.covers(shapely.buffer(true, 9), shape)
+    assert len(shapely.get_coordinates(shape)) < 80, "most steps of squares become lines"
+    assert outlines([], [("a", 7, 0.0, 60.0)]) == {}
+
+
+def test_a_long_flightline_is_drawn_in_coarser_squares(monkeypatch: pytest.MonkeyPatch) -> None:
+    def drawn() -> tuple[float, ...]:
+        boxes = [Bounds(west, 0, west + 100, 40) for west in (0, 100, 200)]
+        pieces = [packed(np.ones((40, 100), np.bool_), box) for box in boxes]
+        shape = outline(piece for piece in pieces if piece)
+        assert shape.area == 300 * 40
+        return shape.bounds
+
+    assert drawn() == (0, 0, 300, 40)
+    monkeypatch.setattr(swath_outline, "MOST", 120)
+    assert drawn() == (0, 0, 300, 40)
+    assert packed(np.zeros((4, 4), np.bool_), Bounds(0, 0, 4, 4)) is None
 
 
 def by_hand(core: Bounds, x, y) -> list[list[int]]:

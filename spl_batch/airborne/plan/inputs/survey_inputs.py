@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 from pyproj import CRS
 
+from spl_batch.airborne.plan.inputs import checkpoint_file
+from spl_batch.airborne.plan.inputs.checkpoint_file import CheckpointFile
 from spl_batch.airborne.plan.inputs.file_positions import (
     degrees_as_metres,
     far_positions,
@@ -54,13 +55,6 @@ class Source:
     facts: LasFacts
 
 
-class CheckpointFile(NamedTuple):
-    """A file of checkpoints, and what it is called in messages."""
-
-    path: Path
-    name: str
-
-
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """Everything that a workflow names, checked."""
@@ -91,12 +85,12 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     trajectory = expand(workflow.survey.trajectory, base, "survey.trajectory", faults)
     reference_names = workflow.reference.points if workflow.reference else None
     reference = expand(reference_names, base, "reference.points", faults)
-    checkpoints = workflow.reference.checkpoints if workflow.reference else None
+    checkpoints = checkpoint_file.named_file(workflow.reference, base)
     for key, name in (
         ("aoi", workflow.aoi),
         ("water", workflow.water),
         ("breaklines", workflow.breaklines),
-        ("reference.checkpoints", checkpoints),
+        ("reference.checkpoints", None if checkpoints is None else checkpoints.path),
     ):
         if name is not None and (fault := url_fault(name)):
             faults.append(f"{key}: {name}: {fault}")
@@ -125,6 +119,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     warnings += shared(said, "files")
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed)]
+    warnings += checkpoint_file.remarks(checkpoints, crs, workflow.reference, good)
     if crs is None and good:
         warnings.append(
             "no input file carries a CRS and survey.crs is not set: rasters will have none"
@@ -144,17 +139,10 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         crs,
         tuple(warnings),
         tuple(_checksums(base, {"aoi": workflow.aoi, "water": workflow.water})),
-        _checkpoint_file(checkpoints, base),
+        checkpoints,
         tuple(_checksums(base, {"breaklines": workflow.breaklines})),
         _geoid_checksum(workflow, base),
     )
-
-
-def _checkpoint_file(name: str | None, base: Path) -> CheckpointFile | None:
-    if name is None:
-        return None
-    path = (base / name).resolve()
-    return CheckpointFile(path, name_below(path, base))
 
 
 def _geoid_checksum(workflow: Workflow, base: Path) -> tuple[tuple[str, str], ...]:
