@@ -18,6 +18,7 @@ called on the points themselves, without the rest of the chain, as a tile whole 
 - ``share``: share of all points that are ground [%];
 - ``kappa``: Cohen's kappa of ground against the rest [%]; where the producer's ground is a choice
   of all ground points, it says little;
+- ``raised``: raised flat patches in the ground that a run would warn of [count];
 - ``s/M``: seconds of a processor per million points.
 
 Beside the project's methods stands the cloth filter of the PyPI package
@@ -40,6 +41,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.airborne.ground.isprs import by_cells, score
 from spl_batch.airborne.ground.ground_methods import ground_mask
+from spl_batch.airborne.products.doubts.raised_patches import raised_patches
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable
@@ -154,8 +156,21 @@ def figures(tile: Tile, found: Mask, seconds: float) -> dict[str, float]:
         "recall": share(tile.ground),
         "share": 100 * float(found.mean()),
         "kappa": score(found, tile.ground).kappa,
+        "raised": float(len(raised_patches(_means(tile.xyz[found]), 1.0))),
         "s/M": 1e6 * seconds / len(found),
     }
+
+
+def _means(ground: Float) -> Float:
+    """Mean height of ground points in each cell of 1 m; NaN without any."""
+    column, row = np.floor(ground[:, :2] - np.floor(ground[:, :2].min(axis=0))).astype(int).T
+    shape = row.max() + 1, column.max() + 1
+    number = row * shape[1] + column
+    count, total = (
+        np.bincount(number, weights=w, minlength=shape[0] * shape[1]).reshape(shape)
+        for w in (None, ground[:, 2])
+    )
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def cloth(xyz: Float, rigidness: int, *, smooth: bool) -> Mask:

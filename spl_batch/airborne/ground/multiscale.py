@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
+from spl_batch.airborne.ground.level_ground import levelled
 from spl_batch.airborne.ground.lowest_layers import Nodes, lowest_layers
 from spl_batch.airborne.ground.multiscale_surface import (
     BLOCK_M,
@@ -137,7 +138,9 @@ def multiscale_masks(
     xyz, hard = _nodes(map(_evidence, strips()), sigma_m)
     chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
     ground = ground_nodes(xyz, chosen)
-    ground = continued(xyz, lowest_nodes(xyz, chosen, CELL_M), ground, CELL_M)
+    grid = lowest_nodes(xyz, chosen, CELL_M)
+    ground = continued(xyz, grid, ground, CELL_M)
+    ground = levelled(xyz, grid, ground, CELL_M)
     ground = _joined(xyz, chosen & hard, ground)
     surface = _surface(xyz[ground])
     looked = filter(None, map(partial(_look, surface), strips()))

@@ -29,7 +29,7 @@ from scipy import ndimage
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
-from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
+from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node, plane_heights
 from spl_batch.airborne.ground.point_spacing import Squares
 from spl_batch.airborne.ground.smrf import object_cells
 
@@ -252,7 +252,7 @@ def ground_nodes(xyz: Float, chosen: Mask, cell_m: float = CELL_M) -> Mask:
         Edge of the cells that the opening runs on [m].
     """
     grid = lowest_nodes(xyz, chosen, cell_m)
-    nearest = _nearest_node(grid)
+    nearest = nearest_node(grid)
     raised = _raised(xyz[nearest, 2], cell_m)
     level = grid[(grid >= 0) & ~raised]
     if not len(level):
@@ -291,10 +291,3 @@ def _steep(trend: Trend, x: Float, y: Float) -> Mask:
     steepness = Trend(np.sqrt(np.asarray(squared)), trend.left, trend.bottom)
     steep: Mask = trend_at(steepness, x, y) > _STEEP
     return steep
-
-
-def _nearest_node(grid: Index) -> Index:
-    """A grid of nodes whose gaps have that of the nearest cell: walls stay steep."""
-    nearest = ndimage.distance_transform_edt(grid < 0, return_distances=False, return_indices=True)
-    found: Index = grid[tuple(nearest)]
-    return found

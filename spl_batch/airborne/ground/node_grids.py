@@ -5,6 +5,7 @@ Grids lie on the absolute lattice of their cell size; a cell names its node by n
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from spl_batch.numerics.compiled import njit
 
@@ -61,6 +62,19 @@ def _frame(xyz: Float, cell_m: float) -> tuple[int, int, int, int]:
         for end in (values.min(), values.max())
     )
     return left, bottom, top - bottom + 1, right - left + 1
+
+
+def nearest_node(grid: Index) -> Index:
+    """A grid of nodes whose gaps have that of the nearest cell: walls stay steep.
+
+    Parameters
+    ----------
+    grid : (rows, columns) int64
+        A node for each cell, or -1; not everywhere.
+    """
+    nearest = ndimage.distance_transform_edt(grid < 0, return_distances=False, return_indices=True)
+    found: Index = grid[tuple(nearest)]
+    return found
 
 
 def plane_heights(

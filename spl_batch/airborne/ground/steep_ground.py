@@ -16,7 +16,7 @@ a cliff or a terrace, which follow the contour. From nodes that stand so no grou
 grows there (:func:`standing`).
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,12 @@ EAVE_M: Final = 1.0
 EDGE_M: Final = 2.0
 """Longest way over which the surface falls there, from one node to the next [m]."""
 
+BARRED: Final = 0
+OTHER: Final = 1
+GROUND: Final = 2
+GROWN: Final = 3
+"""States of a cell: nothing that could grow, a node that may, ground, ground that has grown."""
+
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
@@ -83,19 +89,13 @@ def continued(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
         Edge of a cell [m].
     """
     stands = standing(xyz, grid, ground, cell_m)
-    state = np.full(grid.shape, _BARRED, dtype=np.uint8)
+    state = np.full(grid.shape, BARRED, dtype=np.uint8)
     held = (grid >= 0) & ~stands
-    state[held] = np.where(ground[grid[held]], _GROUND, _OTHER)
+    state[held] = np.where(ground[grid[held]], GROUND, OTHER)
     _grow(xyz, grid, round(REACH_M / cell_m), state)
     out = ground.copy()
-    out[grid[state == _GROWN]] = True
+    out[grid[state == GROWN]] = True
     return out
-
-
-_BARRED: Final = 0
-_OTHER: Final = 1
-_GROUND: Final = 2
-_GROWN: Final = 3
 
 
 def standing(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
@@ -168,19 +168,19 @@ def _falls(above: Float, row: int, column: int, north: float, east: float, cell_
 def _grow(xyz: Float, grid: Index, reach: int, state: NDArray[np.uint8]) -> None:
     """Let ground grow round by round, each from what the last one left."""
     rows, columns = grid.shape
-    fresh = state == _GROUND
+    fresh = state == GROUND
     for _ in range(ROUNDS):
         joins = np.zeros(grid.shape, dtype=np.bool_)
         for r in range(rows):
             for c in range(columns):
-                if state[r, c] == _OTHER and _beside(fresh, r, c, 2):
+                if state[r, c] == OTHER and _beside(fresh, r, c, 2):
                     joins[r, c] = _goes_on(xyz, grid, state, reach, r, c)
         if not joins.any():
             break
         for r in range(rows):
             for c in range(columns):
                 if joins[r, c]:
-                    state[r, c] = _GROWN
+                    state[r, c] = GROWN
         fresh = joins
 
 
@@ -218,39 +218,100 @@ def _on_plane(
     to_north: int,
 ) -> bool:
     """Whether a node lies on the plane through the ground on its side towards east or north."""
+    side = plane_beside(xyz, grid, state, reach, REACH_M, row, column, to_east, to_north)
+    if not side.grown >= 0.0 or side.rough_m > ROUGH_M:
+        return False
+    if side.slope < STEEP and side.grown < 0.5:
+        return False
+    return bool(-NEAR_M <= side.plane_m <= side.slope * side.away_m + NEAR_M)
+
+
+class Side(NamedTuple):
+    """Plane through the ground on one side of a node.
+
+    Parameters
+    ----------
+    plane_m : float
+        How far it lies above the node [m].
+    slope : float
+        Its rise [rise/run].
+    rough_m : float
+        Standard deviation of that ground about it [m].
+    away_m, up_m : float
+        How far off the nearest node of that ground is, and how much higher than the node [m].
+    grown : float
+        Share of that ground that has grown; NaN where there is no plane.
+    """
+
+    plane_m: float
+    slope: float
+    rough_m: float
+    away_m: float
+    up_m: float
+    grown: float
+
+
+@njit()
+def plane_beside(
+    xyz: Float,
+    grid: Index,
+    state: NDArray[np.uint8],
+    reach: int,
+    reach_m: float,
+    row: int,
+    column: int,
+    to_east: int,
+    to_north: int,
+) -> Side:
+    """Plane through the ground on the side of a node towards east or north.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    grid : (rows, columns) int64
+        A node for each cell, or -1.
+    state : (rows, columns) uint8
+        What each cell is: ground from 2 on, 3 where it has grown.
+    reach : int
+        Cells to look at on each side [count].
+    reach_m : float
+        Farthest ground that counts [m].
+    row, column : int
+        Cell of the node.
+    to_east, to_north : int
+        The side.
+    """
     rows, columns = grid.shape
     i = grid[row, column]
-    n, grown, nearest = 0, 0, np.inf
+    n, grown, nearest, up = 0, 0, np.inf, 0.0
     x, y, z, xx, xy, yy, xz, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
         for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
-            if state[r, c] < _GROUND or (c - column) * to_east + (r - row) * to_north < 0:
+            if state[r, c] < GROUND or (c - column) * to_east + (r - row) * to_north < 0:
                 continue
             j = grid[r, c]
             dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
             away = dx * dx + dy * dy
-            if away > REACH_M**2:
+            if away > reach_m**2:
                 continue
             n += 1
-            grown += state[r, c] == _GROWN
-            nearest = min(nearest, away)
+            grown += state[r, c] == GROWN
+            if away < nearest:
+                nearest, up = away, dz
             x, y, z = x + dx, y + dy, z + dz
             xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
             xz, yz, zz = xz + dx * dz, yz + dy * dz, zz + dz * dz
     if n < FEWEST:
-        return False
+        return Side(0.0, 0.0, 0.0, 0.0, 0.0, np.nan)
     x, y, z = x / n, y / n, z / n
     xx, yy, xy = xx / n - x * x, yy / n - y * y, xy / n - x * y
     xz, yz, zz = xz / n - x * z, yz / n - y * z, zz / n - z * z
     scale = xx * yy - xy * xy
     if scale < FLAT * (xx + yy) ** 2:
-        return False
+        return Side(0.0, 0.0, 0.0, 0.0, 0.0, np.nan)
     east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
-    slope = np.hypot(east, north)
-    if slope < STEEP and 2 * grown < n:
-        return False
-    if zz - east * xz - north * yz > ROUGH_M**2:
-        return False
-    # The node is the origin: so far the plane lies above it.
+    rough = np.sqrt(max(zz - east * xz - north * yz, 0.0))
+    # The node is the origin.
     plane = z - east * x - north * y
-    return bool(-NEAR_M <= plane <= slope * np.sqrt(nearest) + NEAR_M)
+    return Side(plane, np.hypot(east, north), rough, np.sqrt(nearest), up, grown / n)

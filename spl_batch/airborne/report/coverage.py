@@ -1,22 +1,34 @@
 """Area and density of a survey for the report, from what its ground cells have counted."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.products.doubts.terrain_doubts import (
+    FAR_M,
+    GAPS,
+    RAISED,
+    UNSURE_M,
+    largest,
+)
 from spl_batch.airborne.products.footprint import SQUARE_M2
-from spl_batch.airborne.report.model import Density
+from spl_batch.airborne.report.model import Density, RaisedPatch, TerrainDoubts, TerrainGap
 from spl_batch.airborne.settings import ClassSettings
-from spl_batch.airborne.tasks.pulses import _CELLS, _HEIGHTS, _SQUARES, _UNSURE, _VOIDS, UNSURE_M
+from spl_batch.airborne.tasks.pulses import _CELLS, _HEIGHTS, _SQUARES, _UNSURE, _VOIDS
+from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.number_format import significant
 from spl_batch.engine.report.run_record import Receipts
+from spl_batch.errors import grouped
 
 UNSURE_SHARE: Final = 0.02
 """A larger share of the terrain that is not known well is told."""
 
+
+LISTED: Final = 20
+"""The largest so many are listed one by one [count]."""
 
 VEGETATION_PER_M2: Final = 1.0
 """Below this density shrubs become ground (``benchmarks.airborne.classes.vegetation``) [1/m2]."""
@@ -98,3 +110,68 @@ def _quantile(cells: Mapping[int, int], share: float) -> int:
     below: Iterable[int] = np.cumsum([cells[value] for value in values])
     wanted = share * sum(cells.values())
     return next(value for value, n in zip(values, below, strict=True) if n >= wanted)
+
+
+def terrain_doubts(done: Receipts) -> TerrainDoubts:
+    """Gaps and raised patches of all pieces of a survey."""
+    facts = [receipt.facts for receipt in done.get("surface", {}).values()]
+    gaps, raised = largest(facts, GAPS), largest(facts, RAISED)
+    return TerrainDoubts(
+        gaps=len(gaps),
+        gaps_m2=sum(gap[0] for gap in gaps),
+        largest_gaps=tuple(
+            TerrainGap(area_m2=area, at_m=_metres(at), away_m=away, sd_m=sigma)
+            for area, *at, away, sigma in gaps[:LISTED]
+        ),
+        raised=len(raised),
+        raised_m2=sum(patch[0] for patch in raised),
+        largest_raised=tuple(
+            RaisedPatch(area_m2=area, at_m=_metres(at), height_m=height)
+            for area, *at, height in raised[:LISTED]
+        ),
+    )
+
+
+def doubt_warnings(found: TerrainDoubts) -> Iterator[str]:
+    """Sentences with number, place and consequence."""
+    if found.largest_gaps:
+        gap = found.largest_gaps[0]
+        yield (
+            f"{_counted(found.gaps, 'gap')} in the ground, "
+            f"{_area(found.gaps_m2, gap.area_m2, found.gaps, gap.at_m)}: heights are interpolated "
+            f"from ground up to {gap.away_m:.0f} m away, more than {FAR_M:g} m, where it is so "
+            f"rough that they are known to {gap.sd_m:.1f} m, more than {UNSURE_M:g} m. Do not "
+            "measure heights or volumes there"
+        )
+    if found.largest_raised:
+        patch = found.largest_raised[0]
+        area = _area(found.raised_m2, patch.area_m2, found.raised, patch.at_m)
+        yield (
+            f"{_counted(found.raised, 'raised flat patch', 'raised flat patches')} of a building's "
+            f"size in the terrain, {area}, "
+            f"{patch.height_m:.1f} m above the ground around with walls on most sides: probably a "
+            "roof that was taken for ground. Heights of the terrain, and heights above it, are "
+            "off by so much there; look at the place"
+        )
+
+
+def _metres(place: Sequence[float]) -> tuple[float, float]:
+    return place[0] * QUANTUM_M, place[1] * QUANTUM_M
+
+
+def _counted(number: int, one: str, more: str | None = None) -> str:
+    return f"{grouped(number)} {one if number == 1 else more or one + 's'}"
+
+
+def _area(
+    total_m2: float | None,
+    area_m2: float | None,
+    number: int,
+    at_m: tuple[float | None, float | None],
+) -> str:
+    """Area of all and of the largest, and where that lies."""
+    said = f"{grouped(round(total_m2 or 0))} m2"
+    if number > 1:
+        said += f" in all, the largest {grouped(round(area_m2 or 0))} m2"
+    east, north = (grouped(place or 0.0) for place in at_m)
+    return f"{said} at {east} E, {north} N"

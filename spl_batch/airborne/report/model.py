@@ -156,6 +156,34 @@ class Density(Part):
     )
 
 
+class TerrainGap(Part):
+    """A place where ground is far, and too rough for its heights to be known from there."""
+
+    area_m2: Number = Field(description="Area [m2].")
+    at_m: tuple[Number, Number] = Field(description="Easting and northing of its middle [m].")
+    away_m: Number = Field(description="Largest distance to the nearest ground in it [m].")
+    sd_m: Number = Field(description="Standard deviation of its heights [m].")
+
+
+class RaisedPatch(Part):
+    """A raised flat patch of a building's size in the terrain, with walls on most sides."""
+
+    area_m2: Number = Field(description="Area [m2].")
+    at_m: tuple[Number, Number] = Field(description="Easting and northing of its middle [m].")
+    height_m: Number = Field(description="How far it stands above the ground around [m].")
+
+
+class TerrainDoubts(Part):
+    """Where the terrain model may be wrong."""
+
+    gaps: Count = Field(0, description="Gaps without ground; one is counted in each ground cell.")
+    gaps_m2: Number = Field(0.0, description="Area of all of them [m2].")
+    largest_gaps: tuple[TerrainGap, ...] = Field((), description="The largest of them.")
+    raised: Count = Field(0, description="Raised flat patches: probably roofs.")
+    raised_m2: Number = Field(0.0, description="Area of all of them [m2].")
+    largest_raised: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
+
+
 class Haze(Part):
     """Air between the start of the gate and the surface that sends light back."""
 
@@ -310,6 +338,7 @@ class Report(Part):
     requirements: tuple[Requirement, ...] = Field((), description="Is it good enough?")
     checkpoints: Checkpoints | None = Field(None, description="Null without checkpoints.")
     density: Density = Density()
+    terrain: TerrainDoubts = TerrainDoubts()
     noise: Noise = Noise()
     swaths: tuple[Swath, ...] = Field((), description="Density of each flightline by itself.")
     strips: tuple[StripPair, ...] = Field(

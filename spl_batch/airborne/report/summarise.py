@@ -10,7 +10,14 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.kept_noise import PARTS
 from spl_batch.airborne.hydro.flattening import bank_warnings
 from spl_batch.airborne.report.clip_view import cut_clip
-from spl_batch.airborne.report.coverage import area_km2, density, sparse_vegetation, unsure_terrain
+from spl_batch.airborne.report.coverage import (
+    area_km2,
+    density,
+    doubt_warnings,
+    sparse_vegetation,
+    terrain_doubts,
+    unsure_terrain,
+)
 from spl_batch.airborne.report.good_enough import checkpoint_report, judged, swath_reports
 from spl_batch.airborne.report.model import (
     Accuracy,
@@ -71,7 +78,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
     """
     found, counts = compared(done, context), _counts(done, context, facts)
     noise = _noise(done, context, counts.background)
-    covered = density(done, context, counts.ground)
+    covered, doubted = density(done, context, counts.ground), terrain_doubts(done)
     report = Report(
         survey=_survey(done, context),
         counts=counts,
@@ -79,6 +86,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         requirements=judged(done, context),
         checkpoints=checkpoint_report(done, context),
         density=covered,
+        terrain=doubted,
         noise=noise,
         swaths=swath_reports(done, context),
         strips=strip_pairs(done),
@@ -95,6 +103,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *drowned_warning(done),
             *kept_warning(done, context.workflow.filter),
             *unsure_terrain(done),
+            *doubt_warnings(doubted),
             *sparse_vegetation(covered, context.workflow.classes),
             *bank_warnings(
                 r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts

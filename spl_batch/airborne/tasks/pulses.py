@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.classes.overlap import lines_by_square
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.products.doubts.terrain_doubts import UNSURE_M
 from spl_batch.airborne.products.footprint import SQUARE_Q, Covered, Within, refused, whole_squares
 from spl_batch.airborne.products.surface_rasters import margin_cells
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, EmptySquares, not_flown, reach_q
@@ -36,9 +37,6 @@ _HEIGHTS: Final = "heights"
 
 _UNSURE: Final = "unsure"
 """Fact of a ground cell: those whose standard deviation is more than :data:`UNSURE_M` [count]."""
-
-UNSURE_M: Final = 0.5
-"""Terrain that may be off by more than this is not known well [m]."""
 
 PULSES: Final = "pulses"
 """Fact of a ground cell: first returns on flown squares with signal around, no water [count]."""

@@ -20,6 +20,7 @@ from spl_batch.airborne.filter.stray_returns import bare_cells
 from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
+from spl_batch.airborne.products.doubts.terrain_doubts import Doubts, doubt_facts
 from spl_batch.airborne.products.footprint import Footprint
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
@@ -69,12 +70,13 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     workflow, core = context.workflow, Bounds(*args["core"])
     cell = Cell(args, context, core)
     reflected = {} if args["fired"] is None else _reflectance(cell)
-    arrays, squares = _surfaces(cell)
+    arrays, squares, doubted = _surfaces(cell)
     arrays |= reflected
     banks = _flatten(arrays, core, context)
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
     counted = pulses.covered(squares, arrays, context)
+    counted |= doubt_facts(doubted, arrays, core, quanta(workflow.products.cell_m))
     found = _pulses(cell)
     judged = found.judged(squares)
     counted |= found.facts(judged)
@@ -104,8 +106,8 @@ def _reflectance(cell: Cell) -> Rasters:
     return {"intensity": values}
 
 
-def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_]]:
-    """Rasters of a ground cell, and its squares that returns cover."""
+def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_], Doubts]:
+    """Rasters of a ground cell, its squares that returns cover, and what speaks against it."""
     products = cell.context.workflow.products
     # The intensity raster is of detections or of what was delivered.
     seen = surfacing.COLUMNS_OF_INTENSITY if cell.args["fired"] is None else ()
@@ -134,7 +136,8 @@ def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_]]:
     for take in (look, add):
         for part in parts:
             take(part)
-    return made.rasters(), flown.squares(pulses.of_interest(cell.context))
+    squares = flown.squares(pulses.of_interest(cell.context))
+    return made.rasters(), squares, made.doubts()
 
 
 def _pulses(cell: Cell) -> pulses.Pulses:

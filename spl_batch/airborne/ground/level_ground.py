@@ -1,0 +1,261 @@
+"""Ground that goes on at its own height: rims of cliffs and terraces, spurs and mounds.
+
+An opening keeps what its window fits into. A window of 40 m fits into no corner of a plateau and no
+spur of a quarry, and the rim of a cliff, of which points a few metres apart show a jagged line, is
+cut off all along. What is cut off there has a wall on one side only; on the other it goes on from
+the ground without a step. A roof has steps all around.
+
+Here ground grows to the next node where that lies on the plane through the ground on one side of
+it, as :mod:`~spl_batch.airborne.ground.steep_ground` has it for slopes, within as many spacings of
+the nodes as a plane takes. Three things look alike and are kept out:
+
+- a deck continues the road, but between two walls: no ground grows to nodes from which the surface
+  falls on two opposite sides that are no farther apart than a deck's. Narrow spurs are lost with
+  them.
+- where no wall is within the window, the opening has cut off plants and cars: nothing grows there.
+- what an opening leaves of a roof would grow over all of it: nothing grows from ground that is an
+  island, a few nodes that hang together without a step.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.ground.multiscale_surface import WINDOW_M
+from spl_batch.airborne.ground.node_grids import nearest_node
+from spl_batch.airborne.ground.point_spacing import in_squares, spacing_at_m
+from spl_batch.airborne.ground.steep_ground import (
+    BARRED,
+    EDGE_M,
+    GROUND,
+    GROWN,
+    OTHER,
+    STEEP,
+    plane_beside,
+    standing,
+)
+from spl_batch.numerics.compiled import njit
+
+REACH: Final = 3.0
+REACH_M: Final = (4.0, 9.0)
+"""Ground up to this far tells the plane: spacings of the nodes, within these bounds [m]."""
+
+NEAR_M: Final = 0.3
+"""A node farther above the plane is something else's [m]."""
+
+ROUGH_M: Final = 0.3
+"""Ground that scatters by more about its plane goes on nowhere [m]."""
+
+DOWN: Final = 0.5
+"""Below the plane a node may lie by this slope, as a rim is rounded [rise/run]."""
+
+GAP: Final = 0.7
+"""Ground that begins farther off than this share of the reach goes on nowhere."""
+
+NEXT: Final = 1.6
+"""A neighbour is no farther off than this [spacings of the nodes]."""
+
+STEP_M: Final = 0.3
+STEP_SLOPE: Final = 0.5
+"""Neighbours whose heights differ by more than this, and this slope, do not hang together [m,
+rise/run]."""
+
+WALL_M: Final = 1.5
+"""Fall at the edge of a terrace or a deck [m]."""
+
+DECK_M: Final = 20.0
+"""Width of the widest deck that is kept out [m]."""
+
+ISLAND: Final = 50
+"""Fewer nodes that hang together are an island [count]."""
+
+ROUNDS: Final = 20
+"""Nodes that ground grows by at the most [count]."""
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+
+def levelled(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
+    """Ground nodes, and those of a grid that go on from them at their height: (n,) bool.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    grid : (rows, columns) int64
+        A node for each cell, or -1, as :func:`~spl_batch.airborne.ground.node_grids.lowest_nodes`
+        finds them.
+    ground : (n,) bool
+        Nodes of the ground.
+    cell_m : float
+        Edge of a cell [m].
+    """
+    held = grid >= 0
+    nodes = grid[held]
+    x, y = xyz[nodes, :2].T.copy()
+    spacing = np.zeros(grid.shape)
+    spacing[held] = spacing_at_m(in_squares(x, y), x, y)
+    state = np.full(grid.shape, BARRED, dtype=np.uint8)
+    state[held] = np.where(ground[nodes], GROUND, OTHER)
+    state[standing(xyz, grid, ground, cell_m)] = BARRED
+    near = np.maximum(NEXT * spacing, EDGE_M)
+    other = state == OTHER
+    state[other & ~edges(xyz[nearest_node(grid), 2], other, cell_m)] = BARRED
+    state[(state == GROUND) & (_hanging(xyz, grid, state == GROUND, near, cell_m) < ISLAND)] = (
+        BARRED
+    )
+    _grow(xyz, grid, np.clip(REACH * spacing, *REACH_M), cell_m, state)
+    out = ground.copy()
+    out[grid[state == GROWN]] = True
+    return out
+
+
+def edges(height: Float, asked: Mask, cell_m: float) -> Mask:
+    """Cells that have a wall within reach of a window, but stand on no deck: (rows, columns) bool.
+
+    Parameters
+    ----------
+    height : (rows, columns) float64
+        Heights without gaps [m].
+    asked : (rows, columns) bool
+        Cells to look at.
+    cell_m : float
+        Edge of a cell [m].
+    """
+    out = np.zeros(height.shape, dtype=np.bool_)
+    edge, far, deck = (round(along / cell_m) for along in (EDGE_M, WINDOW_M, DECK_M))
+    _edges(height, asked, edge, far, deck + 1, out)
+    return out
+
+
+@njit()
+def _edges(height: Float, asked: Mask, edge: int, far: int, deck: int, out: Mask) -> None:
+    """Fill with cells that have a wall in one of eight directions, and no two across a deck."""
+    slant = np.sqrt(0.5)
+    rows, columns = height.shape
+    for r in range(rows):
+        for c in range(columns):
+            if not asked[r, c]:
+                continue
+            for north, east in ((0.0, 1.0), (1.0, 0.0), (slant, slant), (slant, -slant)):
+                one = _drops(height, r, c, north, east, edge, far)
+                other = _drops(height, r, c, -north, -east, edge, far)
+                out[r, c] |= one > 0 or other > 0
+                if one > 0 and other > 0 and one + other <= deck:
+                    out[r, c] = False
+                    break
+
+
+@njit()
+def _drops(
+    height: Float, row: int, column: int, north: float, east: float, edge: int, far: int
+) -> int:
+    """After how many cells on the way from one its surface ends in a wall; 0 where it does not.
+
+    What rises above the cell by a wall's height stands in the way: the eave of a house is none.
+    """
+    rows, columns = height.shape
+    top = height[row, column]
+    for step in range(1, far + 1):
+        r, c = int(np.rint(row + step * north)), int(np.rint(column + step * east))
+        if r < 0 or c < 0 or r >= rows or c >= columns or height[r, c] > top + WALL_M:
+            return 0
+        back = max(step - edge, 0)
+        before = height[int(np.rint(row + back * north)), int(np.rint(column + back * east))]
+        if height[r, c] <= min(top, before) - WALL_M:
+            return step
+    return 0
+
+
+def _hanging(xyz: Float, grid: Index, ground: Mask, near: Float, cell_m: float) -> Index:
+    """Nodes of the ground that hang together with that of each cell, 0 where there is none."""
+    out = np.zeros(grid.shape, dtype=np.int64)
+    _count_hanging(xyz, grid, ground, near, np.ceil(near / cell_m).astype(np.int64), out)
+    return out
+
+
+@njit()
+def _count_hanging(
+    xyz: Float, grid: Index, ground: Mask, near: Float, reach: Index, out: Index
+) -> None:
+    """Fill with the size of what each cell hangs together with."""
+    rows, columns = grid.shape
+    queue = np.empty(rows * columns, dtype=np.int64)
+    for first in range(rows * columns):
+        if not ground[first // columns, first % columns] or out[first // columns, first % columns]:
+            continue
+        queue[0], held, done = first, 1, 0
+        out[first // columns, first % columns] = 1
+        while done < held:
+            row, column = queue[done] // columns, queue[done] % columns
+            done += 1
+            i, far = grid[row, column], reach[row, column]
+            for r in range(max(row - far, 0), min(row + far + 1, rows)):
+                for c in range(max(column - far, 0), min(column + far + 1, columns)):
+                    if not ground[r, c] or out[r, c]:
+                        continue
+                    j = grid[r, c]
+                    away = np.hypot(xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1])
+                    step = STEP_M + STEP_SLOPE * away
+                    if away <= near[row, column] and abs(xyz[j, 2] - xyz[i, 2]) <= step:
+                        out[r, c] = 1
+                        queue[held] = r * columns + c
+                        held += 1
+        for k in range(held):
+            out[queue[k] // columns, queue[k] % columns] = held
+
+
+@njit()
+def _grow(xyz: Float, grid: Index, reach_m: Float, cell_m: float, state: NDArray[np.uint8]) -> None:
+    """Let ground grow round by round, each from what the last one left."""
+    rows, columns = grid.shape
+    fresh = state == GROUND
+    for _ in range(ROUNDS):
+        joins = np.zeros(grid.shape, dtype=np.bool_)
+        grew = False
+        for r in range(rows):
+            for c in range(columns):
+                if state[r, c] == OTHER:
+                    joins[r, c] = _goes_on(xyz, grid, state, fresh, reach_m[r, c], cell_m, r, c)
+                    grew |= joins[r, c]
+        if not grew:
+            break
+        for r in range(rows):
+            for c in range(columns):
+                if joins[r, c]:
+                    state[r, c] = GROWN
+        fresh = joins
+
+
+@njit()
+def _goes_on(
+    xyz: Float,
+    grid: Index,
+    state: NDArray[np.uint8],
+    fresh: Mask,
+    reach_m: float,
+    cell_m: float,
+    row: int,
+    column: int,
+) -> bool:
+    """Whether a node lies on the plane of the ground on one side, with fresh ground around."""
+    reach = int(np.ceil(reach_m / cell_m))
+    top, bottom = max(row - reach, 0), min(row + reach + 1, len(grid))
+    left, right = max(column - reach, 0), min(column + reach + 1, grid.shape[1])
+    if not fresh[top:bottom, left:right].any():
+        return False
+    for east, north in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        side = plane_beside(xyz, grid, state, reach, reach_m, row, column, east, north)
+        if not side.grown >= 0.0 or side.slope > STEEP:
+            continue
+        if side.rough_m > ROUGH_M or side.away_m > GAP * reach_m:
+            continue
+        down = DOWN * side.away_m + NEAR_M
+        # The plane may be carried on too far, hence the nearest node as well.
+        above = -side.up_m <= side.slope * side.away_m + NEAR_M
+        if above and -NEAR_M <= side.plane_m <= down:
+            return True
+    return False

@@ -1,0 +1,1 @@
+"""Terrain that may be wrong: gaps, roofs that stay, and the ground under decks."""

@@ -1,0 +1,204 @@
+"""Raised flat patches of a building's size in the terrain: roofs that were taken for ground.
+
+Where a ground filter leaves a roof, the terrain ends in a wall nearly all around it: from a place
+on it the surface goes on without a step and then falls, in most directions. A ramp that leads up
+takes some of these. From a terrace, a bank or a hillside the terrain falls to one side only, a
+mound has no walls, and a crest is narrow. A flat rock or a spur with walls on three sides looks the
+same as a roof.
+
+Walls are looked for among the lowest ground of squares, where gaps take that of the nearest one: a
+terrain model that is interpolated across a gap turns walls into ramps.
+"""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+DOMAIN: Final = "space"
+
+SQUARE_M: Final = 2.0
+"""Edge of the squares, if cells are no larger [m]."""
+
+REACH_M: Final = 40.0
+"""How far off a wall is looked for [m]."""
+
+WALL_M: Final = 2.0
+"""Fall from one square to the next that is a wall's: that of a low storey [m]."""
+
+DIRECTIONS: Final = 16
+MOST: Final = 12
+"""Directions that are looked along, and in how many of them a wall must end the surface
+[count]."""
+
+LEAST_M2: Final = 60.0
+"""Area of a small house [m2]."""
+
+FEWEST: Final = 6
+"""Squares with ground that tell a plane [count]."""
+
+NARROW: Final = 2.0
+"""A patch that holds no three by three squares may be a crest [squares from its middle to the
+next that is none]."""
+
+FLAT_M: Final = 0.5
+SLOPE: Final = 0.3
+"""Standard deviation about the plane of a flat patch, and its slope, at most [m, rise/run]."""
+
+RIM_M: Final = 1.0
+RIM: Final = 0.7
+"""So far the terrain falls from a building to most squares around it, this share of them [m,
+1]."""
+
+Grid = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+
+class Patch(NamedTuple):
+    """A raised flat patch.
+
+    Parameters
+    ----------
+    area_m2 : float
+        Its area [m2].
+    row, column : int
+        Cell about in its middle.
+    height_m : float
+        How far it stands above the ground around [m].
+    """
+
+    area_m2: float
+    row: int
+    column: int
+    height_m: float
+
+
+def raised_patches(ground: Grid, cell_m: float) -> list[Patch]:
+    """Raised flat patches of a building's size, row by row.
+
+    Parameters
+    ----------
+    ground : (rows, columns) float64
+        Mean height of the ground in each cell [m]; NaN without.
+    cell_m : float
+        Edge of a cell [m].
+    """
+    step = max(1, round(SQUARE_M / cell_m))
+    lowest = _lowest(ground, step)
+    held = ~np.isnan(lowest)
+    if not held.any():
+        return []
+    nearest = ndimage.distance_transform_edt(~held, return_distances=False, return_indices=True)
+    surface = lowest[tuple(nearest)]
+    raised = walled_in(surface, round(REACH_M / (step * cell_m)))
+    return list(_buildings(surface, held, raised, step, cell_m))
+
+
+def _lowest(ground: Grid, step: int) -> Grid:
+    """Lowest height of squares of so many cells; NaN without any."""
+    rows, columns = (-(-size // step) for size in ground.shape)
+    wide = np.full((rows * step, columns * step), np.inf)
+    wide[: ground.shape[0], : ground.shape[1]] = np.where(np.isnan(ground), np.inf, ground)
+    lowest: Grid = wide.reshape(rows, step, columns, step).min(axis=(1, 3))
+    return np.where(np.isinf(lowest), np.nan, lowest)
+
+
+def walled_in(surface: Grid, reach: int) -> Mask:
+    """Squares from which the surface ends in a wall in most directions: (rows, columns) bool.
+
+    Parameters
+    ----------
+    surface : (rows, columns) float64
+        Heights without gaps [m].
+    reach : int
+        How far off a wall counts [squares].
+    """
+    row, column = np.nonzero(_between_walls(surface, reach))
+    walls = np.zeros(len(row), np.int64)
+    for asked in range(DIRECTIONS):
+        # Directions a quarter apart follow each other: most hillsides fail the first ones.
+        number = asked * (DIRECTIONS // 4) % DIRECTIONS + asked * 4 // DIRECTIONS
+        angle = 2 * np.pi * number / DIRECTIONS
+        walls += _ends_in_wall(surface, row, column, (np.sin(angle), np.cos(angle)), reach)
+        kept = walls >= MOST - (DIRECTIONS - 1 - asked)
+        row, column, walls = row[kept], column[kept], walls[kept]
+    found = np.zeros(surface.shape, np.bool_)
+    found[row, column] = True
+    return found
+
+
+def _between_walls(surface: Grid, reach: int) -> Mask:
+    """Squares with the top of a wall within reach in three of the directions of the grid."""
+    lower = ndimage.minimum_filter(surface, 3, mode="nearest") <= surface - WALL_M
+    count = np.zeros(surface.shape, np.int64)
+    if lower.any():
+        for axis in (0, 1):
+            for origin in (reach // 2, -(reach // 2)):
+                count += ndimage.maximum_filter1d(
+                    lower, 2 * (reach // 2) + 1, axis=axis, origin=origin, mode="constant"
+                )
+    between: Mask = count >= 3
+    return between
+
+
+def _ends_in_wall(
+    surface: Grid, row: Index, column: Index, towards: tuple[float, float], reach: int
+) -> Mask:
+    """Whether the surface falls by a wall on the way from each square, before it rises by one."""
+    scale = max(map(abs, towards))
+    north, east = (part / scale for part in towards)
+    found = np.zeros(len(row), np.bool_)
+    going, last = np.arange(len(row)), surface[row, column]
+    top = last
+    for k in range(1, int(reach / np.hypot(north, east)) + 1):
+        r, c = row[going] + round(k * north), column[going] + round(k * east)
+        inside = (r >= 0) & (r < surface.shape[0]) & (c >= 0) & (c < surface.shape[1])
+        going, r, c, last, top = (values[inside] for values in (going, r, c, last, top))
+        here = surface[r, c]
+        wall = here <= np.minimum(top, last) - WALL_M
+        found[going[wall]] = True
+        goes = ~wall & (here < top + WALL_M)
+        going, last, top = going[goes], here[goes], top[goes]
+        if not len(going):
+            break
+    return found
+
+
+def _buildings(
+    surface: Grid, held: Mask, raised: Mask, step: int, cell_m: float
+) -> Iterator[Patch]:
+    """Those of the raised squares that hang together as a flat patch with a wall around."""
+    numbers, _ = ndimage.label(raised)
+    each_m2 = (step * cell_m) ** 2
+    for number, box in enumerate(ndimage.find_objects(numbers), start=1):
+        near = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in box)
+        mine, heights = numbers[near] == number, surface[near]
+        if mine.sum() * each_m2 < LEAST_M2 or not _flat(heights, mine & held[near], step * cell_m):
+            continue
+        rim = ndimage.binary_dilation(mine, np.ones((3, 3), np.bool_)) & ~mine
+        fall = np.median(heights[mine]) - heights[rim]
+        if np.mean(fall > RIM_M) < RIM:
+            continue
+        depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
+        if depth.max() < NARROW:
+            continue
+        middle = np.unravel_index(depth.argmax(), mine.shape)
+        row, column = (
+            int(of + side.start) * step + step // 2 for of, side in zip(middle, near, strict=True)
+        )
+        height = float(np.median(fall[fall > RIM_M]))
+        yield Patch(float(mine.sum() * each_m2), row, column, height)
+
+
+def _flat(heights: Grid, known: Mask, edge_m: float) -> bool:
+    """Whether some squares lie on a plane that is hardly tilted."""
+    row, column = np.nonzero(known)
+    if len(row) < FEWEST:
+        return False
+    design = np.column_stack([np.ones(len(row)), row * edge_m, column * edge_m])
+    plane = np.linalg.lstsq(design, heights[known], rcond=None)[0]
+    off = heights[known] - design @ plane
+    return bool(np.std(off) <= FLAT_M and np.hypot(*plane[1:]) <= SLOPE)

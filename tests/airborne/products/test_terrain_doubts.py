@@ -1,0 +1,123 @@
+"""Roofs that stay in the terrain, gaps without ground, and what is neither."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from spl_batch.airborne.products.doubts.raised_patches import Patch, raised_patches
+from spl_batch.airborne.products.doubts.terrain_doubts import GAPS, RAISED, doubt_facts, doubts
+from spl_batch.airborne.report.coverage import doubt_warnings, terrain_doubts
+from spl_batch.constants import NODATA, QUANTA_PER_M
+from spl_batch.lattice.tiles import Bounds
+
+Grid = NDArray[np.float64]
+
+
+def plain(edge: int = 140) -> tuple[Grid, Grid, Grid]:
+    """Places of cells, and slightly tilted rough ground."""
+    y, x = np.indices((edge, edge)) + 0.5
+    return x, y, 0.03 * x + np.random.default_rng(2).normal(0, 0.05, x.shape)
+
+
+def warehouse(x: Grid, y: Grid) -> NDArray[np.bool_]:
+    return (np.abs(x - 70) < 20) & (np.abs(y - 66) < 14)
+
+
+def thinned(height: Grid, share: float) -> Grid:
+    kept = np.random.default_rng(4).random(height.shape) < share
+    return np.where(kept, height, np.nan)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.2])
+def test_a_warehouse_that_a_ramp_leads_up_to_is_found(share: float) -> None:
+    x, y, ground = plain()
+    ramp = (np.abs(x - 62) < 5) & (y >= 80) & (y < 110)
+    height = np.where(warehouse(x, y), 6.0, ground + ramp * (110 - y) / 30 * 6.0)
+    (found,) = raised_patches(thinned(height, share), 1.0)
+    assert 0.6 * 1120 < found.area_m2 < 1.2 * 1120
+    assert warehouse(x, y)[found.row, found.column]
+    assert found.height_m == pytest.approx(4.0, abs=0.7)
+
+
+@pytest.mark.parametrize(
+    "shape", ["terrace", "ridge", "mound", "embankment", "shed", "headland", "plain"]
+)
+def test_ground_that_rises_is_no_roof(shape: str) -> None:
+    x, y, ground = plain()
+    away = np.hypot(x - 70, y - 70)
+    height = (
+        ground
+        + {
+            "terrace": 8.0 * (x > 60 + 8 * np.sin(y / 9)),
+            "ridge": np.maximum(25 - 1.5 * np.abs(x - 70), 0),
+            "mound": np.clip(30 - 0.7 * away, 0, 9),
+            "embankment": np.clip(12 - 0.7 * np.abs(x - 70), 0, 6),
+            "shed": 4.0 * ((np.abs(x - 70) < 3) & (np.abs(y - 70) < 3)),
+            "headland": 9.0 * ((np.abs(x - 70) < 30) & (y > 50)),
+            "plain": np.zeros_like(x),
+        }[shape]
+    )
+    assert raised_patches(height, 1.0) == []
+    assert raised_patches(thinned(height, 0.2), 1.0) == []
+
+
+def test_cells_of_half_a_metre_tell_the_same_place_as_those_of_a_metre() -> None:
+    x, y, ground = plain()
+    height = ground + 5.0 * warehouse(x, y)
+    (coarse,), (fine,) = (
+        raised_patches(height, 1.0),
+        raised_patches(np.kron(height, np.ones((2, 2))), 0.5),
+    )
+    assert fine.area_m2 == coarse.area_m2
+    assert (fine.row // 2, fine.column // 2) == pytest.approx((coarse.row, coarse.column), abs=1)
+
+
+def test_a_ground_cell_owns_its_patches_and_gaps_and_counts_rows_from_the_north() -> None:
+    x, y, ground = plain()
+    height = ground + 5.0 * warehouse(x, y)
+    height[(np.abs(x - 70) < 15) & (np.abs(y - 105) < 12)] = np.nan
+    found = doubts(height, 20, 1.0)
+    (patch,) = found.patches
+    assert isinstance(patch, Patch)
+    assert warehouse(x, y)[20:-20, 20:-20][::-1][patch.row, patch.column]
+    arrays = {name: np.full((100, 100), 1.0, np.float32) for name in ("dtm", "dtm_quality")}
+    core = Bounds(0, 0, 100 * QUANTA_PER_M, 100 * QUANTA_PER_M)
+    facts = doubt_facts(found, arrays, core, QUANTA_PER_M)
+    ((area, east, north, away, sigma),) = facts[GAPS]
+    # Between 5 m from the rim on; its middle is at 50, 85 in the cell.
+    assert 200 < area < 400
+    assert (east / QUANTA_PER_M, north / QUANTA_PER_M) == pytest.approx((50, 85), abs=6)
+    assert (away, sigma) == pytest.approx((12.0, 1.0), abs=1)
+    ((_, east, north, _),) = facts[RAISED]
+    assert (east / QUANTA_PER_M, north / QUANTA_PER_M) == pytest.approx((50, 46), abs=8)
+    for name, value in (("dtm", NODATA), ("dtm_quality", 0.4)):
+        level = doubt_facts(found, {**arrays, name: np.full_like(arrays[name], value)}, core, 1)
+        assert level[GAPS] == []
+    assert doubts(height[:, :60], 20, 1.0).patches == []
+
+
+def receipts(*facts: dict[str, Any]) -> Any:
+    """Of ground cells."""
+    return {"surface": {str(k): SimpleNamespace(facts=f) for k, f in enumerate(facts)}}
+
+
+def test_warnings_tell_number_place_and_consequence() -> None:
+    q = QUANTA_PER_M
+    done = receipts(
+        {GAPS: [[90.0, 1000.0 * q, 2000.0 * q, 8.0, 0.9]], RAISED: []},
+        {
+            GAPS: [[410.0, 1200.0 * q, 2500.0 * q, 12.4, 0.7]],
+            RAISED: [[220.0, 976.0 * q, 404.0 * q, 4.8]],
+        },
+        {"voids": 3},
+    )
+    gap, roof = doubt_warnings(terrain_doubts(done))
+    assert gap.startswith("2 gaps in the ground, 500 m2 in all, the largest 410 m2 at 1 200 E, ")
+    assert "up to 12 m away" in gap
+    assert "known to 0.7 m" in gap
+    assert roof.startswith("1 raised flat patch of a building's size in the terrain, 220 m2 at 976")
+    assert "4.8 m above the ground" in roof
+    assert not list(doubt_warnings(terrain_doubts(receipts({GAPS: [], RAISED: []}))))
