@@ -52,7 +52,9 @@ def _group(
         start[cell[i] + 1] += 1
     for c in range(len(start) - 1):
         start[c + 1] += start[c]
-    cursor = start[:-1].copy()
+    cursor = np.empty(len(start) - 1, np.int64)
+    for c in range(len(cursor)):
+        cursor[c] = start[c]
     for i in range(len(cell)):
         order[cursor[cell[i]]] = i
         cursor[cell[i]] += 1

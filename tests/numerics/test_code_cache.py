@@ -105,6 +105,10 @@ def test_every_kernel_is_kept_so() -> None:
         assert type(files) is KeptCode, kernel
         assert files._source_stamp == source_stamp(Path(kernel.py_func.__code__.co_filename))
         assert kernel.targetoptions["nogil"] is True
+        apart = kernel.for_kernels._cache._cache_file
+        assert type(apart) is KeptCode, kernel
+        assert apart._source_stamp == files._source_stamp
+        assert apart._index_path != files._index_path, "code without wrappers lies apart"
 
 
 def test_the_stamp_follows_what_is_called() -> None:
@@ -121,4 +125,22 @@ def test_another_numba_keeps_code_in_its_own_way() -> None:
 def test_a_kernel_that_is_called_with_a_constant_is_that_for_any_number() -> None:
     for given in (types.literal(1), types.literal(7), types.int64):
         doubled.get_call_template((given,), {})
-    assert doubled.nopython_signatures == [types.int64(types.int64)]
+    assert doubled.for_kernels.nopython_signatures == [types.int64(types.int64)]
+
+
+@compiled.njit()
+def tripled(number):  # type: ignore[no-untyped-def]
+    return 3 * number
+
+
+@compiled.njit()
+def tripled_twice(number):  # type: ignore[no-untyped-def]
+    return tripled(tripled(number))
+
+
+def test_what_only_kernels_call_has_no_wrapper_for_python() -> None:
+    assert tripled_twice(2) == 18
+    assert (len(tripled_twice.signatures), len(tripled_twice.for_kernels.signatures)) == (1, 0)
+    assert (len(tripled.signatures), len(tripled.for_kernels.signatures)) == (0, 1)
+    assert tripled(2) == 6, "Python may call it all the same"
+    assert tripled_twice.py_func(2) == 18

@@ -18,6 +18,7 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
 from spl_batch.airborne.beams.differential_cell_count import dcc_keep
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.planes.robust_plane import residual
+from spl_batch.numerics.sorting import first_above, first_not_below
 
 CLEAN = 0.9
 """Least share of a shot's first returns, on its plane and behind it, that lie on it."""
@@ -187,11 +188,11 @@ def _observe(w, channel, lag, distance, spread, rules, edges, counts):  # type: 
     for i in range(len(w)):
         if on[i]:
             # Shorter lags may be those of a second return of the plane itself.
-            begin = np.searchsorted(edges, max(BEHIND * scale - distance[i], 0.0))
+            begin = first_not_below(edges, max(BEHIND * scale - distance[i], 0.0))
             follower = next_return(i, w, channel)
             at = len(edges) - 1
             if follower >= 0:
-                at = min(np.searchsorted(edges, w[follower] - w[i], side="right") - 1, at)
+                at = min(first_above(edges, w[follower] - w[i]) - 1, at)
             if at >= begin:
                 counts.entries[k, begin] += 1
                 if at < len(edges) - 1:

@@ -155,7 +155,10 @@ def weigh_around(
 @njit()
 def spare_rows(n: int) -> NDArray[np.int64]:
     """Rows to take where they are too few to fill a vector; none where they are enough."""
-    return np.minimum(np.arange(LANES), n - 1) if n < LANES else np.arange(0)
+    rows = np.empty(LANES if n < LANES else 0, np.int64)
+    for lane in range(len(rows)):
+        rows[lane] = min(lane, n - 1)
+    return rows
 
 
 @njit()

@@ -3,6 +3,7 @@
 import numpy as np
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import sort
 
 
 @njit()
@@ -26,7 +27,10 @@ def mark_bloom(starts, channel, range_m, needed, share, width, out):  # type: ig
 @njit()
 def _fullest(near, window):  # type: ignore[no-untyped-def]
     """Where the window begins that holds most returns of a shot [m]."""
-    ordered = np.sort(near)
+    ordered = np.empty(len(near), np.float64)
+    for k in range(len(near)):
+        ordered[k] = near[k]
+    sort(ordered)
     begin, most, low = 0, 0, ordered[0]
     for k in range(len(ordered)):
         while ordered[k] - ordered[begin] > window:

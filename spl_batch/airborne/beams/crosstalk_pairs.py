@@ -1,8 +1,7 @@
 """Kernel of :mod:`~spl_batch.airborne.beams.crosstalk`: returns of one shot at one range."""
 
-import numpy as np
-
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import order_of
 
 WINDOW_M = 2.0
 """Depth in which most returns of a shot are sought [m]."""
@@ -17,22 +16,23 @@ def count_pairs(starts, range_m, direction, row, far_m, same_m, apart, counts): 
     """
     for s in range(len(starts) - 1):
         first, stop = starts[s], starts[s + 1]
-        order = np.argsort(range_m[first:stop]) + first
-        low, high = _surface(range_m, order)
+        near = range_m[first:stop]
+        order = order_of(near)
+        low, high = _surface(near, order)
         for a in range(len(order)):
             i = order[a]
-            if low - far_m <= range_m[i] <= high + far_m:
+            if low - far_m <= near[i] <= high + far_m:
                 continue
             counts[row[s], 0] += 1
             for b in range(a + 1, len(order)):
                 j = order[b]
-                if range_m[j] - range_m[i] > same_m:
+                if near[j] - near[i] > same_m:
                     break
-                if low - far_m <= range_m[j] <= high + far_m:
+                if low - far_m <= near[j] <= high + far_m:
                     continue
                 angle = 0.0
                 for axis in range(3):
-                    angle += (direction[i, axis] - direction[j, axis]) ** 2
+                    angle += (direction[first + i, axis] - direction[first + j, axis]) ** 2
                 if apart[0] <= angle <= apart[1]:
                     counts[row[s], 1] += 1
                 elif apart[1] < angle <= apart[2]:

@@ -38,11 +38,15 @@ def dcc_threshold(signal: float, noise: float, bins: float) -> float:
 @njit()
 def _sharing(bins: NDArray[np.int64], inside: NDArray[np.bool_], count: NDArray[np.int64]) -> None:
     """How many of the returns inside share the bin of each one: ``count`` (n,), filled."""
-    first = bins.min()
-    span = bins.max() - first + 1
+    first, last = bins[0], bins[0]
+    for taken in bins:
+        first, last = min(first, taken), max(last, taken)
+    span = last - first + 1
     if span > SPAN_MAX:
         for i in range(len(bins)):
-            count[i] = np.count_nonzero(inside & (bins == bins[i]))
+            count[i] = 0
+            for k in range(len(bins)):
+                count[i] += inside[k] and bins[k] == bins[i]
         return
     total = np.zeros(span, dtype=np.int64)
     for i in range(len(bins)):

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import select
 
 
 @njit()
@@ -133,7 +134,7 @@ def meet_planes(
         Filled with the place of the block's first beam in whole metres, and of the plane [m].
     """
     for b in range(len(start) - 1):
-        level = np.median(z[start[b] : start[b + 1]] * step_m)
+        level = _middle(z[start[b] : start[b + 1]], step_m)
         anchor[b, 2] = level
         for row in range(start[b], start[b + 1]):
             away = (level - origin[row, 2]) / direction[row, 2]
@@ -142,3 +143,18 @@ def meet_planes(
                 if row == start[b]:
                     anchor[b, axis] = np.rint(met)
                 place[row, axis] = met - anchor[b, axis]
+
+
+@njit()
+def _middle(z: NDArray[np.int32], step_m: float) -> float:
+    """Median of heights [m]; ``z``: at least one."""
+    heights, half = np.empty(len(z), np.float64), len(z) // 2
+    for k in range(len(z)):
+        heights[k] = z[k] * step_m
+    upper: float = select(heights, half)
+    if len(z) % 2:
+        return upper
+    lower: float = heights[0]
+    for k in range(1, half):
+        lower = max(lower, heights[k])
+    return (lower + upper) / 2

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import first_above
 
 
 def run_starts(*keys: NDArray[np.generic]) -> NDArray[np.int64]:
@@ -148,7 +149,7 @@ def interval_rows(
             number = shot[i] // length
             here = interval[at] <= number and (at + 1 == len(interval) or number < interval[at + 1])
             if not here:
-                at = np.int64(max(int(np.searchsorted(interval, number, side="right")) - 1, 0))
+                at = np.int64(max(first_above(interval, number) - 1, 0))
         row[i] = at
 
 

@@ -52,8 +52,11 @@ def pack_cubes(
     south, north = math.ceil(box[1] / edge), math.ceil(box[3] / edge)
     if not len(z):
         return 0
-    bottom = np.int64(math.floor(z.min() / edge))
-    layers = np.int64(math.floor(z.max() / edge)) - bottom + 1
+    low, high = z[0], z[0]
+    for height in z:
+        low, high = min(low, height), max(high, height)
+    bottom = np.int64(math.floor(low / edge))
+    layers = np.int64(math.floor(high / edge)) - bottom + 1
     count = 0
     for i in range(len(z)):
         if kind[i] != wanted or not math.isfinite(density[i]):

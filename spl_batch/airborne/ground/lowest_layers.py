@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.numerics.cell_groups import Cells
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import sort
 
 SUPPORTED = 3
 """Points that make a layer trustworthy by itself [count]."""
-
-_FEW = 64
-"""Points of a cell that are sorted by inserting one after the other [count]."""
 
 _CROWDED = 10
 """Points in a cell above which a layer of one or two is doubtful [count]."""
@@ -163,17 +161,10 @@ def _lowest_layers(
 
 @njit()
 def _sort_heights(z: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-    """Fill with increasing heights; few are put in one after the other."""
-    if len(z) > _FEW:
-        out[:] = z
-        out.sort()
-        return
+    """Fill with increasing heights."""
     for k in range(len(z)):
-        height, at = z[k], k
-        while at > 0 and out[at - 1] > height:
-            out[at] = out[at - 1]
-            at -= 1
-        out[at] = height
+        out[k] = z[k]
+    sort(out)
 
 
 @njit()

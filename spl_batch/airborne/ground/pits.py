@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import order_of
 
 REACH_M = 2.0
 """Neighbours up to this far on each side, but in cells next to it at least [m]."""
@@ -135,7 +136,7 @@ def _below(height: NDArray[np.float64], firm: NDArray[np.int64], z: float, share
     pairs = len(height)
     if pairs < _ENOUGH:
         return False
-    order = np.argsort(height)
+    order = order_of(height)
     own = 0
     for h in height:
         own += abs(h - z) <= _OWN_M

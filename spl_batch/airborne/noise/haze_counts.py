@@ -3,6 +3,7 @@
 import numpy as np
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import sort
 
 
 @njit()
@@ -43,7 +44,7 @@ def quarters(  # type: ignore[no-untyped-def]
 ):
     """Count that all but ``rank`` cubes of the square around each asked cube reach, or do not."""
     nx, ny, layers = count.shape
-    held = np.empty((2 * half + 1) ** 2, np.int32)
+    held = np.empty((2 * half + 1) ** 2, np.int64)
     for i in range(half, nx - half):
         for j in range(half, ny - half):
             for h in range(layers):
@@ -53,8 +54,8 @@ def quarters(  # type: ignore[no-untyped-def]
                         for b in range(j - half, j + half + 1):
                             held[n] = count[a, b, h]
                             n += 1
-                    ordered = np.sort(held)
-                    lower[i, j, h], upper[i, j, h] = ordered[rank], ordered[len(held) - 1 - rank]
+                    sort(held)
+                    lower[i, j, h], upper[i, j, h] = held[rank], held[len(held) - 1 - rank]
 
 
 @njit()

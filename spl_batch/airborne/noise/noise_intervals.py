@@ -86,8 +86,11 @@ def signal_heights(
     stop = np.zeros(n_groups + 1, dtype=np.int64)
     for g in group:
         stop[g + 1] += 1
-    stop = np.cumsum(stop)
-    at, grouped = stop.copy(), np.empty(len(z))
+    for g in range(n_groups):
+        stop[g + 1] += stop[g]
+    at, grouped = np.zeros(n_groups, np.int64), np.empty(len(z))
+    for g in range(n_groups):
+        at[g] = stop[g]
     for i in order:
         grouped[at[group[i]]] = z[i]
         at[group[i]] += 1
@@ -134,9 +137,10 @@ def observe_interval(
     n_groups = min(GROUPS_MAX, max(1, len(z) // GROUP_RETURNS), interval_shots)
     group = offset * n_groups // interval_shots
     heights = signal_heights(z, order, group, n_groups, width)
-    summary[:4] = 0.0
-    summary[4::2] = np.inf
-    summary[5::2] = -np.inf
+    for k in range(4):
+        summary[k] = 0.0
+    for k in range(4, 10, 2):
+        summary[k], summary[k + 1] = np.inf, -np.inf
     for i in range(len(z)):
         below[i] = heights[group[i]] - z[i]
         behind = below[i] / cosine[i]
@@ -147,7 +151,8 @@ def observe_interval(
         for k, value in ((4, range_m[i]), (6, z[i]), (8, behind)):
             summary[k] = min(summary[k], value)
             summary[k + 1] = max(summary[k + 1], value)
-    summary[:4] /= len(z)
+    for k in range(4):
+        summary[k] /= len(z)
     summary[3] = np.sqrt(max(summary[3] - (summary[0] - heights[0]) ** 2, 0.0))
 
 

@@ -305,7 +305,9 @@ def deposit_beamlets(
             amount, squares,
         )  # fmt: skip
     last_shot = np.full(beamlets.shape, -1, dtype=np.int64)
-    for row in np.flatnonzero(~steep):
+    for row in range(len(steep)):
+        if steep[row]:
+            continue
         deposit_beamlet(
             voxel[row], point[row], direction[row], near[row], far[row], weight[row], edge, radius,
             ordinal[row], amount, shots, beamlets, last_shot, squares,

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
-
-_FEW = 64
-"""Points of a cell that are sorted by inserting one after the other [count]."""
+from spl_batch.numerics.sorting import first_not_below, sort
 
 
 def sort_into_cells(
@@ -51,31 +49,17 @@ def _sort_into_cells(
         start[c + 1] += 1
     for c in range(len(start) - 1):
         start[c + 1] += start[c]
-    after = start[:-1].copy()
-    key = np.empty(len(cell), dtype=np.int64)
+    after, key = np.empty(len(start) - 1, np.int64), np.empty(len(cell), np.int64)
+    for c in range(len(after)):
+        after[c] = start[c]
     for i in range(len(cell)):
         # ~z falls as z rises, and fits into the upper half for any z.
         key[after[cell[i]]] = (np.int64(~z[i]) << np.int64(32)) | np.int64(i)
         after[cell[i]] += 1
     for c in range(len(start) - 1):
-        _sort_few(key[start[c] : start[c + 1]])
+        sort(key[start[c] : start[c + 1]])
     for i in range(len(key)):
         order[i] = key[i] & np.int64(0xFFFF_FFFF)
-
-
-@njit()
-def _sort_few(key: NDArray[np.int64]) -> None:
-    """Sort in place."""
-    if len(key) > _FEW:
-        key.sort()
-        return
-    for i in range(1, len(key)):
-        taken = key[i]
-        k = i - 1
-        while k >= 0 and key[k] > taken:
-            key[k + 1] = key[k]
-            k -= 1
-        key[k + 1] = taken
 
 
 @njit()
@@ -278,7 +262,9 @@ def fill_voids(
         Filled raster; NaN where nothing is near enough.
     """
     rows, cols = values.shape
-    reach = int(offsets[:, 0].max()) if len(offsets) else 0
+    reach = 0
+    for k in range(len(offsets)):
+        reach = max(reach, offsets[k, 0])
     gap = np.empty((rows, cols), dtype=np.int64)
     _gaps_in_rows(values, reach + 1, gap)
     for row in range(rows):
@@ -287,7 +273,7 @@ def fill_voids(
             if not np.isnan(values[row, col]):
                 continue
             nearest2 = _nearest2(gap, row, col, reach)
-            for k in range(np.searchsorted(offsets[:, 2], nearest2), len(offsets)):
+            for k in range(first_not_below(offsets[:, 2], nearest2), len(offsets)):
                 if offsets[k, 2] > nearest2:
                     break
                 r, c = row + offsets[k, 0], col + offsets[k, 1]

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import sort
 
 PIT_NEIGHBOURS = 6
 """Of eight cells around, those that have to stand above a pit [count]."""
@@ -234,13 +235,12 @@ def lift_pits(
         none of them is ground.
     depth : float
         A cell so far below :data:`PIT_NEIGHBOURS` of the eight around it is a pit [quanta].
-    out : (rows, cols) float64, written
-        A pit's highest return that is no higher than that many of them, of a cell without a
-        top that is no higher than :data:`RIM_NEIGHBOURS` of them; else as ``tops``.
+    out : (rows, cols) float64
+        A copy of ``tops``. A pit is filled with its highest return that is no higher than that
+        many of them, a cell without a top with one no higher than :data:`RIM_NEIGHBOURS` of them.
     """
     rows, cols = tops.shape
     around = np.empty(8)
-    out[:] = tops
     for row in range(1, rows - 1):
         for col in range(1, cols - 1):
             cell = row * cols + col
@@ -256,7 +256,8 @@ def lift_pits(
             above = RIM_NEIGHBOURS if void else PIT_NEIGHBOURS
             if known < above:
                 continue
-            level = np.sort(around[:known])[known - above]
+            sort(around[:known])
+            level = around[known - above]
             if not void and tops[row, col] > level - depth:
                 continue
             for p in range(start[cell], start[cell + 1]):

@@ -109,7 +109,7 @@ def _tops(signal: PointTable, near: Bounds, size: int, support: Support) -> NDAr
     xyz = np.stack(relative(signal, order, near), axis=1)
     tops = np.empty(rows * cols)
     confirmed_tops(xyz, signal["ground"][order] == 1, start, (cols, size), support, tops)
-    lifted = np.empty((rows, cols))
+    lifted = tops.reshape(rows, cols).copy()
     z = np.ascontiguousarray(xyz[:, 2])
     lift_pits(z, start, tops.reshape(rows, cols), PIT_M / QUANTUM_M, lifted)
     return lifted.ravel()

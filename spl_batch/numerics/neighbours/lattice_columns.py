@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import sort
 
 
 class Columns(NamedTuple):
@@ -60,8 +61,9 @@ def columns(
 @njit()
 def _fill(taken, rows, column, start, points):  # type: ignore[no-untyped-def]
     """Counting sort by column, then by height; rows ascend within equal heights."""
-    after = start[:-1].copy()
-    place = np.empty(len(rows), np.int64)
+    after, place = np.empty(len(start) - 1, np.int64), np.empty(len(rows), np.int64)
+    for c in range(len(after)):
+        after[c] = start[c]
     for i in range(len(rows)):
         place[after[column[i]]] = i
         after[column[i]] += 1
@@ -72,7 +74,7 @@ def _fill(taken, rows, column, start, points):  # type: ignore[no-untyped-def]
         keys = np.empty(high - low, np.int64)
         for s in range(low, high):
             keys[s - low] = (np.int64(taken[place[s], 2]) << 32) | np.int64(s)
-        keys.sort()
+        sort(keys)
         for k in range(high - low):
             i = place[keys[k] & 0xFFFF_FFFF]
             slot = low + k

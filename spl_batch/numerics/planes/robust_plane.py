@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import select
 
 BISQUARE = 4.685
 """Tuning constant of the bisquare: 95 % efficiency on Gaussian residuals."""
@@ -57,36 +58,6 @@ def residual(
     for i in range(len(w)):
         distance[i] = w[i] - (plane[0] + plane[1] * u[i] + plane[2] * v[i])
     return distance
-
-
-@njit()
-def select(values: NDArray[np.float64], k: int) -> float:
-    """Value that a sort would put at place ``k``; what is not larger ends up before it.
-
-    ``values``: (n,) float64, finite; their order is changed. ``k``: place, 0 to n - 1.
-    """
-    low, high = 0, len(values) - 1
-    while low < high:
-        # A pivot from the middle of three stays off the quadratic case of sorted values.
-        a, b, c = values[low], values[(low + high) // 2], values[high]
-        pivot = max(min(a, b), min(max(a, b), c))
-        i, j = low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if k <= j:
-            high = j
-        elif k >= i:
-            low = i
-        else:
-            break
-    return float(values[k])
 
 
 @njit()

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.planes.robust_plane import BISQUARE, FLATTEST, GAUSSIAN, select
+from spl_batch.numerics.planes.robust_plane import BISQUARE, FLATTEST, GAUSSIAN
 from spl_batch.numerics.simd import (
     LANES,
     UL,
@@ -31,6 +31,7 @@ from spl_batch.numerics.simd import (
     store,
     where,
 )
+from spl_batch.numerics.sorting import select
 
 ITERATIONS = 30
 """Most re-weightings."""

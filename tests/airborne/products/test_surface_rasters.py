@@ -154,7 +154,7 @@ def test_pits_are_lifted_as_in_a_plain_loop():
     for a, b in pairwise(start):
         z[a:b] = np.sort(z[a:b])[::-1]
     tops = rng.choice([0.0, 5000.0, 6000.0, 7000.0, np.nan], shape, p=[0.3, 0.2, 0.2, 0.2, 0.1])
-    lifted = np.empty(shape)
+    lifted = tops.copy()
     lift_pits(z, start, tops, 2000.0, lifted)
     expected = tops.copy()
     for row, col in np.ndindex(shape):

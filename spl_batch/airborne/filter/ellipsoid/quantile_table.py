@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import first_above
 
 
 def place_of(values: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -37,7 +38,7 @@ def _places(values, grid, out):  # type: ignore[no-untyped-def]
             )
             continue
         if not grid[at] <= value < grid[at + 1]:
-            at = np.searchsorted(grid, value, side="right") - 1
+            at = first_above(grid, value) - 1
         out[i] = 1.0 / (grid[at + 1] - grid[at]) * (value - grid[at]) + at
 
 
@@ -105,7 +106,7 @@ def _values(at, level, quantile, levels, slope, out):  # type: ignore[no-untyped
         if level[i] < levels[last]:
             out[i] = _mixed(quantile, row, part, last) + (level[i] - levels[last]) / slope
             continue
-        column = min(np.searchsorted(rising, -level[i], side="right") - 1, last - 1)
+        column = min(first_above(rising, -level[i]) - 1, last - 1)
         share = (level[i] - levels[column]) / (levels[column + 1] - levels[column])
         first = _mixed(quantile, row, part, column)
         out[i] = first + share * (_mixed(quantile, row, part, column + 1) - first)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import first_above
 
 SILENT = -(1 << 63)
 """First return of a beamlet that has none. Others are a word: the height [quanta] in the upper
@@ -170,7 +171,7 @@ def match_points(
         if c >= channels:
             continue
         east, north = place[0][p] - west, place[1][p] - south
-        b = np.searchsorted(blocks.begin_s, time_s[p], side="right") - 1
+        b = np.int64(first_above(blocks.begin_s, time_s[p]) - 1)
         best, least, taken = np.int64(-1), np.inf, np.int64(-1)
         while b >= 0 and blocks.begin_s[b] >= time_s[p] - longest_s:
             shot = np.int64(np.rint((time_s[p] - blocks.t0_s[b]) * blocks.prf_hz[b]))
