@@ -9,8 +9,7 @@ DTM    TIN through one vertex per raster cell, evaluated at cell centres: the ro
        mean (x, y, z) of its ground returns. Through single returns a TIN would keep
        the spread of a range (5 cm); means of positions too keep slopes unbiased. In
        water polygons ground returns are put on the water's level first
-       (:mod:`~spl_batch.airborne.ground.water_level`). Under a deck it goes on from both
-       sides (:mod:`~spl_batch.airborne.products.doubts.under_decks`).
+       (:mod:`~spl_batch.airborne.ground.water_level`).
 DSM    Highest return of the cell that is ground or that its peers confirm: more of
        them in a sphere than noise alone puts there, spheres from ``dsm_near_m`` to
        ``dsm_support_m`` in turn (:mod:`spl_batch.airborne.products.confirmed_tops`).
@@ -38,7 +37,6 @@ from numpy.typing import NDArray
 from spl_batch.airborne.ground.water_level import REACH_M, flattened
 from spl_batch.airborne.products.cell_values import robust_cell_means, sort_into_cells
 from spl_batch.airborne.products.doubts.terrain_doubts import Doubts, doubts
-from spl_batch.airborne.products.doubts.under_decks import under_decks
 from spl_batch.airborne.products.flown_cells import (
     Heights,
     about_ground,
@@ -205,8 +203,7 @@ class Surfaces:
             flown); row 0 is the northernmost; nodata :data:`~spl_batch.constants.NODATA`.
         """
         dtm, sigma = self._terrain()
-        dsm, lowest = self._made.pop("dsm"), self._made.pop("lowest")
-        dtm = under_decks(dtm, self._heights(), lowest, dsm, self._size)
+        dsm = self._made.pop("dsm")
         dsm = np.where(dsm < dtm, dtm, dsm)
         rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
         rasters["dtm_quality"] = np.where(np.isnan(dtm), np.nan, sigma)
@@ -220,12 +217,8 @@ class Surfaces:
     def doubts(self) -> Doubts:
         """What speaks against the terrain that :meth:`rasters` has made."""
         margin, cell_m = margin_cells(self._settings), self._settings.cell_m
-        return doubts(self._heights() * QUANTUM_M, margin, cell_m)
-
-    def _heights(self) -> NDArray[np.float64]:
-        """Mean height of the ground in each cell [quanta]; NaN without."""
-        heights: NDArray[np.float64] = self._means[:, 2].reshape(shape_of(self.region, self._size))
-        return heights
+        heights = self._means[:, 2].reshape(shape_of(self.region, self._size))
+        return doubts(heights * QUANTUM_M, margin, cell_m)
 
     def _take_means(self, ground: PointTable) -> None:
         """Robust means of some raster cells whose ground is there."""
@@ -312,23 +305,19 @@ def _signal(
 
 
 def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np.float64]]:
-    """Signal returns per m2, lowest ones, mean intensity of first returns (NaN without any)."""
-    needed = signal.select([n for n in ("x", "y", "z", *COLUMNS_OF_INTENSITY) if n in signal])
+    """Signal returns per m2, and mean intensity of the first returns (NaN without any)."""
+    needed = signal.select([n for n in ("x", "y", *COLUMNS_OF_INTENSITY) if n in signal])
     core = needed.take(inside(signal["x"], signal["y"], cell))
     shape = shape_of(cell, size)
     cells = shape[0] * shape[1]
     number = cell_number(core, cell, size)
     density = np.bincount(number, minlength=cells) / (size * QUANTUM_M) ** 2
-    lowest = np.full(cells, np.inf)
-    np.minimum.at(lowest, number, core["z"].astype(np.float64))
-    lowest[np.isinf(lowest)] = np.nan
-    made = {"density": density.reshape(shape), "lowest": lowest.reshape(shape)}
     if "intensity" not in core:
-        return made
+        return {"density": density.reshape(shape)}
     first = core["return_number"] <= 1
     number = number[first]
     # Sums of whole numbers below 2**53 are exact in float64, in any order.
     total = np.bincount(number, weights=core["intensity"][first], minlength=cells)
     count = np.bincount(number, minlength=cells)
     mean = np.divide(total, count, out=np.full(cells, np.nan), where=count > 0)
-    return {"intensity": mean.reshape(shape), **made}
+    return {"intensity": mean.reshape(shape), "density": density.reshape(shape)}

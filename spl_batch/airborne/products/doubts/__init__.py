@@ -1,1 +1,1 @@
-"""Terrain that may be wrong: gaps, roofs that stay, and the ground under decks."""
+"""Terrain that may be wrong: gaps in the ground, and roofs that stay."""
