@@ -24,6 +24,14 @@ from tests import surveys
 COMMANDS = sorted(cli.commands)
 
 
+@pytest.fixture
+def _workflows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files that the verbs find here; what they hold is never read."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "w.yaml"):
+        Path(name).touch()
+
+
 def test_the_commands_of_the_contract_are_there() -> None:
     assert set(COMMANDS) >= {"quickstart", "simulate", "plan", "run", "status", "report"}
     assert tuple(_STAGES.split(", ")) == STAGES
@@ -48,6 +56,7 @@ def test_version_and_module_entry() -> None:
     assert spl_batch.__version__ in found.stdout
 
 
+@pytest.mark.usefixtures("_workflows")
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -65,6 +74,7 @@ def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
     assert "Error: " in ended.err
 
 
+@pytest.mark.usefixtures("_workflows")
 @pytest.mark.parametrize(
     ("error", "status"),
     [
@@ -99,6 +109,7 @@ def test_a_report_that_takes_long_says_so(monkeypatch: pytest.MonkeyPatch) -> No
     assert surveys.command("report", ".").err.startswith("info: writing the report\n")
 
 
+@pytest.mark.usefixtures("_workflows")
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("lost", [False, True])
 def test_the_end_of_a_queue_systems_time_is_taken_like_ctrl_c(
@@ -132,6 +143,7 @@ class InterruptedAsItGoes:
         time.sleep(0.01)
 
 
+@pytest.mark.usefixtures("_workflows")
 def test_an_interrupt_that_python_drops_comes_again(monkeypatch: pytest.MonkeyPatch) -> None:
     def wait(*_: Any, **__: Any) -> None:
         going = InterruptedAsItGoes()
@@ -147,6 +159,7 @@ def test_an_interrupt_that_python_drops_comes_again(monkeypatch: pytest.MonkeyPa
     assert ended.err.splitlines()[-1] == "interrupted; the same command continues"
 
 
+@pytest.mark.usefixtures("_workflows")
 def test_what_a_library_prints_of_an_interrupt_is_kept_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -167,6 +180,7 @@ def test_what_a_library_prints_of_an_interrupt_is_kept_back(
     assert (ended.status, ended.err.strip()) == (3, "interrupted"), "a plan continues nothing"
 
 
+@pytest.mark.usefixtures("_workflows")
 def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, Any] = {}
 

@@ -26,6 +26,12 @@ COLUMNS_ADDED: Final = ()
 STAND_IN_HEIGHT_M: Final = 10_000.0
 """Height of stand-in origins [m]; above every terrain and every survey flight."""
 
+LEAST_COSINE: Final = 0.1
+"""Beams lean from the vertical by an angle whose cosine is larger than this, and look down."""
+
+FARTHEST_M: Final = 20_000.0
+"""Slant range that no airborne survey has [m]."""
+
 STEP_BIN_S: Final = 1e-8
 """Bin of the histogram of steps between shots [s]."""
 
@@ -64,7 +70,9 @@ def beams(
     table : PointTable
         Needs :data:`COLUMNS_NEEDED`; times are finite.
     trajectory : Trajectory or None
-        Sensor positions; where they do not cover a time the beam is not known.
+        Sensor positions; where they do not cover a time the beam is not known, nor is that of a
+        return that no sensor there can have seen: it is not below it, or farther than
+        :data:`FARTHEST_M`.
     heading_rad : float, optional
         Flight direction, clockwise from north [rad], used without a trajectory: beams
         then lean by the scan angle to starboard. None gives vertical beams.
@@ -88,7 +96,9 @@ def _from_trajectory(table: PointTable, trajectory: Trajectory) -> BeamTable:
     origin, direction, range_m = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
     place = (table["x"], table["y"], table["z"])
     look(shots, sensor, place, QUANTUM_M, origin, direction, range_m)
-    known: NDArray[np.bool_] = np.repeat(covered, np.diff(shots)) & (range_m > 0)
+    # A return beside or above the sensor, or so far from it, is a fault of its coordinates.
+    possible = (direction[:, 2] < -LEAST_COSINE) & (range_m > 0) & (range_m < FARTHEST_M)
+    known: NDArray[np.bool_] = np.repeat(covered, np.diff(shots)) & possible
     return BeamTable(origin, direction, range_m, known)
 
 
@@ -99,7 +109,7 @@ def _stand_in(
     direction = np.column_stack(
         [np.sin(lean_rad) * starboard[0], np.sin(lean_rad) * starboard[1], -cosine]
     )
-    known: NDArray[np.bool_] = (cosine > 0.1) & (points[:, 2] < STAND_IN_HEIGHT_M)
+    known: NDArray[np.bool_] = (cosine > LEAST_COSINE) & (points[:, 2] < STAND_IN_HEIGHT_M)
     range_m = (STAND_IN_HEIGHT_M - points[:, 2]) / np.where(known, cosine, 1.0)
     return BeamTable(points - direction * range_m[:, None], direction, range_m, known)
 

@@ -289,7 +289,7 @@ def _uncovered(done: Receipts) -> Iterable[str]:
         Said(
             line,
             f"the trajectory does not cover {grouped(n)} returns between gps_time {low:.3f} and "
-            f"{high:.3f}; they are delivered unfiltered",
+            f"{high:.3f}, or they do not lie below it; they are delivered unfiltered",
             n,
         )
         for line, (n, low, high) in spans.items()

@@ -48,8 +48,15 @@ def test_beams_of_shots_are_those_of_their_points(seed: int) -> None:
 
 def test_a_sensor_at_the_point_has_no_beam() -> None:
     track = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 3)))
-    beams = geometry.beams(points(x=[0, 1000], y=0, z=0, gps_time=0.5), track)
+    beams = geometry.beams(points(x=0, y=0, z=[0, -1000], gps_time=0.5), track)
     assert beams.known.tolist() == [False, True]
+
+
+def test_a_return_that_no_sensor_there_can_have_seen_has_no_beam() -> None:
+    track = Trajectory(np.array([0.0, 1.0]), np.full((2, 3), 1000.0))
+    heights_m = np.array([0, 999, 1000, 1001, 100_000, -15_000, -100_000])
+    beams = geometry.beams(points(x=0, y=0, z=heights_m * 1000, gps_time=0.5), track)
+    assert beams.known.tolist() == [True, False, False, False, False, True, False]
 
 
 def test_without_trajectory_beams_are_vertical_and_ranges_order_heights() -> None:
