@@ -1,6 +1,7 @@
 """Arguments and options that several commands share, and the clock of the command that runs."""
 
 import os
+import re
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
@@ -23,13 +24,30 @@ def _there(_context: click.Context, _argument: click.Parameter, path: Path) -> P
 def _near(path: Path) -> str:
     """Workflows that lie where a file was looked for."""
     try:
-        found = sorted(one.name for one in path.parent.iterdir() if one.suffix in _YAML)
+        found = sorted(one.name for one in path.parent.iterdir() if _may_be_workflow(one))
     except OSError:
         return "; check the path"
     return f"; there is {named(found, 3)}" if found else "; check the path"
 
 
 _YAML = {".yaml", ".yml"}
+_HEAD_BYTES = 1 << 16
+_SECTIONS = re.compile(rb"^(survey|track|output)\s*:", re.MULTILINE)
+
+
+def _may_be_workflow(path: Path) -> bool:
+    """Whether a YAML file is called a workflow, or has its sections; nothing is parsed."""
+    if path.suffix not in _YAML or not path.is_file():
+        return False
+    if "workflow" in path.name:
+        return True
+    try:
+        with path.open("rb") as stream:
+            sections = set(_SECTIONS.findall(stream.read(_HEAD_BYTES)))
+    except OSError:  # a file that cannot be read is no advice
+        return False
+    return b"survey" in sections or sections == {b"track", b"output"}
+
 
 WORKFLOW = click.argument("workflow", type=click.Path(path_type=Path), callback=_there)
 OUTPUT = click.argument("output", type=click.Path(path_type=Path))

@@ -47,7 +47,7 @@ def folder(tmp_path: Path) -> Path:
         ("status", "https://host/out", "this is a URL", "of this machine"),
         ("quickstart", "s3://bucket/q", "this is a URL", "of this machine"),
         ("run", "results/report.json", "of a run's results", "take the folder that it lies in"),
-        ("run", ".", "a folder", "such as scene.yaml"),
+        ("run", ".", "a folder", "such as workflow.yaml"),
         ("run", "lines", "a folder of point files", "survey.flightlines"),
         ("plan", "results", "output folder of a run", "`spl-batch status`"),
         ("simulate", "workflow.yaml", "a workflow, not a scene", "`spl-batch run`"),
@@ -87,10 +87,36 @@ def test_a_missing_workflow_is_told_before_anything_is_loaded(folder: Path) -> N
     )  # fmt: skip
     assert said.stdout == "at once\n"
     assert said.returncode == 2
-    near = "there is scene.yaml, workflow.yaml"
+    near = "there is workflow.yaml"
     assert said.stderr == f"spl-batch: {folder / 'workflw.yaml'}: no such file; {near}\n"
     ended = surveys.command("plan", folder / "lines" / "no.yaml")
     assert ended.err.endswith("no such file; check the path\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("mkdocs.yml", "site_name: s\nnav: []\n", "check the path"),
+        ("scene.yaml", SCENE, "check the path"),
+        ("county.yml", "name: c\n" + WORKFLOW, "there is county.yml"),
+        ("track.yaml", "track: {photons: a.h5}\noutput: out\n", "there is track.yaml"),
+        ("my_workflow.yaml", "survey: [", "there is my_workflow.yaml"),
+    ],
+)
+def test_only_workflows_are_proposed(tmp_path: Path, name: str, text: str, said: str) -> None:
+    (tmp_path / name).write_text(text)
+    (tmp_path / "folder.yaml").mkdir()
+    ended = surveys.command("plan", tmp_path / "no.yaml")
+    assert ended.err == f"spl-batch: {tmp_path / 'no.yaml'}: no such file; {said}\n"
+
+
+def test_a_folder_of_other_yaml_names_none(tmp_path: Path) -> None:
+    (tmp_path / "mkdocs.yml").write_text("site_name: s\n")
+    ended = surveys.command("plan", tmp_path)
+    assert ended.err.endswith("this is a folder; `spl-batch run` takes a workflow file\n")
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    ended = surveys.command("simulate", tmp_path, tmp_path / "made")
+    assert ended.err.endswith("such as scene.yaml\n")
 
 
 def test_inputs_that_are_urls_are_named_as_they_were_given(folder: Path) -> None:

@@ -118,9 +118,10 @@ def _folder(path: Path) -> str:
             "this is the output folder of a run; `spl-batch status` and `spl-batch report` take "
             "it, `spl-batch run` the workflow"
         )
-    workflows = sorted(path.glob("*.y*ml"))[:1]
-    if workflows:
-        return f"this is a folder; name the file in it, such as {workflows[0].name}"
+    files = {file.name: _mapping(file) for file in sorted(path.glob("*.y*ml"))}
+    for is_one in (is_workflow, is_scene):
+        if name := next((name for name, content in files.items() if is_one(content)), ""):
+            return f"this is a folder; name the file in it, such as {name}"
     if any(found for end in ("laz", "las") for found in path.glob(f"*.{end}")):
         return (
             "this is a folder of point files; name it in a workflow file (survey.flightlines: "
