@@ -1,7 +1,8 @@
-"""The gallery's picture of a report: ``python -m benchmarks.report_picture OUTPUT [PNG]``.
+"""Pictures of a report: ``python -m benchmarks.report_picture OUTPUT [FOLDER]``.
 
-OUTPUT is the output folder of ``spl-batch quickstart``. A headless Chromium shows two parts of its
-report, the map with its layers and the square that can be turned; one is put above the other.
+OUTPUT is the output folder of ``spl-batch quickstart``. A headless Chromium shows its report.
+``report.png`` has two parts of it, the map with its layers above the square that can be turned;
+``good_enough.png`` its top with the table of requirements.
 """
 
 import shutil
@@ -13,7 +14,7 @@ from typing import Final
 
 from PIL import Image
 
-PNG: Final = Path("docs/images/report.png")
+IMAGES: Final = Path("docs/images")
 
 WIDTH_PX: Final = 1000
 """Width of the browser's window."""
@@ -21,39 +22,64 @@ WIDTH_PX: Final = 1000
 PARTS: Final = {".layers": 905, "#clip": 560}
 """What is shown of the page, and the height that it takes [pixel]."""
 
+TOP_PX: Final = (1280, 1840)
+"""Window that the top of a quickstart's report fills, with all requirements and the statement."""
+
+TOP_SCALE: Final = 0.75
+"""Size of its picture, of the window's."""
+
 COLOURS: Final = 256
-"""Colours of the picture [count]."""
+"""Colours of a picture [count]."""
 
 
-def main(output: Path, png: Path) -> None:
-    """Draw both parts of the page, and put them together."""
+def main(output: Path, folder: Path) -> None:
+    """Draw both pictures of a report."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if browser is None:
         sys.exit("no Chromium is installed")
+    page = output / "report.html"
+    _write(_map_and_points(browser, page), folder / "report.png")
+    _write(requirements(browser, page), folder / "good_enough.png")
+
+
+def requirements(browser: str, page: Path) -> Image.Image:
+    """The top of a page, which says whether it is good enough."""
+    seen = _seen(browser, page, "main > :not(#good-enough)", TOP_PX)
+    width, height = (round(TOP_SCALE * pixels) for pixels in TOP_PX)
+    return seen.resize((width, height), Image.Resampling.LANCZOS)
+
+
+def _map_and_points(browser: str, page: Path) -> Image.Image:
+    """Both parts of the page, one above the other."""
     whole = Image.new("RGB", (WIDTH_PX, sum(PARTS.values())))
     top = 0
     for part, height in PARTS.items():
-        whole.paste(_seen(browser, output / "report.html", part, height), (0, top))
+        hidden = f"header, footer, main > :not(#map), #map > :not({part})"
+        whole.paste(_seen(browser, page, hidden, (WIDTH_PX, height)), (0, top))
         top += height
-    whole.quantize(COLOURS).save(png, optimize=True)
+    return whole
 
 
-def _seen(browser: str, page: Path, part: str, height: int) -> Image.Image:
-    """What a window shows of one part of a page."""
-    style = f"header, footer, main > :not(#map), #map > :not({part}) {{ display: none }}"
+def _write(picture: Image.Image, png: Path) -> None:
+    picture.quantize(COLOURS).save(png, optimize=True)
+
+
+def _seen(browser: str, page: Path, hidden: str, size: tuple[int, int]) -> Image.Image:
+    """What a window shows of a page without its hidden parts."""
+    style = f"{hidden} {{ display: none }}"
     with tempfile.TemporaryDirectory() as folder:
         copy, shot = Path(folder, "part.html"), Path(folder, "shot.png")
         text = page.read_text(encoding="utf-8")
         copy.write_text(text.replace("</head>", f"<style>{style}</style></head>"), encoding="utf-8")
         switches = ["--headless", "--no-sandbox", "--hide-scrollbars", "--disable-gpu"]
-        switches += [f"--user-data-dir={folder}", f"--window-size={WIDTH_PX},{height}"]
+        switches += [f"--user-data-dir={folder}", "--window-size={},{}".format(*size)]
         switches += ["--enable-unsafe-swiftshader", "--virtual-time-budget=3000"]
         subprocess.run(  # noqa: S603
             [browser, *switches, f"--screenshot={shot}", copy.as_uri()],
             check=True, capture_output=True,
         )  # fmt: skip
-        return Image.open(shot).convert("RGB").crop((0, 0, WIDTH_PX, height))
+        return Image.open(shot).convert("RGB").crop((0, 0, *size))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) > 2 else PNG)
+    main(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) > 2 else IMAGES)

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import figures
+from benchmarks import figures, report_picture
 from benchmarks.geiger.water import water_surface
 from spl_batch.engine.report import style
+from tests.browser import CHROMIUM, needs_chromium
 
 
 def test_a_figure_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,3 +89,20 @@ def test_the_curve_of_afterpulses_lies_below_its_bound(
     even, clumped, easton = removed
     assert clumped > even + 10.0
     assert easton > 75.0
+
+
+@needs_chromium
+def test_a_picture_of_a_report_shows_its_part_alone(tmp_path: Path) -> None:
+    def box(colour: str, height: int) -> str:
+        return f"<div style='height:{height}px;background:{colour}'></div>"
+
+    page = tmp_path / "report.html"
+    page.write_text(
+        f"<head></head><body style='margin:0'><header>{box('red', 100)}</header><main>"
+        f"<section id=good-enough>{box('lime', 1000)}</section>"
+        f"<section id=problems>{box('blue', 1000)}</section></main></body>"
+    )
+    picture = report_picture.requirements(str(CHROMIUM), page)
+    assert picture.size == (960, 1380)
+    at = [picture.getpixel((9, y)) for y in (9, 90, 810, 840, 1370)]
+    assert at == [(255, 0, 0), (0, 255, 0), (0, 255, 0), *2 * [(255, 255, 255)]]

@@ -247,6 +247,18 @@ def test_a_print_shows_every_map_and_no_buttons(page: Page) -> None:
     assert width(page, ".dtm img") < 600
 
 
+def test_a_sheet_of_paper_is_no_telephone(page: Page, path: Path) -> None:
+    page.media("print")
+    page.open(path, width=695)  # A4 between its margins
+    assert "Scroll" not in page.ask(
+        "[...document.querySelectorAll('figcaption')]"
+        ".map(c => getComputedStyle(c, '::before').content).join()"
+    )
+    page.ask("document.querySelector('main').innerHTML = '<table class=requirements><td>'")
+    cell = "getComputedStyle(document.querySelector('.requirements td')).display"
+    assert page.ask(cell) == "table-cell"
+
+
 def test_it_fits_a_telephone(page: Page, path: Path) -> None:
     page.open(path, width=390, height=800)
     assert page.ask("document.documentElement.scrollWidth") <= 390
