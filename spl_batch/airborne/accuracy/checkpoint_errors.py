@@ -106,9 +106,9 @@ def statement(nva: AtCheckpoints, vva: AtCheckpoints, class_m: float) -> str:
     ]
     if not nva.enough or nva.rmse_v_m is None:
         return f"Insufficient for a statement: {_lacking(nva)} ({source}). {' '.join(found)}"
-    meets = "meet" if nva.rmse_v_m <= class_m else "be compared with, and does not meet,"
+    meets = "to meet" if nva.rmse_v_m <= class_m else "and does not meet"
     return (
-        f"This data set was tested to {meets} {source} for a {_cm(class_m)} RMSE_V Vertical "
+        f"This data set was tested {meets} {source} for a {_cm(class_m)} RMSE_V Vertical "
         f"Accuracy Class. {' '.join(found)}"
     )
 

@@ -75,7 +75,7 @@ def test_the_statement_is_in_the_words_of_the_standard() -> None:
         (many(29), "Insufficient for a statement: 29 of the 30"),
         (many(30, accuracy=None), "Insufficient for a statement: the accuracy of the checkpoints"),
         (many(0), "(NVA) was not tested"),
-        (many(30, scale=0.2), "does not meet"),
+        (many(30, scale=0.2), "This data set was tested and does not meet ASPRS"),
     ],
 )
 def test_what_may_not_be_said_is_not(nva: AtCheckpoints, words: str) -> None:
