@@ -240,6 +240,16 @@ def test_no_time_left_is_told_where_none_is_known() -> None:
     assert "time left" not in drawn(live.draw(fed(small))), "it was 'about 0 s'"
 
 
+def test_nothing_is_left_once_the_report_is_written() -> None:
+    events = [
+        RunStarted("w.yaml", 2, "0.1+x", {"deliver": 60.0}, phases={"deliver": 2}),
+        PhaseStarted("deliver", "deliver file", 1, 0, 0),
+        TaskEnded("deliver", "deliver file", "a", 0, 1.0, "", 9.0),
+    ]
+    assert fed(events).left_s > 50.0  # a phase that a small survey goes without is still awaited
+    assert fed([*events, ReportStarted()]).left_s == 0.0
+
+
 def test_first_tasks_that_compile_do_not_foretell_the_rest() -> None:
     stage = StageStatus("denoise", total=100, left_points=10_000, points_to_do=10_000)
     stage.began_s, stage.latest_s, stage.expected_s = 1000.0, 1000.0, 50.0

@@ -267,6 +267,8 @@ class RunStatus:
 
     def _report_started(self, record: Mapping[str, Any]) -> None:
         began_s = _seconds(record)
+        for stage in self.stages.values():
+            stage.phases_left = 0  # small surveys go without some
         self.page = StageStatus(PAGE, total=1, began_s=began_s, latest_s=began_s)
         self.reporting = True
 
