@@ -23,6 +23,8 @@ from tests import surveys
 
 Results = dict[str, bytes]
 
+PHRASE = "a-secret-that-nobody-writes-down"
+
 
 @pytest.fixture(scope="module")
 def bucket() -> Iterator[str]:
@@ -33,7 +35,7 @@ def bucket() -> Iterator[str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
         patch.setenv("AWS_ACCESS_KEY_ID", "test")
-        patch.setenv("AWS_SECRET_ACCESS_KEY", "test")
+        patch.setenv("AWS_SECRET_ACCESS_KEY", PHRASE)
         patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
         boto3.client("s3").create_bucket(Bucket="surveys")
         yield "s3://surveys"
@@ -90,6 +92,10 @@ def test_results_are_those_of_a_local_store(
     assert {k.split("/")[1] for k in there} >= {"receipts", "tiles", "voxels", "fired", "noise"}
     local = {p.name for p in (result.output / "store").iterdir()}
     assert local == {"lock", "identity.json", "run.json", "noise.tif"}
+    held = [path for path in survey.parent.rglob("*") if path.is_file()]
+    assert not [path for path in held if PHRASE.encode() in path.read_bytes()]
+    bodies = (boto3.client("s3").get_object(Bucket="surveys", Key=k)["Body"].read() for k in there)
+    assert not any(PHRASE.encode() in body for body in bodies), "keys are written nowhere"
     assert api.report(result.output).report.counts == result.report.counts
     # Nothing is done twice; what is damaged there is made again.
     before = {r.name: r for r in read_receipts(Store(result.output, f"{bucket}/one"), "scatter")}
