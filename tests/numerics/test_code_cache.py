@@ -141,6 +141,7 @@ def tripled_twice(number):  # type: ignore[no-untyped-def]
 def test_what_only_kernels_call_has_no_wrapper_for_python() -> None:
     assert tripled_twice(2) == 18
     assert (len(tripled_twice.signatures), len(tripled_twice.for_kernels.signatures)) == (1, 0)
+    tripled.get_call_template((types.int64,), {})  # as that did, unless its code was kept
     assert (len(tripled.signatures), len(tripled.for_kernels.signatures)) == (0, 1)
     assert tripled(2) == 6, "Python may call it all the same"
     assert tripled_twice.py_func(2) == 18
