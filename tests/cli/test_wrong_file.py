@@ -121,7 +121,8 @@ def test_a_folder_of_other_yaml_names_none(tmp_path: Path) -> None:
 
 def test_inputs_that_are_urls_are_named_as_they_were_given(folder: Path) -> None:
     given = {"survey.flightlines": "s3://b/*.laz", "survey.trajectory": "s3://b/t.csv",
-             "water": "https://host/lakes.gpkg"}  # fmt: skip
+             "water": "https://host/lakes.gpkg",
+             "reference.checkpoints": "s3://b/points.csv"}  # fmt: skip
     options = [word for key, name in given.items() for word in ("--set", f"{key}={name}")]
     ended = surveys.command("plan", folder / "workflow.yaml", *options)
     assert ended.status == 2

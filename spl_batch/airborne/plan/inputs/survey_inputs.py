@@ -90,7 +90,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         ("aoi", workflow.aoi),
         ("water", workflow.water),
         ("breaklines", workflow.breaklines),
-        ("reference.checkpoints", None if checkpoints is None else checkpoints.path),
+        ("reference.checkpoints", workflow.reference.checkpoints if workflow.reference else None),
     ):
         if name is not None and (fault := url_fault(name)):
             faults.append(f"{key}: {name}: {fault}")
