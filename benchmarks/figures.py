@@ -1,10 +1,10 @@
 """Every figure of the pages on methods: ``python -m benchmarks.figures [OUT]``.
 
-The pages are ``docs/algorithms.md`` and ``docs/water_surface.md``. Options: ``--only NAME ...``
-draws some, ``--folder FOLDER`` keeps the simulated surveys there and uses again what is there. OUT
-is ``docs/images`` by default. Each figure shows what a benchmark measures, by that benchmark's
-functions, on scenes small enough for all to take a few minutes: the shapes are those of the full
-benchmarks, the last digits are not.
+The pages are ``docs/algorithms.md``, ``docs/water_surface.md`` and ``docs/altimetry.md``. Options:
+``--only NAME ...`` draws some, ``--folder FOLDER`` keeps the simulated surveys there and uses again
+what is there. OUT is ``docs/images`` by default. Each figure shows what a benchmark measures, by
+that benchmark's functions, on scenes small enough for all to take a few minutes: the shapes are
+those of the full benchmarks, the last digits are not.
 """
 
 import argparse
@@ -32,6 +32,7 @@ from benchmarks.airborne.ground.terrain import cut
 from benchmarks.airborne.noise import noise_density
 from benchmarks.airborne.products import intensity
 from benchmarks.airborne.published.twins import weak_wires
+from benchmarks.altimetry import odd_tracks
 from benchmarks.geiger.water import water_surface
 from spl_batch import api
 from spl_batch.airborne.afterpulse import afterpulse_decision, candidates
@@ -363,7 +364,7 @@ def tell(figure: str, name: str, at: Sequence[Any], values: Sequence[float]) -> 
 
 FIGURES: Final[Mapping[str, Callable[[Path], Figure]]] = MappingProxyType(
     {f.__name__: f for f in (null_share, weak_wire, near_noise, afterpulse_curve, noise_strata,
-                             reflectance, water_surface.water_normals)}
+                             reflectance, water_surface.water_normals, odd_tracks.water_track)}
 )  # fmt: skip
 """Figure by name: given a folder for surveys, draws inside the type's context."""
 

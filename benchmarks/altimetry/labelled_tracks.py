@@ -11,9 +11,10 @@ the noise that the filter itself expects among the photons that it takes, over t
 Other filters run as published, by scikit-learn (``pip install 'spl-batch[peers]'``); mDBSCAN is
 this project's. "ours, no land" leaves out what lies within 10 m of a photon of land: labels with
 one signal photon per shot call the others of the land, and its trees, noise. How much they call
-noise there is printed beside what it would be at the density elsewhere. Labels of water hold one
-photon of a shot and half a metre, so noise in the cluster of labelled signal is never labelled:
-what is told there is printed apart.
+noise there is printed beside what it would be at the density elsewhere. Below it stands what the
+filter tells and the labels call noise by part of the track, and what bounds that comparison: pairs
+of photons of one shot within half a metre, which labels of water hardly call noise or leave out;
+and how much more noise labels have beside their floor than farther off.
 
 ``--picture FOLDER`` draws labels and ours of each track. ``--halves`` cuts each track in the
 middle. ``--scale KEY=FACTOR`` multiplies a setting of ``signal``, to see what hangs on it.
@@ -24,15 +25,15 @@ import argparse
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import h5py
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from benchmarks.altimetry.photon_beams import PROFILE, SIGNAL, Beam, Mask, Photons, lattice
+from benchmarks.altimetry.told_noise import beside_floor, by_part, in_words, pairs
 from spl_batch.altimetry.filter.peer_filters import PEERS
 from spl_batch.altimetry.filter.peer_filters import keep as keep_peer
 from spl_batch.altimetry.formats.atl08 import find_labels
@@ -45,10 +46,6 @@ from spl_batch.constants import QUANTA_PER_M
 NOISE, SURFACE, FLOOR, LAND = 1, 2, 3, 4
 LAND_M, BAND_M = 10.0, 2.0
 """Reach of a photon of land along the track; half-height of what is looked at around it [m]."""
-
-CLUSTER_M = (0.35, 0.5)
-"""Half of a shot's spacing, and the height of a cluster: of photons so near to each other labels of
-water hold one [m]."""
 
 HEADS = ("photons", "kept", "F1", "balanced", "floor", "precision", "recall", "told", "s/M")
 
@@ -63,12 +60,12 @@ class Labelled(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a method takes, the noise that it tells of, where, and its time [s]."""
+    """What a method takes, the noise that it tells of, its time [s], and the beam if it is ours."""
 
     kept: Mask
     told: float
     seconds: float
-    told_at: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]] | None = None
+    beam: Beam | None = None
 
 
 def read_csv(path: Path) -> Labelled:
@@ -102,7 +99,7 @@ def ours(track: Labelled, signal: SignalSettings = SIGNAL) -> Found:
     start = time.process_time()
     beam = Beam(track.photons, track.background, signal)
     kept = beam.keep(beam.score())
-    return Found(kept, beam.told, time.process_time() - start, beam.told_at)
+    return Found(kept, beam.told, time.process_time() - start, beam)
 
 
 def mdbscan(track: Labelled) -> Found:
@@ -163,39 +160,31 @@ def over_land(track: Labelled, along: NDArray[np.int64]) -> Mask:
     return near
 
 
-def in_cluster(track: Labelled, places: Sequence[NDArray[Any]]) -> Mask:
-    """Places in the cluster of a photon of labelled signal, (n,) bool."""
-    size = np.array(CLUSTER_M) * QUANTA_PER_M
-    signal = track.label > NOISE
-    tree = cKDTree(np.stack([values[signal] for values in track.photons], axis=1) / size)
-    near = tree.query(np.stack(places, axis=1) / size, p=np.inf)[0]
-    inside: Mask = np.asarray(near <= 1.0)
-    return inside
-
-
 def where_labels_tell(track: Labelled, found: Found) -> None:
-    """Noise told and labelled among what is taken, away from land: in clusters and off them."""
-    if found.told_at is None:
+    """Noise told and labelled among what is taken, by part, and what bounds the labels."""
+    beam, noise, floor = found.beam, track.label == NOISE, track.label == FLOOR
+    if beam is None:
         return
-    false = found.kept & (track.label == NOISE)
-    photons = [values[false & ~over_land(track, track.photons[0])] for values in track.photons]
-    *at, told = (v[~over_land(track, found.told_at[0])] for v in found.told_at)
-    near, labelled = in_cluster(track, at), in_cluster(track, photons)
-    off = np.count_nonzero(~labelled)
-    print(
-        f"  noise away from land, off clusters of labelled signal: told {told[~near].sum():.0f}, "
-        f"labelled {off}: {told[~near].sum() / max(off, 1):.2f}; in them: told "
-        f"{told[near].sum():.0f}, labelled {np.count_nonzero(labelled)}"
-    )
+    parts = by_part(beam, found.kept, noise, lambda along: over_land(track, along))
+    print(f"  noise told / labelled: {in_words(parts)}")
+    every, of_noise = pairs(track.photons, noise)
+    print(f"  {every} pairs of photons of one shot within half a metre, {of_noise} with noise")
+    if floor.any():
+        close, far = beside_floor(beam, noise, floor)
+        print(
+            f"  below water labelled over expected noise: {close:.2f} at 0.5 to 2 m from labelled "
+            f"floor, {far:.2f} at 2 to 5 m"
+        )
 
 
 def without_land(track: Labelled, found: Found) -> None:
     """A line of the table without what lies over land, and how dense its noise is said to be."""
     along, height = track.photons
     away = ~over_land(track, along)
-    if found.told_at is None or away.all():
+    if found.beam is None or away.all():
         return
-    told = float(found.told_at[2][~over_land(track, found.told_at[0])].sum())
+    at, _, each = found.beam.told_at
+    told = float(each[~over_land(track, at)].sum())
     row("ours, no land", Found(found.kept[away], told, found.seconds), track.label[away])
     noise, land = track.label == NOISE, track.label == LAND
     order = np.argsort(along[land], kind="stable")

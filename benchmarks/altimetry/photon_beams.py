@@ -12,6 +12,8 @@ from spl_batch.altimetry.filter.likelihood import Ratios, ratios
 from spl_batch.altimetry.filter.posterior import noise_posterior
 from spl_batch.altimetry.ground.profile import profile
 from spl_batch.altimetry.noise import noise_rate as rates
+from spl_batch.altimetry.noise import windows
+from spl_batch.altimetry.noise.noise_at import below_surface
 from spl_batch.altimetry.photon_table import Background
 from spl_batch.altimetry.settings import (
     BaselineSettings,
@@ -20,6 +22,7 @@ from spl_batch.altimetry.settings import (
     SignalSettings,
 )
 from spl_batch.altimetry.simulate import Track
+from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.constants import QUANTA_PER_M
 
 RATE, SIGNAL, PROFILE = RateSettings(), SignalSettings(), ProfileSettings()
@@ -55,28 +58,31 @@ class Beam:
     ) -> Mask:
         """Photons that are signal, or those that the ground is sought among, as in a run."""
         window_m, settings = self.signal.window_m, self.signal
-        window = np.unique(rates.window_of(self.scale.index, RATE, window_m))
+        window = np.unique(windows.window_of(self.scale.index, RATE, window_m))
 
         def counted(along: Any, height: Any, score: Any, value: Any) -> NDArray[np.float64]:
             one = np.zeros((2, len(window), signals.SCORE_BINS))
             np.add.at(one, (*self._zone(along, height, window), signals.score_bins(score)), value)
-            return np.moveaxis(rates.running(window, np.moveaxis(one, 1, 2)), 2, 1)
+            return np.moveaxis(windows.running(window, np.moveaxis(one, 1, 2)), 2, 1)
 
         far = rates.far(self.along, self.height, self.cells, RATE)
         photons = self.along, self.height
         counts, away = (counted(*photons, score, value) for value in (1, far))
-        noise = np.stack([self.scale.noise - self.scale.below, self.scale.below])
-        _, sums = rates.of_window(self.scale.index, noise, RATE, window_m)
+        wet = self.scale.level != NO_WATER
+        noise = np.stack([self.scale.noise - self.scale.below, self.scale.below, wet])
+        _, sums = windows.of_window(self.scale.index, noise, RATE, window_m)
         every = np.ones(len(self.cells.index), np.bool_)
-        along, height, each = chance.places(self.cells, self.scale, every, RATE)
+        along, height, each, told = chance.places(self.cells, self.scale, every, RATE)
         prior = signals.log_prior(self.cells, self.scale, RATE, window_m)
         likelihoods = table or ratios(settings.neighbours, settings.contrast_max)
-        found = chance.score_places(
-            (along, height), photons, self.scale, prior, RATE, likelihoods, settings
-        )
+        found = chance.score_places((along, height), photons, self.scale, prior, RATE, likelihoods)
         expected = counted(along, height, found, each / chance.SHARE_QUANTA)
         stray = each / chance.SHARE_QUANTA * rates.far(along, height, self.cells, RATE)
         strays = counted(along, height, found, stray)
+        seen = np.stack([chance.noise_seen(counts[0], expected[0], sums[2]), np.ones(len(window))])
+        sums[0] *= seen[0]
+        for values in (expected, strays):
+            values[0] *= seen[0, :, None]
         least = np.empty((2, len(window)), np.int64)
         for z in range(2):
             wanted = np.maximum(counts[z].sum(axis=1) - sums[z], 0.0)
@@ -99,19 +105,27 @@ class Beam:
         ]
         unsure = np.array(alone) > chance.LIKE_NOISE
         passed = signals.score_bins(found) >= least[self._zone(along, height, window)]
-        self.told = float(each[passed].sum() / chance.SHARE_QUANTA)
-        self.told_at = along[passed], height[passed], each[passed] / chance.SHARE_QUANTA
+        photons_told = told * seen[self._zone(along, height, window)] / chance.SHARE_QUANTA
+        self.told = float(photons_told[passed].sum())
+        self.expected_at = along, height, photons_told
+        self.told_at = along[passed], height[passed], photons_told[passed]
         zone, at = self._zone(*photons, window)
         kept: Mask = signals.score_bins(score) >= least[zone, at]
         self.doubtful = np.count_nonzero(kept & (zone == 0) & unsure[at])
         return kept
 
+    def depth_m(self, along: Any, height: Any) -> NDArray[np.float64]:
+        """Depth of places below the water, (n,) float64 [m]; NaN where none is seen."""
+        index = along // round(RATE.cell_m * QUANTA_PER_M)
+        level = self.scale.level[np.searchsorted(self.scale.index, index)].astype(np.float64)
+        return np.where(level > NO_WATER, (level - height) / QUANTA_PER_M, np.nan)
+
     def _zone(self, along: Any, height: Any, window: Any) -> tuple[Any, Any]:
         """Zone and window of places."""
         index = along // round(RATE.cell_m * QUANTA_PER_M)
         cell = np.searchsorted(self.scale.index, index)
-        below = rates.below_surface(cell, height, self.scale).astype(np.int64)
-        at = np.searchsorted(window, rates.window_of(index, RATE, self.signal.window_m))
+        below = below_surface(cell, height, self.scale).astype(np.int64)
+        at = np.searchsorted(window, windows.window_of(index, RATE, self.signal.window_m))
         return below, at
 
     def score(self, table: Ratios | None = None) -> NDArray[np.float32]:

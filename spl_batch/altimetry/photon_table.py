@@ -54,7 +54,10 @@ class Cells:
     empty_count: NDArray[np.int64]
     empty_length: NDArray[np.int64]
     level: NDArray[np.int32]  #: (n,): water surface [quanta]; the least int32 where there is none.
-    column: NDArray[np.float32]  #: (n, d): noise by metre of depth below it [1/m2].
+    #: (n, d): noise by metre of depth below it, from the second metre on [1/m2].
+    column: NDArray[np.float32]
+    first: NDArray[np.float32]  #: (n,): noise of the first metre below it [1/m2].
+    top: NDArray[np.int32]  #: (n,): water surface, not lowered by what lies below it [quanta].
     #: (n,): steps between the densest layers of cells next to each other, their median [m/m].
     slope: NDArray[np.float32]
 
@@ -91,6 +94,9 @@ class Scale:
     #: (n,): water surface and noise below it, as of :class:`Cells`.
     level: NDArray[np.int32]
     column: NDArray[np.float32]
+    first: NDArray[np.float32]
+    top: NDArray[np.int32]
+    neighbours: NDArray[np.int64]  #: (n,): neighbours that count [count].
     #: (n,): noise over the reference, water or not, and the start of the cell on that axis [m].
     stretch: NDArray[np.float64]
     stretched_m: NDArray[np.float64]

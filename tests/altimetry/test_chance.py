@@ -36,7 +36,7 @@ def test_a_place_has_the_score_of_a_photon_there() -> None:
         (expected,) = signals.score(along, height, query, scale, prior, RATE, SIGNAL)
         others = along[~query], height[~query]
         at = along[query], height[query]
-        (found,) = chance.score_places(at, others, scale, prior, RATE, TABLE, SIGNAL)
+        (found,) = chance.score_places(at, others, scale, prior, RATE, TABLE)
         assert found == pytest.approx(expected, rel=1e-5)
 
 
@@ -44,8 +44,8 @@ def test_nothing_is_scored_without_photons_or_places() -> None:
     _, scale, prior = prepared(small_track(5))
     none, some = lattice(small_track(5)), lattice(small_track(5))
     none = none[0][:0], none[1][:0]
-    assert len(chance.score_places(none, some, scale, prior, RATE, TABLE, SIGNAL)) == 0
-    assert (chance.score_places(some, none, scale, prior, RATE, TABLE, SIGNAL) == 0).all()
+    assert len(chance.score_places(none, some, scale, prior, RATE, TABLE)) == 0
+    assert (chance.score_places(some, none, scale, prior, RATE, TABLE) == 0).all()
 
 
 @given(cut=st.integers(0, 30))
@@ -56,8 +56,10 @@ def test_places_lie_evenly_in_their_cells_wherever_the_track_is_cut(cut: int) ->
     parts = [chance.places(cells, scale, owned, RATE) for owned in (first, ~first)]
     for whole, pieces in zip(every, zip(*parts, strict=True), strict=True):
         np.testing.assert_array_equal(whole, np.concatenate(pieces))
-    along, height, noise = every
+    along, height, noise, told = every
     cell = np.searchsorted(cells.index, along // 20_000)
+    off = np.abs(height - scale.level[cell].astype(np.int64)) > 1000
+    np.testing.assert_array_equal(told[off], noise[off])
     np.testing.assert_array_equal(cells.index[cell] * 20_000 + along % 20_000, along)
     assert ((height >= cells.low[cell]) & (height <= cells.high[cell])).all()
     share = np.bincount(cell, noise) / chance.SHARE_QUANTA
@@ -78,10 +80,8 @@ def test_places_tell_how_much_noise_passes(colour: str, canopy: float) -> None:
         cells, scale, prior = prepared(track)
         every = np.ones(len(along), np.bool_)
         bins = signals.score_bins(signals.score(along, height, every, scale, prior, RATE, SIGNAL))
-        *at, noise = chance.places(cells, scale, np.ones(len(cells.index), np.bool_), RATE)
-        score = chance.score_places(
-            (at[0], at[1]), (along, height), scale, prior, RATE, TABLE, SIGNAL
-        )
+        *at, noise, _ = chance.places(cells, scale, np.ones(len(cells.index), np.bool_), RATE)
+        score = chance.score_places((at[0], at[1]), (along, height), scale, prior, RATE, TABLE)
         for least in (850, 950, 1050, 1150):
             passed = signals.score_bins(score) >= least
             expected.append(noise[passed].sum() / chance.SHARE_QUANTA)
@@ -89,6 +89,20 @@ def test_places_tell_how_much_noise_passes(colour: str, canopy: float) -> None:
     sums = np.array(expected).reshape(3, 4).sum(0), np.array(found).reshape(3, 4).sum(0)
     assert (sums[1] > 30).all()
     assert np.abs(sums[0] - sums[1]).max() < 0.1 * sums[1].max()
+
+
+def test_noise_is_what_the_photons_least_like_signal_show() -> None:
+    noise = np.tile(np.r_[np.full(20, 100.0), np.full(10, 1.0)], (5, 1))
+    counts = 0.95 * noise
+    # Signal among the rest changes nothing.
+    counts[1, 20:] += 500.0
+    noise[3], counts[3] = 0.0, 7.0
+    counts[4] = 0.5 * noise[4]
+    seen = chance.noise_seen(counts, noise, np.array([0.0, 0.0, 3.0, 0.0, 0.0]))
+    assert seen[0] == seen[1] == pytest.approx(0.95)
+    assert seen[2] == seen[3] == 1.0
+    # No further than chance may have misled: three of the square root of 2010.
+    assert seen[4] == pytest.approx(1.0 - 3.0 / 2010.0**0.5)
 
 
 COUNTS = arrays(np.int64, (2, 30), elements=st.integers(0, 40))

@@ -17,6 +17,7 @@ from benchmarks.altimetry.photon_beams import Beam
 from spl_batch.altimetry.filter import peer_filters
 from spl_batch.altimetry.filter import signal as signals
 from spl_batch.altimetry.noise import noise_rate as rates
+from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
 from spl_batch.altimetry.photon_table import Cells
 from spl_batch.altimetry.report.summarise import _odd_layers
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
@@ -158,7 +159,21 @@ def test_neighbourhoods_are_as_long_as_the_slope_allows() -> None:
     for slope, expected in ((0.0, 20.0), (0.1, 10.0), (0.6, 3.0)):
         along, height = quanta(np.stack([x, slope * x], axis=1))
         cells = rates.observe(along, height, RATE)
-        assert np.median(rates.aspects(cells, SIGNAL)) == pytest.approx(expected, rel=0.05)
+        assert np.median(aspects(cells, SIGNAL)) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("per_m", "slope", "expected"), [(0.4, 0.25, 10), (0.4, 0.0, 20), (2.0, 0.16, 20)]
+)
+def test_sparse_ground_has_as_many_neighbours_as_its_slope_allows(
+    per_m: float, slope: float, expected: int
+) -> None:
+    x = np.arange(0.0, 2000.0, 1.0 / per_m)
+    z = slope * np.abs(x % 400.0 - 200.0) + 40.0 * (x > 1000.0)
+    cells = rates.observe(*quanta(np.stack([x, z], axis=1)), RATE)
+    dry = Cells(**(cells.to_arrays() | {"level": np.full(len(cells.index), NO_WATER, np.int32)}))
+    found = neighbours(dry, np.zeros(len(cells.index)), RATE, SIGNAL)
+    assert np.median(found) == expected
 
 
 @settings(max_examples=4, deadline=None)
@@ -189,6 +204,33 @@ def test_noise_below_a_surface_is_counted_by_depth_and_the_floor_left_out() -> N
     assert np.abs(np.log(column[:12] / true)).max() < np.log(2.5)
 
 
+@pytest.mark.parametrize("noise", [NIGHT, DAY])
+def test_noise_of_the_first_metre_is_told_and_none_above_it(noise: float) -> None:
+    beam = Beam(photons(water_track(noise)), None)
+    beam.keep(beam.score())
+    assert beam.scale.first.mean() == pytest.approx(noise + 0.1 * -np.expm1(-1.0 / 4.0), rel=0.3)
+    along, height, each = beam.told_at
+    depth = beam.depth_m(along, height)
+    assert each[(depth < -0.3) & (depth >= -1.0)].sum() < 2.0 * noise * 4000.0
+
+
+@pytest.mark.parametrize("deep_m", [12.0, 26.0])
+def test_a_level_floor_is_no_surface_though_it_is_brighter(deep_m: float) -> None:
+    level = lambda x: np.full(len(x), deep_m)  # noqa: E731
+    track = water_track(NIGHT, surface_per_m=0.9, floor_per_m=1.3, depth_m=level)
+    cells = rates.observe(*photons(track), RATE)
+    assert (np.abs(cells.level.astype(np.int64)) < 500).mean() > 0.9
+
+
+def test_mdbscan_by_night_keeps_the_length_of_the_track() -> None:
+    track = water_track(NIGHT, column=(0.0, 4.0))
+    beam = Beam(photons(track), None)
+    assert beam.scale.stretch.max() == pytest.approx(1.0)
+    kept = beam.mdbscan(SIGNAL.mdbscan)
+    assert kept[track.kind == NOISE].mean() < 0.3
+    assert kept[track.kind == SURFACE].mean() > 0.95
+
+
 def test_turbid_water_is_no_floor() -> None:
     track = water_track(NIGHT, floor_per_m=0.0, column=(0.7, 1.5))
     cells = rates.observe(*photons(track), RATE)
@@ -197,6 +239,10 @@ def test_turbid_water_is_no_floor() -> None:
     found = cells.column[cells.level != NO_WATER].mean(axis=0)[:5]
     assert np.abs(np.log(found / true)).max() < np.log(1.3)
     beam = Beam(photons(track), None)
+    wet = beam.cells.level != NO_WATER
+    # Scattered light lowers the mean of a surface, and is told of all the same.
+    assert np.median(beam.cells.level[wet]) < -100
+    assert np.median(beam.cells.top[wet]) > -50
     deep = track.z < -1.3
     assert beam.keep(beam.score())[deep].mean() < 0.2
 

@@ -23,16 +23,15 @@ from spl_batch.altimetry.filter.likelihood import Ratios
 from spl_batch.altimetry.filter.signal import (
     SURE_SD,
     UNIT_QUANTA,
-    counted,
     farthest,
     few_strays,
     is_sure,
     local_alpha,
     scaled,
 )
-from spl_batch.altimetry.noise.noise_rate import noise_at
+from spl_batch.altimetry.noise.noise_at import noise_at, noise_told
 from spl_batch.altimetry.photon_table import Cells, Scale
-from spl_batch.altimetry.settings import RateSettings, SignalSettings
+from spl_batch.altimetry.settings import RateSettings
 from spl_batch.lattice.tiles import quanta
 
 SHARE_QUANTA: Final = 1 << 20
@@ -49,13 +48,16 @@ _BATCH: Final = 65_536
 LIKE_NOISE: Final = 1e-6
 """Photons that noise alone would give as often as this are no sure signal [probability]."""
 
+_LEAST_LIKE_SIGNAL: Final = 0.9
+"""Part of the noise expected, of the lowest scores, whose photons are counted."""
+
 _MOST_LOST: Final = 0.05
 """Part of the F1 to be expected that the limit on far photons may cost."""
 
 
 def places(
     cells: Cells, scale: Scale, owned: NDArray[np.bool_], rate: RateSettings
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
     """Places over the gates of cells, and the noise that each stands for.
 
     Parameters
@@ -67,8 +69,9 @@ def places(
     -------
     along, height : (p,) int64, (p,) int32
         Places [quanta].
-    noise : (p,) int64
-        Noise photons that each stands for [1 / SHARE_QUANTA].
+    noise, told : (p,) int64
+        Noise photons that each stands for where photons are chosen, and that a reader is told of
+        [1 / SHARE_QUANTA].
     """
     mine = np.flatnonzero(owned)
     count = np.clip(cells.count[mine] // _PHOTONS_PER_PLACE, _LEAST, _MOST)
@@ -76,15 +79,19 @@ def places(
     inside = np.arange(len(cell)) - np.repeat(np.cumsum(count) - count, count)
     # Unsigned sums and products wrap around: the sequence modulo 1, to 2^-32.
     number = (cells.index[cell] * _MOST + inside).astype(np.uint64)
-    share = [(number * step) >> _HALF for step in _STEPS]
+    part = [(number * step) >> _HALF for step in _STEPS]
     size = quanta(rate.cell_m)
     span = (cells.high - cells.low)[cell].astype(np.uint64) + np.uint64(1)
-    along = cells.index[cell] * size + ((share[0] * np.uint64(size)) >> _HALF).astype(np.int64)
-    height = cells.low[cell] + ((share[1] * span) >> _HALF).astype(np.int32)
+    along = cells.index[cell] * size + ((part[0] * np.uint64(size)) >> _HALF).astype(np.int64)
+    height = cells.low[cell] + ((part[1] * span) >> _HALF).astype(np.int32)
     height = height.astype(np.int32)
     area = cells.gate_m[mine] * rate.cell_m / count
-    each = np.rint(noise_at(cell, height, scale) * np.repeat(area, count) * SHARE_QUANTA)
-    return along, height, each.astype(np.int64)
+    share = np.repeat(area, count) * SHARE_QUANTA
+    each, told = (
+        np.rint(density(cell, height, scale) * share).astype(np.int64)
+        for density in (noise_at, noise_told)
+    )
+    return along, height, each, told
 
 
 def score_places(
@@ -94,7 +101,6 @@ def score_places(
     prior: NDArray[np.float64],
     rate: RateSettings,
     table: Ratios,
-    settings: SignalSettings,
 ) -> NDArray[np.float32]:
     """Mean ln P(noise) that a photon would have at each place, (p,) float32.
 
@@ -120,7 +126,7 @@ def score_places(
     area = np.pi * local_alpha(cell, at[1], scale) / UNIT_QUANTA**2
     cap = farthest(cell, scale).astype(np.float64)
     columns = np.arange(table.within.shape[1])
-    most = counted(cell, scale, settings)
+    most = scale.neighbours[cell]
     wanted = np.arange(1, int(most.max(initial=1)) + 1)
     for first in range(0, len(u), _BATCH):
         rows = slice(first, first + _BATCH)
@@ -161,6 +167,33 @@ def noise_alone(taken: float, noise: float, share: float, neighbours: int) -> fl
         return 1.0
     most = noise + _PHOTONS_PER_PLACE * min(share, 1.0)
     return float(special.gammainc(taken / neighbours, most / neighbours))
+
+
+def noise_seen(
+    counts: NDArray[np.float64], noise: NDArray[np.float64], water: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Noise that photons show over noise expected, of each window: (w,) float64.
+
+    The empty window is a sample, and signal what a difference of counts leaves: where photons are
+    few, its error is a large part of them. What is least like signal is noise, and is counted; some
+    signal is among it, so it is believed as far as chance may have misled the empty window. By a
+    water surface that is no sample of the noise.
+
+    Parameters
+    ----------
+    counts, noise : (w, bins) float64
+        Photons by score bin, and noise photons expected.
+    water : (w,) float64
+        Cells with water [count].
+    """
+    total = np.cumsum(noise, axis=1)
+    low = total <= _LEAST_LIKE_SIGNAL * total[:, -1:]
+    seen, expected = (np.where(low, table, 0.0).sum(axis=1) for table in (counts, noise))
+    dry = (water == 0) & (expected > 0)
+    most = SURE_SD / np.sqrt(np.maximum(total[:, -1], 1.0))
+    off = np.clip(seen / np.where(dry, expected, 1.0) - 1.0, -most, most)
+    found: NDArray[np.float64] = np.where(dry, np.maximum(1.0 + off, 0.0), 1.0)
+    return found
 
 
 def best_thresholds(

@@ -23,13 +23,12 @@ from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.filter.likelihood import ratios
 from spl_batch.altimetry.filter.posterior import noise_posterior
+from spl_batch.altimetry.noise.noise_at import below_surface, noise_at
 from spl_batch.altimetry.noise.noise_rate import (
     ALPHA_MIN,
     CAP_UNITS,
-    below_surface,
-    noise_at,
-    of_window,
 )
+from spl_batch.altimetry.noise.windows import of_window
 from spl_batch.altimetry.photon_table import Cells, Scale
 from spl_batch.altimetry.settings import BaselineSettings, RateSettings, SignalSettings
 from spl_batch.altimetry.water.level_water import NO_WATER
@@ -86,15 +85,6 @@ def local_alpha(
         scale.level[cell] != NO_WATER, np.maximum(own, ALPHA_MIN), scale.alpha[cell]
     )
     return found
-
-
-def counted(cell: NDArray[np.intp], scale: Scale, settings: SignalSettings) -> NDArray[np.int64]:
-    """Neighbours that count, of photons by the row of their cell: (n,) int64."""
-    fewer = min(settings.water_neighbours, settings.neighbours)
-    number: NDArray[np.int64] = np.where(
-        scale.level[cell] != NO_WATER, fewer, settings.neighbours
-    ).astype(np.int64)
-    return number
 
 
 def farthest(cell: NDArray[np.intp], scale: Scale) -> NDArray[np.int64]:
@@ -159,7 +149,7 @@ def score(
         table.within,
         table.beyond,
         (table.first, table.step),
-        counted(cell, scale, settings),
+        scale.neighbours[cell],
     )
     return result.astype(np.float32)
 

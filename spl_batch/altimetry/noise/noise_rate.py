@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, narrow_gate, stretches
+from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
+from spl_batch.altimetry.noise.windows import of_window
 from spl_batch.altimetry.photon_table import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.water.level_water import (
@@ -108,6 +110,8 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         empty_length=np.where(narrow, seen_length, length),
         level=water.level,
         column=water.column,
+        first=water.first,
+        top=water.top,
         slope=water.slope,
     )
 
@@ -169,45 +173,6 @@ def far_length_m(cells: Cells, settings: RateSettings) -> NDArray[np.float64]:
     near = np.minimum(cells.high, peak + buffer) - np.maximum(cells.low, peak - buffer)
     left: NDArray[np.float64] = np.maximum(cells.gate_m - np.maximum(near, 0) / QUANTA_PER_M, 0.0)
     return left
-
-
-def window_of(
-    index: NDArray[np.int64], settings: RateSettings, window_m: float
-) -> NDArray[np.int64]:
-    """Window of the absolute grid that each cell lies in, (n,) int64."""
-    return index // max(round(window_m / settings.cell_m), 1)
-
-
-def of_window(
-    index: NDArray[np.int64], values: NDArray[np.float64], settings: RateSettings, window_m: float
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Sums of cells' values over their window and the two beside it.
-
-    Parameters
-    ----------
-    index : (n,) int64
-        Cells.
-    values : (m, n) float64
-        Of each cell.
-
-    Returns
-    -------
-    at : (n,) intp
-        Row of each cell's window among those that hold cells.
-    sums : (m, w) float64
-    """
-    window, at = np.unique(window_of(index, settings, window_m), return_inverse=True)
-    own = np.stack([np.bincount(at, row, len(window)).astype(np.float64) for row in values])
-    return at, running(window, own)
-
-
-def running(window: NDArray[np.int64], own: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums of each window and those directly beside it, along the last axis."""
-    total = own.copy()
-    beside = np.diff(window) == 1
-    total[..., 1:] += np.where(beside, own[..., :-1], 0)
-    total[..., :-1] += np.where(beside, own[..., 1:], 0)
-    return total
 
 
 def join(parts: Sequence[Cells]) -> Cells:
@@ -293,6 +258,7 @@ def scale(
         Cells; aspect, reach, and whether to scale at all.
     """
     column = local_column(cells.index, cells.level, cells.column, density)
+    first = local_column(cells.index, cells.level, cells.first[:, None], density)[:, 0]
     noise, below = _expected(cells, density, column, rate)
     known = density[density > 0]
     reference = float(np.median(known)) if len(known) else 1e-6
@@ -318,27 +284,17 @@ def scale(
     # The axis of mDBSCAN knows no water.
     dry_m = float(np.clip(1.0 / np.sqrt(reference * signal.aspect), *_UNIT_M))
     least = CAP_UNITS / (dry_m * signal.reach_m)
-    stretch = np.maximum(wanted, least) / reference
-    apart = np.minimum(apart_m * least / reference, 2 * CAP_UNITS / (reference * dry_m))
+    # By night all of the track is at the least: it keeps its length.
+    normal = max(reference, least)
+    stretch = np.maximum(wanted, least) / normal
+    apart = np.minimum(apart_m * least / normal, 2 * CAP_UNITS / (normal * dry_m))
     lengths = np.concatenate([[0.0], np.cumsum(stretch * rate.cell_m)[:-1]])
     stretched_m = np.cumsum(apart) + lengths[: len(stretch)]
     return Scale(
-        cells.index, start, per_m, cap, alpha, noise, below, density, cells.level, column,
-        stretch, stretched_m, unit_m, reference,
+        cells.index, start, per_m, cap, alpha, noise, below, density, cells.level, column, first,
+        cells.top, neighbours(cells, density, rate, signal), stretch, stretched_m, unit_m,
+        reference,
     )  # fmt: skip
-
-
-def aspects(cells: Cells, signal: SignalSettings) -> NDArray[np.float64]:
-    """Along-track over vertical extent of a neighbourhood in each cell, (n,) float64.
-
-    Ground of slope s leaves a neighbourhood that is longer over high than 1 / s. Nothing is longer
-    than a water surface allows, which is level.
-    """
-    longest = max(signal.aspect, signal.water_aspect)
-    slope = np.maximum(cells.slope.astype(np.float64), 1.0 / longest)
-    wet = cells.level != NO_WATER
-    aspect: NDArray[np.float64] = np.where(wet, longest, np.maximum(1.0 / slope, signal.aspect))
-    return aspect
 
 
 def _least_around(
@@ -369,28 +325,3 @@ def _expected(
     below = (column * length).sum(axis=1)
     below = np.where(wet, below, 0.0) * rate.cell_m
     return density * above * rate.cell_m + below, below
-
-
-def below_surface(
-    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
-) -> NDArray[np.bool_]:
-    """Photons below a water surface and its waves, (n,) bool."""
-    level = scale.level[cell].astype(np.int64)
-    below: NDArray[np.bool_] = (level != NO_WATER) & (
-        level - height > round(SURFACE_M * QUANTA_PER_M)
-    )
-    return below
-
-
-def noise_at(
-    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
-) -> NDArray[np.float64]:
-    """Noise density where photons are, (n,) float64 [1/m2]: by depth below a water surface."""
-    level = scale.level[cell].astype(np.int64)
-    depth = level - height - round(SURFACE_M * QUANTA_PER_M)
-    wet = (level != NO_WATER) & (depth >= -2 * round(SURFACE_M * QUANTA_PER_M))
-    row = np.clip(depth // QUANTA_PER_M, 0, DEPTHS - 1)
-    found: NDArray[np.float64] = np.where(
-        wet, scale.column[cell, np.where(wet, row, 0)], scale.density[cell]
-    )
-    return found

@@ -14,6 +14,7 @@ from spl_batch.altimetry.report.page import render
 from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
 from spl_batch.altimetry.tasks.context import Context, place
 from spl_batch.altimetry.tasks.photons import Selection, read_rate
+from spl_batch.altimetry.water.level_water import UNDER_SHARE
 from spl_batch.altimetry.water.odd_layers import Layer
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.report.parts import Statistics
@@ -74,7 +75,6 @@ SAID_LEAST: Final = 10
 kind are not worth a warning."""
 
 _OVER_SHARE: Final = 0.02
-_UNDER_SHARE: Final = 0.03
 _ECHO_SHARE: Final = 0.1
 """Photons over and under a surface, over those of the surface, and of an echo over those called
 floor, that are worth a warning."""
@@ -153,7 +153,7 @@ def _odd_layers(delivered: Mapping[str, Any]) -> Iterator[str]:
             "on there"
         )
     under = layers["under"]
-    if under.photons >= max(SAID_LEAST, _UNDER_SHARE * surface):
+    if under.photons >= max(SAID_LEAST, UNDER_SHARE * surface):
         yield (
             f"between {under.from_m / 1000:g} and {under.to_m / 1000:g} km, "
             f"{grouped(under.photons)} signal photons more lie {under.depth_m:g} to 1 m below the "

@@ -16,6 +16,8 @@ from spl_batch.altimetry.filter import signal as signals
 from spl_batch.altimetry.filter.likelihood import ratios
 from spl_batch.altimetry.filter.peer_filters import PEERS, keep
 from spl_batch.altimetry.noise import noise_rate as rates
+from spl_batch.altimetry.noise import windows
+from spl_batch.altimetry.noise.noise_at import below_surface
 from spl_batch.altimetry.photon_table import LABELS, PHOTONS, Background, Cells, Scale
 from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, gather, place, rows_between
 from spl_batch.altimetry.water.level_water import NO_WATER
@@ -33,11 +35,13 @@ OBSERVE_CELLS: Final = 1024
 SELECT_WINDOWS: Final = 256
 """Windows whose photons are held by score at once: 20 MB [count]."""
 
-COUNTED: Final = ("counts", "far", "noise", "far_noise")
-"""What segments count by window and score: photons, those far off, and noise expected of both."""
+COUNTED: Final = ("counts", "far", "noise", "far_noise", "told")
+"""What segments count by window and score: photons, those far off, noise expected of both, and the
+noise that a reader is told of."""
 
 _PLACES: Final = {
-    "along": np.int64, "score": np.float32, "noise": np.int64, "far": np.uint8, "below": np.uint8
+    "along": np.int64, "score": np.float32, "noise": np.int64, "told": np.int64, "far": np.uint8,
+    "below": np.uint8,
 }  # fmt: skip
 """Places where noise may be: along the track, score, noise that each stands for, where it lies."""
 
@@ -170,7 +174,7 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
     labels = {name: table[name][mine] for name in PHOTONS}
     labels["far"] = rates.far(labels["along"], labels["height"], cells, workflow.rate)
     cell = np.searchsorted(cells.index, labels["along"] // size)
-    labels["below"] = rates.below_surface(cell, labels["height"], scale).astype(np.uint8)
+    labels["below"] = below_surface(cell, labels["height"], scale).astype(np.uint8)
     labels["baseline"] = np.zeros(len(labels["row"]), np.uint8)
     if baseline:
         mean = signals.mean_density(cells, scale, workflow.rate, workflow.signal)
@@ -191,19 +195,18 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
         labels["score"] = signals.score(*photons, mine, scale, prior, *rest)
         if workflow.signal.selection == "f1":
             owned = (cells.index >= args["cells"][0]) & (cells.index < args["cells"][1])
-            along, height, each = chance.places(cells, scale, owned, workflow.rate)
+            along, height, each, told = chance.places(cells, scale, owned, workflow.rate)
             likelihoods = ratios(workflow.signal.neighbours, workflow.signal.contrast_max)
             at = along, height
-            found = chance.score_places(
-                at, photons, scale, prior, workflow.rate, likelihoods, workflow.signal
-            )
+            found = chance.score_places(at, photons, scale, prior, workflow.rate, likelihoods)
             cell = np.searchsorted(cells.index, along // size)
             noise = {
                 "along": along,
                 "score": found,
                 "noise": each,
+                "told": told,
                 "far": rates.far(along, height, cells, workflow.rate),
-                "below": rates.below_surface(cell, height, scale).astype(np.uint8),
+                "below": below_surface(cell, height, scale).astype(np.uint8),
             }
     outputs = [
         place(context, "scores", args["segment"], ".parquet"),
@@ -235,6 +238,7 @@ def _counted(
         "far": table(labels, far),
         "noise": table(noise, noise["noise"]),
         "far_noise": table(noise, noise["noise"] * noise["far"]),
+        "told": table(noise, noise["told"]),
     }
 
 
@@ -242,50 +246,57 @@ def _windows(along: NDArray[np.int64], context: Context) -> NDArray[np.int64]:
     """Window of each place along the track."""
     workflow = context.workflow
     cell = along // quanta(workflow.rate.cell_m)
-    return rates.window_of(cell, workflow.rate, workflow.signal.window_m)
+    return windows.window_of(cell, workflow.rate, workflow.signal.window_m)
 
 
 def select(args: Mapping[str, Any], context: Context) -> Produced:
     """Least score that is signal in each window of a beam."""
     workflow, beam = context.workflow, args["key"]
     cells, scale, _ = read_rate(beam, context)
-    values = np.stack([scale.noise - scale.below, scale.below])
-    index = rates.window_of(scale.index, workflow.rate, workflow.signal.window_m)
-    window = np.unique(index)
-    _, sums = rates.of_window(scale.index, values, workflow.rate, workflow.signal.window_m)
+    values = np.stack([scale.noise - scale.below, scale.below, scale.level != NO_WATER])
+    index = windows.window_of(scale.index, workflow.rate, workflow.signal.window_m)
+    window, at = np.unique(index, return_inverse=True)
+    noise = np.bincount(at, scale.noise, len(window)).astype(np.float64)
+    _, sums = windows.of_window(scale.index, values, workflow.rate, workflow.signal.window_m)
     least = np.empty((2, ZONES, len(window)), np.int64)
-    taken, every = (np.zeros((ZONES, len(COUNTED)), np.int64) for _ in range(2))
+    taken, every = (np.zeros((ZONES, len(COUNTED))) for _ in range(2))
     doubtful = np.zeros((2, len(window)))
     for first in range(0, len(window), SELECT_WINDOWS):
         stop = min(first + SELECT_WINDOWS, len(window))
         # Each window is decided with the two beside it.
         low, high = max(first - 1, 0), min(stop + 1, len(window))
-        counts = _of_segments(window[low:high], args["segments"], context)
-        running = rates.running(window[low:high], np.moveaxis(counts, 2, 3).astype(np.float64))
+        counts = _of_segments(window[low:high], args["segments"], context).astype(np.float64)
+        running = windows.running(window[low:high], np.moveaxis(counts, 2, 3))
         mine = slice(first - low, stop - low)
-        part = np.moveaxis(running, 2, 3)[:, :, mine]
+        counts, part = counts[:, :, mine], np.moveaxis(running, 2, 3)[:, :, mine]
+        noise_q = part[2, 0] / chance.SHARE_QUANTA
+        seen = chance.noise_seen(part[0, 0], noise_q, sums[2, first:stop])
+        sums[0, first:stop] *= seen
+        noise[first:stop] *= seen
+        for table in (counts, part):
+            table[2:, 0] *= seen[:, None]
         for zone in range(ZONES):
             estimated = part[0, zone].sum(axis=1) - sums[zone, first:stop]
             least[:, zone, first:stop] = _least(part[:, zone], np.maximum(estimated, 0.0), context)
             for i, b in enumerate(least[0, zone, first:stop].tolist()):
-                own = counts[:, zone, first - low + i, b:].sum(axis=1)
+                own = counts[:, zone, i, b:].sum(axis=1)
                 taken[zone] += own
-                every[zone] += counts[:, zone, first - low + i].sum(axis=1)
+                every[zone] += counts[:, zone, i].sum(axis=1)
                 around = part[:, 0, i, b:].sum(axis=1), part[:, 0, i].sum(axis=1)
                 if zone == 0 and _like_noise(*around, workflow.signal.neighbours):
                     doubtful[:, first + i] = own[[0, 2]]
     path = place(context, "selection", beam, ".npz")
     arrays = {"window": window, "label": least[0], "ground": least[1]}
     write_arrays(path, arrays)
-    false = int(taken[:, 2].sum())
+    told = float(taken[:, 4].sum()) / chance.SHARE_QUANTA
     unsure = _like_noise(taken[1], every[1], workflow.signal.water_neighbours)
     facts = {
         "signal": int(taken[:, 0].sum()),
         "doubtful": _stretches(window, doubtful, context),
         "doubtful_floor": taken[1, [0, 2]].tolist() if unsure else [0, 0],
-        "estimated": float(max(cells.count.sum() - scale.noise.sum(), 0.0)),
+        "estimated": float(max(cells.count.sum() - noise.sum(), 0.0)),
         "far_signal": int(taken[:, 1].sum()),
-        "false_signal": false / chance.SHARE_QUANTA if false else None,
+        "false_signal": told or None,
     }
     return Produced([path], facts, int(cells.count.sum()))
 
@@ -321,13 +332,13 @@ def _stretches(
 def _of_segments(
     window: NDArray[np.int64], segments: list[tuple[str, int, int]], context: Context
 ) -> NDArray[np.int64]:
-    """What segments have counted of zones and windows by score: (4, ZONES, w, bins) int64."""
+    """What segments have counted of zones and windows by score: (5, ZONES, w, bins) int64."""
     workflow = context.workflow
     counts = np.zeros((len(COUNTED), ZONES, len(window), signals.SCORE_BINS), np.int64)
     size = quanta(workflow.rate.cell_m)
     for name, low, high in segments:
         ends = np.array([low // size, high // size - 1])
-        covered = rates.window_of(ends, workflow.rate, workflow.signal.window_m)
+        covered = windows.window_of(ends, workflow.rate, workflow.signal.window_m)
         if covered[0] > window[-1] or covered[1] < window[0]:
             continue
         part = read_arrays(place(context, "counts", name, ".npz"))
@@ -347,7 +358,7 @@ def _least(
     workflow = context.workflow
     if workflow.signal.method != "bayes":
         return np.ones((2, len(estimated)), np.int64)
-    counts, far, noise, far_noise = around
+    counts, far, noise, far_noise, _ = around
     settings, profile = workflow.signal, workflow.profile
     wanted = profile.photons_factor * estimated
     ground = signals.thresholds(counts, far, wanted, profile.false_share)
@@ -370,7 +381,7 @@ class Selection:
         """Photons that pass the threshold ``label`` or ``ground``, (n,) bool."""
         settings = self.workflow
         cell = labels["along"] // quanta(settings.rate.cell_m)
-        window = rates.window_of(cell, settings.rate, settings.signal.window_m)
+        window = windows.window_of(cell, settings.rate, settings.signal.window_m)
         at = np.searchsorted(self.arrays["window"], window)
         least = self.arrays[which][labels["below"], at]
         passed: NDArray[np.bool_] = signals.score_bins(labels["score"]) >= least

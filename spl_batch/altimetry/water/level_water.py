@@ -13,6 +13,7 @@ depths around them, with what is beside them along the track, are left out. Of t
 by depth is taken that never grows (:mod:`spl_batch.altimetry.water.column_noise`).
 """
 
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.altimetry.water.column_noise import falling_density
+from spl_batch.altimetry.water.layers_of_cells import agreed, fullest
 from spl_batch.constants import QUANTA_PER_M
 
 NO_WATER: Final = np.iinfo(np.int32).min
@@ -40,6 +42,9 @@ CANOPY_M: Final = 30
 _GROWN: Final = 1.5
 """Times the noise above them that trees hold at least."""
 
+_UNDER_M: Final = 4.0
+"""Depth below which ground leaves nothing but noise [m]."""
+
 _LEAST_CELLS: Final = 10
 """Cells that a level has to be the fullest metre of [count]."""
 
@@ -54,15 +59,24 @@ _FLOOR_DEPTHS: Final = 9
 
 _FLOOR_SD: Final = 3.0
 
+WAVE_M: Final = 0.3
+"""Waves reach as far above a surface as below it; farther off the two are compared [m]."""
+
+UNDER_SHARE: Final = 0.03
+"""What lies just below a surface over its photons, at most: a layer of more may be a floor."""
+
 
 class Water(NamedTuple):
     """What cells show of water."""
 
     #: (n,): height of the surface [quanta]; ``NO_WATER`` where there is none.
     level: NDArray[np.int32]
-    #: (n, DEPTHS): noise by metre of depth, from the surface down [1/m2]; 0 where there is no
+    #: (n, DEPTHS): noise by metre of depth, from the second one down [1/m2]; 0 where there is no
     #: water.
     column: NDArray[np.float32]
+    first: NDArray[np.float32]  #: (n,): noise of the first metre, likewise [1/m2].
+    #: (n,): height of the surface, not lowered by what lies below it [quanta].
+    top: NDArray[np.int32]
     #: (n,): steps between the densest layers of cells next to each other, their median [m/m]; 1
     #: where too few are.
     slope: NDArray[np.float32]
@@ -93,42 +107,29 @@ def find_water(
     water = Water(
         np.full(n, NO_WATER, np.int32),
         np.zeros((n, DEPTHS), np.float32),
+        np.zeros(n, np.float32),
+        np.full(n, NO_WATER, np.int32),
         np.ones(n, np.float32),
         np.zeros(n, np.int64),
     )
     if not n:
         return water
-    mode = _fullest(cell, height, n)
-    level = _level(index, mode, cell, height)
+    mode, upper = fullest(cell, height, n)
+    level = _level(index, agreed(index, mode, upper, REACH_CELLS), cell, height)
     half = QUANTA_PER_M // 2
     water.fullest[:] = mode * half + half // 2
     water.slope[:] = _slope(index, mode, cell_m)
     level = _refined(cell, height, level)
-    level[_grown_over(index, cell, height, gate[1], level)] = NO_WATER
+    level[_grown_over(index, cell, height, gate, level)] = NO_WATER
     water.level[:] = level
     wet = level != NO_WATER
     if wet.any():
-        water.column[wet] = _columns(index, cell, height, gate[0], level, cell_m)[wet]
+        column = _columns(index, cell, height, gate[0], level, cell_m)
+        expected = _continued(column)
+        water.top[:] = _top(cell, height, level, expected * cell_m)
+        first = first_metre(index, cell, height, water.top, cell_m, column[:, 0], expected)
+        water.column[wet], water.first[wet] = column[wet], first[wet]
     return water
-
-
-def _fullest(cell: NDArray[np.intp], height: NDArray[np.int32], n: int) -> NDArray[np.int64]:
-    """Half-metre whose metre holds most photons, of each cell: (n,) int64."""
-    half = QUANTA_PER_M // 2
-    bins = height // half
-    base, width = int(bins.min()), int(bins.max() - bins.min()) + 1
-    mode = np.zeros(n, np.int64)
-    step = max(4_000_000 // width, 1)
-    order = np.argsort(cell, kind="stable")
-    edges = np.searchsorted(cell[order], np.arange(n + 1))
-    for first in range(0, n, step):
-        stop = min(first + step, n)
-        rows = order[edges[first] : edges[stop]]
-        table = np.bincount(
-            (cell[rows] - first) * width + bins[rows] - base, minlength=(stop - first) * width
-        ).reshape(stop - first, width)
-        mode[first:stop] = ndimage.convolve1d(table, [1, 1, 1], axis=1, mode="constant").argmax(1)
-    return mode + base
 
 
 def _level(
@@ -178,24 +179,32 @@ def _grown_over(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
     height: NDArray[np.int32],
-    high: NDArray[np.int32],
+    gate: tuple[NDArray[np.int32], NDArray[np.int32]],
     level: NDArray[np.int32],
 ) -> NDArray[np.bool_]:
-    """Cells where more stands above the level than noise can be: plains with trees, (n,) bool."""
-    n = len(level)
+    """Cells where more stands above the level than noise can be: plains with trees, (n,) bool.
+
+    Noise is seen above trees and below ground; below water there is as much of it or more.
+    """
+    low, high = (end.astype(np.int64) for end in gate)
     foot = level.astype(np.int64) + round(SURFACE_M * QUANTA_PER_M)
+    canopy = CANOPY_M * QUANTA_PER_M
     # Where the gate ends low above the water, noise is seen in the upper half of what there is.
-    top = foot + np.minimum(CANOPY_M * QUANTA_PER_M, np.maximum(high - foot, 0) // 2)
-    inside = (height > foot[cell]) & (height <= top[cell])
-    over = height > top[cell]
-    counted = np.stack([np.bincount(cell[m], minlength=n) for m in (inside, over)], axis=1)
-    length = np.stack([np.minimum(high, top) - foot, high - top], axis=1).clip(0) / QUANTA_PER_M
-    near, noise = _sums(index, counted, _FLOOR_CELLS).T
-    near_m, noise_m = _sums(index, length, _FLOOR_CELLS).T
-    ratio = near_m / np.maximum(noise_m, 1.0)
-    chance = _FLOOR_SD * np.sqrt(near + (noise + 1.0) * ratio**2)
-    grown: NDArray[np.bool_] = (level != NO_WATER) & (noise_m > 0)
-    grown &= near > _GROWN * noise * ratio + chance
+    middle = foot + np.minimum(canopy, np.maximum(high - foot, 0) // 2)
+    under = level.astype(np.int64) - round(_UNDER_M * QUANTA_PER_M)
+    trees, sky = (foot, np.minimum(high, middle)), (middle, high)
+    tall, ground = (foot, np.minimum(high, foot + canopy)), (low, under)
+    grown = np.zeros(len(level), np.bool_)
+    for bands in ((trees, sky), (tall, ground)):
+        inside = [(height > a[cell]) & (height <= b[cell]) for a, b in bands]
+        counted = [np.bincount(cell[some], minlength=len(level)) for some in inside]
+        length = [np.clip(b - a, 0, None) / QUANTA_PER_M for a, b in bands]
+        near, noise = _sums(index, np.stack(counted, axis=1), _FLOOR_CELLS).T
+        near_m, noise_m = _sums(index, np.stack(length, axis=1), _FLOOR_CELLS).T
+        ratio = near_m / np.maximum(noise_m, 1.0)
+        chance = _FLOOR_SD * np.sqrt(near + (noise + 1.0) * ratio**2)
+        grown |= (noise_m > 0) & (near > _GROWN * noise * ratio + chance)
+    grown &= level != NO_WATER
     return grown
 
 
@@ -254,6 +263,79 @@ def _columns(
         out,
     )
     return out
+
+
+def _continued(column: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Noise of the first metre of water as that below it lets expect, (n,) float64 [1/m2]."""
+    steeper = np.maximum(column[:, 0], 1e-12) / np.maximum(column[:, 1], 1e-12)
+    expected: NDArray[np.float64] = column[:, 0] * np.clip(steeper, 1.0, math.e)
+    return expected
+
+
+def _top(
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+    level: NDArray[np.int32],
+    noise: NDArray[np.float64],
+) -> NDArray[np.int32]:
+    """The levels, or the median of each cell's surface less its noise where that is higher.
+
+    What lies below a surface lowers both: scattered light the mean, a brighter floor the median.
+
+    Parameters
+    ----------
+    noise : (n,) float64
+        Photons of it in the first metre of each cell [count].
+    """
+    top = level.copy()
+    near = np.abs(height.astype(np.int64) - level[cell]) <= round(SURFACE_M * QUANTA_PER_M)
+    near &= level[cell] != NO_WATER
+    order = np.lexsort((height[near], cell[near]))
+    count = np.bincount(cell[near], minlength=len(level))
+    some = count > 0
+    above = np.clip((count - np.rint(noise).astype(np.int64)) // 2, 0, count - 1)
+    top[some] = height[near][order][(np.cumsum(count) - 1 - above)[some]]
+    return np.maximum(level, top)
+
+
+def first_metre(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+    top: NDArray[np.int32],
+    cell_m: float,
+    deeper: NDArray[np.float64],
+    expected: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Noise of the first metre of water, which the surface and its waves hide: (n,) [1/m2].
+
+    Waves rise as far as they fall, so what more lies below the surface than above it is none of
+    theirs. That is noise as far as the water below lets expect it, or as it is a small share of
+    the surface. A layer of more may be a floor, and then the water below alone tells.
+
+    Parameters
+    ----------
+    top : (n,) int32
+        Surface [quanta]; ``NO_WATER`` where there is none.
+    deeper, expected : (n,) float64
+        Noise of the second metre, and of the first as those below let expect [1/m2].
+    """
+    n = len(top)
+    wet = top != NO_WATER
+    depth_m = (top[cell].astype(np.int64) - height) / QUANTA_PER_M
+    over = ((-SURFACE_M, -WAVE_M), (-2.0 * SURFACE_M, -SURFACE_M))
+    bands = ((WAVE_M, SURFACE_M), *over, (-SURFACE_M, SURFACE_M))
+    counted = [
+        np.bincount(cell[wet[cell] & (depth_m > low) & (depth_m <= high)], minlength=n)
+        for low, high in bands
+    ]
+    below, above, sky, surface = _sums(index, np.stack(counted, axis=1), REACH_CELLS).T
+    high_m = SURFACE_M - WAVE_M
+    area = np.maximum(_sums(index, wet[:, None] * cell_m, REACH_CELLS)[:, 0], cell_m)
+    found = ((below - above) / high_m + sky / SURFACE_M) / area
+    most = np.maximum(expected, UNDER_SHARE * surface / high_m / area)
+    first: NDArray[np.float64] = np.where(found <= most, np.maximum(found, deeper), expected)
+    return first
 
 
 def local_column(

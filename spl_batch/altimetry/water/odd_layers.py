@@ -10,6 +10,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.altimetry.water.level_water import WAVE_M
+
 STRETCH_M: Final = 200.0
 """Stretch of track that a layer is looked for in [m]."""
 
@@ -19,9 +21,6 @@ _LEAST: Final = 3
 _LEAST_STRETCHES: Final = 5
 _SHARE: Final = 0.8
 """Stretches that hold a layer at one depth, as such and of those with water."""
-
-WAVE_M: Final = 0.3
-"""Waves reach as far above a surface as below it; farther off the two are compared [m]."""
 
 _DEPTHS: Final = 120
 _BINS_PER_M: Final = 2

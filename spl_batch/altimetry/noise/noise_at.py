@@ -1,0 +1,50 @@
+"""Noise density at places of a track: by depth below a water surface, and of the cell elsewhere."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.photon_table import Scale
+from spl_batch.altimetry.water.level_water import DEPTHS, NO_WATER, SURFACE_M
+from spl_batch.constants import QUANTA_PER_M
+
+_SURFACE_Q = round(SURFACE_M * QUANTA_PER_M)
+
+
+def below_surface(
+    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
+) -> NDArray[np.bool_]:
+    """Photons below a water surface and its waves, (n,) bool."""
+    level = scale.level[cell].astype(np.int64)
+    below: NDArray[np.bool_] = (level != NO_WATER) & (level - height > _SURFACE_Q)
+    return below
+
+
+def noise_at(
+    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
+) -> NDArray[np.float64]:
+    """Noise density that photons are scored by, (n,) float64 [1/m2].
+
+    A water surface and its waves count as the metre below them: what is left of the surface there
+    is no signal of its own.
+    """
+    depth = scale.level[cell].astype(np.int64) - height - _SURFACE_Q
+    wet = (scale.level[cell] != NO_WATER) & (depth >= -2 * _SURFACE_Q)
+    row = np.clip(depth // QUANTA_PER_M, 0, DEPTHS - 1)
+    found: NDArray[np.float64] = np.where(
+        wet, scale.column[cell, np.where(wet, row, 0)], scale.density[cell]
+    )
+    return found
+
+
+def noise_told(
+    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
+) -> NDArray[np.float64]:
+    """Noise density that a reader is told of, (n,) float64 [1/m2].
+
+    Above a water surface it is that of the sky, and in the first metre below it that metre's own.
+    """
+    depth = scale.top[cell].astype(np.int64) - height
+    within = (scale.level[cell] != NO_WATER) & (np.abs(depth) <= _SURFACE_Q)
+    near = np.where(depth < 0, scale.density[cell], scale.first[cell])
+    found: NDArray[np.float64] = np.where(within, near, noise_at(cell, height, scale))
+    return found
