@@ -9,8 +9,10 @@ from hypothesis import HealthCheck, settings
 
 from spl_batch.airborne.report import summarise
 from spl_batch.airborne.simulate import preset_scene, simulate
+from spl_batch.engine.report import style
 from spl_batch.engine.report.picture import Picture
 from tests import clusters, surveys
+from tests.report_data import drawn_png, empty_pictures
 
 # A machine that does other work as well is slow to draw examples, which says nothing of the code.
 settings.register_profile("busy", suppress_health_check=[HealthCheck.too_slow], deadline=None)
@@ -47,15 +49,21 @@ def _no_waiting_for_the_disk() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _pictures_not_drawn() -> Iterator[None]:
+    """Deliver empty pictures of the right size: drawing takes a third of a small run."""
+    with empty_pictures():
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _pictures_where_they_are_looked_at(
     request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Draw pictures of a report only in tests marked so: they take half of a small run.
-
-    What tests share is made before this and has all of them.
-    """
-    if request.node.get_closest_marker("pictures") is None:
+    """Draw pictures in tests that are marked so, and not even prepare maps in the others."""
+    if request.node.get_closest_marker("pictures") is not None:
+        monkeypatch.setattr(style, "to_png", drawn_png)
+    else:
         none = {name: Picture(name, "Not drawn in this test.") for name in PICTURES}
         monkeypatch.setattr(summarise, "make_pictures", lambda *_: none)
 

@@ -1,10 +1,16 @@
 """A believable survey for the report's tests: relief, houses, trees, a wire, and noise."""
 
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
 import numpy as np
+import pytest
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 
 from spl_batch.airborne.report.model import (
     Accuracy,
@@ -16,6 +22,7 @@ from spl_batch.airborne.report.model import (
     Survey,
 )
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster
+from spl_batch.engine.report import style
 from spl_batch.engine.report.parts import (
     Failure,
     InputFile,
@@ -253,3 +260,30 @@ def make_failures() -> tuple[Failure, ...]:
         ),
         Failure(stage="ground", place="cell 2501_16502", reason="worker ran out of memory"),
     )
+
+
+drawn_png = style.to_png
+"""The function that draws; where a test looks at pictures it is put back."""
+
+
+def _empty(drawn: Figure, **_: int) -> tuple[bytes, int, int]:
+    width, height = (round(inches * drawn.dpi) for inches in drawn.get_size_inches())
+    stream = io.BytesIO()
+    Image.new("1", (width, height)).save(stream, format="PNG", compress_level=1)
+    return stream.getvalue(), width, height
+
+
+@contextmanager
+def empty_pictures() -> Iterator[None]:
+    """Context in which no figure is drawn."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "to_png", _empty)
+        yield
+
+
+@contextmanager
+def drawn_pictures() -> Iterator[None]:
+    """Context for a fixture whose pictures are looked at."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "to_png", drawn_png)
+        yield

@@ -71,12 +71,18 @@ def dotted(path: Path) -> str:
 ALL = frozenset(map(dotted, modules()))
 
 
+@cache
+def tree_of(text: str) -> ast.Module:
+    """Syntax tree of a module's text, which several tests look at."""
+    return ast.parse(text)
+
+
 def imported(path: Path, text: str) -> Iterator[str]:
     """Every module that a module's text imports, inside functions as well."""
     package = dotted(path).split(".")
     if path.name != "__init__.py":
         package = package[:-1]
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(tree_of(text)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -191,7 +197,7 @@ def test_modules_are_short_and_have_a_purpose(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert len(text.splitlines()) < MAX_LINES
     assert path.stem not in {"utils", "util", "helpers", "misc", "common"}
-    assert ast.get_docstring(ast.parse(text)), "a module opens with what it is for"
+    assert ast.get_docstring(tree_of(text)), "a module opens with what it is for"
 
 
 KERNEL = "from spl_batch.numerics.compiled import njit\n{}\n@njit()\ndef f(): ...\n"

@@ -22,13 +22,13 @@ def rotations(
     ch, sh = np.cos(heading), np.sin(heading)
     cp, sp = np.cos(pitch), np.sin(pitch)
     cr, sr = np.cos(roll), np.sin(roll)
-    zero, one = np.zeros_like(ch), np.ones_like(ch)
-
-    def stack(*rows: tuple[NDArray[np.float64], ...]) -> NDArray[np.float64]:
-        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-    yaw = stack((ch, sh, zero), (-sh, ch, zero), (zero, zero, one))
-    nose = stack((one, zero, zero), (zero, cp, -sp), (zero, sp, cp))
-    wing = stack((cr, zero, sr), (zero, one, zero), (-sr, zero, cr))
-    product: NDArray[np.float64] = yaw @ nose @ wing
-    return product
+    rows = (
+        (ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr),
+        (-sh * cr + ch * sp * sr, ch * cp, -sh * sr - ch * sp * cr),
+        (-cp * sr, sp, cp * cr),
+    )
+    turn = np.empty((len(ch), 3, 3))
+    for i, row in enumerate(rows):
+        for j, entry in enumerate(row):
+            turn[:, i, j] = entry
+    return turn

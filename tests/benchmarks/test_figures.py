@@ -12,6 +12,7 @@ from spl_batch.engine.report import style
 from tests.browser import CHROMIUM, needs_chromium
 
 
+@pytest.mark.pictures
 def test_a_figure_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(figures, "NULL_DENSITIES", (0.02, 0.05))
     monkeypatch.setattr(figures, "POINTS", 300)

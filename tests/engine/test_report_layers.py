@@ -18,6 +18,7 @@ def failure(extent: tuple[float, float, float, float] | None) -> Failure:
     return Failure(stage="denoise", place="tile 1_2", reason="memory", extent_m=extent)
 
 
+@pytest.mark.pictures
 @pytest.mark.parametrize(
     ("shape", "cells"),
     [((40, 60), (12, 20, 5, 25)), ((10, 90), (2, 6, 40, 70)), ((1900, 1000), (400, 800, 100, 500))],

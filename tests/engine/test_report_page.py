@@ -404,6 +404,7 @@ class TestPictures:
         made = make_pictures(PictureInputs(dtm=make_inputs().dtm), make_report())
         assert "profile" not in made["dtm"].caption
 
+    @pytest.mark.pictures
     def test_pictures_of_all_receivers_are_twice_as_fine_as_the_page(self) -> None:
         for wide, pictures in drawn_of_others():
             for picture in pictures:

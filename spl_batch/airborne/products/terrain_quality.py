@@ -67,13 +67,14 @@ def _differences(means: Grid, held: NDArray[np.bool_], cell_m: float) -> Grid:
     one, the next smaller one, times the ratio of the radii. Where none holds enough, what each
     gives in the whole area counts.
     """
-    places = _moments(means, held, cell_m)
+    moments = _moments(means, held, cell_m)
+    integrals = _integrals(moments, 2 * max(RINGS))
     levels = np.full((len(RINGS), *held.shape), np.nan)
     overall = np.full(len(RINGS), np.nan)
     for k, ring in enumerate(RINGS):
-        off, known = _off_ring(held, places, ring)
-        count = _box(known.astype(np.float64), AROUND)
-        total = _box(np.where(known, np.abs(off), 0.0), AROUND)
+        off, known = _off_ring(held, moments, integrals, ring)
+        given = np.stack([known.astype(np.float64), np.where(known, np.abs(off), 0.0)])
+        count, total = _boxes(_integrals(given, AROUND), AROUND, AROUND)
         here = count > _ENOUGH - 0.5
         levels[k][here] = _HALF_NORMAL * total[here] / count[here]
         if known.any():
@@ -95,20 +96,36 @@ def _moments(means: Grid, held: NDArray[np.bool_], cell_m: float) -> Grid:
     return np.stack([held.astype(np.float64), x, y, z, x * x, x * y, y * y, x * z, y * z])
 
 
-def _box(values: Grid, reach: int) -> Grid:
-    """Sum over a square around each cell, whole at the edges."""
-    wide = np.pad(values, [(reach + 1, reach)] * 2)
-    total = wide.cumsum(axis=0).cumsum(axis=1)
-    span = 2 * reach + 1
+def _integrals(fields: Grid, reach: int) -> Grid:
+    """Sums from the first corner on of (n, rows, columns) fields, with zeros around them."""
+    wide = np.pad(fields, [(0, 0), *[(reach + 1, reach)] * 2])
+    integrals: Grid = wide.cumsum(axis=1).cumsum(axis=2)
+    return integrals
+
+
+def _boxes(integrals: Grid, widest: int, reach: int) -> Grid:
+    """Sums over a square around each cell, whole at the edges: (n, rows, columns).
+
+    ``integrals``: of :func:`_integrals` with the reach ``widest``, which is no less than ``reach``.
+    """
+    ends = []
+    for size in integrals.shape[1:]:
+        last = size - 2 * widest - 1
+        ends.append([slice(k, k + last) for k in (widest - reach, widest + 1 + reach)])
+    (low, high), (left, right) = ends
     summed: Grid = (
-        total[span:, span:] - total[:-span, span:] - total[span:, :-span] + total[:-span, :-span]
-    )
+        integrals[:, high, right] - integrals[:, low, right]
+        - integrals[:, high, left] + integrals[:, low, left]
+    )  # fmt: skip
     return summed
 
 
-def _off_ring(held: NDArray[np.bool_], moments: Grid, ring: int) -> tuple[Grid, NDArray[np.bool_]]:
+def _off_ring(
+    held: NDArray[np.bool_], moments: Grid, integrals: Grid, ring: int
+) -> tuple[Grid, NDArray[np.bool_]]:
     """Height above the plane of a ring around each cell [m], and where there is one."""
-    sums = np.stack([_box(m, 2 * ring) - _box(m, ring - 1) for m in moments])
+    widest = 2 * max(RINGS)
+    sums = _boxes(integrals, widest, 2 * ring) - _boxes(integrals, widest, ring - 1)
     known = held & (sums[0] > _ENOUGH - 0.5)
     n, x, y, z, xx, xy, yy, xz, yz = sums[:, known]
     x, y, z = x / n, y / n, z / n

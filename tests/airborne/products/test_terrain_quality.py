@@ -9,7 +9,8 @@ from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.airborne.products.terrain_quality import (
     AROUND,
     RINGS,
-    _box,
+    _boxes,
+    _integrals,
     _moments,
     _off_ring,
     terrain_sigma,
@@ -86,7 +87,7 @@ def test_rings_are_those_of_least_squares() -> None:
     places = _moments(means, held, 1.0)
     row, column = np.indices(held.shape)
     for ring in RINGS[:3]:
-        off, known = _off_ring(held, places, ring)
+        off, known = _off_ring(held, places, _integrals(places, 2 * RINGS[-1]), ring)
         for r, c in np.argwhere(held)[::9]:
             away = np.maximum(abs(row - r), abs(column - c))
             near = means[held & (away >= ring) & (away <= 2 * ring)]
@@ -105,7 +106,7 @@ def test_boxes_hold_what_lies_in_them() -> None:
         expected = ndimage.correlate(
             values, np.ones((2 * reach + 1, 2 * reach + 1)), mode="constant"
         )
-        assert np.allclose(_box(values, reach), expected)
+        assert np.allclose(_boxes(_integrals(values[None], 4), 4, reach)[0], expected)
 
 
 def test_nothing_is_said_without_ground() -> None:

@@ -22,7 +22,14 @@ from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.parts import Performance, Statistics
 from spl_batch.engine.report.picture import Picture
 from spl_batch.errors import StoppedError
-from tests.report_data import EXTENT, make_failures, make_inputs, make_profile, make_report
+from tests.report_data import (
+    EXTENT,
+    drawn_pictures,
+    make_failures,
+    make_inputs,
+    make_profile,
+    make_report,
+)
 
 KEYS = (
     "dtm",
@@ -37,6 +44,8 @@ KEYS = (
     "strips",
 )
 VOID_ELEMENTS = {"meta", "img", "br", "hr", "link", "input"}
+
+pytestmark = pytest.mark.pictures
 
 
 class Page(html.parser.HTMLParser):
@@ -73,7 +82,8 @@ class Page(html.parser.HTMLParser):
 
 @pytest.fixture(scope="module")
 def pictures() -> Mapping[str, Picture]:
-    return make_pictures(make_inputs(), make_report())
+    with drawn_pictures():
+        return make_pictures(make_inputs(), make_report())
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,16 @@ from hypothesis import strategies as st
 from scipy import optimize, stats
 
 from spl_batch.airborne.beams import link_budget
-from spl_batch.airborne.simulate import beamlet_room, detector, shots, wedge_scan
+from spl_batch.airborne.simulate import (
+    beamlet_room,
+    detector,
+    flight,
+    preset_scene,
+    shots,
+    wedge_scan,
+)
 from spl_batch.airborne.simulate.scene import beam_layers, ray_trace
+from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.objects import (
     bridge_solid,
     building_solid,
@@ -438,3 +446,30 @@ def test_clear_water_is_a_surface_a_column_and_a_bottom():
     assert layers[1, 3] == 0.0
     kind[:] = ray_trace.KIND_WATER
     assert beam_layers.look(scene, o, d, d, 1e-4, layers)[0] == 0, "opaque water is its surface"
+
+
+@pytest.mark.parametrize("relief_m", [0.0, 60.0])
+@pytest.mark.parametrize("wobble_deg", [0.0, 2.0])
+def test_no_shot_near_the_scene_is_passed_over(relief_m, wobble_deg):
+    tiny = preset_scene("tiny")
+    scene = tiny.model_copy(
+        update={
+            "terrain": tiny.terrain.model_copy(update={"relief_m": relief_m}),
+            "acquisition": tiny.acquisition.model_copy(
+                update={"prf_hz": 6000, "wobble_deg": wobble_deg}
+            ),
+        }
+    )
+    arrays, found = lay_out(scene).arrays, 0
+    for run in flight.make_passes(scene):
+        shots_of = np.arange(math.ceil(2 * run.half_s + 2) * scene.acquisition.prf_hz)
+        ground, range_m = flight.ground_points(run, shots_of.astype(np.int64), arrays)
+        outside = np.maximum(-ground[:, :2], ground[:, :2] - scene.extent_m).max(axis=1)
+        reach = flight.array_reach_m(scene, run.flight) + scene.acquisition.margin_m
+        expected = np.flatnonzero(outside <= reach)
+        pieces = list(flight.chunks(run, arrays))
+        np.testing.assert_array_equal(np.concatenate([p.shot for p in pieces]), expected)
+        ranges = np.concatenate([p.ground_range_m for p in pieces])
+        np.testing.assert_allclose(ranges, range_m[expected], rtol=1e-12)
+        found += len(expected)
+    assert found > 100
