@@ -25,6 +25,9 @@ from zarr.storage import MemoryStore
 
 from spl_batch.errors import DamagedError
 from spl_batch.formats.files.atomic import read_bytes
+from spl_batch.formats.verified.zarr_loop import end_in_order
+
+end_in_order()
 
 METADATA: Final = "zarr.json"
 """File that describes an array or a group."""
