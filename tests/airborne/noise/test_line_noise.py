@@ -1,6 +1,7 @@
 """Line noise density, gate and gains of one flightline."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -141,6 +142,40 @@ def test_a_gate_has_one_length_whatever_is_said_of_it(stated: float | None, nois
         assert "400 m is assumed" in gate.warnings[0].text
     else:
         assert gate.warnings == ()
+
+
+@pytest.mark.parametrize("strays", [(-500.0,), (-500.0, -430.0), (400.0,)])
+def test_lone_returns_far_away_lengthen_no_gate(strays: tuple[float, ...]) -> None:
+    flight = fly(shots=1500, noise_per_m=2e-4)
+    row = np.linspace(0.3, 0.7, len(strays)) * len(flight.table)
+    z = flight.table["z"].copy()
+    z[row.astype(int)] += np.array([1000 * away for away in strays], np.int32)
+    hurt = replace(flight, table=flight.table.with_columns(z=z))
+    for gate_m in (None, 300.0):
+        sound, found = model_of(flight, gate_m), model_of(hurt, gate_m)
+        assert found.mean_rate == pytest.approx(sound.mean_rate, rel=0.002)
+        np.testing.assert_allclose(found.near, sound.near, atol=1.5)
+        np.testing.assert_allclose(found.far, sound.far, atol=1.5)
+
+
+@pytest.mark.parametrize(("each", "below"), [(0.4, 1.0), (3.0, 0.3), (3.0, 0.05), (60.0, 0.05)])
+def test_all_noise_of_a_sparse_night_lies_in_its_gate(each: float, below: float) -> None:
+    """Noise below the ground may be rarer than above it, where few beamlets hear it."""
+    rng = np.random.default_rng(3)
+    m, half = 64 * 400, 150.0
+    extremes = np.empty((2, m))
+    for side, share in enumerate((1.0, below)):
+        count = rng.poisson(share * each / 2, m)
+        noise = half * rng.random(m) ** (1.0 / np.maximum(count, 1))
+        extremes[side] = np.where(count > 0, noise, rng.uniform(0.0, 8.0, m))
+    interval, summary, outside = windows({2 * half: m}, noise=0)
+    summary[:, [4, 8]], summary[:, [5, 9]] = -extremes[0][:, None], extremes[1][:, None]
+    summary[:, 6], summary[:, 7] = -extremes[1], extremes[0]
+    outside[:] = rng.poisson(np.array([1.0, below])[:, None] * each / 2, (m, 2, 1))
+    gate = fit_gate(interval, summary, outside, buffer_m=20.0, gate_m=None)
+    assert gate.basis == "estimated"
+    lost = (gate.near > -extremes[0]) | (gate.far < extremes[1])
+    assert not lost.any()
 
 
 @pytest.mark.parametrize(
