@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.water_level import APART_M, NEAR_M
+from spl_batch.airborne.ground.water.level import APART_M, NEAR_M
 from spl_batch.airborne.settings import VegetationSettings
 from spl_batch.constants import (
     CLASS_BUILDING,
@@ -85,10 +85,9 @@ def classify(
     -------
     (n,) uint8
         2 ground; 7 noise below the surface, 18 above it; 9 water: the input's, or in a
-        water polygon within :data:`~spl_batch.airborne.ground.water_level.NEAR_M` of the DTM, which
-        is the
-        water's surface there, or where there is none; its bottom, as whatever else lies deeper
-        or higher, is 1; 6 where the input says building; 14 where ``wire`` is
+        water polygon within :data:`~spl_batch.airborne.ground.water.level.NEAR_M` of the DTM, which
+        is the water's surface there, or where there is none; its bottom, as whatever else lies
+        deeper or higher, is 1; 6 where the input says building; 14 where ``wire`` is
         given and 1, at least :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points
         that are withheld or outside the area of interest keep the input's class. Others that
         nothing assessed keep it too, but class 2 is only what this project found.

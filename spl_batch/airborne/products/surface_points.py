@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.drowned_surfaces import lonely
 from spl_batch.airborne.filter.stray_returns import Bare, bare_cells, stray
-from spl_batch.airborne.ground.water_level import off_surface
+from spl_batch.airborne.ground.water.off_water import off_surface
 from spl_batch.airborne.products import surface_rasters
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointFlag, PointTable
@@ -19,21 +19,25 @@ DOMAIN: Final = "space"
 
 
 def holds_ground(table: PointTable, bare: Bare | None = None) -> NDArray[np.bool_]:
-    """Signal that the ground may rest on: (n,) bool.
+    """Signal that the ground may rest on: (n,) bool; all points of a cell are at hand.
 
     Parameters
     ----------
     bare : Bare, optional
-        Where signals of the cell are stray; found from these points without. If they are some of a
-        cell's points only, none of them lie in water, whose level asks for all of it.
+        Where signals of the cell are stray; found from these points without.
     """
+    usable = stands(table, bare_cells(lambda: (table,)) if bare is None else bare)
+    return usable & ~off_surface(table, usable)
+
+
+def stands(table: PointTable, bare: Bare | None) -> NDArray[np.bool_]:
+    """Signal that is not stray, where it lies in water too: (n,) bool."""
     usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
     usable = usable & ~table.has(PointFlag.OUTSIDE_AOI)
-    bare = bare_cells(lambda: (table,)) if bare is None else bare
     if bare is not None:
         usable &= ~bare.holds(table)
         usable &= ~lonely(table, usable, bare.noise(table))
-    return usable & ~off_surface(table, usable)
+    return usable
 
 
 def makes_surfaces(table: PointTable, bare: Bare | None = None) -> PointTable:

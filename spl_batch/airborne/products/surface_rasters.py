@@ -9,7 +9,7 @@ DTM    TIN through one vertex per raster cell, evaluated at cell centres: the ro
        mean (x, y, z) of its ground returns. Through single returns a TIN would keep
        the spread of a range (5 cm); means of positions too keep slopes unbiased. In
        water polygons ground returns are put on the water's level first
-       (:mod:`~spl_batch.airborne.ground.water_level`).
+       (:mod:`~spl_batch.airborne.ground.water.level`).
 DSM    Highest return of the cell that is ground or that its peers confirm: more of
        them in a sphere than noise alone puts there, spheres from ``dsm_near_m`` to
        ``dsm_support_m`` in turn (:mod:`spl_batch.airborne.products.confirmed_tops`).
@@ -34,7 +34,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.water_level import REACH_M, flattened
+from spl_batch.airborne.ground.water.level import REACH_M, Levels, flattened, in_water
 from spl_batch.airborne.products.cell_values import robust_cell_means, sort_into_cells
 from spl_batch.airborne.products.doubts.terrain_doubts import Doubts, doubts
 from spl_batch.airborne.products.flown_cells import (
@@ -55,7 +55,7 @@ from spl_batch.airborne.products.top_surface import (
 )
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
-from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, concat
+from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, overlap, quanta, shared
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
 
@@ -117,11 +117,12 @@ def surfaces(
 class Surfaces:
     """Rasters of one ground cell, made of its points part by part.
 
-    Parts are strips whose edges lie between raster cells, and all of them together are the cell
-    with its margin. Each comes twice: all are to be :meth:`look`-ed at before the first of them is
-    :meth:`add`-ed. Means of ground, heights and counts of noise are those of all parts, the TIN is
-    made once of the means, and a top is looked for in the part that owns its raster cell: however
-    the parts are cut, the rasters have the same bytes.
+    Parts are strips whose edges lie between raster cells, where there is water also between the
+    cells of its level. All of them together are the cell with its margin. Each comes twice: all
+    are to be :meth:`look`-ed at before the first of them is :meth:`add`-ed. Means of ground,
+    levels of water, heights and counts of noise are those of all parts, the TIN is made once of
+    the means, and a top is looked for in the part that owns its raster cell: however the parts are
+    cut, the rasters have the same bytes.
 
     Parameters
     ----------
@@ -139,7 +140,8 @@ class Surfaces:
         self.region = grow(cell, margin_cells(settings) * size)
         rows, cols = shape_of(self.region, size)
         self._means = np.full((rows * cols, 3), np.nan)
-        self._wet: list[PointTable] = []
+        # Under a deck what is left of the water may hang together with no other.
+        self._levels = Levels(beyond=True)
         self._corners = np.zeros((2, 2), np.bool_)
         self._ground: Heights | None = None
         self._refused = RefusedReturns(self.region, size)
@@ -149,22 +151,18 @@ class Surfaces:
     def look(self, table: PointTable, part: Bounds) -> None:
         """Gather what a part tells of the whole: points of it, with :data:`COLUMNS_NEEDED`."""
         mine = shared(part, self.region)
-        found = (table["ground"] == 1) & inside(table["x"], table["y"], mine)
-        ground = table.select(("x", "y", "z", "flags")).take(found)
-        wet = ground.has(PointFlag.WATER)
-        if wet.any():
-            # The level of water is known when all of it is: its raster cells wait for that.
-            number = cell_number(ground, self.region, self._size)
-            waits = np.isin(number, np.unique(number[wet]))
-            self._wet.append(ground.take(waits))
-            ground = ground.take(~waits)
-        self._take_means(ground)
+        ground, waits = self._of_terrain(table, mine)
+        self._levels.look(*in_water(ground)[1])
+        self._take_means(ground.take(~waits))
         self._ground = both(self._ground, ground_heights(table, mine))
         self._refused.add(table)
         self._look_at_corners(table)
 
     def add(self, table: PointTable, part: Bounds) -> None:
         """Find the tops of a part: points of it and of :meth:`around` it."""
+        ground, waits = self._of_terrain(table, shared(part, self.region))
+        if waits.any():
+            self._take_means(flattened(ground.take(waits), self._levels))
         there = about_ground(table, shared(part, self.region), self._ground)
         corner, size = self.region, self._size
         row, col = (table["y"][there] - corner.ymin) // size, table["x"][there] - corner.xmin
@@ -220,6 +218,19 @@ class Surfaces:
         heights = self._means[:, 2].reshape(shape_of(self.region, self._size))
         return doubts(heights * QUANTUM_M, margin, cell_m)
 
+    def _of_terrain(self, table: PointTable, part: Bounds) -> tuple[PointTable, NDArray[np.bool_]]:
+        """Ground of a part, and what of it waits until the level of all water is known.
+
+        It is that of raster cells with water.
+        """
+        found = (table["ground"] == 1) & inside(table["x"], table["y"], part)
+        ground = table.select(("x", "y", "z", "flags")).take(found)
+        wet = ground.has(PointFlag.WATER)
+        if not wet.any():
+            return ground, wet
+        number = cell_number(ground, self.region, self._size)
+        return ground, np.isin(number, np.unique(number[wet]))
+
     def _take_means(self, ground: PointTable) -> None:
         """Robust means of some raster cells whose ground is there."""
         number = cell_number(ground, self.region, self._size)
@@ -232,8 +243,6 @@ class Surfaces:
 
     def _terrain(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """DTM [quanta] and its standard deviation [m] from the south; NaN in voids."""
-        if self._wet:
-            self._take_means(flattened(concat(self._wet, ("x", "y", "z", "flags"))))
         cell, size, settings = self._cell, self._size, self._settings
         margin, (rows, cols) = margin_cells(settings), shape_of(self.region, size)
         means = self._means

@@ -99,12 +99,16 @@ def _share(
     only = table["return_number"] <= 1
     alone = ~timed & only
     # 0.0 for -0.0: equal times have equal bits.
-    key = (table["gps_time"] + 0.0).view(np.uint64) + table["channel"]
-    mixed = (key * _MIX) >> np.uint64(32)
+    mixed = (table["gps_time"] + 0.0).view(np.uint64)
+    mixed += table["channel"]
+    mixed *= _MIX
+    mixed >>= np.uint64(32)
     rows = np.flatnonzero(timed & (mixed % np.uint64(shares) == share))
-    slot = (mixed[rows] // np.uint64(shares) % np.uint64(_SLOTS)).astype(np.intp)
+    slot = (mixed[rows] // np.uint64(shares) % np.uint64(_SLOTS)).astype(np.uint16)
+    del mixed
     full = np.bincount(slot, minlength=_SLOTS) > MOST_RETURNS
     some = rows[full[slot]]
+    del slot
     pulse, place, count = np.unique(
         _pulse(table.select(_PULSE).take(some)), return_inverse=True, return_counts=True
     )

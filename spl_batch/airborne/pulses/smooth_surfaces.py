@@ -15,7 +15,7 @@ decided later, when the thickness of all is known: their heights are added up by
 slope is that of the square's plane by least squares, not of the lowest returns of nine cells.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -52,6 +52,9 @@ QUARTER: Final = 0.25
 TWICE: Final = 2.0
 """A place thicker than this times the noise is overgrown."""
 
+AT_ONCE: Final = 1 << 18
+"""Returns of columns of places that are looked at together, about [count]."""
+
 Sums = NDArray[np.int64]
 """By thickness: places, cells [count], and the sum of their squared differences [quanta2]:
 (:data:`STEPS`, 3)."""
@@ -79,13 +82,40 @@ def smooth_sums(first: NDArray[np.int64], line: NDArray[np.int64], core: Bounds)
     core : Bounds
         The region: places that lie in it as a whole count [quanta].
     """
-    square, edge = quanta(SQUARE_M), quanta(EDGE_M)
+    square = quanta(SQUARE_M)
     west, south = -(-core.xmin // square), -(-core.ymin // square)
     columns, rows = core.xmax // square - west, core.ymax // square - south
+    sums = {name: np.zeros((STEPS, 3), np.int64) for name in CELLS}
+    if columns < 1 or rows < 1:
+        return sums
     whole = Bounds(*(k * square for k in (west, south, west + columns, south + rows)))
-    mine = inside(first[:, 0], first[:, 1], whole)
-    line = np.unique(line[mine], return_inverse=True)[1]
-    xyz = first[mine]
+    for part in _slabs(first[:, 0], whole):
+        mine = inside(first[:, 0], first[:, 1], part)
+        for name, found in _sums(first[mine], line[mine], part).items():
+            sums[name] += found
+    return sums
+
+
+def _slabs(x: NDArray[np.int64], whole: Bounds) -> Iterator[Bounds]:
+    """Whole columns of places, so many that they hold about :data:`AT_ONCE` returns at most."""
+    square = quanta(SQUARE_M)
+    known = x[(x >= whole.xmin) & (x < whole.xmax)]
+    held = np.bincount((known - whole.xmin) // square)
+    west, count = whole.xmin, 0
+    for column, more in enumerate(held.tolist()):
+        east = whole.xmin + column * square
+        if count and count + more > AT_ONCE:
+            yield whole._replace(xmin=west, xmax=east)
+            west, count = east, 0
+        count += more
+    yield whole._replace(xmin=west)
+
+
+def _sums(xyz: NDArray[np.int64], line: NDArray[np.int64], whole: Bounds) -> dict[str, Sums]:
+    """What :func:`smooth_sums` finds in whole places, of the returns in them alone."""
+    square, edge = quanta(SQUARE_M), quanta(EDGE_M)
+    columns, rows = (whole.xmax - whole.xmin) // square, (whole.ymax - whole.ymin) // square
+    line = np.unique(line, return_inverse=True)[1]
     parts = square // edge
     at = (line * rows + (xyz[:, 1] - whole.ymin) // square) * columns
     at += (xyz[:, 0] - whole.xmin) // square

@@ -4,7 +4,7 @@ A label names its point by tile and row in the tile's file, so units that are cu
 otherwise than the tiles (ground cells, blocks) need no join to find their points.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
@@ -55,9 +55,31 @@ class Origin(NamedTuple):
     owner: NDArray[np.unsignedinteger[Any]]
     row: NDArray[np.uint32]  #: (n,): row of each point in its tile's file.
 
-    def of(self, chosen: NDArray[np.bool_]) -> "Origin":
-        """Where some of them lie, given as (n,) bool."""
+    def of(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Origin":
+        """Where some of them lie, given as (n,) bool or by their numbers."""
         return Origin(self.tiles, self.owner[chosen], self.row[chosen])
+
+
+class Marks:
+    """Some points, known by tile and row."""
+
+    def __init__(self, places: Iterable[Origin] = ()) -> None:
+        rows: dict[CellId, list[NDArray[np.uint32]]] = {}
+        for place in places:
+            for number, tile in enumerate(place.tiles.tolist()):
+                rows.setdefault(CellId(*tile), []).append(place.row[place.owner == number])
+        self._rows = {tile: np.sort(np.concatenate(found)) for tile, found in rows.items()}
+
+    def holds(self, place: Origin) -> NDArray[np.bool_]:
+        """Which points of a region are marked: (n,) bool."""
+        out = np.zeros(len(place.row), np.bool_)
+        for number, tile in enumerate(place.tiles.tolist()):
+            marked = self._rows.get(CellId(*tile))
+            if marked is not None and len(marked):
+                mine = np.flatnonzero(place.owner == number)
+                row = place.row[mine]
+                out[mine] = marked.take(np.searchsorted(marked, row), mode="clip") == row
+        return out
 
 
 Labelled = tuple[Origin, Mapping[str, NDArray[Any]]]

@@ -15,9 +15,11 @@ from spl_batch.airborne.filter.drowned_surfaces import NEAR_M
 from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.filter.stray_returns import Bare, bare_cells
 from spl_batch.airborne.ground import ground_methods as grounding
+from spl_batch.airborne.ground.water.off_water import OffWater
 from spl_batch.airborne.products import surface_points
-from spl_batch.airborne.store.label_tables import Origin, read_region, write_labels
+from spl_batch.airborne.store.label_tables import Marks, Origin, read_region, write_labels
 from spl_batch.engine.tasks.context import Produced
+from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.lattice.eastings import strips_between
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import (
@@ -31,6 +33,9 @@ from spl_batch.lattice.tiles import (
 )
 
 Units = dict[CellId, list[tuple[str, str]]]
+
+Read = Callable[[Bounds, Sequence[str]], tuple[PointTable, Origin]]
+"""Gives some columns of a region's points, and where they lie."""
 
 T = TypeVar("T")
 
@@ -65,6 +70,7 @@ class _Judged(NamedTuple):
 
 def _judged(args: Mapping[str, Any], context: Context, core: Bounds) -> _Judged:
     """Decide which points of a part of a block are noise."""
+    give_back()
     workflow, cells = context.workflow, tile_cells(args["tiles"])
     # Air is looked for farther around than the filter looks, and in fewer columns.
     wide = grow(core, args["halo"])
@@ -115,30 +121,31 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     region = grow(core, args["halo"])
     parts = strips_between(region, args.get("cuts", {}).get("ground", ()))
 
-    def judged(table: PointTable, origin: Origin, bare: Bare | None) -> grounding.Band:
-        owned = inside(table["x"], table["y"], core)
-        usable = surface_points.holds_ground(table, bare)
+    def points(part: Bounds, bare: Bare | None, off: Marks) -> grounding.Band:
+        table, usable, origin = _standing(part, region, read, bare, _GROUND_COLUMNS)
+        usable &= ~off.holds(origin)
         if bare is not None:
             bare.mark_columns(table, usable, standing)
-        return grounding.Band(table, usable, owned, origin)
-
-    def points(part: Bounds, bare: Bare | None) -> grounding.Band:
-        # Neighbours in the next strip count, as far as the cell reads.
-        found = judged(*read(shared(grow(part, quanta(NEAR_M)), region), _GROUND_COLUMNS), bare)
-        mine = inside(found.table["x"], found.table["y"], part)
-        return found._replace(usable=found.usable & mine, asked=found.asked & mine)
+        mine = inside(table["x"], table["y"], shared(core, part))
+        return grounding.Band(table, usable, mine, origin)
 
     if len(parts) == 1:
         table, origin = read(region, _GROUND_COLUMNS)
         bare = bare_cells(lambda: (table,))
         standing = _no_column(bare)
-        band = judged(table, origin, bare)
-        mask = grounding.ground_mask(band.table, band.usable, context.workflow.ground, band.asked)
-        found = [_owned((band, mask))]
+        usable = surface_points.holds_ground(table, bare)
+        if bare is not None:
+            bare.mark_columns(table, usable, standing)
+        owned = inside(table["x"], table["y"], core)
+        mask = grounding.ground_mask(table, usable, context.workflow.ground, owned)
+        found = [_owned((grounding.Band(table, usable, owned, origin), mask))]
     else:
         bare = bare_cells(lambda: (read(part, ("x", "y", "z"))[0] for part in parts))
         standing = _no_column(bare)
-        given = partial(points, bare=bare)
+        wet = strips_between(region, args["cuts"].get("water", ()))
+        off = Marks() if context.workflow.water is None else _off_water(wet, region, read, bare)
+        given = partial(points, bare=bare, off=off)
+        give_back()
         found = list(map(_owned, grounding.ground_in_bands(lambda: map(given, parts))))
     path = context.store.labels("ground", args["cell"])
     write_labels(path, found)
@@ -146,6 +153,36 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {"ground": int(sum(map(np.count_nonzero, labels))), "core": list(core)}
     facts |= {} if bare is None else bare.facts(core, standing)
     return Produced([path], facts, sum(map(len, labels)))
+
+
+def _standing(
+    part: Bounds, region: Bounds, read: Read, bare: Bare | None, columns: Sequence[str]
+) -> tuple[PointTable, NDArray[np.bool_], Origin]:
+    """Points of a strip and around it, which of those in it are signal, and where they lie.
+
+    Neighbours in the next strip count, as far as the cell reads.
+    """
+    table, origin = read(shared(grow(part, quanta(NEAR_M)), region), columns)
+    usable = surface_points.stands(table, bare)
+    return table, usable & inside(table["x"], table["y"], part), origin
+
+
+def _off_water(parts: Sequence[Bounds], region: Bounds, read: Read, bare: Bare | None) -> Marks:
+    """What in the water polygons of a cell no terrain may rest on, strip by strip."""
+    waters, columns = OffWater(), ("x", "y", "z", "flags")
+
+    def look(part: Bounds) -> None:
+        waters.look(*_standing(part, region, read, bare, columns)[:2])
+
+    def judge(part: Bounds) -> tuple[Origin, NDArray[np.int32]]:
+        table, usable, origin = _standing(part, region, read, bare, columns)
+        found = waters.judge(table, usable)
+        return origin.of(found.rows), found.layer
+
+    for part in parts:
+        look(part)
+    found = map(judge, parts) if waters.seen else ()
+    return Marks([origin.of(waters.off(layer)) for origin, layer in list(found)])
 
 
 def _no_column(bare: Bare | None) -> NDArray[np.bool_]:

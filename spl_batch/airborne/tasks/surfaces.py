@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.stray_returns import bare_cells
+from spl_batch.airborne.ground.water.level import CELL_M
 from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
@@ -33,6 +34,7 @@ from spl_batch.airborne.tasks.space_domain import Cell
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
+from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
@@ -52,14 +54,18 @@ class Look(NamedTuple):
 
 
 def looks_at_surface(workflow: Workflow, halo_q: int) -> dict[str, Look]:
-    """The looks at a surface cell, by name; ``tops`` are all that ask for whole raster cells alone.
+    """The looks at a surface cell, by name.
+
+    ``tops`` are all that ask for whole raster cells alone, and where there is water for whole cells
+    of its level.
 
     ``halo_q``: what is read around the cell at the most [quanta].
     """
     cell, near = quanta(workflow.products.cell_m), min(halo_q, pulses.reach(workflow.products))
     around = cell_classes.reach_q(workflow.classes)
+    level = 1 if workflow.water is None else quanta(CELL_M)
     return {
-        "tops": Look(cell, top_margin(workflow.products) * cell, halo_q),
+        "tops": Look(lcm(cell, level), top_margin(workflow.products) * cell, halo_q),
         "pulses": Look(lcm(cell, pulses.STEP_Q), 0, near),
         "classes": Look(lcm(cell, cell_classes.step_q(workflow.classes)), around, around),
     }
@@ -70,6 +76,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     workflow, core = context.workflow, Bounds(*args["core"])
     cell = Cell(args, context, core)
     reflected = {} if args["fired"] is None else _reflectance(cell)
+    give_back()
     arrays, squares, doubted = _surfaces(cell)
     arrays |= reflected
     banks = _flatten(arrays, core, context)
@@ -77,10 +84,12 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
         _mask_outside(arrays, core, context)
     counted = pulses.covered(squares, arrays, context)
     counted |= doubt_facts(doubted, arrays, core, quanta(workflow.products.cell_m))
+    give_back()
     found = _pulses(cell)
     judged = found.judged(squares)
     counted |= found.facts(judged)
     arrays |= found.rasters(arrays["density"], judged)
+    give_back()
     labels, facts, n_points = cell_classes.classes(cell, arrays, found.lines)
     counted |= facts | ({"banks": list(banks)} if banks else {})
     chunks = _write_rasters(args["cell"], core, arrays, context)

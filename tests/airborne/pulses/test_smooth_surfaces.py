@@ -128,3 +128,15 @@ def test_a_pass_for_each_return_needs_no_memory_for_its_squares() -> None:
     tracemalloc.stop()
     assert not any(found.any() for found in sums.values())
     assert peak < 300 * n
+
+
+def test_many_returns_are_looked_at_a_few_columns_of_places_at_a_time() -> None:
+    n = 600_000
+    first = np.random.default_rng(2).integers(0, (64_000, 64_000, 60), (n, 3))
+    line = np.arange(n) % 3
+    tracemalloc.start()
+    found = smooth_sums(first, line, Bounds(0, 0, 64_000, 64_000))["QL2"]
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found[:, :2].sum(axis=0).tolist() == [3 * 64, 3 * 64 * 16]
+    assert peak < 120 * n

@@ -12,12 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.ground.multiscale_surface import BLOCK_M
 from spl_batch.airborne.plan import phases
 from spl_batch.airborne.plan.block_size import Sizes, count_blocks
 from spl_batch.airborne.plan.ground_cells import GroundCells
 from spl_batch.airborne.plan.memory.block_parts import parts_of
-from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts
+from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts, looks_at
 from spl_batch.airborne.plan.memory.heaviest_tasks import needs
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
@@ -27,11 +26,20 @@ from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.lattice.density import Box, from_boxes, from_counts
 from spl_batch.lattice.eastings import Eastings, Slabs
-from spl_batch.lattice.tiles import Bounds, CellId, grow, quanta
+from spl_batch.lattice.tiles import Bounds, CellId
 
 FLAGS: Final = ("building", "overlap", "withheld")
 
 CORE = Bounds(0, 0, 40_000, 100_000)
+
+
+def even(density_m2: float) -> Spread:
+    """Points that lie evenly for ever."""
+
+    def spread(region: Bounds) -> Eastings:
+        return Eastings.even(density_m2 * region.area_m2, region)
+
+    return spread
 
 
 def evenly(per_m2: float) -> Callable[[Bounds], float]:
@@ -101,15 +109,10 @@ def only_task(survey: Survey, kind: str) -> Task:
 
 def cuts_of(task: Task, context: Context, count: int) -> dict[str, Any]:
     """Cuts that make about so many strips of each look at a cell, as a plan would say."""
-    core, workflow = Bounds(*task.args["core"]), context.workflow
-    looks = {"ground": (quanta(BLOCK_M), task.args["halo"])}
-    if task.kind == "surface":
-        asked = surfaces.looks_at_surface(workflow, task.args["halo"])
-        looks = {name: (look.step_q, look.margin_q) for name, look in asked.items()}
-    cuts = {}
-    for name, (step, margin) in looks.items():
-        spread = Eastings.even(1_000_000, grow(core, margin))
-        cuts[name] = list(spread.cut(step, 0, 1_000_000 / count).ends[1:-1])
+    core, cuts = Bounds(*task.args["core"]), {}
+    looks = looks_at(task.kind, core, even(1.0), context.workflow)
+    for name, (region, step_q, _) in looks.items():
+        cuts[name] = list(region.cut(step_q, 0, region.total / count).ends[1:-1])
     return {"cuts": cuts}
 
 
@@ -177,22 +180,14 @@ def test_memory_decides_on_the_parts_and_is_in_no_key(finished: tuple[Survey, Co
     short = replace(survey, memory_bytes=450 << 20)
     wet = only_task(short, "ground")
     dry = replace(short, workflow=survey.workflow.model_copy(update={"water": None}))
-    assert wet.how == only_task(survey, "ground").how == {"cuts": {}}, "a level asks for all of it"
-    assert only_task(dry, "ground").how["cuts"]["ground"]
+    assert only_task(survey, "ground").how == {"cuts": {}}
+    assert set(wet.how["cuts"]) == {"ground", "water"}
+    assert set(only_task(dry, "ground").how["cuts"]) == {"ground"}
     assert only_task(dry, "ground").args == wet.args
     assert len(only_task(short, "denoise").how["parts"]) > 1
 
 
 SQUARE: Final = Bounds(0, 0, 200_000, 200_000)
-
-
-def even(density_m2: float) -> Spread:
-    """Points that lie evenly for ever."""
-
-    def spread(region: Bounds) -> Eastings:
-        return Eastings.even(density_m2 * region.area_m2, region)
-
-    return spread
 
 
 def plain(**sections: object) -> Workflow:

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 
 from spl_batch.airborne.filter.drowned_surfaces import NEAR_M
 from spl_batch.airborne.ground.multiscale_surface import BLOCK_M
+from spl_batch.airborne.ground.water.off_water import PART_STEP_M
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.task_memory import task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
@@ -32,7 +33,7 @@ GATHERED_BYTES: Final = 20
 """And by each of its points: what all strips tell [byte]."""
 
 LOOK_BYTES: Final[Mapping[str, int]] = MappingProxyType(
-    {"ground": 215, "patches": 80, "tops": 150, "pulses": 150, "classes": 150}
+    {"ground": 215, "water": 150, "patches": 80, "tops": 150, "pulses": 150, "classes": 150}
 )
 """And by each point of a strip and around it, in each look at a cell [byte]."""
 
@@ -90,7 +91,10 @@ def looks_at(
     """Points of each look at a cell, the step at which it may be cut, and what a strip reads."""
     if kind == "ground":
         region = spread(grow(core, quanta(workflow.ground.buffer_m)))
-        return {"ground": (region, quanta(BLOCK_M), quanta(NEAR_M))}
+        looks = {"ground": (region, quanta(BLOCK_M), quanta(NEAR_M))}
+        if workflow.water is not None:
+            looks["water"] = region, quanta(PART_STEP_M), quanta(NEAR_M)
+        return looks
     if kind == "strip_patches":
         return {"patches": (spread(core), quanta(SQUARE_M), 0)}
     halo = quanta(surface_reach_m(workflow))
@@ -103,10 +107,9 @@ def looks_at(
 def _may_be_cut(kind: str, workflow: Workflow) -> bool:
     """Whether strips give what a cell at once gives.
 
-    Of the methods for the ground only the one that follows the data works in strips, and only
-    without water, whose level asks for all of a cell.
+    Of the methods for the ground only the one that follows the data works in strips.
     """
-    return kind != "ground" or (workflow.ground.method == "multiscale" and workflow.water is None)
+    return kind != "ground" or workflow.ground.method == "multiscale"
 
 
 def _held(kind: str, core: Bounds, spread: Spread, points: float, workflow: Workflow) -> int:

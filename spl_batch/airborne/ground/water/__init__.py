@@ -1,0 +1,1 @@
+"""Water polygons: the level of their water, and what lies off it."""
