@@ -205,6 +205,16 @@ def test_150_returns_per_m2_fit_into_one_gibibyte(kind: str, density_m2: float) 
     assert cell_parts(kind, SQUARE, even(2_500), plain(), 1 << 30).memory_bytes > 2**30
 
 
+def test_a_surface_that_took_959_mib_of_a_worker_is_planned_with_as_much() -> None:
+    """Of 3.43 million returns, all in one cell, at once, after other tasks of a worker."""
+    box = Bounds(0, 0, 160_000, 160_000)
+    spread = partial(Eastings.of_slabs, [(box, 3_430_634)])
+    assert cell_parts("surface", box, spread, plain(), 8 << 30).memory_bytes >= 959 << 20
+    short = cell_parts("surface", box, spread, plain(), 1 << 30)
+    assert short.strips > 1
+    assert short.memory_bytes <= 0.9 * 2**30
+
+
 @pytest.mark.parametrize(("kind", "fits"), [("ground", 3_600_000), ("surface", 4_800_000)])
 def test_a_corridor_is_cut_within_its_width_or_refused(kind: str, fits: int) -> None:
     """As many returns as in an even cell, in a tenth of its width."""

@@ -33,7 +33,7 @@ GATHERED_BYTES: Final = 20
 """And by each of its points: what all strips tell [byte]."""
 
 LOOK_BYTES: Final[Mapping[str, int]] = MappingProxyType(
-    {"ground": 215, "water": 150, "patches": 80, "tops": 150, "pulses": 150, "classes": 150}
+    {"ground": 215, "water": 150, "patches": 80, "tops": 175, "pulses": 175, "classes": 150}
 )
 """And by each point of a strip and around it, in each look at a cell [byte]."""
 
