@@ -178,6 +178,16 @@ def test_what_a_task_needs_is_not_sent(
     assert sent == [dataclasses.replace(given, needs=())]
 
 
+def test_a_task_knows_the_limit_of_its_worker(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[int | None] = []
+    monkeypatch.setattr(work, "limit_memory", told.append)
+    flow_through(threads, jobs(1), monkeypatch, lambda task, key, _: receipt(task, key))
+    limits = {worker.memory_manager.memory_limit for worker in threads.workers.values()}
+    assert {*told} == limits
+
+
 def test_few_jobs_are_in_flight_and_workers_that_join_are_used(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:

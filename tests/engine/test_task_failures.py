@@ -11,7 +11,7 @@ from numba.core.errors import TypingError
 
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.engine.tasks import runner
-from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.context import Produced, RunContext
 from spl_batch.engine.tasks.runner import Kind, run_task
 from spl_batch.engine.tasks.task import Task
 from spl_batch.errors import DamagedError, InputError, StoppedError, StoreError
@@ -55,6 +55,17 @@ def ended(error: BaseException, context: RunContext[Any], monkeypatch: pytest.Mo
     kinds = {"index_file": Kind("index", raising, ())}
     monkeypatch.setattr(runner, "kinds", lambda _: kinds)
     return run_task(Task("index_file", "1", {}, ()), "key", context)
+
+
+def test_freed_memory_is_given_back_before_a_task(
+    context: RunContext[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    monkeypatch.setattr(runner, "give_back", lambda: done.append("given back"))
+    work = Kind("index", lambda *_: done.append("task") or Produced(), ())  # type: ignore[func-returns-value]
+    monkeypatch.setattr(runner, "kinds", lambda _: {"index_file": work})
+    assert not run_task(Task("index_file", "1", {}, ()), "key", context).failed
+    assert done == ["given back", "task"]
 
 
 @pytest.mark.parametrize("error", FAULTS, ids=lambda error: type(error).__name__)

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.runner import code_version, run_task
-from spl_batch.engine.tasks.spare_memory import give_back, limit_memory
+from spl_batch.engine.tasks.spare_memory import limit_memory
 from spl_batch.engine.tasks.task import Receipt, Task, WorkersSeen
 from spl_batch.errors import StoppedError
 from spl_batch.formats.files.atomic import owned_by
@@ -87,7 +87,6 @@ def work(
     if fault:
         raise StoppedError(f"worker {worker.address} {fault}; mend it and run again")
     limit_memory(worker.memory_manager.memory_limit)
-    give_back()
     worker.log_event(topic, {"kind": task.kind, "name": task.name, "worker": worker.address})
     with owned_by(footing.mark, footing.content):
         return worker.address, run_task(task, key, context)

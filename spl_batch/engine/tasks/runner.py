@@ -20,6 +20,7 @@ from typing import Any, Final
 from spl_batch import __version__
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt, write_receipt
 from spl_batch.engine.tasks.context import RunContext, TaskFunction
+from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.errors import DamagedError, SplBatchError, StoppedError, is_fault, one_line
 from spl_batch.formats.files.atomic import checksum, size, stop_if_full
@@ -178,6 +179,7 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
     # this task is killed half-way.
     forget_receipt(context.store, task.kind, task.name)
     try:
+        give_back()
         function = _kind(task, context).loaded()
         start = time.perf_counter()  # what loads a module for the first time is no work of a task
         produced = function({**task.args, **task.how}, context)
