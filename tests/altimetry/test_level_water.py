@@ -273,6 +273,28 @@ def test_a_plain_with_trees_is_no_water() -> None:
     assert (cells.level != NO_WATER).mean() < 0.1
 
 
+@pytest.mark.parametrize("noise", [NIGHT, DAY, 0.05])
+def test_trees_that_fill_a_low_gate_are_no_sky_over_water(noise: float) -> None:
+    rng = np.random.default_rng(5)
+    n = rng.poisson((3400, 3400, noise * 4000.0 * 30.0))
+    x = rng.uniform(0.0, 4000.0, n.sum())
+    trees = 15.0 * rng.beta(4.0, 2.0, n[1])
+    z = np.concatenate([rng.normal(0.0, 0.3, n[0]), trees, rng.uniform(-12.0, 18.0, n[2])])
+    order = np.argsort(x, kind="stable")
+    cells = rates.observe(*quanta(np.stack([x, z], axis=1)[order]), RATE)
+    assert (cells.level != NO_WATER).mean() < 0.2
+    if noise > NIGHT:
+        found = rates.density_from_window(cells, RATE)
+        assert np.median(found) == pytest.approx(noise, rel=0.3)
+
+
+def test_a_surface_over_a_brighter_shallow_floor_is_no_wood() -> None:
+    depth = lambda x: 1.5 + 0.5 * np.sin(x / 200.0)  # noqa: E731
+    track = water_track(NIGHT, surface_per_m=0.85, floor_per_m=2.1, depth_m=depth)
+    cells = rates.observe(*photons(track), RATE)
+    assert (cells.level != NO_WATER).mean() > 0.5
+
+
 @settings(max_examples=4, deadline=None)
 @given(st.integers(1, 3), st.integers(20, 180))
 def test_water_does_not_depend_on_where_the_track_is_cut(seed: int, cut: int) -> None:

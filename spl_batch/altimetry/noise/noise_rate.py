@@ -29,15 +29,15 @@ from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.water.level_water import (
     DEPTHS,
     NO_WATER,
-    REACH_CELLS,
     SURFACE_M,
+    WOOD_CELLS,
     find_water,
     local_column,
 )
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
-HALO_CELLS: Final = STRETCH_CELLS + 2 * REACH_CELLS + 5
+HALO_CELLS: Final = 2 * STRETCH_CELLS + WOOD_CELLS + 5
 """Cells to each side that :func:`observe` looks at [count]."""
 
 NOTHING_SEEN: Final = 3.0

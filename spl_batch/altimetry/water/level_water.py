@@ -54,6 +54,9 @@ _SEEN: Final = 2
 _FLOOR_CELLS: Final = 2
 """Cells to each side that a floor is looked for with [count]."""
 
+WOOD_CELLS: Final = 10
+"""Cells to each side that a wood is compared with the ground below it over [count]."""
+
 _FLOOR_DEPTHS: Final = 9
 """Depths whose median a floor stands out of [count]."""
 
@@ -184,23 +187,27 @@ def _grown_over(
 ) -> NDArray[np.bool_]:
     """Cells where more stands above the level than noise can be: plains with trees, (n,) bool.
 
-    Noise is seen above trees and below ground; below water there is as much of it or more.
+    Noise is seen above trees and, in low gates, below ground; below water there is as much of it or
+    more. What stands a little above a level may be the surface over a bright floor, and is no wood.
     """
     low, high = (end.astype(np.int64) for end in gate)
     foot = level.astype(np.int64) + round(SURFACE_M * QUANTA_PER_M)
     canopy = CANOPY_M * QUANTA_PER_M
     # Where the gate ends low above the water, noise is seen in the upper half of what there is.
     middle = foot + np.minimum(canopy, np.maximum(high - foot, 0) // 2)
-    under = level.astype(np.int64) - round(_UNDER_M * QUANTA_PER_M)
+    off = round(_UNDER_M * QUANTA_PER_M)
+    under, over = level.astype(np.int64) - off, level.astype(np.int64) + off
     trees, sky = (foot, np.minimum(high, middle)), (middle, high)
-    tall, ground = (foot, np.minimum(high, foot + canopy)), (low, under)
+    # Trees may fill that half too.
+    filled = np.where(high - foot < 2 * canopy, np.minimum(high, foot + canopy), over)
+    tall, ground = (over, filled), (low, under)
     grown = np.zeros(len(level), np.bool_)
-    for bands in ((trees, sky), (tall, ground)):
+    for bands, reach in (((trees, sky), _FLOOR_CELLS), ((tall, ground), WOOD_CELLS)):
         inside = [(height > a[cell]) & (height <= b[cell]) for a, b in bands]
         counted = [np.bincount(cell[some], minlength=len(level)) for some in inside]
         length = [np.clip(b - a, 0, None) / QUANTA_PER_M for a, b in bands]
-        near, noise = _sums(index, np.stack(counted, axis=1), _FLOOR_CELLS).T
-        near_m, noise_m = _sums(index, np.stack(length, axis=1), _FLOOR_CELLS).T
+        near, noise = _sums(index, np.stack(counted, axis=1), reach).T
+        near_m, noise_m = _sums(index, np.stack(length, axis=1), reach).T
         ratio = near_m / np.maximum(noise_m, 1.0)
         chance = _FLOOR_SD * np.sqrt(near + (noise + 1.0) * ratio**2)
         grown |= (noise_m > 0) & (near > _GROWN * noise * ratio + chance)
