@@ -15,24 +15,22 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, SUMMARY
+from spl_batch.airborne.noise.line_statistics import (
+    BUFFER_LADDER,
+    LONE_GAPS,
+    LONE_MOST,
+    SUMMARY,
+    SUPPORT,
+    spacing_m,
+    without_lone,
+)
 from spl_batch.errors import Remark
 
 WINDOW_INTERVALS: Final = 64
 """Intervals whose extremes are read together [count]."""
 
-SUPPORT: Final = 20
-"""Returns away from the surface from which on a window tells where its gate ends [count]."""
-
-LONE_MOST: Final = 2
-"""Intervals whose extremes may be no end of the gate [count]."""
-
-LONE_SPACINGS: Final = 12.0
-"""They lie farther beyond the next one than so many mean spacings, both of the noise on their side
-and of the extremes that follow: fewer than six of a million ends of uniform noise do [count]."""
-
-LONE_GAPS: Final = (3, 8)
-"""Gaps between the extremes that follow which tell their spacing, at least and at most [count]."""
+TOLERANCE: Final = 0.1
+"""Part of a gate's stated length by which the returns may fill more or less."""
 
 GATE_MIN_M: Final = 60.0
 """Least length of a gate that is not stated: a shorter one is a scene without noise [m]."""
@@ -93,12 +91,21 @@ def fit_gate(
     starts = np.flatnonzero(np.diff(interval // WINDOW_INTERVALS, prepend=interval[0] - 10**6))
     column = dict(zip(SUMMARY, summary.T, strict=True))
     tilt = float(np.mean(column["cosine"]))
-    half = buffer_m * BUFFER_LADDER[3]
+    half, most = buffer_m * BUFFER_LADDER[3], (gate_m or math.inf) * (1.0 + TOLERANCE)
     noise = np.add.reduceat(outside[:, :, 3], starts)
     candidates = [
-        _edges(("range", 1.0), starts, noise, half, (column["range_min"], column["range_max"])),
-        _edges(("height", tilt), starts, noise, half, (-column["z_max"], -column["z_min"])),
-        _edges(("surface", 1.0), starts, noise, half, (column["behind_min"], column["behind_max"])),
+        _edges(
+            ("range", 1.0), starts, noise, half, most, (column["range_min"], column["range_max"])
+        ),
+        _edges(("height", tilt), starts, noise, half, most, (-column["z_max"], -column["z_min"])),
+        _edges(
+            ("surface", 1.0),
+            starts,
+            noise,
+            half,
+            most,
+            (column["behind_min"], column["behind_max"]),
+        ),
     ]
     # Of lengths equal within chance the physical one, slant range, wins.
     best = candidates[0]
@@ -130,24 +137,29 @@ def _edges(
     starts: NDArray[np.int64],
     noise: NDArray[np.int64],
     half_m: float,
+    most_m: float,
     extremes: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> _Edges:
     """Edges of each window; windows with little noise borrow from the flightline.
 
-    ``noise``: (w, 2), returns above and below the signal [count].
+    ``noise``: (w, 2), returns above and below the signal [count]. ``most_m``: of a gate that is
+    stated, with a tolerance.
     """
     whole = extremes[1] - extremes[0]
     first, of_first = _outermost(extremes[0], whole, starts)
     last, of_last = _outermost(-extremes[1], whole, starts)
     within = -last[:, LONE_MOST] - first[:, LONE_MOST]
     # Of one side alone: behind the surface there may be less of it.
-    above, below = (np.where(side >= SUPPORT, _spacing(within, side, half_m), np.nan)
+    above, below = (np.where(side >= SUPPORT, spacing_m(within, side, half_m), np.nan)
                     for side in noise.T)  # fmt: skip
-    low = _without_lone(first, of_first - within[:, None], above)
-    high = -_without_lone(last, of_last - within[:, None], below)
+    low = without_lone(first, of_first - within[:, None], above)
+    high = -without_lone(last, of_last - within[:, None], below)
+    most = most_m * named[1]
+    low = _within_stated(first, of_first > most, low, high - most)
+    high = -_within_stated(last, of_last > most, -high, -low - most)
     extent = high - low
     total = noise.sum(axis=1)
-    shortfall = _spacing(extent, total, half_m)
+    shortfall = spacing_m(extent, total, half_m)
     supported = (total >= SUPPORT) & (shortfall < 0.1 * extent)
     if not supported.any():
         low, high = first[:, 0], -last[:, 0]
@@ -160,15 +172,29 @@ def _edges(
     return _Edges(*named, low, high, slant, supported=True)
 
 
-def _spacing(
-    extent: NDArray[np.float64], noise: NDArray[np.int64], half_m: float
+def _within_stated(
+    ends: NDArray[np.float64],
+    longer: NDArray[np.bool_],
+    low: NDArray[np.float64],
+    least: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Mean spacing of the noise of each window, by the returns farther than half_m from the signal.
+    """Lower ends of windows, without an extreme or two where the rest fits the gate that is stated.
 
-    ``extent``: (w,) [m]; NaN where it is not known.
+    Parameters
+    ----------
+    ends : (w, k) float64
+        Of :func:`_outermost` [m].
+    longer : (w, k) bool
+        Which of the intervals that they are of do not fit that gate.
+    low : (w,) float64
+        Ends found without it [m].
+    least : (w,) float64
+        The lowest that the gate may end [m].
     """
-    density = noise / np.maximum(extent - 2 * half_m, 0.2 * np.maximum(extent, 1.0))
-    return 1.0 / np.maximum(density, 1e-9)
+    for lone in range(1, LONE_MOST + 1):
+        alone = (low < least) & (ends[:, lone] >= least) & longer[:, :lone].all(axis=1)
+        low = np.where(alone, ends[:, lone], low)
+    return low
 
 
 def _outermost(
@@ -191,34 +217,6 @@ def _outermost(
     return out[0], out[1]
 
 
-def _without_lone(
-    ends: NDArray[np.float64], longer: NDArray[np.float64], spacing: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Lowest value of each window that is not far below all others: (w,).
-
-    Where the gate of an interval lies elsewhere as a whole, the interval is no longer for that.
-
-    Parameters
-    ----------
-    ends : (w, k) float64
-        Of :func:`_outermost` [m].
-    longer : (w, k) float64
-        By how much the intervals that they are of are longer than the window without them [m].
-    spacing : (w,) float64
-        Mean spacing of the noise [m]; NaN where too little tells it.
-    """
-    gap, out = np.diff(ends, axis=1), ends[:, 0]
-    least, most = LONE_GAPS
-    for lone in range(1, LONE_MOST + 1):
-        follow = gap[:, lone : lone + most]
-        known = np.count_nonzero(~np.isnan(follow), axis=1)
-        mean = np.nansum(follow, axis=1) / np.maximum(known, 1)
-        far = gap[:, lone - 1] > LONE_SPACINGS * np.maximum(spacing, mean)
-        far &= (longer[:, :lone] > 0.5 * gap[:, lone - 1 : lone]).all(axis=1)
-        out = np.where(far & (known >= least), ends[:, lone], out)
-    return out
-
-
 def _length_m(
     edges: _Edges, low: NDArray[np.float64], high: NDArray[np.float64], size: NDArray[np.int64]
 ) -> float:
@@ -227,7 +225,7 @@ def _length_m(
 
 
 def _differ(length_m: float, stated_m: float) -> bool:
-    return abs(length_m - stated_m) > 0.1 * stated_m
+    return abs(length_m - stated_m) > TOLERANCE * stated_m
 
 
 def _of_length(edges: _Edges, gate_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

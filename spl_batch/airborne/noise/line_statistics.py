@@ -37,6 +37,19 @@ the difference of two large lengths, and may be nothing."""
 PROFILE_BINS: Final = 2048
 """1 m bins of the histogram of heights below the signal."""
 
+SUPPORT: Final = 20
+"""Returns away from the surface from which on a window tells where its gate ends [count]."""
+
+LONE_MOST: Final = 2
+"""Returns of an interval, or intervals of a window, that may be no end of the gate [count]."""
+
+LONE_SPACINGS: Final = 12.0
+"""They lie farther beyond the next one than so many mean spacings, both of the noise on their side
+and of the extremes that follow: fewer than six of a million ends of uniform noise do [count]."""
+
+LONE_GAPS: Final = (3, 8)
+"""Gaps between the extremes that follow which tell their spacing, at least and at most [count]."""
+
 SUMMARY: Final = (
     "signal_z", "signal_range", "cosine", "signal_sd", "range_min", "range_max",
     "z_min", "z_max", "behind_min", "behind_max",
@@ -70,7 +83,15 @@ def observe(
         within the interval; ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and
         ``profile`` (:data:`PROFILE_BINS`,) int64.
     """
-    rows = rows_of(beams.known)
+    found, lone = _observed(table, beams, settings, beams.known)
+    return _observed(table, beams, settings, beams.known & ~lone)[0] if lone.any() else found
+
+
+def _observed(
+    table: PointTable, beams: BeamTable, settings: NoiseSettings, chosen: NDArray[np.bool_]
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+    """Statistics of some rows, (n,) bool, and which of these are far beyond their interval."""
+    rows, lone = rows_of(chosen), np.zeros(len(chosen), np.bool_)
     table = table.take(rows)
     range_m, cosine = beams.range_m[rows], -beams.direction[rows, 2]
     shot, time, channel = table["shot"], table["gps_time"], table["channel"]
@@ -107,6 +128,79 @@ def observe(
         settings.peak_m, out["summary"], out["outside"], out["blinded"], out["by_channel"],
         out["profile"],
     )  # fmt: skip
+    far = _far_beyond(
+        table["z"][order] * QUANTUM_M, starts, out["outside"][:, :, 3],
+        settings.buffer_m * BUFFER_LADDER[3],
+    )  # fmt: skip
+    lone[np.flatnonzero(chosen)[order[far]]] = True
+    return out, lone
+
+
+def _far_beyond(
+    z: NDArray[np.float64], starts: NDArray[np.int64], noise: NDArray[np.int32], half_m: float
+) -> NDArray[np.intp]:
+    """Which returns lie alone, far above or below all others of their interval.
+
+    Parameters
+    ----------
+    z : (n,) float64
+        Heights by interval, rising in each [m].
+    starts : (m + 1,) int64
+        Where intervals start, then n.
+    noise : (m, 2) int32
+        Returns more than ``half_m`` above and below the signal [count].
+    """
+    rank = np.arange(1 + LONE_MOST + LONE_GAPS[1])
+    known = rank < np.diff(starts)[:, None]
+    from_below, from_above = starts[:-1, None] + rank, starts[1:, None] - 1 - rank
+    lowest = np.where(known, z[np.where(known, from_below, 0)], np.nan)
+    highest = np.where(known, z[np.where(known, from_above, 0)], np.nan)
+    within = highest[:, LONE_MOST] - lowest[:, LONE_MOST]
+    above, below = (np.where(side >= SUPPORT, spacing_m(within, side, half_m), np.nan)
+                    for side in noise.T)  # fmt: skip
+    longer = np.full(lowest.shape, np.inf)
+    low, high = without_lone(lowest, longer, below), -without_lone(-highest, longer, above)
+    # Those alone are among the outermost.
+    under, over = lowest < low[:, None], highest > high[:, None]
+    return np.concatenate([from_below[under], from_above[over]])
+
+
+def spacing_m(
+    extent: NDArray[np.float64], noise: NDArray[np.int64], half_m: float
+) -> NDArray[np.float64]:
+    """Mean spacing of the noise of each window, by the returns farther than half_m from the signal.
+
+    ``extent``: (w,) [m]; NaN where it is not known.
+    """
+    density = noise / np.maximum(extent - 2 * half_m, 0.2 * np.maximum(extent, 1.0))
+    return 1.0 / np.maximum(density, 1e-9)
+
+
+def without_lone(
+    ends: NDArray[np.float64], longer: NDArray[np.float64], spacing: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Lowest value of each window that is not far below all others: (w,).
+
+    Where the gate of an interval lies elsewhere as a whole, the interval is no longer for that.
+
+    Parameters
+    ----------
+    ends : (w, k) float64
+        Lowest values of each window, rising; NaN where there are no more [m].
+    longer : (w, k) float64
+        By how much the intervals that they are of are longer than the window without them [m].
+    spacing : (w,) float64
+        Mean spacing of the noise [m]; NaN where too little tells it.
+    """
+    gap, out = np.diff(ends, axis=1), ends[:, 0]
+    least, most = LONE_GAPS
+    for lone in range(1, LONE_MOST + 1):
+        follow = gap[:, lone : lone + most]
+        known = np.count_nonzero(~np.isnan(follow), axis=1)
+        mean = np.nansum(follow, axis=1) / np.maximum(known, 1)
+        far = gap[:, lone - 1] > LONE_SPACINGS * np.maximum(spacing, mean)
+        far &= (longer[:, :lone] > 0.5 * gap[:, lone - 1 : lone]).all(axis=1)
+        out = np.where(far & (known >= least), ends[:, lone], out)
     return out
 
 

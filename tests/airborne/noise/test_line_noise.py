@@ -145,8 +145,12 @@ def test_a_gate_has_one_length_whatever_is_said_of_it(stated: float | None, nois
 
 
 @pytest.mark.parametrize("strays", [(-500.0,), (-500.0, -430.0), (400.0,)])
-def test_lone_returns_far_away_lengthen_no_gate(strays: tuple[float, ...]) -> None:
-    flight = fly(shots=1500, noise_per_m=2e-4)
+@pytest.mark.parametrize(("shots", "noise_per_m"), [(1500, 2e-4), (180, 1.3e-3)])
+def test_lone_returns_far_away_lengthen_no_gate(
+    strays: tuple[float, ...], shots: int, noise_per_m: float
+) -> None:
+    """Of many intervals with little noise, and of three with more."""
+    flight = fly(shots=shots, noise_per_m=noise_per_m)
     row = np.linspace(0.3, 0.7, len(strays)) * len(flight.table)
     z = flight.table["z"].copy()
     z[row.astype(int)] += np.array([1000 * away for away in strays], np.int32)
@@ -156,6 +160,18 @@ def test_lone_returns_far_away_lengthen_no_gate(strays: tuple[float, ...]) -> No
         assert found.mean_rate == pytest.approx(sound.mean_rate, rel=0.002)
         np.testing.assert_allclose(found.near, sound.near, atol=1.5)
         np.testing.assert_allclose(found.far, sound.far, atol=1.5)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_stray_return_in_a_short_gate_that_is_stated(side: int) -> None:
+    """Where hardly any noise is far enough from the surface to tell a spacing."""
+    flight = fly(shots=240, noise_per_m=1.3e-3, gate_m=60)
+    z = flight.table["z"].copy()
+    z[len(z) // 2] += side * 500_000
+    hurt = replace(flight, table=flight.table.with_columns(z=z))
+    sound, found = model_of(flight, 60.0), model_of(hurt, 60.0)
+    assert found.gate_m == pytest.approx(sound.gate_m, abs=1.0)
+    assert found.mean_rate == pytest.approx(sound.mean_rate, rel=0.05)
 
 
 @pytest.mark.parametrize(("each", "below"), [(0.4, 1.0), (3.0, 0.3), (3.0, 0.05), (60.0, 0.05)])
