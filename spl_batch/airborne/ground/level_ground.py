@@ -10,8 +10,8 @@ it, as :mod:`~spl_batch.airborne.ground.steep_ground` has it for slopes, within 
 the nodes as a plane takes. Three things look alike and are kept out:
 
 - a deck continues the road, but between two walls: no ground grows to nodes from which the surface
-  falls on two opposite sides that are no farther apart than a deck's. Narrow spurs are lost with
-  them.
+  falls on two opposite sides that are no farther apart than a deck's, unless it falls in front as
+  well and widens behind: the corner of a plateau. Narrow spurs are lost with decks.
 - where no wall is within the window, the opening has cut off plants and cars: nothing grows there.
 - what an opening leaves of a roof would grow over all of it: nothing grows from ground that is an
   island, a few nodes that hang together without a step.
@@ -145,8 +145,36 @@ def _edges(height: Float, asked: Mask, edge: int, far: int, deck: int, out: Mask
                 other = _drops(height, r, c, -north, -east, edge, far)
                 out[r, c] |= one > 0 or other > 0
                 if one > 0 and other > 0 and one + other <= deck:
+                    if _is_corner(height, r, c, north, east, one + other, edge, far):
+                        continue
                     out[r, c] = False
                     break
+
+
+@njit()
+def _is_corner(
+    height: Float, row: int, column: int, north: float, east: float, span: int, edge: int, far: int
+) -> bool:
+    """Whether what is so wide at a cell ends as near in front and widens behind, as no deck does.
+
+    ``north``, ``east``: on the way across. ``span``: from wall to wall [cells].
+    """
+    ends = 0.0
+    for turn in (1.0, -1.0):
+        end = _drops(height, row, column, turn * east, -turn * north, edge, far)
+        if 0 < end <= span:
+            ends += turn
+    if ends == 0.0:
+        return False
+    r = int(np.rint(row - ends * span * east))
+    c = int(np.rint(column + ends * span * north))
+    if r < 0 or c < 0 or r >= height.shape[0] or c >= height.shape[1]:
+        return False
+    if abs(height[r, c] - height[row, column]) > WALL_M:
+        return False
+    one = _drops(height, r, c, north, east, edge, far)
+    other = _drops(height, r, c, -north, -east, edge, far)
+    return one == 0 or other == 0 or one + other >= 2 * span
 
 
 @njit()

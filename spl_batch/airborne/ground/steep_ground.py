@@ -13,7 +13,8 @@ source has this: [Axelsson 2000] mirrors points at the nearest one of the ground
 A roof on a hillside is steep as well, and the opening leaves its uphill eave. But a roof ends: on
 the contour line through it the surface falls by a step on both sides, as it does not from a crest,
 a cliff or a terrace, which follow the contour. From nodes that stand so no ground grows, and none
-grows there (:func:`standing`).
+grows there (:func:`standing`). The corner of a plateau stands so as well, but falls farther than a
+house does.
 """
 
 from typing import Final, NamedTuple
@@ -61,6 +62,9 @@ EAVE_M: Final = 1.0
 
 EDGE_M: Final = 2.0
 """Longest way over which the surface falls there, from one node to the next [m]."""
+
+CLIFF_M: Final = 8.0
+"""What falls by more on both sides is no house [m]."""
 
 BARRED: Final = 0
 OTHER: Final = 1
@@ -117,8 +121,9 @@ def standing(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
         trend_at(Trend(np.gradient(trend.height, TREND_M, axis=axis), *trend[1:]), x, y)
         for axis in (0, 1)
     )
-    above, aside = np.full(grid.shape, np.nan), np.zeros((*grid.shape, 2))
-    above[held] = z - trend_at(trend, x, y)
+    above, height = np.full((2, *grid.shape), np.nan)
+    above[held], height[held] = z - trend_at(trend, x, y), z
+    aside = np.zeros((*grid.shape, 2))
     steep = np.hypot(north, east)
     # Across a crest that is cut off the trend is that between its rims, and tells no contour.
     known = np.zeros(grid.shape, dtype=np.bool_)
@@ -127,12 +132,12 @@ def standing(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
     tilted = (steep > TILT) & near[held]
     along = np.column_stack([-east, north])[tilted] / steep[tilted, None]
     aside[np.nonzero(held)[0][tilted], np.nonzero(held)[1][tilted]] = along
-    _stand(above, aside, cell_m, stands)
+    _stand(above, height, aside, cell_m, stands)
     return stands
 
 
 @njit()
-def _stand(above: Float, aside: Float, cell_m: float, out: Mask) -> None:
+def _stand(above: Float, height: Float, aside: Float, cell_m: float, out: Mask) -> None:
     """Cells between two steps; ``aside`` is along the contour to north and east, or zero."""
     rows, columns = above.shape
     for r in range(rows):
@@ -140,28 +145,33 @@ def _stand(above: Float, aside: Float, cell_m: float, out: Mask) -> None:
             north, east = aside[r, c]
             # Where there is no node the height is NaN.
             if above[r, c] > EAVE_M / 2 and (north != 0.0 or east != 0.0):
-                out[r, c] = _falls(above, r, c, north, east, cell_m) and _falls(
-                    above, r, c, -north, -east, cell_m
-                )
+                one = _fall_m(above, height, r, c, north, east, cell_m)
+                other = _fall_m(above, height, r, c, -north, -east, cell_m)
+                out[r, c] = min(one, other) > 0.0 and min(one, other) < CLIFF_M
 
 
 @njit()
-def _falls(above: Float, row: int, column: int, north: float, east: float, cell_m: float) -> bool:
-    """Whether the surface falls by a step on the way from a cell."""
+def _fall_m(
+    above: Float, height: Float, row: int, column: int, north: float, east: float, cell_m: float
+) -> float:
+    """How far below a cell the surface lies where it falls by a step on the way; 0 if nowhere."""
     rows, columns = above.shape
-    top, at = above[row, column], 0
+    top, at, fall_m = above[row, column], 0, 0.0
     edge, last = round(EDGE_M / cell_m), top
-    for step in range(1, round(ASIDE_M / cell_m) + 1):
+    end = round(ASIDE_M / cell_m)
+    for step in range(1, round((ASIDE_M + EDGE_M) / cell_m) + 1):
         r, c = int(np.rint(row + step * north)), int(np.rint(column + step * east))
-        if r < 0 or c < 0 or r >= rows or c >= columns:
-            return False
-        height = above[r, c]
-        if np.isnan(height):
+        if step > end or r < 0 or c < 0 or r >= rows or c >= columns:
+            break
+        if np.isnan(above[r, c]):
             continue
-        if height <= min(top, last) - EAVE_M and step - at <= edge:
-            return True
-        last, at = height, step
-    return False
+        if above[r, c] <= min(top, last) - EAVE_M and step - at <= edge and fall_m == 0.0:
+            end = step + edge  # a node half-way down is not the foot yet
+            fall_m = max(height[row, column] - height[r, c], EAVE_M)
+        elif fall_m > 0.0:
+            fall_m = max(fall_m, height[row, column] - height[r, c])
+        last, at = above[r, c], step
+    return fall_m
 
 
 @njit()

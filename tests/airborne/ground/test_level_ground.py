@@ -98,6 +98,29 @@ def test_a_rim_is_an_edge_and_neither_a_deck_nor_a_plain_is() -> None:
     assert not found[height < 4].any()
 
 
+def test_what_widens_behind_its_end_is_a_corner_and_a_pier_is_none() -> None:
+    row, column = np.mgrid[0:60, 0:80]
+    across = np.abs(row - 30)
+    height = np.where(across < 40 - column, 5.0, 0.0)
+    assert edges(height, height > 0, 1.0)[26:35, 34].all()
+    pier = np.where((column < 20) | ((across < 5) & (column < 60)), 5.0, 0.0)
+    assert not edges(pier, pier > 0, 1.0)[26:35, 24:60].any()
+
+
+def test_the_corner_of_a_plateau_is_ground() -> None:
+    rng = np.random.default_rng(7)
+    x, y = rng.uniform(0, 140, (2, 30_000))
+    plateau = (x < 70 + 0.3 * y) & (y < 90)
+    z = 14.0 * plateau + rng.normal(0, 0.03, len(x))
+    columns = {
+        name: np.rint(1000 * v).astype(np.int64) for name, v in zip("xyz", (x, y, z), strict=True)
+    }
+    found = ground_mask(PointTable(columns), np.ones(len(x), dtype=np.bool_), GroundSettings())
+    tip = plateau & (y > 80) & (x > 82)
+    assert tip.sum() > 150
+    assert found[tip].mean() > 0.8
+
+
 def _levelled(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
     """Round by round, every node against planes by least squares, one for each side of it."""
     held = grid >= 0

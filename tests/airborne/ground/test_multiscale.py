@@ -17,6 +17,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.ground.steep_ground import (
     ASIDE_M,
+    CLIFF_M,
     EAVE_M,
     EDGE_M,
     FEWEST,
@@ -238,8 +239,10 @@ def test_nodes_that_ground_goes_on_to_are_those_of_a_slow_twin() -> None:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int) -> None:
+@pytest.mark.parametrize("stretched", [1.0, 2.5])
+def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: float) -> None:
     xyz, grid, ground = hillside(seed)
+    xyz = xyz * [1.0, 1.0, stretched]
     found = standing(xyz, grid, ground, 1.0)
     assert found.sum() > 10
     trend = fit_trend(xyz[ground], xyz[:, 0], xyz[:, 1])
@@ -247,7 +250,8 @@ def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int) -> None:
         trend_at(trend._replace(height=np.gradient(trend.height, TREND_M, axis=a)), *xyz[:, :2].T)
         for a in (1, 0)
     )
-    off = np.where(grid >= 0, xyz[grid, 2] - trend_at(trend, *xyz[:, :2].T)[grid], np.nan)
+    height = np.where(grid >= 0, xyz[grid, 2], np.nan)
+    off = height - trend_at(trend, *xyz[:, :2].T)[grid]
     known = np.argwhere((grid >= 0) & ground[grid])
     for cell in np.argwhere(grid >= 0):
         node = grid[*cell]
@@ -257,27 +261,32 @@ def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int) -> None:
             rise > TILT
             and np.hypot(*(known - cell).T).min() <= REACH_M
             and off[*cell] > EAVE_M / 2
-            and all(_falls(off, cell, way * along) for way in (1, -1))
+            and 0 < min(_fall_m(off, height, cell, way * along) for way in (1, -1)) < CLIFF_M
         )
         assert found[*cell] == expected
 
 
-def _falls(off: Float, cell: NDArray[np.int64], way: Float) -> bool:
-    """Whether a height on the way lies a step below the cell, and below the last one."""
-    passed = [(0, off[*cell])]
+def _fall_m(off: Float, height: Float, cell: NDArray[np.int64], way: Float) -> float:
+    """How far below the cell the way lies just behind its first step down; 0 without one."""
+    passed = [(0, off[*cell], height[*cell])]
     for step in range(1, round(ASIDE_M) + 1):
         at = np.rint(cell + step * way).astype(int)
         if (at < 0).any() or (at >= off.shape).any():
             break
         if np.isfinite(off[*at]):
-            passed.append((step, off[*at]))
-    return any(
-        here <= off[*cell] - EAVE_M
+            passed.append((step, off[*at], height[*at]))
+    steps = [
+        step
+        for k, (step, here, _) in enumerate(passed)
+        if k
+        and here <= off[*cell] - EAVE_M
         and here <= passed[k - 1][1] - EAVE_M
         and step - passed[k - 1][0] <= EDGE_M
-        for k, (step, here) in enumerate(passed)
-        if k
-    )
+    ]
+    if not steps:
+        return 0.0
+    feet = [z for step, _, z in passed if steps[0] <= step <= steps[0] + EDGE_M]
+    return max(float(height[*cell] - min(feet)), EAVE_M)
 
 
 def _continued(xyz: Float, grid: NDArray[np.int64], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
