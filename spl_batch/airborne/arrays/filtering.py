@@ -281,10 +281,13 @@ def _filtered(
     if no_beam:
         text = f"{grouped(no_beam)} of {grouped(n)} points have no usable time or no beam_origin"
         warnings = (*warnings, f"{text}, and are not assessed")
-    afterpulse = table["afterpulse"] if known is not None else np.zeros(n, np.float32)
+    chance, spread = (
+        table[name] if known is not None else np.zeros(n, np.float32)
+        for name in ("afterpulse", "range_sigma")
+    )
     return Labels(
         columns["noise_class"][back], columns["p_value"][back], mean[back].astype(np.float32),
-        columns["wire"][back] == 1, afterpulse, basis, warnings,
+        columns["wire"][back] == 1, chance, spread, basis, warnings,
     )  # fmt: skip
 
 

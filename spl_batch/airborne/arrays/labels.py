@@ -41,6 +41,8 @@ class Labels:
         What is surely a conductor.
     afterpulse : (n,) float32
         Probability of being an afterpulse by its own shot [0..1]; 0 where beams are not known.
+    range_sigma : (n,) float32
+        Ranging spread of its flightline, one sigma [m]; 0 where shots do not tell it.
     basis : str
         Where the expected noise is from: ``given`` by the caller; ``beams`` by the sensor's
         positions; ``intersection`` where lines of sight meet; ``vertical`` beams; ``cloud``, the
@@ -54,6 +56,7 @@ class Labels:
     noise_density: NDArray[np.float32]
     wire: NDArray[np.bool_]
     afterpulse: NDArray[np.float32]
+    range_sigma: NDArray[np.float32]
     basis: Basis
     warnings: tuple[str, ...] = ()
 

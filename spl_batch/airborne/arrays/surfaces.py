@@ -219,10 +219,12 @@ def _labelled(
     """Points with what is known of their noise."""
     table = points_of(xyz, water=water)
     require_metres(table)
+    of_shots: dict[str, NDArray[np.float32]] = {}
     if isinstance(labels, Labels):
-        noise_class, chance = labels.noise_class, labels.afterpulse
+        noise_class = labels.noise_class
+        of_shots = {"afterpulse": labels.afterpulse, "range_sigma": labels.range_sigma}
     else:
-        noise_class, chance = np.asarray(NOISE_SIGNAL if labels is None else labels), None
+        noise_class = np.asarray(NOISE_SIGNAL if labels is None else labels)
         if noise_class.dtype == np.bool_:
             noise_class = np.where(noise_class, NOISE_SIGNAL, 1)
     if noise_class.shape not in {(), (len(table),)}:
@@ -230,7 +232,7 @@ def _labelled(
     noise_class = np.broadcast_to(noise_class, (len(table),))
     unseen = (noise_class == NOISE_NOT_ASSESSED) * np.uint8(PointFlag.NO_BEAM)
     columns = {"noise_class": noise_class, "flags": table["flags"] | unseen}
-    return table.with_columns(**columns, **({} if chance is None else {"afterpulse": chance}))
+    return table.with_columns(**columns, **of_shots)
 
 
 def _cells(

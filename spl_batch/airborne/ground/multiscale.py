@@ -16,15 +16,17 @@ from scipy.spatial import cKDTree
 
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
 from spl_batch.airborne.ground.level_ground import levelled
-from spl_batch.airborne.ground.lowest_layers import Nodes, lowest_layers
+from spl_batch.airborne.ground.lowest_layers import SUPPORTED, Nodes, lowest_layers
 from spl_batch.airborne.ground.multiscale_surface import (
     BLOCK_M,
     CELL_M,
-    Below,
+    MOST,
     agreeing_nodes,
+    depths_below,
     ground_nodes,
     low_outliers,
-    points_below,
+    noise_below,
+    spread_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes
 from spl_batch.airborne.ground.point_spacing import Squares, added_up, in_squares, spacing_at_m
@@ -33,18 +35,24 @@ from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 from spl_batch.numerics.triangulation.tin import Tin, heights_and_slopes, triangulate, vertex_slopes
 
-SIGMA_M: Final = 0.05
-"""Least standard deviation of a range that is reckoned with [m]."""
+SIGMA_M: Final = 0.025
+"""Least standard deviation of a range that is reckoned with: that of bare cells of real surveys
+[m]."""
 
 _LAYER_SIGMA = 3.0
-"""Thickness of the layer whose mean is a node [standard deviations of a range]."""
+_LAYER_M = 0.15
+_CROWDED = 20
+"""Thickness of the layer whose mean is a node, in cells of so many points [standard deviations of a
+range], and least one in others, where fewer points fill it [m]."""
 
-_BAND_M: Final = (0.1, 0.5)
-"""Least and largest distance from the surface of a ground point, where that is level [m]."""
+_BAND_M: Final = 0.5
+"""Largest distance from the surface of a ground point, where that is level [m]."""
 
-_BAND_SIGMA = 3.0
-"""So many spreads of the points below the surface, where only ranging noise and roughness put
-them."""
+_ABOVE_SIGMA = 2.5
+_BELOW_SIGMA = 4.0
+_TAIL = 0.9
+"""Ground reaches above the surface by so many spreads of most points below it, as plants stand
+there, and below it by so many of the tail of these points, as nothing grows there."""
 
 _BAND_SPACINGS = 0.25
 """So many spacings of the points: between them the ground is not known better."""
@@ -135,8 +143,8 @@ def multiscale_masks(
     mask : (m,) bool
         Which of those asked in it are ground.
     """
-    xyz, hard = _nodes(map(_evidence, strips()), sigma_m)
-    chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
+    xyz, filled, hard = _nodes(map(_evidence, strips()), sigma_m)
+    chosen = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma_m)
     ground = ground_nodes(xyz, chosen)
     grid = lowest_nodes(xyz, chosen, CELL_M)
     ground = continued(xyz, grid, ground, CELL_M)
@@ -144,8 +152,8 @@ def multiscale_masks(
     ground = _joined(xyz, chosen & hard, ground)
     surface = _surface(xyz[ground])
     looked = filter(None, map(partial(_look, surface), strips()))
-    depth, number, points = (added_up(some) for some in zip(*looked, strict=True))
-    known = _Known(surface, points, Below(depth, number).spread(), depth.first)
+    depths, points = (added_up(some) for some in zip(*looked, strict=True))
+    known = _known(surface, points, depths, sigma_m)
     # A strip is held by nothing while the next one is read.
     yield from map(partial(_told, known), strips())
 
@@ -155,31 +163,43 @@ def _evidence(strip: Strip) -> Place:
 
 
 class _Known(NamedTuple):
-    """What tells ground: the surface, points around, and the spread below it by blocks."""
+    """What tells ground: the surface, points around, and how far ground reaches by blocks [m]."""
 
     surface: Surface
     points: Squares
-    spread: Float
+    above: Float
+    below: Float
     first: tuple[int, int]
 
 
-def _look(surface: Surface, strip: Strip) -> tuple[Squares, Squares, Squares] | None:
-    """Depths and numbers of points below the surface, and of all, by blocks; None without any."""
+def _known(surface: Surface, points: Squares, depths: Squares, sigma_m: float) -> _Known:
+    """How far ground reaches above and below a surface, by what lies below it."""
+    above, below = (
+        many * np.maximum(spread_below(depths, share), sigma_m)
+        for many, share in ((_ABOVE_SIGMA, MOST), (_BELOW_SIGMA, _TAIL))
+    )
+    return _Known(surface, points, above, below, depths.first)
+
+
+def _look(surface: Surface, strip: Strip) -> tuple[Squares, Squares] | None:
+    """Points below the surface by depth, and all, by blocks; None without any."""
     x, y, z = strip.own
     if not len(x):
         return None
     height, _ = _surface_at(surface, strip.own)
-    return *points_below(z - height, x, y, _BAND_M[1]), in_squares(x, y)
+    return noise_below(depths_below(z - height, x, y)), in_squares(x, y)
 
 
 def _told(known: _Known, strip: Strip) -> tuple[Strip, NDArray[np.bool_]]:
     """A strip, and which of the points that are asked are ground."""
     height, slope = _surface_at(known.surface, strip.asked)
     x, y, z = strip.asked
+    off = z - height
     spacing_m = spacing_at_m(known.points, x, y)
-    level = np.maximum(_BAND_SIGMA * _of_block(known, x, y), _BAND_SPACINGS * spacing_m)
-    band = np.clip(level, *_BAND_M) + np.minimum(spacing_m, _SLOPE_M) * slope
-    found: NDArray[np.bool_] = np.abs(z - height) <= band
+    at = _block(known, x, y)
+    reach = np.where(off > 0.0, known.above[at], known.below[at])
+    level = np.minimum(np.maximum(reach, _BAND_SPACINGS * spacing_m), _BAND_M)
+    found: NDArray[np.bool_] = np.abs(off) <= level + np.minimum(spacing_m, _SLOPE_M) * slope
     return strip, found
 
 
@@ -212,17 +232,18 @@ def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
     return height, slope
 
 
-def _of_block(known: _Known, x: Float, y: Float) -> Float:
-    """Spread of the block that each place is in, or of the nearest."""
-    rows, columns = known.spread.shape
+def _block(known: _Known, x: Float, y: Float) -> tuple[Index, Index]:
+    """Row and column of the block that each place is in, or of the nearest."""
+    rows, columns = known.above.shape
     row = np.floor(y / BLOCK_M).astype(np.int64) - known.first[0]
     column = np.floor(x / BLOCK_M).astype(np.int64) - known.first[1]
-    found: Float = known.spread[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
-    return found
+    return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
 
 
-def _nodes(strips: Iterable[Place], sigma_m: float) -> tuple[Float, NDArray[np.bool_]]:
-    """Lowest layers of cells that are no low noise: (n, 3) [m]; and which are of hard cells."""
+def _nodes(
+    strips: Iterable[Place], sigma_m: float
+) -> tuple[Float, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Lowest layers that are no low noise: (n, 3) [m]; which are filled; which of hard cells."""
     parts = [part for part in map(partial(_layers, sigma_m), strips) if part is not None]
     found, hard, row, column = zip(*parts, strict=True)
     at = [np.concatenate(some) for some in (row, column)]
@@ -238,7 +259,8 @@ def _nodes(strips: Iterable[Place], sigma_m: float) -> tuple[Float, NDArray[np.b
         above &= ~nodes.doubtful | supported(nodes, rows, columns, CELL_M)
     if not above.any():
         above[:] = True
-    return nodes.xyz[above], np.concatenate(hard)[order][above]
+    filled = nodes.points >= SUPPORTED
+    return nodes.xyz[above], filled[above], np.concatenate(hard)[order][above]
 
 
 def _layers(sigma_m: float, own: Place) -> tuple[Nodes, NDArray[np.bool_], Index, Index] | None:
@@ -247,14 +269,24 @@ def _layers(sigma_m: float, own: Place) -> tuple[Nodes, NDArray[np.bool_], Index
     if not len(x):
         return None
     cells = group_by_cell(x, y, CELL_M)
-    nodes = lowest_layers(x, y, z, cells, _LAYER_SIGMA * sigma_m)
-    row, column = np.divmod(nodes.cell, cells.columns)
+    crowded = np.diff(cells.start) >= _CROWDED
+    thin_m = _LAYER_SIGMA * sigma_m
+    parts = [
+        lowest_layers(x, y, z, _only(cells, some), thickness_m)
+        for some, thickness_m in ((crowded, thin_m), (~crowded, max(thin_m, _LAYER_M)))
+    ]
+    xyz, cell, points, doubtful, buried = (np.concatenate(v) for v in zip(*parts, strict=True))
+    row, column = np.divmod(cell, cells.columns)
     south, west = (int(np.floor(v.min() / CELL_M)) for v in (y, x))
-    hard = _hard(x, y, z, cells, _HARD_SIGMA * sigma_m)[nodes.cell]
-    # Room for two layers of every cell is not held.
-    xyz, cell, points, doubtful, buried = nodes
-    kept = xyz.copy(), cell.copy(), points.copy(), doubtful.copy(), buried.copy()
-    return Nodes(*kept), hard, row + south, column + west
+    hard = _hard(x, y, z, cells, _HARD_SIGMA * sigma_m)[cell]
+    return Nodes(xyz, cell, points, doubtful, buried), hard, row + south, column + west
+
+
+def _only(cells: Cells, some: NDArray[np.bool_]) -> Cells:
+    """Some cells' points; the others are empty."""
+    count = np.diff(cells.start)
+    order = cells.order[np.repeat(some, count)]
+    return cells._replace(order=order, start=np.insert(np.cumsum(np.where(some, count, 0)), 0, 0))
 
 
 def _hard(x: Float, y: Float, z: Float, cells: Cells, most_m: float) -> NDArray[np.bool_]:

@@ -18,14 +18,14 @@ Deviations from the sources:
 - **Low outliers** are told among the lowest nodes of :data:`PIT_CELL_M`: a node far below the third
   lowest around is none of the ground's, also where several lie beside each other.
 - **What counts as on the surface** follows from the spacing of the points, and from what ground
-  nodes scatter *below* the surface (:func:`scatter_below`): vegetation scatters them upwards only.
+  nodes scatter *below* the surface (:func:`spread_below`): vegetation scatters them upwards only.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, special
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
@@ -42,13 +42,13 @@ LEVELS: Final = 3
 BLOCK_M: Final = 16.0
 """Edge of the blocks that choose their cell [m]."""
 
-_AGREE_M = (0.25, 1.0)
-_AGREE_SIGMA = 4.0
-"""A node is higher than the coarser ones by more than so many of their scatters, within these
-bounds [m]."""
+_AGREE_M = 1.0
+_AGREE_SIGMA = (2.0, 4.0)
+"""A node is higher than the coarser ones by more than so many of their spreads, at most this much
+[m]: where most nodes are means of well-filled layers, and where they are single points."""
 
-_HIGH_SHARE = 0.35
-"""With more such nodes than this share a block takes the coarser cell."""
+_HIGH_SHARE = (0.3, 0.35)
+"""With more such nodes than this share a block takes the coarser cell: of the same two kinds."""
 
 _SLOPE = 0.15
 """Slope tolerance of the opening, as published [rise/run]."""
@@ -63,14 +63,18 @@ STEP_M: Final = 2.0
 WINDOW_M: Final = 40.0
 """Radius of the largest window [m]."""
 
+MOST: Final = 0.5
+"""Share of the points below a surface that tells the spread of most of its points."""
+
 PIT_CELL_M: Final = 4.0
 _PIT_SLOPE = 1.5
 _PIT_RANK = 3
 _PIT_ROUNDS = 8
 """A low outlier lies below the third lowest of the eight cells around by more than this slope."""
 
-_HALF_NORMAL = 1.2533
-"""Standard deviation for each mean distance of a half of a normal distribution."""
+_DEPTH_M = 0.01
+_DEPTHS = 50
+"""Depths below a surface are counted by steps of this, so many, and one for all deeper ones [m]."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -119,7 +123,9 @@ def _neighbours(grid: Float) -> Float:
     return np.stack([wide[i : i + rows, j : j + columns] for i, j in steps])
 
 
-def agreeing_nodes(xyz: Float, usable: Mask, cell_m: float = CELL_M) -> Mask:
+def agreeing_nodes(
+    xyz: Float, usable: Mask, filled: Mask, sigma_m: float, cell_m: float = CELL_M
+) -> Mask:
     """Nodes of the scale that the data have, block by block.
 
     Starting with all nodes, a block goes on to the lowest nodes of cells twice as large while
@@ -131,6 +137,10 @@ def agreeing_nodes(xyz: Float, usable: Mask, cell_m: float = CELL_M) -> Mask:
         Nodes [m], at most a few in a cell.
     usable : (n,) bool
         Nodes that may be chosen.
+    filled : (n,) bool
+        Nodes that are means of layers.
+    sigma_m : float
+        Standard deviation of a range [m].
     cell_m : float
         Edge of the smallest cells [m].
 
@@ -147,16 +157,15 @@ def agreeing_nodes(xyz: Float, usable: Mask, cell_m: float = CELL_M) -> Mask:
         cell_m *= 2.0
         grid = lowest_nodes(xyz, usable, cell_m)
         coarse = np.sort(grid[grid >= 0])
-        limit = np.clip(_AGREE_SIGMA * scatter_below(xyz, coarse, grid, cell_m), *_AGREE_M)
-        above = xyz[current, 2] - plane_heights(xyz, current, grid, cell_m)
         at = row[current], column[current]
-        key = at[0] * shape[1] + at[1]
-        high, count = (
-            _around(np.bincount(key[of], minlength=shape[0] * shape[1]).reshape(shape))
-            for of in (above > limit[at], slice(None))
-        )
+        count, layers = (_in_blocks(at, of, shape) for of in (slice(None), filled[current]))
+        many, most = (np.where(2.0 * layers >= count, *of) for of in (_AGREE_SIGMA, _HIGH_SHARE))
+        spread = np.maximum(scatter_below(xyz, coarse, grid, cell_m), sigma_m)
+        limit = np.minimum(many * spread, _AGREE_M)
+        above = xyz[current, 2] - plane_heights(xyz, current, grid, cell_m)
+        high = _in_blocks(at, above > limit[at], shape)
         share = high / np.maximum(count, 1.0)
-        stays = going & (share <= _HIGH_SHARE)
+        stays = going & (share <= most)
         chosen[current[stays[at]]] = True
         going &= ~stays
         current = coarse
@@ -164,33 +173,22 @@ def agreeing_nodes(xyz: Float, usable: Mask, cell_m: float = CELL_M) -> Mask:
     return chosen
 
 
+def _in_blocks(at: tuple[Index, Index], some: Mask | slice, shape: tuple[int, int]) -> Float:
+    """How many of some places are in each block and those around."""
+    row, column = (along[some] for along in at)
+    counted = np.bincount(row * shape[1] + column, minlength=shape[0] * shape[1])
+    return _around(counted.reshape(shape))
+
+
 def _around(grid: NDArray[Any]) -> Float:
-    """Sum over a cell and the eight around it; whole numbers add up exactly."""
-    summed: Float = ndimage.correlate(grid.astype(np.float64), np.ones((3, 3)), mode="constant")
+    """Sum over a cell and the eight around it, along the first axes; whole numbers add up."""
+    box = np.ones((3, 3) + (1,) * (grid.ndim - 2))
+    summed: Float = ndimage.correlate(grid.astype(np.float64), box, mode="constant")
     return summed
 
 
-class Below(NamedTuple):
-    """Points below the surface by blocks of :data:`BLOCK_M`, row by row.
-
-    Parameters
-    ----------
-    depth, number : Squares
-        Sum of their depths [m], and how many they are.
-    """
-
-    depth: Squares
-    number: Squares
-
-    def spread(self) -> Float:
-        """Standard deviation in each block, of it and those around; 0 without points below [m]."""
-        total, count = _around(self.depth.sums), _around(self.number.sums)
-        spread: Float = _HALF_NORMAL * total / np.maximum(count, 1.0)
-        return spread
-
-
-def points_below(off: Float, x: Float, y: Float, most_m: float) -> Below:
-    """Points below the surface.
+def depths_below(off: Float, x: Float, y: Float) -> Squares:
+    """Points below the surface by depth, in blocks of :data:`BLOCK_M`, row by row.
 
     Parameters
     ----------
@@ -198,25 +196,53 @@ def points_below(off: Float, x: Float, y: Float, most_m: float) -> Below:
         Heights above the surface [m].
     x, y : (n,) float64
         Places [m]; n > 0.
-    most_m : float
-        Points farther below are noise and do not count [m].
     """
     column, row, shape = _places(np.column_stack([x, y]), BLOCK_M)
-    low = (off < 0.0) & (off > -most_m)
-    key = row[low] * shape[1] + column[low]
-    first = int(np.floor(y.min() / BLOCK_M)), int(np.floor(x.min() / BLOCK_M))
-    depth, number = (
-        Squares(np.bincount(key, weights=w, minlength=shape[0] * shape[1]).reshape(shape), first)
-        for w in (-off[low], None)
+    low = off < 0.0
+    depth = np.minimum(-off[low] / _DEPTH_M, _DEPTHS).astype(np.int64)
+    steps = _DEPTHS + 1
+    key = (row[low] * shape[1] + column[low]) * steps + depth
+    counts = np.bincount(key, minlength=shape[0] * shape[1] * steps).reshape(*shape, steps)
+    return Squares(counts, (int(np.floor(y.min() / BLOCK_M)), int(np.floor(x.min() / BLOCK_M))))
+
+
+def noise_below(depths: Squares) -> Squares:
+    """The same without points so deep that they are noise."""
+    return depths._replace(sums=depths.sums[..., :_DEPTHS])
+
+
+def spread_below(depths: Squares, share: float) -> Float:
+    """Standard deviation of a surface's points, by the depth that a share of those below reach.
+
+    Ranging noise and rough ground scatter points to both sides of the surface, plants only upwards:
+    the lower side tells the spread of the ground. A half of them tells that of most points, a
+    larger share that of the tail.
+
+    Parameters
+    ----------
+    depths : Squares
+        Points below the surface, by :func:`depths_below`.
+    share : float
+        Share of them.
+
+    Returns
+    -------
+    (block rows, block columns) float64
+        For each block, of it and those around; 0 without points below [m].
+    """
+    up_to = np.cumsum(_around(depths.sums), axis=2)
+    asked = share * up_to[..., -1:]
+    step = np.minimum((up_to < asked).sum(axis=2, keepdims=True), up_to.shape[2] - 1)
+    before, after = (
+        np.take_along_axis(np.insert(up_to, 0, 0.0, axis=2), step + k, axis=2) for k in (0, 1)
     )
-    return Below(depth, number)
+    depth = _DEPTH_M * (step + (asked - before) / np.maximum(after - before, 1.0))
+    spread: Float = depth[..., 0] / (np.sqrt(2.0) * special.erfinv(share))
+    return spread
 
 
 def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float:
     """Spread of nodes below the planes through those around, by blocks.
-
-    Ranging noise and rough ground scatter nodes to both sides of the surface, plants only
-    upwards: the lower side tells the spread of the ground.
 
     Parameters
     ----------
@@ -236,7 +262,7 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
     """
     off = np.zeros(len(xyz))
     off[nodes] = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
-    return points_below(off, xyz[:, 0], xyz[:, 1], np.inf).spread()
+    return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]), MOST)
 
 
 def ground_nodes(xyz: Float, chosen: Mask, cell_m: float = CELL_M) -> Mask:

@@ -46,7 +46,7 @@ def added_up(parts: Sequence[Squares]) -> Squares:
     """Sums of all parts of an area; at least one."""
     first = min(part.first[0] for part in parts), min(part.first[1] for part in parts)
     shape = [max(part.first[k] + part.sums.shape[k] for part in parts) - first[k] for k in (0, 1)]
-    total = np.zeros(shape, parts[0].sums.dtype)
+    total = np.zeros((*shape, *parts[0].sums.shape[2:]), parts[0].sums.dtype)
     for sums, corner in parts:
         i, j = corner[0] - first[0], corner[1] - first[1]
         total[i : i + sums.shape[0], j : j + sums.shape[1]] += sums

@@ -65,6 +65,7 @@ def scene(density: float = 25.0) -> Scene:
             "x": xq[order].astype(np.int64),
             "y": yq[order].astype(np.int64),
             "z": zq[order].astype(np.int32),
+            "range_sigma": np.full(n, RANGING_SD_M, dtype=np.float32),
         }
     )
     return Scene(table, (ground & ~noise)[order], noise[order])
@@ -123,6 +124,15 @@ def test_ground_is_not_biased_low() -> None:
     residual = found.table["z"] / 1000 - terrain(x, y)
     assert abs(residual[kept].mean()) < 0.002
     assert residual[kept].std() == pytest.approx(RANGING_SD_M, rel=0.03)
+
+
+def test_ground_of_untold_spread_is_a_centimetre_low_at_most() -> None:
+    """Ranges that scatter twice as much as is reckoned with where no flightline tells it."""
+    found = scene()
+    bare = PointTable({axis: found.table[axis] for axis in "xyz"})
+    error = dtm_error(found, whole(found._replace(table=bare), GroundSettings()))
+    assert -0.01 < np.mean(error) < 0.002
+    assert np.sqrt(np.mean(error**2)) < 0.03
 
 
 def test_ground_of_coarse_ranges_is_not_biased() -> None:

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
+from spl_batch.airborne.ground.multiscale import SIGMA_M
 from spl_batch.airborne.ground.multiscale_surface import (
     agreeing_nodes,
+    depths_below,
     low_outliers,
-    points_below,
+    spread_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.ground.steep_ground import (
@@ -123,7 +125,7 @@ def test_under_crowns_nodes_are_those_of_larger_cells() -> None:
     cell = np.floor(xyz[:, :2]).astype(int) @ (1, 1000)
     order = np.lexsort([xyz[:, 2], cell])
     nodes = order[np.r_[True, np.diff(cell[order]) > 0]]
-    chosen = agreeing_nodes(xyz[nodes], np.ones(len(nodes), np.bool_))
+    chosen = agreeing_nodes(xyz[nodes], *np.ones((2, len(nodes)), np.bool_), SIGMA_M)
     open_ground = x[nodes] < 40
     assert chosen[open_ground].all()
     shade = (x[nodes] > 90) & chosen
@@ -132,12 +134,13 @@ def test_under_crowns_nodes_are_those_of_larger_cells() -> None:
     assert leaf[nodes][shade].mean() < 0.2
 
 
-def test_spread_is_that_of_the_noise_whatever_grows_above() -> None:
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_spread_is_that_of_the_noise_whatever_grows_above(share: float) -> None:
     x, y = places(20_000, 64)
     rng = np.random.default_rng(4)
     off = rng.normal(0, 0.04, len(x))
     off += np.where(rng.random(len(x)) < 0.7, rng.uniform(0.2, 1.5, len(x)), 0.0)
-    assert points_below(off, x, y, 0.5).spread() == pytest.approx(0.04, rel=0.15)
+    assert spread_below(depths_below(off, x, y), share) == pytest.approx(0.04, rel=0.15)
 
 
 def test_roofs_of_a_thinned_town_are_no_ground() -> None:
@@ -179,6 +182,21 @@ def test_shrubs_of_a_dense_heath_are_no_ground() -> None:
     assert found[~shrub].mean() > 0.95
     assert found[height > 0.3].mean() < 0.01
     assert np.median(height[found & ~shrub]) == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("share", "grass_m"), [(1 / 20, (0.08, 0.5)), (1 / 5, (0.0, 0.5))])
+def test_grass_and_moss_do_not_raise_dense_ground(
+    share: float, grass_m: tuple[float, float]
+) -> None:
+    """50 returns per m2: few of them of the ground below moss, or more in grass."""
+    x, y = places(45_000, 30)
+    rng = np.random.default_rng(9)
+    plant = rng.random(len(x)) > share
+    height = rng.normal(0, 0.02, len(x)) + np.where(plant, rng.uniform(*grass_m, len(x)), 0.0)
+    found = default_ground(x, y, 0.05 * x + height)
+    assert found[~plant].mean() > 0.95
+    assert np.median(height[found]) < 0.03
+    assert found[height > 0.15].mean() < 0.01
 
 
 def test_ground_goes_on_to_crests_and_decks_and_houses_do_not() -> None:
