@@ -5,6 +5,7 @@ import json
 import os
 import re
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import pytest
 from hypothesis import given
@@ -122,6 +123,13 @@ def test_hostile_names_are_text_in_the_report(hostile: tuple[Path, surveys.Ended
     assert "{{7*7}}" in page, "no template of ours"
     report = json.loads((folder / "out/report.json").read_text(encoding="utf-8"))
     assert report["survey"]["name"].startswith("<img src=x"), "data stay what they are"
+
+
+def test_hostile_names_are_text_in_the_metadata(hostile: tuple[Path, surveys.Ended]) -> None:
+    folder, _ = hostile
+    said = "".join(ET.parse(folder / "out/metadata.xml").getroot().itertext())  # noqa: S314 - ours
+    assert "<img src=x onerror=alert(1)>" in said
+    assert "\\x1b[31m\\u202e" in said, "XML has no place for what a terminal obeys"
 
 
 def test_hostile_names_are_shown_by_status_and_plan(hostile: tuple[Path, surveys.Ended]) -> None:

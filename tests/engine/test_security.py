@@ -207,7 +207,7 @@ def survey(tmp_path: Path) -> Path:
     return surveys.write_workflow(tmp_path / "s")
 
 
-@pytest.mark.parametrize("name", ["laz", "laz/lines", "log.jsonl", "dtm.tif"])
+@pytest.mark.parametrize("name", ["laz", "laz/lines", "log.jsonl", "dtm.tif", "store/receipts"])
 def test_a_link_out_of_the_output_is_refused(survey: Path, tmp_path: Path, name: str) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()

@@ -123,7 +123,10 @@ def test_faults(tmp_path: Path) -> None:
     rows = flight()
     bad = rows.copy()
     bad[7, 2] = np.nan
+    late = rows.copy()
+    late[5, 0] = 1e300
     cases = {
+        "first is record 5": write_csv(tmp_path / "k.csv", late),
         "no such file": tmp_path / "missing.csv",
         "no column gps_time": write_csv(tmp_path / "a.csv", rows, "time,x,y,z"),
         "first is record 7": write_csv(tmp_path / "b.csv", bad),

@@ -25,6 +25,7 @@ from spl_batch.airborne.catalogue.delivered_files import (
 from spl_batch.airborne.catalogue.index_layers import Layer
 from spl_batch.airborne.catalogue.stac import write_stac
 from spl_batch.constants import QUANTUM_M
+from spl_batch.errors import plain
 from spl_batch.formats.crs import crs_name
 from spl_batch.lattice.tiles import Bounds, cell_bounds, parse_cell
 
@@ -65,7 +66,7 @@ def write_catalogues(
     reason = _why_without_places(crs, held, rasters)
     vpc = None
     if crs is not None and not reason:
-        written += _of_places(output, Delivery(name, crs, held, rasters), args)
+        written += _of_places(output, Delivery(plain(name), crs, held, rasters), args)
         vpc = virtual_cloud.NAME
     written += _of_qgis(output, rasters, vpc, [layer.name for layer in layers], crs)
     remark = f"{reason}: no STAC, no virtual point cloud and no metadata are written"

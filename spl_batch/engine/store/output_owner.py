@@ -79,24 +79,31 @@ def refuse_foreign(prepared: Prepared[Any, Any], deliveries: Deliveries) -> None
 def refuse_links_out(output: Path) -> None:
     """Refuse an output in which a link leads elsewhere: what a run writes would be written there.
 
-    ``store`` may be a link, to a faster disk; what lies in it is the run's alone.
+    ``store`` may be a link, to a faster disk; folders in it may lead nowhere else. Its files are
+    replaced, not written through.
 
     Raises
     ------
     WorkflowError
         If there is one.
     """
-    home = output.resolve()
+    store = output / "store"
     for place, folders, files in os.walk(output):
         if place == str(output):
-            folders[:] = [name for name in folders if name != "store"]
+            folders[:] = [name for name in folders if name != store.name]
         for name in (*folders, *files):
-            path = Path(place, name)
-            if path.is_symlink() and home not in path.resolve().parents:
-                raise WorkflowError(
-                    f"output: {path} is a link to {path.resolve()}, out of the output: remove it, "
-                    "or name another output"
-                )
+            _refuse_link(Path(place, name), output.resolve())
+    for place, folders, _ in os.walk(store):
+        for name in folders:
+            _refuse_link(Path(place, name), store.resolve())
+
+
+def _refuse_link(path: Path, home: Path) -> None:
+    if path.is_symlink() and home not in path.resolve().parents:
+        raise WorkflowError(
+            f"output: {path} is a link to {path.resolve()}, out of the output: remove it, "
+            "or name another output"
+        )
 
 
 def this_survey(prepared: Prepared[Any, Any]) -> dict[str, Any]:

@@ -27,6 +27,9 @@ COLUMNS: Final = ("gps_time", "x", "y", "z")
 SBET_CRS: Final = "EPSG:4979"
 """CRS of an SBET unless the workflow names another: WGS 84, ellipsoidal heights."""
 
+LATEST_S: Final = 1e10
+"""No clock of a survey shows so many seconds: three centuries [s]."""
+
 BATCH_RECORDS: Final = 65_536
 """Records that are read at once, about [count]."""
 
@@ -68,7 +71,8 @@ def read_records(path: Path) -> Iterator[Records]:
     Raises
     ------
     InputError
-        If the file is missing or damaged, or has values that are not finite.
+        If the file is missing or damaged, or has values that are not finite or times of
+        :data:`LATEST_S` and more.
     """
     suffix = path.suffix.lower()
     if suffix in SBET_SUFFIXES:
@@ -79,7 +83,8 @@ def read_records(path: Path) -> Iterator[Records]:
         batches = _read_csv(path)
     wrong, first, before = 0, 0, 0
     for time, position in batches:
-        bad = ~(np.isfinite(time) & np.isfinite(position).all(axis=1))
+        # A NaN is no less than any number.
+        bad = ~((np.abs(time) < LATEST_S) & np.isfinite(position).all(axis=1))
         if bad.any():
             first = first if wrong else before + int(np.argmax(bad))
             wrong += int(np.count_nonzero(bad))
@@ -89,7 +94,8 @@ def read_records(path: Path) -> Iterator[Records]:
     if wrong:
         raise InputError(
             str(path),
-            f"{wrong} records are not finite, the first is record {first}: remove them",
+            f"{wrong} records have values that are not finite, or times of {LATEST_S:.0e} s and "
+            f"more; the first is record {first}: remove them",
         )
 
 
