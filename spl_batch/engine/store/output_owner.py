@@ -88,14 +88,15 @@ def refuse_links_out(output: Path) -> None:
         If there is one.
     """
     store = output / "store"
+    home, held = output.resolve(), store.resolve()
     for place, folders, files in os.walk(output):
         if place == str(output):
             folders[:] = [name for name in folders if name != store.name]
         for name in (*folders, *files):
-            _refuse_link(Path(place, name), output.resolve())
+            _refuse_link(Path(place, name), home)
     for place, folders, _ in os.walk(store):
         for name in folders:
-            _refuse_link(Path(place, name), store.resolve())
+            _refuse_link(Path(place, name), held)
 
 
 def _refuse_link(path: Path, home: Path) -> None:

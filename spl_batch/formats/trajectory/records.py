@@ -18,6 +18,7 @@ from pyproj.exceptions import ProjError
 from spl_batch.errors import InputError
 from spl_batch.formats.crs import crs_name, crs_problems, horizontal, parse_crs
 from spl_batch.formats.declared import bounded, refuse_bomb
+from spl_batch.formats.gps_clock import LATEST_S, usable_times
 from spl_batch.formats.las.header import open_input
 from spl_batch.formats.trajectory.sbet import SBET_SUFFIXES, read_sbet
 
@@ -26,9 +27,6 @@ COLUMNS: Final = ("gps_time", "x", "y", "z")
 
 SBET_CRS: Final = "EPSG:4979"
 """CRS of an SBET unless the workflow names another: WGS 84, ellipsoidal heights."""
-
-LATEST_S: Final = 1e10
-"""No clock of a survey shows so many seconds: three centuries [s]."""
 
 BATCH_RECORDS: Final = 65_536
 """Records that are read at once, about [count]."""
@@ -71,8 +69,8 @@ def read_records(path: Path) -> Iterator[Records]:
     Raises
     ------
     InputError
-        If the file is missing or damaged, or has values that are not finite or times of
-        :data:`LATEST_S` and more.
+        If the file is missing or damaged, or has values that are not finite or times beyond
+        :data:`~spl_batch.formats.gps_clock.LATEST_S`.
     """
     suffix = path.suffix.lower()
     if suffix in SBET_SUFFIXES:
@@ -83,8 +81,7 @@ def read_records(path: Path) -> Iterator[Records]:
         batches = _read_csv(path)
     wrong, first, before = 0, 0, 0
     for time, position in batches:
-        # A NaN is no less than any number.
-        bad = ~((np.abs(time) < LATEST_S) & np.isfinite(position).all(axis=1))
+        bad = ~(usable_times(time) & np.isfinite(position).all(axis=1))
         if bad.any():
             first = first if wrong else before + int(np.argmax(bad))
             wrong += int(np.count_nonzero(bad))
@@ -94,8 +91,8 @@ def read_records(path: Path) -> Iterator[Records]:
     if wrong:
         raise InputError(
             str(path),
-            f"{wrong} records have values that are not finite, or times of {LATEST_S:.0e} s and "
-            f"more; the first is record {first}: remove them",
+            f"{wrong} records have values that are not finite, or times beyond "
+            f"{LATEST_S:.0e} s; the first is record {first}: remove them",
         )
 
 
