@@ -13,7 +13,9 @@ warnings that the same scene without the effect does not have; ``--say`` prints 
 import argparse
 import json
 import math
+import re
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +51,8 @@ BASE: dict[str, Any] = {
     "acquisition": {"prf_hz": 25_000, "gate_m": 250},
 }  # fmt: skip
 
+_NUMBER = re.compile(r"[\d\s.,]*\d")
+
 FAR_M = 3.0
 """Distance from true returns from which on noise is far [m]."""
 
@@ -82,6 +86,12 @@ def apart(times: float) -> dict[str, Any]:
     return {"flights": [first, {**second, "strip_offset_m": [0.3 * times, 0, 0.2 * times]}]}
 
 
+def dark_lake(times: float) -> dict[str, Any]:
+    """A lake that hardly sends anything back."""
+    ring = [[20, 15], [80, 15], [80, 60], [20, 60]]
+    return {"water": [{"ring_m": ring, "reflectance": 0.002 / times}]}
+
+
 EFFECTS: dict[str, Any] = {
     "base": lambda _: {},
     "by tile, no ids": lambda _: {"delivery": {"tile_m": 40, "point_source_id": False}},
@@ -97,6 +107,7 @@ EFFECTS: dict[str, Any] = {
     "afterpulses, tail of 40 %": tail,
     "ranging noise 15 cm": lambda t: {"detector": {"range_sigma_m": 0.15 * t}},
     "strips 0.3 m east, 0.2 m up": apart,
+    "lake, 0.2 % reflected": dark_lake,
     "noise 0.3 per m3": lambda t: {"sky": {"background_per_m3": 0.3 * t}},
     "times rounded to 100 us": lambda t: {"delivery": {"time_step_us": 100 * t}},
 }
@@ -204,7 +215,7 @@ def main() -> None:
     folder = given.folder or Path(tempfile.mkdtemp())
     settings = ["noise.haze=false"] if given.without else []
     settings += ["noise.bloom=true"] if given.bloom else []
-    usual: set[str] = set()
+    usual: list[str] = []
     base: dict[str, float] = {}
     for name in dict.fromkeys(("base", *given.only)):
         for times in [1.0] if name in ONCE else given.times:
@@ -216,14 +227,20 @@ def main() -> None:
             figures = measure(survey)
             said = json.loads((survey / "out" / "report.json").read_text())["warnings"]
             if name == "base":
-                usual, base = set(said), figures
+                usual, base = said, figures
                 print(f"{'':34s}" + "".join(f"{key:>15s}" for key in (*figures, "told")))
-            told = [text for text in said if text not in usual]
+            told = new_warnings(said, usual)
             row = "".join(f"{value:15.2f}" for value in figures.values())
             words = verdict(figures, base, len(told))
             print(f"{name:30s}{times:4g}{row}{len(told):15d} {words}", flush=True)
             for text in told if given.say else []:
                 print(f"    {text}")
+
+
+def new_warnings(said: Iterable[str], usual: Iterable[str]) -> list[str]:
+    """Warnings that say something else than the usual ones, not other numbers alone."""
+    known = {_NUMBER.sub("", text) for text in usual}
+    return [text for text in said if _NUMBER.sub("", text) not in known]
 
 
 def verdict(figures: dict[str, float], base: dict[str, float], told: int) -> str:

@@ -7,7 +7,8 @@ refused ones. Our own rule asks twice:
 - of columns of the whole height: does anything stand in this place?
 - of boxes around the return: does anything stand at this height? A cluster a hundred metres below a
   surface rests on nothing. A floor of a quarry or canyon fills its own box; ground that is seen
-  through gaps of a canopy continues, and fills a wider one.
+  through gaps of a canopy continues, and fills a wider one. At the rim of a swath little was
+  refused, so deep below a surface a box must hold :data:`FEW` returns in any case.
 
 Where clusters of dense noise reach any such number, the ground has to fill the place too
 (:mod:`~spl_batch.airborne.filter.drowned_surfaces`).
@@ -47,6 +48,11 @@ CELL_M: Final = 5.0
 
 KEPT_SHARE: Final = 0.002
 """Twice the share of pure noise that the filter keeps by default: the least that is allowed for."""
+
+FEW: Final = 10
+DEEP: Final = 4
+"""So few returns of the widest box are no surface, where one stands within the width of that box
+and so many layers higher: two returns of noise and their afterpulses are [count, cells]."""
 
 NOISE_QUANTILE: Final = 0.1
 NOISE_RETURNS: Final = 100
@@ -201,6 +207,7 @@ def bare_cells(
     occupied = kept + gone > 0
     odds = _kept_of_noise(*(count[occupied] for count in held[-1]))
     bare = _bare_boxes(held, odds)
+    bare |= (held[-1][0] < FEW) & _deep_below((kept > 0) & ~bare)
     if spare_above:
         bare &= ~np.logical_or.accumulate((kept > 0) & ~bare, axis=2)
     else:
@@ -270,6 +277,16 @@ def _bare_boxes(held: Sequence[tuple[Count, Count]], odds: float) -> NDArray[np.
     for box, (near, refused) in zip(BOXES, held, strict=True):
         bare &= near < _explained(refused, box, odds)
     return bare
+
+
+def _deep_below(standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Cells deep below something that stands near, by the number of layers that hold points."""
+    wide = _around(standing.astype(np.int64), BOXES[-1].reach, (0, 1)) > 0
+    below = np.zeros(standing.shape, np.bool_)
+    if standing.shape[2] > DEEP:
+        higher = np.logical_or.accumulate(wide[:, :, ::-1], axis=2)[:, :, ::-1]
+        below[:, :, :-DEEP] = higher[:, :, DEEP:]
+    return below
 
 
 def _bare_columns(kept: Count, gone: Count, odds: float) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.doubts.terrain_doubts import (
+    CLIMBS,
     FAR_M,
     GAPS,
     RAISED,
@@ -15,7 +16,13 @@ from spl_batch.airborne.products.doubts.terrain_doubts import (
     largest,
 )
 from spl_batch.airborne.products.footprint import SQUARE_M2
-from spl_batch.airborne.report.model import Density, RaisedPatch, TerrainDoubts, TerrainGap
+from spl_batch.airborne.report.model import (
+    Density,
+    RaisedPatch,
+    SteepPatch,
+    TerrainDoubts,
+    TerrainGap,
+)
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.tasks.pulses import _CELLS, _HEIGHTS, _SQUARES, _UNSURE, _VOIDS
 from spl_batch.constants import QUANTUM_M
@@ -115,7 +122,7 @@ def _quantile(cells: Mapping[int, int], share: float) -> int:
 def terrain_doubts(done: Receipts) -> TerrainDoubts:
     """Gaps and raised patches of all pieces of a survey."""
     facts = [receipt.facts for receipt in done.get("surface", {}).values()]
-    gaps, raised = largest(facts, GAPS), largest(facts, RAISED)
+    gaps, raised, climbs = (largest(facts, name) for name in (GAPS, RAISED, CLIMBS))
     return TerrainDoubts(
         gaps=len(gaps),
         gaps_m2=sum(gap[0] for gap in gaps),
@@ -128,6 +135,12 @@ def terrain_doubts(done: Receipts) -> TerrainDoubts:
         largest_raised=tuple(
             RaisedPatch(area_m2=area, at_m=_metres(at), height_m=height)
             for area, *at, height in raised[:LISTED]
+        ),
+        steep=len(climbs),
+        steep_m2=sum(patch[0] for patch in climbs),
+        largest_steep=tuple(
+            SteepPatch(area_m2=area, at_m=_metres(at), rise_m=rise)
+            for area, *at, rise in climbs[:LISTED]
         ),
     )
 
@@ -152,6 +165,16 @@ def doubt_warnings(found: TerrainDoubts) -> Iterator[str]:
             f"{patch.height_m:.1f} m above the ground around with walls on most sides: probably a "
             "roof that was taken for ground. Heights of the terrain, and heights above it, are "
             "off by so much there; look at the place"
+        )
+    if found.largest_steep:
+        climb = found.largest_steep[0]
+        area = _area(found.steep_m2, climb.area_m2, found.steep, climb.at_m)
+        yield (
+            f"{_counted(found.steep, 'steep patch', 'steep patches')} of the terrain, over 45 "
+            f"degrees, without a ground return, {area}, rising by {climb.rise_m:.0f} m: what lay "
+            "there was cut off, as rims, spurs and crests of steep ground are, or something beside "
+            "it is no ground, as the end of a bridge deck or noise beyond a swath's edge. Heights "
+            "may be off by metres there; look at the place, and classify it by hand if it matters"
         )
 
 

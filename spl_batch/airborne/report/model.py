@@ -173,6 +173,14 @@ class RaisedPatch(Part):
     height_m: Number = Field(description="How far it stands above the ground around [m].")
 
 
+class SteepPatch(Part):
+    """A steep place in the terrain that holds no ground return."""
+
+    area_m2: Number = Field(description="Area [m2].")
+    at_m: tuple[Number, Number] = Field(description="Easting and northing of its middle [m].")
+    rise_m: Number = Field(description="From its lowest to its highest cell [m].")
+
+
 class TerrainDoubts(Part):
     """Where the terrain model may be wrong."""
 
@@ -182,6 +190,9 @@ class TerrainDoubts(Part):
     raised: Count = Field(0, description="Raised flat patches: probably roofs.")
     raised_m2: Number = Field(0.0, description="Area of all of them [m2].")
     largest_raised: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
+    steep: Count = Field(0, description="Steep patches that hold no ground return.")
+    steep_m2: Number = Field(0.0, description="Area of all of them [m2].")
+    largest_steep: tuple[SteepPatch, ...] = Field((), description="The largest of them.")
 
 
 class Haze(Part):

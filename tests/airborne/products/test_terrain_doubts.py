@@ -8,7 +8,13 @@ import pytest
 from numpy.typing import NDArray
 
 from spl_batch.airborne.products.doubts.raised_patches import Patch, raised_patches
-from spl_batch.airborne.products.doubts.terrain_doubts import GAPS, RAISED, doubt_facts, doubts
+from spl_batch.airborne.products.doubts.terrain_doubts import (
+    CLIMBS,
+    GAPS,
+    RAISED,
+    doubt_facts,
+    doubts,
+)
 from spl_batch.airborne.report.coverage import doubt_warnings, terrain_doubts
 from spl_batch.constants import NODATA, QUANTA_PER_M
 from spl_batch.lattice.tiles import Bounds
@@ -99,6 +105,46 @@ def test_a_ground_cell_owns_its_patches_and_gaps_and_counts_rows_from_the_north(
     assert doubts(height[:, :60], 20, 1.0).patches == []
 
 
+def climbs_of(ground: Grid, dtm: Grid) -> list[list[float]]:
+    """Steep patches without ground of a cell of 100 m within a margin of 20 m."""
+    arrays = {
+        "dtm": dtm[20:-20, 20:-20][::-1].astype(np.float32),
+        "dtm_quality": np.full((100, 100), 0.1, np.float32),
+    }
+    core = Bounds(0, 0, 100 * QUANTA_PER_M, 100 * QUANTA_PER_M)
+    found: list[list[float]] = doubt_facts(doubts(ground, 20, 1.0), arrays, core, QUANTA_PER_M)[
+        CLIMBS
+    ]
+    return found
+
+
+def test_a_steep_ramp_over_ground_that_was_cut_off_is_told() -> None:
+    x, y, ground = plain()
+    rim = (np.abs(x - 70) < 10) & (np.abs(y - 90) < 3)
+    ramp = ground + np.where(rim, 2.0 * (y - 87), 0.0) + np.where(y >= 93, 12.0, 0.0)
+    ((area, east, north, rise),) = climbs_of(np.where(rim, np.nan, ramp), ramp)
+    assert area == pytest.approx(20 * 6, abs=45)
+    assert (east / QUANTA_PER_M, north / QUANTA_PER_M) == pytest.approx((50, 70), abs=2)
+    assert rise == pytest.approx(10.0, abs=2.5)
+    assert climbs_of(ramp, ramp) == []
+    # A cliff from one cell to the next, and a few cells of a ramp.
+    few = rim & (np.abs(x - 70) < 2)
+    assert climbs_of(np.where(few, np.nan, ramp), ramp) == []
+
+
+@pytest.mark.parametrize("share", [0.9, 0.3, 0.1])
+def test_a_hillside_with_ground_at_its_usual_spacing_is_none(share: float) -> None:
+    x, _, ground = plain()
+    hill = ground + 1.5 * x
+    assert climbs_of(thinned(hill, share), hill) == []
+
+
+def test_the_edge_of_a_void_is_no_slope() -> None:
+    _, y, ground = plain()
+    dtm = np.where(y > 90, NODATA, ground)
+    assert climbs_of(np.full_like(dtm, np.nan), dtm) == []
+
+
 def receipts(*facts: dict[str, Any]) -> Any:
     """Of ground cells."""
     return {"surface": {str(k): SimpleNamespace(facts=f) for k, f in enumerate(facts)}}
@@ -111,13 +157,16 @@ def test_warnings_tell_number_place_and_consequence() -> None:
         {
             GAPS: [[410.0, 1200.0 * q, 2500.0 * q, 12.4, 0.7]],
             RAISED: [[220.0, 976.0 * q, 404.0 * q, 4.8]],
+            CLIMBS: [[58.0, 1300.0 * q, 404.0 * q, 10.8], [141.0, 1310.0 * q, 90.0 * q, 12.4]],
         },
         {"voids": 3},
     )
-    gap, roof = doubt_warnings(terrain_doubts(done))
+    gap, roof, climb = doubt_warnings(terrain_doubts(done))
     assert gap.startswith("2 gaps in the ground, 500 m2 in all, the largest 410 m2 at 1 200 E, ")
     assert "up to 12 m away" in gap
     assert "known to 0.7 m" in gap
     assert roof.startswith("1 raised flat patch of a building's size in the terrain, 220 m2 at 976")
     assert "4.8 m above the ground" in roof
+    assert climb.startswith("2 steep patches of the terrain, over 45 degrees, without a ground ")
+    assert "199 m2 in all, the largest 141 m2 at 1 310 E, 90 N, rising by 12 m" in climb
     assert not list(doubt_warnings(terrain_doubts(receipts({GAPS: [], RAISED: []}))))

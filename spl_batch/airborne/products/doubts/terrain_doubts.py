@@ -1,11 +1,13 @@
-"""Where a terrain model may be wrong: far from all ground, or on a roof.
+"""Where a terrain model may be wrong: far from all ground, on a roof, or up a slope without ground.
 
 Between ground returns heights are interpolated. Where the nearest one is far, and the ground
 around rough for that distance, nobody knows what lies there; what the filter took for ground by
-mistake is known to nobody either, but a roof shows its walls.
+mistake is known to nobody either, but a roof shows its walls. Where the model rises steeply through
+cells that hold no ground, while it does hold ground at its usual spacing elsewhere, something was
+cut off or taken in: rims and spurs of cliffs, ends of bridge decks, noise beyond a swath's edge.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -27,6 +29,19 @@ UNSURE_M: Final = 0.5
 GAP_M2: Final = 50.0
 """Smaller gaps are not told [m2]."""
 
+STEEP: Final = 1.0
+"""Slope from which on terrain without ground is told [rise/run]."""
+
+STEEP_CELLS: Final = 25.0
+"""Smaller patches of it are not told: in cells of a metre well-filled tiles have some of 11, steep
+scenes whose terrain is right of 24 [squares of the usual spacing]."""
+
+AROUND: Final = 15
+"""Cells on each side whose ground tells the usual spacing [count]."""
+
+CLIMBS: Final = "climbs"
+"""Fact of a ground cell: each steep patch's area [m2], place [quanta] and rise [m]."""
+
 GAPS: Final = "gaps"
 """Fact of a ground cell: each gap's area [m2], place [quanta], distance to ground and standard
 deviation [m]."""
@@ -45,11 +60,14 @@ class Doubts(NamedTuple):
     ----------
     away_m : (rows, columns) float64
         Distance to the nearest cell with ground, row 0 northernmost [m].
+    spacing : (rows, columns) float64
+        Usual distance between cells with ground around each cell [cells].
     patches : sequence of Patch
         Raised flat patches; their rows count from the north, too.
     """
 
     away_m: Grid
+    spacing: Grid
     patches: Sequence[Patch]
 
 
@@ -70,13 +88,20 @@ def doubts(ground: Grid, margin: int, cell_m: float) -> Doubts:
     away = np.full(ground.shape, np.inf)
     if held.any():
         away = ndimage.distance_transform_edt(~held) * cell_m
+    spacing = np.rint(_spacing(held))
     rows, columns = away[inner].shape
     found = (
         patch._replace(row=rows - 1 - (patch.row - margin), column=patch.column - margin)
         for patch in raised_patches(ground, cell_m)
     )
     owned = [p for p in found if 0 <= p.row < rows and 0 <= p.column < columns]
-    return Doubts(away[inner][::-1], owned)
+    return Doubts(away[inner][::-1], spacing[inner][::-1], owned)
+
+
+def _spacing(held: NDArray[np.bool_]) -> Grid:
+    """Usual distance between cells with ground around each cell [cells]."""
+    share = ndimage.uniform_filter(held.astype(np.float64), 2 * AROUND + 1, mode="nearest")
+    return 1.0 / np.sqrt(np.maximum(share, (1.0 / (2 * AROUND + 1)) ** 2))
 
 
 def doubt_facts(
@@ -96,6 +121,7 @@ def doubt_facts(
         Edge of a raster cell [quanta].
     """
     known, sigma = arrays["dtm"] != NODATA, arrays["dtm_quality"]
+    edge_m = cell_q * QUANTUM_M
     far = known & (found.away_m > FAR_M) & (sigma > UNSURE_M)
 
     def place(row: int, column: int) -> list[float]:
@@ -104,25 +130,46 @@ def doubt_facts(
             float(core.ymax - row * cell_q - cell_q // 2),
         ]
 
-    numbers, _ = ndimage.label(far)
     gaps = []
-    for number, box in enumerate(ndimage.find_objects(numbers), start=1):
-        mine = numbers[box] == number
-        area_m2 = float(mine.sum()) * (cell_q * QUANTUM_M) ** 2
-        if area_m2 < GAP_M2:
-            continue
-        away = np.where(mine, found.away_m[box], -1.0)
-        row, column = np.unravel_index(away.argmax(), away.shape)
-        at = place(int(row + box[0].start), int(column + box[1].start))
-        gaps.append([area_m2, *at, float(away.max()), float(np.median(sigma[box][mine]))])
+    for patch in _hanging_together(far):
+        area_m2, away = len(patch.T) * edge_m**2, found.away_m[tuple(patch)]
+        if area_m2 >= GAP_M2:
+            at = place(*patch.T[away.argmax()].tolist())
+            sd_m = float(np.median(sigma[tuple(patch)]))
+            gaps.append([area_m2, *at, float(away.max()), sd_m])
+    climbs = []
+    bare = found.away_m >= found.spacing * edge_m
+    for patch in _hanging_together(_steep(arrays["dtm"], edge_m) & bare):
+        if np.sum(found.spacing[tuple(patch)] ** -2.0) >= STEEP_CELLS:
+            off = np.abs(patch - patch.mean(axis=1, keepdims=True)).sum(axis=0)
+            at = place(*patch.T[off.argmin()].tolist())
+            rise = float(np.ptp(arrays["dtm"][tuple(patch)]))
+            climbs.append([len(patch.T) * edge_m**2, *at, rise])
     raised = [
         [patch.area_m2, *place(patch.row, patch.column), patch.height_m]
         for patch in found.patches
         if known[patch.row, patch.column]
     ]
-    return {GAPS: gaps, RAISED: raised}
+    return {GAPS: gaps, RAISED: raised, CLIMBS: climbs}
+
+
+def _steep(dtm: NDArray[np.float32], cell_m: float) -> NDArray[np.bool_]:
+    """Cells in which a terrain model is steep; none beside a void."""
+    if min(dtm.shape) < 2:
+        return np.zeros(dtm.shape, np.bool_)
+    heights = np.where(dtm == NODATA, np.nan, dtm.astype(np.float64))
+    steep: NDArray[np.bool_] = np.hypot(*np.gradient(heights, cell_m)) > STEEP
+    return steep
+
+
+def _hanging_together(marked: NDArray[np.bool_]) -> Iterator[NDArray[np.int64]]:
+    """Rows and columns (2, n) of marked cells that touch, row by row, patch by patch."""
+    numbers, _ = ndimage.label(marked, np.ones((3, 3)))
+    for number, box in enumerate(ndimage.find_objects(numbers), start=1):
+        corner = [[side.start] for side in box]
+        yield np.stack(np.nonzero(numbers[box] == number)) + np.array(corner)
 
 
 def largest(facts: Sequence[Mapping[str, Any]], name: str) -> list[Fact]:
-    """All gaps or patches of a survey, the largest first."""
+    """All gaps, patches or climbs of a survey, the largest first."""
     return sorted((one for some in facts for one in some.get(name, [])), reverse=True)
