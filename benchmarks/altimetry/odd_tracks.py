@@ -148,6 +148,11 @@ def gaps(period_m: float, share: float) -> Along:
     return lambda x: np.where((x / period_m) % 1.0 < share, 0.0, np.where(x % 900 < 300, 0.4, 1.0))
 
 
+def thin(period_m: float, light: float) -> Along:
+    """Clouds over half of each period, which let this share of the light through."""
+    return lambda x: np.where((x / period_m) % 1.0 < 0.5, light, 1.0)
+
+
 def reef(x: Numbers) -> Numbers:
     """Depths that jump between 2 and 20 m."""
     return np.where((x / 350.0) % 2.0 < 1.0, 2.0 + x % 7.0 / 7.0, 20.0)
@@ -178,6 +183,23 @@ SCENES: dict[str, Scene] = {
     "jumping floor": Scene(depth_m=reef),
     "cloud gaps": Scene(clear=gaps(1000.0, 0.5)),
     "cloud in the gate": Scene(clear=gaps(1500.0, 0.3), fog=(0.15, 8.0, 25.0)),
+    "cloud above 40 m": Scene(
+        clear=gaps(1500.0, 0.3), fog=(0.15, 40.0, 65.0), gate_m=(-70.0, 90.0)
+    ),
+    "cloud over hills": Scene(
+        land=((0.0, 4000.0),),
+        clear=thin(1500.0, 0.6),
+        fog=(1.0, 60.0, 100.0),
+        gate_m=(-120.0, 150.0),
+    ),
+    "cloud over woods": Scene(
+        land=((0.0, 4000.0),),
+        land_m=lambda x: 20.0 * np.sin(x / 150.0),
+        trees=0.6,
+        clear=thin(1500.0, 0.05),
+        fog=(1.0, 60.0, 100.0),
+        gate_m=(-120.0, 150.0),
+    ),
     "waves of 0.4 m": Scene(rough_m=0.4),
     "swell of 1 m": Scene(level_m=waves(1.0, 90.0)),
     "swell of 2 m": Scene(level_m=waves(2.0, 150.0)),

@@ -60,6 +60,9 @@ class Cells:
     top: NDArray[np.int32]  #: (n,): water surface, not lowered by what lies below it [quanta].
     #: (n,): steps between the densest layers of cells next to each other, their median [m/m].
     slope: NDArray[np.float32]
+    fog_low: NDArray[np.int32]  #: (n,): lower end of a cloud [quanta].
+    #: (n, b): photons by height above that; 0 where there is no cloud [1/m2].
+    fog: NDArray[np.float32]
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays by name, for a file."""
@@ -91,11 +94,13 @@ class Scale:
     noise: NDArray[np.float64]
     below: NDArray[np.float64]
     density: NDArray[np.float64]  #: (n,): noise photons above a water surface, or anywhere [1/m2].
-    #: (n,): water surface and noise below it, as of :class:`Cells`.
+    #: (n,): water surface, noise below it and in a cloud, as of :class:`Cells`.
     level: NDArray[np.int32]
     column: NDArray[np.float32]
     first: NDArray[np.float32]
     top: NDArray[np.int32]
+    fog_low: NDArray[np.int32]
+    fog: NDArray[np.float32]
     neighbours: NDArray[np.int64]  #: (n,): neighbours that count [count].
     #: (n,): noise over the reference, water or not, and the start of the cell on that axis [m].
     stretch: NDArray[np.float64]

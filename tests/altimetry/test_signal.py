@@ -185,7 +185,10 @@ def test_a_segment_of_few_photons_fits_the_lattice() -> None:
     none = np.full(len(index), NO_WATER, np.int32)
     column = np.zeros((len(index), 60), np.float32)
     steep = np.ones(len(index), np.float32)
-    sparse = Cells(index, one, *ends, ends[0], one, one, none, column, steep, none, steep)
+    fog = np.zeros((len(index), 64), np.float32)
+    sparse = Cells(
+        index, one, *ends, ends[0], one, one, none, column, steep, none, steep, none, fog
+    )
     scaled = rates.scale(sparse, np.full(len(index), 1e-6), RATE, SIGNAL)
     cells = signals.most_cells(scaled, RATE)
     assert (scaled.start[-1] - scaled.start[0]) * signals.UNIT_QUANTA > 2**30

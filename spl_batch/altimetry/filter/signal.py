@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.filter.likelihood import ratios
 from spl_batch.altimetry.filter.posterior import noise_posterior
-from spl_batch.altimetry.noise.noise_at import below_surface, noise_at
+from spl_batch.altimetry.noise.noise_at import below_surface, in_fog, noise_at
 from spl_batch.altimetry.noise.noise_rate import (
     ALPHA_MIN,
     CAP_UNITS,
@@ -41,6 +41,9 @@ UNIT_QUANTA: Final = 4096
 SCORE_BINS: Final = 1600
 SURE_SD: Final = 3.0
 """Standard deviations of noise that what is more than chance exceeds."""
+
+_ABOVE_ALL: Final = 2.0**29
+"""Farther up than any photon is, and within the lattice [quanta]."""
 
 _BINS_PER_LN: Final = 100.0
 _LN_FIRST: Final = -10.0
@@ -71,6 +74,8 @@ def scaled(
     v = np.rint(height * (UNIT_QUANTA / (QUANTA_PER_M * scale.unit_m)))
     # A surface lends no photons to what lies below it: that is set off by the farthest neighbour.
     v -= below_surface(cell, height, scale) * np.ceil((CAP_UNITS + 1.0) * UNIT_QUANTA)
+    # A cloud lends none to what is around it, and is lent none: it lies above all else.
+    v += in_fog(cell, height, scale) * _ABOVE_ALL
     return u.astype(np.int64), v.astype(np.int64), cell
 
 
@@ -78,11 +83,12 @@ def local_alpha(
     cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
 ) -> NDArray[np.float64]:
     """Noise photons per square unit of the scaled plane where photons are, (n,) float64."""
-    if not (scale.level != NO_WATER).any():
+    wet, cloud = scale.level != NO_WATER, in_fog(cell, height, scale)
+    if not (wet.any() or cloud.any()):
         return scale.alpha[cell]
     own = noise_at(cell, height, scale) * scale.unit_m / scale.per_m[cell]
     found: NDArray[np.float64] = np.where(
-        scale.level[cell] != NO_WATER, np.maximum(own, ALPHA_MIN), scale.alpha[cell]
+        wet[cell] | cloud, np.maximum(own, ALPHA_MIN), scale.alpha[cell]
     )
     return found
 

@@ -1,8 +1,12 @@
-"""Noise density at places of a track: by depth below a water surface, and of the cell elsewhere."""
+"""Noise density at places of a track.
+
+It is told by depth below a water surface, by height in a cloud, and by cell elsewhere.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.altimetry.noise.fog import fog_at
 from spl_batch.altimetry.photon_table import Scale
 from spl_batch.altimetry.water.level_water import DEPTHS, NO_WATER, SURFACE_M
 from spl_batch.constants import QUANTA_PER_M
@@ -19,6 +23,14 @@ def below_surface(
     return below
 
 
+def in_fog(cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale) -> NDArray[np.bool_]:
+    """Photons in a cloud, (n,) bool."""
+    if not scale.fog.any():
+        return np.zeros(len(cell), np.bool_)
+    cloud: NDArray[np.bool_] = fog_at(cell, height, scale.fog_low, scale.fog) > 0.0
+    return cloud
+
+
 def noise_at(
     cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
 ) -> NDArray[np.float64]:
@@ -30,9 +42,10 @@ def noise_at(
     depth = scale.level[cell].astype(np.int64) - height - _SURFACE_Q
     wet = (scale.level[cell] != NO_WATER) & (depth >= -2 * _SURFACE_Q)
     row = np.clip(depth // QUANTA_PER_M, 0, DEPTHS - 1)
-    found: NDArray[np.float64] = np.where(
-        wet, scale.column[cell, np.where(wet, row, 0)], scale.density[cell]
-    )
+    sky = scale.density[cell]
+    if scale.fog.any():
+        sky = np.maximum(sky, fog_at(cell, height, scale.fog_low, scale.fog))
+    found: NDArray[np.float64] = np.where(wet, scale.column[cell, np.where(wet, row, 0)], sky)
     return found
 
 

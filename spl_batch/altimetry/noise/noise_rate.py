@@ -21,6 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.altimetry.noise.fog import (
+    BIN_M,
+    BINS,
+    GROUND_CELLS,
+    PATCH_CELLS,
+    find_fog,
+    fog_at,
+    outside,
+    reached,
+)
 from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, narrow_gate, stretches
 from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
 from spl_batch.altimetry.noise.windows import of_window
@@ -29,15 +39,17 @@ from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.water.level_water import (
     DEPTHS,
     NO_WATER,
+    REACH_CELLS,
     SURFACE_M,
     WOOD_CELLS,
     find_water,
     local_column,
+    sums_around,
 )
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
-HALO_CELLS: Final = 2 * STRETCH_CELLS + WOOD_CELLS + 5
+HALO_CELLS: Final = GROUND_CELLS + 2 * PATCH_CELLS + 2 * REACH_CELLS + WOOD_CELLS + STRETCH_CELLS
 """Cells to each side that :func:`observe` looks at [count]."""
 
 NOTHING_SEEN: Final = 3.0
@@ -72,7 +84,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         Right where :data:`HALO_CELLS` cells to each side are given too.
     """
     size, bin_q = quanta(settings.cell_m), quanta(settings.slice_m)
-    index, cell = np.unique(along // size, return_inverse=True)
+    index, cell, count = np.unique(along // size, return_inverse=True, return_counts=True)
     bins = height // bin_q
     base = int(bins.min(initial=0))
     width = int(bins.max(initial=0)) - base + 1
@@ -80,6 +92,14 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     table = table.reshape(len(index), width)
     peak = _surface(index, table)
     low, high = gates(index, cell, height, (peak + base) * bin_q + bin_q // 2, settings)
+    noise = _usual(index, table, [end / bin_q - base for end in (low, high)])
+    fog = find_fog(index, cell, height, high, noise, settings.cell_m)
+    clear = outside(cell, height, fog)
+    if len(clear) < len(cell):
+        cell, height = cell[clear], height[clear]
+        table = np.bincount(cell * width + (height // bin_q - base), minlength=table.size)
+        table = table.reshape(len(index), width)
+        peak = _surface(index, table)
     water = find_water(index, cell, height, (low, high), settings.cell_m)
     # A floor may be brighter than the surface above it.
     peak = np.where(water.level != NO_WATER, water.level // bin_q - base, peak)
@@ -89,7 +109,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     whole = (column >= first[:, None]) & (column < last[:, None])
     # Below a water surface noise is counted by depth.
     dry = (column > peak[:, None]) | (water.level == NO_WATER)[:, None]
-    whole &= dry
+    whole &= dry & ~reached(fog, (column + base) * bin_q, bin_q)
     reach = -(-quanta(settings.buffer_m) // bin_q)
     empty = np.zeros_like(whole)
     for part in (0.25, 0.5, 1.0):
@@ -102,7 +122,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     narrow, seen, seen_length = narrow_gate(index, cell, height, (low, high), water, length)
     return Cells(
         index=index,
-        count=table.sum(1),
+        count=count.astype(np.int64),
         low=low,
         high=high,
         peak=((peak + base) * bin_q + bin_q // 2).astype(np.int32),
@@ -113,7 +133,32 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         first=water.first,
         top=water.top,
         slope=water.slope,
+        fog_low=fog.low,
+        fog=fog.density,
     )
+
+
+def _usual(
+    index: NDArray[np.int64],
+    table: NDArray[np.int64],
+    gate: Sequence[NDArray[np.float64]],
+) -> NDArray[np.float64]:
+    """Photons of each cell if its gate held no more anywhere than in its emptiest quarter.
+
+    Parameters
+    ----------
+    gate : ((n,) float64, (n,) float64)
+        Ends of the gate [bins of the table].
+    """
+    low, high = gate
+    bins = np.arange(table.shape[1])
+    whole = (bins >= low[:, None]) & (bins + 1 <= high[:, None])
+    around = sums_around(index, table, PATCH_CELLS)
+    cells = sums_around(index, np.ones((len(index), 1)), PATCH_CELLS)
+    each = np.where(whole, around / np.maximum(cells, 1.0), np.inf)
+    middle = np.take_along_axis(np.sort(each, axis=1), (whole.sum(axis=1) // 4)[:, None], axis=1)
+    found: NDArray[np.float64] = np.where(whole.sum(axis=1) > 2, middle[:, 0], 0.0) * (high - low)
+    return found
 
 
 def _surface(index: NDArray[np.int64], table: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -159,9 +204,13 @@ def _without_clumps(table: NDArray[np.int64], empty: NDArray[np.bool_]) -> NDArr
 def far(
     along: NDArray[np.int64], height: NDArray[np.int32], cells: Cells, settings: RateSettings
 ) -> NDArray[np.uint8]:
-    """1 for photons farther than the buffer from the surface of their cell, (n,) uint8."""
+    """1 for photons farther than the buffer from the surface of their cell, (n,) uint8.
+
+    Those of a cloud are none: what passes of them tells nothing of the noise elsewhere.
+    """
     cell = np.searchsorted(cells.index, along // quanta(settings.cell_m))
     away = np.abs(height.astype(np.int64) - cells.peak[cell]) > quanta(settings.buffer_m)
+    away &= fog_at(cell, height, cells.fog_low, cells.fog) == 0.0
     flag: NDArray[np.uint8] = away.astype(np.uint8)
     return flag
 
@@ -171,7 +220,8 @@ def far_length_m(cells: Cells, settings: RateSettings) -> NDArray[np.float64]:
     buffer = quanta(settings.buffer_m)
     peak = cells.peak.astype(np.int64)
     near = np.minimum(cells.high, peak + buffer) - np.maximum(cells.low, peak - buffer)
-    left: NDArray[np.float64] = np.maximum(cells.gate_m - np.maximum(near, 0) / QUANTA_PER_M, 0.0)
+    near_m = np.maximum(near, 0) / QUANTA_PER_M + BIN_M * np.count_nonzero(cells.fog, axis=1)
+    left: NDArray[np.float64] = np.maximum(cells.gate_m - near_m, 0.0)
     return left
 
 
@@ -292,8 +342,8 @@ def scale(
     stretched_m = np.cumsum(apart) + lengths[: len(stretch)]
     return Scale(
         cells.index, start, per_m, cap, alpha, noise, below, density, cells.level, column, first,
-        cells.top, neighbours(cells, density, rate, signal), stretch, stretched_m, unit_m,
-        reference,
+        cells.top, cells.fog_low, cells.fog, neighbours(cells, density, rate, signal), stretch,
+        stretched_m, unit_m, reference,
     )  # fmt: skip
 
 
@@ -324,4 +374,8 @@ def _expected(
     length[:, -1] = np.maximum(gate_m - (DEPTHS - 1), 0.0)
     below = (column * length).sum(axis=1)
     below = np.where(wet, below, 0.0) * rate.cell_m
-    return density * above * rate.cell_m + below, below
+    steps = cells.fog_low[:, None] / QUANTA_PER_M + BIN_M * np.arange(BINS)
+    inside = np.clip(cells.high[:, None] / QUANTA_PER_M - steps, 0.0, BIN_M)
+    more = (np.maximum(cells.fog - density[:, None], 0.0) * inside).sum(axis=1)
+    cloud = np.where(cells.fog.any(axis=1), more, 0.0) * rate.cell_m
+    return density * above * rate.cell_m + cloud + below, below

@@ -91,6 +91,7 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
         if rate["basis"] != "product" and rate["unseen"] > UNSEEN_SHARE:
             text = f"no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
             found.append(Said(beam, f"{text}is an upper bound"))
+        found += [Said(beam, text) for text in _cloud(rate["fog"])]
         far = chosen["far_signal"]
         # What noise alone could have given is told of once, below.
         sure = kept - chosen["doubtful"]["photons"]
@@ -115,6 +116,17 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
                 )
             found.append(Said(beam, text))
     return list(shared(found, "beams"))
+
+
+def _cloud(fog: Mapping[str, float]) -> Iterator[str]:
+    """A cloud in the gate, and what that means for its photons and those below it."""
+    if fog and fog["photons"] >= SAID_LEAST:
+        yield (
+            f"a cloud fills {fog['length_m'] / 1000:g} km of track between "
+            f"{fog['from_m'] / 1000:g} and {fog['to_m'] / 1000:g} km, most of it at heights of "
+            f"{fog['low_m']:.0f} to {fog['high_m']:.0f} m: its {grouped(fog['photons'])} photons "
+            "count as noise of that height, and less light reaches what is below"
+        )
 
 
 def _like_noise(chosen: Mapping[str, Any], kept: int) -> Iterator[str]:

@@ -14,6 +14,9 @@ from spl_batch.constants import QUANTA_PER_M
 _BRIGHTER: Final = 4
 """Times the photons of the surface above it that a floor may hold [count]."""
 
+LEAST_CELLS: Final = 10
+"""Cells that a level has to be the fullest metre of [count]."""
+
 _LAYER_LEAST: Final = 4
 """Photons that a cell's layer above its fullest metre holds at least [count]."""
 
@@ -65,3 +68,35 @@ def agreed(
         if 2 * np.count_nonzero(np.abs(around - upper[i]) <= 1) >= len(around):
             chosen[i] = upper[i]
     return chosen
+
+
+def common_metre(
+    index: NDArray[np.int64], mode: NDArray[np.int64], reach: int
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The fullest metre that many cells around share, the cell's own before others.
+
+    Parameters
+    ----------
+    index, mode : (n,) int64
+        Cells, and the half-metre of the fullest metre of each.
+    reach : int
+        Cells to each side that are looked at [count].
+
+    Returns
+    -------
+    common : (n,) int64
+        Half-metre that most of them have; the cell's own where :data:`LEAST_CELLS` have that.
+    shared : (n,) bool
+        Whether as many have it.
+    """
+    first = np.searchsorted(index, index - reach)
+    stop = np.searchsorted(index, index + reach, side="right")
+    common, same = mode.copy(), np.zeros(len(index), np.int64)
+    for i in range(len(index)):
+        around = mode[first[i] : stop[i]]
+        same[i] = np.count_nonzero(np.abs(around - mode[i]) <= 1)
+        if same[i] < LEAST_CELLS:
+            base = around.min()
+            runs = np.convolve(np.bincount(around - base), (1, 1, 1), "same")
+            common[i], same[i] = base + runs.argmax(), runs.max()
+    return common, same >= LEAST_CELLS

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.altimetry.water.column_noise import falling_density
-from spl_batch.altimetry.water.layers_of_cells import agreed, fullest
+from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre, fullest
 from spl_batch.constants import QUANTA_PER_M
 
 NO_WATER: Final = np.iinfo(np.int32).min
@@ -44,9 +44,6 @@ _GROWN: Final = 1.5
 
 _UNDER_M: Final = 4.0
 """Depth below which ground leaves nothing but noise [m]."""
-
-_LEAST_CELLS: Final = 10
-"""Cells that a level has to be the fullest metre of [count]."""
 
 _SEEN: Final = 2
 """Photons that show a surface in a cell of a brighter floor [count]."""
@@ -146,21 +143,11 @@ def _level(
     A cell whose fullest metre lies lower, a bright floor, shows the surface by some photons.
     """
     n = len(index)
-    first = np.searchsorted(index, index - REACH_CELLS)
-    stop = np.searchsorted(index, index + REACH_CELLS, side="right")
-    common = mode.copy()
-    same = np.zeros(n, np.int64)
-    for i in range(n):
-        around = mode[first[i] : stop[i]]
-        same[i] = np.count_nonzero(np.abs(around - mode[i]) <= 1)
-        if same[i] < _LEAST_CELLS:
-            base = around.min()
-            runs = np.convolve(np.bincount(around - base), (1, 1, 1), "same")
-            common[i], same[i] = base + runs.argmax(), runs.max()
+    common, shared = common_metre(index, mode, REACH_CELLS)
     half = QUANTA_PER_M // 2
     inside = np.abs(height // half - common[cell]) <= 1
     there = np.bincount(cell[inside], minlength=n)
-    wet = (same >= _LEAST_CELLS) & ((common == mode) | ((common > mode) & (there >= _SEEN)))
+    wet = shared & ((common == mode) | ((common > mode) & (there >= _SEEN)))
     return np.where(wet, common * half + half // 2, NO_WATER).astype(np.int32)
 
 
@@ -173,7 +160,7 @@ def _slope(index: NDArray[np.int64], mode: NDArray[np.int64], cell_m: float) -> 
     slope = np.ones(len(index))
     for i in range(len(index)):
         steps = step[first[i] : stop[i] - 1][beside[first[i] : stop[i] - 1]]
-        if len(steps) >= _LEAST_CELLS:
+        if len(steps) >= LEAST_CELLS:
             slope[i] = np.median(steps)
     return slope
 
@@ -206,8 +193,8 @@ def _grown_over(
         inside = [(height > a[cell]) & (height <= b[cell]) for a, b in bands]
         counted = [np.bincount(cell[some], minlength=len(level)) for some in inside]
         length = [np.clip(b - a, 0, None) / QUANTA_PER_M for a, b in bands]
-        near, noise = _sums(index, np.stack(counted, axis=1), reach).T
-        near_m, noise_m = _sums(index, np.stack(length, axis=1), reach).T
+        near, noise = sums_around(index, np.stack(counted, axis=1), reach).T
+        near_m, noise_m = sums_around(index, np.stack(length, axis=1), reach).T
         ratio = near_m / np.maximum(noise_m, 1.0)
         chance = _FLOOR_SD * np.sqrt(near + (noise + 1.0) * ratio**2)
         grown |= (noise_m > 0) & (near > _GROWN * noise * ratio + chance)
@@ -248,14 +235,16 @@ def _columns(
     length = np.clip(gate_m[:, None] - np.arange(DEPTHS), 0.0, 1.0)
     length[:, -1] = np.maximum(gate_m - (DEPTHS - 1), 0.0)
     area = np.where(wet[:, None], length * cell_m, 0.0)
-    near = _sums(index, count, _FLOOR_CELLS)
+    near = sums_around(index, count, _FLOOR_CELLS)
     around = ndimage.median_filter(near, size=(1, _FLOOR_DEPTHS), mode="mirror")
     # In turbid water noise grows steeply towards the surface: the first two metres hold as much as
     # those below them, seen over a kilometre, let expect.
     bright = near > around + _FLOOR_SD * np.sqrt(np.maximum(around, 1.0))
     bright = ndimage.binary_dilation(bright, np.ones((1, 3), np.bool_))
-    seen = np.maximum(_sums(index, np.where(bright, 0.0, 1.0), REACH_CELLS), 1.0)
-    wide = _sums(index, np.where(bright, 0, count), REACH_CELLS) * (2 * _FLOOR_CELLS + 1) / seen
+    seen = np.maximum(sums_around(index, np.where(bright, 0.0, 1.0), REACH_CELLS), 1.0)
+    wide = (
+        sums_around(index, np.where(bright, 0, count), REACH_CELLS) * (2 * _FLOOR_CELLS + 1) / seen
+    )
     steeper = np.maximum((wide[:, 2] + 0.1) / (wide[:, 4] + 0.1), 1.0)
     around[:, 0] = np.maximum(around[:, 0], wide[:, 2] * steeper)
     around[:, 1] = np.maximum(around[:, 1], wide[:, 2] * np.sqrt(steeper))
@@ -265,8 +254,8 @@ def _columns(
     floor[:, -1] = False
     out = np.zeros((n, DEPTHS))
     falling_density(
-        _sums(index, np.where(floor, 0, count), REACH_CELLS),
-        _sums(index, np.where(floor, 0.0, area), REACH_CELLS),
+        sums_around(index, np.where(floor, 0, count), REACH_CELLS),
+        sums_around(index, np.where(floor, 0.0, area), REACH_CELLS),
         out,
     )
     return out
@@ -336,9 +325,9 @@ def first_metre(
         np.bincount(cell[wet[cell] & (depth_m > low) & (depth_m <= high)], minlength=n)
         for low, high in bands
     ]
-    below, above, sky, surface = _sums(index, np.stack(counted, axis=1), REACH_CELLS).T
+    below, above, sky, surface = sums_around(index, np.stack(counted, axis=1), REACH_CELLS).T
     high_m = SURFACE_M - WAVE_M
-    area = np.maximum(_sums(index, wet[:, None] * cell_m, REACH_CELLS)[:, 0], cell_m)
+    area = np.maximum(sums_around(index, wet[:, None] * cell_m, REACH_CELLS)[:, 0], cell_m)
     found = ((below - above) / high_m + sky / SURFACE_M) / area
     most = np.maximum(expected, UNDER_SHARE * surface / high_m / area)
     first: NDArray[np.float64] = np.where(found <= most, np.maximum(found, deeper), expected)
@@ -374,7 +363,7 @@ def local_column(
     return local
 
 
-def _sums(index: NDArray[np.int64], values: NDArray[Any], reach: int) -> NDArray[np.float64]:
+def sums_around(index: NDArray[np.int64], values: NDArray[Any], reach: int) -> NDArray[np.float64]:
     """Sums over the cells of an absolute grid within ``reach`` of each."""
     # Whole parts of a square metre: sums of whole numbers have no order.
     whole = np.rint(values * 1024).astype(np.int64)
