@@ -1,24 +1,40 @@
-"""Whether the terrain's standard deviation says how far it is off, on classified real tiles.
+"""Whether the terrain's standard deviation says how far it is off, on real tiles and on surveys.
 
-Run ``python -m benchmarks.airborne.products.dtm_quality FOLDER [TILE ...]``.
+Run ``python -m benchmarks.airborne.products.dtm_quality FOLDER [TILE ...] [--surveys SURVEY ...]``.
 
-Of the producer's ground of each tile some is withheld, in two ways: every second point, and a
-third of all squares of 8 m, as large crowns and halls hide it. The terrain of the rest, as a run
-makes it, is compared with the withheld points. Printed are how many of them lie within one and
-1.96 standard deviations of ``dtm_quality.tif`` (68 and 95 % if it is honest), the RMS of the
-differences, and that of the standard deviations. The withheld points' own noise counts against it.
+FOLDER holds classified tiles. The terrain is made as a run makes it: means of the ground in cells
+of 1 m, a TIN through them. It is compared in four ways:
+
+- ``points``: of the producer's ground every second point is withheld; the terrain of the rest
+  against the withheld points;
+- ``squares``: the same with a third of all squares of 8 m withheld, as large crowns and halls hide
+  the ground;
+- ``half``: ground is found by the default method in every second point of all; its terrain against
+  the producer's ground among the others, by cells of 1 m;
+- ``tin``: ground is found in all points; its terrain against the TIN of the producer's ground.
+  Where both chose the same points both surfaces are the same, and nothing is off.
+
+SURVEY is a simulated one that has been run; its rasters are compared with the truth.
+
+Printed are how many differences lie within one and 1.96 standard deviations of
+``dtm_quality.tif`` (68 and 95 % if it is honest), the RMS of the differences, their median, and the
+RMS of the standard deviations. Withheld points' own noise counts against it.
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+import rasterio
 from numpy.typing import NDArray
 
-from benchmarks.airborne.ground.ground_tiles import terrain, tiles
-from spl_batch.airborne.products.terrain_quality import terrain_sigma
+from benchmarks.airborne.ground.ground_tiles import Tile, terrain, tiles
+from spl_batch.airborne.ground.ground_methods import ground_mask
+from spl_batch.airborne.products.terrain_quality import Scatter, scatter_of, terrain_sigma
+from spl_batch.airborne.settings import GroundSettings
+from spl_batch.constants import QUANTUM_M
 
 CELL_M: Final = 1.0
 SQUARE_M: Final = 8.0
@@ -26,60 +42,135 @@ WITHHELD: Final = 1 / 3
 SEED: Final = 1
 
 Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
-def withheld(ground: Float, way: str) -> NDArray[np.bool_]:
+class Compared(NamedTuple):
+    """How far a terrain is off at some places, and the deviation that is said there [m]."""
+
+    off: Float
+    said: Float
+
+
+class Model(NamedTuple):
+    """Means of the ground in cells with any: (n, 3), and the deviation of all cells [m]."""
+
+    means: Float
+    sigma: Float
+
+
+def withheld(ground: Float, way: str) -> Mask:
     """Points to be left out: (n,) bool."""
     rng = np.random.default_rng(SEED)
-    if way == "points":
+    if way != "squares":
         return rng.random(len(ground)) < 0.5
     squares = np.floor(ground[:, :2] / SQUARE_M).astype(np.int64)
     _, number = np.unique(squares, axis=0, return_inverse=True)
     number = number.ravel()
-    found: NDArray[np.bool_] = (rng.random(number.max() + 1) < WITHHELD)[number]
+    found: Mask = (rng.random(number.max() + 1) < WITHHELD)[number]
     return found
 
 
-def means_of(ground: Float, shape: tuple[int, int]) -> Float:
-    """Mean place and height of each cell: (rows, columns, 3) [m]."""
-    column, row = np.floor(ground[:, :2] / CELL_M).astype(np.int64).T
-    key, cells = row * shape[1] + column, shape[0] * shape[1]
-    sums = np.stack([np.bincount(key, axis, minlength=cells) for axis in ground.T], axis=-1)
-    count = np.bincount(key, minlength=cells)[:, None]
-    means = np.full(sums.shape, np.nan)
-    np.divide(sums, count, out=means, where=count > 0)
-    return means.reshape(*shape, 3)
+def cells_of(places: Float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Row and column of the cell of each place."""
+    column, row = np.floor(places[:, :2] / CELL_M).astype(np.int64).T
+    return row, column
 
 
-def figures(ground: Float, way: str) -> tuple[float, float, float, float]:
-    """Within one and 1.96 deviations [%], RMS of differences and of deviations [m]."""
-    out = withheld(ground, way)
-    width, height = (int(v) + 1 for v in np.floor(ground[:, :2].max(axis=0) / CELL_M))
-    means = means_of(ground[~out], (height, width))
-    sigma = terrain_sigma(means, CELL_M)
-    asked = ground[out]
-    column, row = np.floor(asked[:, :2] / CELL_M).astype(np.int64).T
-    off = terrain(means[~np.isnan(means[:, :, 2])], asked[:, :2]) - asked[:, 2]
-    said = sigma[row, column]
+def model(ground: Float, shape: tuple[int, int]) -> Model:
+    """Terrain model of some ground points."""
+    row, column = cells_of(ground)
+    order = np.argsort(row * shape[1] + column, kind="stable")
+    number = (row * shape[1] + column)[order]
+    start = np.searchsorted(number, np.arange(shape[0] * shape[1] + 1))
+    held, first = start[1:] > start[:-1], start[:-1][start[1:] > start[:-1]]
+    of_cells = np.add.reduceat(ground[order], first) / np.diff(start)[held, None]
+    x, y, z = np.rint(ground[order] / QUANTUM_M).astype(np.int32).T
+    means, count = np.full((len(held), 3), np.nan), np.zeros(len(held))
+    products = np.zeros((len(held), 6))
+    means[held] = of_cells
+    count[held], products[held] = scatter_of((x, y, z), start, QUANTUM_M)
+    scatter = Scatter(count.reshape(shape), products.reshape(*shape, 6))
+    return Model(of_cells, terrain_sigma(means.reshape(*shape, 3), CELL_M, scatter))
+
+
+def shape_of(tile: Tile) -> tuple[int, int]:
+    """Rows and columns of cells of a tile."""
+    width, height = (int(v) + 1 for v in np.floor(tile.xyz[:, :2].max(axis=0) / CELL_M))
+    return height, width
+
+
+def compared(made: Model, places: Float, heights: Float) -> Compared:
+    """A terrain model against heights at places, where it says anything."""
+    off = terrain(made.means, places) - heights
+    said = made.sigma[cells_of(places)]
     told = np.isfinite(off) & np.isfinite(said)
-    off, said = np.abs(off[told]), said[told]
-    within = (100 * float(np.mean(off <= k * said)) for k in (1.0, 1.96))
-    one, two = within
-    return one, two, float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean(said**2)))
+    return Compared(np.abs(off[told]), said[told])
 
 
-def main(folder: Path, wanted: Sequence[str]) -> None:
-    """Print a line for each tile and way."""
-    print(f"{'':32}{'within 1':>10}{'1.96 sigma':>12}{'RMS off m':>11}{'RMS sigma m':>13}")
+def found_in(tile: Tile, looked: Mask) -> Float:
+    """Ground points that the default method finds in some of a tile's points."""
+    table = tile.table.take(looked)
+    mask = ground_mask(table, np.ones(len(table), np.bool_), GroundSettings())
+    return tile.xyz[looked][mask]
+
+
+def by_ways(tile: Tile) -> Iterator[tuple[str, Compared]]:
+    """All comparisons of a tile."""
+    shape, ground = shape_of(tile), tile.xyz[tile.ground]
+    for way in ("points", "squares"):
+        out = withheld(ground, way)
+        yield way, compared(model(ground[~out], shape), ground[out, :2], ground[out, 2])
+    out = withheld(tile.xyz, "half")
+    reference = model(tile.xyz[out & tile.ground], shape).means
+    made = model(found_in(tile, ~out), shape)
+    yield "half", compared(made, reference[:, :2], reference[:, 2])
+    made = model(found_in(tile, np.ones(len(out), np.bool_)), shape)
+    yield "tin", compared(made, tile.grid, tile.truth)
+
+
+def of_survey(survey: Path) -> Compared:
+    """A simulated survey's terrain against its truth."""
+    with rasterio.open(survey / "truth" / "dtm.tif") as source:
+        truth, bounds = source.read(1).astype(np.float64), source.bounds
+    rasters = []
+    for name in ("dtm", "dtm_quality"):
+        with rasterio.open(survey / "out" / f"{name}.tif") as source:
+            window = source.window(*bounds).round_offsets().round_lengths()
+            found = source.read(1, window=window, boundless=True, fill_value=source.nodata)
+            rasters.append(np.where(found == source.nodata, np.nan, found.astype(np.float64)))
+    off, said = np.abs(rasters[0] - truth), rasters[1]
+    told = np.isfinite(off) & np.isfinite(said)
+    return Compared(off[told], said[told])
+
+
+def show(name: str, way: str, found: Compared) -> None:
+    """Print a line."""
+    one, two = (100 * float(np.mean(found.off <= k * found.said)) for k in (1.0, 1.96))
+    off, said = (float(np.sqrt(np.mean(v**2))) for v in found)
+    middle = float(np.median(found.off))
+    print(
+        f"{name[:22]:24}{way:8}{one:9.1f}%{two:11.1f}%{off:11.3f}{middle:10.3f}{said:13.3f}",
+        flush=True,
+    )
+
+
+def main(folder: Path, wanted: Sequence[str], surveys: Sequence[Path]) -> None:
+    """Print a line for each tile and way, and for each survey."""
+    print(
+        f"{'':32}{'within 1':>10}{'1.96 sigma':>12}{'RMS off m':>11}{'median':>10}{'sigma m':>13}"
+    )
     for tile in tiles(folder, wanted):
-        for way in ("points", "squares"):
-            one, two, off, said = figures(tile.xyz[tile.ground], way)
-            print(f"{tile.name[:22]:24}{way:8}{one:9.1f}%{two:11.1f}%{off:11.3f}{said:13.3f}")
+        for way, found in by_ways(tile):
+            show(tile.name, way, found)
+    for survey in surveys:
+        show(survey.name, "truth", of_survey(survey))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("tiles", nargs="*")
+    parser.add_argument("--surveys", nargs="*", type=Path, default=[])
     given = parser.parse_args()
-    main(given.folder, given.tiles)
+    main(given.folder, given.tiles, given.surveys)

@@ -23,9 +23,10 @@ from spl_batch.airborne.ground.ground_seeds import (
     supported,
 )
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.multiscale import SIGMA_M, Strip, multiscale_masks
+from spl_batch.airborne.ground.multiscale import Strip, multiscale_masks
 from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
+from spl_batch.airborne.ground.ranging_layer import SIGMA_M, reckoned_m, scatter_counts
 from spl_batch.airborne.ground.smrf import provisional_terrain
 from spl_batch.airborne.settings import GroundSettings, PtdSettings, SmrfSettings
 from spl_batch.constants import QUANTUM_M
@@ -96,9 +97,7 @@ def ground_mask(
     if told.any():
         evidence = _metres(table, own)
         places = evidence if np.array_equal(own, told) else _metres(table, told)
-        mask[told] = METHODS[settings.method](
-            evidence, places, settings, _range_sigma_m(table, own)
-        )
+        mask[told] = METHODS[settings.method](evidence, places, settings, _told_m(table, own))
     return mask
 
 
@@ -141,7 +140,13 @@ def ground_in_bands(
     plain = not any(map(_has_evidence, bands()))
     if plain and not any(map(_has_usable, bands())):
         return ((band, np.zeros(len(band.table), np.bool_)) for band in bands())
-    sigma_m = max(_range_sigma_m(band.table, _evidence(plain, band)) for band in bands())
+    told_m, counts = 0.0, scatter_counts(*np.empty((3, 0)))
+    for band in bands():
+        own = _evidence(plain, band)
+        told_m = max(told_m, _told_m(band.table, own))
+        if "range_sigma" in band.table:
+            counts += scatter_counts(*_metres(band.table, own))
+    sigma_m = reckoned_m(told_m, counts)
     strips = partial(map, partial(_strip, plain))
     return map(_of_table, multiscale_masks(lambda: strips(bands()), sigma_m))
 
@@ -165,12 +170,12 @@ def _evidence(plain: bool, band: Band) -> NDArray[np.bool_]:  # noqa: FBT001 - a
     return band.usable if plain else band.usable & ~dependents(band.table)
 
 
-def _range_sigma_m(table: PointTable, own: NDArray[np.bool_]) -> float:
-    """Largest ranging spread of the flightlines that some points are of [m]."""
+def _told_m(table: PointTable, own: NDArray[np.bool_]) -> float:
+    """Largest ranging spread that the flightlines of some points tell, or 0 [m]."""
     if "range_sigma" not in table:
-        return SIGMA_M
+        return 0.0
     # A tenth of a millimetre: what single precision makes of the sensor's own is that again.
-    return max(round(float(table["range_sigma"][own].max(initial=0.0)), 4), SIGMA_M)
+    return round(float(table["range_sigma"][own].max(initial=0.0)), 4)
 
 
 def _of_table(told: tuple[Strip, NDArray[np.bool_]]) -> tuple[Band, NDArray[np.bool_]]:
@@ -301,8 +306,9 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
     return np.sqrt(squared)
 
 
-def _multiscale(own: Points, asked: Points, _: GroundSettings, sigma_m: float) -> NDArray[np.bool_]:
+def _multiscale(own: Points, asked: Points, _: GroundSettings, told_m: float) -> NDArray[np.bool_]:
     """By a surface whose scale follows the data."""
+    sigma_m = reckoned_m(told_m, scatter_counts(*own)) if told_m > SIGMA_M else SIGMA_M
     return next(multiscale_masks(lambda: (Strip(own, asked),), sigma_m))[1]
 
 
@@ -314,4 +320,4 @@ METHODS: Final[Mapping[str, Method]] = {
     "smrf": lambda own, asked, settings, _: smrf_mask(own, asked, settings.smrf),
 }
 """Methods by their names in the settings: what is evidence, what is asked, settings, ranging
-spread [m] -> ground."""
+spread that is told, or 0 [m] -> ground."""

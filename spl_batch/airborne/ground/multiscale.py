@@ -31,13 +31,10 @@ from spl_batch.airborne.ground.multiscale_surface import (
 from spl_batch.airborne.ground.node_grids import lowest_nodes
 from spl_batch.airborne.ground.point_spacing import Squares, added_up, in_squares, spacing_at_m
 from spl_batch.airborne.ground.ptd import Limits, densify
+from spl_batch.airborne.ground.ranging_layer import SIGMA_M, off_planes
 from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 from spl_batch.numerics.triangulation.tin import Tin, heights_and_slopes, triangulate, vertex_slopes
-
-SIGMA_M: Final = 0.025
-"""Least standard deviation of a range that is reckoned with: that of bare cells of real surveys
-[m]."""
 
 _LAYER_SIGMA = 3.0
 _LAYER_M = 0.15
@@ -291,24 +288,5 @@ def _only(cells: Cells, some: NDArray[np.bool_]) -> Cells:
 
 def _hard(x: Float, y: Float, z: Float, cells: Cells, most_m: float) -> NDArray[np.bool_]:
     """Cells all of whose points lie on a plane, as those of bare ground and roofs do."""
-    count = np.diff(cells.start)
-    hard = np.zeros(len(count), dtype=np.bool_)
-    held = count >= _HARD_POINTS
-    if not held.any():
-        return hard
-    at = [v[cells.order] for v in (x, y, z)]
-    first = cells.start[:-1][count > 0]
-    each = count[count > 0]
-    east, north, up = (v - np.repeat(v[first], each) for v in at)
-
-    def mean(values: Float) -> Float:
-        summed: Float = np.add.reduceat(values, first) / each
-        return summed
-
-    e, n, u = mean(east), mean(north), mean(up)
-    ee, nn, en = mean(east**2) - e * e, mean(north**2) - n * n, mean(east * north) - e * n
-    eu, nu, uu = mean(east * up) - e * u, mean(north * up) - n * u, mean(up**2) - u * u
-    scale = np.maximum(ee * nn - en * en, 1e-6)
-    rest = uu - (nn * eu * eu - 2.0 * en * eu * nu + ee * nu * nu) / scale
-    hard[count > 0] = (each >= _HARD_POINTS) & (rest <= most_m**2)
+    hard: NDArray[np.bool_] = off_planes(x, y, z, cells, _HARD_POINTS) <= most_m**2
     return hard

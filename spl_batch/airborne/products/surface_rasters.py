@@ -21,8 +21,9 @@ DSM    Highest return of the cell that is ground or that its peers confirm: more
        Never below the DTM. A cell without such a return takes the nearest value
        within ``dsm_void_max_m``, of several the lowest.
 CHM    DSM - DTM, hence >= 0; nodata where either is.
-sigma  Standard deviation of the DTM, by how far the nearest ground is and what that distance
-       costs around (:mod:`~spl_batch.airborne.products.terrain_quality`).
+sigma  Standard deviation of the DTM, by how far the nearest ground is, what that distance costs
+       around, and the layer that ground returns fill
+       (:mod:`~spl_batch.airborne.products.terrain_quality`).
 ====== ========================================================================
 
 Returns that the filter has not assessed (no beam; or no filter at all) take part in a raster cell
@@ -46,7 +47,7 @@ from spl_batch.airborne.products.flown_cells import (
 )
 from spl_batch.airborne.products.noise_aloft import RefusedReturns
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of, relative, shape_of
-from spl_batch.airborne.products.terrain_quality import terrain_sigma
+from spl_batch.airborne.products.terrain_quality import Scatter, scatter_of, terrain_sigma
 from spl_batch.airborne.products.top_surface import (
     cells_within,
     support_of,
@@ -140,6 +141,9 @@ class Surfaces:
         self.region = grow(cell, margin_cells(settings) * size)
         rows, cols = shape_of(self.region, size)
         self._means = np.full((rows * cols, 3), np.nan)
+        self._scatter = Scatter(
+            np.zeros(rows * cols, np.int32), np.zeros((rows * cols, 6), np.float32)
+        )
         # Under a deck what is left of the water may hang together with no other.
         self._levels = Levels(beyond=True)
         self._corners = np.zeros((2, 2), np.bool_)
@@ -232,7 +236,7 @@ class Surfaces:
         return ground, np.isin(number, np.unique(number[wet]))
 
     def _take_means(self, ground: PointTable) -> None:
-        """Robust means of some raster cells whose ground is there."""
+        """Robust means and scatter of some raster cells whose ground is there."""
         number = cell_number(ground, self.region, self._size)
         order, start = sort_into_cells(number, ground["z"], len(self._means))
         means = np.empty_like(self._means)
@@ -240,13 +244,16 @@ class Surfaces:
         robust_cell_means(place, start, GROUND_FLOOR_M / QUANTUM_M, means)
         held = start[1:] > start[:-1]
         self._means[held] = means[held]
+        for whole, found in zip(self._scatter, scatter_of(place, start, QUANTUM_M), strict=True):
+            whole[held] = found
 
     def _terrain(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """DTM [quanta] and its standard deviation [m] from the south; NaN in voids."""
         cell, size, settings = self._cell, self._size, self._settings
         margin, (rows, cols) = margin_cells(settings), shape_of(self.region, size)
         means = self._means
-        sigma = terrain_sigma(means.reshape(rows, cols, 3) * QUANTUM_M, settings.cell_m)
+        scatter = Scatter(*(v.reshape(rows, cols, *v.shape[1:]) for v in self._scatter))
+        sigma = terrain_sigma(means.reshape(rows, cols, 3) * QUANTUM_M, settings.cell_m, scatter)
         vertices = means[~np.isnan(means[:, 2])]
         vertices = np.concatenate([vertices, self._covered_corners(vertices)])
         vertices[:, :2] -= self.region.xmax - cell.xmax

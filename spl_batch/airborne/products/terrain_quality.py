@@ -12,10 +12,16 @@ Deviations from them: the distance enters by what it costs here, not by a fixed 
 deviation is 1.2533 times the mean absolute difference, so that few gross errors do not widen it
 everywhere.
 
+Where a cell holds many ground returns their mean hides a third thing: in grass, moss or brush they
+fill a layer, and nobody knows where in it the ground is. Ranging noise fills one as well, but it
+averages out, so that neighbouring cells agree; what grows differs from cell to cell. So the
+variance of returns about the ground of their cell counts as it is, undivided by their number, but
+for no more than the variance by which cells differ beyond what noise alone explains.
+
 It cannot show what no point tells: shrubs or a terrace of fill that were taken for ground.
 """
 
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,16 +42,66 @@ _HALF_NORMAL = 1.2533
 _DAMPING = 0.25
 """Added to the scatter of a ring's places, which a gap may put on one line [cells2]."""
 
+_SLOPE_CELLS = 2
+"""Cells on each side whose ground tells the slope that returns scatter about [cells]."""
+
 Grid = NDArray[np.float64]
 
 
-def terrain_sigma(means: Grid, cell_m: float) -> Grid:
+class Scatter(NamedTuple):
+    """How the ground returns of each cell lie about their mean.
+
+    Parameters
+    ----------
+    returns : (...) ndarray
+        Ground returns [count].
+    products : (..., 6) ndarray
+        Means of xx, xy, yy, xz, yz, zz of their offsets; 0 without returns [m2].
+    """
+
+    returns: NDArray[Any]
+    products: NDArray[Any]
+
+
+def scatter_of(
+    places: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]],
+    start: NDArray[np.int64],
+    unit_m: float,
+) -> Scatter:
+    """Scatter of the returns of each cell that holds any, cell by cell.
+
+    Parameters
+    ----------
+    places : three (n,) int32
+        Returns, those of a cell together.
+    start : (cells + 1,) int64
+        Where each cell begins.
+    unit_m : float
+        Unit of the places [m].
+    """
+    first = start[:-1][start[1:] > start[:-1]]
+    count = np.diff(np.append(first, len(places[0])))
+    # Sums of whole numbers are exact in any order; from one of their own they are small.
+    off = [axis.astype(np.float64) - np.repeat(axis[first], count) for axis in places]
+    pairs = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+    mean = [np.add.reduceat(axis, first) / count if len(first) else axis for axis in off]
+    products = np.empty((len(first), len(pairs)))
+    for k, (i, j) in enumerate(pairs if len(first) else ()):
+        products[:, k] = np.add.reduceat(off[i] * off[j], first) / count - mean[i] * mean[j]
+    return Scatter(count, products * unit_m**2)
+
+
+def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) -> Grid:
     """Standard deviation of a terrain model that is interpolated between some cells.
 
     Parameters
     ----------
     means : (rows, columns, 3) float64
         Place and height of the ground in each cell [m]; NaN without ground.
+    cell_m : float
+        Edge of a cell [m].
+    scatter : Scatter, optional
+        That of the returns of each cell; each cell has one by default.
 
     Returns
     -------
@@ -53,22 +109,57 @@ def terrain_sigma(means: Grid, cell_m: float) -> Grid:
         Standard deviation [m]; NaN everywhere where too little ground is known to tell.
     """
     held = ~np.isnan(means[:, :, 2])
-    levels = _differences(means, held, cell_m)
+    moments = _moments(means, held, cell_m)
+    integrals = _integrals(moments, 2 * max(RINGS))
+    levels = _differences(held, moments, integrals)
     if held.sum() < 2 * _ENOUGH or np.isnan(levels).all():
         return np.full(held.shape, np.nan)
-    away = ndimage.distance_transform_edt(~held)
-    return _at_distance(levels, away)
+    found = _at_distance(levels, ndimage.distance_transform_edt(~held))
+    if scatter is None:
+        return found
+    layer = _layer_variance(scatter, integrals, levels[0] ** 2, cell_m)
+    return np.sqrt(found**2 + layer)
 
 
-def _differences(means: Grid, held: NDArray[np.bool_], cell_m: float) -> Grid:
+def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: float) -> Grid:
+    """Variance of the ground within the layer that its returns fill: (rows, columns) [m2].
+
+    ``differ``: variance by which a cell's mean differs from those around [m2].
+    """
+    sums = _boxes(integrals, 2 * max(RINGS), _SLOPE_CELLS)
+    held = sums[0] > 0.5
+    slope = np.zeros((2, *held.shape))
+    slope[:, held] = np.array(_plane(sums[:, held])[3:]) / cell_m
+    east, north = slope
+    xx, xy, yy, xz, yz, zz = np.moveaxis(scatter.products, -1, 0)
+    about = zz - 2 * (east * xz + north * yz)
+    about += east * (east * xx + 2 * north * xy) + north * north * yy
+    count = scatter.returns.astype(np.float64)
+    several = count > 1
+    given = np.stack(
+        [
+            np.where(several, count * np.maximum(about, 0.0), 0.0),
+            np.where(several, count - 1, 0.0),
+            count,
+            (count > 0).astype(np.float64),
+        ]
+    )
+    # Differences of sums may fall short of zero by rounding.
+    total, free, returns, cells = np.maximum(_boxes(_integrals(given, AROUND), AROUND, AROUND), 0.0)
+    variance = total / np.maximum(free, 1.0)
+    each = np.maximum(returns / np.maximum(cells, 1.0), 1.0)
+    beyond_noise = np.maximum(differ - variance / each, 0.0)
+    layer: Grid = np.minimum((1.0 - 1.0 / each) * variance, beyond_noise)
+    return layer
+
+
+def _differences(held: NDArray[np.bool_], moments: Grid, integrals: Grid) -> Grid:
     """Deviation from the planes of rings, around each cell: (rings, rows, columns) [m].
 
     No larger ring gives less. For a ring that holds too little the next larger one speaks; without
     one, the next smaller one, times the ratio of the radii. Where none holds enough, what each
     gives in the whole area counts.
     """
-    moments = _moments(means, held, cell_m)
-    integrals = _integrals(moments, 2 * max(RINGS))
     levels = np.full((len(RINGS), *held.shape), np.nan)
     overall = np.full(len(RINGS), np.nan)
     for k, ring in enumerate(RINGS):
@@ -127,16 +218,24 @@ def _off_ring(
     widest = 2 * max(RINGS)
     sums = _boxes(integrals, widest, 2 * ring) - _boxes(integrals, widest, ring - 1)
     known = held & (sums[0] > _ENOUGH - 0.5)
-    n, x, y, z, xx, xy, yy, xz, yz = sums[:, known]
-    x, y, z = x / n, y / n, z / n
-    xx, yy, xy = xx / n - x * x + _DAMPING, yy / n - y * y + _DAMPING, xy / n - x * y
-    xz, yz = xz / n - x * z, yz / n - y * z
-    scale = xx * yy - xy * xy
-    east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
+    x, y, z, east, north = _plane(sums[:, known])
     own = moments[1:4, known]
     off = np.zeros(held.shape)
     off[known] = own[2] - (z + east * (own[0] - x) + north * (own[1] - y))
     return off, known
+
+
+def _plane(sums: Grid) -> tuple[Grid, Grid, Grid, Grid, Grid]:
+    """Middle of planes through some cells (x, y, z) and their rise to east and north.
+
+    ``sums``: (9, n), those of :func:`_moments`; each of one cell at least.
+    """
+    n, x, y, z, xx, xy, yy, xz, yz = sums
+    x, y, z = x / n, y / n, z / n
+    xx, yy, xy = xx / n - x * x + _DAMPING, yy / n - y * y + _DAMPING, xy / n - x * y
+    xz, yz = xz / n - x * z, yz / n - y * z
+    scale = xx * yy - xy * xy
+    return x, y, z, (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
 
 
 def _at_distance(levels: Grid, away: Grid) -> Grid:

@@ -198,6 +198,14 @@ def test_the_ranging_spread_is_what_planes_show(spread: float, found: float) -> 
     assert ranging_spread(planes * 0, SENSOR) == SENSOR.range_sigma_m
 
 
+def test_planes_of_heath_tell_no_ranging_spread() -> None:
+    rng = np.random.default_rng(2)
+    for least, mean in ((0.05, 0.2), (0.15, 0.3)):
+        of_planes = least + rng.gamma(2.0, mean / 2.0, 3000)
+        planes = np.bincount((of_planes / SPREAD_STEP_M).astype(int).clip(0, SPREADS - 1))
+        assert ranging_spread(planes, SENSOR) == SENSOR.range_sigma_m
+
+
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=60, deadline=None)
 def test_what_follows_a_plane_is_counted_as_by_hand(seed: int) -> None:

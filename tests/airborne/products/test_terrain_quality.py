@@ -9,10 +9,12 @@ from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.airborne.products.terrain_quality import (
     AROUND,
     RINGS,
+    Scatter,
     _boxes,
     _integrals,
     _moments,
     _off_ring,
+    scatter_of,
     terrain_sigma,
 )
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
@@ -107,6 +109,56 @@ def test_boxes_hold_what_lies_in_them() -> None:
             values, np.ones((2 * reach + 1, 2 * reach + 1)), mode="constant"
         )
         assert np.allclose(_boxes(_integrals(values[None], 4), 4, reach)[0], expected)
+
+
+def returns(heights: Float) -> tuple[Float, NDArray[np.int64]]:
+    """Returns of so many heights in each cell: (n, 3) [m], and where each cell begins."""
+    rows, columns, each = heights.shape
+    rng = np.random.default_rng(11)
+    y, x = (
+        np.indices((rows, columns))[:, :, :, None] + rng.random((2, rows, columns, each))
+    ).reshape(2, -1)
+    start = np.arange(rows * columns + 1) * each
+    return np.column_stack([x, y, heights.ravel() + 0.4 * x]), start
+
+
+def sigmas(heights: Float) -> tuple[Float, Float, Float]:
+    """Deviation with and without what returns scatter, and what the terrain is off, each cell."""
+    xyz, start = returns(heights)
+    shape = heights.shape[:2]
+    places = [np.rint(axis * 1000).astype(np.int32) for axis in xyz.T]
+    scatter = Scatter(
+        *(v.reshape(*shape, *v.shape[1:]) for v in scatter_of((*places,), start, 1e-3))
+    )
+    means = np.add.reduceat(xyz, start[:-1]) / np.diff(start)[:, None]
+    off = means[:, 2] - 0.4 * means[:, 0]
+    means = means.reshape(*shape, 3)
+    return terrain_sigma(means, 1.0, scatter), terrain_sigma(means, 1.0), off.reshape(shape)
+
+
+def test_a_layer_of_plants_is_no_noise_that_averages_out() -> None:
+    rng = np.random.default_rng(12)
+    noise = rng.normal(0, 0.05, (50, 50, 12))
+    plants = rng.random((50, 50, 1)) * 0.3 * rng.random((50, 50, 12))
+    with_it, without, off = sigmas(noise)
+    assert np.median(with_it / without) < 1.3
+    assert np.mean(abs(off) < with_it) > 0.68
+    with_it, without, off = sigmas(plants)
+    assert np.mean(off < 1.96 * without) < 0.8
+    assert np.mean(off < 1.96 * with_it) > 0.9
+
+
+def test_scatter_is_that_of_each_cell_about_its_mean() -> None:
+    rng = np.random.default_rng(13)
+    places = rng.integers(0, 1000, (3, 40)).astype(np.int32)
+    start = np.array([0, 0, 7, 8, 40, 40])
+    found = scatter_of((*places,), start, 1e-3)
+    assert found.returns.tolist() == [7, 1, 32]
+    for k, (begin, end) in enumerate(((0, 7), (7, 8), (8, 40))):
+        of = np.cov(places[:, begin:end] * 1e-3, ddof=0)
+        assert np.allclose(found.products[k], of[np.tril_indices(3)][[0, 1, 2, 3, 4, 5]])
+    none = scatter_of(([places[0][:0]] * 3), np.zeros(4, np.int64), 1e-3)
+    assert none.products.shape == (0, 6)
 
 
 def test_nothing_is_said_without_ground() -> None:

@@ -1,0 +1,75 @@
+"""Whole runs on classified real tiles: terrain as it is delivered.
+
+Run ``python -m benchmarks.airborne.ground.whole_runs FOLDER TILE [...] [--linear]``.
+
+Each tile is a survey of its own, with the sensor ``spl100`` and the beamlet in ``user_data``, or of
+linear-mode lidar. Of the cloud that a run delivers, the points that it calls ground are compared
+with the producer's, as :mod:`~benchmarks.airborne.ground.ground_tiles` does with a method alone:
+here the filter has taken its part, and the flightlines have told their ranging spread.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import laspy
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.airborne.ground.ground_tiles import Tile, figures, read, show
+from spl_batch import api
+from spl_batch.constants import CLASS_GROUND, QUANTUM_M
+
+WORKFLOWS: Final = {
+    "spl100": (
+        "{{survey: {{flightlines: {0}, sensor: spl100, channel_dimension: user_data}}, "
+        "output: out}}"
+    ),
+    "linear": (
+        "{{survey: {{flightlines: {0}}}, filter: {{method: none}}, afterpulse: {{enabled: false}}, "
+        "output: out}}"
+    ),
+}
+
+
+def process(path: Path, folder: Path, kind: str) -> Path:
+    """Run a tile; its output."""
+    workflow = folder / "workflow.yaml"
+    workflow.write_text(WORKFLOWS[kind].format(path))
+    api.run(workflow)
+    return folder / "out"
+
+
+def called_ground(tile: Tile, out: Path) -> NDArray[np.bool_]:
+    """Which points of a tile a run calls ground."""
+    ground: set[tuple[int, int, int]] = set()
+    for path in sorted((out / "laz").rglob("*.laz")):
+        las = laspy.read(path)
+        chosen = np.asarray(las.classification) == CLASS_GROUND
+        places = [np.rint(np.asarray(v)[chosen] / QUANTUM_M) for v in (las.x, las.y, las.z)]
+        ground |= set(map(tuple, np.column_stack(places).astype(np.int64).tolist()))
+    places = np.column_stack([tile.table[axis] for axis in "xyz"]).tolist()
+    return np.array([tuple(place) in ground for place in places])
+
+
+def main(folder: Path, names: Sequence[str], kind: str) -> None:
+    """Run tiles, and print."""
+    for name in names:
+        for path in sorted(folder.rglob(f"{name}*.la[sz]")):
+            tile = read(path)
+            if tile is None:
+                continue
+            with tempfile.TemporaryDirectory() as temporary:
+                found = called_ground(tile, process(path.resolve(), Path(temporary), kind))
+            show(tile, {"whole run": figures(tile, found, np.nan)})
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("tiles", nargs="+")
+    parser.add_argument("--linear", action="store_const", const="linear", default="spl100")
+    given = parser.parse_args()
+    main(given.folder, given.tiles, given.linear)
