@@ -243,13 +243,11 @@ class PlanError(SplBatchError):
 
 
 class StoreError(SplBatchError):
-    """Something in the working store is missing or damaged."""
-
-    exit_status = 1
+    """The working store is not there, or not as it is needed."""
 
 
 class DamagedError(StoreError):
-    """A file of the working store is not what was written there; it can be made again.
+    """A file of the working store, or a raster, is not what was written; it can be made again.
 
     Parameters
     ----------
@@ -257,10 +255,18 @@ class DamagedError(StoreError):
         The file, or the directory that it is part of.
     """
 
+    exit_status = 1
+
     def __init__(self, path: object, reason: object) -> None:
         self.path = str(path)
-        self.reason = " ".join(str(reason).split())
-        super().__init__(f"{path}: damaged or missing ({self.reason}); run again to rebuild")
+        known = reason.strerror if isinstance(reason, OSError) else None
+        self.reason = " ".join(str(known or reason).split())
+        super().__init__(f"{self.told}; run again to rebuild")
+
+    @property
+    def told(self) -> str:
+        """What is wrong with which file, without what to do."""
+        return f"{self.path}: damaged or missing ({self.reason})"
 
     def __reduce__(self) -> tuple[type["DamagedError"], tuple[str, str]]:
         return type(self), (self.path, self.reason)

@@ -277,7 +277,7 @@ def main(arguments: list[str] | None = None) -> None:
     except click.Abort:
         _end(interrupted, 3)
     except SplBatchError as error:
-        _end(f"spl-batch: {error}", error.exit_status if error.exit_status != 1 else 2)
+        _end(f"spl-batch: {error}", error.exit_status)
     except TimeoutError as error:
         said = str(error) or "no answer in time"
         _end(f"spl-batch: {said}; the machine is busy, run again to continue", 3)

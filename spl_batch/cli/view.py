@@ -112,7 +112,7 @@ class View:
             style = {"warning": "yellow", "error": "red"}.get(event.level, "dim")
             word = {"error": "unusable"}.get(event.level, event.level)  # as a plan calls it
             self._print(f"{word}: {event.text}", style)
-        elif isinstance(event, TaskEnded) and event.reason and not event.stops:
+        elif isinstance(event, TaskEnded) and event.reason and not (event.stops or event.mends):
             called = event.called or f"{event.kind} {event.name}"
             self._print(f"failed: {called}: {event.reason}", "red")
         elif isinstance(event, WorkersReady) and event.dashboard:

@@ -18,7 +18,15 @@ from spl_batch.airborne.tasks.kinds import STAGES
 from spl_batch.cli import _STAGES, cli, live, main
 from spl_batch.cli.clock import saying_if_slow
 from spl_batch.engine.flow import cluster
-from spl_batch.errors import InputError, PlanError, SplBatchError, StoppedError, StoreError, storage
+from spl_batch.errors import (
+    DamagedError,
+    InputError,
+    PlanError,
+    SplBatchError,
+    StoppedError,
+    StoreError,
+    storage,
+)
 from tests import surveys
 
 COMMANDS = sorted(cli.commands)
@@ -81,7 +89,8 @@ def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
         (SplBatchError("wrong"), 2),
         (InputError("a.laz", ["one", "two"]), 2),
         (PlanError("too large"), 2),
-        (StoreError("damaged"), 2),
+        (StoreError("no finished run"), 2),
+        (DamagedError("map.npz", "cut off"), 1),
         (StoppedError("disk full"), 3),
         (click.Abort(), 3),
     ],

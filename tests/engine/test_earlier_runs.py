@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from spl_batch.engine.store.working_store import write_json
 from spl_batch.engine.watch.earlier_runs import earlier_wall_s, log_bytes, share_time
 from tests import surveys
 
@@ -21,10 +22,10 @@ def log(output: Path, runs: Sequence[tuple[int, int, str, bool]], *, torn: str =
         stream.write(torn)
 
 
-def finished(output: Path, wall_s: float) -> None:
+def finished(output: Path, wall_s: float, **more: float | None) -> None:
     (output / "store").mkdir(exist_ok=True)
-    kept = {"wall_s": wall_s, "log_bytes": log_bytes(output)}
-    (output / "store" / "run.json").write_text(json.dumps(kept))
+    kept = {"wall_s": wall_s, "log_bytes": log_bytes(output), **more}
+    write_json(output / "store" / "run.json", {"told": json.dumps(kept)})
 
 
 def test_every_part_of_an_interrupted_run_counts(tmp_path: Path) -> None:
@@ -39,9 +40,8 @@ def test_every_part_of_an_interrupted_run_counts(tmp_path: Path) -> None:
 
 def test_what_one_run_did_not_know_no_later_one_does(tmp_path: Path) -> None:
     finished(tmp_path, 100.0)
-    file = tmp_path / "store" / "run.json"
     assert earlier_wall_s(tmp_path) == 100.0
-    file.write_text(json.dumps({**json.loads(file.read_text()), "earlier_s": None}))
+    finished(tmp_path, 100.0, earlier_s=None)
     assert earlier_wall_s(tmp_path) is None
 
 

@@ -595,7 +595,8 @@ def test_records_of_another_version_are_told(
         raise KeyError("a fact")
 
     code = code_version("imaging") if same else "0.0.9+0123456789abcdef"
-    context = SimpleNamespace(code=code, workflow=SimpleNamespace(kind="imaging"))
+    kind = SimpleNamespace(kind="imaging")
+    context = SimpleNamespace(code=code, workflow=kind, output=tmp_path)
     monkeypatch.setattr(reporting, "no_output", lambda *_: "")
     monkeypatch.setattr(reporting, "recalled", lambda _: ({}, context, None))
     monkeypatch.setattr(reporting, "receiver", lambda _: SimpleNamespace(report=fails))

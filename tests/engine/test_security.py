@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -219,6 +220,21 @@ def test_a_link_out_of_the_output_is_refused(survey: Path, tmp_path: Path, name:
         assert ended.status == 2, ended.text
         assert f"out/{name} is a link to {elsewhere}" in ended.err
     assert not any(elsewhere.iterdir())
+
+
+@pytest.mark.parametrize("name", ["laz", "report.html", "store/receipts"])
+def test_a_report_refuses_a_link_out_of_the_output_too(
+    small_output: Path, tmp_path: Path, name: str
+) -> None:
+    elsewhere, output = tmp_path / "elsewhere", tmp_path / "out"
+    shutil.copytree(small_output, output)
+    (output / name).rename(elsewhere)
+    (output / name).symlink_to(elsewhere)
+    before = elsewhere.stat()
+    ended = surveys.command("report", output)
+    assert ended.status == 2, ended.text
+    assert f"out/{name} is a link to {elsewhere}" in ended.err
+    assert elsewhere.stat() == before
 
 
 def test_a_link_within_the_output_or_to_a_faster_disk_is_none(survey: Path, tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import laspy
-import rasterio
 import shapely
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
@@ -16,6 +15,7 @@ from pyproj.exceptions import ProjError
 from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
 from spl_batch.formats.crs import horizontal, vertical
 from spl_batch.formats.gps_clock import leap_seconds
+from spl_batch.formats.rasters.parts import opened
 
 GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
 """Where GPS time begins; it stands for a time that nothing tells."""
@@ -114,14 +114,14 @@ class RasterFile:
 
 def read_raster_file(output: Path, href: str) -> RasterFile:
     """A delivered raster, from its header and its smallest overview."""
-    with rasterio.open(output / href) as source:
+    with opened(output / href) as source:
         bounds, shape = source.bounds, source.shape
         meaning = source.descriptions[0] or href
         unit = source.units[0] or ""
         levels, cell_m, nodata = len(source.overviews(1)), source.transform.a, source.nodata
         crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None
     coarse = {"overview_level": levels - 1} if levels else {}
-    with rasterio.open(output / href, **coarse) as source:
+    with opened(output / href, **coarse) as source:
         values = source.read(1)
     held = values[values != nodata]
     ends = (float(held.min()), float(held.max())) if held.size else None

@@ -19,17 +19,23 @@ from spl_batch.engine.report.parts import (
     Provenance,
     StagePerformance,
 )
+from spl_batch.engine.store.working_store import Store, read_json, write_json
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.runner import LIBRARIES, library_version
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import StoreError
-from spl_batch.formats.files.atomic import checksum, write_bytes
+from spl_batch.formats.files.atomic import checksum
 from spl_batch.imports import content_hash, imported, module_file
 from spl_batch.receivers import HOMES
 
 REPORT_FILES: Final = ("report.json", "report.html")
 """Files of a report, below the output."""
+
+RUN: Final = "run.json"
+"""File of the store that a report is written from."""
+
+_TOLD: Final = "told"
 
 _POLYGONS: Final = ("aoi", "water", "breaklines")
 """Keys of a workflow that name files whose hash a report gives."""
@@ -107,7 +113,8 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
         "done": {kind: list(names) for kind, names in done.items()},
         "report": _standing(done, context, facts),
     }
-    write_bytes(context.store.local / "run.json", json.dumps(content).encode())
+    # As a text: the order of stages and kinds counts.
+    write_json(context.store.local / RUN, {_TOLD: json.dumps(content)})
 
 
 def stands(done: Receipts, context: RunContext[Any], facts: RunFacts) -> bool:
@@ -152,12 +159,13 @@ def recall(output: Path) -> dict[str, Any]:
     ------
     StoreError
         If no run has finished there.
+    DamagedError
+        If it is not what was written.
     """
-    path = output / "store" / "run.json"
-    try:
-        content: dict[str, Any] = json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        raise StoreError(f"{output}: no finished run here; `spl-batch run` comes first") from None
+    path = Store(output).local / RUN
+    if not path.exists():
+        raise StoreError(f"{output}: no finished run here; `spl-batch run` comes first")
+    content: dict[str, Any] = json.loads(read_json(path)[_TOLD])
     return content
 
 

@@ -114,7 +114,7 @@ class Deliveries:
         """Take note of what a task has delivered, or is known to have."""
         for name, content in receipt.outputs.items() if delivers(receipt.kind) else ():
             # A map for the report lies in the store.
-            if name in receipt.written_ns and not name.startswith("./store/"):
+            if name in receipt.written_ns and not name.removeprefix("./").startswith("store/"):
                 self.files[name] = [receipt.sizes[name], receipt.written_ns[name], content]
                 self.begun.discard(name)
 

@@ -36,6 +36,7 @@ Always on the file system, wherever the store lies::
 import dataclasses
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -95,7 +96,7 @@ class Store:
         below = str(path).removeprefix(f"{self.root}/")
         if below != str(path):
             return f"store/{below}"
-        name = Path(path).relative_to(self.output).as_posix()
+        name = os.path.relpath(path, self.output)
         return f"./{name}" if name.startswith("store/") else name
 
     def named(self, name: str) -> Path:

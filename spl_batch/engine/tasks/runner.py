@@ -10,7 +10,7 @@ import resource
 import sys
 import time
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -20,6 +20,7 @@ from typing import Any, Final
 from spl_batch import __version__
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt, write_receipt
 from spl_batch.engine.tasks.context import RunContext, TaskFunction
+from spl_batch.engine.tasks.receipt_index import delivers
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.errors import DamagedError, SplBatchError, StoppedError, is_fault, one_line
@@ -52,6 +53,9 @@ class Kind:
         found: TaskFunction = load(self.function)
         return found
 
+
+RASTER: Final = ".tif"
+"""How names of rasters end, whose bytes carry no checksum."""
 
 DECISIVE: Final = (
     "laspy",
@@ -136,7 +140,8 @@ def finished(
     """Receipt of a task that needs no doing: it matches, and its outputs are there.
 
     Outputs are known by their size. Files of the store are verified where they are read. The
-    checksum of a delivered file is looked at if it was written to after the task was done.
+    checksum of a delivered file, and of any raster, is looked at if it was written to after the
+    task was done.
 
     Parameters
     ----------
@@ -158,6 +163,33 @@ def _unchanged(name: str, receipt: Receipt, context: RunContext[Any], *, verify:
     if not verify and receipt.written_ns.get(name) in {None, _written_ns(path)}:
         return True
     return checksum(path) == receipt.outputs[name]
+
+
+def _tells_damage(name: str) -> bool:
+    """Whether who reads an output sees that it is damaged: all of the store but rasters."""
+    return name.startswith("store/") and not name.endswith(RASTER)
+
+
+def damaged_rasters(
+    done: Mapping[str, Iterable[str]], context: RunContext[Any]
+) -> Iterator[DamagedError]:
+    """Say which rasters, that a report shows, are not what their tasks wrote.
+
+    The checksum of one that was delivered is looked at if it was written to since, that of one in
+    the store always. A user may have taken away what was delivered.
+
+    ``done``: names of finished tasks by kind.
+    """
+    for kind in filter(delivers, done):
+        receipts = (read_receipt(context.store, kind, name) for name in done[kind])
+        for receipt in filter(None, receipts):
+            for output in receipt.outputs:
+                inner = output.removeprefix("./").startswith("store/")
+                path = context.store.named(output)
+                if not output.endswith(RASTER) or not (inner or path.exists()):
+                    continue
+                if not _unchanged(output, receipt, context, verify=inner):
+                    yield DamagedError(path, "it is not what was written")
 
 
 def _written_ns(path: Path) -> int:
@@ -197,13 +229,13 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
             time.perf_counter() - start,
             _peak_rss_mb(),
             {name: size(path) for name, path in paths.items()},
-            {n: _written_ns(p) for n, p in paths.items() if not n.startswith("store/")},
+            {n: _written_ns(p) for n, p in paths.items() if not _tells_damage(n)},
             produced.inputs,
         )
     except StoppedError:
         raise
     except DamagedError as error:
-        receipt = failure(task, key, str(error), time.perf_counter() - start, damaged=error.path)
+        receipt = failure(task, key, error.told, time.perf_counter() - start, damaged=error.path)
     except SplBatchError as error:
         trace = traceback.format_exc()
         receipt = failure(task, key, str(error), time.perf_counter() - start, trace=trace)

@@ -23,10 +23,11 @@ from spl_batch.engine.store.output_lock import locked
 from spl_batch.engine.store.output_owner import usable
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.repair import TRIES, forget_makers
 from spl_batch.engine.verbs.running import run
 from spl_batch.engine.watch.earlier_runs import share_time
 from spl_batch.engine.watch.events import Event, Listener, Note, ignore
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import DamagedError, WorkflowError
 from spl_batch.receivers import HOMES, comparison, task_kinds
 
 FOLDER: Final = "compare"
@@ -134,26 +135,50 @@ def compare(
     usable(prepare(path, overrides, memory=memory, workers=workers))  # before the lock's file
     listener = _once(listener)
     process = partial(run, path, workers=workers, memory=memory, listener=listener)
-    with locked(output / FOLDER):
+    source, tasks = Store(output, url), task_kinds(settings.kind)
+    stores = {name: store_of(output, name, url) for name in keys}
+
+    def each() -> tuple[int, Any]:
         # What the methods share is finished first, under the workflow's own settings.
         status = process(until=found.until, overrides=overrides).exit_status
         reports = {}
         for count, (name, own) in enumerate(keys.items(), start=1):
             listener(Note("info", f"{name}, {count} of {len(keys)}"))
-            source, target = Store(output, url), store_of(output, name, url)
-            stages = found.share(source, target, settings, name)
-            tasks = task_kinds(settings.kind).items()
-            share_finished(source, target, [task for task, kind in tasks if kind.stage in stages])
-            share_time(output, target.output, stages)
+            stages = found.share(source, stores[name], settings, name)
+            shared = [task for task, kind in tasks.items() if kind.stage in stages]
+            share_finished(source, stores[name], shared)
+            share_time(output, stores[name].output, stages)
             result = process(overrides=own)
             status = max(status, result.exit_status)
             if result.report is not None:
                 reports[name] = result.report
         if not reports:
             raise WorkflowError(f"{output}: no method has finished; nothing can be compared")
-        report = found.write(output, reports)
+        return status, found.write(output, reports)
+
+    with locked(output / FOLDER):
+        status, report = _whole(each, [source, *stores.values()], tasks, listener)
     rows = tuple(found.row(method) for method in report.methods)
     return ComparisonResult(status, output, report, found.titles, rows)
+
+
+def _whole(
+    each: Callable[[], tuple[int, Any]],
+    stores: Sequence[Store],
+    kinds: Collection[str],
+    listener: Listener,
+) -> tuple[int, Any]:
+    """What all methods give; once more where the comparison reads something that is damaged."""
+    for _ in range(TRIES):
+        try:
+            return each()
+        except DamagedError as error:
+            # Stores share files: whichever has made it does it again.
+            made = [forget_makers(one, kinds, [one.name_of(error.path)]) for one in stores]
+            if not any(made):
+                raise
+            listener(Note("info", f"{error.told}, is made again"))
+    return each()
 
 
 def _once(listener: Listener) -> Listener:

@@ -7,7 +7,7 @@ from typing import Any
 
 from spl_batch.engine.report.number_format import as_ascii, duration
 from spl_batch.engine.report.run_record import REPORT_FILES, RunFacts, stands
-from spl_batch.engine.tasks.runner import stages
+from spl_batch.engine.tasks.runner import damaged_rasters, stages
 from spl_batch.engine.verbs.failures import failures
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.watch.earlier_runs import earlier_wall_s, log_bytes
@@ -70,7 +70,8 @@ def concluded(
     try:
         return _conclude(prepared, progress, until, took)
     except DamagedError as error:
-        if not progress.repair(prepared.ledger, [error.path]):
+        also = damaged_rasters(prepared.ledger.done, prepared.context)
+        if not progress.repair(prepared.ledger, [error, *also]):
             raise
         return None
 
@@ -110,6 +111,8 @@ def _conclude(
     written = _standing(prepared, facts) if progress.idle else None
     now = []
     if written is None:
+        for damaged in damaged_rasters(ledger.done, context):
+            raise damaged
         progress.tell(ReportStarted())
         written = receiver.report(ledger.done, context, facts)
         for text in written.warnings:  # those that only the whole tells were not said before
@@ -127,7 +130,10 @@ def _standing(prepared: Prepared[Any, Any], facts: RunFacts) -> Any:
     if not stands(prepared.ledger.done, context, facts):
         return None
     model = report_model(kind_of(prepared))
-    return model.model_validate_json((context.output / REPORT_FILES[0]).read_bytes())
+    try:
+        return model.model_validate_json((context.output / REPORT_FILES[0]).read_bytes())
+    except ValueError:  # damaged in spite of its time of writing: it is written again
+        return None
 
 
 def _shown(prepared: Prepared[Any, Any]) -> tuple[tuple[str, list[Path]], ...]:

@@ -14,6 +14,36 @@ TRIES = 3
 """Times that a run makes a damaged file again: a disk that fails for good fails each time."""
 
 
+def makers(
+    store: Store, kinds: Iterable[str], damaged: Iterable[str]
+) -> dict[str, tuple[str, str]]:
+    """Outputs that are damaged, with kind and name of the task that makes each.
+
+    Parameters
+    ----------
+    kinds : iterable of str
+        Kinds of tasks whose outputs they may be.
+    damaged : iterable of str
+        Files, as receipts call them: outputs, or parts of one.
+    """
+    # A chunk is part of an output that is a directory.
+    parts = {part for name in damaged for part in (name, *map(str, PurePosixPath(name).parents))}
+    made = (receipt for kind in kinds if parts for receipt in read_receipts(store, kind))
+    found = {name: (r.kind, r.name) for r in made for name in r.outputs if name in parts}
+    return dict(sorted(found.items()))
+
+
+def forget_makers(store: Store, kinds: Iterable[str], damaged: Iterable[str]) -> bool:
+    """Have damaged files made again by the next run; whether it will be.
+
+    The arguments are those of :func:`makers`.
+    """
+    found = makers(store, kinds, damaged).values()
+    for maker in found:
+        forget_receipt(store, *maker)
+    return bool(found)
+
+
 class Repairs:
     """Damaged files that a run has made again, and how often.
 
@@ -26,6 +56,14 @@ class Repairs:
     def __init__(self, store: Store) -> None:
         self.store = store
         self.times: Counter[str] = Counter()
+
+    def may(self, receipt: Receipt) -> bool:
+        """Whether a task failed over a damaged file that may still be made again."""
+        damaged = receipt.facts.get("damaged")
+        if damaged is None:
+            return False
+        name = PurePosixPath(self.store.name_of(damaged))
+        return all(self.times[str(part)] < TRIES for part in (name, *name.parents))
 
     def wanted(
         self, failed: Iterable[Receipt], ledger: Ledger[Any, Any], found: Iterable[str] = ()
@@ -42,22 +80,8 @@ class Repairs:
             Paths of more damaged files, which no task has met.
         """
         paths = [*found, *(r.facts["damaged"] for r in failed if "damaged" in r.facts)]
-        damaged = {self.store.name_of(path) for path in paths}
-        if not damaged:
-            return {}
-        makers = {
-            output: (kind, receipt.name)
-            for kind in ledger.done
-            for receipt in read_receipts(self.store, kind)
-            for output in receipt.outputs
-        }
-        again = {}
-        for name in sorted(damaged):
-            # A chunk is part of an output that is a directory.
-            for part in (name, *map(str, PurePosixPath(name).parents)):
-                if part in makers and self.times[part] < TRIES:
-                    again[part] = makers[part]
-        return again
+        again = makers(self.store, ledger.done, map(self.store.name_of, paths))
+        return {name: maker for name, maker in again.items() if self.times[name] < TRIES}
 
     def begin(
         self, failed: Iterable[Receipt], ledger: Ledger[Any, Any], found: Iterable[str] = ()

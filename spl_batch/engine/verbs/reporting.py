@@ -4,16 +4,18 @@ from pathlib import Path
 from typing import Any
 
 from spl_batch.engine.report.parts import Failure
-from spl_batch.engine.report.run_record import RunFacts, StageCost, recall
+from spl_batch.engine.report.run_record import RUN, RunFacts, StageCost, recall
 from spl_batch.engine.settings.mistaken_file import no_output
 from spl_batch.engine.settings.workflow_file import parse_any
+from spl_batch.engine.store.output_owner import refuse_links_out
 from spl_batch.engine.store.working_store import Store, read_receipt
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.receipt_index import Shelf
-from spl_batch.engine.tasks.runner import code_version
+from spl_batch.engine.tasks.runner import code_version, damaged_rasters, kinds
 from spl_batch.engine.verbs.conclusion import RunResult
 from spl_batch.engine.verbs.receiver import Place, Receiver
-from spl_batch.errors import SplBatchError, StoreError, WorkflowError, refuse_without
+from spl_batch.engine.verbs.repair import forget_makers
+from spl_batch.errors import DamagedError, SplBatchError, StoreError, WorkflowError, refuse_without
 from spl_batch.receivers import receiver
 
 
@@ -31,13 +33,29 @@ def report(output: Path | str) -> RunResult:
         If it is no output folder.
     StoreError
         If no run has finished there, or one of a version whose records this one cannot read.
+    DamagedError
+        If something that it reads is damaged. The report that is there stays as it is.
     """
     fault = no_output(Path(output), "report")
     if fault:
         raise WorkflowError(f"{output}: {fault}")
     refuse_without("matplotlib", "reports", "report")
     folder = Path(output).resolve()
+    refuse_links_out(folder)
     done, context, facts = recalled(folder)
+    try:
+        for damaged in damaged_rasters(done, context):
+            raise damaged
+        return _written(done, context, facts)
+    except DamagedError as error:
+        # A run that finds all finished would not look at it.
+        names = [context.store.name_of(error.path)]
+        forget_makers(context.store, kinds(context.workflow.kind), names)
+        raise
+
+
+def _written(done: dict[str, Shelf], context: Any, facts: RunFacts) -> RunResult:
+    """Write a report again."""
     found: Receiver[Any, Any] = receiver(context.workflow.kind)
     try:
         written = found.report(done, context, facts)
@@ -48,11 +66,11 @@ def report(output: Path | str) -> RunResult:
         if context.code == code_version(context.workflow.kind):
             raise
         raise StoreError(
-            f"{folder}: made by spl-batch {context.code}, whose records this version cannot read; "
-            "run the workflow again, which does anew only what has changed"
+            f"{context.output}: made by spl-batch {context.code}, whose records this version "
+            "cannot read; run the workflow again, which does anew only what has changed"
         ) from error
-    screen, results = tuple(found.screen(written)), tuple(found.results(folder))
-    return RunResult(int(bool(written.failures)), folder, written, screen, results)
+    screen, results = tuple(found.screen(written)), tuple(found.results(context.output))
+    return RunResult(int(bool(written.failures)), context.output, written, screen, results)
 
 
 def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
@@ -62,9 +80,11 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
     ------
     StoreError
         If no run has finished there.
+    DamagedError
+        If what it has left is damaged.
     """
     kept = recall(folder)
-    file = folder / "store" / "run.json"
+    file = Store(folder).local / RUN
     workflow = parse_any(kept["workflow"], str(file))
     found: Receiver[Any, Any] = receiver(workflow.kind)
     place = Place(file, Path(kept["base"]), folder)
@@ -89,6 +109,7 @@ def _receipts(store: Store, names: dict[str, list[str]]) -> dict[str, Shelf]:
     for kind, listed in names.items():
         for name in listed:
             receipt = read_receipt(store, kind, name)
-            if receipt is not None:
-                found[kind].put(receipt)
+            if receipt is None:
+                raise DamagedError(store.receipt(kind, name), "it is not what was written")
+            found[kind].put(receipt)
     return found

@@ -163,6 +163,7 @@ def run(
                     _process(prepared, pool, progress, until, verify=verify)
                 compile_s = ahead.took_s if ahead else None
                 result = concluded(prepared, progress, until, (start, compile_s))
+        progress.mended()
         progress.tell(RunEnded(result.exit_status))
     return result
 

@@ -76,6 +76,7 @@ class TaskEnded:
     traceback: str = ""  #: Where in the code it failed.
     called: str = ""  #: What a user calls it.
     stops: bool = False  #: Whether the run cannot go on without it, and ends with the reason.
+    mends: bool = False  #: Whether it failed over a damaged file, which this run makes again.
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.store.deliveries import Deliveries
@@ -26,7 +26,11 @@ from spl_batch.engine.watch.events import (
     WorkersReady,
     as_record,
 )
+from spl_batch.errors import DamagedError, named
 from spl_batch.formats.files.atomic import sweep
+
+LISTED: Final = 5
+"""Damaged files that a line names [count]."""
 
 LOG_WORKERS_S = 10.0
 """How often the log says how the workers are [s]."""
@@ -92,19 +96,40 @@ class Progress:
         """Whether everything was found finished so far."""
         return not any(cost.tasks for cost in self.costs.values())
 
-    def repair(self, ledger: Ledger[Any, Any], found: Iterable[str] = ()) -> bool:
+    def repair(self, ledger: Ledger[Any, Any], found: Iterable[DamagedError] = ()) -> bool:
         """Begin again where files of the store are to be made again.
 
-        ``found`` are paths of damaged files that no task has met.
+        ``found`` are damaged files that no task has met.
         """
-        damaged = self.repairs.begin(self.failed, ledger, found)
-        if damaged:
-            self.tell(
-                Note("info", f"damaged files of the store are made again: {', '.join(damaged)}")
-            )
-            self.costs.clear()
-            self.failures.clear()
-        return bool(damaged)
+        reasons = {error.path: error.told for error in found}
+        again = self.repairs.begin(self.failed, ledger, reasons)
+        if not again:
+            self._tell_unmended()
+            return False
+        met = (r for r in self.failed if "damaged" in r.facts)
+        reasons |= {r.facts["damaged"]: r.reason for r in met}
+        said = f"made again: {named([*dict.fromkeys(reasons.values())], LISTED)}"
+        self.tell(Note("info", said))
+        self.costs.clear()
+        self.failures.clear()
+        return True
+
+    def _tell_unmended(self) -> None:
+        """Tell of failures that were to be mended, and now are not: nothing makes those files."""
+        for one in self.failures:
+            if self.repairs.may(one.receipt):
+                called = plain_name(one.task, self.names)
+                self.tell(Note("warning", f"failed: {called}: {one.receipt.reason}"))
+
+    def mended(self) -> None:
+        """Tell what was damaged and is sound again."""
+        lost = {
+            self.repairs.store.name_of(r.facts["damaged"])
+            for r in self.failed
+            if "damaged" in r.facts
+        }
+        if rebuilt := sorted(self.repairs.times.keys() - lost):
+            self.tell(Note("info", f"damaged, rebuilt: {named(rebuilt, LISTED)}"))
 
     def ended(self, task: Task, receipt: Receipt) -> None:
         """Count a task in."""
@@ -127,6 +152,7 @@ class Progress:
                 receipt.facts.get("traceback", ""),
                 plain_name(task, self.names),
                 receipt.failed and task.kind in self.essential,
+                self.repairs.may(receipt),
             )
         )
 

@@ -254,11 +254,11 @@ class RunStatus:
         self.peak_mb = max(self.peak_mb, record.get("peak_rss_mb", 0.0))
         if kind in self.tiles:
             self.tiles[kind].ended(name, began=began, failed=failed)
-        if failed:
+        if failed and not record.get("mends"):
             command = record.get("command", "")
             called = record.get("called") or f"{kind} {name}"
             self.failures.append(FailedTask(called, record["reason"], command))
-        else:
+        if not failed:
             stage.points += record["points"]
             stage.wall_s += record["wall_s"]
 

@@ -14,7 +14,7 @@ from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-from spl_batch.errors import DamagedError, StoreError
+from spl_batch.errors import DamagedError
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +50,10 @@ def read_overview(
 
     Raises
     ------
-    StoreError
-        If the raster cannot be read.
+    DamagedError
+        If the raster cannot be read: it can be made again.
     """
-    with _opened(path) as source:
+    with opened(path) as source:
         row0, col0, size = _within(source, bounds_m)
         step, shape = _reduced(size, largest)
         # A window beyond the edge keeps cells square where the step does not divide it.
@@ -99,10 +99,10 @@ def windows(path: Path) -> Iterator[Windows]:
 
     Raises
     ------
-    StoreError
-        If the raster cannot be read.
+    DamagedError
+        If the raster cannot be read: it can be made again.
     """
-    with _opened(path) as source:
+    with opened(path) as source:
         place = source.transform
         yield Windows(source.shape, place.c, place.f, place.a, source)
 
@@ -126,22 +126,28 @@ def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, fl
 
     Raises
     ------
-    StoreError
-        If the raster cannot be read.
+    DamagedError
+        If the raster cannot be read: it can be made again.
     """
-    with _opened(path) as source:
+    with opened(path) as source:
         step, shape = _reduced(source.shape, largest)
         return (*shape, source.transform.c, source.transform.f, source.transform.a * step)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """A raster to read; :class:`StoreError` if it cannot be."""
+def opened(path: Path, **options: int) -> Iterator[Any]:
+    """A delivered raster to read, by rasterio's options.
+
+    Raises
+    ------
+    DamagedError
+        If it cannot be read: it can be made again.
+    """
     try:
-        with rasterio.open(path) as source:
+        with rasterio.open(path, **options) as source:
             yield source
     except RasterioError as error:
-        raise StoreError(f"{path}: cannot be read ({error}); run again to rebuild") from error
+        raise DamagedError(path, error) from error
 
 
 def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]:
@@ -162,16 +168,13 @@ def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Part |
         If the raster cannot be read: it can be made again.
     """
     west, south, east, north = bounds_m
-    try:
-        with rasterio.open(path) as source:
-            left, top, cell = source.transform.c, source.transform.f, source.transform.a
-            col0 = max(math.floor((west - left) / cell) - 1, 0)
-            col1 = min(math.ceil((east - left) / cell) + 1, source.width)
-            row0 = max(math.floor((top - north) / cell) - 1, 0)
-            row1 = min(math.ceil((top - south) / cell) + 1, source.height)
-            if col1 <= col0 or row1 <= row0:
-                return None
-            values = source.read(1, window=Window(col0, row0, col1 - col0, row1 - row0))
-            return Part(values.astype(np.float32), left + col0 * cell, top - row0 * cell, cell)
-    except RasterioError as error:
-        raise DamagedError(path, error) from error
+    with opened(path) as source:
+        left, top, cell = source.transform.c, source.transform.f, source.transform.a
+        col0 = max(math.floor((west - left) / cell) - 1, 0)
+        col1 = min(math.ceil((east - left) / cell) + 1, source.width)
+        row0 = max(math.floor((top - north) / cell) - 1, 0)
+        row1 = min(math.ceil((top - south) / cell) + 1, source.height)
+        if col1 <= col0 or row1 <= row0:
+            return None
+        values = source.read(1, window=Window(col0, row0, col1 - col0, row1 - row0))
+        return Part(values.astype(np.float32), left + col0 * cell, top - row0 * cell, cell)

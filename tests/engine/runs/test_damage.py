@@ -23,7 +23,7 @@ from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.repair import Repairs
-from spl_batch.engine.watch.events import Event, TaskEnded
+from spl_batch.engine.watch.events import Event, Note, TaskEnded
 from spl_batch.errors import DamagedError
 from spl_batch.formats.verified.parquet_npz import (
     group_ranges,
@@ -133,10 +133,12 @@ def test_a_damaged_description_of_cells_is_written_again(tmp_path: Path) -> None
 # Whole runs
 
 
-def flip(path: Path) -> None:
-    content = bytearray(path.read_bytes())
+def flip(path: Path, *, keep_time: bool = False) -> None:
+    content, before = bytearray(path.read_bytes()), path.stat()
     content[len(content) // 2] ^= 4
     path.write_bytes(content)
+    if keep_time:
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
 def cut(path: Path) -> None:
@@ -245,20 +247,82 @@ def test_delivered_files_are_looked_at_closely_where_they_were_written_to(
     assert surveys.results(surveys.run(survey, until="deliver", verify=True).output) == expected
 
 
-@pytest.mark.parametrize("folder", ["tiles", "noise"])
+@pytest.mark.parametrize("harmed", ["tiles/*.parquet", "noise/*.parquet", "noise.tif"])
 def test_what_the_report_finds_damaged_is_made_again_in_the_same_run(
-    survey: Path, expected: dict[str, bytes], folder: str
+    survey: Path, expected: dict[str, bytes], harmed: str
 ) -> None:
-    """Every task is finished, and only the report's profile reads the file."""
+    """Every task is finished, and only the report reads the file; its time tells nothing."""
     output = survey.parent / "out"
     assert surveys.run(survey).exit_status == 0
     (output / "report.json").unlink()
-    for path in sorted((output / "store" / folder).rglob("*.parquet")):
-        flip(path)
-    result = surveys.run(survey)
+    whole = {path: path.read_bytes() for path in (output / "store").glob(harmed)}
+    for path in whole:
+        flip(path, keep_time=True)
+    heard: list[Event] = []
+    result = surveys.run(survey, listener=heard.append)
     assert result.exit_status == 0
     assert (output / "report.json").exists()
     assert surveys.results(result.output) == expected
+    assert not [e for e in heard if isinstance(e, TaskEnded) and e.reason and not e.mends]
+    told = [e.text for e in heard if isinstance(e, Note) and "store/" in e.text]
+    assert bool(told) != (harmed == "noise/*.parquet"), "of these only sound columns are read"
+    for text in told[:-1]:
+        assert text.startswith(f"made again: {output}/store/")
+    for text in told[-1:]:
+        assert text.startswith("damaged, rebuilt: store/")
+        assert {path: path.read_bytes() for path in whole} == whole
+
+
+def test_a_raster_of_the_store_that_was_written_to_is_made_again(survey: Path) -> None:
+    raster = survey.parent / "out/store/noise.tif"
+    assert surveys.run(survey).exit_status == 0
+    content = raster.read_bytes()
+    flip(raster)
+    assert surveys.run(survey).exit_status == 0
+    assert raster.read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    ("harmed", "again"),
+    [
+        ("store/noise.tif", True),
+        ("store/accuracy/*.npz", True),
+        ("store/strips/map.npz", True),
+        ("store/receipts/mosaic/dtm.json", True),
+        ("store/run.json", False),
+        ("dtm.tif", True),
+    ],
+)
+def test_a_report_that_meets_damage_names_it_and_a_run_makes_it_again(
+    damaged_output: Path, harmed: str, *, again: bool
+) -> None:
+    """It is no wrong request, and a run that would find all finished makes the file again."""
+    path = next(damaged_output.glob(harmed))
+    content, report = path.read_bytes(), (damaged_output / "report.html").read_bytes()
+    kept = damaged_output.parent / "kept"
+    shutil.copytree(damaged_output / "store/receipts", kept)
+    flip(path)
+    ended = surveys.command("report", damaged_output)
+    assert ended.status == 1, ended.text
+    (line,) = ended.err.splitlines()
+    assert f"spl-batch: {path}: damaged or missing (" in line
+    assert line.endswith("; run again to rebuild")
+    assert (damaged_output / "report.html").read_bytes() == report
+    there = {p.relative_to(kept) for p in kept.rglob("*.json")}
+    receipts = damaged_output / "store/receipts"
+    left = {p.relative_to(receipts) for p in receipts.rglob("*.json")}
+    told = path.is_relative_to(receipts)
+    assert len(there - left) == (again and not told), "what a run trusts no longer"
+    path.write_bytes(content)
+    shutil.copytree(kept, receipts, dirs_exist_ok=True)
+    shutil.rmtree(kept)
+
+
+@pytest.fixture(scope="module")
+def damaged_output(tiny_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output of the tiny survey whose files may be harmed."""
+    copy = tmp_path_factory.mktemp("damaged") / "out"
+    return Path(shutil.copytree(tiny_output, copy))
 
 
 @pytest.mark.parametrize(
