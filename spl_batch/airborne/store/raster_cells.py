@@ -6,7 +6,6 @@ writes its own chunks and no other task's. Chunks of nothing but nodata are not 
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import DamagedError, StoreError
-from spl_batch.formats.files.atomic import remove, size, write_bytes
+from spl_batch.formats.files.atomic import size, write_bytes
 from spl_batch.formats.verified.zarr_chunks import (
     METADATA,
     Metadata,
@@ -85,7 +84,7 @@ def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32
     Returns
     -------
     list of Path
-        Files of the chunks; a chunk of nothing but nodata has none.
+        Files of the chunks.
 
     Raises
     ------
@@ -101,14 +100,9 @@ def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32
         rows, columns = (side // px for side in values.shape)
         top, left = HALF_CELLS - cell.j - rows, HALF_CELLS + cell.i
         box = (slice(top * px, (top + rows) * px), slice(left * px, (left + columns) * px))
-        contents = encode(metadata, box, values)
-        for row, column in product(range(top, top + rows), range(left, left + columns)):
-            chunk = f"c/{row}/{column}"
-            if chunk in contents:
-                write_bytes(path / name / chunk, contents[chunk], durable=False)
-                written.append(path / name / chunk)
-            else:
-                remove(path / name / chunk)
+        for chunk, content in encode(metadata, box, values).items():
+            write_bytes(path / name / chunk, content, durable=False)
+            written.append(path / name / chunk)
     return written
 
 
@@ -125,14 +119,14 @@ def read_window(path: Path, name: str, bounds: Bounds) -> NDArray[np.float32]:
     Returns
     -------
     (rows, cols) float32
-        Row 0 northernmost; nodata where nothing was written.
+        Row 0 northernmost.
 
     Raises
     ------
     StoreError
         If there is no such raster or the region is not aligned to its cells.
     DamagedError
-        If a chunk is damaged; names it where the region lies in one.
+        If a chunk is damaged, or not there; names it.
     """
     metadata, px, edge = _array(path, name)
     if any(side % edge for side in bounds):
@@ -140,7 +134,7 @@ def read_window(path: Path, name: str, bounds: Bounds) -> NDArray[np.float32]:
     zero = HALF_CELLS * px
     rows = slice(zero - bounds.ymax // edge, zero - bounds.ymin // edge)
     cols = slice(zero + bounds.xmin // edge, zero + bounds.xmax // edge)
-    return read_box(path / name, metadata, (rows, cols), sparse=True).astype(np.float32, copy=False)
+    return read_box(path / name, metadata, (rows, cols)).astype(np.float32, copy=False)
 
 
 def stored_blocks(

@@ -73,5 +73,5 @@ def add_voxels(
         of_part = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, first, strict=True))
         of_box = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, corner, strict=True))
         whole = (*of_part, *(slice(0, n) for n in inner))
-        values = read_box(array, metadata, whole, sparse=False)
+        values = read_box(array, metadata, whole)
         total[of_box] += values.astype(total.dtype, copy=False)

@@ -113,26 +113,24 @@ def read_metadata(array: Path) -> Metadata:
 
 
 def encode(metadata: Metadata, box: Sequence[slice], values: NDArray[Any]) -> Content:
-    """Chunks that hold a box of values, by their names; none for nothing but the fill value.
+    """Chunks that hold a box of values, by their names.
+
+    One of nothing but the fill value is a chunk too: else who reads cannot tell it from one that
+    is gone.
 
     ``box``: where the values lie; whole chunks. ``values``: ndarray, of the box's shape.
     """
     fill = metadata["fill_value"]
-    found = {p.name: (values[p.of_box], p) for p in _pieces(_edges(metadata), box)}
-    return {name: _packed(v, p, fill) for name, (v, p) in found.items() if np.any(v != fill)}
+    return {p.name: _packed(values[p.of_box], p, fill) for p in _pieces(_edges(metadata), box)}
 
 
-def read_box(
-    array: Path, metadata: Metadata, box: Sequence[slice], *, sparse: bool
-) -> NDArray[Any]:
+def read_box(array: Path, metadata: Metadata, box: Sequence[slice]) -> NDArray[Any]:
     """Values of a box, verified.
 
     Parameters
     ----------
     metadata : dict
         From :func:`read_metadata`.
-    sparse : bool
-        Whether chunks that are not there hold the fill value; else they are missing.
 
     Raises
     ------
@@ -145,9 +143,6 @@ def read_box(
     for piece in _pieces(_edges(metadata), box):
         try:
             content = read_bytes(array / piece.name)
-        except FileNotFoundError as error:
-            if not sparse:
-                raise DamagedError(array / piece.name, "is not there") from error
         except OSError as error:
             raise DamagedError(array / piece.name, error) from error
         else:

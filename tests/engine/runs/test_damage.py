@@ -190,7 +190,8 @@ def test_what_is_damaged_while_a_run_goes_on_is_made_again_in_it(
     harm: Callable[[Path], None],
 ) -> None:
     harmed: set[str] = set()
-    run_task = job.run_task
+    noise = survey.parent / "out/store/noise.tif"
+    run_task, noise_map = job.run_task, noise.read_bytes()
 
     def harming(*args: Any) -> Receipt:
         receipt = run_task(*args)
@@ -206,6 +207,7 @@ def test_what_is_damaged_while_a_run_goes_on_is_made_again_in_it(
     assert harmed == SORTS
     assert result.exit_status == 0
     assert surveys.results(result.output) == expected
+    assert noise.read_bytes() == noise_map
 
 
 @pytest.mark.parametrize("harm", [cut, Path.unlink])
