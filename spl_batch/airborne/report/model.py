@@ -339,6 +339,18 @@ class StripPair(Part):
     )
 
 
+class LineShift(Part):
+    """What brings a flightline together with those that overlap it; nothing is applied."""
+
+    name: str = Field(description="The flightline.")
+    up_m: Number = Field(description="To be added to its heights [m].")
+    east_m: Number = Field(None, description="To be added to its eastings; null if flat [m].")
+    north_m: Number = Field(None, description="To be added to its northings; null if flat [m].")
+    left_m: Number = Field(
+        description="Largest vertical difference to another flightline that is left then [m]."
+    )
+
+
 class Report(Part):
     """Everything that ``report.json`` holds and ``report.html`` shows."""
 
@@ -354,6 +366,11 @@ class Report(Part):
     swaths: tuple[Swath, ...] = Field((), description="Density of each flightline by itself.")
     strips: tuple[StripPair, ...] = Field(
         (), description="Pairs of flightlines that share enough planar patches, by their names."
+    )
+    strip_shifts: tuple[LineShift, ...] = Field(
+        (),
+        description="Least squares over these pairs; the shifts of flightlines that overlap add "
+        "up to zero.",
     )
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")

@@ -1,7 +1,8 @@
 """What a report says of flightlines that overlap."""
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.report.model import StripPair
+from spl_batch.airborne.report.model import LineShift, StripPair
+from spl_batch.airborne.strips.line_shifts import line_shifts
 from spl_batch.airborne.strips.strip_comparison import difference_map, pairs_of
 from spl_batch.engine.report.maps import Raster
 from spl_batch.engine.report.run_record import Receipts
@@ -31,6 +32,13 @@ def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
         for receipt in done.get("strip_pairs", {}).values()
         for pair in pairs_of(receipt.facts)
     )
+
+
+def strip_shifts(done: Receipts) -> tuple[LineShift, ...]:
+    """What would bring flightlines together, as the report has it."""
+    receipts = done.get("strip_pairs", {}).values()
+    pairs = [pair for receipt in receipts for pair in pairs_of(receipt.facts)]
+    return tuple(LineShift(**shift._asdict()) for shift in line_shifts(pairs))
 
 
 def strip_map(done: Receipts, context: Context) -> Raster | None:

@@ -23,7 +23,7 @@ def offset_warnings(pairs: Sequence[PairDifference]) -> Iterator[str]:
             f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar "
             f"patches), more than the ranging noise of {100 * pair.noise_m:.1f} cm: surfaces that "
             "both have seen are double, and rasters lie between them; adjust the strips and run "
-            "again"
+            "again: strip_shifts in report.json says by how much"
         )
     if len(off) > TOLD:
         yield (
