@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
-from spl_batch.airborne.beams import geometry, sensor_path
+from spl_batch.airborne.beams import crosstalk, geometry, sensor_path
 from spl_batch.airborne.beams.bloom import find_bloom
 from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
@@ -90,7 +90,8 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
             table.take(rows), None if origin_m is None else origin_m[rows], sensor, settings
         )
         bases.add(one.basis)
-        said += [Said(name, warning.text, warning.badness) for warning in one.model.warnings]
+        told = (*one.model.warnings, *crosstalk.told(one.crosstalk))
+        said += [Said(name, warning.text, warning.badness) for warning in told]
         if one.rate_is_assumed:
             text = f"gps_time does not tell the pulse rate, so {FALLBACK_PRF_HZ:.0f} Hz is assumed"
             said.append(Said(name, f"{text}; state acquisition.prf_hz"))
@@ -99,6 +100,7 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
             added[key][rows] = values
         flags[rows] |= ~one.beams.known * np.uint8(PointFlag.NO_BEAM)
         flags[rows] |= one.bloom * np.uint8(PointFlag.BLOOM)
+        flags[rows] |= one.set_off * np.uint8(PointFlag.SET_OFF)
         lines.append(parts)
     basis = "vertical" if "vertical" in bases else next(iter(bases), "beams")
     warnings = tuple(shared(said, "flightlines", "flightline"))
@@ -142,7 +144,13 @@ class _Line:
         # Beams may tell beamlets apart that nobody has numbered.
         stated = settings.sensor
         self.unnumbered = sensor.beamlets < stated.beamlets and self.basis != "vertical"
+        self.set_off = np.zeros(len(table), np.bool_)
         observed = line_noise.observe(self.table, self.beams, settings.noise)
+        if self.basis != "vertical":
+            observed |= crosstalk.observe(
+                self.table, self.beams, sensor, settings.noise.interval_shots
+            )
+        self.crosstalk = crosstalk.chance([observed])
         seen, beams = self.table, self.beams
         if self.unnumbered:
             seen, order = told_apart(seen, beams, stated)
@@ -175,6 +183,8 @@ class _Line:
             self.bloom[rows[found.returns]] = True
             rows = rows[~found.returns]
             table, beams = table.take(~found.returns), beams.take(~found.returns)
+        if self.crosstalk:
+            self.set_off[rows] = crosstalk.set_off(table, beams, self.sensor)
         added["channel"] = self.table["channel"].copy()
         if self.settings.afterpulse.enabled:
             self._add_afterpulses(added, table, beams, rows)

@@ -6,8 +6,11 @@ beamlets one pitch apart, and of those somewhat farther apart. Chance makes as m
 and towers make pairs too, but not everywhere: a flightline is cut into :data:`PARTS`, and the half
 with fewest pairs must show it. One shot in :data:`EVERY` is counted.
 
-It is told, and nothing is removed: nobody knows which of a pair set the other off. No source has a
-rule for it.
+Where a flightline shows it, a pair that stands alone in its shot is one witness (:func:`set_off`):
+of returns side by side at one range, with next to nothing else of the shot within :data:`ALONE_M`,
+all but one are no evidence of their own and share the label of that one. Nobody knows which of them
+set the others off, and nobody needs to. Beside a surface many returns of a shot have one range;
+there crosstalk stays, and edges are blurred by a beamlet. No source has a rule for it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,6 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from spl_batch.airborne.beams.crosstalk_pairs import count_pairs
 from spl_batch.airborne.beams.shot_runs import run_starts
@@ -58,6 +63,11 @@ SURE: Final = 5.0
 LEAST: Final = 0.005
 """Chance to set off one given neighbour that is worth a word."""
 
+ALONE_M: Final = 1.0
+MOST: Final = 8
+"""Returns of a shot that lie alone: so many at the most within so much of range [m, count]. One has
+four neighbours, which may have followers, and another pair may be near."""
+
 
 def observe(
     table: PointTable, beams: BeamTable, sensor: Sensor, interval_shots: int
@@ -90,10 +100,10 @@ def observe(
     return {"crosstalk": np.column_stack([interval, counts]).astype(np.int64)}
 
 
-def told(parts: Sequence[Mapping[str, NDArray[Any]]]) -> tuple[Remark, ...]:
-    """What to tell of a flightline's crosstalk; nothing where there is none.
+def chance(parts: Sequence[Mapping[str, NDArray[Any]]]) -> float:
+    """Chance that a return sets off one given channel beside its own; 0 where nothing shows it.
 
-    ``parts``: results of :func:`observe`, where beams are known.
+    ``parts``: results of :func:`observe` of a flightline, where beams are known.
     """
     known = [part["crosstalk"] for part in parts if "crosstalk" in part]
     rows = np.concatenate([np.empty((0, 4), np.int64), *known])
@@ -106,13 +116,58 @@ def told(parts: Sequence[Mapping[str, NDArray[Any]]]) -> tuple[Remark, ...]:
     returns, beside, further = sums[fewest].sum(axis=0).tolist()
     by_chance = LIKELY * further
     if beside - CLOSER * by_chance <= SURE * np.sqrt(beside + CLOSER**2 * LIKELY * by_chance):
-        return ()
-    chance = (beside - by_chance) / (NEIGHBOURS * max(returns - beside, 1))
-    if chance < LEAST:
+        return 0.0
+    found = (beside - by_chance) / (NEIGHBOURS * max(returns - beside, 1))
+    return found if found >= LEAST else 0.0
+
+
+def told(found: float) -> tuple[Remark, ...]:
+    """What to tell of the :func:`chance` of a flightline; nothing where there is none."""
+    if not found:
         return ()
     text = (
         "far from the surface a return sets off each channel beside its own with a chance of "
-        f"{100 * chance:.1f} %, at the same range: crosstalk; noise comes in pairs, so that more "
-        "of it than filter.alpha counts as signal, and edges of surfaces are blurred by a beamlet"
+        f"{100 * found:.1f} %, at the same range: crosstalk; returns that stand alone with such "
+        "neighbours count as one and share its label, beside surfaces they stay, so that edges "
+        "are blurred by a beamlet"
     )
-    return (Remark(text, chance),)
+    return (Remark(text, found),)
+
+
+def set_off(table: PointTable, beams: BeamTable, sensor: Sensor) -> NDArray[np.bool_]:
+    """Returns that are no evidence beside another one of their shot, which stays one: (n,) bool.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows in time order, with ``gps_time``.
+    beams : BeamTable
+        Their beams, all known.
+    """
+    out = np.zeros(len(table), np.bool_)
+    if not len(table):
+        return out
+    shot = np.cumsum(np.diff(table["gps_time"], prepend=table["gps_time"][0]) != 0)
+    order = np.lexsort((beams.range_m, shot))
+    shot, range_m = shot[order], beams.range_m[order]
+    # Shots lie farther apart on this line than any gate is long.
+    along = shot * (float(np.ptp(range_m)) + 4 * ALONE_M) + range_m
+    near = np.searchsorted(along, along + ALONE_M, "right")
+    near -= np.searchsorted(along, along - ALONE_M, "left")
+    alone = (near > 1) & (near <= MOST)
+    direction = beams.direction.take(order, axis=0)
+    low, high = (np.array(BESIDE) * sensor.beamlet_pitch_urad * 1e-6) ** 2
+    pairs = []
+    for step in range(1, MOST):
+        first = np.flatnonzero(alone[:-step] & alone[step:])
+        first = first[along[first + step] - along[first] <= SAME_M]
+        angle = ((direction[first] - direction[first + step]) ** 2).sum(axis=1)
+        first = first[(angle >= low) & (angle <= high)]
+        pairs.append(np.stack([first, first + step]))
+    one, other = np.concatenate(pairs, axis=1)
+    links = coo_array((np.ones(len(one), np.bool_), (one, other)), (len(order),) * 2)
+    _, group = connected_components(links, directed=False)
+    first_of = np.unique(group, return_index=True)[1]
+    out[order] = True
+    out[order[first_of]] = False
+    return out

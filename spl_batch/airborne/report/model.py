@@ -238,6 +238,11 @@ class Noise(Part):
         description="Returns that look as if a bright point had lit the whole array; in background "
         "where noise.bloom is true [count].",
     )
+    crosstalk: Count = Field(
+        0,
+        description="Returns of flightlines with crosstalk that one beside them may have set off: "
+        "no evidence of their own, with the label of that one [count].",
+    )
     haze: Haze | None = Field(None, description="Haze or cloud that was found; null without.")
     dsm_support: Count | None = Field(
         None, description="Returns nearby that a highest return needs to set a DSM cell [count]."

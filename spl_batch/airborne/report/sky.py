@@ -118,6 +118,11 @@ def bloom(done: Receipts) -> tuple[int, int]:
     return sum(shots for shots, _ in found), sum(returns for _, returns in found)
 
 
+def crosstalk(done: Receipts) -> int:
+    """Returns that one beside them in their shot may have set off [count]."""
+    return sum(r.facts.get("crosstalk", 0) for r in done.get("scatter", {}).values())
+
+
 def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
     """Sentence on shots in which a bright point lit the whole array."""
     shots, returns = bloom(done)

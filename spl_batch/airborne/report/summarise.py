@@ -33,6 +33,7 @@ from spl_batch.airborne.report.profile_strips import cut_profile
 from spl_batch.airborne.report.sky import (
     bloom,
     bloom_warning,
+    crosstalk,
     drowned_warning,
     fog_warning,
     haze,
@@ -231,6 +232,7 @@ def _noise(done: Receipts, context: Context, removed: int) -> Noise:
         kept_by_chance=_kept_by_chance(settings, removed),
         kept_within_signal=_kept_within_signal(done, settings),
         bloom=bloom(done)[1],
+        crosstalk=crosstalk(done),
         haze=haze(done, context),
         dsm_support=context.workflow.products.dsm_support,
     )

@@ -98,8 +98,9 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     told = disagreements(law, sensor) if context.workflow.afterpulse.enabled else ()
     if context.workflow.afterpulse.enabled:
         told += uneven(parts, _spans_s(args), law, model.mean_rate / beamlets, sensor)
-    told += crosstalk.told(parts)
-    write_arrays(path, {**model.to_arrays(), **law.to_arrays()})
+    chance = crosstalk.chance(parts)
+    told += crosstalk.told(chance)
+    write_arrays(path, {**model.to_arrays(), **law.to_arrays(), "crosstalk": np.array(chance)})
     seen = model.seen_fraction
     facts = {
         **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis")},
@@ -214,6 +215,11 @@ def _assess(
         known = known[~bloom.returns]
     line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
     model = line_noise.LineModel.from_arrays(line)
+    if line["crosstalk"] > 0:
+        of_others = crosstalk.set_off(subset, beams, workflow.sensor)
+        facts["crosstalk"] = int(np.count_nonzero(of_others))
+        flags[known] |= of_others * np.uint8(PointFlag.SET_OFF)
+        table = table.with_columns(flags=flags)
     density = np.zeros(len(table), np.float32)
     density[known] = line_noise.line_density(subset, model)
     if workflow.afterpulse.enabled:

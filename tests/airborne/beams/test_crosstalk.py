@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spl_batch.airborne.beams.crosstalk import EVERY, observe, told
+from spl_batch.airborne.beams.crosstalk import EVERY, chance, observe, set_off, told
 from spl_batch.airborne.beams.crosstalk_pairs import count_pairs
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.lattice.tables import BeamTable, PointTable
@@ -55,13 +55,13 @@ def line(rng, *, chance=0.0, noise=8.0, shots=2000, wire=0.0, lean=0.13):
 
 @pytest.mark.parametrize("noise", [0.5, 8.0])
 def test_crosstalk_is_told_with_its_chance(noise):
-    (remark,) = told([line(np.random.default_rng(3), chance=0.05, noise=noise)])
+    (remark,) = told(chance([line(np.random.default_rng(3), chance=0.05, noise=noise)]))
     assert remark.badness == pytest.approx(0.05, rel=0.25)
 
 
 def test_nothing_is_told_without_it_whatever_the_noise():
     for seed, noise in enumerate((0.0, 0.5, 8.0, 60.0)):
-        assert not told([line(np.random.default_rng(seed), noise=noise, shots=600)])
+        assert not chance([line(np.random.default_rng(seed), noise=noise, shots=600)])
 
 
 def test_wires_over_a_third_of_a_flightline_are_no_crosstalk():
@@ -70,8 +70,8 @@ def test_wires_over_a_third_of_a_flightline_are_no_crosstalk():
     for k, part in enumerate(parts):
         part["crosstalk"][:, 0] += 1000 * k
     assert parts[1]["crosstalk"][:, 2].sum() > 100, "the wire has returns side by side"
-    assert not told(parts)
-    assert not told(parts[::-1])
+    assert not chance(parts)
+    assert not chance(parts[::-1])
 
 
 def test_patches_of_ground_between_towers_are_no_crosstalk_however_long_the_flightline():
@@ -81,11 +81,47 @@ def test_patches_of_ground_between_towers_are_no_crosstalk_however_long_the_flig
     part[:, 1:] = [100, 9, 12]
     whole = np.tile(part, (200, 1))
     whole[:, 0] = np.arange(len(whole))
-    assert not told([{"crosstalk": whole}])
+    assert not chance([{"crosstalk": whole}])
 
 
 def test_a_flightline_without_shots_tells_nothing():
-    assert not told([{"crosstalk": np.empty((0, 4), np.int64)}])
+    assert not told(chance([{"crosstalk": np.empty((0, 4), np.int64)}]))
+
+
+def one_shot(*returns):
+    """Which of some returns (channel, range [m]) are set off; another shot with as many follows."""
+    channel, range_m = (np.tile(values, 2) for values in zip(*returns, strict=True))
+    n = len(channel)
+    table = PointTable({"gps_time": np.repeat([1.0, 1.1], n // 2)})
+    beams = BeamTable(np.zeros((n, 3)), directions(channel), range_m, np.ones(n, np.bool_))
+    found = set_off(table, beams, SENSOR)
+    order = np.random.default_rng(1).permutation(n // 2)
+    mixed = np.append(order, order + n // 2)
+    again = set_off(table, beams.take(mixed), SENSOR)
+    assert found[: n // 2].sum() == found[n // 2 :].sum() == again[: n // 2].sum()
+    return found[: n // 2].tolist()
+
+
+@pytest.mark.parametrize(
+    ("returns", "others"),
+    [
+        ([(44, 2450.0), (45, 2450.05)], 1),
+        ([(44, 2450.0), (45, 2450.05), (34, 2450.1), (43, 2449.98), (54, 2450.0)], 4),
+        ([(44, 2450.0), (55, 2450.0)], 0),
+        ([(44, 2450.0), (45, 2450.3)], 0),
+        ([(44, 2450.0), (46, 2450.0)], 0),
+        ([(44, 2450.0), (45, 2450.0), (80, 2450.4), (81, 2450.4)], 2),
+        ([(k, 2500.0) for k in range(20)], 0),
+        ([(44, 2450.0)], 0),
+    ],
+)
+def test_of_returns_side_by_side_that_stand_alone_one_stays_evidence(returns, others):
+    assert sum(one_shot(*returns)) == others
+
+
+def test_no_returns_set_nothing_off():
+    nothing = BeamTable(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.bool_))
+    assert len(set_off(PointTable({"gps_time": np.zeros(0)}), nothing, SENSOR)) == 0
 
 
 def test_pairs_agree_with_counting_all_of_them():

@@ -127,9 +127,12 @@ def test_a_steep_ramp_over_ground_that_was_cut_off_is_told() -> None:
     assert (east / QUANTA_PER_M, north / QUANTA_PER_M) == pytest.approx((50, 70), abs=2)
     assert rise == pytest.approx(10.0, abs=2.5)
     assert climbs_of(ramp, ramp) == []
-    # A cliff from one cell to the next, and a few cells of a ramp.
+    # A few cells of a ramp; they are told where they rise by more than two storeys.
     few = rim & (np.abs(x - 70) < 2)
-    assert climbs_of(np.where(few, np.nan, ramp), ramp) == []
+    flatter = ground + 0.6 * (ramp - ground)
+    assert climbs_of(np.where(few, np.nan, flatter), flatter) == []
+    ((area, *_),) = climbs_of(np.where(few, np.nan, ramp), ramp)
+    assert area < 25
 
 
 @pytest.mark.parametrize("share", [0.9, 0.3, 0.1])

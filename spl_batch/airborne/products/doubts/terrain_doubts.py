@@ -36,6 +36,9 @@ STEEP_CELLS: Final = 25.0
 """Smaller patches of it are not told: in cells of a metre well-filled tiles have some of 11, steep
 scenes whose terrain is right of 24 [squares of the usual spacing]."""
 
+TALL_M: Final = 8.0
+"""Of patches that rise by more, half as large ones are told: real tiles have none [m]."""
+
 AROUND: Final = 15
 """Cells on each side whose ground tells the usual spacing [count]."""
 
@@ -140,10 +143,11 @@ def doubt_facts(
     climbs = []
     bare = found.away_m >= found.spacing * edge_m
     for patch in _hanging_together(_steep(arrays["dtm"], edge_m) & bare):
-        if np.sum(found.spacing[tuple(patch)] ** -2.0) >= STEEP_CELLS:
+        rise = float(np.ptp(arrays["dtm"][tuple(patch)]))
+        least = STEEP_CELLS / 2 if rise > TALL_M else STEEP_CELLS
+        if np.sum(found.spacing[tuple(patch)] ** -2.0) >= least:
             off = np.abs(patch - patch.mean(axis=1, keepdims=True)).sum(axis=0)
             at = place(*patch.T[off.argmin()].tolist())
-            rise = float(np.ptp(arrays["dtm"][tuple(patch)]))
             climbs.append([len(patch.T) * edge_m**2, *at, rise])
     raised = [
         [patch.area_m2, *place(patch.row, patch.column), patch.height_m]
