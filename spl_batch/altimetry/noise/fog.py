@@ -137,6 +137,8 @@ def fog_at(
     low, density : (cells,) int32, (cells, BINS) float32
         As of :class:`Fog`.
     """
+    if not density.any():
+        return np.zeros(len(cell), np.float32)
     row = (height.astype(np.int64) - low[cell]) // (BIN_M * QUANTA_PER_M)
     inside = (row >= 0) & (row < BINS)
     return np.where(inside, density[cell, np.where(inside, row, 0)], np.float32(0.0))

@@ -25,8 +25,6 @@ def below_surface(
 
 def in_fog(cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale) -> NDArray[np.bool_]:
     """Photons in a cloud, (n,) bool."""
-    if not scale.fog.any():
-        return np.zeros(len(cell), np.bool_)
     cloud: NDArray[np.bool_] = fog_at(cell, height, scale.fog_low, scale.fog) > 0.0
     return cloud
 
@@ -42,9 +40,7 @@ def noise_at(
     depth = scale.level[cell].astype(np.int64) - height - _SURFACE_Q
     wet = (scale.level[cell] != NO_WATER) & (depth >= -2 * _SURFACE_Q)
     row = np.clip(depth // QUANTA_PER_M, 0, DEPTHS - 1)
-    sky = scale.density[cell]
-    if scale.fog.any():
-        sky = np.maximum(sky, fog_at(cell, height, scale.fog_low, scale.fog))
+    sky = np.maximum(scale.density[cell], fog_at(cell, height, scale.fog_low, scale.fog))
     found: NDArray[np.float64] = np.where(wet, scale.column[cell, np.where(wet, row, 0)], sky)
     return found
 
