@@ -1,15 +1,19 @@
-"""Several filters on one survey; ``engine.verbs.comparing`` runs them.
+"""Several filters, or ground methods, on one survey; ``engine.verbs.comparing`` runs them.
 
 What they have in common, up to the point tiles, is done once.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Final, get_args
 
+import numpy as np
+
 from spl_batch.airborne.compare.comparison_page import ComparisonReport, MethodResult, write
 from spl_batch.airborne.compare.contrast import FAR_M, Contrast, Outcome, contrast
+from spl_batch.airborne.compare.terrain_contrast import TerrainContrast, terrain_contrast
 from spl_batch.airborne.filter.denoise import METHODS as FILTERS
+from spl_batch.airborne.ground.ground_methods import METHODS as GROUND
 from spl_batch.airborne.plan.block_size import Holders, remember_stretch, remembered_stretch
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.plots import Profile
@@ -54,6 +58,8 @@ def _keys(name: str, settings: Workflow) -> tuple[str, ...] | None:
     del settings
     if name == PUBLISHED:
         return (*PUBLISHED_FILTER, *PUBLISHED_NOISE)
+    if name in GROUND:
+        return (f"ground.method={name}",)
     method, colon, test = name.partition(":")
     if method not in (*FILTERS, "none") or (colon and (method != OWN or test not in TESTS)):
         return None
@@ -66,7 +72,10 @@ def _share(source: Store, target: Store, settings: Workflow, method: str) -> set
     """Stages that a method can use of the workflow's own run; its reference is handed on here."""
     share_finished(source, target, ["reference"])
     stages = {"index"}
-    if method != PUBLISHED:
+    if method in GROUND:
+        # The first of them has done the filter for the others.
+        stages |= {"shots", "shuffle", "denoise"}
+    elif method != PUBLISHED:
         stages.add("shots")
         # The points of a tile carry the verdict of single shots, which one method alone asks for.
         # Bloom is marked for all but an unfiltered survey.
@@ -79,6 +88,11 @@ def _share(source: Store, target: Store, settings: Workflow, method: str) -> set
     return stages
 
 
+def _until(names: Collection[str]) -> str:
+    """Last stage that methods have in common: ground methods share the filter."""
+    return "denoise" if all(name in GROUND for name in names) else "shuffle"
+
+
 def _row(method: MethodResult) -> tuple[str, ...]:
     values = (
         *(
@@ -86,6 +100,7 @@ def _row(method: MethodResult) -> tuple[str, ...]:
             for part in (method.signal, method.background, method.afterpulse)
         ),
         share(method.far_share),
+        percent(method.ground / method.points if method.points else None),
         centimetres(method.dtm_rmse_m),
         centimetres(method.dsm_rmse_m),
         significant(method.denoise_s_per_million),
@@ -101,8 +116,9 @@ def _write(output: Path, reports: Mapping[str, Report]) -> ComparisonReport:
         holders = Holders(done.get("denoise", {}), quanta(context.workflow.tiling.tile_m))
         runs[name] = Outcome(done, context, holders.of)
     found = contrast(list(runs.values()))
+    terrain = terrain_contrast([output / folder_of(name) for name in reports])
     first = next(iter(reports.values()))
-    results = tuple(_result(*named, found, k) for k, named in enumerate(reports.items()))
+    results = tuple(_result(*named, found, terrain, k) for k, named in enumerate(reports.items()))
     report = ComparisonReport(
         survey=first.survey.name,
         version=first.provenance.version,
@@ -112,11 +128,13 @@ def _write(output: Path, reports: Mapping[str, Report]) -> ComparisonReport:
         methods=results,
         left_out=tuple(found.left_out),
     )
-    write(output, report, list(_profiles(runs, found)))
+    write(output, report, list(_profiles(runs, found, terrain)))
     return report
 
 
-def _result(name: str, report: Report, found: Contrast, k: int) -> MethodResult:
+def _result(
+    name: str, report: Report, found: Contrast, terrain: TerrainContrast, k: int
+) -> MethodResult:
     counts, accuracy = report.counts, report.accuracy
     dtm = accuracy.dtm.get("all") if accuracy else None
     dsm = accuracy.dsm.get("all") if accuracy else None
@@ -133,6 +151,8 @@ def _result(name: str, report: Report, found: Contrast, k: int) -> MethodResult:
         removed_only=int(found.removed_only[k]),
         far_per_m3=kept / found.far_m3 if found.far_m3 else None,
         far_share=kept / found.far_points if found.far_points else None,
+        ground=counts.ground,
+        dtm_off_share=None if np.isnan(terrain.off_share[k]) else float(terrain.off_share[k]),
         dtm_rmse_m=dtm.rmse if dtm else None,
         dtm_mean_m=dtm.mean if dtm else None,
         dsm_rmse_m=dsm.rmse if dsm else None,
@@ -143,7 +163,7 @@ def _result(name: str, report: Report, found: Contrast, k: int) -> MethodResult:
 
 
 def _profiles(
-    runs: Mapping[str, Outcome], found: Contrast
+    runs: Mapping[str, Outcome], found: Contrast, terrain: TerrainContrast
 ) -> Iterator[tuple[str, str, dict[str, Profile]]]:
     """The strip where most stands on the ground, and the one that is most disputed."""
     path = next(iter(runs.values())).context.output / "chm.tif"
@@ -159,6 +179,12 @@ def _profiles(
             "Look for what is signal to one filter and noise to another near the surface.",
             _strips(runs, found.disputed),
         )
+    if terrain.strip is not None:
+        yield (
+            "Where the terrain differs most",
+            "Look for roofs, crowns and decks that are ground, and for steep ground that is not.",
+            _strips(runs, terrain.strip),
+        )
 
 
 def _strips(runs: Mapping[str, Outcome], strip: Bounds) -> dict[str, Profile]:
@@ -168,15 +194,15 @@ def _strips(runs: Mapping[str, Outcome], strip: Bounds) -> dict[str, Profile]:
 
 METHODS: Final = Methods(
     known=f"{', '.join(FILTERS)}, none; {', '.join(f'{OWN}:{test}' for test in TESTS)}; "
-    f"and {PUBLISHED}",
+    f"{PUBLISHED}; and {', '.join(GROUND)} for the ground",
     keys=_keys,
-    until="shuffle",
+    until=_until,
     share=_share,
     write=_write,
     row=_row,
     titles=(
-        *("filter", "signal", "background noise", "afterpulses", "far noise"),
-        *("DTM RMSE", "DSM RMSE", "s per million"),
+        *("method", "signal", "background noise", "afterpulses", "far noise"),
+        *("ground", "DTM RMSE", "DSM RMSE", "s per million"),
     ),
 )
 """What can be compared."""

@@ -1,4 +1,4 @@
-"""Several filters on one survey: a table and profiles side by side, as JSON and as a page."""
+"""Several methods on one survey: a table and profiles side by side, as JSON and as a page."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from spl_batch.engine.report.picture import Picture
 
 
 class MethodResult(ComparedMethod):
-    """What one filter made of the survey."""
+    """What one method made of the survey."""
 
     points: Count = Field(description="Points in the input files [count].")
     background: Count = Field(description="Removed as solar and dark noise [count].")
@@ -23,6 +23,10 @@ class MethodResult(ComparedMethod):
     )
     far_per_m3: Number = Field(None, description="Signal far from where most returns lie [1/m3].")
     far_share: Number = Field(None, description="Of what was recorded there, 0..1.")
+    ground: Count = Field(description="Points called ground [count].")
+    dtm_off_share: Number = Field(
+        None, description="DTM cells more than 0.5 m off the first method's, 0..1."
+    )
     dtm_rmse_m: Number = Field(None, description="DTM against the reference [m].")
     dtm_mean_m: Number = Field(None, description="DTM minus reference, mean [m].")
     dsm_rmse_m: Number = Field(None, description="DSM against the reference [m].")

@@ -174,12 +174,12 @@ def draw_profile(profile: Profile) -> Figure:
 
 
 def draw_methods(profiles: Mapping[str, Profile]) -> Figure:
-    """The same strip as several filters see it, side by side, after what was recorded.
+    """The same strip as several methods see it, side by side, after what was recorded.
 
     Parameters
     ----------
     profiles : mapping of str to Profile
-        The strip by the filter's name; at least one, each with at least one point.
+        The strip by the method's name; at least one, each with at least one point.
     """
     first = next(iter(profiles.values()))
     kept = ~np.isin(first.noise_class, (NOISE_BACKGROUND, NOISE_AFTERPULSE))
@@ -190,7 +190,7 @@ def draw_methods(profiles: Mapping[str, Profile]) -> Figure:
         grid = drawn.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
         panels = list(grid.ravel())
         shown = _thinned(first)
-        size = float(np.clip(9e4 / max(shown.along_m.size, 1), 0.4, 4.0))
+        size = float(np.clip(9e4 / max(shown.along_m.size, 1), 0.4, 12.0))
         panels[0].scatter(shown.along_m, shown.z_m, s=size, c=style.RAW, alpha=0.55, linewidths=0)
         panels[0].set_title("As recorded")
         for axes, (name, profile) in zip(panels[1:], profiles.items(), strict=False):
@@ -213,12 +213,15 @@ def draw_methods(profiles: Mapping[str, Profile]) -> Figure:
 
 
 def _draw_kept(axes: Axes, profile: Profile, size: float) -> None:
-    """What a filter keeps, over a hint of what it removes."""
+    """What a method keeps and calls ground, over a hint of what it removes."""
     background = profile.noise_class == NOISE_BACKGROUND
     afterpulse = profile.noise_class == NOISE_AFTERPULSE
+    kept = ~(background | afterpulse)
+    ground = kept & (profile.classification == CLASS_GROUND)
     for member, colour, alpha in (
         (background, style.NOISE, 0.25),
-        (~(background | afterpulse), style.SIGNAL, 0.9),
+        (kept & ~ground, style.SIGNAL, 0.9),
+        (ground, style.GROUND, 0.9),
         (afterpulse, style.AFTERPULSE, 0.5),
     ):
         axes.scatter(

@@ -85,7 +85,7 @@ def _row(method: TrackMethod) -> tuple[str, ...]:
 METHODS: Final = Methods(
     known=", ".join(get_args(Method)),
     keys=_keys,
-    until="index",
+    until=lambda _: "index",
     share=lambda *_: {"index"},
     write=_write,
     row=_row,

@@ -42,7 +42,8 @@ class Methods:
     #: Of a method's name and the workflow: ``key.path=value`` that make a run one of this method,
     #: or None where there is no such method. It raises where something that it needs is missing.
     keys: Callable[[str, Any], Sequence[str] | None]
-    until: str  #: Last stage of what the methods share, which is done first.
+    #: Of the names asked for: last stage of what these methods share, which is done first.
+    until: Callable[[Collection[str]], str]
     #: Of two stores, the workflow and a method's name: the stages that this method can use of the
     #: workflow's own run. What is more than finished tasks it hands on itself.
     share: Callable[[Store, Store, Any, str], Collection[str]]
@@ -140,7 +141,7 @@ def compare(
 
     def each() -> tuple[int, Any]:
         # What the methods share is finished first, under the workflow's own settings.
-        status = process(until=found.until, overrides=overrides).exit_status
+        status = process(until=found.until(keys), overrides=overrides).exit_status
         reports = {}
         for count, (name, own) in enumerate(keys.items(), start=1):
             listener(Note("info", f"{name}, {count} of {len(keys)}"))
