@@ -41,7 +41,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.airborne.ground.isprs import by_cells, score
 from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.products.doubts.raised_patches import raised_patches
+from spl_batch.airborne.ground.multiscale.raised_patches import raised_patches
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable

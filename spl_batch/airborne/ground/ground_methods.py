@@ -23,10 +23,10 @@ from spl_batch.airborne.ground.ground_seeds import (
     supported,
 )
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.multiscale import Strip, multiscale_masks
+from spl_batch.airborne.ground.multiscale.masks import Strip, multiscale_masks
+from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M, reckoned_m, scatter_counts
 from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
-from spl_batch.airborne.ground.ranging_layer import SIGMA_M, reckoned_m, scatter_counts
 from spl_batch.airborne.ground.smrf import provisional_terrain
 from spl_batch.airborne.settings import GroundSettings, PtdSettings, SmrfSettings
 from spl_batch.constants import QUANTUM_M

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
-from spl_batch.airborne.ground.multiscale import SIGMA_M
+from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M
 from spl_batch.airborne.ground.multiscale_surface import (
     agreeing_nodes,
     depths_below,

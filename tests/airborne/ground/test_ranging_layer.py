@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.ranging_layer import SIGMA_M, reckoned_m, scatter_counts
+from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M, reckoned_m, scatter_counts
 
 Float = NDArray[np.float64]
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from spl_batch.airborne.products.doubts.raised_patches import Patch, raised_patches
+from spl_batch.airborne.ground.multiscale import masks
+from spl_batch.airborne.ground.multiscale.raised_patches import Patch, on_houses, raised_patches
 from spl_batch.airborne.products.doubts.terrain_doubts import (
     CLIMBS,
     GAPS,
@@ -46,6 +47,30 @@ def test_a_warehouse_that_a_ramp_leads_up_to_is_found(share: float) -> None:
     assert 0.6 * 1120 < found.area_m2 < 1.2 * 1120
     assert warehouse(x, y)[found.row, found.column]
     assert found.height_m == pytest.approx(4.0, abs=0.7)
+
+
+@pytest.mark.parametrize(("wall_m", "house"), [(3.5, True), (12.0, False)])
+def test_nodes_on_a_house_are_taken_off_and_those_of_a_high_rock_stay(
+    wall_m: float, *, house: bool
+) -> None:
+    x, y, ground = plain()
+    roof = warehouse(x, y)
+    z = ground + wall_m * roof
+    nodes = np.column_stack([v.ravel() for v in (x + 600.0, y - 40.0, z)])
+    held = np.random.default_rng(5).random(len(nodes)) < 0.3
+    off = on_houses(nodes, held)
+    assert not off[~held | ~roof.ravel()].any()
+    assert off[held & roof.ravel()].mean() == pytest.approx(float(house), abs=0.1)
+
+
+def test_a_roof_that_an_opening_leaves_is_no_ground(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(masks, "ground_nodes", lambda _, chosen: chosen)
+    x, y, ground = (v.ravel() for v in plain(120))
+    roof = warehouse(x, y)
+    points = x, y, ground + 4.0 * roof
+    ((_, found),) = masks.multiscale_masks(lambda: (masks.Strip(points, points),))
+    assert found[roof].mean() < 0.05
+    assert found[~roof].mean() > 0.97
 
 
 @pytest.mark.parametrize(

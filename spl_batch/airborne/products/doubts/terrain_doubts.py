@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.products.doubts.raised_patches import Patch, raised_patches
+from spl_batch.airborne.ground.multiscale.raised_patches import Patch, raised_patches
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.lattice.tiles import Bounds
 

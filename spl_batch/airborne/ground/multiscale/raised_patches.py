@@ -6,6 +6,9 @@ takes some of these. From a terrace, a bank or a hillside the terrain falls to o
 mound has no walls, and a crest is narrow. A flat rock or a spur with walls on three sides looks the
 same as a roof.
 
+A ground method takes the nodes of such patches off again, but of those whose walls are too low or
+too high for a house, as in quarries: these are told alone.
+
 Walls are looked for among the lowest ground of squares, where gaps take that of the nearest one: a
 terrain model that is interpolated across a gap turns walls into ramps.
 """
@@ -47,6 +50,9 @@ FLAT_M: Final = 0.5
 SLOPE: Final = 0.3
 """Standard deviation about the plane of a flat patch, and its slope, at most [m, rise/run]."""
 
+HOUSE_M: Final = (2.0, 8.0)
+"""Fall to most squares around a house: a storey at least, and no cliff [m]."""
+
 RIM_M: Final = 1.0
 RIM: Final = 0.7
 """So far the terrain falls from a building to most squares around it, this share of them [m,
@@ -87,14 +93,39 @@ def raised_patches(ground: Grid, cell_m: float) -> list[Patch]:
         Edge of a cell [m].
     """
     step = max(1, round(SQUARE_M / cell_m))
-    lowest = _lowest(ground, step)
-    held = ~np.isnan(lowest)
-    if not held.any():
-        return []
-    nearest = ndimage.distance_transform_edt(~held, return_distances=False, return_indices=True)
-    surface = lowest[tuple(nearest)]
-    raised = walled_in(surface, round(REACH_M / (step * cell_m)))
-    return list(_buildings(surface, held, raised, step, cell_m))
+    found = []
+    for near, mine, fall in _buildings(_lowest(ground, step), step * cell_m):
+        depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
+        middle = np.unravel_index(depth.argmax(), mine.shape)
+        row, column = (
+            int(of + side.start) * step + step // 2 for of, side in zip(middle, near, strict=True)
+        )
+        height = float(np.median(fall[fall > RIM_M]))
+        found.append(Patch(float(mine.sum() * (step * cell_m) ** 2), row, column, height))
+    return found
+
+
+def on_houses(xyz: Grid, ground: Mask) -> Mask:
+    """Ground nodes that lie on a raised flat patch with the walls of a house: (n,) bool.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    ground : (n,) bool
+        Those of the ground.
+    """
+    column, row = np.floor(xyz[ground, :2] / SQUARE_M).astype(np.int64).T
+    column, row = column - column.min(), row - row.min()
+    lowest = np.full((int(row.max()) + 1, int(column.max()) + 1), np.inf)
+    np.minimum.at(lowest, (row, column), xyz[ground, 2])
+    raised = np.zeros(lowest.shape, np.bool_)
+    for near, mine, fall in _buildings(np.where(np.isinf(lowest), np.nan, lowest), SQUARE_M):
+        if HOUSE_M[0] <= np.median(fall) < HOUSE_M[1]:
+            raised[near] |= mine
+    out = np.zeros(len(xyz), np.bool_)
+    out[ground] = raised[row, column]
+    return out
 
 
 def _lowest(ground: Grid, step: int) -> Grid:
@@ -167,30 +198,43 @@ def _ends_in_wall(
     return found
 
 
-def _buildings(
-    surface: Grid, held: Mask, raised: Mask, step: int, cell_m: float
-) -> Iterator[Patch]:
-    """Those of the raised squares that hang together as a flat patch with a wall around."""
-    numbers, _ = ndimage.label(raised)
-    each_m2 = (step * cell_m) ** 2
+def _buildings(lowest: Grid, edge_m: float) -> Iterator[tuple[tuple[slice, ...], Mask, Grid]]:
+    """Raised squares that hang together as a flat patch with a wall around.
+
+    Parameters
+    ----------
+    lowest : (rows, columns) float64
+        Lowest ground of squares [m]; NaN without.
+    edge_m : float
+        Edge of a square [m].
+
+    Yields
+    ------
+    near : (slice, slice)
+        Rows and columns of the patch and one more on each side.
+    mine : (...) bool
+        Squares of the patch there.
+    fall : (n,) float64
+        How far the squares around it lie below [m].
+    """
+    held = ~np.isnan(lowest)
+    if not held.any():
+        return
+    nearest = ndimage.distance_transform_edt(~held, return_distances=False, return_indices=True)
+    surface = lowest[tuple(nearest)]
+    numbers, _ = ndimage.label(walled_in(surface, round(REACH_M / edge_m)))
     for number, box in enumerate(ndimage.find_objects(numbers), start=1):
         near = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in box)
         mine, heights = numbers[near] == number, surface[near]
-        if mine.sum() * each_m2 < LEAST_M2 or not _flat(heights, mine & held[near], step * cell_m):
+        if mine.sum() * edge_m**2 < LEAST_M2 or not _flat(heights, mine & held[near], edge_m):
             continue
         rim = ndimage.binary_dilation(mine, np.ones((3, 3), np.bool_)) & ~mine
         fall = np.median(heights[mine]) - heights[rim]
         if np.mean(fall > RIM_M) < RIM:
             continue
-        depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
-        if depth.max() < NARROW:
+        if ndimage.distance_transform_edt(np.pad(mine, 1)).max() < NARROW:
             continue
-        middle = np.unravel_index(depth.argmax(), mine.shape)
-        row, column = (
-            int(of + side.start) * step + step // 2 for of, side in zip(middle, near, strict=True)
-        )
-        height = float(np.median(fall[fall > RIM_M]))
-        yield Patch(float(mine.sum() * each_m2), row, column, height)
+        yield near, mine, fall
 
 
 def _flat(heights: Grid, known: Mask, edge_m: float) -> bool:

@@ -17,6 +17,8 @@ from scipy.spatial import cKDTree
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
 from spl_batch.airborne.ground.level_ground import levelled
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED, Nodes, lowest_layers
+from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
+from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M, off_planes
 from spl_batch.airborne.ground.multiscale_surface import (
     BLOCK_M,
     CELL_M,
@@ -29,9 +31,14 @@ from spl_batch.airborne.ground.multiscale_surface import (
     spread_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes
-from spl_batch.airborne.ground.point_spacing import Squares, added_up, in_squares, spacing_at_m
+from spl_batch.airborne.ground.point_spacing import (
+    Squares,
+    added_up,
+    in_squares,
+    spacing_at_m,
+    spacing_m,
+)
 from spl_batch.airborne.ground.ptd import Limits, densify
-from spl_batch.airborne.ground.ranging_layer import SIGMA_M, off_planes
 from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 from spl_batch.numerics.triangulation.tin import Tin, heights_and_slopes, triangulate, vertex_slopes
@@ -147,6 +154,7 @@ def multiscale_masks(
     ground = continued(xyz, grid, ground, CELL_M)
     ground = levelled(xyz, grid, ground, CELL_M)
     ground = _joined(xyz, chosen & hard, ground)
+    ground &= ~on_houses(xyz, ground)
     surface = _surface(xyz[ground])
     looked = filter(None, map(partial(_look, surface), strips()))
     depths, points = (added_up(some) for some in zip(*looked, strict=True))
@@ -217,7 +225,9 @@ def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
         return x, y
     height, slope = np.full((2, len(x)), np.nan)
     if surface.tin is not None:
-        order = group_by_cell(x, y, CELL_M).order
+        # Places that follow each other are near, and rows of cells that hold few are few.
+        cell_m = float(np.clip(2.0 * spacing_m(x, y), CELL_M, BLOCK_M))
+        order = group_by_cell(x, y, cell_m).order
         height, slope = heights_and_slopes(surface.tin, surface.slopes, order, x, y)
     beyond = np.flatnonzero(np.isnan(height))
     if len(beyond):

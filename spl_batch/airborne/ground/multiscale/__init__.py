@@ -1,0 +1,1 @@
+"""Ground by a surface whose scale follows the data."""
