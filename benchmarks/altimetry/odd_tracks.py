@@ -183,22 +183,22 @@ SCENES: dict[str, Scene] = {
     "jumping floor": Scene(depth_m=reef),
     "cloud gaps": Scene(clear=gaps(1000.0, 0.5)),
     "cloud in the gate": Scene(clear=gaps(1500.0, 0.3), fog=(0.15, 8.0, 25.0)),
-    "cloud above 40 m": Scene(
-        clear=gaps(1500.0, 0.3), fog=(0.15, 40.0, 65.0), gate_m=(-70.0, 90.0)
+    "cloud above 70 m": Scene(
+        clear=gaps(1500.0, 0.3), fog=(0.15, 70.0, 95.0), gate_m=(-70.0, 120.0)
     ),
     "cloud over hills": Scene(
         land=((0.0, 4000.0),),
         clear=thin(1500.0, 0.6),
-        fog=(1.0, 60.0, 100.0),
-        gate_m=(-120.0, 150.0),
+        fog=(1.0, 90.0, 130.0),
+        gate_m=(-120.0, 180.0),
     ),
     "cloud over woods": Scene(
         land=((0.0, 4000.0),),
         land_m=lambda x: 20.0 * np.sin(x / 150.0),
         trees=0.6,
         clear=thin(1500.0, 0.05),
-        fog=(1.0, 60.0, 100.0),
-        gate_m=(-120.0, 150.0),
+        fog=(1.0, 90.0, 130.0),
+        gate_m=(-120.0, 180.0),
     ),
     "waves of 0.4 m": Scene(rough_m=0.4),
     "swell of 1 m": Scene(level_m=waves(1.0, 90.0)),

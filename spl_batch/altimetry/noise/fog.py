@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.altimetry.water.layers_of_cells import common_metre, fullest
-from spl_batch.altimetry.water.level_water import CANOPY_M, REACH_CELLS, sums_around
+from spl_batch.altimetry.water.level_water import REACH_CELLS, sums_around
 from spl_batch.constants import QUANTA_PER_M
 
 BIN_M: Final = 3
@@ -33,6 +33,12 @@ PATCH_CELLS: Final = 5
 GROUND_CELLS: Final = 50
 """Cells to each side that ground is looked for below a cloud that hides it [count]."""
 
+JOINED_CELLS: Final = GROUND_CELLS + 2 * PATCH_CELLS
+"""Cells along which what is joined to the ground is followed [count]."""
+
+CLEAR_M: Final = 45.0
+"""A cloud begins farther above the ground than this: trees may have bare stems [m]."""
+
 _SEARCHED: Final = 160
 """Bins above the ground that are looked at [count]."""
 
@@ -41,6 +47,9 @@ _NEAR_M: Final = 1.5
 
 _STACK: Final = 3
 """Bins that are looked at together [count]."""
+
+_BRIGHT: Final = 5.0
+"""Times the sky's noise that a cloud holds at least which hides the ground."""
 
 _THICK: Final = 2
 """Bins that a cloud fills at least [count]."""
@@ -95,31 +104,51 @@ def find_fog(
     fog = Fog(np.zeros(n, np.int32), np.zeros((n, BINS), np.float32))
     if not n:
         return fog
-    foot, known = _foot(index, cell, height, noise)
+    foot_q, known, near = _foot(index, cell, height, noise)
     step = BIN_M * QUANTA_PER_M
-    row = (height - foot[cell]) // step
+    foot = foot_q // step
+    row = height // step - foot[cell]
     inside = known[cell] & (row >= 0) & (row < _SEARCHED)
     counted = np.bincount(cell[inside] * _SEARCHED + row[inside], minlength=n * _SEARCHED)
     boxes = counted.reshape(n, _SEARCHED)
-    gate = (high - foot) / step
+    gate = high / step - foot
     area = np.clip(gate[:, None] - np.arange(_SEARCHED), 0.0, 1.0) * (
         known[:, None] * cell_m * BIN_M
     )
     seen, seen_m2 = (sums_around(index, values, PATCH_CELLS) for values in (boxes, area))
     sky = _sky(seen, seen_m2) * seen_m2
     layer = _layers(seen, sky)
-    if not layer.any():
-        return fog
+    runs = _runs(layer)
     squares = sums_around(index, boxes**2, PATCH_CELLS)
-    rows, first, stop = _clouds(layer, seen, sky, squares, _cells_around(index))
+    cloud = _even(runs, seen, sky, squares, _cells_around(index))
+    # Where ground is seen in the distance alone, noise may hide how a slope climbs from there.
+    cloud &= near[runs.row] | (runs.total(seen) > _BRIGHT * runs.total(sky))
+    if cloud.any():
+        cloud &= _floating(runs, index, foot)
     # A patch shows itself in the cells beside it too; what one or two of them show is chance.
-    shown = np.bincount(rows, minlength=n)[:, None]
-    wide = sums_around(index, shown, PATCH_CELLS)[rows, 0] > PATCH_CELLS
-    fog.low[rows[wide]] = (foot[rows] + first * step)[wide]
-    for i, a, b in zip(rows[wide], first[wide], stop[wide], strict=True):
-        top = min(int(b), int(a) + BINS)
-        fog.density[i, : top - a] = seen[i, a:top] / np.maximum(seen_m2[i, a:top], 1e-9)
+    shown = np.bincount(runs.row[cloud], minlength=n)[:, None] > 0
+    cloud &= sums_around(index, shown, PATCH_CELLS)[runs.row, 0] > PATCH_CELLS
+    for run in np.flatnonzero(cloud)[::-1]:
+        i, first, stop = int(runs.row[run]), int(runs.first[run]), int(runs.stop[run])
+        _put(
+            fog,
+            i,
+            int(foot[i]) + first,
+            seen[i, first:stop] / np.maximum(seen_m2[i, first:stop], 1e-9),
+        )
     return fog
+
+
+def _put(fog: Fog, row: int, low: int, density: NDArray[np.float64]) -> None:
+    """Add a layer of a cell below those that it has; ``low``: its first bin, from height 0."""
+    own = fog.density[row]
+    above = (int(fog.low[row]) // (BIN_M * QUANTA_PER_M) - low) if own.any() else 0
+    moved = np.zeros(BINS, np.float32)
+    if above < BINS:
+        moved[above:] = own[: BINS - above]
+    moved[: len(density)] = density[:BINS]
+    fog.low[row] = low * BIN_M * QUANTA_PER_M
+    own[:] = moved
 
 
 def fog_at(
@@ -193,8 +222,8 @@ def _foot(
     cell: NDArray[np.intp],
     height: NDArray[np.int32],
     noise: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Top of the ground of each cell [quanta], and whether it is known: (n,) int64, (n,) bool.
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Top of the ground of each cell [quanta], whether it is known, and in the patch: (n,) each.
 
     It is the height that many cells around share, or the fullest metre where that is a layer;
     between such cells it is interpolated.
@@ -209,9 +238,10 @@ def _foot(
     signal = np.bincount(cell, minlength=n) - noise
     surface = level | (there >= np.maximum(least, share * signal))
     if not surface.any():
-        return np.zeros(n, np.int64), surface
+        return np.zeros(n, np.int64), surface, surface
     ground, known = _between(index, surface, mode * half + half // 2)
-    return ground + round(_NEAR_M * QUANTA_PER_M), known
+    own = sums_around(index, (surface & (there >= least))[:, None], PATCH_CELLS)[:, 0] > 0
+    return ground + round(_NEAR_M * QUANTA_PER_M), known, own
 
 
 def _between(
@@ -260,14 +290,23 @@ def _cells_around(index: NDArray[np.int64]) -> NDArray[np.int64]:
     return found
 
 
-def _clouds(
-    layer: NDArray[np.bool_],
-    seen: NDArray[np.float64],
-    sky: NDArray[np.float64],
-    squares: NDArray[np.float64],
-    cells: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The cloud of each row that has one: rows, first bins, bins behind the last, (c,) int64."""
+class _Runs(NamedTuple):
+    """Stacks of bins that hold more than the sky."""
+
+    row: NDArray[np.int64]  #: (r,): cell of each, in order.
+    first: NDArray[np.int64]  #: (r,): its first bin, and the one behind its last.
+    stop: NDArray[np.int64]
+    which: NDArray[np.int64]  #: (b,): run of each bin, and where the bin is.
+    at: tuple[NDArray[np.int64], NDArray[np.int64]]
+
+    def total(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums of values of bins, (r,) float64."""
+        total = np.zeros(len(self.row))
+        np.add.at(total, self.which, values[self.at])
+        return total
+
+
+def _runs(layer: NDArray[np.bool_]) -> _Runs:
     label, number = ndimage.label(layer, structure=[[0, 0, 0], [1, 1, 1], [0, 0, 0]])
     row, column = np.nonzero(layer)
     which = label[row, column] - 1
@@ -276,20 +315,50 @@ def _clouds(
     np.maximum.at(stop, which, column + 1)
     own = np.zeros(number, np.int64)
     own[which] = row
-    total, noise, square, spread = (
-        np.bincount(which, values[row, column], number) for values in (seen, sky, squares, seen**2)
-    )
-    k = np.maximum(cells[own], 2)
-    boxes = (stop - first) * k
+    return _Runs(own, first, stop, which.astype(np.int64), (row, column))
+
+
+def _even(
+    runs: _Runs,
+    seen: NDArray[np.float64],
+    sky: NDArray[np.float64],
+    squares: NDArray[np.float64],
+    cells: NDArray[np.int64],
+) -> NDArray[np.bool_]:
+    """Runs that are thick and surely there, and whose photons scatter as chance does: (r,) bool."""
+    total, noise, square, spread = (runs.total(v) for v in (seen, sky, squares, seen**2))
+    k = np.maximum(cells[runs.row], 2)
+    boxes = (runs.stop - runs.first) * k
     mean = total / boxes
     dispersion = (square - spread / k) / np.maximum(total, 1.0) * (k / (k - 1))
     chance = _SD * np.sqrt((2.0 + 1.0 / np.maximum(mean, 1e-9)) / boxes)
-    cloud = (first * BIN_M + _NEAR_M >= CANOPY_M) & (stop - first >= _THICK) & (total >= _LEAST)
-    cloud &= total > noise + _SURE_SD * np.sqrt(noise + 1.0)
-    cloud &= dispersion <= 1.0 + _CLUMPED * mean + chance
-    some = np.flatnonzero(cloud)
-    # Of several the one with most photons.
-    some = some[np.lexsort((total[some], own[some]))]
-    last = np.flatnonzero(np.append(np.diff(own[some]) > 0, True)[: len(some)])
-    some = some[last]
-    return own[some], first[some], stop[some]
+    even: NDArray[np.bool_] = (runs.stop - runs.first >= _THICK) & (total >= _LEAST)
+    even &= total > noise + _SURE_SD * np.sqrt(noise + 1.0)
+    even &= dispersion <= 1.0 + _CLUMPED * mean + chance
+    return even
+
+
+def _floating(runs: _Runs, index: NDArray[np.int64], foot: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Runs that nothing joins to the ground, within reach along the track: (r,) bool.
+
+    A run begins on the ground or low above it, or is joined to such a one by those of cells beside
+    each other: a wooded slope climbs out of its valley step by step.
+    """
+    low, high = foot[runs.row] + runs.first, foot[runs.row] + runs.stop
+    grounded = runs.first * BIN_M + _NEAR_M < CLEAR_M
+    edges = np.searchsorted(runs.row, np.arange(len(index) + 1))
+    at = index[runs.row]
+    fronts: list[list[int]] = [[] for _ in range(JOINED_CELLS + 1)]
+    fronts[0] = np.flatnonzero(grounded).tolist()
+    for step, front in enumerate(fronts):
+        for run in front:
+            i = int(runs.row[run])
+            for j in (i - 1, i + 1):
+                others = range(edges[j], edges[j + 1]) if 0 <= j < len(index) else ()
+                for other in others:
+                    away = step + abs(int(at[other] - at[run]))
+                    near = low[other] <= high[run] + 1 and low[run] <= high[other] + 1
+                    if near and not grounded[other] and away <= JOINED_CELLS:
+                        grounded[other] = True
+                        fronts[away].append(other)
+    return ~grounded

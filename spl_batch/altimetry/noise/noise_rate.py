@@ -25,6 +25,7 @@ from spl_batch.altimetry.noise.fog import (
     BIN_M,
     BINS,
     GROUND_CELLS,
+    JOINED_CELLS,
     PATCH_CELLS,
     find_fog,
     fog_at,
@@ -49,7 +50,9 @@ from spl_batch.altimetry.water.level_water import (
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
-HALO_CELLS: Final = GROUND_CELLS + 2 * PATCH_CELLS + 2 * REACH_CELLS + WOOD_CELLS + STRETCH_CELLS
+HALO_CELLS: Final = (
+    JOINED_CELLS + GROUND_CELLS + 2 * PATCH_CELLS + 2 * REACH_CELLS + WOOD_CELLS + STRETCH_CELLS
+)
 """Cells to each side that :func:`observe` looks at [count]."""
 
 NOTHING_SEEN: Final = 3.0

@@ -122,10 +122,12 @@ def _cloud(fog: Mapping[str, float]) -> Iterator[str]:
     """A cloud in the gate, and what that means for its photons and those below it."""
     if fog and fog["photons"] >= SAID_LEAST:
         yield (
-            f"a cloud fills {fog['length_m'] / 1000:g} km of track between "
-            f"{fog['from_m'] / 1000:g} and {fog['to_m'] / 1000:g} km, most of it at heights of "
-            f"{fog['low_m']:.0f} to {fog['high_m']:.0f} m: its {grouped(fog['photons'])} photons "
-            "count as noise of that height, and less light reaches what is below"
+            f"a layer that floats as a cloud does fills {fog['length_m'] / 1000:g} km of track "
+            f"between {fog['from_m'] / 1000:g} and {fog['to_m'] / 1000:g} km, most of it at "
+            f"heights of {fog['low_m']:.0f} to {fog['high_m']:.0f} m: its "
+            f"{grouped(fog['photons'])} photons count as noise of that height, and less light "
+            "reaches what is below; thin parts of a cloud may stay signal, and dense woods on a "
+            "steep slope may look like one"
         )
 
 
