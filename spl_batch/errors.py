@@ -74,7 +74,7 @@ def brief(text: str, most: int) -> str:
     if len(text) <= most:
         return text
     head = 2 * most // 3
-    return f"{text[:head]} ... {text[len(text) - (most - head - 5) :]}"
+    return f"{text[:head]} … {text[len(text) - (most - head - 3) :]}"
 
 
 class Remark(NamedTuple):

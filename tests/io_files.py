@@ -74,6 +74,18 @@ def write_las(
     return path
 
 
+def with_record(content: bytes, user: bytes, number: int, data: bytes) -> bytes:
+    """A file with one more record behind the others; places that the header tells move on."""
+    record = struct.pack("<H16sHH32s", 0, user, number, len(data), b"") + data
+    made, start = bytearray(content), struct.unpack_from("<I", content, 96)[0]
+    struct.pack_into("<II", made, 96, start + len(record), content[100] + 1)
+    if content[104] & 0x80:
+        (table,) = struct.unpack_from("<q", content, start)
+        struct.pack_into("<q", made, start, table + len(record))
+    made[start:start] = record
+    return bytes(made)
+
+
 def patch(path: Path, place: int, code: str, *values: Any) -> Path:
     """Overwrite bytes of a file."""
     content = bytearray(path.read_bytes())

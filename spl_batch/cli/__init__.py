@@ -3,6 +3,7 @@
 import _thread
 import atexit
 import errno
+import io
 import os
 import signal
 import sys
@@ -270,7 +271,7 @@ def main(arguments: list[str] | None = None) -> None:
         with _ended_in_order(told, _STOPPING + "; what is finished is kept" * goes_on):
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
     except click.ClickException as error:
-        error.show()
+        _say_usage(error)
         if document.ASKED.get():
             document.print_error(error.format_message(), 2)
         sys.exit(2)
@@ -314,6 +315,14 @@ def _leave(status: int) -> None:
     except (OSError, ValueError):  # of a pipe that is closed
         return
     os._exit(status)
+
+
+def _say_usage(error: click.ClickException) -> None:
+    """Say what is wrong with a command line, as click does, in short lines."""
+    shown = io.StringIO()
+    error.show(shown)
+    for line in shown.getvalue().splitlines():
+        say_error(line)
 
 
 def _end(text: str, status: int) -> NoReturn:

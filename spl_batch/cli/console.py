@@ -6,11 +6,18 @@ from collections.abc import Iterable
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
+from spl_batch.cli.lines import LINE_MAX
 from spl_batch.errors import plain
 
 
 class PlainConsole(Console):
-    """A console that writes out whatever in a text a terminal would obey."""
+    """A console of short lines that writes out whatever in a text a terminal would obey."""
+
+    @property
+    def options(self) -> ConsoleOptions:
+        """Those of the console: on a wide screen, or a pipe that counts as one, lines are short."""
+        found = super().options
+        return found.update_width(min(found.max_width, LINE_MAX))
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None

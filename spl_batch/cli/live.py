@@ -11,6 +11,7 @@ from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
+from spl_batch.cli.lines import screen_lines
 from spl_batch.engine.report.number_format import as_ascii, large
 from spl_batch.engine.watch.status import FailedTask, RunStatus, StageStatus
 from spl_batch.engine.watch.tile_map import State, TileMap
@@ -177,10 +178,9 @@ def _facts(status: RunStatus) -> list[str]:
 
 def failed_lines(failures: Sequence[FailedTask]) -> list[RenderableType]:
     """Lines of the first tasks or inputs that failed, and how many more there are."""
-    lines: list[RenderableType] = [
-        Text(f"  failed: {one.task}: {one.reason}", style="red") for one in failures[:SHOWN]
-    ]
-    more = len(failures) - len(lines)
+    told = (screen_lines(f"failed: {one.task}: {one.reason}") for one in failures[:SHOWN])
+    lines: list[RenderableType] = [Text(f"  {line}", style="red") for one in told for line in one]
+    more = len(failures) - SHOWN
     if more > 0:
         lines.append(Text(f"  and {more} more, all in log.jsonl", style="red"))
     return lines

@@ -12,14 +12,14 @@ from rich.table import Table
 from rich.text import Text
 
 from spl_batch.cli.console import PlainConsole, is_screen
-from spl_batch.cli.lines import LINE_MAX, say_error, screen_lines
+from spl_batch.cli.lines import LINE_MAX, say_error, screen_lines, wrapped
 from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, failed_lines, taken
 from spl_batch.engine.report import number_format as texts
 from spl_batch.engine.report.number_format import (
     as_ascii,
 )
 from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.errors import counted, grouped, storage
+from spl_batch.errors import brief, counted, grouped, storage
 
 if TYPE_CHECKING:  # each command loads what it needs only
     from spl_batch.api import (
@@ -234,7 +234,7 @@ def _what_it_does(status: "RunStatus") -> str:
     if status.ended is not None:
         reason = status.ended.get("reason")
         return f"  ended with exit status {status.ended['exit_status']}" + (
-            f": {reason}" if reason else ""
+            f": {brief(reason, LINE_MAX - 40)}" if reason else ""
         )
     if status.holder:
         who = status.holder
@@ -283,6 +283,6 @@ def _path(label: str, *paths: Path) -> None:
     found = [str(path) for path in paths if path.exists()]
     rows = ["  ".join(found)]
     if len(label) + len(rows[0]) + 2 > LINE_MAX:
-        rows = [line for path in found for line in screen_lines(path)]
+        rows = [line for path in found for line in wrapped(path, LINE_MAX - len(label) - 2)]
     for row in rows if found else ():
         _OUT.print(Text.assemble((label, "dim"), f"  {row}"), soft_wrap=True)

@@ -16,6 +16,7 @@ from spl_batch.cli.console import PlainConsole
 from spl_batch.cli.lines import LINE_MAX, LINES_MAX, screen_lines
 from spl_batch.errors import FAULT_MAX, InputError, StoreError, brief, one_line, plain
 from tests import surveys
+from tests.io_files import with_record
 
 HOSTILE = (
     "<script>alert(1)<\\&amp;\"'$\\frac{$_^{{7*7}}{%raw%}[bold red]rich[-].laz",
@@ -51,8 +52,52 @@ def test_no_line_of_a_screen_is_long(text: str) -> None:
     assert max(map(len, lines)) <= LINE_MAX
     assert not any(OBEYED.search(line) for line in lines)
     words = "".join(plain(text).split())
-    if len(lines) < LINES_MAX:
+    short = all(len(fault) <= LINE_MAX - 4 for fault in plain(text).split("; "))
+    if short and len(lines) < LINES_MAX:
         assert "".join("".join(lines).split()) == words, "nothing is lost"
+
+
+def test_a_fault_is_one_line_of_which_the_ends_are_told() -> None:
+    wkt = "PROJCRS[" + 'AXIS["(E)",east], ' * 90
+    (line,) = screen_lines(f"a.laz: the CRS is not understood ({wkt}): name it in survey.crs")
+    assert line.startswith('a.laz: the CRS is not understood (PROJCRS[AXIS["(E)",east]')
+    assert " … " in line
+    assert line.endswith("east], ): name it in survey.crs")
+    lines = screen_lines("; ".join(f"{k}: " + "7" * 4000 for k in range(3)))
+    assert [line.strip()[:3] for line in lines] == ["0: ", "1: ", "2: "]
+    assert len(screen_lines("; ".join(["x" * 250] * 30))) == LINES_MAX
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", "--" + "x" * 4000],
+        ["x" * 4000],
+        ["report", "x" * 4000],
+        ["plan", "w.yaml", "--set", "acquisition.prf_hz=" + "7" * 4000],
+        ["plan", "w.yaml", "--set", f"acquisition.{'x' * 4000}=1"],
+    ],
+)
+def test_what_a_user_types_is_told_in_short_lines(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("w.yaml").write_text("survey: {flightlines: '*.laz'}\noutput: out\n")
+    ended = surveys.command(*arguments)
+    assert ended.status == 2
+    lines = ended.err.splitlines()
+    assert len(lines) <= 5
+    assert max(map(len, lines)) <= LINE_MAX
+    assert "xxx" in ended.err or "777" in ended.err
+
+
+def test_a_wide_pipe_has_no_longer_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "2000")
+    shown = io.StringIO()
+    table = Table("a", "b")
+    table.add_row("x " * 400, "y " * 400)
+    PlainConsole(file=shown).print(table)
+    assert max(map(len, shown.getvalue().splitlines())) <= LINE_MAX
 
 
 def test_a_console_obeys_nothing() -> None:
@@ -75,7 +120,7 @@ def test_errors_are_one_line_of_bounded_length() -> None:
     assert "\n" not in str(StoreError("a\nb"))
     assert one_line(ValueError("a\x1bb")) == "ValueError: a\\x1bb"
     assert brief("abc", 3) == "abc"
-    assert brief("a" * 50 + "b" * 50, 30) == "a" * 20 + " ... " + "b" * 5
+    assert brief("a" * 50 + "b" * 50, 30) == "a" * 20 + " … " + "b" * 7
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +130,11 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, surveys.End
     for k, name in enumerate(HOSTILE):
         line = surveys.flightline(shots=8, psid=k + 1, start_s=surveys.START_S + k, seed=k)
         plain_path = surveys.write_cloud(folder / "lines" / "a.laz", line)
+        if k == 0:
+            content = plain_path.read_bytes()
+            for user, number in ((b"LASF_Projection", 2111), (b"\x1b[31m\xff", 1)):
+                content = with_record(content, user, number, b"PROJCS[\xff\x1b[2J")
+            plain_path.write_bytes(content)
         plain_path.rename(folder / "lines" / name)
     (folder / "lines" / "bad\x1b[1m<b>.laz").write_bytes(b"junk")
     os.rename(  # noqa: PTH104 - bytes, as no text can say it
@@ -109,6 +159,15 @@ def test_hostile_names_are_delivered(hostile: tuple[Path, surveys.Ended]) -> Non
     folder, _ = hostile
     delivered = {path.name for path in (folder / "out/laz/lines").iterdir()}
     assert delivered == set(HOSTILE)
+
+
+def test_hostile_records_are_named_and_counted(hostile: tuple[Path, surveys.Ended]) -> None:
+    folder, ended = hostile
+    report = json.loads((folder / "out/report.json").read_text(encoding="utf-8"))
+    assert report["counts"]["records_left_out"] == 2
+    told = [text for text in report["warnings"] if "left out of the delivered copy" in text]
+    assert ["LASF_Projection 2111" in told[0], "\\x1b[31m\\xff 1 cannot" in told[1]] == [True, True]
+    assert ended.err.count("left out of the delivered copy") == 2
 
 
 def test_hostile_names_are_text_in_the_report(hostile: tuple[Path, surveys.Ended]) -> None:

@@ -20,7 +20,7 @@ from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.reader import header_crs, inspect, iter_points
 from spl_batch.formats.las.writer import write_classified, write_points
 from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
-from tests.io_files import VERSIONS, patch, write_las
+from tests.io_files import VERSIONS, patch, with_record, write_las
 
 
 def labels(start: int, stop: int) -> Mapping[str, NDArray[Any]]:
@@ -327,6 +327,23 @@ def test_a_record_that_no_reader_parses_is_left_out(
     kept = [record for record in records if record.user_id == "ours"]
     assert [bytes(record.record_data) for record in kept] == [b"whole"]
     assert not [record for record in records if bytes(record.record_data_bytes()) == data]
+
+
+@pytest.mark.parametrize("suffix", ["laz", "las"])
+def test_a_record_that_stands_twice_is_named(tmp_path: Path, suffix: str) -> None:
+    """The first describes the points; of two standard readers each may take another."""
+    src, dst = write_las(tmp_path / f"a.{suffix}", extra={"channel": "u1"}), tmp_path / "out.laz"
+    content = src.read_bytes()
+    for user, number in ((b"laszip encoded", 22204), (b"LASF_Spec", 4)):
+        content = with_record(content, user, number, b"\xff" * 192)
+    src.write_bytes(content)
+    told = list(broken_records(read_header(src)))
+    assert [text.split(" stands")[0] for text in told] == [
+        "header record laszip encoded 22204",
+        "header record LASF_Spec 4",
+    ]
+    assert classify(src, dst) == 1000
+    assert not list(broken_records(read_header(dst)))
 
 
 def test_a_user_id_that_is_no_text(tmp_path: Path) -> None:

@@ -115,6 +115,11 @@ class Counts(Part):
     not_read: Count = Field(
         0, description="Points that the headers of unreadable files promise [count]."
     )
+    records_left_out: Count = Field(
+        0,
+        description="Header records of input files that no reader parses, or that stand there "
+        "once more than they count: named in the warnings, left out of the copies [count].",
+    )
 
 
 class Accuracy(Part):

@@ -198,6 +198,7 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
         no_beam=sum(f["no_beam"] for f in tiles) + sum(f["timeless"] for f in index),
         outside_aoi=sum(f["outside_aoi"] for f in tiles),
         not_read=facts.not_read,
+        records_left_out=sum(f["records_left_out"] for f in delivered),
     )
 
 

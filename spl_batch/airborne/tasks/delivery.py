@@ -1,5 +1,6 @@
 """Stage ``deliver``: labels back to the input files, mosaics, points by tile."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
@@ -135,15 +136,23 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             decoded=_decoded(args, context),
             classes=classes,
         )
-    broken = broken_records(read_header(source))
+    broken = Counter(broken_records(read_header(source)))
     facts = {
         "name": args["delivered"],
         "points": written,
         "noise_class": _nonzero(labels.counts),
         "classes": _nonzero(classes),
-        "warnings": [Remark(f"{text}; left out of the delivered copy") for text in broken],
+        "records_left_out": broken.total(),
+        "warnings": [*_left_out(broken)],
     }
     return Produced([target], facts, written)
+
+
+def _left_out(broken: Mapping[str, int]) -> Iterator[Remark]:
+    """Name the header records that a copy does without."""
+    for text, count in broken.items():
+        times = f", {count} times" if count > 1 else ""
+        yield Remark(f"{text}{times}; left out of the delivered copy")
 
 
 def _decoded(args: Mapping[str, Any], context: Context) -> Decoded | None:

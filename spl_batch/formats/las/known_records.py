@@ -12,7 +12,9 @@ import laspy
 from laspy.vlrs.known import BaseKnownVLR
 
 from spl_batch.errors import is_fault, one_line
+from spl_batch.formats.las.chunks import LASZIP_KEY
 from spl_batch.formats.las.header import Evlr, LasHeader, Vlr
+from spl_batch.formats.las.records import EXTRA_BYTES_KEY
 
 _PARSED_BYTES: Final = 1 << 20
 """Longest record that is parsed [byte]: known ones are short, longer ones are copied."""
@@ -24,13 +26,24 @@ def reads_back(path: Path, record: Vlr | Evlr) -> bool:
 
 
 def broken_records(header: LasHeader) -> Iterator[str]:
-    """User id, record id and fault of each record that cannot be parsed."""
+    """User id, record id and fault of each record that a copy of the file does without.
+
+    It cannot be parsed, or there are more of it than the one that counts.
+    """
     records: list[Vlr | Evlr] = [*header.vlrs, *header.evlrs]
+    counting = {EXTRA_BYTES_KEY: 1, LASZIP_KEY: int(header.compressed)}
+    counts = {
+        id(record)
+        for key, most in counting.items()
+        for record in [r for r in header.vlrs if r.key == key][:most]
+    }
     for record in records:
         fault = _fault(header.path, record)
+        name = ascii(record.user_id.rstrip(b"\0").decode("latin-1")).strip("'")
         if fault is not None:
-            name = ascii(record.user_id.rstrip(b"\0").decode("latin-1")).strip("'")
             yield f"header record {name} {record.record_id} cannot be parsed ({fault})"
+        elif record.key in counting and id(record) not in counts:
+            yield f"header record {name} {record.record_id} stands there once more than it counts"
 
 
 def _fault(path: Path, record: Vlr | Evlr) -> str | None:

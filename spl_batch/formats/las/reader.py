@@ -17,7 +17,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, QUANTA_PER_M
-from spl_batch.errors import InputError, as_input_fault
+from spl_batch.errors import InputError, as_input_fault, brief, plain
 from spl_batch.formats.crs import GEO_KEYS, WKT_KEY, crs_from_geotiff, crs_from_wkt
 from spl_batch.formats.las.chunks import RecordReader
 from spl_batch.formats.las.header import LasHeader, open_input, read_header
@@ -27,6 +27,9 @@ from spl_batch.formats.las.records import RecordLayout, dimension, record_layout
 from spl_batch.lattice.tables import COLUMNS, SOURCE_COLUMNS, PointFlag, PointTable
 
 _WKT_BYTES_MAX: Final = 1 << 20
+_CRS_TEXT_MAX: Final = 150
+"""Characters that are told of a CRS that is not understood [count]."""
+
 _BBOX_SLACK_M: Final = 1.0
 _MULTIPLE_TOLERANCE: Final = 1e-12
 _OFFSET_TOLERANCE: Final = 1e-6
@@ -128,7 +131,7 @@ def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
             )
             crs = crs_from_geotiff(directory, doubles, text) if directory else None
     except CRSError as error:
-        reason = " ".join(str(error).split())
+        reason = brief(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
         return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
     return crs, ()
 
