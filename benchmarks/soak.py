@@ -1,6 +1,8 @@
 """A survey that is hurt every few seconds, and whether its results are those of an untouched one.
 
-Run ``python -m benchmarks.soak [--minutes 60] [--faults N] [--seed 1] [--folder FOLDER]``.
+Run ``python -m benchmarks.soak [--minutes 60] [--faults N] [--seed 1] [--folder FOLDER]``. With
+``--record WHAT`` the record of :mod:`benchmarks.faults`, from which the security page has its
+numbers, gets a line.
 
 Simulates three short flightlines and runs each of four states once, untouched: with and without
 the third flightline, with two values of ``filter.alpha``. Then it changes the state, damages what
@@ -33,6 +35,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from benchmarks import faults
 from benchmarks.soak_victims import (
     ALPHAS,
     DONE,
@@ -286,6 +289,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--faults", type=int, default=10**9, help="end after so many")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--folder", type=Path, help="by default a temporary one")
+    parser.add_argument("--record", metavar="WHAT", help="add what came of it to the record")
     given = parser.parse_args(arguments)
     for sign in (signal.SIGINT, signal.SIGTERM):  # also where a shell had them ignored
         signal.signal(sign, signal.default_int_handler)
@@ -313,6 +317,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         finally:
             cluster.close()
         print(table(soak, began))
+        if given.record:
+            command = ["python", "-m", "benchmarks.soak", "--minutes", f"{given.minutes:g}"]
+            command += ["--seed", str(given.seed)]
+            faults.add(given.record, soak.tried.total(), soak.survived.total(), command)
     return len(soak.differences)
 
 

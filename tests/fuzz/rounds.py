@@ -94,8 +94,10 @@ def rounds(name: str, count: int, start: int, folder: Path) -> tuple[Counter[str
 def share(name: str, count: int, names: list[str]) -> int:
     """Mutants of one of some names."""
     runs = [other for other in names if other in whole_runs.KINDS]
+    if runs == names:
+        return -(-count // len(names))
     if name in runs:
-        return -(-int(count * RUN_SHARE) // len(runs)) if len(names) > 1 else count
+        return -(-int(count * RUN_SHARE) // len(runs))
     return -(-count // (len(names) - len(runs)))
 
 

@@ -13,7 +13,7 @@ from tests.fuzz.readers import BrokenPromiseError, attempt, little_memory
 from tests.fuzz.seeds import SEEDS, seed
 
 SHORT = settings(
-    max_examples=60,
+    max_examples=30,
     deadline=None,
     derandomize=True,
     database=None,
