@@ -216,7 +216,8 @@ def _whole(status: "RunStatus") -> RenderableType:
             duration(stage.left_s) if round(stage.left_s) else "",
         )
     killed = status.ended is None and status.holder is None
-    said = [Text(text) for text in (_what_it_does(status), *_store_gone(status))]
+    lines = (_what_it_does(status), *_store_gone(status), *_lost_lines(status))
+    said = [Text(text) for text in lines]
     inputs = failed_lines(status.unusable)
     return Group(table, *said, *inputs, *details(status, working=not killed))
 
@@ -227,6 +228,13 @@ def _store_gone(status: "RunStatus") -> list[str]:
         return []
     there = ", ".join(status.delivered) or "nothing"
     return [f"  its store is gone: the next run starts over; what is left here: {there}"]
+
+
+def _lost_lines(status: "RunStatus") -> list[str]:
+    """That the log does not tell all."""
+    if not status.lost_lines:
+        return []
+    return [f"  {counted(status.lost_lines, 'lines')} of log.jsonl left out: cut off, or damaged"]
 
 
 def _what_it_does(status: "RunStatus") -> str:

@@ -26,6 +26,7 @@ from spl_batch.engine.store.output_lock import holder, lock_file, locked
 from spl_batch.engine.store.working_store import IDENTITY, Store, write_receipt
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.failures import plain_name
+from spl_batch.engine.watch.earlier_runs import earlier_wall_s
 from spl_batch.engine.watch.events import (
     Note,
     PhaseStarted,
@@ -642,3 +643,20 @@ def test_another_flightline_redoes_what_it_touches_alone(tmp_path: Path) -> None
     assert len(done["deliver_file"]) == 2
     clean = surveys.run(surveys.copy_of(workflow, tmp_path / "clean"), *settings, until="deliver")
     assert surveys.results(result.output) == surveys.results(clean.output)
+
+
+def test_a_damaged_log_is_told_and_leads_to_no_traceback(
+    small_output: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(small_output, tmp_path, dirs_exist_ok=True)
+    content = (tmp_path / "log.jsonl").read_bytes()
+    dice, told = np.random.default_rng(3), 0
+    for place, bit in dice.integers((len(content), 8), size=(200, 2)):
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << int(bit)
+        (tmp_path / "log.jsonl").write_bytes(damaged)
+        told += bool(api.status(tmp_path).lost_lines)
+        earlier_wall_s(tmp_path)
+    assert told > 20
+    (tmp_path / "log.jsonl").write_bytes(content.replace(b'"points"', b'"pionts"'))
+    assert "of log.jsonl left out: cut off, or damaged" in surveys.command("status", tmp_path).out

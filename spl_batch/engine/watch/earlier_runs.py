@@ -128,10 +128,11 @@ def _last_s(whole: mmap.mmap, at: int, end: int) -> float:
 
 
 def _record(line: bytes) -> dict[str, Any]:
-    """An event as it was logged; nothing of half a line."""
+    """An event as it was logged; nothing of half a line, or of one that is damaged."""
     try:
         record: dict[str, Any] = json.loads(line)
-    except ValueError:
+        _seconds(record)
+    except (ValueError, KeyError, TypeError):
         return {}
     return record
 

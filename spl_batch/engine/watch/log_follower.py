@@ -20,6 +20,9 @@ LOG: Final = "log.jsonl"
 _CLOCKS_S: Final = 0.05
 """How much coarser than the log's the times of files may be [s]."""
 
+_NO_EVENT: Final = (ValueError, KeyError, TypeError, AttributeError)
+"""What a line of the log leads to that is cut off, by a kill, or damaged."""
+
 _BLOCK_BYTES: Final = 1 << 22
 """Bytes of the log read at once [byte]."""
 
@@ -42,6 +45,7 @@ class Follower:
         self.output = Path(output)
         self.status = RunStatus()
         self._rest = b""
+        self._lost = 0
         fault = no_output(self.output, "status")
         if fault:
             raise WorkflowError(f"{output}: {fault}")
@@ -64,6 +68,7 @@ class Follower:
                     self._take(content)
         except OSError as error:
             raise WorkflowError(f"{self._log}: cannot be read: {error.strerror}") from None
+        self.status.lost_lines = self._lost
         self.status.holder = holder(self.output)
         self.status.delivered = None
         if self.status.holder is None:
@@ -76,9 +81,10 @@ class Follower:
     def _take_unheard(self) -> None:
         """Count in the tasks that were finished while their run was stopped: its log lacks them."""
         store = Store(self.output)
+        stages, kinds = self.status.stages, self.status.kinds
         for (kind, name), stage in list(self.status.begun.items()):
             receipt = read_receipt(store, kind, name)
-            if receipt is None or receipt.failed:
+            if receipt is None or receipt.failed or stage not in stages or kind not in kinds:
                 continue
             written_s = store.receipt(kind, name).stat().st_mtime
             if written_s < self.status.kinds[kind] - _CLOCKS_S:  # stale: it was to be done again
@@ -92,10 +98,9 @@ class Follower:
         *lines, self._rest = (self._rest + content).split(b"\n")
         for line in lines:
             try:
-                record = json.loads(line)
-            except ValueError:
-                continue  # a run that was killed may have left half a line
-            self.status.feed(record)
+                self.status.feed(json.loads(line))
+            except _NO_EVENT:
+                self._lost += 1
 
 
 def status(output: Path | str) -> RunStatus:

@@ -133,6 +133,7 @@ class RunStatus:
     #: What lies in the output folder though its store is gone, and with it all that was finished:
     #: the next run starts over; None where the store is there.
     delivered: tuple[str, ...] | None = None
+    lost_lines: int = 0  #: Lines of the log that were cut off by a kill, or damaged [count].
 
     def __repr__(self) -> str:
         state = "working" if self.holder else "stopped before its end"
@@ -273,7 +274,7 @@ class RunStatus:
         self.reporting = True
 
     def _run_ended(self, record: Mapping[str, Any]) -> None:
-        self.ended = record
+        self.ended = {**record, "exit_status": int(record["exit_status"])}
         if self.reporting and not record["reason"]:
             self.page.done, self.page.latest_s = 1, _seconds(record)
         self.dashboard = ""
