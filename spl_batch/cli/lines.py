@@ -20,28 +20,36 @@ LINES_MAX: Final = 8
 _BETWEEN: Final = "; "
 """What stands between the faults of a message."""
 
+_WORD_MAX: Final = LINE_MAX - 4
+"""Characters of a word [count]: names of files are shorter, numbers of a file need not be."""
 
-_FAULT_MAX: Final = LINE_MAX - 4
-"""Characters of a fault: it stands before what stands between, and indented [count]."""
+_FAULT_MAX: Final = 2 * LINE_MAX - 40
+"""Characters of a fault [count]."""
 
 
 def screen_lines(text: str) -> list[str]:
     """A message as lines of at most :data:`LINE_MAX` characters, the further ones indented.
 
-    Each of its faults is one line at most: of a longer one, which holds what a file holds, the
+    Each of its faults takes two lines at most: what a file holds may be longer, and then its
     middle is left out.
     """
-    first, *others = (brief(fault, _FAULT_MAX) for fault in plain(text).split(_BETWEEN))
-    found = [first]
+    first, *others = map(_shortened, plain(text).split(_BETWEEN))
+    found = wrapped(first, LINE_MAX - 1) or [""]
     for fault in others:
         if len(found[-1]) + len(fault) + len(_BETWEEN) < LINE_MAX:
             found[-1] += _BETWEEN + fault
         else:
             found[-1] += _BETWEEN.rstrip()
-            found.append(f"  {fault}")
+            found += (f"  {line}" for line in wrapped(fault, LINE_MAX - 3))
     if len(found) > LINES_MAX:
         found = [*found[: LINES_MAX - 1], f"  … {len(found) - LINES_MAX + 1} more lines"]
     return found
+
+
+def _shortened(fault: str) -> str:
+    """A fault without the middle of what is too long in it."""
+    words = fault.split(" ")
+    return brief(" ".join(brief(word, _WORD_MAX) for word in words), _FAULT_MAX)
 
 
 def wrapped(text: str, most: int = LINE_MAX) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, brief
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -42,7 +42,7 @@ def _fault(error: Any, model: type[BaseModel]) -> str:
         return f"{place}: no such key; the nearest known key is {near!r}"
     message = error["msg"].removeprefix("Value error, ")
     given = error.get("input")
-    shown = "" if isinstance(given, dict) else f" (found {given!r})"
+    shown = "" if isinstance(given, dict) else f" (found {brief(repr(given), 100)})"
     return f"{place}: {message[0].lower()}{message[1:]}{shown}" if place else message
 
 
