@@ -171,18 +171,19 @@ def _tells_damage(name: str) -> bool:
 
 
 def damaged_rasters(
-    done: Mapping[str, Iterable[str]], context: RunContext[Any]
+    done: Mapping[str, Mapping[str, Receipt]], context: RunContext[Any]
 ) -> Iterator[DamagedError]:
     """Say which rasters, that a report shows, are not what their tasks wrote.
 
     The checksum of one that was delivered is looked at if it was written to since, that of one in
     the store always. A user may have taken away what was delivered.
 
-    ``done``: names of finished tasks by kind.
+    ``done``: finished tasks by kind and name.
     """
     for kind in filter(delivers, done):
-        receipts = (read_receipt(context.store, kind, name) for name in done[kind])
-        for receipt in filter(None, receipts):
+        # Of many thousand tiles none is looked up in the store.
+        made = (r.name for r in done[kind].values() if any(o.endswith(RASTER) for o in r.outputs))
+        for receipt in filter(None, (read_receipt(context.store, kind, name) for name in made)):
             for output in receipt.outputs:
                 inner = output.removeprefix("./").startswith("store/")
                 path = context.store.named(output)
