@@ -24,7 +24,7 @@ from spl_batch.airborne.ground.ground_seeds import (
 )
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
 from spl_batch.airborne.ground.multiscale.masks import Strip, multiscale_masks
-from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M, reckoned_m, scatter_counts
+from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M, evidence, reckoned_m
 from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
 from spl_batch.airborne.ground.smrf import provisional_terrain
@@ -140,13 +140,13 @@ def ground_in_bands(
     plain = not any(map(_has_evidence, bands()))
     if plain and not any(map(_has_usable, bands())):
         return ((band, np.zeros(len(band.table), np.bool_)) for band in bands())
-    told_m, counts = 0.0, scatter_counts(*np.empty((3, 0)))
+    told_m, shown = 0.0, evidence(*np.empty((3, 0)))
     for band in bands():
         own = _evidence(plain, band)
         told_m = max(told_m, _told_m(band.table, own))
         if "range_sigma" in band.table:
-            counts += scatter_counts(*_metres(band.table, own))
-    sigma_m = reckoned_m(told_m, counts)
+            shown += evidence(*_metres(band.table, own))
+    sigma_m = reckoned_m(told_m, shown)
     strips = partial(map, partial(_strip, plain))
     return map(_of_table, multiscale_masks(lambda: strips(bands()), sigma_m))
 
@@ -308,7 +308,7 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
 
 def _multiscale(own: Points, asked: Points, _: GroundSettings, told_m: float) -> NDArray[np.bool_]:
     """By a surface whose scale follows the data."""
-    sigma_m = reckoned_m(told_m, scatter_counts(*own)) if told_m > SIGMA_M else SIGMA_M
+    sigma_m = reckoned_m(told_m, evidence(*own)) if told_m > SIGMA_M else SIGMA_M
     return next(multiscale_masks(lambda: (Strip(own, asked),), sigma_m))[1]
 
 

@@ -2,9 +2,18 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M, reckoned_m, scatter_counts
+from spl_batch.airborne.ground.multiscale.ranging_layer import (
+    QUARTER_M,
+    SIGMA_M,
+    STEEP,
+    evidence,
+    reckoned_m,
+    steep_blocks,
+)
 
 Float = NDArray[np.float64]
 
@@ -26,15 +35,41 @@ def cloud(rng: np.random.Generator, sigma_m: float, overgrown: float) -> tuple[F
 def test_bare_cells_tell_what_ranges_scatter(
     sigma_m: float, overgrown: float, found: float
 ) -> None:
-    counts = scatter_counts(*cloud(np.random.default_rng(1), sigma_m, overgrown))
+    counts = evidence(*cloud(np.random.default_rng(1), sigma_m, overgrown))
     assert reckoned_m(0.05, counts) == pytest.approx(found, rel=0.12)
     assert reckoned_m(0.15, counts) == 0.15
     assert reckoned_m(0.0, counts) == reckoned_m(0.02, counts) == SIGMA_M
 
 
-def test_counts_of_parts_add_up() -> None:
+def test_evidence_of_parts_adds_up() -> None:
     x, y, z = cloud(np.random.default_rng(2), 0.03, 0.3)
-    west = x < 23.0
-    parts = [scatter_counts(*(v[some] for v in (x, y, z))) for some in (west, ~west)]
-    assert np.array_equal(sum(parts), scatter_counts(x, y, z))
-    assert reckoned_m(0.05, scatter_counts(x[:0], y[:0], z[:0])) == SIGMA_M
+    z += np.where(y > 30.0, 2.0 * x, 0.0)
+    west = x < 32.0
+    one, two = (evidence(*(v[some] for v in (x, y, z))) for some in (west, ~west))
+    whole, parts = evidence(x, y, z), one + two
+    assert np.array_equal(parts.scatter, whole.scatter)
+    assert parts[1:] == whole[1:]
+    assert reckoned_m(0.05, evidence(x[:0], y[:0], z[:0])) == SIGMA_M
+
+
+def test_overgrown_ground_that_is_steep_has_the_spread_that_is_told() -> None:
+    x, y, z = cloud(np.random.default_rng(1), 0.05, 0.95)
+    assert reckoned_m(0.05, evidence(x, y, z)) == SIGMA_M
+    ridge = z + 1.2 * np.where(y > 40.0, y - 40.0, 0.0)
+    assert reckoned_m(0.05, evidence(x, y, ridge)) == 0.05
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_steep_blocks_are_counted_by_hand(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-40.0, 40.0, (2, int(rng.integers(0, 200))))
+    z = rng.uniform(0.0, 12.0, len(x))
+    lowest: dict[tuple[int, int], dict[tuple[int, int], float]] = {}
+    for e, n, u in zip(x, y, z, strict=True):
+        square = int(e // QUARTER_M), int(n // QUARTER_M)
+        block = lowest.setdefault((square[0] // 2, square[1] // 2), {})
+        block[square] = min(block.get(square, np.inf), u)
+    whole = [list(block.values()) for block in lowest.values() if len(block) == 4]
+    steep = [block for block in whole if max(block) - min(block) > STEEP * QUARTER_M]
+    assert steep_blocks(x, y, z) == (len(whole), len(steep))

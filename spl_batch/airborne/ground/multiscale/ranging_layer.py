@@ -4,10 +4,12 @@ What sensors state is an upper figure: bare cells of real surveys scatter by hal
 thick as stated takes in grass and moss, one too thin loses returns of the ground. The cloud itself
 tells: where a fifth of its cells are as smooth as ranges can be stated to scatter, they are bare,
 and their scatter is that of the ranges. Heath and closed forest have too few such cells; there the
-least spread is reckoned with, which finds the same terrain in clouds twice as noisy.
+least spread is reckoned with, which finds the same terrain in clouds twice as noisy where it is
+even. Where the lowest returns step by metres it loses ground under trees: there the stated one
+counts.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +38,53 @@ QUANTILE: Final = 0.2
 CHANCE: Final = 1.15
 """Scatter of bare cells over that quantile, as some twenty returns tell it."""
 
+QUARTER_M: Final = 8.0
+STEEP: Final = 0.7
+"""Edge of the squares whose lowest returns are compared [m], and the rise between those of a block
+of four over that edge at which it is steep: 35 degrees."""
+
+STEEP_SHARE: Final = 0.1
+"""Share of the blocks that is steep where the stated spread counts."""
+
 Float = NDArray[np.float64]
+
+
+class Evidence(NamedTuple):
+    """What a cloud shows of its ranges and its terrain; parts that cut no block add up."""
+
+    scatter: NDArray[np.int64]  #: (STEPS + 1,): cells by their scatter about a plane, in steps.
+    blocks: int = 0  #: Blocks of four squares with returns in each, and the steep ones of them.
+    steep: int = 0
+
+    def __add__(self, other: "Evidence") -> "Evidence":  # type: ignore[override]
+        """Of two parts of a cloud."""
+        return Evidence(
+            self.scatter + other.scatter, self.blocks + other.blocks, self.steep + other.steep
+        )
+
+
+def evidence(x: Float, y: Float, z: Float) -> Evidence:
+    """What some points show: (n,) each [m]."""
+    return Evidence(scatter_counts(x, y, z), *steep_blocks(x, y, z))
+
+
+def steep_blocks(x: Float, y: Float, z: Float) -> tuple[int, int]:
+    """Blocks of four squares that all hold returns, and those of them that are steep [count]."""
+    if not len(x):
+        return 0, 0
+    cells = group_by_cell(x, y, QUARTER_M)
+    full = np.diff(cells.start) > 0
+    first = cells.start[:-1][full]
+    lowest = np.minimum.reduceat(z[cells.order], first)
+    at = cells.order[first]
+    block = [np.floor(v[at] / (2.0 * QUARTER_M)).astype(np.int64) for v in (x, y)]
+    order = np.lexsort(block)
+    column, row = (v[order] for v in block)
+    new = np.append(True, (np.diff(column) != 0) | (np.diff(row) != 0))
+    start = np.flatnonzero(new)
+    whole = np.diff(np.append(start, len(order))) == 4
+    rise = np.maximum.reduceat(lowest[order], start) - np.minimum.reduceat(lowest[order], start)
+    return int(whole.sum()), int(np.count_nonzero(whole & (rise > STEEP * QUARTER_M)))
 
 
 def off_planes(x: Float, y: Float, z: Float, cells: Cells, fewest: int) -> Float:
@@ -93,20 +141,23 @@ def scatter_counts(x: Float, y: Float, z: Float) -> NDArray[np.int64]:
     return counts
 
 
-def reckoned_m(told_m: float, counts: NDArray[np.int64]) -> float:
+def reckoned_m(told_m: float, shown: Evidence) -> float:
     """Ranging spread to reckon with [m].
 
     Parameters
     ----------
     told_m : float
         The largest that flightlines tell [m].
-    counts : (STEPS + 1,) int64
-        Cells by their scatter, by :func:`scatter_counts`.
+    shown : Evidence
+        What the cloud shows, by :func:`evidence`.
     """
+    counts = shown.scatter
     if told_m > COVERED * SIGMA_M:
         return told_m
     if told_m <= SIGMA_M or not counts.any():
         return SIGMA_M
+    if shown.steep > STEEP_SHARE * shown.blocks:
+        return told_m
     before = np.insert(np.cumsum(counts), 0, 0) / counts.sum()
-    shown = CHANCE * float(np.interp(QUANTILE, before, np.arange(len(before)) * STEP_M))
-    return float(np.clip(shown, SIGMA_M, told_m)) if shown <= CHANCE * told_m else SIGMA_M
+    bare_m = CHANCE * float(np.interp(QUANTILE, before, np.arange(len(before)) * STEP_M))
+    return float(np.clip(bare_m, SIGMA_M, told_m)) if bare_m <= CHANCE * told_m else SIGMA_M
