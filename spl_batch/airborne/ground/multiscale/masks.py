@@ -36,7 +36,6 @@ from spl_batch.airborne.ground.point_spacing import (
     added_up,
     in_squares,
     spacing_at_m,
-    spacing_m,
 )
 from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.airborne.ground.steep_ground import continued
@@ -225,9 +224,7 @@ def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
         return x, y
     height, slope = np.full((2, len(x)), np.nan)
     if surface.tin is not None:
-        # Places that follow each other are near, and rows of cells that hold few are few.
-        cell_m = float(np.clip(2.0 * spacing_m(x, y), CELL_M, BLOCK_M))
-        order = group_by_cell(x, y, cell_m).order
+        order = group_by_cell(x, y, CELL_M).order
         height, slope = heights_and_slopes(surface.tin, surface.slopes, order, x, y)
     beyond = np.flatnonzero(np.isnan(height))
     if len(beyond):
