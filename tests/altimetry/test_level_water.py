@@ -28,7 +28,13 @@ from spl_batch.altimetry.water.odd_layers import Layers
 from spl_batch.altimetry.water.refraction import AIR, WATER, refracted
 from spl_batch.errors import WorkflowError
 from tests import surveys
-from tests.altimetry.tracks import labels, lattice, quanta, write_workflow
+from tests.altimetry.tracks import (
+    assert_cut_matters_nowhere,
+    labels,
+    lattice,
+    quanta,
+    write_workflow,
+)
 
 RATE = RateSettings()
 SIGNAL = SignalSettings()
@@ -298,18 +304,7 @@ def test_a_surface_over_a_brighter_shallow_floor_is_no_wood() -> None:
 @settings(max_examples=4, deadline=None)
 @given(st.integers(1, 3), st.integers(20, 180))
 def test_water_does_not_depend_on_where_the_track_is_cut(seed: int, cut: int) -> None:
-    along, height = photons(water_track(NIGHT, seed))
-    whole = rates.observe(along, height, RATE)
-    parts = []
-    for low, high in ((-(10**9), cut), (cut, 10**9)):
-        halo = rates.HALO_CELLS
-        rows = (along >= (low - halo) * 20_000) & (along < (high + halo) * 20_000)
-        seen = rates.observe(along[rows], height[rows], RATE)
-        mine = (seen.index >= low) & (seen.index < high)
-        parts.append(Cells(**{k: v[mine] for k, v in seen.to_arrays().items()}))
-    joined = rates.join(parts).to_arrays()
-    for name, values in whole.to_arrays().items():
-        np.testing.assert_array_equal(values, joined[name], err_msg=name)
+    assert_cut_matters_nowhere(*photons(water_track(NIGHT, seed)), cut)
 
 
 @settings(max_examples=50, deadline=None)
