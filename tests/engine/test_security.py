@@ -287,6 +287,7 @@ def test_the_numbers_of_the_page_are_those_that_hold() -> None:
 
 NONE = "No known vulnerabilities found"
 UNKNOWN = "Dependency not found on PyPI and could not be audited:"
+FOLLOWS = "look at what follows; without a network no faults are known"
 AUDITS = {
     "nothing is known": (
         f"{NONE}\nName Skip Reason\n---- ----\nnumpy {UNKNOWN} numpy (2)\ndask {UNKNOWN} dask (1)",
@@ -297,7 +298,12 @@ AUDITS = {
     "a fault": (
         "numpy 2 PYSEC-1",
         1,
-        "look at what follows; without a network no faults are known\nnumpy 2 PYSEC-1",
+        f"{FOLLOWS}\nnumpy 2 PYSEC-1",
+    ),
+    "no network": (
+        "Traceback (most recent call last):\n  File\nSSLError: no key",
+        1,
+        f"{FOLLOWS}\nfaults are not known: the list of faults was not reached: SSLError: no key",
     ),
 }
 
