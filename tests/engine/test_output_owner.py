@@ -1,6 +1,7 @@
 """Nothing that is not ours is deleted or replaced: outputs, stores, simulated folders."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from spl_batch import api
 from spl_batch.airborne import quickstart
+from spl_batch.engine.store.output_owner import _head
 from spl_batch.engine.store.working_store import write_json
 from spl_batch.engine.verbs import simulation
 from spl_batch.errors import WorkflowError
@@ -298,3 +300,11 @@ def test_quickstart_refuses_a_folder_with_anything_else(
     with pytest.raises(WorkflowError, match=r"holds notes\.txt"):
         api.quickstart(own)
     assert json.loads((own / "simulated.json").read_bytes())["quickstart"]
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_among_the_inputs_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.laz")
+    assert _head(tmp_path / "pipe.laz") == _head(tmp_path / "missing.laz") == (-1, "")
+    (tmp_path / "file.laz").write_bytes(b"LASF")
+    assert _head(tmp_path / "file.laz")[0] == 4

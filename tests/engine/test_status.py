@@ -658,5 +658,12 @@ def test_a_damaged_log_is_told_and_leads_to_no_traceback(
         told += bool(api.status(tmp_path).lost_lines)
         earlier_wall_s(tmp_path)
     assert told > 20
+    for stage in (b"surfaces", b"deliver"):
+        lost = content.replace(
+            b'"PhaseStarted", "stage": "' + stage, b'"PhaseStarted"; "stage": "' + stage
+        )
+        (tmp_path / "log.jsonl").write_bytes(lost)
+        assert surveys.command("status", tmp_path).status == 0
+        assert api.status(tmp_path).left_s is not None
     (tmp_path / "log.jsonl").write_bytes(content.replace(b'"points"', b'"pionts"'))
     assert "of log.jsonl left out: cut off, or damaged" in surveys.command("status", tmp_path).out

@@ -57,7 +57,9 @@ def test_receipts_come_back_by_name_and_kind(tmp_path: Path) -> None:
     assert not receipt().failed
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b'{"kind": "gather"}', b"\xff\xfe"])
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b"[1]", b'{"kind": "gather"}', b"\xff\xfe", b"[" * 50_000]
+)
 def test_half_a_receipt_is_no_receipt(tmp_path: Path, content: bytes) -> None:
     store = Store(tmp_path)
     write_receipt(store, receipt("a"))

@@ -149,6 +149,8 @@ def _head(path: Path) -> tuple[int, str]:
             files = sorted(p for p in path.rglob("*") if p.is_file())
             sizes = [(p.relative_to(path).as_posix(), p.stat().st_size) for p in files]
             content, size = json.dumps(sizes).encode(), sum(n for _, n in sizes)
+        elif not path.is_file():  # missing, or a pipe, which would wait for its other end
+            return -1, ""
         else:
             size = path.stat().st_size
             with path.open("rb") as stream:

@@ -80,9 +80,10 @@ class StageStatus:
             return expected_s
         # The first tasks compile kernels and warm caches: their rate tells little. Squared, as it
         # multiplies a time that falls with the points that are done.
-        weight = min(self.points / (TRUSTED_SHARE * self.points_to_do), 1.0) ** 2
-        if not expected_s:
-            weight = 1.0
+        weight = 1.0
+        # A log that has lost lines may tell of points done and of none to do.
+        if expected_s and self.points_to_do:
+            weight = min(self.points / (TRUSTED_SHARE * self.points_to_do), 1.0) ** 2
         return weight * self.left_points / self.points_per_s + (1 - weight) * expected_s
 
 

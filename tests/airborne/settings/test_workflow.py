@@ -102,6 +102,11 @@ def test_an_unknown_key_names_the_nearest(section: str, key: str, near: str) -> 
     assert repr(near) in message
 
 
+def test_a_number_that_nobody_can_write_is_refused_in_a_line() -> None:
+    message = complaint(merged(acquisition={"prf_hz": 16**9000}))
+    assert "prf_hz: input should be a valid number (found a number of thousands" in message
+
+
 @pytest.mark.parametrize("value", [".inf", ".nan"])
 @pytest.mark.parametrize(
     ("content", "key"),
