@@ -17,6 +17,7 @@ from spl_batch.altimetry.noise.fog import BIN_M, BINS, Fog, find_fog, fog_at, fo
 from spl_batch.altimetry.photon_table import Cells
 from spl_batch.altimetry.report.summarise import _cloud
 from spl_batch.altimetry.settings import RateSettings
+from spl_batch.altimetry.water.layers_of_cells import fullest
 from tests.altimetry.tracks import assert_cut_matters_nowhere
 
 RATE = RateSettings()
@@ -160,7 +161,9 @@ def test_a_bridge_a_bird_and_a_slope_are_no_cloud_and_a_layer_is() -> None:
     index, high, noise = np.arange(40), np.full(40, 150_000, np.int32), np.zeros(40)
 
     def fog(*boxes: Box) -> Fog:
-        return find_fog(index, *layered(np.random.default_rng(1), list(boxes)), high, noise, 20.0)
+        cell, height = layered(np.random.default_rng(1), list(boxes))
+        mode, _ = fullest(cell, height, len(index))
+        return find_fog(index, cell, height, mode, high, noise, 20.0)
 
     layer = fog(Box((10, 30), (70.0, 82.0), 0.05))
     assert layer.density[12:28].any(axis=1).all()

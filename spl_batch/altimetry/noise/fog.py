@@ -4,11 +4,11 @@ A cloud sends back light from every height that it fills: its photons come as no
 denser. One density for the whole gate calls them signal, or makes the noise elsewhere too high.
 
 Three things keep a cloud apart from trees and hills. It floats: it begins more than
-:data:`~spl_batch.altimetry.water.level_water.CANOPY_M` above the ground, with no more than noise
-between. It is thick. And its photons are no nearer to one another than chance brings them: counts
-in boxes scatter as those of a Poisson process do, where a slope or a crown fills some boxes and
-leaves the others (index of dispersion, R. Fisher, *Statistical Methods for Research Workers*,
-1925). Fog that touches the ground cannot be told from trees by photons, and stays signal.
+:data:`CLEAR_M` above the ground, and nothing joins it to the ground, cell by cell. It is thick.
+And its photons are no nearer to one another than chance brings them: counts in boxes scatter as
+those of a Poisson process do, where a slope or a crown fills some boxes and leaves the others
+(index of dispersion, R. Fisher, *Statistical Methods for Research Workers*, 1925). Fog that touches
+the ground cannot be told from trees by photons, and stays signal.
 """
 
 from typing import Final, NamedTuple
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.altimetry.water.layers_of_cells import common_metre, fullest
+from spl_batch.altimetry.water.layers_of_cells import common_metre
 from spl_batch.altimetry.water.level_water import REACH_CELLS, sums_around
 from spl_batch.constants import QUANTA_PER_M
 
@@ -81,6 +81,7 @@ def find_fog(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
     height: NDArray[np.int32],
+    mode: NDArray[np.int64],
     high: NDArray[np.int32],
     noise: NDArray[np.float64],
     cell_m: float,
@@ -95,6 +96,8 @@ def find_fog(
         Row of each photon's cell.
     height : (p,) int32
         Photons [quanta].
+    mode : (n,) int64
+        Half-metre of each cell's fullest metre.
     high : (n,) int32
         Upper end of each cell's gate [quanta].
     noise : (n,) float64
@@ -104,7 +107,7 @@ def find_fog(
     fog = Fog(np.zeros(n, np.int32), np.zeros((n, BINS), np.float32))
     if not n:
         return fog
-    foot_q, known, near = _foot(index, cell, height, noise)
+    foot_q, known, near = _foot(index, cell, height, mode, noise)
     step = BIN_M * QUANTA_PER_M
     foot = foot_q // step
     row = height // step - foot[cell]
@@ -118,6 +121,8 @@ def find_fog(
     seen, seen_m2 = (sums_around(index, values, PATCH_CELLS) for values in (boxes, area))
     sky = _sky(seen, seen_m2) * seen_m2
     layer = _layers(seen, sky)
+    if not layer.any():
+        return fog
     runs = _runs(layer)
     squares = sums_around(index, boxes**2, PATCH_CELLS)
     cloud = _even(runs, seen, sky, squares, _cells_around(index))
@@ -221,6 +226,7 @@ def _foot(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
     height: NDArray[np.int32],
+    mode: NDArray[np.int64],
     noise: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
     """Top of the ground of each cell [quanta], whether it is known, and in the patch: (n,) each.
@@ -229,7 +235,6 @@ def _foot(
     between such cells it is interpolated.
     """
     n, half = len(index), QUANTA_PER_M // 2
-    mode, _ = fullest(cell, height, n)
     common, level = common_metre(index, mode, REACH_CELLS)
     mode = np.where(level, common, mode)
     inside = np.abs(height // half - mode[cell]) <= 1

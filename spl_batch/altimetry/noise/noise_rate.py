@@ -37,6 +37,7 @@ from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
 from spl_batch.altimetry.noise.windows import of_window
 from spl_batch.altimetry.photon_table import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
+from spl_batch.altimetry.water.layers_of_cells import fullest
 from spl_batch.altimetry.water.level_water import (
     DEPTHS,
     NO_WATER,
@@ -96,14 +97,16 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     peak = _surface(index, table)
     low, high = gates(index, cell, height, (peak + base) * bin_q + bin_q // 2, settings)
     noise = _usual(index, table, [end / bin_q - base for end in (low, high)])
-    fog = find_fog(index, cell, height, high, noise, settings.cell_m)
+    layers = fullest(cell, height, len(index))
+    fog = find_fog(index, cell, height, layers[0], high, noise, settings.cell_m)
     clear = outside(cell, height, fog)
     if len(clear) < len(cell):
         cell, height = cell[clear], height[clear]
         table = np.bincount(cell * width + (height // bin_q - base), minlength=table.size)
         table = table.reshape(len(index), width)
         peak = _surface(index, table)
-    water = find_water(index, cell, height, (low, high), settings.cell_m)
+        layers = fullest(cell, height, len(index))
+    water = find_water(index, cell, height, layers, (low, high), settings.cell_m)
     # A floor may be brighter than the surface above it.
     peak = np.where(water.level != NO_WATER, water.level // bin_q - base, peak)
     first = -(-(low.astype(np.int64)) // bin_q) - base

@@ -29,6 +29,8 @@ def fullest(
     That is the fullest metre too, unless one above it holds a quarter as many photons: a surface
     above a floor that is brighter. (n,) int64 each.
     """
+    if not n:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
     half = QUANTA_PER_M // 2
     bins = height // half
     base, width = int(bins.min()), int(bins.max() - bins.min()) + 1

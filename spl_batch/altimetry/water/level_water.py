@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.altimetry.water.column_noise import falling_density
-from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre, fullest
+from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre
 from spl_batch.constants import QUANTA_PER_M
 
 NO_WATER: Final = np.iinfo(np.int32).min
@@ -87,6 +87,7 @@ def find_water(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
     height: NDArray[np.int32],
+    layers: tuple[NDArray[np.int64], NDArray[np.int64]],
     gate: tuple[NDArray[np.int32], NDArray[np.int32]],
     cell_m: float,
 ) -> Water:
@@ -100,6 +101,9 @@ def find_water(
         Row of each photon's cell.
     height : (p,) int32
         Photons [quanta].
+    layers : ((n,) int64, (n,) int64)
+        Fullest metre and highest layer of each cell, by
+        :func:`~spl_batch.altimetry.water.layers_of_cells.fullest`.
     gate : ((n,) int32, (n,) int32)
         Lower and upper end of each cell's gate [quanta].
     """
@@ -114,7 +118,7 @@ def find_water(
     )
     if not n:
         return water
-    mode, upper = fullest(cell, height, n)
+    mode, upper = layers
     level = _level(index, agreed(index, mode, upper, REACH_CELLS), cell, height)
     half = QUANTA_PER_M // 2
     water.fullest[:] = mode * half + half // 2
