@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.products.product_table import is_piece
-from spl_batch.airborne.report.profile_strips import LENGTH_M, WIDTH_M
+from spl_batch.airborne.report.profile_strips import best_strip, strip_sums
 from spl_batch.constants import NODATA
 from spl_batch.formats.rasters.parts import Part, read_overview, windows
-from spl_batch.lattice.tiles import Bounds, quanta
+from spl_batch.lattice.tiles import Bounds
 
 OFF_M: Final = 0.5
 """Terrain that differs by more is told [m]."""
@@ -82,20 +82,11 @@ def _read(paths: Sequence[Path]) -> Iterator[list[NDArray[np.float32]]]:
 def _strip(models: Sequence[Part]) -> tuple[Bounds | None, float]:
     """Strip along the easting with the largest sum of differences, and that sum [m]."""
     first, *rest = models
-    rows, columns = first.values.shape
-    total = np.zeros((rows, columns))
+    total = np.zeros(first.values.shape)
     for other in rest:
         if other.values.shape != total.shape:
             return None, 0.0
         known = (first.values > NODATA) & (other.values > NODATA)
         differs = np.abs(other.values - first.values, dtype=np.float64)
         total += np.where(known & (differs > OFF_M), np.minimum(differs, _MOST_M), 0.0)
-    length = min(max(round(LENGTH_M / first.cell_m), 1), columns)
-    sums = np.cumsum(np.pad(total, ((0, 0), (1, 0))), axis=1)
-    sums = sums[:, length:] - sums[:, :-length]
-    row, column = np.unravel_index(int(np.argmax(sums)), sums.shape)
-    west = quanta(first.left_m + float(column) * first.cell_m)
-    middle = quanta(first.top_m - (float(row) + 0.5) * first.cell_m)
-    half = quanta(WIDTH_M / 2)
-    strip = Bounds(west, middle - half, west + quanta(LENGTH_M), middle + half)
-    return strip, float(sums[row, column])
+    return best_strip(first, strip_sums(first, total))

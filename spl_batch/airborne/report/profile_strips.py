@@ -119,20 +119,29 @@ def tallest_strip(height: Part) -> Bounds:
     """
     known = height.values > NODATA
     capped = np.where(known, np.clip(height.values.astype(np.float64), 0.0, _TALLEST_M), 0.0)
-    length = min(max(round(LENGTH_M / height.cell_m), 1), known.shape[1])
-
-    def sums(values: NDArray[Any]) -> NDArray[np.float64]:
-        total = np.cumsum(np.pad(values.astype(np.float64), ((0, 0), (1, 0))), axis=1)
-        return np.asarray(total[:, length:] - total[:, :-length])
-
-    cover, low = sums(known), sums(known & (capped <= _LOW_M))
+    cover, low = (strip_sums(height, some) for some in (known, known & (capped <= _LOW_M)))
     open_share = np.minimum(low / np.maximum(cover, 1.0) / _GROUND_SHARE, 1.0)
-    score = _COVER_M * cover + sums(capped) * open_share
+    return best_strip(height, _COVER_M * cover + strip_sums(height, capped) * open_share)[0]
+
+
+def strip_sums(part: Part, values: NDArray[Any]) -> NDArray[np.float64]:
+    """Sums of values of a raster's cells over the strips that begin in each, (rows, m) float64."""
+    length = min(max(round(LENGTH_M / part.cell_m), 1), values.shape[1])
+    total = np.cumsum(np.pad(values.astype(np.float64), ((0, 0), (1, 0))), axis=1)
+    return np.asarray(total[:, length:] - total[:, :-length])
+
+
+def best_strip(part: Part, score: NDArray[np.float64]) -> tuple[Bounds, float]:
+    """Strip of the highest score, the first of equals, and that score.
+
+    ``score``: of the strip that begins in each cell, as :func:`strip_sums` has them.
+    """
     row, column = np.unravel_index(int(np.argmax(score)), score.shape)
-    west = quanta(height.left_m + float(column) * height.cell_m)
-    middle = quanta(height.top_m - (float(row) + 0.5) * height.cell_m)
+    west = quanta(part.left_m + float(column) * part.cell_m)
+    middle = quanta(part.top_m - (float(row) + 0.5) * part.cell_m)
     half = quanta(WIDTH_M / 2)
-    return Bounds(west, middle - half, west + quanta(LENGTH_M), middle + half)
+    strip = Bounds(west, middle - half, west + quanta(LENGTH_M), middle + half)
+    return strip, float(score[row, column])
 
 
 def label_holders(

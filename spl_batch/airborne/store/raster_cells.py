@@ -2,7 +2,7 @@
 
 The arrays cover one huge absolute index space, so that a raster cell has the same index
 whatever the survey is, and a ground cell is one chunk, or a few at a survey's edge: a task
-writes its own chunks and no other task's. Chunks of nothing but nodata are not written.
+writes its own chunks and no other task's. One of nothing but nodata is written as well.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
