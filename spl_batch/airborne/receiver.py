@@ -168,7 +168,7 @@ class Imaging(Receiver[Survey, Context]):
         """
         survey, store = prepared.ledger, prepared.context.store
         workflow = survey.workflow
-        if phase.kind == "index_part":
+        if phase.kind == PHASES[0].kind:
             _recall(survey, store)
         if phase.kind == "gather" and survey.filtering and survey.remembered_stretch is None:
             remember_stretch(store, survey.stretch_points)
@@ -197,10 +197,10 @@ class Imaging(Receiver[Survey, Context]):
             yield from copies(survey)
             yield from merged_shots(survey)
             yield from looks_ahead(survey)
-        if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):
-            failures = [r.reason for r in failed if r.kind == "trajectory"]
-            if failures:
-                raise WorkflowError(f"survey.trajectory: {failures[-1]}")
+        if phase.kind in {"trajectory_file", "trajectory"} and not survey.of(phase.kind):
+            failures = [r.reason for r in failed if r.kind == phase.kind]
+            if failures:  # nothing tells where the sensor was
+                raise WorkflowError(f"survey.trajectory: {'; '.join(failures)}")
         if phase.kind == "sensor_path" and survey.of("sensor_path"):
             yield beams_without_trajectory(survey)
         yield from _strip_sentences(phase, survey)
@@ -255,7 +255,7 @@ class Imaging(Receiver[Survey, Context]):
     def reference(self, ledger: Survey) -> list[str]:
         """Files that the results are compared with."""
         beside = [ledger.inputs.checkpoints.path] if ledger.inputs.checkpoints else []
-        return [str(path) for path in (*(f.path for f in ledger.inputs.reference), *beside)]
+        return [str(path) for path in (*(f.path for f in ledger.inputs.reference.usable), *beside)]
 
     def not_read(self, ledger: Survey) -> int:
         """Points that the headers of files promise which could not be read to their end [count]."""

@@ -113,6 +113,7 @@ def test_results_are_those_of_a_local_store(
     assert {k.split("/")[2] for k in keys("one") if "/receipts/" in k} == {
         "index_file",
         "trajectory",
+        "trajectory_file",
     }
 
 

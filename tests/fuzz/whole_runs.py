@@ -72,6 +72,13 @@ def _survey(folder: Path) -> dict[str, bytes]:
     return kept(folder)
 
 
+def _with_setting(files: dict[str, bytes], section: str, key: str, value: str) -> dict[str, bytes]:
+    """The files of a survey with one more setting in its workflow."""
+    content = yaml.safe_load(files["workflow.yaml"])
+    (content.setdefault(section, {}) if section else content)[key] = value
+    return {**files, "workflow.yaml": yaml.safe_dump(content).encode()}
+
+
 def _line(suffix: str, **options: object) -> Seed:
     with TemporaryDirectory() as folder:
         line = surveys.flightline(shots=SHOTS, psid=3, start_s=surveys.START_S + 3, seed=3)
@@ -92,12 +99,16 @@ def kind(name: str) -> Kind:
             made = _line(".las", version="1.2", point_format=1)
             return Kind(made, _survey(folder), "lines/mutant_1.las", lines)
         if name == "trajectory":
-            made = seed("trajectory csv")
-            return Kind(made, _survey(folder), "trajectory.csv", lines, lost=True)
-        if name == "polygons":
+            # Beside a sound one, as a survey has one for each flight.
+            sound = _with_setting(_survey(folder), "survey", "trajectory", "trajectory*.csv")
+            return Kind(seed("trajectory csv"), sound, "trajectory_1.csv", lines)
+        if name == "reference":
             sound = _survey(folder)
-            content = yaml.safe_load(sound["workflow.yaml"])
-            sound["workflow.yaml"] = yaml.safe_dump({**content, "aoi": "aoi.gpkg"}).encode()
+            sound["known.laz"] = sound["lines/good_1.laz"]
+            sound = _with_setting(sound, "reference", "points", "known*.laz")
+            return Kind(_line(".laz"), sound, "known_1.laz", lines)
+        if name == "polygons":
+            sound = _with_setting(_survey(folder), "", "aoi", "aoi.gpkg")
             return Kind(seed("gpkg"), sound, "aoi.gpkg", lines, lost=True)
         return _of_receiver(name, folder)
 
@@ -123,7 +134,8 @@ LOOKS: Final = ("detections of looks", "frames of looks")
 """Both files of a pass of Geiger-mode looks."""
 
 KINDS: Final = (
-    "flightlines", "old flightlines", "trajectory", "polygons", "granules", "tank", *LOOKS,
+    "flightlines", "old flightlines", "trajectory", "reference", "polygons", "granules", "tank",
+    *LOOKS,
 )  # fmt: skip
 """Kinds of whole runs."""
 

@@ -94,7 +94,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         "surfaces": RATES_POINTS_PER_S["surfaces"] / strips_cost(strips["surface"]),
     }
     rates, measured = measured_rates(typical, context)
-    compared = sum(facts.n_points for facts in survey.inputs.reference)
+    compared = sum(facts.n_points for facts in survey.inputs.reference.usable)
     work = {stage: compared if stage == "report" else points for stage in rates}
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     # every file is indexed, a large one by parts, and most likely is a flightline; each stretch is
@@ -103,9 +103,10 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks.blocks + delivered
     tasks += _rasters_and_comparisons(survey, cells)
     tasks += sum(parts_of(source.facts.n_points) for source in sources)
-    tasks += len(survey.inputs.reference) + reference_tasks.squares(survey)
+    tasks += sum(map(len, survey.inputs.reference)) + reference_tasks.squares(survey)
     if survey.filtering:
-        tasks += 1 if survey.inputs.trajectory else 2 * len(sources) + stretches
+        files = len(survey.inputs.trajectory)
+        tasks += 1 + files if files else 2 * len(sources) + stretches
     return SurveyCost(
         points=points,
         stretches=stretches,

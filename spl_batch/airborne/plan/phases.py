@@ -11,6 +11,7 @@ from spl_batch.airborne.plan.flightlines import Flightline
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.tasks.index import POSITIONS_S, part_range, parts_of
+from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.task import Task
@@ -20,6 +21,13 @@ RANGE_POINTS = 2_000_000
 
 POSITIONS_MARGIN_S = 30.0
 """More than the longest gap of a trajectory that is interpolated over, and leap seconds [s]."""
+
+
+def _trajectory_file(survey: Survey) -> Iterator[Task]:
+    """Trajectory files, each by itself: before hours of work rest on them."""
+    for path in survey.inputs.trajectory if survey.filtering else ():
+        args = {"path": str(path), "stamp": stamp_if_there(path)}
+        yield Task("trajectory_file", str(source_key(str(path))), args)
 
 
 def _index_part(survey: Survey) -> Iterator[Task]:
@@ -56,18 +64,21 @@ def _index(survey: Survey) -> Iterator[Task]:
 
 def _trajectory(survey: Survey) -> Iterator[Task]:
     lines = survey.flightlines
-    if not survey.inputs.trajectory or not lines:
+    checked = survey.of("trajectory_file")
+    sound = [path for path in survey.inputs.trajectory if str(source_key(str(path))) in checked]
+    if not sound or not lines:
         return
     facts = [r.facts for r in survey.of("index_file").values() if r.facts["bounds"]]
     low = [min(f["bounds"][a] for f in facts) / 1000 for a in range(3)]
     high = [max(f["bounds"][a + 3] for f in facts) / 1000 for a in range(3)]
     args = {
-        "paths": [str(p) for p in survey.inputs.trajectory],
-        "stamps": [stamp_if_there(path) for path in survey.inputs.trajectory],
+        "paths": [str(path) for path in sound],
+        "stamps": [stamp_if_there(path) for path in sound],
         "time_span_s": [min(x.first_s for x in lines), max(x.last_s for x in lines)],
         "bounds_m": [*low, *high],
     }
-    yield Task("trajectory", "all", args)
+    needs = tuple(("trajectory_file", str(source_key(str(path)))) for path in sound)
+    yield Task("trajectory", "all", args, needs)
 
 
 def _heading(survey: Survey) -> Iterator[Task]:
@@ -179,6 +190,7 @@ def _scatter(survey: Survey) -> Iterator[Task]:
 
 
 PHASES = (
+    Phase("trajectory_file", _trajectory_file),
     Phase("index_part", _index_part),
     Phase("index_file", _index),
     Phase("trajectory", _trajectory),

@@ -31,8 +31,11 @@ def reference(survey: Survey) -> Iterator[Task]:
     """Reference files, each to be cut into squares."""
     if not survey.of("surface"):
         return
+    for error in survey.inputs.reference.bad:
+        name = str(source_key(error.path))
+        yield Task("reference", name, {"path": error.path}, (), 0, str(error))
     edge, margin = _lattice(survey)
-    for facts in survey.inputs.reference:
+    for facts in survey.inputs.reference.usable:
         name = str(source_key(str(facts.path)))
         args = {
             "file": name,
@@ -77,13 +80,14 @@ def checkpoints(survey: Survey) -> Iterator[Task]:
         "stamp": stamp_if_there(found.path),
         "rasters": rasters,
     }
-    yield Task("checkpoints", "all", args, tuple(("mosaic", name) for name in rasters))
+    needs = tuple(("mosaic", name) for name in rasters)
+    yield Task("checkpoints", "all", args, needs, 0, str(found.fault or ""))
 
 
 def squares(survey: Survey) -> int:
     """Squares that the headers of reference files reach, by which they are compared [count]."""
     edge, _ = _lattice(survey)
-    boxes = [facts for facts in survey.inputs.reference if facts.n_points]
+    boxes = [facts for facts in survey.inputs.reference.usable if facts.n_points]
     low, high = (
         np.array([[quanta(v) // edge for v in corner[:2]] for corner in corners]).reshape(-1, 2)
         for corners in ([f.mins_m for f in boxes], [f.maxs_m for f in boxes])
@@ -98,7 +102,8 @@ def _lattice(survey: Survey) -> tuple[int, int]:
     """
     cell = quanta(survey.workflow.products.cell_m)
     margin = max(quanta(MARGIN_M), MARGIN_CELLS * cell)
-    boxes = [(f.mins_m, f.maxs_m, f.n_points) for f in survey.inputs.reference if f.n_points]
+    used = survey.inputs.reference.usable
+    boxes = [(f.mins_m, f.maxs_m, f.n_points) for f in used if f.n_points]
     area_m2 = sum((high[0] - low[0]) * (high[1] - low[1]) for low, high, _ in boxes)
     points = sum(n for _, _, n in boxes)
     held = min(SQUARE_POINTS, points_within("accuracy", survey.memory_bytes) // UNEVEN)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from spl_batch.airborne.beams.geometry import heading_from_track, merge_track
 from spl_batch.airborne.context import Context
@@ -24,6 +25,7 @@ from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.layers import GIVEN, given_of
 from spl_batch.formats.las.number_dimensions import Numbers
 from spl_batch.formats.las.reader import SAMPLE_POINTS, inspect, iter_points, read_ends
+from spl_batch.formats.trajectory.merge import Merge
 from spl_batch.formats.trajectory.positions import PointExtent, gathering, write_trajectory
 from spl_batch.formats.trajectory.records import Records
 from spl_batch.formats.verified.parquet_npz import GroupWriter, read_arrays, write_arrays, writing
@@ -220,6 +222,35 @@ def find_heading(args: Mapping[str, Any], context: Context) -> Produced:
         within = (track["second"] >= low) & (track["second"] <= high)
         parts.append({k: v if k == "angle" else v[within] for k, v in track.items()})
     return Produced((), {"heading_rad": heading_from_track(merge_track(parts))})
+
+
+def look_through(args: Mapping[str, Any], context: Context) -> Produced:
+    """Prove that one file can be read and converted: else it fails alone, and others serve."""
+    path = Path(args["path"])
+    crs = context.workflow.survey.trajectory_crs
+    with unchanged(path, args["stamp"]):
+        records = check_file(path, context.crs, crs, context.store.local)
+    return Produced((), {"name": path.name, "records": records})
+
+
+def check_file(
+    path: Path, survey_crs: CRS | None, trajectory_crs: str | None, folder: Path | None = None
+) -> int:
+    """Records of a trajectory file, each time counted once, all of them read [count].
+
+    ``folder``: where records wait for their place in time.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used.
+    """
+    with Merge([path], folder) as merge:
+        merge.read(survey_crs, trajectory_crs)
+        records = sum(len(time) for time, _ in merge.pieces())
+    if not records:
+        raise InputError(str(path), "holds no records: copy it again")
+    return records
 
 
 def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:

@@ -43,10 +43,15 @@ _TIME: Final = (
 
 KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     {
+        "trajectory_file": Kind(
+            "index", "spl_batch.airborne.tasks.index:look_through", ("survey.trajectory_crs",)
+        ),
         "index_part": Kind("index", "spl_batch.airborne.tasks.index:index_part", _INDEXED),
         "index_file": Kind("index", "spl_batch.airborne.tasks.index:index_file", _INDEXED),
         "trajectory": Kind(
-            "index", "spl_batch.airborne.tasks.index:gather_trajectory", ("survey.trajectory_crs",)
+            "index",
+            "spl_batch.airborne.tasks.index:gather_trajectory",
+            ("survey.trajectory_crs",),
         ),
         "heading": Kind("shots", "spl_batch.airborne.tasks.index:find_heading", ()),
         "gather": Kind("shots", "spl_batch.airborne.tasks.time_domain:gather", _OBSERVED),

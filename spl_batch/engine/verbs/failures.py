@@ -121,7 +121,9 @@ def plain_name(task: Task, names: Mapping[str, str]) -> str:
     """
     parts = [task.kind.replace("_", " ")]
     if task.name != "all":
-        parts.append(names.get(str(task.args.get("source"))) or names.get(task.name) or task.name)
+        known = names.get(str(task.args.get("source"))) or names.get(task.name)
+        read = Path(str(task.args["path"])).name if "path" in task.args else ""
+        parts.append(known or read or task.name)
     if task.kind.endswith("_part") and "part" in task.args:
         parts.append(str(task.args["part"]))
     return " ".join(parts)
@@ -138,6 +140,8 @@ def _damaged(reason: str) -> str:
 def _remedy(one: Failed, remedies: Mapping[str, str]) -> str:
     if damaged := _damaged(one.receipt.reason):
         return damaged
+    if one.receipt.reason.startswith(f"{one.task.args.get('path', '')}: "):  # a fault of that file
+        return f"mend or remove it, then {AGAIN}"
     if not one.receipt.reason.startswith(OUT_OF_MEMORY):
         return AGAIN
     helping = filter(None, ("raise --memory", remedies.get(one.task.kind)))

@@ -149,7 +149,7 @@ def plan(
         prepared.ledger.memory_bytes,
         prepared.ledger.shared,
         (*look.rows, *receiver.plan_rows(prepared, cost)),
-        (*told_together(inputs.bad), *look.faults),
+        (*told_together(inputs.bad), *look.faults, *look.late),
         (
             *prepared.ledger.remarks,
             *inputs.warnings,

@@ -62,6 +62,8 @@ class FirstLook(NamedTuple):
     #: ``faults`` has the reasons.
     unreadable: int = 0
     unreadable_points: int = 0
+    #: What is wrong with files that a run reads only at its end: it says so at its beginning.
+    late: tuple[str, ...] = ()
 
 
 class Receiver(ABC, Generic[L, C]):

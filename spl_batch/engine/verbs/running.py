@@ -107,7 +107,7 @@ def run(
     output = prepared.context.output
     invocation = Invocation(workflow, workers, prepared.ledger.memory_bytes, overrides)
     usable(prepared)  # before the lock, which would leave a file in somebody else's folder
-    prepared.receiver.first_look(prepared)  # refuses what a plan refuses
+    look = prepared.receiver.first_look(prepared)  # refuses what a plan refuses
     with locked(output) as mark:
         deliveries = usable(prepared)
         claim(prepared.context.store)
@@ -146,7 +146,7 @@ def run(
                 progress.aside(text)
             for text in prepared.ledger.inputs.warnings:
                 progress.warn(text)
-            for text in told_together(prepared.ledger.inputs.bad):
+            for text in (*told_together(prepared.ledger.inputs.bad), *look.late):
                 progress.tell(Note("error", text))
             workforce = partial(
                 executor,

@@ -5,7 +5,7 @@ batch's first record are in order and go on. Of files that are each in time orde
 in memory at once.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Final, NamedTuple, Self
@@ -35,10 +35,19 @@ Clock = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 class _Batch(NamedTuple):
-    """Records side by side on disk: where, how many, first and last time [s]."""
+    """Records side by side on disk: of which file, where, how many, first and last time [s]."""
 
+    file: int
     offset: int
     records: int
+    first_s: float
+    last_s: float
+
+
+class Sharing(NamedTuple):
+    """Files, by their numbers, that share a time standard; their first and last time [s]."""
+
+    files: tuple[int, ...]
     first_s: float
     last_s: float
 
@@ -80,13 +89,13 @@ class Merge:
         InputError
             If one of them cannot be read or converted.
         """
-        for path in self.paths:
+        for file, path in enumerate(self.paths):
             before = len(self._batches)
             for convert, warning in conversions(path, survey_crs, trajectory_crs):
                 del self._batches[before:]
                 try:
                     for time, position in read_records(path):
-                        self._keep(time, convert(position))
+                        self._keep(file, time, convert(position))
                 except CannotConvertError:
                     continue
                 self.warnings += [warning] if warning else []
@@ -98,23 +107,23 @@ class Merge:
                     f"{crs_name(survey_crs) if survey_crs else 'none'}",
                 )
 
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """First and last time of the records as the files have them [s]."""
-        first = min((batch.first_s for batch in self._batches), default=0.0)
-        return first, max((batch.last_s for batch in self._batches), default=0.0)
+    def standards(self) -> dict[TimeStandard, Sharing]:
+        """Files by the time standard that each has, and the time of all of these."""
+        found: dict[TimeStandard, Sharing] = {}
+        for file in sorted({batch.file for batch in self._batches}):
+            mine = [batch for batch in self._batches if batch.file == file]
+            first, last = min(b.first_s for b in mine), max(b.last_s for b in mine)
+            standard = time_standard(np.array([first, last]))
+            files, low, high = found.get(standard, Sharing((), first, last))
+            found[standard] = Sharing((*files, file), min(low, first), max(high, last))
+        return found
 
-    @property
-    def standard(self) -> TimeStandard:
-        """Time standard of the records as the files have them."""
-        return time_standard(np.array(self.span_s if self._batches else ()))
-
-    def use_clock(self, clock: Clock) -> None:
-        """Bring the times into another standard, in which batches may change places."""
+    def use_clock(self, files: Container[int], clock: Clock) -> None:
+        """Bring times of some files into another standard, in which batches may change places."""
         for k, batch in enumerate(self._batches):
-            time, xyz = self._fetch(batch)
-            time = clock(time)
-            self._batches[k] = self._put(batch.offset, time, xyz)
+            if batch.file in files:
+                time, xyz = self._fetch(batch)
+                self._batches[k] = self._put(batch.file, batch.offset, clock(time), xyz)
 
     def pieces(self) -> Iterator[Records]:
         """Records in the order of time, each time once.
@@ -150,20 +159,22 @@ class Merge:
         self.dropped += int(np.count_nonzero(~first))
         return time[first], xyz[first]
 
-    def _keep(self, time: NDArray[np.float64], xyz: NDArray[np.float64]) -> None:
+    def _keep(self, file: int, time: NDArray[np.float64], xyz: NDArray[np.float64]) -> None:
         if len(time):
-            end = self._batches[-1] if self._batches else _Batch(0, 0, 0.0, 0.0)
+            end = self._batches[-1] if self._batches else _Batch(0, 0, 0, 0.0, 0.0)
             offset = end.offset + end.records * _RECORD_BYTES
-            self._batches.append(self._put(offset, time, xyz))
+            self._batches.append(self._put(file, offset, time, xyz))
 
-    def _put(self, offset: int, time: NDArray[np.float64], xyz: NDArray[np.float64]) -> _Batch:
+    def _put(
+        self, file: int, offset: int, time: NDArray[np.float64], xyz: NDArray[np.float64]
+    ) -> _Batch:
         try:
             self._file.seek(offset)
             self._file.write(np.column_stack([time, xyz]).tobytes())
         except OSError as error:
             stop_if_full(error, self._folder or "the folder for temporary files")
             raise
-        return _Batch(offset, len(time), float(time.min()), float(time.max()))
+        return _Batch(file, offset, len(time), float(time.min()), float(time.max()))
 
     def _fetch(self, batch: _Batch) -> Records:
         self._file.seek(batch.offset)

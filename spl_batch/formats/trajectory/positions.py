@@ -55,7 +55,7 @@ class Gathering:
         self.span_s = (np.inf, -np.inf)
         self.warnings: tuple[str, ...] = ()
         self._merge, self._points = merge, points
-        self._converted = ""
+        self._converted: list[str] = []
         if points is not None:
             self._set_clock(points)
 
@@ -83,15 +83,15 @@ class Gathering:
         self._judge(nearness)
 
     def _set_clock(self, points: PointExtent) -> None:
-        given = self._merge.standard
         wanted = time_standard(np.asarray(points.time_s, dtype=np.float64))
-        try:
-            convert = clock(given, self._merge.span_s, points.time_s, wanted)
-        except ValueError as error:
-            raise InputError(str(self._merge.paths[0]), str(error)) from None
-        if convert is not None:
-            self._merge.use_clock(convert)
-            self._converted = f"trajectory: {given} time converted to {wanted} time"
+        for given, (files, *span_s) in self._merge.standards().items():
+            try:
+                convert = clock(given, (span_s[0], span_s[1]), points.time_s, wanted)
+            except ValueError as error:
+                raise InputError(str(self._merge.paths[files[0]]), str(error)) from None
+            if convert is not None:
+                self._merge.use_clock(files, convert)
+                self._converted.append(f"trajectory: {given} time converted to {wanted} time")
 
     def _judge(self, nearness: "_Nearness | None") -> None:
         path, warnings = str(self._merge.paths[0]), list(dict.fromkeys(self._merge.warnings))
@@ -101,7 +101,7 @@ class Gathering:
             warnings.append(
                 f"trajectory: {self._merge.dropped} records repeat a time and were left out"
             )
-        warnings += [self._converted] if self._converted else []
+        warnings += self._converted
         if nearness is not None and self._points is not None:
             nearness.refuse_far(path)
             _refuse_apart(path, self.span_s, self._points.time_s)

@@ -18,7 +18,7 @@ from pyproj.exceptions import ProjError
 from spl_batch.errors import InputError
 from spl_batch.formats.crs import crs_name, crs_problems, horizontal, parse_crs
 from spl_batch.formats.declared import bounded, refuse_bomb
-from spl_batch.formats.gps_clock import LATEST_S, usable_times
+from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.las.header import open_input
 from spl_batch.formats.trajectory.sbet import SBET_SUFFIXES, read_sbet
 
@@ -30,6 +30,12 @@ SBET_CRS: Final = "EPSG:4979"
 
 BATCH_RECORDS: Final = 65_536
 """Records that are read at once, about [count]."""
+
+ASTRAY_S: Final = 366 * 86_400.0
+"""Times of a file lie within this of each other [s]."""
+
+FARTHEST_M: Final = 1e8
+"""No coordinate on Earth, in metres or degrees, is farther from zero."""
 
 _LAST_BYTES: Final = 4096
 """Bytes at the end of a file that hold its last two lines."""
@@ -69,8 +75,7 @@ def read_records(path: Path) -> Iterator[Records]:
     Raises
     ------
     InputError
-        If the file is missing or damaged, or has values that are not finite or times beyond
-        :data:`~spl_batch.formats.gps_clock.LATEST_S`.
+        If the file is missing or damaged, or has times or places that cannot be.
     """
     suffix = path.suffix.lower()
     if suffix in SBET_SUFFIXES:
@@ -79,9 +84,12 @@ def read_records(path: Path) -> Iterator[Records]:
         batches = _read_parquet(path)
     else:
         batches = _read_csv(path)
-    wrong, first, before = 0, 0, 0
+    wrong, first, before, middle = 0, 0, 0, None
     for time, position in batches:
-        bad = ~(usable_times(time) & np.isfinite(position).all(axis=1))
+        sound = usable_times(time) & (np.abs(position) <= FARTHEST_M).all(axis=1)
+        if middle is None and sound.any():
+            middle = float(np.median(time[sound]))
+        bad = ~(sound & (np.abs(time - (middle or 0.0)) <= ASTRAY_S))
         if bad.any():
             first = first if wrong else before + int(np.argmax(bad))
             wrong += int(np.count_nonzero(bad))
@@ -91,8 +99,9 @@ def read_records(path: Path) -> Iterator[Records]:
     if wrong:
         raise InputError(
             str(path),
-            f"{wrong} records have values that are not finite, or times beyond "
-            f"{LATEST_S:.0e} s; the first is record {first}: remove them",
+            f"{wrong} records have values that are not finite, times more than a year from the "
+            f"others, or places beyond {FARTHEST_M:.0e} m; the first is record {first}: remove "
+            "them",
         )
 
 

@@ -1,4 +1,4 @@
-"""Twelve kinds of exception in twelve places of a run: each is the failure of its place alone.
+"""Thirteen kinds of exception in as many places of a run: each is the failure of its place alone.
 
 But for the trajectory, on which all of a run rests: that ends it, in one line.
 """
@@ -6,6 +6,7 @@ But for the trajectory, on which all of a run rests: that ends it, in one line.
 import dataclasses
 import errno
 import json
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ class PanicException(BaseException):
 
 
 FAULTS: dict[str, BaseException] = {
+    "trajectory_file": struct.error("unpack requires a buffer of 8 bytes"),
     "index_file": PanicException("range end index 9 out of range for slice of length 3"),
     "trajectory": pa.ArrowInvalid("a page is cut off"),
     "gather": OverflowError("Python int too large to convert to C long"),
@@ -85,9 +87,10 @@ def failing(survey: Path, kind: str, patch: pytest.MonkeyPatch) -> None:
     ended = surveys.command("run", survey, "--workers", 0)
     assert met, f"{kind}: a task of this kind was done"
     assert max(map(len, ended.text.splitlines())) <= 300
-    if kind == "trajectory":  # the run rests on it
+    if kind in {"trajectory_file", "trajectory"}:  # there is one, and the run rests on it
         assert ended.status == 2
-        assert ended.err.splitlines()[-1].startswith("spl-batch: survey.trajectory: ArrowInvalid")
+        said = f"spl-batch: survey.trajectory: {type(FAULTS[kind]).__name__}: "
+        assert ended.err.splitlines()[-1].startswith(said)
         return
     assert ended.status == 1, ended.text
     report = json.loads((survey.parent / "out/report.json").read_text(encoding="utf-8"))

@@ -9,7 +9,7 @@ from pyproj import CRS
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.airborne.tasks.checkpoints import read_named
 from spl_batch.engine.plan.input_files import name_below
-from spl_batch.errors import grouped
+from spl_batch.errors import InputError, as_input_fault, grouped
 from spl_batch.formats.checkpoints import Checkpoint
 from spl_batch.formats.las.reader import LasFacts
 
@@ -19,6 +19,7 @@ class CheckpointFile(NamedTuple):
 
     path: Path
     name: str
+    fault: InputError | None = None  #: Why it cannot be used as a whole.
 
 
 def named_file(settings: ReferenceSettings | None, base: Path) -> CheckpointFile | None:
@@ -29,29 +30,28 @@ def named_file(settings: ReferenceSettings | None, base: Path) -> CheckpointFile
     return CheckpointFile(path, name_below(path, base))
 
 
-def remarks(
+def looked_into(
     file: CheckpointFile | None,
     crs: CRS | None,
     settings: ReferenceSettings | None,
     files: Sequence[LasFacts],
-) -> list[str]:
-    """What to say of checkpoints before the work starts.
+) -> tuple[CheckpointFile | None, list[str]]:
+    """The file with its fault, if it has one, and what to say of it before the work starts.
 
     ``files``: those of the survey; without any nothing is read.
-
-    Raises
-    ------
-    InputError
-        If the file as a whole cannot be used.
     """
     if file is None or not files:
-        return []
-    known, told = read_named(file.path, crs, settings)
+        return file, []
+    try:
+        with as_input_fault(file.path):
+            known, told = read_named(file.path, crs, settings)
+    except InputError as error:
+        return file._replace(fault=error), []
     boxes = [(facts.mins_m, facts.maxs_m) for facts in files if facts.n_points]
     within = [any(_inside(point, *box) for box in boxes) for point in known]
     if known and not any(within):
         told.append(_elsewhere(known, boxes))
-    return [f"{file.name}: {text}" for text in told]
+    return file, [f"{file.name}: {text}" for text in told]
 
 
 def _inside(point: Checkpoint, low_m: Sequence[float], high_m: Sequence[float]) -> bool:

@@ -7,6 +7,7 @@ and at both ends of each trajectory. Both refuse what shows there that nothing c
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +29,7 @@ from spl_batch.errors import (
     shared,
     told_together,
 )
-from spl_batch.formats.gps_clock import clock, time_standard, usable_times
+from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard, usable_times
 from spl_batch.formats.las.number_dimensions import Numbers
 from spl_batch.formats.las.reader import SAMPLE_POINTS, iter_points, read_ends
 from spl_batch.formats.trajectory.ends import ends
@@ -86,21 +87,28 @@ def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
     paths = {error.path for error in seen.unreadable}
     lost = [source.facts.n_points for source in held if str(source.path) in paths]
     found = FirstLook(
-        tuple(told_together(seen.unreadable)), unreadable=len(lost), unreadable_points=sum(lost)
+        tuple(told_together(seen.unreadable)),
+        unreadable=len(lost),
+        unreadable_points=sum(lost),
+        late=tuple(told_together(inputs.compared_in_vain)),
     )
     if workflow.filter.method == "none" and not workflow.afterpulse.enabled:
         return found
     formats = [source for source in held if not source.facts.has_gps_time]
     faults, warnings = _without_time(formats, seen, all_of_them=len(formats) == len(held))
     faults += _no_channels(held, seen, workflow)
-    apart, missed = _apart(seen.spans, inputs.trajectory, base)
+    spans, unread = _ends(inputs.trajectory)
+    apart, missed = _apart(seen.spans, spans, inputs.trajectory, base)
+    if unread and (apart or len(unread) == len(inputs.trajectory)):
+        apart = [*(f"survey.trajectory: {text}" for text in told_together(unread)), *apart]
     if faults or apart:
         reasons = told_together([*inputs.bad, *seen.unreadable])
         raise WorkflowError("; ".join((*reasons, *faults, *apart)))
     warnings += _few_channels(seen, workflow)
     warnings += unnamed_channels(seen.numbers, workflow.sensor)
     rows = (*_flightlines(seen, workflow), *_missing(inputs, workflow))
-    return found._replace(warnings=(*warnings, *missed), rows=rows)
+    told = (*found.faults, *told_together(unread))
+    return found._replace(faults=told, warnings=(*warnings, *missed), rows=rows)
 
 
 def _flightlines(seen: _Seen, workflow: Workflow) -> Iterator[tuple[str, str]]:
@@ -252,23 +260,25 @@ def _few_channels(seen: _Seen, workflow: Workflow) -> Iterator[str]:
     yield from shared(map(told, seen.few), "files")
 
 
-def _apart(
-    spans: dict[str, Span], trajectory: Sequence[Path], base: Path
-) -> tuple[list[str], list[str]]:
-    """Trajectories that cannot be read are a fault; files whose ends lie beside all are odd."""
-    faults: list[str] = []
-    known: list[Span] = []
+def _ends(trajectory: Sequence[Path]) -> tuple[list[Span | None], list[InputError]]:
+    """First and last times of the trajectories that can be read, and what is wrong with others."""
+    found: list[Span | None] = []
+    faults: list[InputError] = []
     for path in trajectory:
         try:
-            span = ends(path)
+            found.append(ends(path))
         except InputError as error:
-            faults.append(f"survey.trajectory: {error}")
-            continue
-        if span is None:
-            return faults, []
-        known.append(span)
-    if not known or not spans or faults:
-        return faults, []
+            faults.append(error)
+    return found, faults
+
+
+def _apart(
+    spans: dict[str, Span], ends_s: Sequence[Span | None], trajectory: Sequence[Path], base: Path
+) -> tuple[list[str], list[str]]:
+    """Faults where no file's ends lie in the time of a trajectory, else what is odd."""
+    known = [span for span in ends_s if span is not None]
+    if not known or not spans or len(known) < len(ends_s):
+        return [], []
     names = named([name_below(path, base) for path in trajectory], 3)
     try:
         known = in_time_of(list(spans.values()), known)
@@ -290,14 +300,23 @@ def _apart(
 
 
 def in_time_of(points: Sequence[Span], known: Sequence[Span]) -> list[Span]:
-    """Spans of trajectories in the time standard of the points."""
-    whole, own = (
-        (min(low for low, _ in spans), max(high for _, high in spans)) for spans in (points, known)
-    )
-    convert = clock(time_standard(np.array(own)), own, whole, time_standard(np.array(whole)))
-    if convert is None:
-        return list(known)
-    return [(float(low), float(high)) for low, high in (convert(np.array(k)) for k in known)]
+    """Spans of trajectories, in whatever standards, in that of the points; sorted by standard."""
+    whole = _whole(points)
+    found: list[Span] = []
+    for standard, spans in groupby(sorted(known, key=_standard), key=_standard):
+        own = list(spans)
+        convert = clock(standard, _whole(own), whole, _standard(whole))
+        moved = own if convert is None else [convert(np.array(span)) for span in own]
+        found += [(float(low), float(high)) for low, high in moved]
+    return found
+
+
+def _whole(spans: Sequence[Span]) -> Span:
+    return min(low for low, _ in spans), max(high for _, high in spans)
+
+
+def _standard(span: Span) -> TimeStandard:
+    return time_standard(np.array(span))
 
 
 def gap_s(span: Span, known: Sequence[Span]) -> float:

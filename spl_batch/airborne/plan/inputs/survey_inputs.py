@@ -16,6 +16,7 @@ from spl_batch.airborne.plan.inputs.file_positions import (
     far_positions,
     without_degrees,
 )
+from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles, checked_reference
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
 from spl_batch.engine.settings.mistaken_file import url_fault
@@ -26,8 +27,6 @@ from spl_batch.formats.crs import (
     crs_name,
     crs_problems,
     horizontal,
-    like_degrees,
-    look_like_degrees,
     parse_crs,
     same_crs,
     same_heights,
@@ -62,7 +61,7 @@ class Inputs:
     sources: tuple[Source, ...]  #: Point files that can be used, by name.
     bad: tuple[InputError, ...]  #: Point files that cannot.
     trajectory: tuple[Path, ...]  #: Files that exist.
-    reference: tuple[LasFacts, ...]  #: Files of reference points.
+    reference: ReferenceFiles  #: Files of reference points.
     crs: CRS | None
     warnings: tuple[str, ...]  #: What a user should know before the work starts.
     #: Key and checksum of each polygon file, or of all the files that it is made of.
@@ -70,6 +69,12 @@ class Inputs:
     checkpoints: CheckpointFile | None = None  #: Checkpoints of a field survey.
     breaklines: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the file of breaklines.
     geoid: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the grid of the geoid.
+
+    @property
+    def compared_in_vain(self) -> tuple[InputError, ...]:
+        """Files of reference points or checkpoints that cannot be used."""
+        fault = self.checkpoints.fault if self.checkpoints else None
+        return (*self.reference.bad, *([fault] if fault else []))
 
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
@@ -119,7 +124,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     warnings += shared(said, "files")
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed)]
-    warnings += checkpoint_file.remarks(checkpoints, crs, workflow.reference, good)
+    checkpoints, told = checkpoint_file.looked_into(checkpoints, crs, workflow.reference, good)
+    warnings += told
     if crs is None and good:
         warnings.append(
             "no input file carries a CRS and survey.crs is not set: rasters will have none"
@@ -135,7 +141,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         tuple(sorted(sources, key=lambda s: s.name)),
         (*bad, *without_channel, *mismatched),
         trajectory,
-        _checked_reference(reference, workflow, crs, mismatched),
+        checked_reference(reference, workflow.reference, crs, mismatched),
         crs,
         tuple(warnings),
         tuple(_checksums(base, {"aoi": workflow.aoi, "water": workflow.water})),
@@ -310,43 +316,6 @@ def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
     if crs is None or not facts.n_points:
         return []
     return list(crs_problems(crs, facts.mins_m, facts.maxs_m))
-
-
-def _checked_reference(
-    paths: Iterable[Path], workflow: Workflow, crs: CRS | None, others: Sequence[InputError]
-) -> tuple[LasFacts, ...]:
-    """Facts of reference files, all of which are in the survey's CRS.
-
-    Where files of the survey are in another one themselves, any of them may be the wrong one.
-    """
-    stated = workflow.reference.crs if workflow.reference else None
-    given = None if stated is None else parse_crs(stated, "reference.crs")
-    faults: list[Said] = []
-    usable: list[LasFacts] = []
-    for path in paths:
-        try:
-            usable.append(inspect(path))
-        except InputError as error:
-            faults.append(Said(error.path, "; ".join(error.faults)))
-            continue
-        last = usable[-1]
-        found = last.crs or given
-        if found is None and last.n_points and look_like_degrees(last.mins_m, last.maxs_m):
-            corners = [last.mins_m, last.maxs_m]
-            faults.append(Said(str(path), like_degrees(corners, "reference.crs")))
-        if crs is not None and found is not None and not same_crs(found, crs):
-            remedy = "reproject it"
-            if others:
-                remedy = (
-                    f"nor is that of {named([error.path for error in others], 3)}: most points are "
-                    "in the survey's, reproject what is wrong"
-                )
-            text = f"CRS {found.name!r} is not the survey's {crs.name!r}; {remedy}"
-            faults.append(Said(str(path), text))
-    if faults:
-        told = (f"reference.points: {text}" for text in shared(faults, "files"))
-        raise WorkflowError("; ".join(told))
-    return tuple(usable)
 
 
 def _delivered_names(paths: Sequence[Path], base: Path) -> list[str]:

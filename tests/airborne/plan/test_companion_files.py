@@ -1,0 +1,156 @@
+"""A damaged trajectory, reference or checkpoint file fails alone; the survey is delivered."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spl_batch.airborne.tasks.index import check_file
+from spl_batch.errors import InputError
+from spl_batch.formats.trajectory.positions import PointExtent, gathering
+from tests import surveys
+
+HEAD = "gps_time,x,y,z\n"
+
+
+@pytest.fixture
+def survey(tmp_path: Path) -> Path:
+    """Two flightlines with a trajectory file each, two reference files, checkpoints."""
+    folder = tmp_path
+    surveys.small_survey(folder)
+    start = surveys.START_S
+    surveys.write_trajectory(folder / "flight_1.csv", start_s=start - 1, stop_s=start + 2)
+    surveys.write_trajectory(folder / "flight_2.csv", start_s=start + 2.5)
+    for k in (1, 2):
+        known = surveys.flightline(shots=120, seed=k, noise=0.0)
+        known["classification"][:] = 2
+        surveys.write_cloud(folder / "known" / f"known_{k}.laz", known)
+    east, north = surveys.ORIGIN_M
+    (folder / "points.csv").write_text(
+        f"id,x,y,z,surface,accuracy_m\nA,{east + 3},{north},20.1,open,0.01\n"
+    )
+    return surveys.write_workflow(
+        folder,
+        survey={"trajectory": "flight_*.csv"},
+        reference={"points": "known/*.laz", "checkpoints": "points.csv"},
+    )
+
+
+def run(survey: Path) -> surveys.Ended:
+    return surveys.command("run", survey, "--workers", 0)
+
+
+def failures(survey: Path) -> dict[str, str]:
+    """Names of the files that failed, and why."""
+    report = json.loads((survey.parent / "out/report.json").read_text(encoding="utf-8"))
+    return {Path(one["place"]).name: one["reason"] for one in report["failures"]}
+
+
+def test_each_fails_alone_and_is_done_when_it_is_mended(survey: Path) -> None:
+    folder = survey.parent
+    harmed = [folder / name for name in ("flight_2.csv", "known/known_2.laz", "points.csv")]
+    sound = [path.read_bytes() for path in harmed]
+    harmed[0].write_bytes(sound[0].replace(b"600.0000\n", b"nan\n", 1))
+    harmed[1].write_bytes(sound[1][:200])
+    harmed[2].write_bytes(b"name;east\n")
+    planned = surveys.command("plan", survey)
+    assert planned.status == 1, planned.text
+    flat = " ".join(planned.text.split())
+    assert "known_2.laz" in flat
+    assert "points.csv: lacks the columns" in flat
+    ended = run(survey)
+    assert ended.status == 1, ended.text
+    assert "failed: trajectory file flight_2.csv: " in ended.err
+    assert "failed: reference known_2.laz: " in ended.err
+    assert "mend or remove it" in ended.out
+    told = failures(survey)
+    assert told.keys() == {path.name for path in harmed}
+    assert "1 records have values that are not finite" in told["flight_2.csv"]
+    # It is told at the start, not only hours later when the reference is read.
+    lines = ended.err.splitlines()
+    assert next(k for k, line in enumerate(lines) if "known_2.laz" in line) < next(
+        k for k, line in enumerate(lines) if "flight_2.csv" in line
+    )
+    first, second = (
+        columns["noise_class"] for columns in surveys.delivered(folder / "out").values()
+    )
+    assert (first != 255).all()
+    assert (second == 255).all()
+    report = json.loads((folder / "out/report.json").read_text(encoding="utf-8"))
+    assert report["accuracy"]["reference_points"] > 0
+    for path, content in zip(harmed, sound, strict=True):
+        path.write_bytes(content)
+    ended = run(survey)
+    assert ended.status == 0, ended.text
+    _, second = (columns["noise_class"] for columns in surveys.delivered(folder / "out").values())
+    assert (second != 255).all()
+    assert failures(survey) == {}
+
+
+def test_where_no_trajectory_is_sound_nothing_is_started(survey: Path) -> None:
+    for k in (1, 2):
+        (survey.parent / f"flight_{k}.csv").write_text("time,x\n1,2\n")
+    for ended in (surveys.command("plan", survey), run(survey)):
+        assert ended.status == 2, ended.text
+        assert "flight_1.csv" in ended.text
+        assert "flight_2.csv" in ended.text
+    assert not (survey.parent / "out").exists()
+
+
+def test_of_two_trajectories_plan_names_the_unreadable_one(survey: Path) -> None:
+    (survey.parent / "flight_2.csv").write_text("time,x\n1,2\n")
+    ended = surveys.command("plan", survey)
+    assert ended.status == 1, ended.text
+    assert "flight_2.csv: has no column gps_time, y, z" in " ".join(ended.text.split())
+
+
+def text(rows: list[str]) -> bytes:
+    return (HEAD + "".join(f"{row}\n" for row in rows)).encode()
+
+
+ROWS = [f"{surveys.START_S + k / 10:.4f},272000,3290000,600" for k in range(100)]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda rows: [*rows, "1e300,1,2,3"], "1 records have values"),
+        (lambda rows: ["nan,1,2,3", *rows], "the first is record 0"),
+        (lambda rows: [*rows, f"{surveys.START_S + 11},1e300,2,3"], "the first is record 100"),
+        # A bit of a time has flipped: finite, but of another decade.
+        (lambda rows: [*rows, "9.5e9,272000,3290000,600"], "1 records have values"),
+        (lambda _: [], "is not a CSV trajectory: Empty CSV file"),
+        (lambda rows: [*rows, "a,b,c,d"], "is not a CSV trajectory"),
+    ],
+)
+def test_records_that_cannot_be(
+    tmp_path: Path, spoil: Callable[[list[str]], list[str]], words: str
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes(text(spoil(ROWS)))
+    with pytest.raises(InputError, match=words):
+        check_file(path, None, None)
+
+
+def test_records_that_can_be(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes(text(ROWS))
+    assert check_file(path, None, None) == len(ROWS)
+
+
+def test_files_keep_their_own_clock(tmp_path: Path) -> None:
+    """Seconds of the week in one file do not change what those of another mean."""
+    start = surveys.START_S
+    surveys.write_trajectory(tmp_path / "a.csv", start_s=start, stop_s=start + 5)
+    week = (start + 1e9) % 604_800
+    back = surveys.SPEED_M_S * (start - week)
+    surveys.write_trajectory(tmp_path / "b.csv", start_s=week + 5, stop_s=week + 10, shift_m=back)
+    points = PointExtent((start, start + 9), (272_000.0, 3_290_000.0, 273_000.0, 3_291_000.0))
+    paths = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    with gathering(paths, survey_crs=None, trajectory_crs=None, points=points) as found:
+        times = np.concatenate([time for time, _ in found])
+    assert times[0] == pytest.approx(start)
+    assert times[-1] == pytest.approx(start + 9.9)
+    assert found.warnings == ("trajectory: week time converted to adjusted time",)
