@@ -23,7 +23,7 @@ from spl_batch.airborne.ground.ground_seeds import (
     supported,
 )
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.multiscale.masks import Strip, multiscale_masks
+from spl_batch.airborne.ground.multiscale.masks import Strip, multiscale_mask, multiscale_masks
 from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M, evidence, reckoned_m
 from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
@@ -61,6 +61,26 @@ class Points(NamedTuple):
     z: Float
 
 
+class Cloud(NamedTuple):
+    """Points of a ground cell.
+
+    Parameters
+    ----------
+    points : Points
+        All of them.
+    own, asked : (n,) bool
+        Which are evidence, and which are to be told.
+    """
+
+    points: Points
+    own: NDArray[np.bool_]
+    asked: NDArray[np.bool_]
+
+    def some(self, chosen: NDArray[np.bool_]) -> Points:
+        """Chosen points; no copy where all are."""
+        return self.points if chosen.all() else Points(*(v[chosen] for v in self.points))
+
+
 def ground_mask(
     table: PointTable,
     usable: NDArray[np.bool_],
@@ -95,9 +115,9 @@ def ground_mask(
         own = usable
     told = usable if asked is None else usable & asked
     if told.any():
-        evidence = _metres(table, own)
-        places = evidence if np.array_equal(own, told) else _metres(table, told)
-        mask[told] = METHODS[settings.method](evidence, places, settings, _told_m(table, own))
+        used = own | told
+        cloud = Cloud(_metres(table, used), own[used], told[used])
+        mask[told] = METHODS[settings.method](cloud, settings, _told_m(table, own))
     return mask
 
 
@@ -306,18 +326,28 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
     return np.sqrt(squared)
 
 
-def _multiscale(own: Points, asked: Points, _: GroundSettings, told_m: float) -> NDArray[np.bool_]:
+def _multiscale(cloud: Cloud, _: GroundSettings, told_m: float) -> NDArray[np.bool_]:
     """By a surface whose scale follows the data."""
-    sigma_m = reckoned_m(told_m, evidence(*own)) if told_m > SIGMA_M else SIGMA_M
-    return next(multiscale_masks(lambda: (Strip(own, asked),), sigma_m))[1]
+    sigma_m = SIGMA_M
+    if told_m > SIGMA_M:
+        sigma_m = reckoned_m(told_m, evidence(*cloud.some(cloud.own)))
+    return multiscale_mask(*cloud, sigma_m)
 
 
-Method = Callable[[Points, Points, GroundSettings, float], NDArray[np.bool_]]
+def _by_ptd(cloud: Cloud, settings: GroundSettings, _: float) -> NDArray[np.bool_]:
+    return ptd_mask(cloud.some(cloud.own), cloud.some(cloud.asked), settings.ptd)
+
+
+def _by_smrf(cloud: Cloud, settings: GroundSettings, _: float) -> NDArray[np.bool_]:
+    return smrf_mask(cloud.some(cloud.own), cloud.some(cloud.asked), settings.smrf)
+
+
+Method = Callable[[Cloud, GroundSettings, float], NDArray[np.bool_]]
 
 METHODS: Final[Mapping[str, Method]] = {
     "multiscale": _multiscale,
-    "ptd": lambda own, asked, settings, _: ptd_mask(own, asked, settings.ptd),
-    "smrf": lambda own, asked, settings, _: smrf_mask(own, asked, settings.smrf),
+    "ptd": _by_ptd,
+    "smrf": _by_smrf,
 }
-"""Methods by their names in the settings: what is evidence, what is asked, settings, ranging
-spread that is told, or 0 [m] -> ground."""
+"""Methods by their names in the settings: points, settings, ranging spread that is told, or 0 [m]
+-> which of those asked are ground."""

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.multiscale_surface import WINDOW_M
-from spl_batch.airborne.ground.node_grids import nearest_node
 from spl_batch.airborne.ground.point_spacing import in_squares, spacing_at_m
 from spl_batch.airborne.ground.steep_ground import (
     BARRED,
@@ -78,7 +77,7 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 
-def levelled(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
+def levelled(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) -> Mask:
     """Ground nodes, and those of a grid that go on from them at their height: (n,) bool.
 
     Parameters
@@ -88,6 +87,8 @@ def levelled(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
     grid : (rows, columns) int64
         A node for each cell, or -1, as :func:`~spl_batch.airborne.ground.node_grids.lowest_nodes`
         finds them.
+    nearest : (rows, columns) int64
+        That of the nearest cell with one.
     ground : (n,) bool
         Nodes of the ground.
     cell_m : float
@@ -103,7 +104,7 @@ def levelled(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
     state[standing(xyz, grid, ground, cell_m)] = BARRED
     near = np.maximum(NEXT * spacing, EDGE_M)
     other = state == OTHER
-    state[other & ~edges(xyz[nearest_node(grid), 2], other, cell_m)] = BARRED
+    state[other & ~edges(xyz[nearest, 2], other, cell_m)] = BARRED
     state[(state == GROUND) & (_hanging(xyz, grid, state == GROUND, near, cell_m) < ISLAND)] = (
         BARRED
     )
@@ -212,24 +213,25 @@ def _count_hanging(
     """Fill with the size of what each cell hangs together with."""
     rows, columns = grid.shape
     queue = np.empty(rows * columns, dtype=np.int64)
+    open_ = ground.copy()
     for first in range(rows * columns):
-        if not ground[first // columns, first % columns] or out[first // columns, first % columns]:
+        if not open_[first // columns, first % columns]:
             continue
         queue[0], held, done = first, 1, 0
-        out[first // columns, first % columns] = 1
+        open_[first // columns, first % columns] = False
         while done < held:
             row, column = queue[done] // columns, queue[done] % columns
             done += 1
             i, far = grid[row, column], reach[row, column]
             for r in range(max(row - far, 0), min(row + far + 1, rows)):
                 for c in range(max(column - far, 0), min(column + far + 1, columns)):
-                    if not ground[r, c] or out[r, c]:
+                    if not open_[r, c]:
                         continue
                     j = grid[r, c]
                     away = np.hypot(xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1])
                     step = STEP_M + STEP_SLOPE * away
                     if away <= near[row, column] and abs(xyz[j, 2] - xyz[i, 2]) <= step:
-                        out[r, c] = 1
+                        open_[r, c] = False
                         queue[held] = r * columns + c
                         held += 1
         for k in range(held):

@@ -29,7 +29,7 @@ from scipy import ndimage, special
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
-from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node, plane_heights
+from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.ground.point_spacing import Squares
 from spl_batch.airborne.ground.smrf import object_cells
 
@@ -265,7 +265,9 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
     return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]), MOST)
 
 
-def ground_nodes(xyz: Float, chosen: Mask, cell_m: float = CELL_M) -> Mask:
+def ground_nodes(
+    xyz: Float, chosen: Mask, grid: Index, nearest: Index, cell_m: float = CELL_M
+) -> Mask:
     """Chosen nodes that are on no object: (n,) bool.
 
     Parameters
@@ -274,11 +276,11 @@ def ground_nodes(xyz: Float, chosen: Mask, cell_m: float = CELL_M) -> Mask:
         Nodes [m].
     chosen : (n,) bool
         Nodes that the surface is made of; at least one.
+    grid, nearest : (rows, columns) int64
+        Theirs in each cell, or -1, and that of the nearest cell with one.
     cell_m : float
         Edge of the cells that the opening runs on [m].
     """
-    grid = lowest_nodes(xyz, chosen, cell_m)
-    nearest = nearest_node(grid)
     raised = _raised(xyz[nearest, 2], cell_m)
     level = grid[(grid >= 0) & ~raised]
     if not len(level):

@@ -136,10 +136,13 @@ def _below(height: NDArray[np.float64], firm: NDArray[np.int64], z: float, share
     pairs = len(height)
     if pairs < _ENOUGH:
         return False
-    order = order_of(height)
-    own = 0
+    own = higher = 0
     for h in height:
         own += abs(h - z) <= _OWN_M
+        higher += h > z + _DEPTH_M
+    if higher < max(_ENOUGH, _OUTVOTE * own):
+        return False
+    order = order_of(height)
     end = ends = 0
     for first in range(pairs):
         low = height[order[first]]

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.triangulation.delaunay import along_curve, empty_mesh, finite, insert
-from spl_batch.numerics.triangulation.tin import Tin, locate_one, tin_of
+from spl_batch.numerics.triangulation.tin import Tin, first_of, locate_one, tin_of
 
 _ROUNDS = 60
 """Rounds after which densification stops anyway; ten to twenty are usual [count]."""
@@ -309,6 +309,7 @@ def _heights_above(
         if found < 0:
             distance[i], edge[i] = np.nan, np.nan
             continue
+        found = first_of(xyz, facets, neighbours, x[i], y[i], found)
         first = facets[found, 0]
         east, north = planes[found, 0], planes[found, 1]
         rise = east * (x[i] - xyz[first, 0])

@@ -21,7 +21,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
@@ -110,67 +109,85 @@ def standing(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
     xyz, grid, ground, cell_m
         As :func:`continued` has them.
     """
-    held = grid >= 0
-    nodes = grid[held]
-    x, y, z = xyz[nodes].T
     stands = np.zeros(grid.shape, dtype=np.bool_)
     if not ground.any():
         return stands
+    nodes = grid[grid >= 0]
+    x, y = (xyz[nodes, axis] for axis in (0, 1))
     trend = fit_trend(xyz[ground], x, y)
+    above, aside = np.full(len(xyz), np.nan), np.zeros((len(xyz), 2))
+    above[nodes] = xyz[nodes, 2] - trend_at(trend, x, y)
+    some = above[nodes] > EAVE_M / 2
+    nodes, x, y = nodes[some], x[some], y[some]
     north, east = (
         trend_at(Trend(np.gradient(trend.height, TREND_M, axis=axis), *trend[1:]), x, y)
         for axis in (0, 1)
     )
-    above, height = np.full((2, *grid.shape), np.nan)
-    above[held], height[held] = z - trend_at(trend, x, y), z
-    aside = np.zeros((*grid.shape, 2))
     steep = np.hypot(north, east)
-    # Across a crest that is cut off the trend is that between its rims, and tells no contour.
-    known = np.zeros(grid.shape, dtype=np.bool_)
-    known[held] = ground[nodes]
-    near = ndimage.distance_transform_edt(~known) * cell_m <= REACH_M
-    tilted = (steep > TILT) & near[held]
-    along = np.column_stack([-east, north])[tilted] / steep[tilted, None]
-    aside[np.nonzero(held)[0][tilted], np.nonzero(held)[1][tilted]] = along
-    _stand(above, height, aside, cell_m, stands)
+    tilted = steep > TILT
+    aside[nodes[tilted]] = np.column_stack([-east, north])[tilted] / steep[tilted, None]
+    _stand(xyz, grid, ground, above, aside, cell_m, stands)
     return stands
 
 
 @njit()
-def _stand(above: Float, height: Float, aside: Float, cell_m: float, out: Mask) -> None:
+def _stand(
+    xyz: Float, grid: Index, ground: Mask, above: Float, aside: Float, cell_m: float, out: Mask
+) -> None:
     """Cells between two steps; ``aside`` is along the contour to north and east, or zero."""
-    rows, columns = above.shape
+    rows, columns = grid.shape
     for r in range(rows):
         for c in range(columns):
-            north, east = aside[r, c]
-            # Where there is no node the height is NaN.
-            if above[r, c] > EAVE_M / 2 and (north != 0.0 or east != 0.0):
-                one = _fall_m(above, height, r, c, north, east, cell_m)
-                other = _fall_m(above, height, r, c, -north, -east, cell_m)
+            i = grid[r, c]
+            if i < 0:
+                continue
+            north, east = aside[i]
+            if north == 0.0 and east == 0.0:
+                continue
+            # Across a crest that is cut off the trend is that between its rims: no contour.
+            if _is_near(grid, ground, r, c, cell_m):
+                one = _fall_m(xyz, grid, above, r, c, north, east, cell_m)
+                other = _fall_m(xyz, grid, above, r, c, -north, -east, cell_m)
                 out[r, c] = min(one, other) > 0.0 and min(one, other) < CLIFF_M
 
 
 @njit()
+def _is_near(grid: Index, ground: Mask, row: int, column: int, cell_m: float) -> bool:
+    """Whether a cell with ground is within reach."""
+    rows, columns = grid.shape
+    reach = int(REACH_M / cell_m)
+    for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+        for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
+            away = np.sqrt((r - row) ** 2 + (c - column) ** 2) * cell_m
+            if grid[r, c] >= 0 and ground[grid[r, c]] and away <= REACH_M:
+                return True
+    return False
+
+
+@njit()
 def _fall_m(
-    above: Float, height: Float, row: int, column: int, north: float, east: float, cell_m: float
-) -> float:
+    xyz: Float, grid: Index, above: Float, row: int, column: int, north: float, east: float,
+    cell_m: float,
+) -> float:  # fmt: skip
     """How far below a cell the surface lies where it falls by a step on the way; 0 if nowhere."""
-    rows, columns = above.shape
-    top, at, fall_m = above[row, column], 0, 0.0
+    rows, columns = grid.shape
+    top, at, fall_m = above[grid[row, column]], 0, 0.0
+    height = xyz[grid[row, column], 2]
     edge, last = round(EDGE_M / cell_m), top
     end = round(ASIDE_M / cell_m)
     for step in range(1, round((ASIDE_M + EDGE_M) / cell_m) + 1):
         r, c = int(np.rint(row + step * north)), int(np.rint(column + step * east))
         if step > end or r < 0 or c < 0 or r >= rows or c >= columns:
             break
-        if np.isnan(above[r, c]):
+        i = grid[r, c]
+        if i < 0:
             continue
-        if above[r, c] <= min(top, last) - EAVE_M and step - at <= edge and fall_m == 0.0:
+        if above[i] <= min(top, last) - EAVE_M and step - at <= edge and fall_m == 0.0:
             end = step + edge  # a node half-way down is not the foot yet
-            fall_m = max(height[row, column] - height[r, c], EAVE_M)
+            fall_m = max(height - xyz[i, 2], EAVE_M)
         elif fall_m > 0.0:
-            fall_m = max(fall_m, height[row, column] - height[r, c])
-        last, at = above[r, c], step
+            fall_m = max(fall_m, height - xyz[i, 2])
+        last, at = above[i], step
     return fall_m
 
 

@@ -19,6 +19,9 @@ OUTSIDE = -1
 _EDGE_SLACK = 1e-12
 """Barycentric weight below zero that still counts as on the edge."""
 
+_NEAR = 1e-6
+"""Barycentric weight below which the triangle across an edge is asked as well."""
+
 
 class Tin(NamedTuple):
     """Triangulated irregular network."""
@@ -93,32 +96,22 @@ def _side(ax: float, ay: float, bx: float, by: float, px: float, py: float) -> f
     return (bx - ax) * (py - ay) - (by - ay) * (px - ax)
 
 
-@njit()
-def _crossing(
-    xyz: NDArray[np.float64], facet: NDArray[np.int32], px: float, py: float, first: int
-) -> int:
-    """Corner whose opposite edge has p on its far side; -1 where the triangle holds p.
+@njit(inline="always")
+def _weights(
+    xyz: NDArray[np.float64], facets: NDArray[np.int32], t: int, px: float, py: float
+) -> tuple[float, float, float]:
+    """Twice the signed area of p and the edge across from each corner; they add up to that of all.
 
-    Looking at the edges from a rotating first one keeps a walk over cocircular
-    vertices from going round for ever.
+    The two triangles at an edge see it with opposite signs, to the last bit.
     """
-    area = _side(
-        xyz[facet[0], 0],
-        xyz[facet[0], 1],
-        xyz[facet[1], 0],
-        xyz[facet[1], 1],
-        xyz[facet[2], 0],
-        xyz[facet[2], 1],
-    )
-    for turn in range(3):
-        k = (first + turn) % 3
-        a, b = facet[(k + 1) % 3], facet[(k + 2) % 3]
-        if _side(xyz[a, 0], xyz[a, 1], xyz[b, 0], xyz[b, 1], px, py) < -_EDGE_SLACK * area:
-            return k
-    return -1
+    i, j, k = facets[t, 0], facets[t, 1], facets[t, 2]
+    ax, ay = xyz[i, 0] - px, xyz[i, 1] - py
+    bx, by = xyz[j, 0] - px, xyz[j, 1] - py
+    cx, cy = xyz[k, 0] - px, xyz[k, 1] - py
+    return bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx
 
 
-@njit()
+@njit(inline="always")
 def locate_one(
     xyz: NDArray[np.float64],
     facets: NDArray[np.int32],
@@ -143,17 +136,89 @@ def locate_one(
     """
     t = start
     for step in range(len(facets) + 16):
-        k = _crossing(xyz, facets[t], px, py, step)
-        if k < 0:
+        one, two, three = _weights(xyz, facets, t, px, py)
+        least = -_EDGE_SLACK * (one + two + three)
+        if one >= least and two >= least and three >= least:
             return t, t
+        # From a rotating first edge: over cocircular vertices a walk might go round for ever.
+        if step & 1:
+            k = 0 if one < least else (1 if two < least else 2)
+        else:
+            k = 2 if three < least else (1 if two < least else 0)
         beyond = neighbours[t, k]
         if beyond < 0:
             return OUTSIDE, t
         t = beyond
     for t in range(len(facets)):  # a walk that rounding kept going round: look everywhere
-        if _crossing(xyz, facets[t], px, py, 0) < 0:
+        if _holds(xyz, facets, t, px, py):
             return t, t
     return OUTSIDE, start
+
+
+@njit(inline="always")
+def _holds(
+    xyz: NDArray[np.float64], facets: NDArray[np.int32], t: int, px: float, py: float
+) -> bool:
+    """Whether a triangle or its edges hold p."""
+    one, two, three = _weights(xyz, facets, t, px, py)
+    return min(one, two, three) >= -_EDGE_SLACK * (one + two + three)
+
+
+@njit(inline="always")
+def first_of(
+    xyz: NDArray[np.float64],
+    facets: NDArray[np.int32],
+    neighbours: NDArray[np.int32],
+    px: float,
+    py: float,
+    found: int,
+) -> int:
+    """Triangle of the lowest number among those that hold a place.
+
+    A walk ends in any of them where the place lies on an edge or a corner, which depends on where
+    it began.
+
+    Parameters
+    ----------
+    px, py : float
+        Place [m].
+    found : int
+        One of the triangles, by :func:`locate_one`.
+    """
+    one, two, three = _weights(xyz, facets, found, px, py)
+    near = _NEAR * (one + two + three)
+    first = found
+    if one <= near or two <= near or three <= near:
+        first = _first_around(xyz, facets, neighbours, px, py, found)
+    return first
+
+
+@njit()
+def _first_around(
+    xyz: NDArray[np.float64],
+    facets: NDArray[np.int32],
+    neighbours: NDArray[np.int32],
+    px: float,
+    py: float,
+    found: int,
+) -> int:
+    """The same for a place that lies near an edge."""
+    first = found
+    for k in range(3):
+        # From triangle to triangle around the corner that the place is at, or over one edge.
+        came, here, towards = OUTSIDE, found, k
+        for _ in range(len(facets)):
+            weights = _weights(xyz, facets, here, px, py)
+            near = _NEAR * (weights[0] + weights[1] + weights[2])
+            beyond = OUTSIDE
+            for m in range(3):
+                if neighbours[here, m] != came and weights[m] <= near and towards in (m, -1):
+                    beyond = neighbours[here, m]
+            if beyond < 0 or beyond == found or not _holds(xyz, facets, beyond, px, py):
+                break
+            first = min(first, beyond)
+            came, here, towards = here, beyond, -1
+    return first
 
 
 @njit()
@@ -251,7 +316,8 @@ def heights_and_slopes(
     Returns
     -------
     (2, n) float64
-        Height [m], and slope by the mean of the three vertices around [rise/run]; NaN outside.
+        Height [m], and slope by the mean of the three vertices around [rise/run]; NaN outside. They
+        do not depend on the order.
     """
     out = np.full((2, len(x)), np.nan)
     _heights_and_slopes(
@@ -277,7 +343,8 @@ def _heights_and_slopes(
     for i in order:
         t, last = locate_one(xyz, facets, neighbours, x[i], y[i], last)
         if t >= 0:
-            a, b, c = facets[t]
+            t = first_of(xyz, facets, neighbours, x[i], y[i], t)
+            a, b, c = facets[t, 0], facets[t, 1], facets[t, 2]
             rise = planes[t, 0] * (x[i] - xyz[a, 0]) + planes[t, 1] * (y[i] - xyz[a, 1])
             height[i] = planes[t, 2] + rise
             east = slopes[a, 0] + slopes[b, 0] + slopes[c, 0]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -113,6 +113,24 @@ def test_unusable_points_neither_count_nor_change_anything(method: str) -> None:
         points.take(usable), np.ones(int(usable.sum()), dtype=bool), GroundSettings(method=method)
     )
     assert np.array_equal(found[usable], alone)
+
+
+def lattice(step_m: float, edge_m: float) -> tuple[NDArray[np.float64], ...]:
+    """Terraces under plants, on a lattice: places lie on edges of triangles and on vertices."""
+    x, y = (v.ravel() for v in np.meshgrid(*[np.arange(0.0, edge_m, step_m)] * 2))
+    plants = np.random.default_rng(1).integers(0, 60, len(x)) * 0.02
+    z = 2.0 * np.floor(x / 8.0)
+    return np.tile(x, 2), np.tile(y, 2), np.append(z, z + plants)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 1000))
+@example(seed=1)
+def test_the_order_of_the_points_changes_nothing(method: str, seed: int) -> None:
+    points = table(*lattice(0.5, 24.0))
+    turned = np.random.default_rng(seed).permutation(len(points))
+    assert np.array_equal(ground(points.take(turned), method), ground(points, method)[turned])
 
 
 @pytest.mark.parametrize("method", METHODS)

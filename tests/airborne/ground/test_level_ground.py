@@ -72,7 +72,7 @@ def terraces(seed: int) -> tuple[Float, NDArray[np.int64], Mask]:
 @pytest.mark.parametrize("seed", range(2))
 def test_nodes_that_level_ground_goes_on_to_are_those_of_a_slow_twin(seed: int) -> None:
     xyz, grid, ground = terraces(seed)
-    found = levelled(xyz, grid, ground, 1.0)
+    found = levelled(xyz, grid, nearest_node(grid), ground, 1.0)
     assert np.array_equal(found, _levelled(xyz, grid, ground))
     assert found.sum() > ground.sum() + 25
 
@@ -84,7 +84,7 @@ def test_nothing_grows_from_a_few_nodes_on_a_roof() -> None:
     assert FEWEST < len(few) < ISLAND
     ground = ~upper
     ground[few] = True
-    assert not levelled(xyz, grid, ground, 1.0)[upper].sum() > len(few)
+    assert not levelled(xyz, grid, nearest_node(grid), ground, 1.0)[upper].sum() > len(few)
 
 
 def test_a_rim_is_an_edge_and_neither_a_deck_nor_a_plain_is() -> None:

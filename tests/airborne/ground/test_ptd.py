@@ -11,9 +11,11 @@ from spl_batch.airborne.ground.ptd import Limits, densify, facet_fit, heights_ab
 from spl_batch.numerics.cell_groups import chosen_places, group_by_cell
 from spl_batch.numerics.triangulation.tin import (
     OUTSIDE,
+    first_of,
     heights_and_slopes,
     interpolate,
     locate,
+    locate_one,
     triangulate,
     vertex_slopes,
 )
@@ -85,6 +87,22 @@ def test_slopes_are_means_by_area_of_the_triangles_around() -> None:
     corners = Delaunay(xyz[:, :2]).simplices[facet[inside]]
     expected = np.hypot(*slopes[corners].mean(axis=1).T)
     np.testing.assert_allclose(slope[inside], expected, atol=1e-9)
+
+
+def test_of_the_triangles_that_hold_a_place_the_first_is_found_from_anywhere() -> None:
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(6.0), np.arange(6.0)))
+    tin = triangulate(np.column_stack([x, y, x]))
+    assert tin is not None
+    corners = tin.xyz[tin.facets, :2]
+    for px, py in np.stack(np.meshgrid(np.arange(11), np.arange(11)), axis=-1).reshape(-1, 2) / 2:
+        ahead = np.roll(corners, -1, axis=1) - corners
+        towards = np.array([px, py]) - corners
+        left = ahead[..., 0] * towards[..., 1] - ahead[..., 1] * towards[..., 0]
+        holds = (left >= 0).all(axis=1)
+        for start in range(0, len(corners), 7):
+            found, _ = locate_one(tin.xyz, tin.facets, tin.neighbours, px, py, start)
+            first = first_of(tin.xyz, tin.facets, tin.neighbours, px, py, found)
+            assert first == np.flatnonzero(holds)[0]
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,11 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import (
     SIGMA_M,
     STEEP,
     evidence,
+    off_planes,
     reckoned_m,
     steep_blocks,
 )
+from spl_batch.numerics.cell_groups import group_by_cell
 
 Float = NDArray[np.float64]
 
@@ -39,6 +41,25 @@ def test_bare_cells_tell_what_ranges_scatter(
     assert reckoned_m(0.05, counts) == pytest.approx(found, rel=0.12)
     assert reckoned_m(0.15, counts) == 0.15
     assert reckoned_m(0.0, counts) == reckoned_m(0.02, counts) == SIGMA_M
+
+
+def test_scatter_about_planes_is_that_of_least_squares_in_any_order() -> None:
+    rng = np.random.default_rng(3)
+    places = np.rint(1000 * np.column_stack([rng.uniform(3e5, 3e5 + 4, (2, 400)).T,
+                                             rng.normal(700, 0.2, 400)])) / 1000  # fmt: skip
+    found = {}
+    for turn in (np.arange(400), rng.permutation(400)):
+        x, y, z = places[turn].T.copy()
+        cells = group_by_cell(x, y, 1.0)
+        found[len(found)] = off_planes(x, y, z, cells, 20)
+        for cell, square in enumerate(found[0]):
+            of = cells.order[cells.start[cell] : cells.start[cell + 1]]
+            design = np.column_stack([np.ones(len(of)), x[of] - 3e5, y[of] - 3e5])
+            rest = z[of] - design @ np.linalg.lstsq(design, z[of], rcond=None)[0]
+            expected = np.mean(rest**2) if len(of) >= 20 else np.inf
+            assert square == pytest.approx(expected, rel=1e-6)
+    assert np.array_equal(found[0], found[1])
+    assert 0 < np.isinf(found[0]).sum() < len(found[0])
 
 
 def test_evidence_of_parts_adds_up() -> None:

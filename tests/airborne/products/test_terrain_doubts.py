@@ -64,13 +64,15 @@ def test_nodes_on_a_house_are_taken_off_and_those_of_a_high_rock_stay(
 
 
 def test_a_roof_that_an_opening_leaves_is_no_ground(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(masks, "ground_nodes", lambda _, chosen: chosen)
+    monkeypatch.setattr(masks, "ground_nodes", lambda _, chosen, *__: chosen)
     x, y, ground = (v.ravel() for v in plain(120))
     roof = warehouse(x, y)
     points = x, y, ground + 4.0 * roof
     ((_, found),) = masks.multiscale_masks(lambda: (masks.Strip(points, points),))
     assert found[roof].mean() < 0.05
     assert found[~roof].mean() > 0.97
+    every = np.ones(len(x), np.bool_)
+    assert np.array_equal(masks.multiscale_mask(points, every, every), found)
 
 
 @pytest.mark.parametrize(

@@ -30,12 +30,13 @@ from spl_batch.airborne.ground.multiscale_surface import (
     noise_below,
     spread_below,
 )
-from spl_batch.airborne.ground.node_grids import lowest_nodes
+from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
 from spl_batch.airborne.ground.point_spacing import (
     Squares,
     added_up,
     in_squares,
     spacing_at_m,
+    spacing_m,
 )
 from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.airborne.ground.steep_ground import continued
@@ -73,6 +74,9 @@ _LIMITS: Final = Limits(
 )
 """Iteration parameters of [Axelsson 2000] for what the opening cuts off."""
 
+_NEAR_SPACINGS = 2.0
+"""Places are looked up by cells of so many spacings of the nodes, one beside the other."""
+
 _HARD_POINTS = 6
 _HARD_SIGMA = 1.6
 """Cells of so many points that lie on a plane by less than so many standard deviations of a range
@@ -80,10 +84,11 @@ are hard."""
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 Place = tuple[Float, Float, Float]
 
 
-def _joined(xyz: Float, hard: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _joined(xyz: Float, hard: Mask, ground: Mask) -> Mask:
     """Ground nodes and hard ones that the opening cut off next to them: tops of embankments.
 
     A bank joins its foot without a wall, and unlike shrubs it is smooth.
@@ -125,7 +130,7 @@ class Strip(NamedTuple):
 
 def multiscale_masks(
     strips: Callable[[], Iterable[Strip]], sigma_m: float = SIGMA_M
-) -> Iterator[tuple[Strip, NDArray[np.bool_]]]:
+) -> Iterator[tuple[Strip, Mask]]:
     """Ground points by a surface whose scale follows the data, strip by strip.
 
     However points are divided into strips, the same ones are ground: nodes belong to cells, spreads
@@ -146,20 +151,60 @@ def multiscale_masks(
     mask : (m,) bool
         Which of those asked in it are ground.
     """
-    xyz, filled, hard = _nodes(map(_evidence, strips()), sigma_m)
-    chosen = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma_m)
-    ground = ground_nodes(xyz, chosen)
-    grid = lowest_nodes(xyz, chosen, CELL_M)
-    ground = continued(xyz, grid, ground, CELL_M)
-    ground = levelled(xyz, grid, ground, CELL_M)
-    ground = _joined(xyz, chosen & hard, ground)
-    ground &= ~on_houses(xyz, ground)
-    surface = _surface(xyz[ground])
+    surface = _ground_surface(map(_evidence, strips()), sigma_m)
     looked = filter(None, map(partial(_look, surface), strips()))
     depths, points = (added_up(some) for some in zip(*looked, strict=True))
-    known = _known(surface, points, depths, sigma_m)
+    known = _known(points, depths, sigma_m)
     # A strip is held by nothing while the next one is read.
-    yield from map(partial(_told, known), strips())
+    yield from map(partial(_told, surface, known), strips())
+
+
+def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma_m: float = SIGMA_M) -> Mask:
+    """The same where all points are at hand: how high the surface is, is asked once.
+
+    Parameters
+    ----------
+    places : three (n,) float64
+        x, y, z [m].
+    own, asked : (n,) bool
+        Evidence, at least one; points to be told.
+    sigma_m : float
+        Standard deviation of a range [m].
+
+    Returns
+    -------
+    (m,) bool
+        Which of those asked are ground.
+    """
+    evidence = _of(places, own)
+    surface = _ground_surface((evidence,), sigma_m)
+    height, slope = _surface_at(surface, places)
+    x, y, z = evidence
+    depths = noise_below(depths_below(z - height[own], x, y))
+    known = _known(in_squares(x, y), depths, sigma_m)
+    return _within(known, _of(places, asked), height[asked], slope[asked])
+
+
+def _of(places: Place, chosen: Mask) -> Place:
+    """Some places; no copy where all are meant."""
+    if chosen.all():
+        return places
+    x, y, z = (v[chosen] for v in places)
+    return x, y, z
+
+
+def _ground_surface(evidence: Iterable[Place], sigma_m: float) -> Surface:
+    """Surface of the ground by some points, strip by strip."""
+    xyz, filled, hard = _nodes(evidence, sigma_m)
+    chosen = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma_m)
+    grid = lowest_nodes(xyz, chosen, CELL_M)
+    nearest = nearest_node(grid)
+    ground = ground_nodes(xyz, chosen, grid, nearest)
+    ground = continued(xyz, grid, ground, CELL_M)
+    ground = levelled(xyz, grid, nearest, ground, CELL_M)
+    ground = _joined(xyz, chosen & hard, ground)
+    ground &= ~on_houses(xyz, ground)
+    return _surface(xyz[ground])
 
 
 def _evidence(strip: Strip) -> Place:
@@ -167,22 +212,21 @@ def _evidence(strip: Strip) -> Place:
 
 
 class _Known(NamedTuple):
-    """What tells ground: the surface, points around, and how far ground reaches by blocks [m]."""
+    """What tells ground: points around, and how far ground reaches by blocks [m]."""
 
-    surface: Surface
     points: Squares
     above: Float
     below: Float
     first: tuple[int, int]
 
 
-def _known(surface: Surface, points: Squares, depths: Squares, sigma_m: float) -> _Known:
+def _known(points: Squares, depths: Squares, sigma_m: float) -> _Known:
     """How far ground reaches above and below a surface, by what lies below it."""
     above, below = (
         many * np.maximum(spread_below(depths, share), sigma_m)
         for many, share in ((_ABOVE_SIGMA, MOST), (_BELOW_SIGMA, _TAIL))
     )
-    return _Known(surface, points, above, below, depths.first)
+    return _Known(points, above, below, depths.first)
 
 
 def _look(surface: Surface, strip: Strip) -> tuple[Squares, Squares] | None:
@@ -194,17 +238,21 @@ def _look(surface: Surface, strip: Strip) -> tuple[Squares, Squares] | None:
     return noise_below(depths_below(z - height, x, y)), in_squares(x, y)
 
 
-def _told(known: _Known, strip: Strip) -> tuple[Strip, NDArray[np.bool_]]:
+def _told(surface: Surface, known: _Known, strip: Strip) -> tuple[Strip, Mask]:
     """A strip, and which of the points that are asked are ground."""
-    height, slope = _surface_at(known.surface, strip.asked)
-    x, y, z = strip.asked
+    return strip, _within(known, strip.asked, *_surface_at(surface, strip.asked))
+
+
+def _within(known: _Known, places: Place, height: Float, slope: Float) -> Mask:
+    """Which points lie on a surface whose height and slope are told for each."""
+    x, y, z = places
     off = z - height
-    spacing_m = spacing_at_m(known.points, x, y)
+    spacing = spacing_at_m(known.points, x, y)
     at = _block(known, x, y)
     reach = np.where(off > 0.0, known.above[at], known.below[at])
-    level = np.minimum(np.maximum(reach, _BAND_SPACINGS * spacing_m), _BAND_M)
-    found: NDArray[np.bool_] = np.abs(off) <= level + np.minimum(spacing_m, _SLOPE_M) * slope
-    return strip, found
+    level = np.minimum(np.maximum(reach, _BAND_SPACINGS * spacing), _BAND_M)
+    found: Mask = np.abs(off) <= level + np.minimum(spacing, _SLOPE_M) * slope
+    return found
 
 
 def _surface(nodes: Float) -> Surface:
@@ -224,12 +272,15 @@ def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
         return x, y
     height, slope = np.full((2, len(x)), np.nan)
     if surface.tin is not None:
-        order = group_by_cell(x, y, CELL_M).order
+        near_m = max(CELL_M, _NEAR_SPACINGS * spacing_m(surface.nodes[:, 0], surface.nodes[:, 1]))
+        order = group_by_cell(x, y, near_m).order
         height, slope = heights_and_slopes(surface.tin, surface.slopes, order, x, y)
     beyond = np.flatnonzero(np.isnan(height))
     if len(beyond):
         at = np.column_stack([x[beyond], y[beyond]])
-        nearest = cKDTree(surface.nodes[:, :2]).query(at)[1]
+        # A few places ask for a tree of many nodes: one that is made fast.
+        tree = cKDTree(surface.nodes[:, :2], balanced_tree=False, compact_nodes=False)
+        nearest = tree.query(at)[1]
         node, rise = surface.nodes[nearest], surface.slopes[nearest]
         height[beyond] = node[:, 2] + ((at - node[:, :2]) * rise).sum(axis=1)
         slope[beyond] = np.hypot(*rise.T)
@@ -244,9 +295,7 @@ def _block(known: _Known, x: Float, y: Float) -> tuple[Index, Index]:
     return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
 
 
-def _nodes(
-    strips: Iterable[Place], sigma_m: float
-) -> tuple[Float, NDArray[np.bool_], NDArray[np.bool_]]:
+def _nodes(strips: Iterable[Place], sigma_m: float) -> tuple[Float, Mask, Mask]:
     """Lowest layers that are no low noise: (n, 3) [m]; which are filled; which of hard cells."""
     parts = [part for part in map(partial(_layers, sigma_m), strips) if part is not None]
     found, hard, row, column = zip(*parts, strict=True)
@@ -267,7 +316,7 @@ def _nodes(
     return nodes.xyz[above], filled[above], np.concatenate(hard)[order][above]
 
 
-def _layers(sigma_m: float, own: Place) -> tuple[Nodes, NDArray[np.bool_], Index, Index] | None:
+def _layers(sigma_m: float, own: Place) -> tuple[Nodes, Mask, Index, Index] | None:
     """Lowest layers of a strip; which are of hard cells; row and column of each; None without."""
     x, y, z = own
     if not len(x):
@@ -286,14 +335,14 @@ def _layers(sigma_m: float, own: Place) -> tuple[Nodes, NDArray[np.bool_], Index
     return Nodes(xyz, cell, points, doubtful, buried), hard, row + south, column + west
 
 
-def _only(cells: Cells, some: NDArray[np.bool_]) -> Cells:
+def _only(cells: Cells, some: Mask) -> Cells:
     """Some cells' points; the others are empty."""
     count = np.diff(cells.start)
     order = cells.order[np.repeat(some, count)]
     return cells._replace(order=order, start=np.insert(np.cumsum(np.where(some, count, 0)), 0, 0))
 
 
-def _hard(x: Float, y: Float, z: Float, cells: Cells, most_m: float) -> NDArray[np.bool_]:
+def _hard(x: Float, y: Float, z: Float, cells: Cells, most_m: float) -> Mask:
     """Cells all of whose points lie on a plane, as those of bare ground and roofs do."""
-    hard: NDArray[np.bool_] = off_planes(x, y, z, cells, _HARD_POINTS) <= most_m**2
+    hard: Mask = off_planes(x, y, z, cells, _HARD_POINTS) <= most_m**2
     return hard
