@@ -103,9 +103,12 @@ def small(small_lines: Path, tmp_path: Path) -> Path:
     return surveys.copy_of(small_lines, tmp_path)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def dask_processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[clusters.Cluster]:
-    """A scheduler and two workers, of one thread and of two, that stay for all tests."""
+    """A scheduler and two workers, of one thread and of two: for the tests of one file.
+
+    Idle ones work as well, so they do not stay for the session.
+    """
     with clusters.cluster(tmp_path_factory.mktemp("dask"), 1, 2) as started:
         yield started
 

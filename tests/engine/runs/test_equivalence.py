@@ -15,7 +15,6 @@ from typing import Any
 
 import pytest
 
-from spl_batch import api
 from spl_batch.airborne.plan import block_size
 from spl_batch.airborne.plan import survey_ledger as survey_module
 from spl_batch.airborne.plan.flightlines import find_flightlines
@@ -72,22 +71,6 @@ def shuffled(workflow: Path, request: pytest.FixtureRequest) -> None:
 
     request.getfixturevalue("monkeypatch").setattr(Worklist, "jobs", mixed)
     here("tiling.tile_m=60")(workflow, request)
-
-
-def workers(count: int) -> Way:
-    """Run with processes of its own."""
-
-    def way(workflow: Path, _: pytest.FixtureRequest) -> None:
-        result = api.run(
-            workflow,
-            workers=count,
-            overrides=["tiling.tile_m=60"],
-            memory="2GiB",
-            until="deliver",
-        )
-        assert result.exit_status == 0
-
-    return way
 
 
 def on_a_cluster(workflow: Path, request: pytest.FixtureRequest) -> None:
@@ -147,7 +130,6 @@ WAYS: dict[str, Way] = {
 SLOW_WAYS: dict[str, Way] = {
     "1 worker, killed after 5 tasks": killed(5),
     "2 workers of a cluster by its address": on_a_cluster,
-    "2 workers": workers(2),
 }
 """Ways that start processes, for the small survey."""
 
