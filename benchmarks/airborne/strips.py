@@ -5,8 +5,13 @@ Run ``python -m benchmarks.airborne.strips``.
 Three flightlines over hills, houses and trees; the second one's returns are recorded off by each
 shift in turn. Printed is where it is found to lie against the first, from what the noise filter
 keeps and from the truth's returns alone, and what part of the tasks' time the patches take.
+
+``python -m benchmarks.airborne.strips align`` corrects them: the largest differences between
+flightlines and the terrain's error against the reference with ``survey.align`` none, vertical and
+rigid, of a survey that fits and one whose second flightline does not, and the time of the tasks.
 """
 
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any, Final
@@ -15,12 +20,14 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from spl_batch import api
+from spl_batch.airborne.report.verdicts import terrain_statistics
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.airborne.strips.pair_table import Strip, named_passes, pair_table
 from spl_batch.airborne.strips.strip_patches import find_passes, find_patches
 from spl_batch.engine.store.working_store import Store, read_receipts
+from spl_batch.engine.tasks.runner import kinds
 from spl_batch.formats.las.reader import iter_points
 from spl_batch.lattice.tables import PointTable, concat
 from spl_batch.lattice.tiles import Bounds
@@ -42,22 +49,70 @@ NO_SURFACE: Final = ("background", "afterpulse", "bloom", "crosstalk")
 """Kinds of returns that no surface gave."""
 
 
+OFF_M: Final = (0.3, 0.0, 0.2)
+"""East, north and up of the second flightline where it is to be corrected [m]."""
+
+
 def main() -> None:
     """Print a row for each shift."""
     print("scene", SCENE)
+    if sys.argv[1:] == ["align"]:
+        print(
+            "shift [cm] | align | between flightlines: up, across | terrain: RMSE, mean, SD | time"
+        )
+        for shift in ((0.0, 0.0, 0.0), OFF_M):
+            with tempfile.TemporaryDirectory() as folder:
+                _corrected(shift, Path(folder))
+        return
     print("shift [cm] | from what the filter keeps: east, north, up +- | from the truth | noise")
     for shift in SHIFTS:
         with tempfile.TemporaryDirectory() as folder:
             _row(shift, Path(folder))
 
 
-def _row(shift: tuple[float, float, float], folder: Path) -> None:
+def _survey(shift: tuple[float, float, float], folder: Path) -> Path:
+    """Workflow of three flightlines, the second one off by a shift."""
     flights = [
         {"heading_deg": 0, "speed_m_s": 100, "offset_m": 250},
         {"heading_deg": 90, "speed_m_s": 100, "offset_m": 150, "strip_offset_m": list(shift)},
         {"heading_deg": 200, "speed_m_s": 100, "offset_m": 300},
     ]
-    workflow = simulate(parse_scene({**SCENE, "flights": flights}, "scene"), folder).workflow
+    return simulate(parse_scene({**SCENE, "flights": flights}, "scene"), folder).workflow
+
+
+def _corrected(shift: tuple[float, float, float], folder: Path) -> None:
+    workflow = _survey(shift, folder)
+    for how in ("none", "vertical", "rigid"):
+        result = api.run(workflow, workers=0, fresh=True, overrides=[f"survey.align={how}"])
+        pairs = result.report.strips
+        up = max(abs(p.up_m) for p in pairs)
+        across = [np.hypot(p.east_m, p.north_m) for p in pairs if p.east_m is not None]
+        found = terrain_statistics(result.report)
+        terrain = "-"
+        if found is not None:
+            name, of = found
+            terrain = f"{name}: " + " ".join(_cm(v) for v in (of.rmse, of.mean, of.sd))
+        receipts = [
+            receipt
+            for kind in kinds("imaging")
+            for receipt in read_receipts(Store(result.output), kind)
+        ]
+        parts = [
+            " ".join(f"{100 * v:6.1f}" for v in shift),
+            f"{how:8}",
+            f"{100 * up:5.1f} {100 * max(across, default=np.nan):5.1f}",
+            terrain,
+            f"{sum(receipt.wall_s for receipt in receipts):6.1f} s",
+        ]
+        print(" | ".join(parts), flush=True)
+        for line in result.report.alignment.lines if result.report.alignment else ():
+            moved = " ".join(_cm(v) for v in (line.east_m, line.north_m, line.up_m))
+            errors = " ".join(_cm(v) for v in (line.horizontal_sd_m, line.up_sd_m))
+            print(f"  {line.name}: {moved} +- {errors} {line.stays}", flush=True)
+
+
+def _row(shift: tuple[float, float, float], folder: Path) -> None:
+    workflow = _survey(shift, folder)
     result = api.run(workflow, workers=0)
     kept = next(p for p in result.report.strips if p.second.startswith("00002"))
     true = _of_truth(folder)

@@ -39,6 +39,7 @@ from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store
+from spl_batch.airborne.strips.alignment_sentences import done_sentences, plan_row
 from spl_batch.airborne.strips.pair_sentences import left_out_warnings, offset_warnings
 from spl_batch.airborne.strips.strip_comparison import pairs_of
 from spl_batch.constants import QUANTA_PER_M
@@ -66,13 +67,14 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
         "ground": "ground cell",
         "surface": "ground cell",
         "strip_patches": "ground cell",
+        "recorded_patches": "ground cell",
         "accuracy": "square of the reference",
         "checkpoints": "file",
     }
 )
 
 
-_CELL_KINDS: Final = frozenset({"ground", "surface", "strip_patches"})
+_CELL_KINDS: Final = frozenset({"ground", "surface", "strip_patches", "recorded_patches"})
 """Kinds of task that work on a ground cell."""
 
 FEW_PIECES: Final = 2
@@ -152,6 +154,7 @@ class Imaging(Receiver[Survey, Context]):
             ("blocks", blocks),
             ("ground cells", cells),
             ("halo", halo),
+            *plan_row(settings.survey.align),
         ]
 
     def first_look(self, prepared: Prepared[Survey, Context]) -> FirstLook:
@@ -230,6 +233,8 @@ class Imaging(Receiver[Survey, Context]):
         survey = prepared.ledger
         if phase.kind == "index_file":
             return stretches_anew(survey)
+        if phase.kind == "align":
+            return [*done_sentences(survey.workflow.survey.align, survey.of("align").values())]
         return blocks_anew(survey, prepared.context) if phase.kind == "build_tile" else ()
 
     def follows(
@@ -352,4 +357,4 @@ def _strip_sentences(phase: Phase, survey: Survey) -> Iterator[str]:
         yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
     if phase.kind == "strip_pairs":
         for receipt in survey.of("strip_pairs").values():
-            yield from offset_warnings(pairs_of(receipt.facts))
+            yield from offset_warnings(pairs_of(receipt.facts), survey.workflow.survey.align)

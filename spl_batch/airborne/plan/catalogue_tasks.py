@@ -7,7 +7,8 @@ from spl_batch.airborne.accuracy.evidence import LEVELS
 from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import refusal
-from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.strips.alignment_sentences import done_sentence
+from spl_batch.airborne.strips.strip_comparison import alignments_of
 from spl_batch.engine.tasks.task import Task
 
 
@@ -49,7 +50,7 @@ def catalogue(survey: Survey) -> Iterator[Task]:
         "tile_q": survey.tile_q,
         "checkpoints": [one for r in checkpoints.values() for one in r.facts["checkpoints"]],
         "cells": sorted(survey.of("surface")),
-        "steps": [*_steps(survey.workflow)],
+        "steps": [*_steps(survey)],
     }
     needs = (
         *(("deliver_file", key) for key in clouds),
@@ -61,12 +62,16 @@ def catalogue(survey: Survey) -> Iterator[Task]:
     yield Task("deliver_catalogue", "all", args, needs)
 
 
-def _steps(workflow: Workflow) -> Iterator[str]:
+def _steps(survey: Survey) -> Iterator[str]:
     """What is done to the points, for whoever asks where the results come from."""
+    workflow = survey.workflow
     if workflow.filter.method != "none":
         yield f"Noise was classified by the filter {workflow.filter.method}."
     if workflow.afterpulse.enabled:
         yield "Afterpulses of the detector were classified."
+    for receipt in survey.of("align").values():
+        told = done_sentence(workflow.survey.align, alignments_of(receipt.facts))
+        yield f"{told[0].upper()}{told[1:]}."
     yield f"Ground was classified by the method {workflow.ground.method}."
     yield f"Rasters of {workflow.products.cell_m:g} m were made of the signal."
     if workflow.breaklines is not None:

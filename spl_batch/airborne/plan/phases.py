@@ -203,6 +203,8 @@ PHASES = (
     Phase("scatter", _scatter),
     Phase("build_tile", space_tasks.build),
     Phase("denoise", space_tasks.denoise),
+    Phase("recorded_patches", strip_tasks.recorded_patches),
+    Phase("align", strip_tasks.align),
     Phase("ground", space_tasks.ground),
     Phase("strip_patches", strip_tasks.patches, beside=True),
     Phase("surface", space_tasks.surface),

@@ -121,11 +121,11 @@ def denoise(survey: Survey) -> Iterator[Task]:
 def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
     halo = quanta(survey.workflow.ground.buffer_m)
-    holders = survey.holders()
+    holders, (moved, first) = survey.holders(), aligned(survey)
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
-        args = {**cell_args(cell), "halo": halo, "noise": named_units("noise", noise)}
-        needs = (*tile_needs(cell), *label_needs("denoise", noise))
+        args = {**cell_args(cell), **moved, "halo": halo, "noise": named_units("noise", noise)}
+        needs = (*tile_needs(cell), *label_needs("denoise", noise), *first)
         refused, how = cell_in_memory("ground", cell, survey)
         yield Task("ground", cell.name, args, needs, cell.points, refused, how)
 
@@ -134,7 +134,7 @@ def surface(survey: Survey) -> Iterator[Task]:
     """Ground cells whose ground is found, with what their rasters read around them."""
     halo = quanta(surface_reach_m(survey.workflow))
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
-    holders = survey.holders()
+    holders, (moved, first) = survey.holders(), aligned(survey)
     # Only the map of swaths and the flag of overlap ask which flightline a return belongs to.
     asked = survey.workflow.products.maps or survey.workflow.classes.overlap
     lines = survey.flown if asked else []
@@ -144,9 +144,11 @@ def surface(survey: Survey) -> Iterator[Task]:
             continue
         noise = holders.of(cell.tiles)
         ground_of = survey.ground_cells.owners(cell.tiles, survey.tile_q, survey.of("ground"))
-        parts = None if index is None else index.overlapping(grow(cell.core, halo))
+        reach = halo + survey.ground_cells.moved
+        parts = None if index is None else index.overlapping(grow(cell.core, reach))
         args = {
             **cell_args(cell),
+            **moved,
             "halo": halo,
             "noise": named_units("noise", noise),
             "ground": named_units("ground", ground_of),
@@ -155,7 +157,7 @@ def surface(survey: Survey) -> Iterator[Task]:
             "passes": passes,
         }
         labels = (*label_needs("denoise", noise), *label_needs("ground", ground_of))
-        needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
+        needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()), *first)
         refused, how = cell_in_memory("surface", cell, survey)
         yield Task("surface", cell.name, args, needs, cell.points, refused, how)
 
@@ -198,7 +200,7 @@ def deliver(survey: Survey) -> Iterator[Task]:
     for tile in survey.counts:
         for source in survey.of("build_tile")[str(tile)].facts["sources"]:
             tiles_of.setdefault(source, []).append(tile)
-    holders = survey.holders()
+    holders, (moved, first) = survey.holders(), aligned(survey)
     for source in survey.inputs.sources:
         key = str(source.key)
         receipt = survey.of("index_file").get(key)
@@ -207,24 +209,28 @@ def deliver(survey: Survey) -> Iterator[Task]:
         labels = _label_units(survey, tiles_of.get(key, []), holders)
         args = {
             **source_args(source),
+            **moved,
             "delivered": source.delivered,
             "points": receipt.points,
             "parts": len(receipt.facts["parts"]),
             "hash": receipt.facts["hash"],
             "tiles": {str(tile): units_of for tile, units_of in labels.items()},
+            **({"spans": receipt.facts["spans"]} if moved else {}),
         }
-        yield Task("deliver_file", key, args, _delivery_needs(labels), receipt.points)
+        needs = (*_delivery_needs(labels), *first)
+        yield Task("deliver_file", key, args, needs, receipt.points)
 
 
 def deliver_tiles(survey: Survey) -> Iterator[Task]:
     """Tiles, where they are delivered."""
     if survey.workflow.outputs.tiles == "none":
         return
-    holders = survey.holders()
+    holders, (moved, first) = survey.holders(), aligned(survey)
     for tile, count in survey.counts.items():
         labels = _label_units(survey, [tile], holders)
-        args = {"tile": str(tile), "units": labels[tile]}
-        yield Task("deliver_tile", str(tile), args, _delivery_needs(labels), count)
+        args = {**moved, "tile": str(tile), "units": labels[tile]}
+        needs = (*_delivery_needs(labels), *first)
+        yield Task("deliver_tile", str(tile), args, needs, count)
 
 
 def mosaic(survey: Survey) -> Iterator[Task]:
@@ -282,6 +288,13 @@ def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
     """What the stretches say of a place, by name."""
     scattered = ((name, r.facts) for name, r in survey.of("scatter").items())
     return {name: facts[fact] for name, facts in scattered if fact in facts}
+
+
+def aligned(survey: Survey) -> tuple[dict[str, object], tuple[tuple[str, str], ...]]:
+    """What tasks that read shifted points are told, and the task that tells the shifts."""
+    if "all" not in survey.of("align"):
+        return {}, ()
+    return {"aligned": True}, (("align", "all"),)
 
 
 def cell_args(cell: Unit) -> dict[str, object]:

@@ -1,9 +1,13 @@
-"""Tasks that compare flightlines with each other: by ground cell, then all together."""
+"""Tasks that compare flightlines with each other: by ground cell, then all together.
+
+Where flightlines are aligned they are compared before the ground is looked for as well.
+"""
 
 from collections.abc import Iterator
 
 from spl_batch.airborne.plan.flightlines import is_timeless
 from spl_batch.airborne.plan.space_tasks import (
+    aligned,
     cell_args,
     cell_in_memory,
     label_needs,
@@ -12,23 +16,45 @@ from spl_batch.airborne.plan.space_tasks import (
 )
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.products.product_table import SWATH_DIFFERENCES
+from spl_batch.airborne.strips.strip_comparison import RECORDED
 from spl_batch.airborne.strips.strip_patches import SQUARE_M
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import quanta
 
 
+def recorded_patches(survey: Survey) -> Iterator[Task]:
+    """Ground cells whose flightlines are to be aligned."""
+    if survey.workflow.survey.align != "none":
+        yield from _patches("recorded_patches", RECORDED, survey)
+
+
+def align(survey: Survey) -> Iterator[Task]:
+    """One task that finds the shifts of all flightlines."""
+    done = survey.of("recorded_patches")
+    if len(done):
+        cells = sorted(name for name, r in done.items() if r.facts["patches"])
+        needs = tuple(("recorded_patches", name) for name in cells)
+        yield Task("align", "all", {"strips": _strips(survey), "cells": cells}, needs)
+
+
 def patches(survey: Survey) -> Iterator[Task]:
+    """Ground cells, with flightlines as they are delivered."""
+    return _patches("strip_patches", "", survey)
+
+
+def _patches(kind: str, folder: str, survey: Survey) -> Iterator[Task]:
     """Ground cells, where there can be more than one flightline."""
     if len(_strips(survey)) < 2 and not _has_timeless(survey):
         return
+    moved, first = aligned(survey) if not folder else ({}, ())
     halo = quanta(SQUARE_M)
     holders = survey.holders()
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
-        args = {**cell_args(cell), "noise": named_units("noise", noise)}
-        needs = (*tile_needs(cell), *label_needs("denoise", noise))
+        args = {**cell_args(cell), **moved, "noise": named_units("noise", noise), "folder": folder}
+        needs = (*tile_needs(cell), *label_needs("denoise", noise), *first)
         refused, how = cell_in_memory("strip_patches", cell, survey)
-        yield Task("strip_patches", cell.name, args, needs, 0, refused, how)
+        yield Task(kind, cell.name, args, needs, 0, refused, how)
 
 
 def pairs(survey: Survey) -> Iterator[Task]:

@@ -9,6 +9,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from spl_batch.airborne.strips.strip_report import Alignment, LineShift, StripPair
 from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
@@ -320,47 +321,6 @@ class Swath(Part):
     )
 
 
-class StripPair(Part):
-    """Where a flightline lies against another that overlaps it, from planar patches of both."""
-
-    first: str = Field(description="The flightline that is compared with.")
-    second: str = Field(description="The one whose place is told.")
-    patches: Count = Field(description="Planar patches that both have [count].")
-    area_m2: Number = Field(description="Area of these patches [m2].")
-    centre_m: tuple[Number, Number] = Field(description="Easting and northing of their middle [m].")
-    up_m: Number = Field(description="The second above the first [m].")
-    up_sd_m: Number = Field(description="Standard deviation of it [m].")
-    east_m: Number = Field(None, description="The second east of the first; null if flat [m].")
-    north_m: Number = Field(None, description="The second north of the first; null if flat [m].")
-    horizontal_sd_m: Number = Field(
-        None, description="Standard deviation of these, in the worst direction [m]."
-    )
-    flat_patches: Count = Field(0, description="Smooth patches of up to 10 degrees [count].")
-    rmsd_z_m: Number = Field(
-        None, description="Root mean square of the vertical differences of these [m]."
-    )
-    noise_m: Number = Field(description="Ranging noise: spread about the smoothest patches [m].")
-    largest_m: Number = Field(
-        None, description="Largest vertical difference of a smooth patch of up to 10 degrees [m]."
-    )
-    largest_sd_m: Number = Field(None, description="Standard deviation of it [m].")
-    largest_at_m: tuple[Number, Number] | None = Field(
-        None, description="Easting and northing of that patch [m]."
-    )
-
-
-class LineShift(Part):
-    """What brings a flightline together with those that overlap it; nothing is applied."""
-
-    name: str = Field(description="The flightline.")
-    up_m: Number = Field(description="To be added to its heights [m].")
-    east_m: Number = Field(None, description="To be added to its eastings; null if flat [m].")
-    north_m: Number = Field(None, description="To be added to its northings; null if flat [m].")
-    left_m: Number = Field(
-        description="Largest vertical difference to another flightline that is left then [m]."
-    )
-
-
 class Report(Part):
     """Everything that ``report.json`` holds and ``report.html`` shows."""
 
@@ -381,6 +341,9 @@ class Report(Part):
         (),
         description="Least squares over these pairs; the shifts of flightlines that overlap add "
         "up to zero.",
+    )
+    alignment: Alignment | None = Field(
+        None, description="Shifts that were applied; null with survey.align: none."
     )
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")

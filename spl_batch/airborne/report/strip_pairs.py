@@ -1,37 +1,52 @@
 """What a report says of flightlines that overlap."""
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.report.model import LineShift, StripPair
 from spl_batch.airborne.strips.line_shifts import line_shifts
-from spl_batch.airborne.strips.strip_comparison import difference_map, pairs_of
+from spl_batch.airborne.strips.pair_table import PairDifference
+from spl_batch.airborne.strips.strip_comparison import alignments_of, difference_map, pairs_of
+from spl_batch.airborne.strips.strip_report import AlignedLine, Alignment, LineShift, StripPair
 from spl_batch.engine.report.maps import Raster
 from spl_batch.engine.report.run_record import Receipts
 
 
 def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
-    """Pairs of flightlines, as the report has them."""
-    return tuple(
-        StripPair(
-            first=pair.first,
-            second=pair.second,
-            patches=pair.patches,
-            area_m2=pair.area_m2,
-            centre_m=(pair.x_m, pair.y_m),
-            up_m=pair.up_m,
-            up_sd_m=pair.up_sd_m,
-            east_m=pair.east_m,
-            north_m=pair.north_m,
-            horizontal_sd_m=pair.horizontal_sd_m,
-            flat_patches=pair.flat_patches,
-            rmsd_z_m=pair.rmsd_z_m,
-            noise_m=pair.noise_m,
-            largest_m=pair.largest_m,
-            largest_sd_m=pair.largest_sd_m,
-            largest_at_m=None if pair.largest_m is None else (pair.largest_x_m, pair.largest_y_m),
-        )
-        for receipt in done.get("strip_pairs", {}).values()
-        for pair in pairs_of(receipt.facts)
+    """Pairs of flightlines as they are delivered, as the report has them."""
+    receipts = done.get("strip_pairs", {}).values()
+    return tuple(_pair(pair) for receipt in receipts for pair in pairs_of(receipt.facts))
+
+
+def _pair(pair: PairDifference) -> StripPair:
+    return StripPair(
+        first=pair.first,
+        second=pair.second,
+        patches=pair.patches,
+        area_m2=pair.area_m2,
+        centre_m=(pair.x_m, pair.y_m),
+        up_m=pair.up_m,
+        up_sd_m=pair.up_sd_m,
+        east_m=pair.east_m,
+        north_m=pair.north_m,
+        horizontal_sd_m=pair.horizontal_sd_m,
+        flat_patches=pair.flat_patches,
+        rmsd_z_m=pair.rmsd_z_m,
+        noise_m=pair.noise_m,
+        largest_m=pair.largest_m,
+        largest_sd_m=pair.largest_sd_m,
+        largest_at_m=None if pair.largest_m is None else (pair.largest_x_m, pair.largest_y_m),
     )
+
+
+def alignment(done: Receipts, context: Context) -> Alignment | None:
+    """Shifts that were applied, as the report has them; None where none were asked for."""
+    how = context.workflow.survey.align
+    for receipt in done.get("align", {}).values():
+        if how != "none":
+            return Alignment(
+                align=how,
+                lines=tuple(AlignedLine(**one._asdict()) for one in alignments_of(receipt.facts)),
+                before=tuple(map(_pair, pairs_of(receipt.facts))),
+            )
+    return None
 
 
 def strip_shifts(done: Receipts) -> tuple[LineShift, ...]:

@@ -41,7 +41,12 @@ from spl_batch.airborne.report.sky import (
     kept_warning,
     misfit_warning,
 )
-from spl_batch.airborne.report.strip_pairs import strip_map, strip_pairs, strip_shifts
+from spl_batch.airborne.report.strip_pairs import (
+    alignment,
+    strip_map,
+    strip_pairs,
+    strip_shifts,
+)
 from spl_batch.airborne.report.survey_files import write_report
 from spl_batch.airborne.report.survey_pieces import PICTURED, cropped, find_pieces, in_words
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
@@ -92,6 +97,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         swaths=swath_reports(done, context),
         strips=strip_pairs(done),
         strip_shifts=strip_shifts(done),
+        alignment=alignment(done, context),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
         warnings=(

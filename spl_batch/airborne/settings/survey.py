@@ -45,6 +45,11 @@ class SurveySettings(Section):
         None, description="LAS dimension with the beamlet number; without it a shot is one beamlet."
     )
     gap_s: Positive = Field(60.0, description="A pause that starts another lift [s].")
+    align: Literal["none", "vertical", "rigid"] = Field(
+        "none",
+        description="Shift flightlines so that those that overlap fit together: none; vertical, in "
+        "height; rigid, in height and place.",
+    )
 
     @field_validator("sensor")
     @classmethod

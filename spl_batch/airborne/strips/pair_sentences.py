@@ -1,6 +1,7 @@
 """What a run says of flightlines that do not fit together."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -13,8 +14,23 @@ TOLD: Final = 3
 """Pairs that get a sentence of their own, the worst first [count]."""
 
 
-def offset_warnings(pairs: Sequence[PairDifference]) -> Iterator[str]:
-    """Sentences on pairs whose flightlines differ by more than a single range does."""
+REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "none": "adjust the strips and run again: strip_shifts in report.json says by how much; or "
+        "let survey.align: rigid shift them",
+        "vertical": "survey.align: rigid shifts places as well",
+        "rigid": "one shift for each flightline does not mend it: look for rotations, drifts or "
+        "another datum",
+    }
+)
+"""What helps against differences, by what ``survey.align`` is."""
+
+
+def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Iterator[str]:
+    """Sentences on pairs whose flightlines differ by more than a single range does.
+
+    ``align``: how flightlines were shifted before they were compared.
+    """
     off = [(away, pair) for pair in pairs if (away := _away(pair)) > 0]
     off.sort(key=lambda found: (-found[0], found[1].first, found[1].second))
     for _, pair in off[:TOLD]:
@@ -22,8 +38,7 @@ def offset_warnings(pairs: Sequence[PairDifference]) -> Iterator[str]:
             f"{pair.second} lies {' and '.join(_parts(pair))} of {pair.first}, around "
             f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar "
             f"patches), more than the ranging noise of {100 * pair.noise_m:.1f} cm: surfaces that "
-            "both have seen are double, and rasters lie between them; adjust the strips and run "
-            "again: strip_shifts in report.json says by how much"
+            f"both have seen are double, and rasters lie between them; {REMEDIES[align]}"
         )
     if len(off) > TOLD:
         yield (

@@ -1,6 +1,13 @@
-"""How flightlines differ where they overlap: patches of each ground cell, then all pairs."""
+"""How flightlines differ where they overlap: patches of each ground cell, then all pairs.
 
+Where a run aligns its flightlines they are compared twice: as they were recorded, which tells the
+shifts, and once more with these.
+"""
+
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -8,6 +15,9 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.label_tables import read_region
+from spl_batch.airborne.store.line_moves import PLACE, LineMove, LineMoves, read_moves
+from spl_batch.airborne.strips.alignment import Alignment, align_lines
+from spl_batch.airborne.strips.alignment_sentences import stay_warnings
 from spl_batch.airborne.strips.pair_table import (
     PairDifference,
     Strip,
@@ -24,15 +34,19 @@ from spl_batch.airborne.strips.strip_patches import (
 )
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.tasks.context import Produced
+from spl_batch.errors import Remark
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.eastings import once, strips_between
 from spl_batch.lattice.tables import EXCLUDED, PointTable
-from spl_batch.lattice.tiles import Bounds, parse_cell
+from spl_batch.lattice.tiles import Bounds, parse_cell, quanta
 
 MAP_CELLS: Final = 500
 """Cells of the map of differences along its longer side, at most [count]."""
 
-_PASSES: Final = ("psid", "time_s")
+RECORDED: Final = "recorded"
+"""Folder below that of the patches: those of flightlines before they are aligned."""
+
+_PASSES: Final = ("psid", "time_s", "kept")
 
 
 def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
@@ -44,21 +58,29 @@ def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
     }
     tiles = [parse_cell(name) for name in args["tiles"]]
     parts = strips_between(region(core), args.get("cuts", {}).get("patches", ()))
+    moves = read_moves(args, context.store)
 
     def read(part: Bounds) -> PointTable:
         columns = (*COLUMNS_NEEDED, "flags")
         table, _ = read_region(
-            context.store, tiles, part, columns, {"noise_class": noise}, ordered=False, keep=_signal
-        )
+            context.store, tiles, part, columns, {"noise_class": noise},
+            ordered=False, keep=_signal, moves=moves,
+        )  # fmt: skip
         return table.select(COLUMNS_NEEDED)
 
     points = once(parts, read)
     passes = find_passes(map(points, parts), context.workflow.survey.gap_s)
     found = find_patches(map(points, parts), passes, core)
-    path = context.store.path("strips", f"{args['cell']}.npz")
-    write_arrays(path, {**found, "psid": passes.psid, "time_s": passes.time_s})
+    path = _patches(args["folder"], args["cell"], context)
+    of_passes = {"psid": passes.psid, "time_s": passes.time_s, "kept": passes.returns}
+    write_arrays(path, {**found, **of_passes})
     facts = {"patches": len(found["rise"]), "left_out": passes.left_out}
     return Produced([path], facts)
+
+
+def _patches(folder: str, cell: str, context: Context) -> Path:
+    """File of the patches of a ground cell."""
+    return context.store.path(*filter(None, ("strips", folder, f"{cell}.npz")))
 
 
 def _signal(table: PointTable) -> NDArray[np.bool_]:
@@ -70,11 +92,50 @@ def _signal(table: PointTable) -> NDArray[np.bool_]:
 def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     """Put the patches of all cells together, pair by pair; a map of their differences."""
     strips = [Strip(*strip) for strip in args["strips"]]
-    pairs = pair_table(_cells(args["cells"], strips, context))
+    cells = partial(_cells, args["cells"], strips, context)
+    pairs = pair_table((names, patches) for names, _, patches in cells())
     path = context.store.path("strips", "map.npz")
-    places = [patches for _, patches in _cells(args["cells"], strips, context)]
-    write_arrays(path, _map(places))
+    write_arrays(path, _map([patches for *_, patches in cells()]))
     return Produced([path], {"pairs": [list(pair) for pair in pairs]})
+
+
+def align(args: Mapping[str, Any], context: Context) -> Produced:
+    """Find by how much each flightline is shifted, and leave it for all who read its points."""
+    how = context.workflow.survey.align
+    strips = [Strip(*strip) for strip in args["strips"]]
+    cells = partial(_cells, args["cells"], strips, context, RECORDED)
+    pairs = pair_table((names, patches) for names, _, patches in cells())
+    kept: Counter[str] = Counter()
+    psid_of = {strip.name: strip.psid for strip in strips}
+    for names, passes, _ in cells():
+        psid_of |= dict(zip(names, passes["psid"].tolist(), strict=True))
+        for name, count in zip(names, passes["kept"].tolist(), strict=True):
+            kept[name] += count
+    found = align_lines([*psid_of], pairs, kept, rigid=how == "rigid")
+    spans = {strip.name: (strip.first_s, strip.last_s) for strip in strips}
+    moves = [
+        LineMove(
+            one.name,
+            psid_of[one.name],
+            *spans.get(one.name, (-np.inf, np.inf)),
+            (quanta(one.east_m), quanta(one.north_m), quanta(one.up_m)),
+        )
+        for one in found
+    ]
+    path = context.store.path(*PLACE)
+    write_arrays(path, LineMoves(moves).to_arrays())
+    facts = {
+        "name": f"survey.align: {how}",
+        "pairs": [list(pair) for pair in pairs],
+        "lines": [list(one) for one in found],
+        "warnings": [Remark(text) for text in stay_warnings(found)],
+    }
+    return Produced([path], facts)
+
+
+def alignments_of(facts: Mapping[str, Any]) -> list[Alignment]:
+    """What :func:`align` has found, by its receipt."""
+    return [Alignment(*line) for line in facts["lines"]]
 
 
 def difference_map(context: Context) -> tuple[NDArray[np.float32], tuple[float, ...]] | None:
@@ -98,13 +159,13 @@ def pairs_of(facts: Mapping[str, Any]) -> list[PairDifference]:
 
 
 def _cells(
-    names: Sequence[str], strips: Sequence[Strip], context: Context
-) -> Iterator[tuple[list[str], Patches]]:
-    """Names of the passes of each ground cell, and its patches."""
+    names: Sequence[str], strips: Sequence[Strip], context: Context, folder: str = ""
+) -> Iterator[tuple[list[str], dict[str, NDArray[Any]], Patches]]:
+    """Names of the passes of each ground cell, what is known of them, and its patches."""
     for name in names:
-        arrays = read_arrays(context.store.path("strips", f"{name}.npz"))
-        psid, time_s = (arrays.pop(key) for key in _PASSES)
-        yield named_passes(psid, time_s, strips), arrays
+        arrays = read_arrays(_patches(folder, name, context))
+        passes = {key: arrays.pop(key) for key in _PASSES}
+        yield named_passes(passes["psid"], passes["time_s"], strips), passes, arrays
 
 
 def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:

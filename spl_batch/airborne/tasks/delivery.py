@@ -18,7 +18,9 @@ from spl_batch.airborne.products.product_table import HILLSHADE, SWATH_DIFFERENC
 from spl_batch.airborne.products.wide_voids import Void, void_sentence, wide_voids
 from spl_batch.airborne.pulses.swath_coverage import Outlined, outlines
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
+from spl_batch.airborne.store.line_moves import read_moves
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
+from spl_batch.airborne.strips.shifted_clouds import moved_of_file, record_of
 from spl_batch.airborne.strips.strip_comparison import difference_map
 from spl_batch.airborne.tasks import index, pulses
 from spl_batch.constants import NODATA, NOISE_SIGNAL
@@ -120,6 +122,8 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     """Write one input file again with its labels: every point once, in order."""
     diagnostics = context.workflow.outputs.diagnostics
     flags = context.workflow.classes.flags
+    moves = read_moves(args, context.store)
+    moved = moved_of_file(moves, args.get("spans", {}), context)
     names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
     labels, classes = _FileLabels(args, context, names), np.zeros(256, np.int64)
     target = context.output / "laz" / args["delivered"]
@@ -135,6 +139,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             crs=context.crs,
             decoded=_decoded(args, context),
             classes=classes,
+            moved=moved,
         )
     broken = Counter(broken_records(read_header(source)))
     facts = {
@@ -202,14 +207,18 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     if context.workflow.classes.flags:
         labels["set_flags"] = [("classes", u) for u in units["classes"]]
     columns = ("x", "y", "z", "gps_time", "channel", "return_number", "intensity", "input_class")
-    table = read_labelled_tile(context.store, parse_cell(args["tile"]), columns, labels)
+    moves = read_moves(args, context.store)
+    table = read_labelled_tile(
+        context.store, parse_cell(args["tile"]), columns, labels, moves=moves
+    )
+    said = [] if moves is None else [record_of(moves.moved, context)]
     labelled = table["classification"].copy()
     _keep(labelled, table["noise_class"], context)
     table = table.with_columns(classification=kept_classes(labelled, table["input_class"]))
     copc = context.workflow.outputs.tiles == "copc"
     target = context.output / "tiles" / f"{args['tile']}{'.copc' if copc else ''}.laz"
     extra = {"noise_class": table["noise_class"]}
-    write_points(target, table, crs=context.crs, extra=extra, copc=copc)
+    write_points(target, table, crs=context.crs, extra=extra, copc=copc, records_of_file=said)
     return Produced([target], {"points": len(table)}, len(table))
 
 

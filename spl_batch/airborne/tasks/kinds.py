@@ -74,6 +74,12 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
             "spl_batch.airborne.tasks.space_domain:denoise",
             ("filter", "noise", "afterpulse", "outputs.diagnostics"),
         ),
+        "recorded_patches": Kind(
+            "ground", "spl_batch.airborne.strips.strip_comparison:strip_patches", ("survey.gap_s",)
+        ),
+        "align": Kind(
+            "ground", "spl_batch.airborne.strips.strip_comparison:align", ("survey.align",)
+        ),
         "ground": Kind("ground", "spl_batch.airborne.tasks.space_domain:ground", ("ground",)),
         "strip_patches": Kind(
             "ground", "spl_batch.airborne.strips.strip_comparison:strip_patches", ("survey.gap_s",)

@@ -18,6 +18,7 @@ from spl_batch.airborne.ground import ground_methods as grounding
 from spl_batch.airborne.ground.water.off_water import OffWater
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.store.label_tables import Marks, Origin, read_region, write_labels
+from spl_batch.airborne.store.line_moves import LineMoves, read_moves
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.lattice.eastings import strips_between
@@ -114,9 +115,10 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     """Find the ground of a cell, strip by strip where not all of it fits in memory."""
     core, cells = Bounds(*args["core"]), tile_cells(args["tiles"])
     noise = {"noise_class": label_units(args["noise"])}
+    moves = read_moves(args, context.store)
 
     def read(part: Bounds, columns: Sequence[str]) -> tuple[PointTable, Origin]:
-        return read_region(context.store, cells, part, columns, noise, ordered=False)
+        return read_region(context.store, cells, part, columns, noise, ordered=False, moves=moves)
 
     region = grow(core, args["halo"])
     parts = strips_between(region, args.get("cuts", {}).get("ground", ()))
@@ -216,6 +218,7 @@ class Cell(NamedTuple):
     args: Mapping[str, Any]
     context: Context
     core: Bounds
+    moves: LineMoves | None  #: Shifts of its flightlines.
 
     def parts(self, region: Bounds, look: str) -> list[Bounds]:
         """Strips of a region from west to east, cut as the plan says for one of the looks."""
@@ -233,4 +236,5 @@ class Cell(NamedTuple):
         return read_region(
             self.context.store, tile_cells(self.args["tiles"]), region,
             [k for k in columns if k not in labels], labels, ordered=False, keep=keep,
+            moves=self.moves,
         )  # fmt: skip

@@ -28,6 +28,7 @@ from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.products.top_surface import top_margin
 from spl_batch.airborne.pulses.pulse_returns import ends_in_parts
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.store.line_moves import read_moves
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import cell_classes, pulses
 from spl_batch.airborne.tasks.space_domain import Cell
@@ -74,7 +75,7 @@ def looks_at_surface(workflow: Workflow, halo_q: int) -> dict[str, Look]:
 def surface(args: Mapping[str, Any], context: Context) -> Produced:
     """Raster cells and final classes of a ground cell, strip by strip where it is cut."""
     workflow, core = context.workflow, Bounds(*args["core"])
-    cell = Cell(args, context, core)
+    cell = Cell(args, context, core, read_moves(args, context.store))
     reflected = {} if args["fired"] is None else _reflectance(cell)
     give_back()
     arrays, squares, doubted = _surfaces(cell)
@@ -109,8 +110,12 @@ def _reflectance(cell: Cell) -> Rasters:
 
     parts = cell.parts(grow(cell.core, quanta(reflectance.reach_m(products))), "tops")
     points = once(parts, read)
-    paths = [store.path("fired", f"{name}.npz") for name in cell.args["fired"]]
-    fired = [FiredPart.from_arrays(read_arrays(path)) for path in paths]
+    fired = []
+    for name in cell.args["fired"]:
+        part = FiredPart.from_arrays(read_arrays(store.path("fired", f"{name}.npz")))
+        if cell.moves is not None:
+            part = part.shifted(cell.moves.of_line(name.rpartition("/")[0]))
+        fired.append(part)
     values = reflectance.raster(lambda: map(points, parts), fired, cell.core, products)
     return {"intensity": values}
 

@@ -3,7 +3,7 @@
 Output is LAS 1.4, point formats 6-10, compressed. The same input and labels give the same bytes.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -82,6 +82,15 @@ _INT32: Final = np.iinfo(np.int32)
 
 
 @dataclass(frozen=True, slots=True)
+class Moved:
+    """Shifts that the points of a file get, and how the file says so."""
+
+    #: Point source ids and times of n points -> their shifts: (n, 3) int64 [quanta].
+    shifts: Callable[[NDArray[np.uint16], NDArray[np.float64]], NDArray[np.int64]]
+    record: Vlr  #: What was done, for whoever gets the file.
+
+
+@dataclass(frozen=True, slots=True)
 class Decoded:
     """Facts of a file's points from whoever has decoded them before."""
 
@@ -100,6 +109,7 @@ def write_classified(
     flags: bool = False,
     decoded: Decoded | None = None,
     classes: NDArray[np.int64] | None = None,
+    moved: Moved | None = None,
 ) -> int:
     """Copy a file with new classes and the extra bytes of :data:`ADDED`.
 
@@ -129,6 +139,8 @@ def write_classified(
         what is not changed is copied as it is compressed.
     classes : (256,) int64 ndarray, optional
         The points of each class that is written are added to it [count].
+    moved : Moved, optional
+        Shifts that are added to the coordinates, rounded to the file's scale.
 
     Raises
     ------
@@ -150,6 +162,8 @@ def write_classified(
                 stop = min(start + _CHUNK, header.n_points)
                 given = reader.read(start, stop)
                 out = convert.records(given)
+                if moved is not None:
+                    _shift(out, given, header, moved)
                 before = dimension(given, reader.layout, "classification")
                 _label(out, convert.layout, before, labels(start, stop), names)
                 written[:] += np.bincount(out["classification"], minlength=256)
@@ -166,6 +180,8 @@ def write_classified(
                 yield stop - start, copy.chunk(chunk, first, own)
 
         vlrs, evlrs, wkt = _records(header, crs)
+        if moved is not None:
+            vlrs.append(moved.record)
         frame = Frame(
             preamble=preamble(header.raw, wkt=wkt),
             scales=header.scales,
@@ -174,10 +190,26 @@ def write_classified(
             vlrs=vlrs,
             evlrs=[(e, src) for e in evlrs],
         )
-        if decoded is None or not can_be_copied(reader):
+        if decoded is None or moved is not None or not can_be_copied(reader):
             return write_laz(dst, frame, chunks())
         copy = LayerCopy(reader, convert, len(names), flags=flags)
         return write_packed(dst, frame, copy.laz, decoded.extent, packed(decoded, copy))
+
+
+def _shift(records: NDArray[Any], given: NDArray[Any], header: LasHeader, moved: Moved) -> None:
+    """Add shifts to the coordinates of records; those that were given tell the flightlines."""
+    timed = "gps_time" in (given.dtype.names or ())
+    time = given["gps_time"] if timed else np.full(len(given), np.nan)
+    shifts = moved.shifts(given["point_source_id"], time)
+    for axis, scale in enumerate(header.scales):
+        steps = np.rint(shifts[:, axis] / (scale * QUANTA_PER_M)).astype(np.int64)
+        shifted = records["XYZ"[axis]] + steps
+        if len(shifted) and not _INT32.min <= shifted.min() <= shifted.max() <= _INT32.max:
+            raise WorkflowError(
+                f"{header.path}: with its shift {'xyz'[axis]} of some points does not fit into the "
+                "file's numbers; give the file another offset, or set survey.align: none"
+            )
+        records["XYZ"[axis]] = shifted
 
 
 def _added(name: str) -> ExtraDimension:
@@ -247,6 +279,7 @@ def write_points(
     copc: bool = False,
     aggregate: bool = False,
     aggregate_bit: bool = False,
+    records_of_file: Sequence[Vlr] = (),
 ) -> int:
     """Write a table as LAZ or COPC, point format 6, on the survey's lattice.
 
@@ -270,6 +303,8 @@ def write_points(
         numbers are synthetic, and each point is the only one.
     aggregate_bit : bool
         Set :data:`AGGREGATE_BIT` as well.
+    records_of_file : sequence of Vlr
+        Further records of its header.
 
     Raises
     ------
@@ -299,7 +334,7 @@ def write_points(
         scales=(QUANTUM_M, QUANTUM_M, QUANTUM_M),
         offsets=(offsets[0], offsets[1], offsets[2]),
         layout=layout,
-        vlrs=[] if crs is None else [wkt_vlr(crs)],
+        vlrs=[*([] if crs is None else [wkt_vlr(crs)]), *records_of_file],
     )
     return write_copc(path, frame, records) if copc else write_laz(path, frame, [records])
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from spl_batch.airborne.report.good_enough import _swaths
-from spl_batch.airborne.report.model import StripPair
+from spl_batch.airborne.strips.strip_report import StripPair
 
 
 def pair(first: str, second: str, patches: int, rmsd: float | None, largest: float) -> StripPair:

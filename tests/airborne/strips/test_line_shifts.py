@@ -12,12 +12,14 @@ OFF = {"a": (0.3, -0.1, 0.2), "b": (0.0, 0.0, 0.0), "c": (-0.1, 0.2, -0.05), "d"
 """East, north and up by which flightlines lie off [m]."""
 
 
-def pair(first: str, second: str, *, slopes: bool = True, error_m: float = 0.0) -> PairDifference:
+def pair(
+    first: str, second: str, *, slopes: bool = True, error_m: float = 0.0, squares: int = 0
+) -> PairDifference:
     east, north, up = np.subtract(OFF[second], OFF[first]).tolist()
     values = dict.fromkeys(PairDifference._fields, 0.0) | {
         "first": first, "second": second, "up_m": up + error_m, "up_sd_m": 0.01 + error_m,
         "east_m": east if slopes else None, "north_m": north if slopes else None,
-        "horizontal_sd_m": 0.03 if slopes else None,
+        "horizontal_sd_m": 0.03 if slopes else None, "squares": squares,
     }  # fmt: skip
     return PairDifference(**values)  # type: ignore[arg-type]
 

@@ -151,7 +151,10 @@ def test_squares_of_a_pair_are_counted() -> None:
 
 
 def test_what_is_off_is_told_with_number_place_and_consequence() -> None:
-    (said,) = offset_warnings([pair(Shift(0.3, -0.2, 0.2))])
+    found = pair(Shift(0.3, -0.2, 0.2))
+    (said,) = offset_warnings([found])
+    assert "survey.align: rigid shift" in said
+    assert "rotations" in next(offset_warnings([found], "rigid"))
     for word in ("two lies 20.", "cm above", "cm east", "cm south", "of one", "10 040 E"):
         assert word in said
     assert "ranging noise of" in said

@@ -15,7 +15,7 @@ neither is left out.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -92,6 +92,10 @@ class FiredPart:
     t0_s: float
     prf_hz: float
     dropped: int  #: Blocks with returns that no fit describes.
+
+    def shifted(self, shift: tuple[int, int, int]) -> "FiredPart":
+        """The same fired elsewhere: ``shift`` to the east, to the north and up [quanta]."""
+        return replace(self, anchor=self.anchor + np.array(shift) * QUANTUM_M)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Few arrays, of numbers only, as an npz file holds them; of equal patterns one is kept."""

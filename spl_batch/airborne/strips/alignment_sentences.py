@@ -1,0 +1,63 @@
+"""What a run says of the flightlines that it shifts, and of those that stay."""
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from spl_batch.airborne.strips.alignment import ALONE, MOST_M, TOO_FAR, Alignment
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.errors import grouped, named
+
+
+def stay_warnings(lines: Sequence[Alignment]) -> Iterator[str]:
+    """Sentences on flightlines that stay where they should perhaps not."""
+    alone = [one.name for one in lines if one.stays == ALONE]
+    if alone and len(alone) == len(lines):
+        yield "no two flightlines share enough planar patches: none is shifted"
+    elif alone:
+        noun = "flightline shares" if len(alone) == 1 else "flightlines share"
+        yield f"{len(alone)} {noun} too few planar patches with others and stay: {named(alone)}"
+    for one in lines:
+        if one.stays == TOO_FAR:
+            east, north, up = (0.0 if value is None else value for value in one.found_m)
+            yield (
+                f"{one.name} would have to be shifted by {east:.2f} m east, {north:.2f} m north "
+                f"and {up:.2f} m up, more than the {MOST_M:g} m that are allowed: it stays, and "
+                "the others are aligned without it; look at its trajectory and its datum"
+            )
+
+
+def plan_row(how: str) -> Iterator[tuple[str, str]]:
+    """What a plan says of it, label and value; nothing where no flightline is to be shifted."""
+    if how != "none":
+        parts = "heights" if how == "vertical" else "coordinates"
+        text = (
+            f"survey.align: {how}: flightlines are compared before the ground is looked for, and "
+            f"their {parts} shifted in all that follows; their clouds are compressed anew"
+        )
+        yield "alignment", text
+
+
+def done_sentences(how: str, receipts: Iterable[Receipt]) -> Iterator[str]:
+    """What was done, once it is known."""
+    found = [[Alignment(*line) for line in receipt.facts["lines"]] for receipt in receipts]
+    if found:
+        yield done_sentence(how, found[0])
+    elif how != "none":
+        yield f"survey.align: {how}: there is one flightline, nothing is shifted"
+
+
+def done_sentence(how: str, lines: Sequence[Alignment]) -> str:
+    """One sentence on what was done."""
+    moved = [one for one in lines if not one.stays]
+    if not moved:
+        return (
+            f"no flightline is shifted (survey.align: {how}): what is found of "
+            f"{grouped(len(lines))} is within its own error, or cannot be told"
+        )
+    up = max(abs(one.up_m) for one in moved)
+    across = max((one.east_m**2 + one.north_m**2) ** 0.5 for one in moved)
+    far = f"{100 * up:.1f} cm in height" + (f" and {100 * across:.0f} cm in place" * (across > 0))
+    noun = "flightline was" if len(moved) == 1 else "flightlines were"
+    return (
+        f"{grouped(len(moved))} of {grouped(len(lines))} {noun} shifted by up to {far} "
+        f"(survey.align: {how})"
+    )

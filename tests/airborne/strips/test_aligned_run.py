@@ -1,0 +1,124 @@
+"""Flightlines that a run brings together, from files to deliveries, without a noise filter."""
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+import rasterio
+
+from spl_batch import api
+from tests import surveys
+from tests.airborne.strips.test_strip_run import FINE, survey
+from tests.airborne.strips.two_strips import Shift, hills
+
+OFF = Shift(0.3, -0.2, 0.2)
+
+
+def aligned(folder: Path, how: str, **sections: object) -> Path:
+    return survey(folder, OFF, survey={"align": how}, **sections)
+
+
+def products(output: Path) -> dict[str, bytes]:
+    """Everything that is delivered but what tells time and code."""
+    kept = (*output.glob("*.tif"), *output.glob("laz/*/*"), *output.glob("tiles/*"))
+    return {path.relative_to(output).as_posix(): path.read_bytes() for path in kept}
+
+
+def off_truth(output: Path) -> float:
+    """Standard deviation of the terrain model from the hills [m]."""
+    with rasterio.open(output / "dtm.tif") as source:
+        dtm = source.read(1, masked=True)
+        rows, columns = np.nonzero(~np.ma.getmaskarray(dtm))
+        x, y = rasterio.transform.xy(source.transform, rows, columns)
+    away = dtm[rows, columns].data - hills(np.array(x) - 10_000, np.array(y) - 20_000)
+    return float(np.std(away))
+
+
+@pytest.fixture(scope="module")
+def rigid(tmp_path_factory: pytest.TempPathFactory) -> api.RunResult:
+    workflow = aligned(tmp_path_factory.mktemp("rigid"), "rigid", outputs={"tiles": "laz"})
+    return surveys.run(workflow)
+
+
+def test_rigid_brings_them_together_and_every_place_says_so(rigid: api.RunResult) -> None:
+    report = json.loads((rigid.output / "report.json").read_text())
+    (before,), (left,) = report["alignment"]["before"], report["strips"]
+    assert before["up_m"] == pytest.approx(0.2, abs=0.02)
+    assert abs(left["up_m"]) < 3 * left["up_sd_m"] + 0.002
+    assert np.hypot(left["east_m"], left["north_m"]) < 3 * left["horizontal_sd_m"]
+    first, second = report["alignment"]["lines"]
+    assert first["up_m"] == pytest.approx(-second["up_m"], abs=0.0011)
+    assert second["up_m"] == pytest.approx(-0.1, abs=0.01)
+    assert second["east_m"] == pytest.approx(-0.15, abs=0.04)
+    assert not [text for text in rigid.report.warnings if "ranging noise" in text]
+    page = (rigid.output / "report.html").read_text()
+    assert "Shifts that were applied" in page
+    assert f"<td>{100 * second['up_m']:.1f}</td>" in page.replace("\N{MINUS SIGN}", "-")
+    assert "2 of 2 flightlines were shifted" in (rigid.output / "metadata.xml").read_text()
+    log = (rigid.output / "log.jsonl").read_text()
+    assert "2 of 2 flightlines were shifted" in log
+
+
+def test_delivered_points_are_shifted_by_the_numbers_told(rigid: api.RunResult) -> None:
+    for line in json.loads((rigid.output / "report.json").read_text())["alignment"]["lines"]:
+        name = f"{int(line['name'][:5])}.laz"
+        given = laspy.read(rigid.output.parent / "lines" / name)
+        made = laspy.read(rigid.output / "laz" / "lines" / name)
+        assert len(made) == len(given)
+        for axis, shift_m in zip(
+            "XYZ", (line["east_m"], line["north_m"], line["up_m"]), strict=True
+        ):
+            assert set((made[axis] - given[axis]).tolist()) == {round(shift_m * 1000)}
+        np.testing.assert_array_equal(made.gps_time, given.gps_time)
+        (record,) = [v for v in made.header.vlrs if v.user_id == "spl-batch"]
+        told = json.loads(record.record_data_bytes().rstrip(b"\0"))
+        assert told["align"] == "rigid"
+        (own,) = told["flightlines"]
+        assert (own["name"], own["up_m"]) == (line["name"], line["up_m"])
+    tiles = [laspy.read(path) for path in sorted((rigid.output / "tiles").glob("*.laz"))]
+    files = [laspy.read(path) for path in sorted((rigid.output / "laz").glob("*/*.laz"))]
+    places = [
+        np.concatenate([np.stack([some.x, some.y, some.z, some.gps_time], axis=1) for some in all_])
+        for all_ in (tiles, files)
+    ]
+    ordered = [np.unique(np.round(one, 3), axis=0) for one in places]
+    np.testing.assert_array_equal(*ordered)
+    assert rigid.report.counts.points_out == rigid.report.counts.points_in
+
+
+def test_tiles_and_workers_do_not_count_and_going_back_gives_what_was(
+    rigid: api.RunResult, tmp_path: Path
+) -> None:
+    fine = {**FINE, "ground": {"cell_m": 50, "buffer_m": 20}, "outputs": {"tiles": "none"}}
+    workflow = aligned(tmp_path, "none", **fine)
+    plain = surveys.run(workflow)
+    assert plain.report.alignment is None
+    recorded, off_before = products(plain.output), off_truth(plain.output)
+    moved = surveys.run(workflow, "survey.align=rigid")
+    wanted = {name: v for name, v in products(rigid.output).items() if "tiles/" not in name}
+    assert products(moved.output) == wanted
+    assert wanted.keys() == recorded.keys()
+    assert all(wanted[name] != recorded[name] for name in ("dtm.tif", "laz/lines/1.laz"))
+    assert off_truth(moved.output) < 0.8 * off_before
+    surveys.run(workflow)
+    assert products(plain.output) == recorded
+
+
+def test_vertical_moves_heights_alone(tmp_path: Path) -> None:
+    result = surveys.run(aligned(tmp_path, "vertical"))
+    (left,) = result.report.strips
+    assert abs(left.up_m or 0.0) < 3 * (left.up_sd_m or 0.0) + 0.002
+    assert left.east_m == pytest.approx(0.3, abs=0.08)
+    given, made = (laspy.read(tmp_path / where / "2.laz") for where in ("lines", "out/laz/lines"))
+    np.testing.assert_array_equal(made.X, given.X)
+    assert set((made.Z - given.Z).tolist()) <= set(range(-110, -89))
+
+
+def test_a_flightline_alone_stays_and_one_line_says_so(tmp_path: Path) -> None:
+    workflow = aligned(tmp_path, "rigid")
+    (tmp_path / "lines" / "2.laz").unlink()
+    result = surveys.run(workflow, until="ground")
+    log = (result.output / "log.jsonl").read_text()
+    assert log.count("there is one flightline, nothing is shifted") == 1
