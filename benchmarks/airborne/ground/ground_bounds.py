@@ -6,7 +6,8 @@ FOLDER is that of :mod:`~benchmarks.airborne.ground.ground_tiles`. Prints, and d
 
 - heath: where the returns of the smoothest cells lie about the producer's terrain, those that he
   calls ground and all, and a profile with his terrain and ours;
-- town: error of the terrain within so many metres of the producer's ground;
+- town: error of the terrain within so many metres of the producer's ground, at the edge of the tile
+  and within, and without what is taken of each of his other classes;
 - quarry and hillside town (samples 53 and 11): ground that the method misses and objects that it
   takes, over the shaded terrain.
 """
@@ -20,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from benchmarks.airborne.ground.ground_tiles import Mask, Tile, project, terrain, tiles
+from benchmarks.airborne.ground.ground_tiles import CLEAR_M, Mask, Tile, project, terrain, tiles
 
 HEATHS: Final = ("VSN601001", "VSN601003")
 TOWN: Final = "test_semis"
@@ -41,6 +42,7 @@ WIDE_M: Final = 0.75
 
 BARE: Final = -0.15, 0.25
 DISTANCES_M: Final = (1, 2, 3, 5, 7, 10)
+ZONES_M: Final = ((5.0, 20.0), (20.0, 40.0), (40.0, np.inf))
 
 Float = NDArray[np.float64]
 
@@ -131,6 +133,22 @@ def town(of: Judged, axes: Any) -> None:
             f"{tile.name}: {100 * near.sum() / known.sum():.1f} % of cells within {most} m of the "
             f"producer's ground: RMSE {errors[-1]:.3f} m, "
             f"{100 * np.sum(off[near] ** 2) / whole:.0f} % of all squares"
+        )
+    high = tile.xyz[:, :2].max(axis=0)
+    edge = np.minimum(tile.grid, high - tile.grid).min(axis=1)
+    for least, most in ZONES_M:
+        there = known & (edge >= least) & (edge < most)
+        rms = np.sqrt(np.mean(off[there] ** 2))
+        print(
+            f"  {least:g} to {most:g} m off the edge: RMSE {rms:.3f} m, "
+            f"{100 * np.mean(off[there] > CLEAR_M):.2f} % of cells too high"
+        )
+    for number in np.unique(tile.classes[of.found & ~tile.ground]):
+        rest = terrain(tile.xyz[of.found & (tile.classes != number)], tile.grid) - tile.truth
+        rest = rest[np.isfinite(rest)]
+        print(
+            f"  without class {number}: RMSE {np.sqrt(np.mean(rest**2)):.3f} m, "
+            f"{100 * np.mean(rest > CLEAR_M):.2f} % of cells too high"
         )
     axes.plot(DISTANCES_M, errors, "o-")
     axes.set(

@@ -2,12 +2,13 @@
 
 Run ``python -m benchmarks.airborne.ground.ground_tiles FOLDER``.
 
-Takes ``FOLDER [TILE ...] [--methods ptd smrf csf] [--cells]``.
+Takes ``FOLDER [TILE ...] [--methods ptd smrf csf] [--cells] [--thin SHARE SEED]``.
 
 FOLDER holds LAS or LAZ files that a producer has classified; files in folders below it count, and
 TILE picks those whose name starts so. Files without a ground class are left out. Each method is
 called on the points themselves, without the rest of the chain, as a tile whole or, with
-``--cells``, cut into the ground cells of a run. The table says, for each tile and method:
+``--cells``, cut into the ground cells of a run; with ``--thin`` on a share of the points, drawn by
+chance. The table says, for each tile and method:
 
 - ``RMSE``, ``> 0.5 m`` and ``< -0.5 m``: the TIN of the points that the method calls ground against
   that of the producer's ground, on a grid, edges off [m, %, %];
@@ -239,6 +240,13 @@ def run(tile: Tile, chosen: Mapping[str, Callable[[Tile], Mask]]) -> dict[str, d
     return results
 
 
+def thinned(tile: Tile, share: float, seed: int) -> Tile:
+    """A tile with a share of its points; the producer's terrain stays that of all."""
+    kept = np.random.default_rng(seed).random(len(tile.table)) < share
+    kept[tile.xyz.argmin(axis=0)] = True  # heights and places count from the corner
+    return tile._replace(table=tile.table.take(np.flatnonzero(kept)), classes=tile.classes[kept])
+
+
 def _corner(tile: Tile) -> Tile:
     """A thousand points of a tile."""
     few = np.arange(len(tile.table)) < FEW
@@ -253,10 +261,13 @@ def show(tile: Tile, results: Mapping[str, Mapping[str, Any]]) -> None:
         print(f"  {name:39}" + "".join(f"{value:9.2f}" for value in row.values()), flush=True)
 
 
-def main(folder: Path, wanted: Sequence[str], names: Sequence[str], *, cells: bool) -> None:
+def main(
+    folder: Path, wanted: Sequence[str], names: Sequence[str], thin: Sequence[float], *, cells: bool
+) -> None:
     """Run all methods on all tiles, and print."""
     chosen = methods(names, cells=cells)
-    for tile in tiles(folder, wanted):
+    for whole in tiles(folder, wanted):
+        tile = thinned(whole, thin[0], int(thin[1])) if thin else whole
         show(tile, run(tile, chosen))
 
 
@@ -266,5 +277,6 @@ if __name__ == "__main__":
     parser.add_argument("tiles", nargs="*")
     parser.add_argument("--methods", nargs="+", default=["multiscale", "ptd", "smrf", "csf"])
     parser.add_argument("--cells", action="store_true")
+    parser.add_argument("--thin", nargs=2, type=float, default=(), metavar=("SHARE", "SEED"))
     given = parser.parse_args()
-    main(given.folder, given.tiles, given.methods, cells=given.cells)
+    main(given.folder, given.tiles, given.methods, given.thin, cells=given.cells)

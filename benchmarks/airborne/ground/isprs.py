@@ -83,6 +83,16 @@ def score(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> Score:
     return Score(100 * (1 - agreed), 100 * float((agreed - by_chance) / (1 - by_chance)))
 
 
+def mistakes(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> list[float]:
+    """Ground missed and objects taken [%], and kappa if all of these were right, of either kind."""
+    return [
+        100 * float(np.mean(~found[truth])),
+        100 * float(np.mean(found[~truth])),
+        score(found | truth, truth).kappa,
+        score(found & truth, truth).kappa,
+    ]
+
+
 def compare(
     samples: dict[str, tuple[PointTable, NDArray[np.bool_]]],
     method: Literal["multiscale", "ptd", "smrf"],
@@ -91,16 +101,22 @@ def compare(
     settings = GroundSettings(method=method)
     print(f"\n{method:8}  total error / kappa [%]", *(f"{n:>15}" for n in COLUMNS))
     started = time.perf_counter()
-    rows = []
+    rows, kinds = [], []
     for name, (table, truth) in samples.items():
         cut = score(by_cells(table, settings), truth)
-        whole = score(ground_mask(table, np.ones(len(table), dtype=np.bool_), settings), truth)
+        found = ground_mask(table, np.ones(len(table), dtype=np.bool_), settings)
+        whole = score(found, truth)
         published = Score(*PUBLISHED.get(method, {}).get(name, (np.nan, np.nan)))
         rows.append((cut, whole, published))
+        kinds.append(mistakes(found, truth))
         print_row(name, rows[-1])
     means = np.array(rows).mean(axis=0) if rows else np.full((3, 2), np.nan)
     print_row("mean", [Score(*mean) for mean in means])
     print(f"{time.perf_counter() - started:.1f} s for both passes")
+    print("whole: ground missed, objects taken; kappa without the one, without the other [%]")
+    for name, kind in zip(samples, kinds, strict=True):
+        print(f"{name:33}" + "".join(f"{value:9.1f}" for value in kind))
+    print(f"{'mean':33}" + "".join(f"{value:9.1f}" for value in np.mean(kinds, axis=0)))
 
 
 def print_row(name: str, scores: Sequence[Score]) -> None:
