@@ -236,7 +236,7 @@ def report(output: Path) -> int:
 
         result = api.report(output)
     screen.print_result(result)
-    return 0
+    return int(result.exit_status)
 
 
 cli.add_command(denoise)

@@ -6,19 +6,37 @@ from pathlib import Path
 
 from spl_batch.engine.store.working_store import write_json
 from spl_batch.engine.watch.earlier_runs import earlier_wall_s, log_bytes, share_time
+from spl_batch.engine.watch.events import (
+    Event,
+    PhaseStarted,
+    RunEnded,
+    RunStarted,
+    TaskEnded,
+    as_record,
+)
 from tests import surveys
 
 WORK = "TaskEnded"
 IDLE = "PhaseStarted"
 
 
+def line(second: int, event: str, stage: str = "", *, anew: bool = False) -> str:
+    """An event of this kind as a run logs it."""
+    events: dict[str, Event] = {
+        "RunStarted": RunStarted("w.yaml", 2, "0.1+x", anew=anew),
+        WORK: TaskEnded(stage, "k", "x", 10, 1.0, ""),
+        IDLE: PhaseStarted(stage, "k", 0, 1, 0),
+        "RunEnded": RunEnded(0),
+    }
+    moment = f"2026-01-01T00:00:{second:02d}.000+00:00"
+    return json.dumps({**as_record(events[event]), "time": moment}) + "\n"
+
+
 def log(output: Path, runs: Sequence[tuple[int, int, str, bool]], *, torn: str = "") -> None:
     """Runs by first and last second, what they tell, and whether they began anew."""
     with (output / "log.jsonl").open("a") as stream:
         for first, last, event, anew in runs:
-            began = {"time": f"2026-01-01T00:00:{first:02d}.000+00:00", "event": "RunStarted"}
-            told = {"time": f"2026-01-01T00:00:{last:02d}.000+00:00", "event": event}
-            stream.write(json.dumps({**began, "anew": anew}) + "\n" + json.dumps(told) + "\n")
+            stream.write(line(first, "RunStarted", anew=anew) + line(last, event, "index"))
         stream.write(torn)
 
 
@@ -65,12 +83,7 @@ def test_what_outputs_share_took_as_long_as_where_it_was_done(tmp_path: Path) ->
     assert earlier_wall_s(wanted) is None, "nothing tells"
 
     def lines(*told: tuple[int, str, str]) -> str:
-        return "".join(
-            json.dumps({
-                "time": f"2026-01-01T00:00:{second:02d}.000+00:00",
-                "event": event, **({"stage": stage} if stage else {}), "name": "x",
-            }) + "\n" for second, event, stage in told
-        )  # fmt: skip
+        return "".join(line(*one) for one in told)
 
     stopped = lines((0, "RunStarted", ""), (4, "TaskEnded", "index"), (7, "TaskEnded", "shots"))
     torn = '{"time": "2026-01-01T00:00:09.000+00:00", "event": "TaskEnded", "stage": "sho\n'

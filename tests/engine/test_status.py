@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from spl_batch import api
-from spl_batch.cli import live, screen, view, watching
+from spl_batch.cli import document, live, screen, view, watching
 from spl_batch.engine.store.output_lock import holder, lock_file, locked
 from spl_batch.engine.store.working_store import IDENTITY, Store, write_receipt
 from spl_batch.engine.tasks.task import Receipt, Task
@@ -665,5 +665,36 @@ def test_a_damaged_log_is_told_and_leads_to_no_traceback(
         (tmp_path / "log.jsonl").write_bytes(lost)
         assert surveys.command("status", tmp_path).status == 0
         assert api.status(tmp_path).left_s is not None
-    (tmp_path / "log.jsonl").write_bytes(content.replace(b'"points"', b'"pionts"'))
+    (tmp_path / "log.jsonl").write_bytes(content.replace(b'"kind"', b'"kidn"'))
     assert "of log.jsonl left out: cut off, or damaged" in surveys.command("status", tmp_path).out
+
+
+WRONG = (
+    "\x1b[31m<b>", "0001-01-01", 1e308, float("nan"), -1, 10**30, None, True, [], [[1]], {"a": [1]},
+    {"total": [[1]], "done": [[0]]}, [{"path": 1}],
+)  # fmt: skip
+"""What a line of a log may hold where a run wrote something else."""
+
+
+def test_lines_with_wrong_values_lead_to_no_traceback(tmp_path: Path) -> None:
+    events = [*a_run(), WorkersSeen(2, 4, 700.0, 900.0), ReportStarted(), RunEnded(1, "")]
+    events.append(RunStarted("w", 2, "1", {"index": 3.0}, ("index",), {"index": 1}, unusable=[{}]))
+    records = [as_record(event) for event in events]
+    tried = 0
+    for number, record in enumerate(records):
+        if record["event"] in {one["event"] for one in records[:number]}:
+            continue
+        for field in record:
+            spoilt = [{**record, field: value} for value in WRONG]
+            for one in (*spoilt, {k: v for k, v in record.items() if k != field}):
+                lines = [*records[:number], one, *records[number + 1 :]]
+                log = "".join(json.dumps(line) + "\n" for line in lines)
+                (tmp_path / "log.jsonl").write_text(log)
+                found = api.status(tmp_path)
+                assert max(map(len, repr(found).splitlines())) < 1000
+                if not found.lost_lines:
+                    drawn(live.draw(found))
+                    document.of_status(found)
+                earlier_wall_s(tmp_path)
+                tried += 1
+    assert tried > 600

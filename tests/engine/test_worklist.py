@@ -138,7 +138,11 @@ def test_a_stretch_is_read_from_the_parts_that_hold_its_flightline_then() -> Non
     }
     for name, found in files.items():
         points = sum(int(n) for listed in found["spans"].values() for _, _, n in listed)
-        facts = {"prf_hz": {}, "fullest": {psid: [points] for psid in found["spans"]}}
+        facts = {
+            "timeless": 0,
+            "prf_hz": {},
+            "fullest": {psid: [points] for psid in found["spans"]},
+        }
         known.of("index_file").put(receipt("index_file", name, points=points, **found, **facts))
     gather = next(phase for phase in PHASES if phase.kind == "gather")
     read: dict[str, set[str]] = {}

@@ -143,7 +143,7 @@ BOMBS = {
     "itself": ("a: &a [*a]", "refers to itself"),
     "depth": ("[" * 9000, f"nested more than {DEPTH_MAX} deep"),
     "length": ("a: " + "1" * TEXT_MAX, "characters; at most"),
-    "digits": ("a: " + "1" * 9000, "digits"),
+    "digits": ("a: " + "1" * 9000, "a number of 9000 digits: no setting has one"),
     "a date": ("a: 2001-99-99", "month"),
     "a command": ("a: !!python/object/apply:os.system [ls]", "constructor"),
 }

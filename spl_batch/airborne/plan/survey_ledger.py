@@ -21,8 +21,14 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.strips.strip_comparison import alignments_of
 from spl_batch.airborne.tasks.index import part_name
 from spl_batch.engine.tasks.ledger import Ledger
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.density import from_counts
 from spl_batch.lattice.tiles import Bounds, CellId, parse_cell, quanta
+
+
+def _most_timed(indexed: tuple[str, Receipt]) -> tuple[int, str]:
+    key, receipt = indexed
+    return int(receipt.facts["timeless"]) - int(receipt.facts["points"]), key
 
 
 class Pieces(NamedTuple):
@@ -94,9 +100,13 @@ class Survey(Ledger[Inputs, Workflow]):
 
     @cached_property
     def pieces(self) -> dict[int, Pieces]:
-        """What of the input holds points of each point source id; complete once the index is."""
+        """What of the input holds points of each point source id; complete once the index is.
+
+        Files with most usable times come first: of returns that several hold theirs count, not
+        those of a copy whose times are broken.
+        """
         found: dict[int, list[tuple[str, float, float]]] = {}
-        for key, receipt in sorted(self.of("index_file").items()):
+        for key, receipt in sorted(self.of("index_file").items(), key=_most_timed):
             if is_timeless(receipt, self.workflow):
                 continue
             spans, parts = receipt.facts["spans"], receipt.facts["parts"]

@@ -75,14 +75,14 @@ def read_stretch(
     """Points of a stretch from every file that has some, in time order.
 
     A return that is there several times, as where a file is delivered twice, tiles overlap or a
-    file holds its points twice, comes once, from the file with the least key and the first place in
-    it: copies would vouch for each other.
+    file holds its points twice, comes once, from the file that is named first and the first place
+    in it: copies would vouch for each other.
 
     Parameters
     ----------
     args : mapping
-        ``sources``, the names of files or of their parts, ``psid``, ``t0_s``, ``prf_hz``,
-        ``shots``, ``window_s`` and ``span_s``.
+        ``sources``, the names of files or of their parts, soundest first, ``psid``, ``t0_s``,
+        ``prf_hz``, ``shots``, ``window_s`` and ``span_s``.
     names : sequence of str
         Columns that are wanted; those of the order and ``shot`` come too.
 
@@ -100,20 +100,29 @@ def read_stretch(
         for name in args["sources"]
         for piece in _pieces(name, args["window_s"], context, (*columns, "point_source_id"))
     ]
-    table, copies = _once(_in_time_order(concat(pieces, [*columns, "shot"])))
+    ranked = list(dict.fromkeys(int(name.partition("-")[0]) for name in args["sources"]))
+    table, copies = _once(_in_time_order(concat(pieces, [*columns, "shot"])), ranked)
     # Kernels are compiled for arrays that can be written to, and what was read cannot.
     writable = {k: np.require(v, None, ["C", "W"]) for k, v in table.columns.items()}
     return PointTable(writable), copies
 
 
-def _once(table: PointTable) -> tuple[PointTable, Copies]:
-    """Points in time order without those that are there already, and these."""
+def _once(table: PointTable, ranked: Sequence[int]) -> tuple[PointTable, Copies]:
+    """Points in time order without those that are there already, and these.
+
+    ``ranked``: keys of the files; of equal returns that of the first one counts.
+    """
     again = np.ones(len(table), np.bool_)
     again[:1] = False
     for name in TIME_ORDER[: TIME_ORDER.index("source")]:
         again[1:] &= table[name][1:] == table[name][:-1]
         if not again.any():
             return table, Counter()
+    rank = np.empty(len(table), np.int64)
+    for place, key in enumerate(ranked):
+        rank[table["source"] == key] = place
+    # The order within each file stands.
+    table = table.take(np.lexsort([rank, np.cumsum(~again)]))
     source = table["source"]
     starts = np.flatnonzero(~again)
     first = np.repeat(source[starts], np.diff(starts, append=len(source)))

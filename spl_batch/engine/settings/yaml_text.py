@@ -13,6 +13,9 @@ TEXT_MAX: Final = 1 << 20
 NODES_MAX: Final = 50_000
 """Values of a file, those behind references counted each time [count]."""
 
+DIGITS_MAX: Final = 300
+"""Characters of a whole number, as many as the largest floating-point one has [count]."""
+
 DEPTH_MAX: Final = 40
 """Sections within each other [count]."""
 
@@ -62,6 +65,11 @@ class _Loader(yaml.SafeLoader):
             lines[key.value] = line
         return node
 
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        if len(node.value) > DIGITS_MAX:
+            raise self._refused(f"a number of {len(node.value)} digits: no setting has one", node)
+        return int(super().construct_yaml_int(node))
+
     def _measured(self, node: Any) -> tuple[int, int]:
         """Values that a node stands for, and how deep they are; those in it are known."""
         if isinstance(node, yaml.ScalarNode):
@@ -74,6 +82,9 @@ class _Loader(yaml.SafeLoader):
     @staticmethod
     def _refused(problem: str, place: Any) -> yaml.MarkedYAMLError:
         return yaml.MarkedYAMLError(problem=problem, problem_mark=place.start_mark)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 
 def parse_yaml(text: str) -> Any:

@@ -136,8 +136,10 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         content: dict[str, Any] = json.loads(read_bytes(path))
         sound = content.pop(_DIGEST) == _digest(content)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except OSError as error:
         raise DamagedError(path, error) from error
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise DamagedError(path, "it is not what was written") from error
     if not sound:
         raise DamagedError(path, "it does not fit its hash")
     return content

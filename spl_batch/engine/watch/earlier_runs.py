@@ -5,16 +5,15 @@ that was stopped or killed leaves only its lines in ``log.jsonl``: it lasted fro
 last. What is linked from another output's store has its time beside it.
 """
 
-import json
 import mmap
 from collections.abc import Callable, Collection, Iterator
-from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.report.run_record import recall
 from spl_batch.engine.store.working_store import Store, read_json, write_json
+from spl_batch.engine.watch.log_lines import event_of, seconds
 from spl_batch.errors import DamagedError, StoreError
 
 FIRST_EVENT: Final = b'"event": "RunStarted"'
@@ -105,7 +104,7 @@ def _durations(log: Path, begin: int, ends: _End) -> list[float]:
             if started.get("anew"):
                 found.clear()
             lasted = bool(started) and end >= 0
-            found.append(_last_s(whole, at, end) - _seconds(started) if lasted else 0.0)
+            found.append(_last_s(whole, at, end) - seconds(started) if lasted else 0.0)
     return found
 
 
@@ -123,22 +122,16 @@ def _last_s(whole: mmap.mmap, at: int, end: int) -> float:
         line = max(whole.rfind(b"\n", at, end - 1) + 1, at)
         record = _record(whole[line:end])
         if record:
-            return _seconds(record)
+            return seconds(record)
         end = line
 
 
 def _record(line: bytes) -> dict[str, Any]:
     """An event as it was logged; nothing of half a line, or of one that is damaged."""
     try:
-        record: dict[str, Any] = json.loads(line)
-        _seconds(record)
-    except (ValueError, KeyError, TypeError):
+        return event_of(line)
+    except ValueError:
         return {}
-    return record
-
-
-def _seconds(record: dict[str, Any]) -> float:
-    return datetime.fromisoformat(record["time"]).timestamp()
 
 
 def _log(output: Path) -> Path:

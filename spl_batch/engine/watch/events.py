@@ -30,8 +30,8 @@ class WorkersReady:
     """There is something to run tasks on."""
 
     #: Address of a scheduler that was started elsewhere; empty for workers of our own.
-    scheduler: str
-    dashboard: str  #: Link to dask's dashboard; empty where there is none.
+    scheduler: str = ""
+    dashboard: str = ""  #: Link to dask's dashboard; empty where there is none.
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class TaskStarted:
     stage: str
     kind: str
     name: str
-    worker: str
+    worker: str = ""
     #: What a user calls it; as :func:`spl_batch.engine.verbs.failures.plain_name` says.
     called: str = ""
 

@@ -1,6 +1,5 @@
 """State of a run as its log tells it, which any process may read while it grows."""
 
-import json
 import mmap
 from pathlib import Path
 from typing import Final
@@ -11,6 +10,7 @@ from spl_batch.engine.store.output_lock import holder
 from spl_batch.engine.store.working_store import IDENTITY, Store, read_receipt
 from spl_batch.engine.watch.earlier_runs import FIRST_EVENT, WORK_EVENT
 from spl_batch.engine.watch.events import TaskEnded, as_record
+from spl_batch.engine.watch.log_lines import event_of
 from spl_batch.engine.watch.status import RunStatus
 from spl_batch.errors import WorkflowError
 
@@ -20,8 +20,8 @@ LOG: Final = "log.jsonl"
 _CLOCKS_S: Final = 0.05
 """How much coarser than the log's the times of files may be [s]."""
 
-_NO_EVENT: Final = (ValueError, KeyError, TypeError, AttributeError)
-"""What a line of the log leads to that is cut off, by a kill, or damaged."""
+_NO_EVENT: Final = (ValueError, KeyError, OverflowError)
+"""What a line of the log leads to that is cut off, by a kill, damaged, or of no stage."""
 
 _BLOCK_BYTES: Final = 1 << 22
 """Bytes of the log read at once [byte]."""
@@ -98,7 +98,7 @@ class Follower:
         *lines, self._rest = (self._rest + content).split(b"\n")
         for line in lines:
             try:
-                self.status.feed(json.loads(line))
+                self.status.feed(event_of(line))
             except _NO_EVENT:
                 self._lost += 1
 

@@ -6,11 +6,11 @@ It is made alike from the events of a run in this process and from the lines of 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from typing import Any, Final
 
 from spl_batch.engine.tasks.runner import stages as stages_of
 from spl_batch.engine.watch.listing import listed
+from spl_batch.engine.watch.log_lines import seconds
 from spl_batch.engine.watch.tile_map import TileMap
 from spl_batch.receivers import IMAGING
 
@@ -190,8 +190,8 @@ class RunStatus:
         for name in self.__slots__:
             setattr(self, name, getattr(fresh, name))
         self.unusable = _unusable(record)
-        for name, seconds in record.get("expected_s", {}).items():
-            self.stages[name].expected_s = seconds
+        for name, expected_s in record.get("expected_s", {}).items():
+            self.stages[name].expected_s = expected_s
         for name, phases in record.get("phases", {}).items():
             self.stages[name].phases_left = phases
 
@@ -212,7 +212,7 @@ class RunStatus:
     def _begin(self, record: Mapping[str, Any]) -> None:
         if record["kind"] in self.kinds:
             self._begin_again()
-        self.kinds[record["kind"]] = _seconds(record)
+        self.kinds[record["kind"]] = seconds(record)
         stage = self.stages[record["stage"]]
         stage.phases_left -= stage.phases_left > 0
         stage.total += record["tasks"] + record["skipped"]
@@ -220,7 +220,7 @@ class RunStatus:
         stage.found += record["skipped"]
         stage.left_points += record["points"]
         stage.points_to_do += record["points"]
-        stage.latest_s = _seconds(record)
+        stage.latest_s = seconds(record)
         stage.began_s = stage.began_s or stage.latest_s
         if record.get("tiles"):
             self.tiles[record["kind"]] = TileMap.from_record(record["tiles"])
@@ -249,7 +249,7 @@ class RunStatus:
         for known in (self.begun, self.called):
             known.pop((kind, name), None)
         failed = bool(record["reason"])
-        stage.latest_s = _seconds(record)
+        stage.latest_s = seconds(record)
         stage.left_points -= record["points"]
         stage.failed += failed
         stage.done += not failed
@@ -268,16 +268,16 @@ class RunStatus:
         self.workers = record
 
     def _report_started(self, record: Mapping[str, Any]) -> None:
-        began_s = _seconds(record)
+        began_s = seconds(record)
         for stage in self.stages.values():
             stage.phases_left = 0  # small surveys go without some
         self.page = StageStatus(PAGE, total=1, began_s=began_s, latest_s=began_s)
         self.reporting = True
 
     def _run_ended(self, record: Mapping[str, Any]) -> None:
-        self.ended = {**record, "exit_status": int(record["exit_status"])}
+        self.ended = record
         if self.reporting and not record["reason"]:
-            self.page.done, self.page.latest_s = 1, _seconds(record)
+            self.page.done, self.page.latest_s = 1, seconds(record)
         self.dashboard = ""
         self.nothing_runs()
 
@@ -291,7 +291,3 @@ class RunStatus:
 
 def _unusable(started: Mapping[str, Any]) -> list[FailedTask]:
     return [FailedTask(one["path"], one["reason"], "") for one in started.get("unusable", ())]
-
-
-def _seconds(record: Mapping[str, Any]) -> float:
-    return datetime.fromisoformat(record["time"]).timestamp()

@@ -67,9 +67,20 @@ class TileMap:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "TileMap":
-        """Map as :meth:`record` gave it."""
-        total, done = (np.array(record[k], np.int64) for k in ("total", "done"))
+        """Map as :meth:`record` gave it.
+
+        Raises
+        ------
+        ValueError
+            If it is none.
+        """
         place = (record["edge_m"], record["west"], record["south"], record["step"])
+        total, done = (np.array(record[k]) for k in ("total", "done"))
+        counts = total.dtype.kind == done.dtype.kind == "i" and total.shape == done.shape
+        whole = all(type(value) is int for value in place[1:]) and place[3] > 0
+        whole &= isinstance(place[0], int | float) and place[0] > 0
+        if not (counts and total.ndim == 2 and total.size and whole):
+            raise ValueError("tiles: no map of counts by row and column")
         return cls(*place, total, done, np.zeros_like(total), np.zeros_like(total))
 
     def record(self) -> dict[str, Any]:

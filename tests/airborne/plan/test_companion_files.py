@@ -59,6 +59,7 @@ def test_each_fails_alone_and_is_done_when_it_is_mended(survey: Path) -> None:
     assert planned.status == 1, planned.text
     flat = " ".join(planned.text.split())
     assert "known_2.laz" in flat
+    assert "flight_2.csv: 1 records have values" in flat
     assert "points.csv: lacks the columns" in flat
     ended = run(survey)
     assert ended.status == 1, ended.text
@@ -80,6 +81,8 @@ def test_each_fails_alone_and_is_done_when_it_is_mended(survey: Path) -> None:
     assert (second == 255).all()
     report = json.loads((folder / "out/report.json").read_text(encoding="utf-8"))
     assert report["accuracy"]["reference_points"] > 0
+    # A report that is written again says of the run what the run said.
+    assert surveys.command("report", folder / "out").status == 1
     for path, content in zip(harmed, sound, strict=True):
         path.write_bytes(content)
     ended = run(survey)
@@ -100,10 +103,16 @@ def test_where_no_trajectory_is_sound_nothing_is_started(survey: Path) -> None:
 
 
 def test_of_two_trajectories_plan_names_the_unreadable_one(survey: Path) -> None:
-    (survey.parent / "flight_2.csv").write_text("time,x\n1,2\n")
+    path = survey.parent / "flight_2.csv"
+    path.write_text("time,x\n1,2\n")
     ended = surveys.command("plan", survey)
     assert ended.status == 1, ended.text
     assert "flight_2.csv: has no column gps_time, y, z" in " ".join(ended.text.split())
+    path.unlink()
+    path.symlink_to(survey.parent / "nowhere.csv")
+    ended = surveys.command("plan", survey)
+    assert ended.status == 1, ended.text
+    assert "nowhere.csv" in ended.text
 
 
 def text(rows: list[str]) -> bytes:

@@ -45,6 +45,21 @@ def test_a_file_that_is_delivered_twice_counts_once(small: Path, small_output: P
     assert said.startswith(f"{copy} and {kept}: {grouped(size)} returns are in both")
 
 
+def test_a_copy_whose_times_are_broken_is_not_the_original(small: Path, small_output: Path) -> None:
+    path = lines(small)[0]
+    columns = surveys.flightline(shots=120, psid=1, seed=1)
+    assert len(columns["x"]) == len(surveys.cloud(path)["X"]), "the survey's first line"
+    columns["gps_time"][::10] = np.nan
+    name = f"lines/{path.name}"
+    # Of two equal ones the key decides: the copy has the lower one.
+    tried = (f"lines/copy_{k}.laz" for k in range(100))
+    copy = next(other for other in tried if source_key(other) < source_key(name))
+    surveys.write_cloud(small.parent / copy, columns)
+    result = surveys.run(small, until="deliver")
+    assert np.array_equal(assessed(result.output)[name], assessed(small_output)[name])
+    assert not assessed(result.output)[copy].any()
+
+
 def test_files_that_overlap(small: Path, small_output: Path) -> None:
     path = lines(small)[0]
     columns = surveys.flightline(shots=120, psid=1, seed=1)
@@ -115,7 +130,7 @@ def test_of_many_files_that_overlap_few_are_named(small: Path) -> None:
     (said,) = [text for text in texts if "returns are in both" in text]
     assert said.startswith("7 pairs of files, worst first: lines/tile_")
     assert " and 4 more: 16 returns are in both" in said
-    assert said.endswith("(the numbers of lines/tile_7.laz and lines/tile_6.laz)")
+    assert said.endswith("(the numbers of lines/tile_6.laz and lines/tile_7.laz)")
 
 
 def test_a_copy_in_another_place_is_called_so(tmp_path: Path) -> None:

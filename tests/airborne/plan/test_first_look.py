@@ -157,10 +157,11 @@ def test_a_file_beside_the_trajectory_is_a_warning(survey: Path) -> None:
 
 def test_seconds_of_the_week_are_no_other_day(survey: Path) -> None:
     start = (surveys.START_S + 1e9 - 1) % 604_800
-    surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 11)
+    path, back_m = survey.parent / "trajectory.csv", surveys.SPEED_M_S * (surveys.START_S - start)
+    surveys.write_trajectory(path, start_s=start, stop_s=start + 11, shift_m=back_m)
     assert api.plan(survey).faults == ()
     start += 2 * DAY_S
-    surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 11)
+    surveys.write_trajectory(path, start_s=start, stop_s=start + 11, shift_m=back_m)
     with pytest.raises(WorkflowError, match="gps_time of the first and last points"):
         api.plan(survey)
 

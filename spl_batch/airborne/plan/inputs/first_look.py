@@ -5,6 +5,7 @@ the first points of a file and at those where its last chunk starts, or at all o
 and at both ends of each trajectory. Both refuse what shows there that nothing could be done.
 """
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -19,11 +20,13 @@ from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.input_files import name_below
+from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.verbs.receiver import FirstLook
 from spl_batch.errors import (
     InputError,
     Said,
     WorkflowError,
+    as_input_fault,
     grouped,
     named,
     shared,
@@ -33,6 +36,7 @@ from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard, usab
 from spl_batch.formats.las.number_dimensions import Numbers
 from spl_batch.formats.las.reader import SAMPLE_POINTS, iter_points, read_ends
 from spl_batch.formats.trajectory.ends import ends
+from spl_batch.formats.trajectory.records import read_records
 from spl_batch.lattice.tables import PointTable
 
 SAMPLE_FILES: Final = 200
@@ -40,6 +44,9 @@ SAMPLE_FILES: Final = 200
 
 WHOLE_POINTS: Final = 250_000
 """Points that all files share at each of their ends [count]: a small survey is read whole."""
+
+WHOLE_BYTES: Final = 100_000_000
+"""Bytes of trajectories that are read to the end [byte]: that takes half a second."""
 
 SPREAD: Final = 20
 """Places at which a file is looked at before its channels are refused [count]: where points are in
@@ -264,9 +271,14 @@ def _ends(trajectory: Sequence[Path]) -> tuple[list[Span | None], list[InputErro
     """First and last times of the trajectories that can be read, and what is wrong with others."""
     found: list[Span | None] = []
     faults: list[InputError] = []
+    left = WHOLE_BYTES
     for path in trajectory:
+        left -= stamp_if_there(path)[0]
         try:
             found.append(ends(path))
+            if left >= 0:
+                with as_input_fault(path):
+                    deque(read_records(path), maxlen=0)
         except InputError as error:
             faults.append(error)
     return found, faults

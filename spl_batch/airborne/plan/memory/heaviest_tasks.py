@@ -22,6 +22,7 @@ from spl_batch.airborne.tasks.delivery import PASS_POINTS
 from spl_batch.airborne.tasks.index import CHUNK_POINTS
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.plan.worker_memory import LOADED_BASE_BYTES, usable_bytes
+from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.errors import grouped
 from spl_batch.formats.trajectory.merge import WAITING_RECORDS
 from spl_batch.lattice.density import Box, Peak, Piece, largest
@@ -165,4 +166,4 @@ def _place(kind: str, peak: Peak) -> str:
 
 def _records(path: Path) -> int:
     size = RECORD_BYTES.get(path.suffix.lower(), CSV_RECORD_BYTES)
-    return path.stat().st_size // size
+    return stamp_if_there(path)[0] // size
