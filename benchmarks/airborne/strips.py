@@ -8,7 +8,8 @@ keeps and from the truth's returns alone, and what part of the tasks' time the p
 
 ``python -m benchmarks.airborne.strips align`` corrects them: the largest differences between
 flightlines and the terrain's error against the reference with ``survey.align`` none, vertical and
-rigid, of a survey that fits and one whose second flightline does not, and the time of the tasks.
+rigid, of a survey that fits and one whose second flightline does not; and what part of the tasks'
+time it takes to find the shifts.
 """
 
 import sys
@@ -97,12 +98,13 @@ def _corrected(shift: tuple[float, float, float], folder: Path) -> None:
             for kind in kinds("imaging")
             for receipt in read_receipts(Store(result.output), kind)
         ]
+        aligning = sum(r.wall_s for r in receipts if r.kind in {"recorded_patches", "align"})
         parts = [
             " ".join(f"{100 * v:6.1f}" for v in shift),
             f"{how:8}",
             f"{100 * up:5.1f} {100 * max(across, default=np.nan):5.1f}",
             terrain,
-            f"{sum(receipt.wall_s for receipt in receipts):6.1f} s",
+            f"{100 * aligning / sum(r.wall_s for r in receipts):5.1f} %",
         ]
         print(" | ".join(parts), flush=True)
         for line in result.report.alignment.lines if result.report.alignment else ():

@@ -1,13 +1,14 @@
 """Shifts of flightlines that a run applies: how sure each one is, and which flightlines stay.
 
 As in :mod:`~spl_batch.airborne.strips.line_shifts` they make all pairs fit best. Here pairs that do
-not fit the others count less (Huber's weights), each shift has a standard deviation, and since
-overlaps do not tell where all flightlines lie together, the mean of those that hang together,
-weighted by their returns, stays where it was.
+not fit the others count less (Huber's weights). Overlaps do not tell where all flightlines lie
+together: of those that hang together one is held, and all are shifted against it. It is the one to
+which the others, weighted by their returns, come by the shortest way. So where most fit, they stay,
+and one that is off does not draw them along, as it would with a mean of zero.
 
 A flightline stays where nothing compares it with another, where its shift is less than
-:data:`SURE` of its standard deviations, and where it is more than :data:`MOST_M`, which is a fault
-of another kind; the others are then solved without it.
+:data:`SURE` of its standard deviations (:data:`SURE_ACROSS` on the map), and where it is more than
+:data:`MOST_M`, which is a fault of another kind; the others are then solved without it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +31,11 @@ from spl_batch.airborne.strips.pair_table import (
 from spl_batch.constants import QUANTA_PER_M
 
 SURE: Final = 2.0
-"""Standard deviations of a shift from which on it is applied."""
+"""Standard deviations of a shift in height from which on it is applied."""
+
+SURE_ACROSS: Final = 2.5
+"""The same of one on the map: two directions have twice the chance to seem off by accident. One
+flightline in 22 that fits is shifted all the same, as in height."""
 
 MOST_M: Final = 2.0
 """Longest shift that is applied [m]."""
@@ -44,6 +49,7 @@ ROUNDS: Final = 10
 COLUMNS_AT_ONCE: Final = 256
 """Columns of the inverse that are held at once [count]."""
 
+HELD: Final = "held"
 ALONE: Final = "not compared"
 UNSURE: Final = "not sure"
 TOO_FAR: Final = "too far"
@@ -74,6 +80,15 @@ class _Told(NamedTuple):
     sd_m: NDArray[np.float64]
 
 
+class _Group(NamedTuple):
+    """Flightlines that hang together, and what brings them together along one axis."""
+
+    lines: NDArray[np.intp]  #: (k,): which they are, in order.
+    ends: NDArray[np.intp]  #: (m, 2): first and second flightline of each pair among these.
+    weight: NDArray[np.float64]  #: (m,): of each pair [1/m2].
+    shift_m: NDArray[np.float64]  #: (k,): against the first of them.
+
+
 class _Axis(NamedTuple):
     """Shifts along one axis, of each flightline [m]; NaN where nothing tells them."""
 
@@ -97,7 +112,7 @@ def align_lines(
     pairs : sequence of PairDifference
         From :func:`~spl_batch.airborne.strips.pair_table.pair_table`.
     returns : mapping of str to int
-        Signal returns of each [count]: the weights of the mean that stays.
+        Signal returns of each [count]: their weights where one is to be held.
     rigid : bool
         Whether flightlines are shifted in place as well, not in height alone.
     """
@@ -127,13 +142,20 @@ def _decided(
     found = _found(axes, k)
     across_sd, up_sd = max(axes[0].sd_m[k], axes[1].sd_m[k]), axes[2].sd_m[k]
     east, north, up = (0.0 if one is None else one for one in found)
-    if not np.hypot(east, north) >= SURE * across_sd:
+    if not np.hypot(east, north) >= SURE_ACROSS * across_sd:
         east = north = 0.0
     if not abs(up) >= SURE * up_sd:
         up = 0.0
     east, north, up = (round(one * QUANTA_PER_M) / QUANTA_PER_M for one in (east, north, up))
-    stays = "" if east or north or up else ALONE if found[2] is None else UNSURE
+    stays = "" if east or north or up else _reason(found[2], up_sd)
     return Alignment(name, east, north, up, found, _known(across_sd), _known(up_sd), stays)
+
+
+def _reason(up_m: float | None, up_sd_m: float) -> str:
+    """Why a flightline stays."""
+    if up_m is None:
+        return ALONE
+    return HELD if up_sd_m == 0 else UNSURE
 
 
 def _found(axes: Sequence[_Axis], k: int) -> tuple[float | None, float | None, float | None]:
@@ -169,7 +191,26 @@ def _solve_all(
     ]
     up_sd = np.array([np.hypot(one.up_sd_m, OWN_M) for one in pairs])
     up = _Told(ends(pairs), np.array([one.up_m for one in pairs], np.float64), up_sd)
-    return [_solve(told, weight) for told in (*across, up)]
+    axes = [_Axis(np.full(len(names), np.nan), np.full(len(names), np.nan)) for _ in range(3)]
+    solved = [list(_solve(told, len(names))) for told in (*across, up)]
+    for axis, groups in zip(axes, solved, strict=True):
+        for group in groups:
+            axis.shift_m[group.lines] = group.shift_m
+    held = {_held(group.lines, axes, weight) for group in solved[2]}
+    for axis, groups in zip(axes, solved, strict=True):
+        for group in groups:
+            mine = held.intersection(group.lines.tolist()) or {_held(group.lines, axes, weight)}
+            place = int(np.searchsorted(group.lines, min(mine)))
+            axis.shift_m[group.lines] = group.shift_m - group.shift_m[place]
+            axis.sd_m[group.lines] = _sd_m(group, place)
+    return axes
+
+
+def _held(lines: NDArray[np.intp], axes: Sequence[_Axis], weight: NDArray[np.float64]) -> int:
+    """The flightline of a group to which the others come by the shortest way."""
+    shift = np.stack([axis.shift_m[lines] for axis in axes], axis=1)
+    ways = [weight[lines] @ np.linalg.norm(np.nan_to_num(shift - one), axis=1) for one in shift]
+    return int(lines[np.argmin(ways)])
 
 
 def _horizontal_sd_m(pair: PairDifference) -> float:
@@ -179,15 +220,11 @@ def _horizontal_sd_m(pair: PairDifference) -> float:
     return float(np.hypot(max(given, few), OWN_M))
 
 
-def _solve(told: _Told, weight: NDArray[np.float64]) -> _Axis:
+def _solve(told: _Told, count: int) -> Iterator[_Group]:
     """Shifts along one axis, of each group of flightlines that hang together."""
-    count = len(weight)
-    axis = _Axis(np.full(count, np.nan), np.full(count, np.nan))
     for lines, mine in _groups(told.ends, count):
         place = np.searchsorted(lines, told.ends[mine])
-        part = _Told(place, told.away_m[mine], told.sd_m[mine])
-        axis.shift_m[lines], axis.sd_m[lines] = _solve_group(part, weight[lines])
-    return axis
+        yield _solve_group(lines, _Told(place, told.away_m[mine], told.sd_m[mine]))
 
 
 def _groups(
@@ -201,48 +238,45 @@ def _groups(
         yield np.flatnonzero(group == one), np.flatnonzero(group[ends[:, 0]] == one)
 
 
-def _solve_group(
-    told: _Told, weight: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Shifts of a group and their standard deviations [m]; their weighted mean is zero."""
-    share = weight / weight.sum()
-    precision = 1 / told.sd_m**2
+def _solve_group(lines: NDArray[np.intp], told: _Told) -> _Group:
+    """Shifts of a group against its first flightline [m]."""
+    count, precision = len(lines), 1 / told.sd_m**2
     first, second = told.ends.T
-    freedom = len(told.away_m) - len(weight) + 1
+    freedom = len(told.away_m) - count + 1
     factor = np.ones(len(precision))
     for _ in range(ROUNDS if freedom else 1):
-        inverse = splu(_normal(told.ends, factor * precision, len(weight)))
+        inverse = splu(_normal(told.ends, factor * precision, count, 0))
         towards = factor * precision * -told.away_m
-        wanted = np.bincount(second, towards, len(weight)) - np.bincount(
-            first, towards, len(weight)
-        )
+        wanted = np.bincount(second, towards, count) - np.bincount(first, towards, count)
         shift = np.concatenate([[0.0], inverse.solve(wanted[1:])])
-        shift -= share @ shift
         ratio = (told.away_m + shift[second] - shift[first]) / told.sd_m
         factor = 1 / np.maximum(np.abs(ratio) / HUBER, 1.0)
     # Where pairs contradict each other, none is as sure as it says.
     misfit = float(factor @ ratio**2) / freedom if freedom else 1.0
-    return shift, np.sqrt(max(misfit, 1.0) * _variances(inverse, share))
+    return _Group(lines, told.ends, factor * precision / max(misfit, 1.0), shift)
 
 
-def _normal(ends: NDArray[np.intp], weight: NDArray[np.float64], count: int) -> csc_array:
-    """Normal matrix of the shifts of all flightlines of a group but the first, which is held."""
+def _normal(
+    ends: NDArray[np.intp], weight: NDArray[np.float64], count: int, held: int
+) -> csc_array:
+    """Normal matrix of the shifts of all flightlines of a group but the one that is held."""
     row = np.arange(len(ends)).repeat(2)
     signs = np.tile([-1.0, 1.0], len(ends))
-    design = csr_array((signs, (row, ends.ravel())), (len(ends), count))[:, 1:]
+    whole = csc_array((signs, (row, ends.ravel())), (len(ends), count))
+    design = csr_array(whole[:, np.flatnonzero(np.arange(count) != held)])
     return csc_array(design.T @ (design * weight[:, None]))
 
 
-def _variances(inverse: object, share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Variances of shifts whose weighted mean is zero, by the inverse with the first one held."""
-    count = len(share) - 1
-    diagonal = np.zeros(count + 1)
-    for start in range(0, count, COLUMNS_AT_ONCE):
-        stop = min(start + COLUMNS_AT_ONCE, count)
-        unit = np.zeros((count, stop - start))
-        unit[np.arange(start, stop), np.arange(stop - start)] = 1.0
-        some = inverse.solve(unit)  # type: ignore[attr-defined]
-        diagonal[1 + start : 1 + stop] = some[np.arange(start, stop), np.arange(stop - start)]
-    mean = np.concatenate([[0.0], inverse.solve(share[1:])])  # type: ignore[attr-defined]
-    variances: NDArray[np.float64] = np.maximum(diagonal - 2 * mean + share @ mean, 0.0)
-    return variances
+def _sd_m(group: _Group, held: int) -> NDArray[np.float64]:
+    """Standard deviations of shifts against the flightline that is held [m]."""
+    count = len(group.lines)
+    inverse = splu(_normal(group.ends, group.weight, count, held))
+    parts = []
+    for start in range(0, count - 1, COLUMNS_AT_ONCE):
+        rows = np.arange(start, min(start + COLUMNS_AT_ONCE, count - 1))
+        unit = np.zeros((count - 1, len(rows)))
+        unit[rows, rows - start] = 1.0
+        parts.append(inverse.solve(unit)[rows, rows - start])
+    variance = np.insert(np.concatenate(parts), held, 0.0)
+    found: NDArray[np.float64] = np.sqrt(np.maximum(variance, 0.0))
+    return found

@@ -37,11 +37,12 @@ def plan_row(how: str) -> Iterator[tuple[str, str]]:
 
 
 def done_sentences(how: str, receipts: Iterable[Receipt]) -> Iterator[str]:
-    """What was done, once it is known."""
+    """What was done, once it is known; nothing where all flightlines fit."""
     found = [[Alignment(*line) for line in receipt.facts["lines"]] for receipt in receipts]
-    if found:
-        yield done_sentence(how, found[0])
-    elif how != "none":
+    for lines in found:
+        if not all(one.stays for one in lines):
+            yield done_sentence(how, lines)
+    if not found and how != "none":
         yield f"survey.align: {how}: there is one flightline, nothing is shifted"
 
 
@@ -56,7 +57,7 @@ def done_sentence(how: str, lines: Sequence[Alignment]) -> str:
     up = max(abs(one.up_m) for one in moved)
     across = max((one.east_m**2 + one.north_m**2) ** 0.5 for one in moved)
     far = f"{100 * up:.1f} cm in height" + (f" and {100 * across:.0f} cm in place" * (across > 0))
-    noun = "flightline was" if len(moved) == 1 else "flightlines were"
+    noun = "flightlines was" if len(moved) == 1 else "flightlines were"
     return (
         f"{grouped(len(moved))} of {grouped(len(lines))} {noun} shifted by up to {far} "
         f"(survey.align: {how})"

@@ -62,9 +62,10 @@ class AlignedLine(Part):
         None, description="Standard deviation of east and north, the worse of the two [m]."
     )
     up_sd_m: Number = Field(None, description="Standard deviation of the height [m].")
-    stays: Literal["", "not compared", "not sure", "too far"] = Field(
-        description="Why nothing was added: too few planar patches with others; less than two "
-        "standard deviations; more than 2 m. Empty where something was."
+    stays: Literal["", "held", "not compared", "not sure", "too far"] = Field(
+        description="Why nothing was added: the others are shifted against it; too few planar "
+        "patches with others; less than two standard deviations (2.5 on the map); more than 2 m. "
+        "Empty where something was."
     )
 
 
@@ -73,8 +74,8 @@ class Alignment(Part):
 
     align: Literal["vertical", "rigid"] = Field(description="What was asked for.")
     lines: tuple[AlignedLine, ...] = Field(
-        description="All flightlines; the mean shift of those that overlap, weighted by their "
-        "returns, is zero but for those that stay."
+        description="All flightlines; of those that overlap one is held: the one to which the "
+        "others, weighted by their returns, come by the shortest way."
     )
     before: tuple[StripPair, ...] = Field(
         description="Pairs of flightlines as they were recorded; strips has what is left."
