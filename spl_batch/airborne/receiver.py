@@ -31,6 +31,7 @@ from spl_batch.airborne.plan.inputs.first_look import first_look
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.plan.memory.cell_memory import strips_cost
 from spl_batch.airborne.plan.phases import PHASES
+from spl_batch.airborne.plan.strip_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
 from spl_batch.airborne.plan.task_memory import REMEDIES
 from spl_batch.airborne.precompile import compile_share
@@ -234,7 +235,9 @@ class Imaging(Receiver[Survey, Context]):
         if phase.kind == "index_file":
             return stretches_anew(survey)
         if phase.kind == "align":
-            return [*done_sentences(survey.workflow.survey.align, survey.of("align").values())]
+            alone = bool(survey.of("index_file")) and is_one_flightline(survey)
+            how, receipts = survey.workflow.survey.align, survey.of("align").values()
+            return [*done_sentences(how, receipts, alone=alone)]
         return blocks_anew(survey, prepared.context) if phase.kind == "build_tile" else ()
 
     def follows(

@@ -28,6 +28,11 @@ def recorded_patches(survey: Survey) -> Iterator[Task]:
         yield from _patches("recorded_patches", RECORDED, survey)
 
 
+def is_one_flightline(survey: Survey) -> bool:
+    """Whether there is nothing to compare; known once the index is complete."""
+    return len(_strips(survey)) < 2 and not _has_timeless(survey)
+
+
 def align(survey: Survey) -> Iterator[Task]:
     """One task that finds the shifts of all flightlines."""
     done = survey.of("recorded_patches")
@@ -44,7 +49,7 @@ def patches(survey: Survey) -> Iterator[Task]:
 
 def _patches(kind: str, folder: str, survey: Survey) -> Iterator[Task]:
     """Ground cells, where there can be more than one flightline."""
-    if len(_strips(survey)) < 2 and not _has_timeless(survey):
+    if is_one_flightline(survey):
         return
     moved, first = aligned(survey) if not folder else ({}, ())
     halo = quanta(SQUARE_M)

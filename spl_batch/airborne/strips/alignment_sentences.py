@@ -36,13 +36,16 @@ def plan_row(how: str) -> Iterator[tuple[str, str]]:
         yield "alignment", text
 
 
-def done_sentences(how: str, receipts: Iterable[Receipt]) -> Iterator[str]:
-    """What was done, once it is known; nothing where all flightlines fit."""
+def done_sentences(how: str, receipts: Iterable[Receipt], *, alone: bool) -> Iterator[str]:
+    """What was done, once it is known; nothing where all flightlines fit.
+
+    ``alone``: whether there is one flightline.
+    """
     found = [[Alignment(*line) for line in receipt.facts["lines"]] for receipt in receipts]
     for lines in found:
         if not all(one.stays for one in lines):
             yield done_sentence(how, lines)
-    if not found and how != "none":
+    if alone and how != "none":
         yield f"survey.align: {how}: there is one flightline, nothing is shifted"
 
 
