@@ -30,8 +30,9 @@ def plan_row(how: str) -> Iterator[tuple[str, str]]:
     if how != "none":
         parts = "heights" if how == "vertical" else "coordinates"
         text = (
-            f"survey.align: {how}: flightlines are compared before the ground is looked for, and "
-            f"their {parts} shifted in all that follows; their clouds are compressed anew"
+            f"survey.align: {how}: flightlines are compared before the ground is looked for, about "
+            f"2 % of the time, and their {parts} shifted in all that follows; clouds of those that "
+            "are shifted are compressed anew"
         )
         yield "alignment", text
 
