@@ -55,6 +55,9 @@ from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.engine.report.schema import schemas
 from spl_batch.engine.tasks.runner import code_version
 
+ENDLESS: Final = 10**9
+"""More faults than any time allows [count]."""
+
 SCENE: Final[dict[str, Any]] = {
     "extent_m": [70, 60],
     "seed": 5,
@@ -286,7 +289,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Hurt a survey for a while; gives the number of differences."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--faults", type=int, default=10**9, help="end after so many")
+    parser.add_argument("--faults", type=int, default=ENDLESS, help="end after so many")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--folder", type=Path, help="by default a temporary one")
     parser.add_argument("--record", metavar="WHAT", help="add what came of it to the record")
@@ -319,6 +322,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(table(soak, began))
         if given.record:
             command = ["python", "-m", "benchmarks.soak", "--minutes", f"{given.minutes:g}"]
+            command += ["--faults", str(given.faults)] if given.faults < ENDLESS else []
             command += ["--seed", str(given.seed)]
             faults.add(given.record, soak.tried.total(), soak.survived.total(), command)
     return len(soak.differences)
