@@ -38,8 +38,12 @@ def imported(path: Path, package: Path = _PACKAGE) -> frozenset[Path]:
     return frozenset(found)
 
 
+@cache
 def module_file(name: str, package: Path = _PACKAGE) -> Path | None:
-    """File of a module or package by its dotted name; None where there is none."""
+    """File of a module or package by its dotted name; None where there is none.
+
+    Looked for once: the files of a receiver name each other thousands of times.
+    """
     place = package.parent.joinpath(*name.split("."))
     files = (place.with_name(f"{place.name}.py"), place / "__init__.py")
     return next((path for path in files if path.is_file()), None)
