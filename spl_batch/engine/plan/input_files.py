@@ -2,6 +2,7 @@
 
 import glob
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -73,8 +74,13 @@ def expand(
             faults.append(f"{key}: {pattern} matches no file")
         elif len(matches) == 1 and not Path(matches[0]).exists():
             faults.append(f"{key}: {matches[0]} does not exist")
-        found.update(dict.fromkeys(Path(m).resolve() for m in matches))
+        found.update(dict.fromkeys(map(real_path, matches)))
     return tuple(found)
+
+
+def real_path(path: str | Path) -> Path:
+    """Where a path leads; a loop of links leads to itself, and cannot be read later."""
+    return Path(os.path.realpath(path))  # Path.resolve raises RuntimeError on a loop
 
 
 def name_below(path: Path, base: Path) -> str:

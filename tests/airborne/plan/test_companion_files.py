@@ -115,6 +115,17 @@ def test_of_two_trajectories_plan_names_the_unreadable_one(survey: Path) -> None
     assert "nowhere.csv" in ended.text
 
 
+def test_links_in_a_circle_fail_alone(survey: Path) -> None:
+    folder = survey.parent
+    links = [folder / name for name in ("lines/line_3.laz", "flight_3.csv", "known/known_3.laz")]
+    for link in links:
+        link.symlink_to(link)
+    ended = run(survey)
+    assert ended.status == 1, ended.text
+    assert set(failures(survey)) == {link.name for link in links}
+    assert (folder / "out/laz/lines/line_1.laz").exists()
+
+
 def text(rows: list[str]) -> bytes:
     return (HEAD + "".join(f"{row}\n" for row in rows)).encode()
 

@@ -8,7 +8,7 @@ from pyproj import CRS
 
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.airborne.tasks.checkpoints import read_named
-from spl_batch.engine.plan.input_files import name_below
+from spl_batch.engine.plan.input_files import name_below, real_path
 from spl_batch.errors import InputError, as_input_fault, grouped
 from spl_batch.formats.checkpoints import Checkpoint
 from spl_batch.formats.las.reader import LasFacts
@@ -26,7 +26,7 @@ def named_file(settings: ReferenceSettings | None, base: Path) -> CheckpointFile
     """The file that a workflow names; None where it names none."""
     if settings is None or settings.checkpoints is None:
         return None
-    path = (base / settings.checkpoints).resolve()
+    path = real_path(base / settings.checkpoints)
     return CheckpointFile(path, name_below(path, base))
 
 
