@@ -5,6 +5,7 @@ its points stay unlabelled, the rest goes on.
 """
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 from spl_batch.airborne.plan import catalogue_tasks, reference_tasks, space_tasks, strip_tasks
 from spl_batch.airborne.plan.flightlines import Flightline
@@ -27,7 +28,12 @@ def _trajectory_file(survey: Survey) -> Iterator[Task]:
     """Trajectory files, each by itself: before hours of work rest on them."""
     for path in survey.inputs.trajectory if survey.filtering else ():
         args = {"path": str(path), "stamp": stamp_if_there(path)}
-        yield Task("trajectory_file", str(source_key(str(path))), args)
+        yield Task("trajectory_file", _file_task(path), args)
+
+
+def _file_task(path: Path) -> str:
+    """Name of the task that looks through a trajectory file."""
+    return str(source_key(str(path)))
 
 
 def _index_part(survey: Survey) -> Iterator[Task]:
@@ -65,7 +71,7 @@ def _index(survey: Survey) -> Iterator[Task]:
 def _trajectory(survey: Survey) -> Iterator[Task]:
     lines = survey.flightlines
     checked = survey.of("trajectory_file")
-    sound = [path for path in survey.inputs.trajectory if str(source_key(str(path))) in checked]
+    sound = [path for path in survey.inputs.trajectory if _file_task(path) in checked]
     if not sound or not lines:
         return
     facts = [r.facts for r in survey.of("index_file").values() if r.facts["bounds"]]
@@ -77,7 +83,7 @@ def _trajectory(survey: Survey) -> Iterator[Task]:
         "time_span_s": [min(x.first_s for x in lines), max(x.last_s for x in lines)],
         "bounds_m": [*low, *high],
     }
-    needs = tuple(("trajectory_file", str(source_key(str(path)))) for path in sound)
+    needs = tuple(("trajectory_file", _file_task(path)) for path in sound)
     yield Task("trajectory", "all", args, needs)
 
 

@@ -120,9 +120,10 @@ def labelled_points(
         "noise_class": label_holders(tiles, tile_q, "noise", done.get("denoise", {})),
         "classification": label_holders(tiles, tile_q, "classes", cells, reach),
     }
-    return read_region(context.store, tiles, region, columns, labels, ordered=ordered, moves=moves)[
-        0
-    ]
+    points, _ = read_region(
+        context.store, tiles, region, columns, labels, ordered=ordered, moves=moves
+    )
+    return points
 
 
 def tallest_strip(height: Part) -> Bounds:
