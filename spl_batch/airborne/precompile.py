@@ -70,9 +70,10 @@ def compile_share(share: int, shares: int, tell: Tell = _tell_nobody) -> int:
     """
     listed = signatures()
     names = divided(listed, shares)[share]
-    if all(is_kept(find(name), parse(text, find(name))) for name in names for text in listed[name]):
-        return _compile(share, shares, tell)
-    compiled = _elsewhere(share, shares, tell)
+    ready = all(
+        is_kept(find(name), parse(text, find(name))) for name in names for text in listed[name]
+    )
+    compiled = 0 if ready else _elsewhere(share, shares, tell)
     return compiled + _compile(share, shares, _tell_nobody)
 
 

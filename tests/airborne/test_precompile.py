@@ -81,6 +81,11 @@ def test_a_share_that_another_process_compiles_is_loaded(monkeypatch: pytest.Mon
         check=True,
     )
     assert ended.stdout.split() == ["0"]
+    monkeypatch.undo()
+    told.clear()
+    assert precompile.compile_share(15, 16, lambda done, of: told.append((done, of))) == 0
+    assert not told, "kernels that are ready are loaded, and nobody is told of compiling"
+    monkeypatch.setattr(precompile, "is_kept", lambda *_: False)
     monkeypatch.setattr(sys, "executable", shutil.which("false"))
     with pytest.raises(StoppedError, match="exit status 1"):
         precompile.compile_share(15, 16)
