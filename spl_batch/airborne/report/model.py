@@ -339,8 +339,8 @@ class Report(Part):
     )
     strip_shifts: tuple[LineShift, ...] = Field(
         (),
-        description="Least squares over these pairs; the shifts of flightlines that overlap add "
-        "up to zero.",
+        description="Robust least squares over these pairs; of flightlines that overlap one is "
+        "held, the one to which the others, weighted by their returns, come by the shortest way.",
     )
     alignment: Alignment | None = Field(
         None, description="Shifts that were applied; null with survey.align: none."

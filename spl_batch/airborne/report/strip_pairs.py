@@ -51,9 +51,11 @@ def alignment(done: Receipts, context: Context) -> Alignment | None:
 
 def strip_shifts(done: Receipts) -> tuple[LineShift, ...]:
     """What would bring flightlines together, as the report has it."""
-    receipts = done.get("strip_pairs", {}).values()
-    pairs = [pair for receipt in receipts for pair in pairs_of(receipt.facts)]
-    return tuple(LineShift(**shift._asdict()) for shift in line_shifts(pairs))
+    return tuple(
+        LineShift(**shift._asdict())
+        for receipt in done.get("strip_pairs", {}).values()
+        for shift in line_shifts(pairs_of(receipt.facts), receipt.facts.get("returns", {}))
+    )
 
 
 def strip_map(done: Receipts, context: Context) -> Raster | None:

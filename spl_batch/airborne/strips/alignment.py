@@ -1,10 +1,11 @@
 """Shifts of flightlines that a run applies: how sure each one is, and which flightlines stay.
 
-As in :mod:`~spl_batch.airborne.strips.line_shifts` they make all pairs fit best. Here pairs that do
-not fit the others count less (Huber's weights). Overlaps do not tell where all flightlines lie
-together: of those that hang together one is held, and all are shifted against it. It is the one to
-which the others, weighted by their returns, come by the shortest way. So where most fit, they stay,
-and one that is off does not draw them along, as it would with a mean of zero.
+Each pair tells how far its second flightline lies from the first. The shifts make all pairs fit
+best, by least squares; pairs that do not fit the others count less (Huber's weights). Overlaps do
+not tell where all flightlines lie together: of those that hang together one is held, and all are
+shifted against it. It is the one to which the others, weighted by their returns, come by the
+shortest way. So where most fit, they stay, and one that is off does not draw them along, as it
+would with a mean of zero.
 
 A flightline stays where nothing compares it with another, where its shift is less than
 :data:`SURE` of its standard deviations (:data:`SURE_ACROSS` on the map), and where it is more than

@@ -5,7 +5,7 @@ shifts, and once more with these.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -96,7 +96,8 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     pairs = pair_table((names, patches) for names, _, patches in cells())
     path = context.store.path("strips", "map.npz")
     write_arrays(path, _map([patches for *_, patches in cells()]))
-    return Produced([path], {"pairs": [list(pair) for pair in pairs]})
+    facts = {"pairs": [list(pair) for pair in pairs], "returns": _returns(cells())}
+    return Produced([path], facts)
 
 
 def align(args: Mapping[str, Any], context: Context) -> Produced:
@@ -105,13 +106,10 @@ def align(args: Mapping[str, Any], context: Context) -> Produced:
     strips = [Strip(*strip) for strip in args["strips"]]
     cells = partial(_cells, args["cells"], strips, context, RECORDED)
     pairs = pair_table((names, patches) for names, _, patches in cells())
-    kept: Counter[str] = Counter()
     psid_of = {strip.name: strip.psid for strip in strips}
     for names, passes, _ in cells():
         psid_of |= dict(zip(names, passes["psid"].tolist(), strict=True))
-        for name, count in zip(names, passes["kept"].tolist(), strict=True):
-            kept[name] += count
-    found = align_lines([*psid_of], pairs, kept, rigid=how == "rigid")
+    found = align_lines([*psid_of], pairs, _returns(cells()), rigid=how == "rigid")
     spans = {strip.name: (strip.first_s, strip.last_s) for strip in strips}
     moves = [
         LineMove(
@@ -156,6 +154,17 @@ def pairs_of(facts: Mapping[str, Any]) -> list[PairDifference]:
     """Pairs as the receipt of :func:`strip_pairs` has them; none of one that told other things."""
     told = len(PairDifference._fields)
     return [PairDifference(*pair) for pair in facts.get("pairs", ()) if len(pair) == told]
+
+
+def _returns(
+    cells: Iterable[tuple[list[str], dict[str, NDArray[Any]], Patches]],
+) -> dict[str, int]:
+    """Signal returns of each flightline in all cells [count]."""
+    kept: Counter[str] = Counter()
+    for names, passes, _ in cells:
+        for name, count in zip(names, passes["kept"].tolist(), strict=True):
+            kept[name] += count
+    return dict(kept)
 
 
 def _cells(

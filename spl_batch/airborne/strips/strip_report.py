@@ -37,7 +37,7 @@ class StripPair(Part):
 
 
 class LineShift(Part):
-    """What brings a flightline together with those that overlap it; nothing is applied."""
+    """What brings a flightline together with those that overlap it; one of them is held."""
 
     name: str = Field(description="The flightline.")
     up_m: Number = Field(description="To be added to its heights [m].")
