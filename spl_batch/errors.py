@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
+from os import fsdecode
 from typing import Any, Final, NamedTuple
 
 
@@ -180,6 +181,20 @@ def one_line(error: BaseException) -> str:
     return said if len(said) <= 200 else f"{said[:197]}..."
 
 
+def reason_of(error: OSError) -> str:
+    """What the system says of a file; libraries raise such errors without its words."""
+    return error.strerror or " ".join(str(error).split()) or type(error).__name__
+
+
+def told_by_system(error: OSError, remedy: str = "") -> str:
+    """File and reason of an error of the system, and what to do: to check both unless told."""
+    name = error.filename
+    if name is None:  # raised by a library, or of something that is open
+        there = remedy or "check the paths of inputs and output, and the rights there"
+        return f"{reason_of(error)}; {there}"
+    return f"{fsdecode(name)}: {reason_of(error)}; {remedy or 'check the path and its rights'}"
+
+
 @contextmanager
 def as_input_fault(path: object) -> Iterator[None]:
     """Turn whatever a library makes of a damaged file into an :class:`InputError` that names it.
@@ -259,8 +274,8 @@ class DamagedError(StoreError):
 
     def __init__(self, path: object, reason: object) -> None:
         self.path = str(path)
-        known = reason.strerror if isinstance(reason, OSError) else None
-        self.reason = " ".join(str(known or reason).split())
+        known = reason_of(reason) if isinstance(reason, OSError) else str(reason)
+        self.reason = " ".join(known.split())
         super().__init__(f"{self.told}; run again to rebuild")
 
     @property

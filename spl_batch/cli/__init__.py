@@ -22,7 +22,7 @@ from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
 from spl_batch.cli.first_use import denoise, init
 from spl_batch.cli.lines import say_error
 from spl_batch.cli.options import CLOCK, OUTPUT, SETTINGS, WORKFLOW, limits
-from spl_batch.errors import SplBatchError
+from spl_batch.errors import SplBatchError, told_by_system
 
 _AGAIN_S = 0.05
 """After so long an interrupt that was dropped comes again [s]."""
@@ -284,8 +284,8 @@ def main(arguments: list[str] | None = None) -> None:
         _end(f"spl-batch: {said}; the machine is busy, run again to continue", 3)
     except OSError as error:
         full = error.errno in {errno.ENOSPC, errno.EDQUOT}
-        remedy = "free some space and run again" if full else "check the path and its rights"
-        _end(f"spl-batch: {error.filename}: {error.strerror}; {remedy}", 3 if full else 2)
+        remedy = "free some space and run again" if full else ""
+        _end(f"spl-batch: {told_by_system(error, remedy)}", 3 if full else 2)
     except Exception:
         # The interrupt may come up as something else: in a callback of a compiler it is lost.
         if not told.is_set():

@@ -1,5 +1,6 @@
 """The command line: help, exit statuses, and what a person sees."""
 
+import errno
 import os
 import re
 import signal
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import time
 from functools import partial
+from io import UnsupportedOperation
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +95,8 @@ def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
         (DamagedError("map.npz", "cut off"), 1),
         (StoppedError("disk full"), 3),
         (click.Abort(), 3),
+        (UnsupportedOperation("File or stream is not seekable."), 2),
+        (OSError(errno.ENOSPC, "No space left on device"), 3),
     ],
 )
 def test_every_error_has_its_status(
@@ -104,7 +108,8 @@ def test_every_error_has_its_status(
     monkeypatch.setattr("spl_batch.api.run", fail)
     ended = surveys.command("run", "w.yaml")
     assert ended.status == status
-    assert str(error) in ended.err
+    assert str(getattr(error, "strerror", None) or error) in ended.err
+    assert "None" not in ended.err
     assert len(ended.err.strip().splitlines()) == 1
 
 

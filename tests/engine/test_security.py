@@ -1,6 +1,7 @@
 """What `docs/security.md` promises: who listens, what is encrypted, what is never executed."""
 
 import ast
+import contextlib
 import io
 import json
 import os
@@ -13,7 +14,6 @@ import sys
 import zipfile
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +27,10 @@ from spl_batch.cli.lines import LINE_MAX
 from spl_batch.engine.flow import executor
 from spl_batch.engine.flow.cluster import local_cluster
 from spl_batch.engine.settings.yaml_text import NODES_MAX, TEXT_MAX
+from spl_batch.engine.store.odd_entries import refuse_odd
 from spl_batch.errors import DamagedError, InputError, WorkflowError
 from spl_batch.formats.declared import BOMB_RATIO, SMALL_BYTES
-from spl_batch.formats.files.atomic import write_bytes
+from spl_batch.formats.files.atomic import read_bytes, write_bytes
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water.formats import inspect_frames, iter_frames
 from tests import surveys
@@ -63,7 +64,7 @@ def blocks(kind: str) -> list[str]:
     return re.findall(rf"```{kind}\n(.*?)```", PAGE, flags=re.DOTALL)
 
 
-@contextmanager
+@contextlib.contextmanager
 def started(folder: Path, name: str, *command: str) -> Iterator[Path]:
     """A process of dask's own with the page's settings; the file that holds what it says."""
     said = folder / f"{name}.txt"
@@ -249,6 +250,58 @@ def test_a_link_within_the_output_or_to_a_faster_disk_is_none(survey: Path, tmp_
     ended = surveys.command("run", survey, "--workers", 0, "--until", "index")
     assert ended.status == 0, ended.text
     assert (tmp_path / "scratch/receipts").is_dir()
+
+
+def odd(path: Path, kind: str) -> None:
+    """Put what is no file in the place of one."""
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as one, contextlib.chdir(path.parent):
+            one.bind(path.name)
+    else:
+        path.symlink_to({"itself": path.name, "/dev/zero": "/dev/zero"}[kind])
+
+
+@pytest.mark.parametrize("name", ["log.jsonl", "store/lock", "store/run.json"])
+@pytest.mark.parametrize("kind", ["pipe", "socket", "folder", "itself", "/dev/zero"])
+def test_what_is_no_file_in_the_place_of_one_is_refused_and_not_waited_for(
+    tmp_path: Path, name: str, kind: str
+) -> None:
+    path = tmp_path / name
+    (tmp_path / "store").mkdir()
+    odd(path, kind)
+    with pytest.raises(WorkflowError, match=rf"output: {path} is a .*{kind}.*or name another"):
+        refuse_odd(tmp_path)
+    with pytest.raises(OSError, match=r"no file|directory|symbolic links|No such device"):
+        read_bytes(path)
+    if name != "store/run.json":  # which nobody reads who looks at a run
+        ended = surveys.command("status", tmp_path)
+        assert (ended.status, ended.out) == (2, "")
+        (line,) = ended.err.splitlines()
+        assert f"{path} is a " in line
+
+
+@pytest.mark.parametrize("verb", ["run", "plan", "report"])
+def test_no_command_waits_for_a_pipe_in_its_output(survey: Path, verb: str) -> None:
+    output = survey.parent / "out"
+    output.mkdir()
+    (output / "delivered.json").write_text("{}")
+    os.mkfifo(output / "log.jsonl")
+    ended = surveys.command(verb, output if verb == "report" else survey)
+    assert ended.status == 2
+    assert f"{output}/log.jsonl is a pipe, and no file: remove it" in ended.err.splitlines()[-1]
+
+
+def test_a_workflow_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "workflow.yaml")
+    ended = surveys.command("plan", tmp_path / "workflow.yaml")
+    assert ended.status == 2
+    assert "workflow.yaml: cannot be read: it is a pipe" in ended.err
+    ended = surveys.command("status", tmp_path)  # which looks for a workflow to advise
+    assert ended.status == 2
 
 
 def test_a_link_in_place_of_a_file_is_replaced_and_not_followed(tmp_path: Path) -> None:

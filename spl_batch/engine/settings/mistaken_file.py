@@ -9,6 +9,7 @@ import yaml
 
 from spl_batch.engine.settings.yaml_text import parse_yaml
 from spl_batch.errors import WorkflowError
+from spl_batch.formats.files.atomic import of_a_file
 
 _HEAD_BYTES: Final = 4096
 _MOST_YAML_BYTES: Final = 1 << 20
@@ -87,7 +88,7 @@ def called(path: Path) -> str:
     if path.is_dir():
         return _folder(path)
     try:
-        with path.open("rb") as stream:
+        with open(path, "rb", opener=of_a_file) as stream:
             head = stream.read(_HEAD_BYTES)
     except OSError:  # else the caller says why it cannot be read
         return url_fault(path)
@@ -172,7 +173,7 @@ def _outputs_of(path: Path) -> Iterator[Path]:
 def _mapping(path: Path) -> dict[str, Any]:
     """Content of a YAML file that holds a mapping; nothing of any other."""
     try:
-        if path.stat().st_size > _MOST_YAML_BYTES:
+        if not path.is_file() or path.stat().st_size > _MOST_YAML_BYTES:
             return {}
         content = parse_yaml(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError):  # it is something else, then

@@ -11,7 +11,8 @@ from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.settings.mistaken_file import called, is_scene
 from spl_batch.engine.settings.validation import validated
 from spl_batch.engine.settings.yaml_text import parse_yaml
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, reason_of
+from spl_batch.formats.files.atomic import of_a_file
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
 
 
@@ -86,9 +87,10 @@ def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
     if what:
         raise WorkflowError(f"{path}: {what}")
     try:
-        content = parse_yaml(path.read_text(encoding="utf-8"))
+        with open(path, encoding="utf-8", opener=of_a_file) as stream:
+            content = parse_yaml(stream.read())
     except OSError as error:
-        raise WorkflowError(f"{path}: cannot be read: {error.strerror}") from None
+        raise WorkflowError(f"{path}: cannot be read: {reason_of(error)}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())
         if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:

@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.errors import WorkflowError
-from spl_batch.formats.files.atomic import scratch_name, stop_if_full
+from spl_batch.errors import WorkflowError, reason_of
+from spl_batch.formats.files.atomic import of_a_file, scratch_name, stop_if_full
 
 PATIENCE_S: Final = 1.0
 """How long a run waits for the lock [s]; a look at it by :func:`holder` takes no time."""
@@ -98,7 +98,7 @@ def _is_there(path: Path) -> bool:
 
 def _unwritable(output: Path, there: Path, error: OSError) -> WorkflowError:
     return WorkflowError(
-        f"output: {output} cannot be written: nothing can be made in {there} ({error.strerror}); "
+        f"output: {output} cannot be written: nothing can be made in {there} ({reason_of(error)}); "
         "name another output, or look at what is there and at its rights"
     )
 
@@ -112,7 +112,7 @@ def holder(output: Path) -> dict[str, Any] | None:
     """Host, process and start of the run that works in an output folder; None without any."""
     path = lock_file(output)
     try:
-        with path.open("r", encoding="utf-8") as stream:
+        with open(path, encoding="utf-8", opener=of_a_file) as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return _mark(path)

@@ -7,13 +7,13 @@ begins alike. The name does not count: names are copied with workflows.
 
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.report.run_record import REPORT_FILES
 from spl_batch.engine.store.deliveries import RECORD, Deliveries
+from spl_batch.engine.store.odd_entries import refuse_odd
 from spl_batch.engine.store.output_lock import refuse_unwritable
 from spl_batch.engine.store.store_owner import refuse_claimed
 from spl_batch.engine.verbs.receiver import Prepared
@@ -45,7 +45,7 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
     """
     context = prepared.context
     refuse_unwritable(context.output)
-    refuse_links_out(context.output)
+    refuse_odd(context.output)
     refuse_claimed(context.store)
     deliveries = Deliveries(context)
     refuse_foreign(prepared, deliveries)
@@ -73,37 +73,6 @@ def refuse_foreign(prepared: Prepared[Any, Any], deliveries: Deliveries) -> None
         raise WorkflowError(
             f"output: {output} holds the results of another survey, {survey['name']!r}, made of "
             f"{named(inputs, 2)}, no input of this one; name another output, or delete that folder"
-        )
-
-
-def refuse_links_out(output: Path) -> None:
-    """Refuse an output in which a link leads elsewhere: what a run writes would be written there.
-
-    ``store`` may be a link, to a faster disk; folders in it may lead nowhere else. Its files are
-    replaced, not written through.
-
-    Raises
-    ------
-    WorkflowError
-        If there is one.
-    """
-    store = output / "store"
-    home, held = output.resolve(), store.resolve()
-    for place, folders, files in os.walk(output):
-        if place == str(output):
-            folders[:] = [name for name in folders if name != store.name]
-        for name in (*folders, *files):
-            _refuse_link(Path(place, name), home)
-    for place, folders, _ in os.walk(store):
-        for name in folders:
-            _refuse_link(Path(place, name), held)
-
-
-def _refuse_link(path: Path, home: Path) -> None:
-    if path.is_symlink() and home not in path.resolve().parents:
-        raise WorkflowError(
-            f"output: {path} is a link to {path.resolve()}, out of the output: remove it, "
-            "or name another output"
         )
 
 

@@ -42,7 +42,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.errors import DamagedError, StoppedError
+from spl_batch.errors import DamagedError, StoppedError, reason_of
 from spl_batch.formats.files.atomic import names_in, read_bytes, remove, sync_folder, write_bytes
 from spl_batch.formats.files.remote import is_remote, remote_path
 
@@ -193,4 +193,4 @@ def append_log(output: Path, event: Mapping[str, Any]) -> None:
         with path.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(event, allow_nan=False) + "\n")
     except OSError as error:
-        raise StoppedError(f"{path}: cannot be written: {error.strerror}; run again") from error
+        raise StoppedError(f"{path}: cannot be written: {reason_of(error)}; run again") from error

@@ -7,7 +7,7 @@ from typing import Any
 
 from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.errors import DamagedError, InputError
+from spl_batch.errors import DamagedError, InputError, reason_of
 
 
 @contextmanager
@@ -65,7 +65,7 @@ def _compare(path: Path, then: Sequence[int]) -> None:
         now = stamp(path)
     except OSError as error:
         raise InputError(
-            str(path), f"is gone since the run began ({error.strerror}): put it back, run again"
+            str(path), f"is gone since the run began ({reason_of(error)}): put it back, run again"
         ) from error
     if list(now) != list(then):
         raise InputError(

@@ -6,13 +6,15 @@ from typing import Final
 
 from spl_batch.engine.settings.mistaken_file import no_output
 from spl_batch.engine.store.deliveries import RECORD
+from spl_batch.engine.store.odd_entries import refuse_odd_log
 from spl_batch.engine.store.output_lock import holder
 from spl_batch.engine.store.working_store import IDENTITY, Store, read_receipt
 from spl_batch.engine.watch.earlier_runs import FIRST_EVENT, WORK_EVENT
 from spl_batch.engine.watch.events import TaskEnded, as_record
 from spl_batch.engine.watch.log_lines import event_of
 from spl_batch.engine.watch.status import RunStatus
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, reason_of
+from spl_batch.formats.files.atomic import of_a_file
 
 LOG: Final = "log.jsonl"
 """Name of the log, below the output."""
@@ -46,6 +48,7 @@ class Follower:
         self.status = RunStatus()
         self._rest = b""
         self._lost = 0
+        refuse_odd_log(self.output)
         fault = no_output(self.output, "status")
         if fault:
             raise WorkflowError(f"{output}: {fault}")
@@ -61,13 +64,13 @@ class Follower:
     def update(self) -> RunStatus:
         """State as of now."""
         try:
-            with self._log.open("rb") as stream:
+            with open(self._log, "rb", opener=of_a_file) as stream:
                 stream.seek(self._read)
                 while content := stream.read(_BLOCK_BYTES):
                     self._read += len(content)
                     self._take(content)
         except OSError as error:
-            raise WorkflowError(f"{self._log}: cannot be read: {error.strerror}") from None
+            raise WorkflowError(f"{self._log}: cannot be read: {reason_of(error)}") from None
         self.status.lost_lines = self._lost
         self.status.holder = holder(self.output)
         self.status.delivered = None

@@ -10,13 +10,14 @@ import os
 import re
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Final
 
-from spl_batch.errors import StoppedError, WorkflowError
+from spl_batch.errors import StoppedError, WorkflowError, reason_of
 from spl_batch.formats.files.remote import (
     files_below,
     is_remote,
@@ -118,7 +119,7 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
     except OSError as error:
         stop_if_full(error, path)
         if error.errno in _NOT_ALLOWED:
-            raise WorkflowError(f"{path}: cannot be written: {error.strerror}") from error
+            raise WorkflowError(f"{path}: cannot be written: {reason_of(error)}") from error
         raise
     finally:
         remove(temporary)
@@ -186,7 +187,25 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = True) -> None:
 
 def read_bytes(path: Path) -> bytes:
     """Content of a small file."""
-    return read_object(path) if is_remote(path) else path.read_bytes()
+    if is_remote(path):
+        return read_object(path)
+    with open(path, "rb", opener=of_a_file) as stream:
+        return stream.read()
+
+
+def of_a_file(path: str, flags: int) -> int:
+    """Open what is a file, as an ``opener``: a pipe would wait, and a device may have no end.
+
+    Raises
+    ------
+    OSError
+        If it is something else.
+    """
+    descriptor = os.open(path, flags | os.O_NONBLOCK, 0o666)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "it is a pipe or a device, and no file", str(path))
+    return descriptor
 
 
 def sync_folder(path: Path) -> None:

@@ -17,7 +17,7 @@ import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError, grouped, is_fault
+from spl_batch.errors import InputError, grouped, is_fault, reason_of
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.las.header import LasHeader, open_input
 from spl_batch.formats.las.records import RecordLayout, record_layout
@@ -290,7 +290,7 @@ class RecordReader:
 
     def _unreadable(self, start: int, error: OSError) -> InputError:
         return InputError(
-            str(self.path), f"points from {start} on cannot be read: {error.strerror}"
+            str(self.path), f"points from {start} on cannot be read: {reason_of(error)}"
         )
 
     def _read(self, start: int, stop: int) -> NDArray[Any]:

@@ -21,7 +21,7 @@ from pyproj import CRS
 from pyproj.enums import WktVersion
 
 from spl_batch import __version__
-from spl_batch.errors import WorkflowError, as_input_fault
+from spl_batch.errors import WorkflowError, as_input_fault, reason_of
 from spl_batch.formats.crs import WKT_KEY
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.las.chunks import CHUNK_SIZE, CHUNK_SIZE_AT, LASZIP_KEY
@@ -134,7 +134,7 @@ def output_file(path: Path) -> Iterator[WatchedFile]:
             with as_input_fault(f"{path} as it was written"), laspy.open(temporary):
                 pass  # whoever gets it can open it
     except (FileExistsError, IsADirectoryError, NotADirectoryError) as error:
-        raise WorkflowError(f"{path}: cannot be written: {error.strerror}") from error
+        raise WorkflowError(f"{path}: cannot be written: {reason_of(error)}") from error
 
 
 class Extent:

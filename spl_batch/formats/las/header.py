@@ -18,7 +18,7 @@ from typing import BinaryIO, Final
 import laspy
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, reason_of
 from spl_batch.formats.declared import bounded, gathered
 
 HEADER_SIZES: Final = {1: 227, 2: 227, 3: 235, 4: 375}
@@ -139,7 +139,7 @@ def open_input(path: Path) -> Iterator[BinaryIO]:
     except FileNotFoundError:
         raise InputError(str(path), "no such file; check the path") from None
     except OSError as error:
-        raise InputError(str(path), f"cannot be read: {error.strerror}") from None
+        raise InputError(str(path), f"cannot be read: {reason_of(error)}") from None
     with file:
         yield file
 

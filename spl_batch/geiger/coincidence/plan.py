@@ -17,7 +17,7 @@ from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp
 from spl_batch.engine.tasks.ledger import Ledger, Phase
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.errors import InputError, Said, WorkflowError, shared
+from spl_batch.errors import InputError, Said, WorkflowError, reason_of, shared
 from spl_batch.formats.crs import projected_crs
 from spl_batch.geiger.coincidence.formats import l1_files as files
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
@@ -155,7 +155,7 @@ def _usable(
             bad.append(error)
             continue
         except OSError as error:
-            bad.append(InputError(str(path), f"cannot be read: {error.strerror}"))
+            bad.append(InputError(str(path), f"cannot be read: {reason_of(error)}"))
             continue
         name = name_below(path, base)
         if rows:

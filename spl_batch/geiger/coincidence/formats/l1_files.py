@@ -34,7 +34,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, reason_of
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.files.external_sort import STRETCH_ROWS, Sorter, repeated
@@ -65,7 +65,7 @@ def inspect(path: Path, columns: Sequence[str]) -> int:
     try:
         file = pq.ParquetFile(path)
     except OSError as error:
-        reason = error.strerror or " ".join(str(error).split())
+        reason = reason_of(error)
         raise InputError(str(path), f"cannot be read: {reason}") from error
     except pa.ArrowException as error:
         raise InputError(
