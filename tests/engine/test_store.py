@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spl_batch.airborne.store.voxel_parts import add_voxels, write_voxels
+from spl_batch.airborne.store.voxel_parts import StoredVoxels, write_voxels
 from spl_batch.engine.store.working_store import (
     Store,
     append_log,
@@ -213,10 +213,10 @@ def test_voxel_parts_add_up_in_any_order(tmp_path: Path) -> None:
     for order in ((0, 1), (1, 0)):
         box = np.zeros((12, 30, 3), np.int64)
         for k in order:
-            add_voxels(tmp_path / f"{k}.zarr", (-3, 1, 1), {"amount": box})
+            StoredVoxels(tmp_path / f"{k}.zarr").add((-3, 1, 1), {"amount": box})
         assert np.array_equal(box, whole[7:19, 11:41, 11:14])
     far = np.zeros((2, 2, 2), np.int64)
-    add_voxels(tmp_path / "0.zarr", (100, 0, 0), {"amount": far})
+    StoredVoxels(tmp_path / "0.zarr").add((100, 0, 0), {"amount": far})
     assert not far.any()
 
 
@@ -225,12 +225,14 @@ def test_the_same_part_gives_the_same_bytes(tmp_path: Path) -> None:
         write_voxels(tmp_path / name, part((0, 0, 0), (40, 3, 2), 5))
     assert checksum(tmp_path / "a") == checksum(tmp_path / "b")
     write_voxels(tmp_path / "empty", part((0, 0, 0), (0, 0, 0), 5))
-    add_voxels(tmp_path / "empty", (0, 0, 0), {"amount": np.zeros((2, 2, 2), np.int64)})
+    StoredVoxels(tmp_path / "empty").add((0, 0, 0), {"amount": np.zeros((2, 2, 2), np.int64)})
 
 
 def test_missing_voxels_are_named(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=r"none\.zarr"):
-        add_voxels(tmp_path / "none.zarr", (0, 0, 0), {"amount": np.zeros((1, 1, 1), np.int64)})
+        StoredVoxels(tmp_path / "none.zarr").add(
+            (0, 0, 0), {"amount": np.zeros((1, 1, 1), np.int64)}
+        )
 
 
 def test_the_log_has_one_line_for_each_event(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
-from spl_batch.airborne.store.voxel_parts import add_voxels
+from spl_batch.airborne.store.voxel_parts import StoredVoxels
 from spl_batch.airborne.tasks import lines_of_sight
 from spl_batch.airborne.tasks.stretches import read_stretch
 from spl_batch.engine.store.working_store import read_receipts
@@ -219,7 +219,7 @@ def voxels(folder: Path, overrides: tuple[str, ...]) -> Voxels:
     if workflow.noise.correction == "published":
         totals |= {k: np.zeros(truth.shape, dtype=np.int64) for k in ("shots", "beamlets")}
     for part in sorted((folder / output / "store" / "voxels").glob("*/*.zarr")):
-        add_voxels(part, (corner[0], corner[1], corner[2]), totals)
+        StoredVoxels(part).add((corner[0], corner[1], corner[2]), totals)
     density = voxel_noise.density(
         totals["amount"],
         workflow.noise,

@@ -15,7 +15,7 @@ from spl_batch.airborne.beams.bloom import find_bloom
 from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.beams.told_apart import told_apart
-from spl_batch.airborne.filter.expected_noise import NoiseModel, adding, model_of_lines
+from spl_batch.airborne.filter.expected_noise import HeldVoxels, NoiseModel, model_of_lines
 from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.sensors.sensor import Sensor
@@ -57,8 +57,8 @@ class Assessed(NamedTuple):
 
     def model(self, xyz: list[NDArray[np.int64]], settings: Workflow) -> NoiseModel | None:
         """Noise of the voxels around places [quanta]; None without any."""
-        adders = [[adding(part) for part in line] for line in self.lines]
-        return model_of_lines(xyz, adders, self.beamlets, settings.noise)
+        shares = [[HeldVoxels(part) for part in line] for line in self.lines]
+        return model_of_lines(xyz, shares, self.beamlets, settings.noise)
 
 
 def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Workflow) -> Assessed:

@@ -4,11 +4,10 @@ The accuracy is that at checkpoints, where there are any.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from pyproj import CRS
 
 from spl_batch import __version__
@@ -64,7 +63,11 @@ def write_metadata(
     )  # fmt: skip
     heights = [[cloud.bounds_m[k] for cloud in delivery.clouds] for k in (2, 5)]
     datum = vertical(delivery.crs)
-    text = _template().render(
+    environment = Environment(
+        loader=PackageLoader(__package__, "."), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True,
+    )  # fmt: skip
+    text = environment.get_template("metadata.xml.j2").render(
         name=delivery.name,
         span=delivery.span,
         systems=[*_systems(delivery.crs)],
@@ -83,15 +86,6 @@ def write_metadata(
     path = output / NAME
     write_bytes(path, f"{text}\n".encode())
     return path
-
-
-@cache
-def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader(__package__, "."), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True,
-    )  # fmt: skip
-    return environment.get_template("metadata.xml.j2")
 
 
 def _systems(crs: CRS) -> Iterator[tuple[str, str]]:

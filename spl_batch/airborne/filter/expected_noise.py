@@ -1,8 +1,7 @@
 """Noise expected at points: the sum of all stretches' shares of the voxels around them."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.noise.beamlet_counts import SQUARES
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS, Listened, around, listened
 from spl_batch.airborne.settings import NoiseSettings
-from spl_batch.airborne.store.voxel_parts import add_voxels
+from spl_batch.airborne.store.voxel_parts import StoredVoxels
 from spl_batch.engine.store.working_store import Store
 from spl_batch.lattice.tables import VoxelPart
 from spl_batch.lattice.tiles import cell_index, quanta, shared_box
@@ -20,8 +19,14 @@ AT_ONCE: Final = 1 << 18
 """Points whose voxels are looked up at once [count]."""
 
 
-Adder = Callable[[tuple[int, int, int], Mapping[str, NDArray[Any]]], None]
-"""Adds a stretch's share to a box of voxels, in place: first voxel, and the box's sums by name."""
+class Share(Protocol):
+    """A stretch's share of the expected noise."""
+
+    def layers(self) -> range:
+        """Absolute indices of its layers of voxels."""
+
+    def add(self, corner: Sequence[int], totals: Mapping[str, NDArray[Any]]) -> None:
+        """Add it to a box of voxels, in place: first voxel, and the box's sums by name."""
 
 
 class Expected(NamedTuple):
@@ -33,7 +38,11 @@ class Expected(NamedTuple):
 
 
 class _Box(NamedTuple):
-    """Voxels of points with those around: an edge here may show in none of them alone."""
+    """Voxels of points with those around: an edge here may show in none of them alone.
+
+    It has no layers beyond those that hold noise: one stray point would stretch it to the sky. What
+    lies above or below is as silent as its highest or lowest layer.
+    """
 
     corner: tuple[int, int, int]
     shape: tuple[int, int, int]
@@ -41,10 +50,11 @@ class _Box(NamedTuple):
 
     def voxels(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.int64], ...]:
         """Indices of some points' voxels."""
-        return tuple(
+        i, j, k = (
             cell_index(axis.astype(np.int64, copy=False), self.edge) - first
             for axis, first in zip(xyz, self.corner, strict=True)
         )
+        return i, j, np.clip(k, 0, self.shape[2] - 1)
 
     def offsets(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.float64], ...]:
         """From the centres of their squares, in squares, and voxels, in voxels [-0.5..0.5]."""
@@ -110,7 +120,7 @@ def noise_model(
         As for :func:`expected_noise`.
     """
     lines = [
-        [partial(add_voxels, store.path("voxels", f"{part}.zarr")) for part in line]
+        [StoredVoxels(store.path("voxels", f"{part}.zarr")) for part in line]
         for line in _by_line(parts)
     ]
     return model_of_lines(xyz, lines, beamlets, settings)
@@ -118,7 +128,7 @@ def noise_model(
 
 def model_of_lines(
     xyz: Sequence[NDArray[np.integer[Any]]],
-    lines: Sequence[Sequence[Adder]],
+    lines: Sequence[Sequence[Share]],
     beamlets: int,
     settings: NoiseSettings,
 ) -> NoiseModel | None:
@@ -128,12 +138,13 @@ def model_of_lines(
     ----------
     xyz, beamlets, settings
         As for :func:`expected_noise`.
-    lines : sequence of sequences of Adder
-        Adders of each flightline's stretches; see :func:`adding`.
+    lines : sequence of sequences of Share
+        Shares of each flightline's stretches.
     """
     if not len(xyz[0]) or not lines:
         return None
-    box = _box(xyz, quanta(settings.voxel_m))
+    layers = [layers for line in lines for share in line if (layers := share.layers())]
+    box = _box(xyz, quanta(settings.voxel_m), layers)
     published = settings.correction == "published"
     names = ("amount", "shots", "beamlets") if published else ("amount",)
     totals = {name: np.zeros(box.shape, dtype=np.int64) for name in names}
@@ -142,8 +153,8 @@ def model_of_lines(
         sums: dict[str, NDArray[Any]] = {k: np.zeros(box.shape, dtype=np.int64) for k in names}
         if not published:
             sums["squares"] = np.zeros((*box.shape, SQUARES**2), dtype=np.uint32)
-        for add in line:
-            add(box.corner, sums)
+        for share in line:
+            share.add(box.corner, sums)
         for name in names:
             totals[name] += sums[name]
         if not published:
@@ -186,9 +197,12 @@ def expected_noise(
     return Expected(model.mean(xyz, told), model.local(xyz))
 
 
-def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int) -> _Box:
+def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int, layers: Sequence[range]) -> _Box:
+    """Box around points, no higher and no lower than layers that hold noise."""
     ends = [np.array([axis.min(), axis.max()], dtype=np.int64) for axis in xyz]
-    low, high = zip(*(cell_index(pair, edge).tolist() for pair in ends), strict=True)
+    low, high = map(list, zip(*(cell_index(pair, edge).tolist() for pair in ends), strict=True))
+    low[2] = max(low[2], min((some.start for some in layers), default=high[2]))
+    high[2] = max(min(high[2], max((some.stop for some in layers), default=low[2])), low[2])
     corner = tuple(i - MARGIN_VOXELS for i in low)
     shape = tuple(i - c + 1 + MARGIN_VOXELS for i, c in zip(high, corner, strict=True))
     return _Box((corner[0], corner[1], corner[2]), (shape[0], shape[1], shape[2]), edge)
@@ -206,13 +220,18 @@ def _by_line(parts: Sequence[str]) -> list[list[str]]:
     return list(lines.values())
 
 
-def adding(part: VoxelPart) -> Adder:
-    """What adds a part that is held in memory."""
+class HeldVoxels(NamedTuple):
+    """The share of a stretch that is held in memory."""
 
-    def add(corner: tuple[int, int, int], totals: Mapping[str, NDArray[Any]]) -> None:
+    part: VoxelPart
+
+    def layers(self) -> range:
+        """Absolute indices of its layers."""
+        return range(self.part.corner[2], self.part.corner[2] + self.part.amount.shape[2])
+
+    def add(self, corner: Sequence[int], totals: Mapping[str, NDArray[Any]]) -> None:
+        """Add it to a box of voxels, in place: first voxel, and the box's sums by name."""
         for name, total in totals.items():
-            values = getattr(part, name)
-            of_part, of_box = shared_box(part.corner, values.shape, corner, total.shape)
+            values = getattr(self.part, name)
+            of_part, of_box = shared_box(self.part.corner, values.shape, corner, total.shape)
             total[of_box] += values[of_part].astype(total.dtype, copy=False)
-
-    return add

@@ -87,7 +87,7 @@ def lowest_layers(
     y: NDArray[np.float64],
     z: NDArray[np.float64],
     cells: Cells,
-    thickness_m: float | NDArray[np.float64],
+    thickness_m: float,
 ) -> Nodes:
     """Nodes of a cloud: the lowest layer of each cell, and the lowest well-filled one.
 
@@ -97,16 +97,15 @@ def lowest_layers(
         Points [m], on the lattice of quanta.
     cells : Cells
         The same points, grouped.
-    thickness_m : float or (cells,) float64
-        Thickness of a layer, or that of each cell [m].
+    thickness_m : float
+        Thickness of a layer [m].
     """
     most = 2 * len(cells.start)
-    thick = np.full(len(cells.start) - 1, thickness_m)
     xyz, cell = np.empty((most, 3)), np.empty(most, dtype=np.int64)
     count, doubtful = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.bool_)
     buried = np.empty(most, dtype=np.bool_)
     used = _lowest_layers(
-        x, y, z, cells.order, cells.start, thick, xyz, cell, count, doubtful, buried
+        x, y, z, cells.order, cells.start, thickness_m, xyz, cell, count, doubtful, buried
     )
     return Nodes(xyz[:used], cell[:used], count[:used], doubtful[:used], buried[:used])
 
@@ -118,7 +117,7 @@ def _lowest_layers(
     z: NDArray[np.float64],
     order: NDArray[np.int64],
     start: NDArray[np.int64],
-    thick: NDArray[np.float64],
+    thickness: float,
     xyz: NDArray[np.float64],
     cell: NDArray[np.int64],
     count: NDArray[np.int64],
@@ -134,7 +133,7 @@ def _lowest_layers(
         n = start[c + 1] - start[c]
         if n == 0:
             continue
-        own, heights, thickness = room[:, :n], sorted_z[:n], thick[c]
+        own, heights = room[:, :n], sorted_z[:n]
         low = np.inf
         for k in range(n):
             i = order[start[c] + k]

@@ -1,6 +1,6 @@
 """Shares of the expected noise: what each stretch adds to the voxels, as Zarr groups."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -8,8 +8,9 @@ import zarr
 from numpy.typing import NDArray
 
 from spl_batch.formats.files.atomic import replacing
-from spl_batch.formats.verified.zarr_chunks import pack, read_box, read_metadata
+from spl_batch.formats.verified.zarr_chunks import Metadata, pack, read_box, read_metadata
 from spl_batch.lattice.tables import VoxelPart
+from spl_batch.lattice.tiles import shared_box
 
 VOXEL_CHUNK: Final = 32
 """Voxels along one horizontal side of a Zarr chunk [count]."""
@@ -38,40 +39,50 @@ def write_voxels(path: Path, part: VoxelPart) -> None:
                 target.write_bytes(content)
 
 
-def add_voxels(
-    path: Path, corner: tuple[int, int, int], totals: Mapping[str, NDArray[Any]]
-) -> None:
-    """Add one part's share to a box of voxels, in place.
+class StoredVoxels:
+    """A stretch's share of the expected noise, as :func:`write_voxels` has written it.
+
+    Everything that looks into it raises DamagedError if it is missing or damaged.
 
     Parameters
     ----------
     path : Path
-        Group written by :func:`write_voxels`.
-    corner : (3,) int
-        Absolute index of the box's first voxel.
-    totals : mapping of str to (nx, ny, nz) or (nx, ny, nz, 16) integer
-        The box by the name of the sum (``amount``, ``shots``, ``beamlets``, ``squares``); the
-        part is added where they overlap.
-
-    Raises
-    ------
-    DamagedError
-        If the part is missing or damaged.
+        The group.
     """
-    for name, total in totals.items():
-        array = path / name
-        metadata = read_metadata(array)
-        first = [int(c) for c in metadata["attributes"]["corner"]]
-        shape, inner = metadata["shape"][:3], metadata["shape"][3:]
-        low = [max(a, b) for a, b in zip(first, corner, strict=True)]
-        high = [
-            min(a + n, b + m)
-            for a, n, b, m in zip(first, shape, corner, total.shape[:3], strict=True)
-        ]
-        if any(b <= a for a, b in zip(low, high, strict=True)):
-            return
-        of_part = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, first, strict=True))
-        of_box = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, corner, strict=True))
-        whole = (*of_part, *(slice(0, n) for n in inner))
-        values = read_box(array, metadata, whole)
-        total[of_box] += values.astype(total.dtype, copy=False)
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._known: dict[str, Metadata] = {}
+
+    def layers(self) -> range:
+        """Absolute indices of its layers."""
+        metadata = self._metadata("amount")
+        first = int(metadata["attributes"]["corner"][2])
+        return range(first, first + metadata["shape"][2])
+
+    def add(self, corner: Sequence[int], totals: Mapping[str, NDArray[Any]]) -> None:
+        """Add it to a box of voxels, in place.
+
+        Parameters
+        ----------
+        corner : (3,) int
+            Absolute index of the box's first voxel.
+        totals : mapping of str to (nx, ny, nz) or (nx, ny, nz, 16) integer
+            The box by the name of the sum (``amount``, ``shots``, ``beamlets``, ``squares``); the
+            part is added where they overlap.
+        """
+        for name, total in totals.items():
+            metadata = self._metadata(name)
+            shape, inner = metadata["shape"][:3], metadata["shape"][3:]
+            first = [int(c) for c in metadata["attributes"]["corner"]]
+            of_part, of_box = shared_box(first, shape, corner, total.shape)
+            if any(side.stop <= side.start for side in of_part):
+                return
+            whole = (*of_part, *(slice(0, n) for n in inner))
+            values = read_box(self.path / name, metadata, whole)
+            total[of_box] += values.astype(total.dtype, copy=False)
+
+    def _metadata(self, name: str) -> Metadata:
+        if name not in self._known:
+            self._known[name] = read_metadata(self.path / name)
+        return self._known[name]
