@@ -31,12 +31,15 @@ def grouped(value: float, digits: int = 0) -> str:
     return f"{value:,.{digits}f}".replace(",", " ")
 
 
-def counted(count: int, noun: str) -> str:
-    """A number of things: ``1 point``, ``2 points``.
+def counted(count: int, noun: str, verb: str = "") -> str:
+    """A number of things, and what they do: ``1 point``, ``2 points``, ``1 point has``.
 
-    ``noun``: in the plural.
+    ``noun`` and ``verb``: in the plural.
     """
-    return f"{grouped(count)} {noun.removesuffix('s') if count == 1 else noun}"
+    if count != 1:
+        return f"{grouped(count)} {noun} {verb}".rstrip()
+    does = {"": "", "have": "has", "are": "is", "were": "was"}.get(verb, f"{verb}s")
+    return f"1 {noun.removesuffix('s')} {does}".rstrip()
 
 
 def storage(count: float) -> str:

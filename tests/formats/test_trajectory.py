@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 from benchmarks.airborne.beams.trajectories import read_trajectory
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.errors import InputError, WorkflowError, counted
 from spl_batch.formats.gps_clock import bit_warning, clock, time_standard
 from spl_batch.formats.trajectory import merge
 from spl_batch.formats.trajectory.positions import (
@@ -97,7 +97,7 @@ def test_order_and_cut_do_not_matter(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.trajectory.xyz_m, rows[:, 1:])
     again = read(*parts, parts[0])
     np.testing.assert_array_equal(again.trajectory.time_s, rows[:, 0])
-    assert again.warnings == ("trajectory: 17 records repeat a time and were left out",)
+    assert again.warnings == ("trajectory: 17 records repeat a time: left out",)
 
 
 def test_heights_of_a_geographic_trajectory_stay(tmp_path: Path) -> None:
@@ -119,12 +119,28 @@ def test_survey_with_geoid_heights(tmp_path: Path) -> None:
     assert moved.all() or "PROJ grids" in loaded.warnings[0]
 
 
+def test_a_record_that_cannot_be_is_left_out_of_any_format(tmp_path: Path) -> None:
+    rows = flight()
+    table = {k: rows[:, i].tolist() for i, k in enumerate(COLUMNS)}
+    table["y"][7] = None
+    pq.write_table(pa.table(table), tmp_path / "a.parquet")
+    sbet = np.fromfile(write_sbet(tmp_path / "a.sbet", rows), SBET_RECORD)
+    sbet["latitude"][7] = np.nan
+    sbet.tofile(tmp_path / "a.sbet")
+    for name in ("a.parquet", "a.sbet"):
+        loaded = read(tmp_path / name)
+        assert len(loaded.trajectory.time_s) == 49
+        (said,) = loaded.warnings
+        assert said.startswith(f"trajectory {name}: 1 record has a value that is missing")
+        assert "of 50; the first is record 7: it is left out" in said
+
+
 def test_faults(tmp_path: Path) -> None:
     rows = flight()
     bad = rows.copy()
-    bad[7, 2] = np.nan
+    bad[7:15, 2] = np.nan
     late = rows.copy()
-    late[5, 0] = 1e300
+    late[5:12, 0] = 1e300
     cases = {
         "first is record 5": write_csv(tmp_path / "k.csv", late),
         "no such file": tmp_path / "missing.csv",
@@ -136,7 +152,7 @@ def test_faults(tmp_path: Path) -> None:
         "not a Parquet": tmp_path / "f.parquet",
         "not a CSV": tmp_path / "g.csv",
         "no column gps_time, x, y, z": tmp_path / "h.csv",
-        "empty values": tmp_path / "i.csv",
+        "1 record has a value that is missing": tmp_path / "i.csv",
     }
     (tmp_path / "d.sbet").write_bytes(bytes(137))
     np.full(17 * 4, 45.0).tofile(tmp_path / "e.sbet")
@@ -311,15 +327,15 @@ def test_records_of_many_batches_come_in_order_once(
     np.testing.assert_array_equal(got, by_time[first])
     assert found.records == len(got)
     dropped = count - len(got)
-    told = f"trajectory: {dropped} records repeat a time and were left out"
+    told = f"trajectory: {counted(dropped, 'records', 'repeat')} a time: left out"
     assert found.warnings == ((told,) if dropped else ())
 
 
 def cut(read: Any, size: int) -> Any:
     """The same reader, in batches of so many records."""
 
-    def smaller(path: Path) -> Any:
-        for time, position in read(path):
+    def smaller(path: Path, tell: Any) -> Any:
+        for time, position in read(path, tell):
             for start in range(0, len(time), size):
                 yield time[start : start + size], position[start : start + size]
 

@@ -27,7 +27,7 @@ from spl_batch.formats.las.number_dimensions import Numbers
 from spl_batch.formats.las.reader import SAMPLE_POINTS, inspect, iter_points, read_ends
 from spl_batch.formats.trajectory.merge import Merge
 from spl_batch.formats.trajectory.positions import PointExtent, gathering, write_trajectory
-from spl_batch.formats.trajectory.records import Records
+from spl_batch.formats.trajectory.usable import Records
 from spl_batch.formats.verified.parquet_npz import GroupWriter, read_arrays, write_arrays, writing
 from spl_batch.lattice.tables import COLUMNS
 

@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from spl_batch.errors import as_input_fault
+from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.las.header import open_input
 from spl_batch.formats.trajectory.records import PARQUET_SUFFIXES, columns_of, csv_head
 from spl_batch.formats.trajectory.sbet import SBET_RECORD, SBET_SUFFIXES
@@ -44,10 +45,9 @@ def ends(path: Path) -> tuple[float, float] | None:
     """
     with as_input_fault(path):
         times = np.array(_at_both_ends(path))
-    known = times[np.isfinite(times)]
-    tell = len(times) > 0 and bool(
-        np.isfinite(times[[0, -1]]).all() and (np.diff(known) >= 0).all()
-    )
+    usable = usable_times(times)
+    known = times[usable]
+    tell = len(times) > 0 and bool(usable[[0, -1]].all() and (np.diff(known) >= 0).all())
     return (float(known[0]), float(known[-1])) if tell else None
 
 

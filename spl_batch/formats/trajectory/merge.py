@@ -20,10 +20,10 @@ from spl_batch.formats.files.atomic import stop_if_full
 from spl_batch.formats.gps_clock import TimeStandard, time_standard
 from spl_batch.formats.trajectory.records import (
     CannotConvertError,
-    Records,
     conversions,
     read_records,
 )
+from spl_batch.formats.trajectory.usable import Records
 
 WAITING_RECORDS: Final = 500_000
 """Records that may wait in memory for their place in time: files in disorder have more [count]."""
@@ -93,12 +93,13 @@ class Merge:
             before = len(self._batches)
             for convert, warning in conversions(path, survey_crs, trajectory_crs):
                 del self._batches[before:]
+                told: list[str] = []
                 try:
-                    for time, position in read_records(path):
+                    for time, position in read_records(path, told.append):
                         self._keep(file, time, convert(position))
                 except CannotConvertError:
                     continue
-                self.warnings += [warning] if warning else []
+                self.warnings += [*told, *([warning] if warning else [])]
                 break
             else:
                 raise InputError(
@@ -134,7 +135,7 @@ class Merge:
             If too many wait for their place.
         """
         order = sorted(self._batches, key=lambda batch: (batch.first_s, batch.offset))
-        starts = [*(batch.first_s for batch in order[1:]), np.inf]
+        starts = [*(batch.first_s for batch in order[1:]), np.inf][: len(order)]
         waiting: list[Records] = []
         for batch, next_s in zip(order, starts, strict=True):
             waiting.append(self._fetch(batch))

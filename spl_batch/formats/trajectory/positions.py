@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, counted
 from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard
 from spl_batch.formats.trajectory.merge import Merge
-from spl_batch.formats.trajectory.records import COLUMNS, Records
+from spl_batch.formats.trajectory.records import COLUMNS
+from spl_batch.formats.trajectory.usable import Records
 from spl_batch.formats.verified.parquet_npz import read_groups, reading, writing
 from spl_batch.lattice.tables import Trajectory
 
@@ -96,11 +97,12 @@ class Gathering:
     def _judge(self, nearness: "_Nearness | None") -> None:
         path, warnings = str(self._merge.paths[0]), list(dict.fromkeys(self._merge.warnings))
         if self.records < 2:
-            raise InputError(path, f"{self.records} trajectory records; at least 2 are needed")
-        if self._merge.dropped:
-            warnings.append(
-                f"trajectory: {self._merge.dropped} records repeat a time and were left out"
+            raise InputError(
+                path, f"{counted(self.records, 'trajectory records')}; at least 2 are needed"
             )
+        if self._merge.dropped:
+            repeating = counted(self._merge.dropped, "records", "repeat")
+            warnings.append(f"trajectory: {repeating} a time: left out")
         warnings += self._converted
         if nearness is not None and self._points is not None:
             nearness.refuse_far(path)

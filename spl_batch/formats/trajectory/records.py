@@ -2,10 +2,11 @@
 
 import csv
 import io
+import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple
+from typing import BinaryIO, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -18,9 +19,9 @@ from pyproj.exceptions import ProjError
 from spl_batch.errors import InputError
 from spl_batch.formats.crs import crs_name, crs_problems, horizontal, parse_crs
 from spl_batch.formats.declared import bounded, refuse_bomb
-from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.las.header import open_input
 from spl_batch.formats.trajectory.sbet import SBET_SUFFIXES, read_sbet
+from spl_batch.formats.trajectory.usable import Records, Sieve
 
 COLUMNS: Final = ("gps_time", "x", "y", "z")
 """Columns of a trajectory in CSV or Parquet."""
@@ -31,19 +32,10 @@ SBET_CRS: Final = "EPSG:4979"
 BATCH_RECORDS: Final = 65_536
 """Records that are read at once, about [count]."""
 
-ASTRAY_S: Final = 366 * 86_400.0
-"""Times of a file lie within this of each other [s]."""
-
-FARTHEST_M: Final = 1e8
-"""No coordinate on Earth, in metres or degrees, is farther from zero."""
-
 _LAST_BYTES: Final = 4096
 """Bytes at the end of a file that hold its last two lines."""
 
 PARQUET_SUFFIXES: Final = frozenset({".parquet", ".pq"})
-
-Records = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Times (n,) [s] and positions (n, 3) of some records."""
 
 
 class CannotConvertError(Exception):
@@ -58,14 +50,16 @@ class Conversion(NamedTuple):
     warning: str  #: What it leaves undone; may be empty.
 
 
-def read_records(path: Path) -> Iterator[Records]:
-    """Records of a file in its order.
+def read_records(path: Path, tell: Callable[[str], object] | None = None) -> Iterator[Records]:
+    """Records of a file that can be, in its order.
 
     Parameters
     ----------
     path : Path
         CSV (``gps_time,x,y,z``; any order and case, further columns allowed, comma,
         semicolon or tab), Parquet with the same columns, or SBET (``.out``, ``.sbet``).
+    tell : callable, optional
+        Told at the end, in one sentence, what was left out, where something was.
 
     Yields
     ------
@@ -75,34 +69,23 @@ def read_records(path: Path) -> Iterator[Records]:
     Raises
     ------
     InputError
-        If the file is missing or damaged, or has times or places that cannot be.
+        If the file is missing or damaged, or has more records than a few that cannot be.
     """
+    sieve = Sieve(path)
     suffix = path.suffix.lower()
     if suffix in SBET_SUFFIXES:
         batches = read_sbet(path)
     elif suffix in PARQUET_SUFFIXES:
         batches = _read_parquet(path)
     else:
-        batches = _read_csv(path)
-    wrong, first, before, middle = 0, 0, 0, None
+        batches = _read_csv(path, sieve)
     for time, position in batches:
-        sound = usable_times(time) & (np.abs(position) <= FARTHEST_M).all(axis=1)
-        if middle is None and sound.any():
-            middle = float(np.median(time[sound]))
-        bad = ~(sound & (np.abs(time - (middle or 0.0)) <= ASTRAY_S))
-        if bad.any():
-            first = first if wrong else before + int(np.argmax(bad))
-            wrong += int(np.count_nonzero(bad))
-        before += len(time)
-        if not wrong:
-            yield time, position
-    if wrong:
-        raise InputError(
-            str(path),
-            f"{wrong} records have values that are not finite, times more than a year from the "
-            f"others, or places beyond {FARTHEST_M:.0e} m; the first is record {first}: remove "
-            "them",
-        )
+        records = sieve.sound(time, position)
+        if len(records[0]):
+            yield records
+    left_out = sieve.told()
+    if left_out and tell is not None:
+        tell(left_out)
 
 
 def conversions(path: Path, survey_crs: CRS | None, trajectory_crs: str | None) -> list[Conversion]:
@@ -194,21 +177,66 @@ def _read_parquet(path: Path) -> Iterator[Records]:
             rows = bounded(path, "records", file.metadata.num_rows, most=2**62)
             refuse_bomb(path, f"{rows} records", 8 * len(names) * rows, path.stat().st_size)
             for batch in file.iter_batches(BATCH_RECORDS, columns=names):
-                yield _arrays(path, batch, names)
+                yield _arrays(batch, names)
     except (OSError, pa.ArrowException) as error:
         raise InputError(str(path), f"is not a Parquet trajectory: {_line(error)}") from None
 
 
-def _read_csv(path: Path) -> Iterator[Records]:
+def _read_csv(path: Path, sieve: Sieve) -> Iterator[Records]:
     with open_input(path) as file:
         given, delimiter = csv_head(file)
         names = columns_of(path, given)
         _refuse_cut_record(path, file)
+        done, begin = 0, file.tell()
         try:
             for batch in _csv_batches(file, given, names, delimiter):
-                yield _arrays(path, batch, names)
+                done += len(batch)
+                yield _arrays(batch, names)
         except pa.ArrowException as error:
-            raise InputError(str(path), f"is not a CSV trajectory: {_line(error)}") from None
+            sieve.reason = f"is not a CSV trajectory: {_line(error)}"
+        else:
+            return
+    # A row is no record, or a word no number: value by value, which takes longer.
+    with open_input(path) as file:
+        file.seek(begin)
+        text = io.TextIOWrapper(file, encoding="latin-1", newline="")
+        rows = csv.reader(text, delimiter=delimiter)
+        try:
+            yield from _row_by_row(rows, [given.index(name) for name in names], done, sieve)
+        except csv.Error:
+            raise InputError(str(path), sieve.reason) from None
+
+
+def _row_by_row(
+    rows: Iterator[list[str]], columns: Sequence[int], done: int, sieve: Sieve
+) -> Iterator[Records]:
+    """Records of rows, from that one on that so many precede; NaN for what is no number."""
+    found: list[list[float]] = []
+    count = 0
+    for row in rows:
+        if len(row) <= max(columns):
+            sieve.lose(bool(row))
+            continue
+        count += 1
+        if count > done:
+            found.append([_number(row[k]) for k in columns])
+        if len(found) == BATCH_RECORDS:
+            yield _columns(found)
+            found.clear()
+    if found:
+        yield _columns(found)
+
+
+def _columns(found: list[list[float]]) -> Records:
+    values = np.array(found)
+    return values[:, 0], values[:, 1:]
+
+
+def _number(text: str) -> float:
+    try:
+        return math.nan if "_" in text else float(text)
+    except ValueError:
+        return math.nan
 
 
 def _refuse_cut_record(path: Path, file: BinaryIO) -> None:
@@ -238,7 +266,7 @@ def csv_head(file: BinaryIO) -> tuple[list[str], str]:
 
 def _csv_batches(
     file: BinaryIO, given: Sequence[str], names: Sequence[str], delimiter: str
-) -> Iterator[Any]:
+) -> Iterator[pa.RecordBatch]:
     with pyarrow.csv.open_csv(
         file,
         read_options=pyarrow.csv.ReadOptions(column_names=given),
@@ -265,15 +293,15 @@ def columns_of(path: Path, given: Sequence[str]) -> list[str]:
     return [by_name[name] for name in COLUMNS]
 
 
-def _arrays(path: Path, batch: pa.RecordBatch, names: Sequence[str]) -> Records:
-    for name in names:
-        if batch.column(name).null_count:
-            raise InputError(str(path), f"column {name.strip()} has empty values; fill them")
-    time, *position = (
-        batch.column(n).cast(pa.float64()).to_numpy(zero_copy_only=False).astype(np.float64)
-        for n in names
-    )
+def _arrays(batch: pa.RecordBatch, names: Sequence[str]) -> Records:
+    time, *position = (_numbers(batch.column(name)) for name in names)
     return time, np.column_stack(position)
+
+
+def _numbers(column: pa.Array) -> NDArray[np.float64]:
+    """Values of a column; NaN for what is missing."""
+    values = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
+    return np.asarray(values, np.float64)
 
 
 def _line(error: Exception) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from spl_batch.errors import InputError
 from spl_batch.formats.las.header import open_input
+from spl_batch.formats.trajectory.usable import MOST_WRONG
 
 SBET_RECORD: Final = np.dtype(
     [
@@ -56,7 +57,7 @@ def read_sbet(path: Path) -> Iterator[tuple[NDArray[np.float64], NDArray[np.floa
     Raises
     ------
     InputError
-        If the size is no whole number of records, or the angles are none.
+        If the size is no whole number of records, or most angles are none.
     """
     with open_input(path) as file:
         size = file.seek(0, os.SEEK_END)
@@ -78,7 +79,7 @@ def _position(path: Path, records: NDArray[np.void], start: int) -> NDArray[np.f
     latitude, longitude = records["latitude"], records["longitude"]
     # Written so that NaN counts as wrong.
     wrong = ~((np.abs(latitude) <= np.pi / 2) & (np.abs(longitude) <= 2 * np.pi))
-    if wrong.any():
+    if np.count_nonzero(wrong) > MOST_WRONG * len(wrong):
         first = int(np.argmax(wrong))
         raise InputError(
             str(path),
@@ -86,4 +87,6 @@ def _position(path: Path, records: NDArray[np.void], start: int) -> NDArray[np.f
             f" {longitude[first]}; an SBET has radians: it is not an SBET, or name its format"
             " by .csv or .parquet",
         )
-    return np.column_stack([np.degrees(longitude), np.degrees(latitude), records["altitude"]])
+    # A few that cannot be are left out later, like others.
+    place = [np.degrees(longitude), np.degrees(latitude), records["altitude"]]
+    return np.where(wrong[:, None], np.nan, np.column_stack(place))

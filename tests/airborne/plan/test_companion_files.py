@@ -1,14 +1,16 @@
 """A damaged trajectory, reference or checkpoint file fails alone; the survey is delivered."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from spl_batch.airborne.tasks.index import check_file
 from spl_batch.errors import InputError
+from spl_batch.formats.trajectory.merge import Merge
 from spl_batch.formats.trajectory.positions import PointExtent, gathering
 from tests import surveys
 
@@ -52,14 +54,14 @@ def test_each_fails_alone_and_is_done_when_it_is_mended(survey: Path) -> None:
     folder = survey.parent
     harmed = [folder / name for name in ("flight_2.csv", "known/known_2.laz", "points.csv")]
     sound = [path.read_bytes() for path in harmed]
-    harmed[0].write_bytes(sound[0].replace(b"600.0000\n", b"nan\n", 1))
+    harmed[0].write_bytes(sound[0].replace(b"600.0000\n", b"nan\n", 20))
     harmed[1].write_bytes(sound[1][:200])
     harmed[2].write_bytes(b"name;east\n")
     planned = surveys.command("plan", survey)
     assert planned.status == 1, planned.text
     flat = " ".join(planned.text.split())
     assert "known_2.laz" in flat
-    assert "flight_2.csv: 1 records have values" in flat
+    assert "flight_2.csv: 20 records have a value that is missing" in flat
     assert "points.csv: lacks the columns" in flat
     ended = run(survey)
     assert ended.status == 1, ended.text
@@ -68,7 +70,7 @@ def test_each_fails_alone_and_is_done_when_it_is_mended(survey: Path) -> None:
     assert "mend or remove it" in ended.out
     told = failures(survey)
     assert told.keys() == {path.name for path in harmed}
-    assert "1 records have values that are not finite" in told["flight_2.csv"]
+    assert "20 records have a value that is missing" in told["flight_2.csv"]
     # It is told at the start, not only hours later when the reference is read.
     lines = ended.err.splitlines()
     assert next(k for k, line in enumerate(lines) if "known_2.laz" in line) < next(
@@ -133,25 +135,56 @@ def text(rows: list[str]) -> bytes:
 ROWS = [f"{surveys.START_S + k / 10:.4f},272000,3290000,600" for k in range(100)]
 
 
+SPOILS = {
+    "a time of no clock": "1e300,1,2,3",
+    "no time": "nan,1,2,3",
+    "no place on Earth": f"{surveys.START_S + 11},1e300,2,3",
+    "a time of another decade": "9.5e9,272000,3290000,600",  # a bit of it has flipped
+    "an empty value": f"{surveys.START_S + 11},1,,3",
+    "a word": f"{surveys.START_S + 11},1,two,3",
+    "too few values": "1,2",
+}
+
+
+@pytest.mark.parametrize("row", SPOILS.values(), ids=SPOILS)
+@pytest.mark.parametrize("at", [0, 40, 100])
+def test_a_record_that_cannot_be_is_left_out_and_told(tmp_path: Path, row: str, at: int) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes(text([*ROWS[:at], row, *ROWS[at:]]))
+    assert check_file(path, None, None) == len(ROWS)
+    with Merge([path]) as merge:
+        merge.read(None, None)
+        times = np.concatenate([time for time, _ in merge.pieces()])
+        (said,) = merge.warnings
+    assert times.tolist() == [float(one.split(",")[0]) for one in ROWS]
+    assert said.startswith("trajectory t.csv: 1 record has a value that is missing or no finite")
+    first = f"; the first is record {at}" if row.count(",") == 3 else ""
+    assert f" m, of 101{first}: it is left out" in said
+
+
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("rows", "words"),
     [
-        (lambda rows: [*rows, "1e300,1,2,3"], "1 records have values"),
-        (lambda rows: ["nan,1,2,3", *rows], "the first is record 0"),
-        (lambda rows: [*rows, f"{surveys.START_S + 11},1e300,2,3"], "the first is record 100"),
-        # A bit of a time has flipped: finite, but of another decade.
-        (lambda rows: [*rows, "9.5e9,272000,3290000,600"], "1 records have values"),
-        (lambda _: [], "is not a CSV trajectory: Empty CSV file"),
-        (lambda rows: [*rows, "a,b,c,d"], "is not a CSV trajectory"),
+        ([*ROWS, *["1e300,1,2,3"] * 12], "^[^;]*12 records have a value .* of 112; the first is"),
+        ([*ROWS, *["a,b,c,d"] * 12], "is not a CSV trajectory"),
+        ([*ROWS, *["1,2"] * 12], "is not a CSV trajectory"),
+        ([], "is not a CSV trajectory: Empty CSV file"),
     ],
 )
-def test_records_that_cannot_be(
-    tmp_path: Path, spoil: Callable[[list[str]], list[str]], words: str
+def test_more_than_a_few_of_them_are_the_files_fault(
+    tmp_path: Path, rows: list[str], words: str
 ) -> None:
     path = tmp_path / "t.csv"
-    path.write_bytes(text(spoil(ROWS)))
+    path.write_bytes(text(rows))
     with pytest.raises(InputError, match=words):
         check_file(path, None, None)
+
+
+def test_a_file_without_records_is_refused(tmp_path: Path) -> None:
+    none = {name: pa.array([], pa.float64()) for name in HEAD.strip().split(",")}
+    pq.write_table(pa.table(none), tmp_path / "t.parquet")
+    with pytest.raises(InputError, match=r"t\.parquet: holds no records"):
+        check_file(tmp_path / "t.parquet", None, None)
 
 
 def test_records_that_can_be(tmp_path: Path) -> None:

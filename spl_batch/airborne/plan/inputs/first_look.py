@@ -104,7 +104,7 @@ def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
     formats = [source for source in held if not source.facts.has_gps_time]
     faults, warnings = _without_time(formats, seen, all_of_them=len(formats) == len(held))
     faults += _no_channels(held, seen, workflow)
-    spans, unread = _ends(inputs.trajectory)
+    spans, unread, left_out = _ends(inputs.trajectory)
     apart, missed = _apart(seen.spans, spans, inputs.trajectory, base)
     if unread and (apart or len(unread) == len(inputs.trajectory)):
         apart = [*(f"survey.trajectory: {text}" for text in told_together(unread)), *apart]
@@ -115,7 +115,7 @@ def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
     warnings += unnamed_channels(seen.numbers, workflow.sensor)
     rows = (*_flightlines(seen, workflow), *_missing(inputs, workflow))
     told = (*found.faults, *told_together(unread))
-    return found._replace(faults=told, warnings=(*warnings, *missed), rows=rows)
+    return found._replace(faults=told, warnings=(*warnings, *left_out, *missed), rows=rows)
 
 
 def _flightlines(seen: _Seen, workflow: Workflow) -> Iterator[tuple[str, str]]:
@@ -267,21 +267,24 @@ def _few_channels(seen: _Seen, workflow: Workflow) -> Iterator[str]:
     yield from shared(map(told, seen.few), "files")
 
 
-def _ends(trajectory: Sequence[Path]) -> tuple[list[Span | None], list[InputError]]:
-    """First and last times of the trajectories that can be read, and what is wrong with others."""
+def _ends(trajectory: Sequence[Path]) -> tuple[list[Span | None], list[InputError], list[str]]:
+    """First and last times of the trajectories that can be read, and what is wrong with others.
+
+    What is left out of them comes last.
+    """
     found: list[Span | None] = []
     faults: list[InputError] = []
-    left = WHOLE_BYTES
+    left, told = WHOLE_BYTES, list[str]()
     for path in trajectory:
         left -= stamp_if_there(path)[0]
         try:
             found.append(ends(path))
             if left >= 0:
                 with as_input_fault(path):
-                    deque(read_records(path), maxlen=0)
+                    deque(read_records(path, told.append), maxlen=0)
         except InputError as error:
             faults.append(error)
-    return found, faults
+    return found, faults, told
 
 
 def _apart(
