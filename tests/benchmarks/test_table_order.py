@@ -26,7 +26,7 @@ FILTERS = ("published", "aes_alone", "ours")
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small Easton."""
-    return methods.make_survey(easton(1, (40.0, 36.0)), Path(tmp_path_factory.mktemp("easton")))
+    return methods.make_survey(easton(1, (20.0, 18.0)), Path(tmp_path_factory.mktemp("easton")))
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,11 @@ The accuracy is that at checkpoints, where there are any.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from pyproj import CRS
 
 from spl_batch import __version__
@@ -63,11 +64,7 @@ def write_metadata(
     )  # fmt: skip
     heights = [[cloud.bounds_m[k] for cloud in delivery.clouds] for k in (2, 5)]
     datum = vertical(delivery.crs)
-    environment = Environment(
-        loader=PackageLoader(__package__, "."), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True,
-    )  # fmt: skip
-    text = environment.get_template("metadata.xml.j2").render(
+    text = _template().render(
         name=delivery.name,
         span=delivery.span,
         systems=[*_systems(delivery.crs)],
@@ -86,6 +83,15 @@ def write_metadata(
     path = output / NAME
     write_bytes(path, f"{text}\n".encode())
     return path
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader(__package__, "."), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True,
+    )  # fmt: skip
+    return environment.get_template("metadata.xml.j2")
 
 
 def _systems(crs: CRS) -> Iterator[tuple[str, str]]:

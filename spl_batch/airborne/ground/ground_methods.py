@@ -6,7 +6,6 @@ points around them, always the same ones, and its caller keeps what the square o
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from scipy import ndimage
 
 from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.ground.ground_seeds import (
+    Start,
     first_true,
     lowest_grid,
     seen_through,
@@ -24,8 +24,19 @@ from spl_batch.airborne.ground.ground_seeds import (
 )
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
 from spl_batch.airborne.ground.multiscale.masks import Strip, multiscale_mask, multiscale_masks
-from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M, evidence, reckoned_m
-from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
+from spl_batch.airborne.ground.multiscale.ranging_layer import (
+    EVERYWHERE,
+    SIGMA_M,
+    evidence,
+    reckoned,
+)
+from spl_batch.airborne.ground.point_spacing import (
+    Squares,
+    added_up,
+    in_squares,
+    spacing_around_m,
+    spacing_at_m,
+)
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
 from spl_batch.airborne.ground.smrf import provisional_terrain
 from spl_batch.airborne.settings import GroundSettings, PtdSettings, SmrfSettings
@@ -70,11 +81,14 @@ class Cloud(NamedTuple):
         All of them.
     own, asked : (n,) bool
         Which are evidence, and which are to be told.
+    told_m : (n,) floating or None
+        Ranging spread that their flightlines tell [m], where these do.
     """
 
     points: Points
     own: NDArray[np.bool_]
     asked: NDArray[np.bool_]
+    told_m: NDArray[np.floating] | None
 
     def some(self, chosen: NDArray[np.bool_]) -> Points:
         """Chosen points; no copy where all are."""
@@ -111,13 +125,12 @@ def ground_mask(
     """
     mask = np.zeros(len(table), dtype=np.bool_)
     own = usable & ~dependents(table)
-    if not own.any():
-        own = usable
     told = usable if asked is None else usable & asked
-    if told.any():
+    if own.any() and told.any():
         used = own | told
-        cloud = Cloud(_metres(table, used), own[used], told[used])
-        mask[told] = METHODS[settings.method](cloud, settings, _told_m(table, own))
+        spreads = table["range_sigma"][used] if "range_sigma" in table else None
+        cloud = Cloud(_metres(table, used), own[used], told[used], spreads)
+        mask[told] = METHODS[settings.method](cloud, settings)
     return mask
 
 
@@ -156,46 +169,35 @@ def ground_in_bands(
     iterator of (Band, (n,) bool)
         Each band, and which of its points are ground.
     """
-    # Where everything may be an afterpulse all of it is evidence.
-    plain = not any(map(_has_evidence, bands()))
-    if plain and not any(map(_has_usable, bands())):
+    if not any(map(_has_evidence, bands())):
         return ((band, np.zeros(len(band.table), np.bool_)) for band in bands())
-    told_m, shown = 0.0, evidence(*np.empty((3, 0)))
-    for band in bands():
-        own = _evidence(plain, band)
-        told_m = max(told_m, _told_m(band.table, own))
-        if "range_sigma" in band.table:
-            shown += evidence(*_metres(band.table, own))
-    sigma_m = reckoned_m(told_m, shown)
-    strips = partial(map, partial(_strip, plain))
-    return map(_of_table, multiscale_masks(lambda: strips(bands()), sigma_m))
-
-
-def _has_usable(band: Band) -> bool:
-    return bool(band.usable.any())
+    shown = [some for some in map(_shown, bands()) if some is not None]
+    sigma = reckoned(added_up(shown)) if shown else EVERYWHERE
+    return map(_of_table, multiscale_masks(lambda: map(_strip, bands()), sigma))
 
 
 def _has_evidence(band: Band) -> bool:
-    return bool((band.usable & ~dependents(band.table)).any())
+    return bool(_evidence(band).any())
 
 
-def _strip(plain: bool, band: Band) -> Strip:  # noqa: FBT001 - the first of a partial
+def _shown(band: Band) -> Squares | None:
+    """What a band shows of its ranges; None where no flightline tells of these."""
+    own = _evidence(band)
+    if "range_sigma" not in band.table or not own.any():
+        return None
+    return evidence(*_metres(band.table, own), band.table["range_sigma"][own])
+
+
+def _strip(band: Band) -> Strip:
     """Places of a band's points; it remembers the band, and which points are asked."""
-    own = _evidence(plain, band)
     told = band.usable & band.asked
-    return Strip(_metres(band.table, own), _metres(band.table, told), (band, told))
+    return Strip(
+        _metres(band.table, _evidence(band)), _metres(band.table, told), (band, told)
+    )  # fmt: skip
 
 
-def _evidence(plain: bool, band: Band) -> NDArray[np.bool_]:  # noqa: FBT001 - as above
-    return band.usable if plain else band.usable & ~dependents(band.table)
-
-
-def _told_m(table: PointTable, own: NDArray[np.bool_]) -> float:
-    """Largest ranging spread that the flightlines of some points tell, or 0 [m]."""
-    if "range_sigma" not in table:
-        return 0.0
-    # A tenth of a millimetre: what single precision makes of the sensor's own is that again.
-    return round(float(table["range_sigma"][own].max(initial=0.0)), 4)
+def _evidence(band: Band) -> NDArray[np.bool_]:
+    return band.usable & ~dependents(band.table)
 
 
 def _of_table(told: tuple[Strip, NDArray[np.bool_]]) -> tuple[Band, NDArray[np.bool_]]:
@@ -237,8 +239,7 @@ def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bo
     (m,) bool
         Which of those asked are ground.
     """
-    cell_m = node_cell(own.x, own.y, settings.node_m)
-    nodes = start(*own, cell_m, settings)
+    nodes = _start(own, settings)
     others = np.flatnonzero(~nodes.seed & ~nodes.sunk)
     tin, _ = densify(
         nodes.xyz[nodes.seed],
@@ -250,7 +251,7 @@ def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bo
     mask = np.zeros(len(asked.x), dtype=np.bool_)
     if tin is None:
         return mask
-    order = group_by_cell(asked.x, asked.y, cell_m).order
+    order = group_by_cell(asked.x, asked.y, settings.node_m).order
     x, y, z = (values[order] for values in asked)
     height, edge = heights_above(tin, x, y, z)
     edge = np.minimum(edge, _GAP_SPACINGS * spacing_around_m(own.x, own.y, x, y))
@@ -269,17 +270,37 @@ def _limits(settings: PtdSettings) -> Limits:
     )
 
 
-def node_cell(x: Float, y: Float, smallest_m: float) -> float:
-    """Edge of the candidates' grid: doubled for sparse data.
+def _start(own: Points, settings: PtdSettings) -> Start:
+    """Nodes and seeds, from cells of twice the size where data are sparse.
+
+    Blocks of 16 m choose by the spacing of the points in and around them, whatever ground cell
+    they are in.
+    """
+    squares, parts = in_squares(own.x, own.y), []
+    wide = sparse_at(squares, own.x, own.y, settings.node_m)
+    for times in (1, 2):
+        if (wide == (times == 2)).any():
+            found = start(*own, times * settings.node_m, settings)
+            x, y = found.xyz[:, :2].T
+            chosen = sparse_at(squares, x, y, settings.node_m) == (times == 2)
+            parts.append([of[chosen] for of in found])
+    return Start(*(np.concatenate(some) for some in zip(*parts, strict=True)))
+
+
+def sparse_at(squares: Squares, x: Float, y: Float, node_m: float) -> NDArray[np.bool_]:
+    """Places around which cells of a size hold too few points on the average: (n,) bool.
 
     Parameters
     ----------
+    squares : Squares
+        The points.
     x, y : (n,) float64
-        Places [m]; n > 0.
-    smallest_m : float
-        Edge for dense data [m].
+        Places [m].
+    node_m : float
+        Edge of a cell [m].
     """
-    return smallest_m * (1 if smallest_m**2 >= _FILLED * spacing_m(x, y) ** 2 else 2)
+    wide: NDArray[np.bool_] = node_m**2 < _FILLED * spacing_at_m(squares, x, y) ** 2
+    return wide
 
 
 def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.bool_]:
@@ -326,28 +347,28 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
     return np.sqrt(squared)
 
 
-def _multiscale(cloud: Cloud, _: GroundSettings, told_m: float) -> NDArray[np.bool_]:
+def _multiscale(cloud: Cloud, _: GroundSettings) -> NDArray[np.bool_]:
     """By a surface whose scale follows the data."""
-    sigma_m = SIGMA_M
-    if told_m > SIGMA_M:
-        sigma_m = reckoned_m(told_m, evidence(*cloud.some(cloud.own)))
-    return multiscale_mask(*cloud, sigma_m)
+    points, own, asked, told_m = cloud
+    sigma = EVERYWHERE
+    if told_m is not None and told_m[own].max() > SIGMA_M:
+        sigma = reckoned(evidence(*cloud.some(own), told_m[own]))
+    return multiscale_mask(points, own, asked, sigma)
 
 
-def _by_ptd(cloud: Cloud, settings: GroundSettings, _: float) -> NDArray[np.bool_]:
+def _by_ptd(cloud: Cloud, settings: GroundSettings) -> NDArray[np.bool_]:
     return ptd_mask(cloud.some(cloud.own), cloud.some(cloud.asked), settings.ptd)
 
 
-def _by_smrf(cloud: Cloud, settings: GroundSettings, _: float) -> NDArray[np.bool_]:
+def _by_smrf(cloud: Cloud, settings: GroundSettings) -> NDArray[np.bool_]:
     return smrf_mask(cloud.some(cloud.own), cloud.some(cloud.asked), settings.smrf)
 
 
-Method = Callable[[Cloud, GroundSettings, float], NDArray[np.bool_]]
+Method = Callable[[Cloud, GroundSettings], NDArray[np.bool_]]
 
 METHODS: Final[Mapping[str, Method]] = {
     "multiscale": _multiscale,
     "ptd": _by_ptd,
     "smrf": _by_smrf,
 }
-"""Methods by their names in the settings: points, settings, ranging spread that is told, or 0 [m]
--> which of those asked are ground."""
+"""Methods by their names in the settings: points, settings -> which of those asked are ground."""

@@ -87,7 +87,7 @@ def lowest_layers(
     y: NDArray[np.float64],
     z: NDArray[np.float64],
     cells: Cells,
-    thickness_m: float,
+    thickness_m: float | NDArray[np.float64],
 ) -> Nodes:
     """Nodes of a cloud: the lowest layer of each cell, and the lowest well-filled one.
 
@@ -97,15 +97,16 @@ def lowest_layers(
         Points [m], on the lattice of quanta.
     cells : Cells
         The same points, grouped.
-    thickness_m : float
-        Thickness of a layer [m].
+    thickness_m : float or (cells,) float64
+        Thickness of a layer, or that of each cell [m].
     """
     most = 2 * len(cells.start)
+    thick = np.full(len(cells.start) - 1, thickness_m)
     xyz, cell = np.empty((most, 3)), np.empty(most, dtype=np.int64)
     count, doubtful = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.bool_)
     buried = np.empty(most, dtype=np.bool_)
     used = _lowest_layers(
-        x, y, z, cells.order, cells.start, thickness_m, xyz, cell, count, doubtful, buried
+        x, y, z, cells.order, cells.start, thick, xyz, cell, count, doubtful, buried
     )
     return Nodes(xyz[:used], cell[:used], count[:used], doubtful[:used], buried[:used])
 
@@ -117,7 +118,7 @@ def _lowest_layers(
     z: NDArray[np.float64],
     order: NDArray[np.int64],
     start: NDArray[np.int64],
-    thickness: float,
+    thick: NDArray[np.float64],
     xyz: NDArray[np.float64],
     cell: NDArray[np.int64],
     count: NDArray[np.int64],
@@ -133,7 +134,7 @@ def _lowest_layers(
         n = start[c + 1] - start[c]
         if n == 0:
             continue
-        own, heights = room[:, :n], sorted_z[:n]
+        own, heights, thickness = room[:, :n], sorted_z[:n], thick[c]
         low = np.inf
         for k in range(n):
             i = order[start[c] + k]

@@ -8,7 +8,7 @@ per four square metres a surface that is interpolated across empty cells turns w
 
 Deviations from the sources:
 
-- **The cell follows the data.** In each block of :data:`BLOCK_M` the nodes are the lowest of cells
+- **The cell follows the data.** In each block of 16 m the nodes are the lowest of cells
   of 1, 2, 4 or 8 m: the smallest in which most lowest nodes agree with the lowest of the next
   size (:func:`agreeing_nodes`). The opening always runs on cells of 1 m.
 - **Empty cells take the nearest node**, so that a wall stays as steep as it is.
@@ -29,8 +29,9 @@ from scipy import ndimage, special
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
+from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M, EVERYWHERE, Spread
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
-from spl_batch.airborne.ground.point_spacing import Squares
+from spl_batch.airborne.ground.point_spacing import Squares, quantiles
 from spl_batch.airborne.ground.smrf import object_cells
 
 CELL_M: Final = 1.0
@@ -38,9 +39,6 @@ CELL_M: Final = 1.0
 
 LEVELS: Final = 3
 """So often the cell that nodes are the lowest of may double."""
-
-BLOCK_M: Final = 16.0
-"""Edge of the blocks that choose their cell [m]."""
 
 _AGREE_M = 1.0
 _AGREE_SIGMA = (2.0, 4.0)
@@ -124,7 +122,7 @@ def _neighbours(grid: Float) -> Float:
 
 
 def agreeing_nodes(
-    xyz: Float, usable: Mask, filled: Mask, sigma_m: float, cell_m: float = CELL_M
+    xyz: Float, usable: Mask, filled: Mask, sigma: Spread = EVERYWHERE, cell_m: float = CELL_M
 ) -> Mask:
     """Nodes of the scale that the data have, block by block.
 
@@ -139,8 +137,8 @@ def agreeing_nodes(
         Nodes that may be chosen.
     filled : (n,) bool
         Nodes that are means of layers.
-    sigma_m : float
-        Standard deviation of a range [m].
+    sigma : Spread
+        Standard deviation of a range.
     cell_m : float
         Edge of the smallest cells [m].
 
@@ -149,6 +147,8 @@ def agreeing_nodes(
     (n,) bool
     """
     column, row, shape = _places(xyz, BLOCK_M)
+    west, south = np.floor(xyz[:, :2].min(axis=0) / BLOCK_M).astype(int).tolist()
+    sigma_m = sigma.over((south, west), shape)
     going = np.ones(shape, dtype=np.bool_)
     first = lowest_nodes(xyz, usable, cell_m)
     current = np.sort(first[first >= 0])
@@ -230,14 +230,8 @@ def spread_below(depths: Squares, share: float) -> Float:
     (block rows, block columns) float64
         For each block, of it and those around; 0 without points below [m].
     """
-    up_to = np.cumsum(_around(depths.sums), axis=2)
-    asked = share * up_to[..., -1:]
-    step = np.minimum((up_to < asked).sum(axis=2, keepdims=True), up_to.shape[2] - 1)
-    before, after = (
-        np.take_along_axis(np.insert(up_to, 0, 0.0, axis=2), step + k, axis=2) for k in (0, 1)
-    )
-    depth = _DEPTH_M * (step + (asked - before) / np.maximum(after - before, 1.0))
-    spread: Float = depth[..., 0] / (np.sqrt(2.0) * special.erfinv(share))
+    depth = _DEPTH_M * quantiles(_around(depths.sums), share)
+    spread: Float = depth / (np.sqrt(2.0) * special.erfinv(share))
     return spread
 
 
@@ -265,26 +259,20 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
     return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]), MOST)
 
 
-def ground_nodes(
-    xyz: Float, chosen: Mask, grid: Index, nearest: Index, cell_m: float = CELL_M
-) -> Mask:
+def ground_nodes(xyz: Float, grid: Index, nearest: Index, cell_m: float = CELL_M) -> Mask:
     """Chosen nodes that are on no object: (n,) bool.
 
     Parameters
     ----------
     xyz : (n, 3) float64
         Nodes [m].
-    chosen : (n,) bool
-        Nodes that the surface is made of; at least one.
     grid, nearest : (rows, columns) int64
-        Theirs in each cell, or -1, and that of the nearest cell with one.
+        Those that the surface is made of, by cells, or -1, and that of the nearest cell with one.
     cell_m : float
         Edge of the cells that the opening runs on [m].
     """
     raised = _raised(xyz[nearest, 2], cell_m)
-    level = grid[(grid >= 0) & ~raised]
-    if not len(level):
-        return chosen
+    level = grid[(grid >= 0) & ~raised]  # the lowest node is one
     x, y, z = xyz.T
     trend = fit_trend(xyz[level], x, y)
     row, column = np.nonzero((grid >= 0) & raised)

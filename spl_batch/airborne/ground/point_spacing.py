@@ -104,3 +104,23 @@ def spacing_at_m(squares: Squares, at_x: Float, at_y: Float) -> Float:
     at = np.clip(column, 0, len(spacing) - 1), np.clip(row, 0, len(spacing[0]) - 1)
     found: Float = spacing[at]
     return found
+
+
+def quantiles(counts: NDArray[Any], share: float) -> Float:
+    """At which step a share of what is counted is reached, linear within steps: (...).
+
+    Parameters
+    ----------
+    counts : (..., steps) ndarray
+        Counts by steps.
+    share : float
+        Share of their sum; 0 where that is 0.
+    """
+    up_to = np.cumsum(counts, axis=-1)
+    asked = share * up_to[..., -1:]
+    step = np.minimum((up_to < asked).sum(axis=-1, keepdims=True), up_to.shape[-1] - 1)
+    before, after = (
+        np.take_along_axis(np.insert(up_to, 0, 0, axis=-1), step + k, axis=-1) for k in (0, 1)
+    )
+    found: Float = (step + (asked - before) / np.maximum(after - before, 1))[..., 0]
+    return found

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import DamagedError, StoreError
-from spl_batch.formats.files.atomic import size, write_bytes
+from spl_batch.formats.files.atomic import read_bytes, size, write_bytes
 from spl_batch.formats.verified.zarr_chunks import (
     METADATA,
     Metadata,
@@ -53,7 +53,7 @@ def create_raster_store(
     side = 2 * HALF_CELLS * px
     facts: dict[str, Any] = {"ground_cell_quanta": ground_cell, "raster_cell_quanta": raster_cell}
     group = b'{"attributes": {}, "node_type": "group", "zarr_format": 3}'
-    if size(path / METADATA) < 0:
+    if size(path / METADATA) < 0 or read_bytes(path / METADATA) != group:
         write_bytes(path / METADATA, group, durable=False)
     for name in names:
         content = describe(
@@ -195,11 +195,6 @@ def frame(bounds: Bounds, raster_cell: int) -> tuple[tuple[int, int], tuple[floa
 
 def _array(path: Path, name: str) -> tuple[Metadata, int, int]:
     """Metadata of an array, cells per chunk side, edge of a raster cell [quanta]."""
-    try:
-        metadata = read_metadata(path / name)
-    except DamagedError as error:
-        if isinstance(error.__cause__, FileNotFoundError):
-            raise StoreError(f"{path}: has no raster {name!r}") from None
-        raise
+    metadata = read_metadata(path / name)
     px = metadata["chunk_grid"]["configuration"]["chunk_shape"][0]
     return metadata, int(px), int(metadata["attributes"]["raster_cell_quanta"])

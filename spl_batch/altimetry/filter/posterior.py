@@ -20,6 +20,9 @@ from spl_batch.numerics.neighbours.kdtree import (
     nearest_keys,
 )
 
+_LARGE: float = 40.0  # 1 is nothing beside its exponential
+_FULL: float = 1e280  # the next factor still fits
+
 
 def noise_posterior(
     uv: NDArray[np.int32],
@@ -90,22 +93,13 @@ def _at(table, k, position):  # type: ignore[no-untyped-def]
     return table[k, i] * (1.0 - share) + table[k, i + 1] * share
 
 
-@njit(inline="always")
-def _log_noise(ratio):  # type: ignore[no-untyped-def]
-    """-ln(1 + exp(ratio)), for any ratio."""
-    if ratio > 0.0:
-        return -ratio - math.log1p(math.exp(-ratio))
-    return -math.log1p(math.exp(ratio))
-
-
 @njit()
 def _posterior(  # type: ignore[no-untyped-def]
     points, boxes, depth, query, cap, area_scale, log_prior, within, beyond, first, step, most, out
 ):
     """Every query photon, in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    neighbours = within.shape[0]
-    keys = np.empty(neighbours, dtype=np.int64)
+    keys = np.empty(within.shape[0], dtype=np.int64)
     distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
     stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
     for leaf in range(U1 << depth, U1 << (depth + U1)):
@@ -114,19 +108,27 @@ def _posterior(  # type: ignore[no-untyped-def]
             row = points[U3, slot]
             if not query[row]:
                 continue
+            counted = min(len(keys), most[row])
             found = nearest_keys(
-                points, boxes, depth, leaf, slot, cap[row], keys, distance, fresh, stack, bound
-            )
+                points, boxes, depth, leaf, slot, cap[row], keys[:counted], distance, fresh,
+                stack, bound,
+            )  # fmt: skip
             offset = math.log(area_scale[row]) - first
             farthest = 2.0 * math.log(float(cap[row]))
-            total = 0.0
-            counted = min(neighbours, most[row])
-            for k in range(min(found, counted)):
-                # Photons at one place are a quantum apart at least.
-                d2 = max(float(keys[k] >> 32), 1.0)
-                ratio = _at(within, k, (math.log(d2) + offset) * step)
-                total += _log_noise(ratio + log_prior[row])
-            for k in range(found, counted):
-                ratio = _at(beyond, k, (farthest + offset) * step)
-                total += _log_noise(ratio + log_prior[row])
-            out[row] = total / counted
+            # Logarithms of 1 + exp(ratio) are taken of products: they cost as much as the search.
+            total, product = 0.0, 1.0
+            for k in range(counted):
+                if k < found:
+                    # Photons at one place are a quantum apart at least.
+                    d2 = max(float(keys[k] >> 32), 1.0)
+                    ratio = _at(within, k, (math.log(d2) + offset) * step) + log_prior[row]
+                else:
+                    ratio = _at(beyond, k, (farthest + offset) * step) + log_prior[row]
+                if ratio > _LARGE:
+                    total -= ratio
+                    continue
+                product *= 1.0 + math.exp(ratio)
+                if product > _FULL:
+                    total -= math.log(product)
+                    product = 1.0
+            out[row] = (total - math.log(product)) / counted

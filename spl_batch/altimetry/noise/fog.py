@@ -171,11 +171,12 @@ def fog_at(
     low, density : (cells,) int32, (cells, BINS) float32
         As of :class:`Fog`.
     """
-    if not density.any():
-        return np.zeros(len(cell), np.float32)
-    row = (height.astype(np.int64) - low[cell]) // (BIN_M * QUANTA_PER_M)
+    found = np.zeros(len(cell), np.float32)
+    some = np.flatnonzero(density.max(axis=1, initial=0.0)[cell])
+    row = (height[some].astype(np.int64) - low[cell[some]]) // (BIN_M * QUANTA_PER_M)
     inside = (row >= 0) & (row < BINS)
-    return np.where(inside, density[cell, np.where(inside, row, 0)], np.float32(0.0))
+    found[some[inside]] = density[cell[some[inside]], row[inside]]
+    return found
 
 
 def outside(cell: NDArray[np.intp], height: NDArray[np.int32], fog: Fog) -> NDArray[np.intp]:

@@ -59,10 +59,12 @@ def gates(
     off = height - peak[cell]
     least = quanta(settings.slice_m)
     below, above = (np.bincount(cell[side], minlength=n) for side in (off < -least, off > least))
-    low = np.full(n, np.iinfo(np.int32).max, np.int64)
-    high = np.full(n, np.iinfo(np.int32).min, np.int64)
+    # Of the photons' own type: numpy takes seconds for others.
+    low = np.full(n, np.iinfo(np.int32).max, np.int32)
+    high = np.full(n, np.iinfo(np.int32).min, np.int32)
     np.minimum.at(low, cell, height)
     np.maximum.at(high, cell, height)
+    low, high = low.astype(np.int64), high.astype(np.int64)
     reach, _ = stretches(index, below + above, 0)
     # A floor, and the water above it, tell nothing of the upper end.
     for one in (below, above):

@@ -228,9 +228,11 @@ def _counted(
     window = np.unique(_windows(labels["along"], context))
 
     def table(at: Mapping[str, NDArray[Any]], value: NDArray[np.int64]) -> NDArray[np.int64]:
-        counts = np.zeros((ZONES, len(window), signals.SCORE_BINS), np.int64)
-        row = np.searchsorted(window, _windows(at["along"], context))
-        np.add.at(counts, (at["below"], row, signals.score_bins(at["score"])), value)
+        bins = signals.SCORE_BINS
+        counts = np.zeros((ZONES, len(window), bins), np.int64)
+        row = np.searchsorted(window, _windows(at["along"], context)) + at["below"] * len(window)
+        # One index: numpy takes five times as long for three.
+        np.add.at(counts.reshape(-1), row * bins + signals.score_bins(at["score"]), value)
         return counts
 
     far = labels["far"].astype(np.int64)

@@ -121,7 +121,7 @@ class Store:
 def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = True) -> None:
     """Write plain JSON values with a hash of themselves, atomically."""
     whole = {**content, _DIGEST: _digest(content)}
-    text = json.dumps(whole, indent=1, sort_keys=True, allow_nan=False)
+    text = json.dumps(whole, sort_keys=True, allow_nan=False)
     write_bytes(path, text.encode(), durable=durable)
 
 

@@ -86,6 +86,7 @@ def stages(receiver: str) -> tuple[str, ...]:
     return (*dict.fromkeys((*(kind.stage for kind in kinds(receiver).values()), "report")),)
 
 
+@cache
 def library_version(name: str) -> str:
     """Version of a library; "missing" where it is not installed, as some need not be."""
     try:

@@ -3,20 +3,26 @@
 from collections import Counter
 from collections.abc import Iterable
 from functools import cached_property
-from pathlib import PurePosixPath
-from typing import Any
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
 
 from spl_batch.engine.store.working_store import Store, forget_receipt, read_receipts
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Receipt
+from spl_batch.formats.files.atomic import checksum, size
+from spl_batch.formats.verified.zarr_chunks import METADATA
 
-TRIES = 3
+TRIES: Final = 3
 """Times that a run makes a damaged file again: a disk that fails for good fails each time."""
 
+ARRAYS: Final = ".zarr"
+"""How the name of a folder ends in which many tasks put their pieces of arrays."""
 
-def makers(
-    store: Store, kinds: Iterable[str], damaged: Iterable[str]
-) -> dict[str, tuple[str, str]]:
+Maker = tuple[str, str]
+"""Kind and name of the task that makes a file."""
+
+
+def makers(store: Store, kinds: Iterable[str], damaged: Iterable[str]) -> dict[str, Maker]:
     """Outputs that are damaged, with kind and name of the task that makes each.
 
     Parameters
@@ -31,6 +37,26 @@ def makers(
     made = (receipt for kind in kinds if parts for receipt in read_receipts(store, kind))
     found = {name: (r.kind, r.name) for r in made for name in r.outputs if name in parts}
     return dict(sorted(found.items()))
+
+
+def also_damaged(store: Store, kinds: Iterable[str], damaged: Iterable[str]) -> dict[str, Maker]:
+    """Pieces of the same arrays that are not what was written either, with those who make them.
+
+    Who joins the pieces meets one of them at a time. The arguments are those of :func:`makers`.
+    """
+    parents = {parent for name in damaged for parent in PurePosixPath(name).parents}
+    arrays = tuple(f"{parent}/" for parent in parents if parent.suffix == ARRAYS)
+    made = (receipt for kind in kinds if arrays for receipt in read_receipts(store, kind))
+    return {
+        name: (receipt.kind, receipt.name)
+        for receipt in made
+        for name, content in receipt.outputs.items()
+        if name.startswith(arrays) and not _as_written(store.named(name), content)
+    }
+
+
+def _as_written(path: Path, content: str) -> bool:
+    return size(path) >= 0 and checksum(path) == content
 
 
 def forget_makers(store: Store, kinds: Iterable[str], damaged: Iterable[str]) -> bool:
@@ -67,8 +93,10 @@ class Repairs:
 
     def wanted(
         self, failed: Iterable[Receipt], ledger: Ledger[Any, Any], found: Iterable[str] = ()
-    ) -> dict[str, tuple[str, str]]:
+    ) -> dict[str, Maker | None]:
         """Damaged files that can be made again, with kind and name of the task that does it.
+
+        None does what describes arrays: the run makes it before the tasks that fill them.
 
         Parameters
         ----------
@@ -80,7 +108,10 @@ class Repairs:
             Paths of more damaged files, which no task has met.
         """
         paths = [*found, *(r.facts["damaged"] for r in failed if "damaged" in r.facts)]
-        again = makers(self.store, ledger.done, map(self.store.name_of, paths))
+        names = [*map(self.store.name_of, paths)]
+        described = [name for name in names if PurePosixPath(name).name == METADATA]
+        again: dict[str, Maker | None] = dict.fromkeys(sorted(described))
+        again |= makers(self.store, ledger.done, names)
         return {name: maker for name, maker in again.items() if self.times[name] < TRIES}
 
     def begin(
@@ -99,9 +130,12 @@ class Repairs:
             The files, as receipts call them; none if there is nothing to be done again.
         """
         again = self.wanted(failed, ledger, found)
+        also = also_damaged(self.store, ledger.done, again)
+        again |= {name: maker for name, maker in also.items() if self.times[name] < TRIES}
         for name, maker in again.items():
             self.times[name] += 1
-            forget_receipt(self.store, *maker)
+            if maker is not None:
+                forget_receipt(self.store, *maker)
         if again:
             ledger.done.clear()
             for name, member in vars(type(ledger)).items():

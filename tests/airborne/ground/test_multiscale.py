@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
-from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M
 from spl_batch.airborne.ground.multiscale_surface import (
     agreeing_nodes,
     depths_below,
@@ -125,7 +124,7 @@ def test_under_crowns_nodes_are_those_of_larger_cells() -> None:
     cell = np.floor(xyz[:, :2]).astype(int) @ (1, 1000)
     order = np.lexsort([xyz[:, 2], cell])
     nodes = order[np.r_[True, np.diff(cell[order]) > 0]]
-    chosen = agreeing_nodes(xyz[nodes], *np.ones((2, len(nodes)), np.bool_), SIGMA_M)
+    chosen = agreeing_nodes(xyz[nodes], *np.ones((2, len(nodes)), np.bool_))
     open_ground = x[nodes] < 40
     assert chosen[open_ground].all()
     shade = (x[nodes] > 90) & chosen

@@ -7,14 +7,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
+    BLOCK_M,
     QUARTER_M,
     SIGMA_M,
     STEEP,
+    STEEP_SHARE,
+    STEPS,
+    Spread,
     evidence,
     off_planes,
-    reckoned_m,
-    steep_blocks,
+    reckoned,
 )
+from spl_batch.airborne.ground.point_spacing import added_up
 from spl_batch.numerics.cell_groups import group_by_cell
 
 Float = NDArray[np.float64]
@@ -30,6 +34,16 @@ def cloud(rng: np.random.Generator, sigma_m: float, overgrown: float) -> tuple[F
     return x, y, z
 
 
+def told_by(places: tuple[Float, Float, Float], told_m: float) -> Float:
+    """The same spread told for all points [m]."""
+    return np.full(len(places[0]), told_m)
+
+
+def middle(spread: Spread) -> float:
+    """Spread of a block that has others all around, in the cloud's middle [m]."""
+    return float(spread.at(np.array([1]), np.array([1]))[0])
+
+
 @pytest.mark.parametrize(
     ("sigma_m", "overgrown", "found"),
     [(0.05, 0.5, 0.05), (0.035, 0.5, 0.035), (0.015, 0.5, SIGMA_M), (0.05, 0.95, SIGMA_M)],
@@ -37,10 +51,12 @@ def cloud(rng: np.random.Generator, sigma_m: float, overgrown: float) -> tuple[F
 def test_bare_cells_tell_what_ranges_scatter(
     sigma_m: float, overgrown: float, found: float
 ) -> None:
-    counts = evidence(*cloud(np.random.default_rng(1), sigma_m, overgrown))
-    assert reckoned_m(0.05, counts) == pytest.approx(found, rel=0.12)
-    assert reckoned_m(0.15, counts) == 0.15
-    assert reckoned_m(0.0, counts) == reckoned_m(0.02, counts) == SIGMA_M
+    places = cloud(np.random.default_rng(1), sigma_m, overgrown)
+    reckoned_m = {told: middle(reckoned(evidence(*places, told_by(places, told))))
+                  for told in (0.0, 0.02, 0.05, 0.15)}  # fmt: skip
+    assert reckoned_m[0.05] == pytest.approx(found, rel=0.12)
+    assert reckoned_m[0.15] == 0.15
+    assert reckoned_m[0.0] == reckoned_m[0.02] == SIGMA_M
 
 
 def test_scatter_about_planes_is_that_of_least_squares_in_any_order() -> None:
@@ -65,19 +81,38 @@ def test_scatter_about_planes_is_that_of_least_squares_in_any_order() -> None:
 def test_evidence_of_parts_adds_up() -> None:
     x, y, z = cloud(np.random.default_rng(2), 0.03, 0.3)
     z += np.where(y > 30.0, 2.0 * x, 0.0)
-    west = x < 32.0
-    one, two = (evidence(*(v[some] for v in (x, y, z))) for some in (west, ~west))
-    whole, parts = evidence(x, y, z), one + two
-    assert np.array_equal(parts.scatter, whole.scatter)
-    assert parts[1:] == whole[1:]
-    assert reckoned_m(0.05, evidence(x[:0], y[:0], z[:0])) == SIGMA_M
+    told = np.where(y > 40.0, 0.05, 0.03)
+    west = x < 2 * BLOCK_M
+    whole = evidence(x, y, z, told)
+    parts = added_up([evidence(*(v[some] for v in (x, y, z, told))) for some in (west, ~west)])
+    assert np.array_equal(parts.sums, whole.sums)
+    assert parts.first == whole.first
 
 
 def test_overgrown_ground_that_is_steep_has_the_spread_that_is_told() -> None:
     x, y, z = cloud(np.random.default_rng(1), 0.05, 0.95)
-    assert reckoned_m(0.05, evidence(x, y, z)) == SIGMA_M
-    ridge = z + 1.2 * np.where(y > 40.0, y - 40.0, 0.0)
-    assert reckoned_m(0.05, evidence(x, y, ridge)) == 0.05
+    ridge = z + 1.2 * np.where(y > 24.0, y - 24.0, 0.0)
+    assert middle(reckoned(evidence(x, y, z, told_by((x, y, z), 0.05)))) == SIGMA_M
+    assert middle(reckoned(evidence(x, y, ridge, told_by((x, y, z), 0.05)))) == 0.05
+
+
+def test_one_steep_block_of_nine_counts_in_part() -> None:
+    x, y, z = cloud(np.random.default_rng(1), 0.05, 0.95)
+    z[(x > 32.0) & (x < 40.0) & (y > 32.0) & (y < 40.0)] += 10.0
+    found = reckoned(evidence(x, y, z, told_by((x, y, z), 0.05)))
+    share = (1 / 9 - STEEP_SHARE[0]) / (STEEP_SHARE[1] - STEEP_SHARE[0])
+    assert middle(found) == pytest.approx(SIGMA_M + share * (0.05 - SIGMA_M))
+    assert found.at(np.array([-9, 0]), np.array([0, 0])).tolist() == [SIGMA_M, SIGMA_M]
+
+
+def test_between_bare_and_overgrown_the_spread_goes_over_by_degrees() -> None:
+    found = []
+    for overgrown in np.linspace(0.6, 0.95, 15):
+        places = cloud(np.random.default_rng(1), 0.05, float(overgrown))
+        found.append(middle(reckoned(evidence(*places, told_by(places, 0.05)))))
+    assert found[0] == pytest.approx(0.05, rel=0.05)
+    assert found[-1] == SIGMA_M
+    assert any(0.03 < value < 0.045 for value in found)
 
 
 @settings(max_examples=30, deadline=None)
@@ -93,4 +128,9 @@ def test_steep_blocks_are_counted_by_hand(seed: int) -> None:
         block[square] = min(block.get(square, np.inf), u)
     whole = [list(block.values()) for block in lowest.values() if len(block) == 4]
     steep = [block for block in whole if max(block) - min(block) > STEEP * QUARTER_M]
-    assert steep_blocks(x, y, z) == (len(whole), len(steep))
+    if len(x):
+        shown = evidence(x, y, z, np.zeros(len(x))).sums
+        assert shown[:, :, STEPS + 1 : STEPS + 3].sum(axis=(0, 1)).tolist() == [
+            len(whole),
+            len(steep),
+        ]

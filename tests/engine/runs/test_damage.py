@@ -19,12 +19,13 @@ from spl_batch.airborne.strips.strip_comparison import difference_map
 from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.constants import NODATA
 from spl_batch.engine.flow import job
-from spl_batch.engine.store.working_store import read_receipts
+from spl_batch.engine.store.working_store import Store, read_receipts, write_receipt
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.preparing import prepare
-from spl_batch.engine.verbs.repair import Repairs
+from spl_batch.engine.verbs.repair import Repairs, also_damaged
 from spl_batch.engine.watch.events import Event, Note, TaskEnded
 from spl_batch.errors import DamagedError
+from spl_batch.formats.files.atomic import checksum, write_bytes
 from spl_batch.formats.verified.parquet_npz import (
     group_ranges,
     read_arrays,
@@ -122,12 +123,31 @@ def test_nothing_is_cut_off_or_lost_unnoticed(tmp_path: Path, write: Callable[[P
 def test_a_damaged_description_of_cells_is_written_again(tmp_path: Path) -> None:
     read = cells(tmp_path / "file")
     expected = read()
-    (tmp_path / "file" / "dtm" / "zarr.json").write_text("{}")
+    group = tmp_path / "file" / "zarr.json"
+    described = group.read_bytes()
+    for path in (group, tmp_path / "file" / "dtm" / "zarr.json"):
+        path.write_text("{}")
     with pytest.raises(DamagedError):
         read()
     create_raster_store(tmp_path / "file", ["dtm"], ground_cell=4000, raster_cell=1000)
     assert read() == expected
+    assert group.read_bytes() == described
     assert expected[0][0] != NODATA
+
+
+def test_all_damaged_pieces_of_an_array_are_found_at_once(tmp_path: Path) -> None:
+    """Who joins them meets one at a time, and a survey has thousands."""
+    store = Store(tmp_path)
+    outputs = {f"{cell}": f"store/rasters.zarr/dtm/c/0/{cell}" for cell in range(4)}
+    for cell, name in outputs.items():
+        write_bytes(store.named(name), b"piece " + cell.encode())
+        made = {name: checksum(store.named(name))}
+        write_receipt(store, Receipt("surface", cell, "", "", "", made, {}, 1, 0.0, 0.0))
+    flip(store.named(outputs["1"]))
+    store.named(outputs["2"]).unlink()
+    found = also_damaged(store, ["surface"], ["store/rasters.zarr/dtm/zarr.json"])
+    assert found == {outputs[cell]: ("surface", cell) for cell in ("1", "2")}
+    assert not also_damaged(store, ["surface"], ["store/tiles/1.parquet"])
 
 
 # Whole runs
@@ -159,6 +179,12 @@ def files_of(receipt: Receipt, output: Path) -> list[Path]:
         if name.startswith("store/"):
             sorts[name.split("/")[1]] = inside[0] if path.is_dir() else path
     return list(sorts.values())
+
+
+def everything(path: Path) -> list[Path]:
+    """All files of the raster store that a chunk lies in, what describes its arrays included."""
+    store = next(folder for folder in path.parents if folder.suffix == ".zarr")
+    return [file for file in sorted(store.rglob("*")) if file.is_file()]
 
 
 SORTS = {
@@ -199,7 +225,8 @@ def test_what_is_damaged_while_a_run_goes_on_is_made_again_in_it(
             sort = path.relative_to(survey.parent / "out" / "store").parts[0]
             if sort in SORTS - harmed and (receipt.points or receipt.kind == "trajectory"):
                 harmed.add(sort)
-                harm(path)
+                for one in everything(path) if sort.startswith("rasters") else [path]:
+                    harm(one)
         return receipt
 
     monkeypatch.setattr(job, "run_task", harming)

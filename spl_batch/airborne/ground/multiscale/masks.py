@@ -18,9 +18,13 @@ from spl_batch.airborne.ground.ground_seeds import sunk, supported
 from spl_batch.airborne.ground.level_ground import levelled
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED, Nodes, lowest_layers
 from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
-from spl_batch.airborne.ground.multiscale.ranging_layer import SIGMA_M, off_planes
-from spl_batch.airborne.ground.multiscale_surface import (
+from spl_batch.airborne.ground.multiscale.ranging_layer import (
     BLOCK_M,
+    EVERYWHERE,
+    Spread,
+    off_planes,
+)
+from spl_batch.airborne.ground.multiscale_surface import (
     CELL_M,
     MOST,
     agreeing_nodes,
@@ -129,7 +133,7 @@ class Strip(NamedTuple):
 
 
 def multiscale_masks(
-    strips: Callable[[], Iterable[Strip]], sigma_m: float = SIGMA_M
+    strips: Callable[[], Iterable[Strip]], sigma: Spread = EVERYWHERE
 ) -> Iterator[tuple[Strip, Mask]]:
     """Ground points by a surface whose scale follows the data, strip by strip.
 
@@ -141,8 +145,8 @@ def multiscale_masks(
     strips : callable
         Gives all strips, and is called three times, so that none need be held; one point at least
         is evidence.
-    sigma_m : float
-        Standard deviation of a range [m].
+    sigma : Spread
+        Standard deviation of a range.
 
     Yields
     ------
@@ -151,15 +155,18 @@ def multiscale_masks(
     mask : (m,) bool
         Which of those asked in it are ground.
     """
-    surface = _ground_surface(map(_evidence, strips()), sigma_m)
+    surface = _ground_surface(map(_evidence, strips()), sigma)
+    if surface is None:
+        yield from ((strip, np.zeros(len(strip.asked[0]), np.bool_)) for strip in strips())
+        return
     looked = filter(None, map(partial(_look, surface), strips()))
     depths, points = (added_up(some) for some in zip(*looked, strict=True))
-    known = _known(points, depths, sigma_m)
+    known = _known(points, depths, sigma)
     # A strip is held by nothing while the next one is read.
     yield from map(partial(_told, surface, known), strips())
 
 
-def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma_m: float = SIGMA_M) -> Mask:
+def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERYWHERE) -> Mask:
     """The same where all points are at hand: how high the surface is, is asked once.
 
     Parameters
@@ -168,8 +175,8 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma_m: float = SIGM
         x, y, z [m].
     own, asked : (n,) bool
         Evidence, at least one; points to be told.
-    sigma_m : float
-        Standard deviation of a range [m].
+    sigma : Spread
+        Standard deviation of a range.
 
     Returns
     -------
@@ -177,11 +184,13 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma_m: float = SIGM
         Which of those asked are ground.
     """
     evidence = _of(places, own)
-    surface = _ground_surface((evidence,), sigma_m)
+    surface = _ground_surface((evidence,), sigma)
+    if surface is None:
+        return np.zeros(int(asked.sum()), np.bool_)
     height, slope = _surface_at(surface, places)
     x, y, z = evidence
     depths = noise_below(depths_below(z - height[own], x, y))
-    known = _known(in_squares(x, y), depths, sigma_m)
+    known = _known(in_squares(x, y), depths, sigma)
     return _within(known, _of(places, asked), height[asked], slope[asked])
 
 
@@ -193,13 +202,15 @@ def _of(places: Place, chosen: Mask) -> Place:
     return x, y, z
 
 
-def _ground_surface(evidence: Iterable[Place], sigma_m: float) -> Surface:
-    """Surface of the ground by some points, strip by strip."""
-    xyz, filled, hard = _nodes(evidence, sigma_m)
-    chosen = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma_m)
+def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
+    """Surface of the ground by some points, strip by strip; None where none of them is believed."""
+    xyz, filled, hard = _nodes(evidence, sigma)
+    if not len(xyz):
+        return None
+    chosen = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma)
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
-    ground = ground_nodes(xyz, chosen, grid, nearest)
+    ground = ground_nodes(xyz, grid, nearest)
     ground = continued(xyz, grid, ground, CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
     ground = _joined(xyz, chosen & hard, ground)
@@ -220,8 +231,9 @@ class _Known(NamedTuple):
     first: tuple[int, int]
 
 
-def _known(points: Squares, depths: Squares, sigma_m: float) -> _Known:
+def _known(points: Squares, depths: Squares, sigma: Spread) -> _Known:
     """How far ground reaches above and below a surface, by what lies below it."""
+    sigma_m = sigma.over(depths.first, depths.sums.shape[:2])
     above, below = (
         many * np.maximum(spread_below(depths, share), sigma_m)
         for many, share in ((_ABOVE_SIGMA, MOST), (_BELOW_SIGMA, _TAIL))
@@ -295,9 +307,9 @@ def _block(known: _Known, x: Float, y: Float) -> tuple[Index, Index]:
     return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
 
 
-def _nodes(strips: Iterable[Place], sigma_m: float) -> tuple[Float, Mask, Mask]:
+def _nodes(strips: Iterable[Place], sigma: Spread) -> tuple[Float, Mask, Mask]:
     """Lowest layers that are no low noise: (n, 3) [m]; which are filled; which of hard cells."""
-    parts = [part for part in map(partial(_layers, sigma_m), strips) if part is not None]
+    parts = [part for part in map(partial(_layers, sigma), strips) if part is not None]
     found, hard, row, column = zip(*parts, strict=True)
     at = [np.concatenate(some) for some in (row, column)]
     rows, columns = (int(np.ptp(along)) + 1 for along in at)
@@ -310,39 +322,29 @@ def _nodes(strips: Iterable[Place], sigma_m: float) -> tuple[Float, Mask, Mask]:
     # A single return below many others is ground where its neighbours continue it, else noise.
     if nodes.doubtful.any():
         above &= ~nodes.doubtful | supported(nodes, rows, columns, CELL_M)
-    if not above.any():
-        above[:] = True
     filled = nodes.points >= SUPPORTED
     return nodes.xyz[above], filled[above], np.concatenate(hard)[order][above]
 
 
-def _layers(sigma_m: float, own: Place) -> tuple[Nodes, Mask, Index, Index] | None:
+def _layers(sigma: Spread, own: Place) -> tuple[Nodes, Mask, Index, Index] | None:
     """Lowest layers of a strip; which are of hard cells; row and column of each; None without."""
     x, y, z = own
     if not len(x):
         return None
     cells = group_by_cell(x, y, CELL_M)
-    crowded = np.diff(cells.start) >= _CROWDED
-    thin_m = _LAYER_SIGMA * sigma_m
-    parts = [
-        lowest_layers(x, y, z, _only(cells, some), thickness_m)
-        for some, thickness_m in ((crowded, thin_m), (~crowded, max(thin_m, _LAYER_M)))
-    ]
-    xyz, cell, points, doubtful, buried = (np.concatenate(v) for v in zip(*parts, strict=True))
-    row, column = np.divmod(cell, cells.columns)
     south, west = (int(np.floor(v.min() / CELL_M)) for v in (y, x))
-    hard = _hard(x, y, z, cells, _HARD_SIGMA * sigma_m)[cell]
-    return Nodes(xyz, cell, points, doubtful, buried), hard, row + south, column + west
+    along = (south + np.arange(cells.rows), west + np.arange(cells.columns))
+    row, column = (np.floor(cell * CELL_M / BLOCK_M).astype(np.int64) for cell in along)
+    sigma_m = sigma.at(row[:, None], column[None, :]).ravel()
+    thin_m = _LAYER_SIGMA * sigma_m
+    crowded = np.diff(cells.start) >= _CROWDED
+    nodes = lowest_layers(x, y, z, cells, np.where(crowded, thin_m, np.maximum(thin_m, _LAYER_M)))
+    row, column = np.divmod(nodes.cell, cells.columns)
+    hard = _hard(x, y, z, cells, _HARD_SIGMA * sigma_m)[nodes.cell]
+    return nodes, hard, row + south, column + west
 
 
-def _only(cells: Cells, some: Mask) -> Cells:
-    """Some cells' points; the others are empty."""
-    count = np.diff(cells.start)
-    order = cells.order[np.repeat(some, count)]
-    return cells._replace(order=order, start=np.insert(np.cumsum(np.where(some, count, 0)), 0, 0))
-
-
-def _hard(x: Float, y: Float, z: Float, cells: Cells, most_m: float) -> Mask:
+def _hard(x: Float, y: Float, z: Float, cells: Cells, most_m: Float) -> Mask:
     """Cells all of whose points lie on a plane, as those of bare ground and roofs do."""
     hard: Mask = off_planes(x, y, z, cells, _HARD_POINTS) <= most_m**2
     return hard

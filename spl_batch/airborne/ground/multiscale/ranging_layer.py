@@ -7,13 +7,20 @@ and their scatter is that of the ranges. Heath and closed forest have too few su
 least spread is reckoned with, which finds the same terrain in clouds twice as noisy where it is
 even. Where the lowest returns step by metres it loses ground under trees: there the stated one
 counts.
+
+Each block of an absolute grid is told by itself and the eight around it, which every ground cell
+that owns points of it has as a whole. What a cell or a survey is on the average decides nothing:
+neighbouring ground cells would decide differently, and the terrain had a step between them. From
+even to steep, and from bare to overgrown, the spread goes over by degrees.
 """
 
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
+from spl_batch.airborne.ground.point_spacing import Squares, quantiles
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 from spl_batch.numerics.compiled import njit
@@ -25,6 +32,9 @@ SIGMA_M: Final = 0.025
 COVERED: Final = 2.0
 """Told spreads of more than so many of the least one are believed: flightlines show them."""
 
+BLOCK_M: Final = 16.0
+"""Edge of the blocks [m]: two of the squares below."""
+
 CELL_M: Final = 1.0
 FEWEST: Final = 10
 EVERY: Final = 5
@@ -35,18 +45,28 @@ STEPS: Final = 100
 """Steps in which their scatter is counted [m]."""
 
 QUANTILE: Final = 0.2
-"""Share of the cells that is bare in a cloud with bare ground."""
+"""Share of the cells that is bare where there is bare ground."""
 
 CHANCE: Final = 1.15
 """Scatter of bare cells over that quantile, as some twenty returns tell it."""
+
+ROUGH: Final = 1.5
+"""Bare cells of a cloud scatter by no more than this times what is stated: more is of plants."""
 
 QUARTER_M: Final = 8.0
 STEEP: Final = 0.7
 """Edge of the squares whose lowest returns are compared [m], and the rise between those of a block
 of four over that edge at which it is steep: 35 degrees."""
 
-STEEP_SHARE: Final = 0.1
-"""Share of the blocks that is steep where the stated spread counts."""
+STEEP_SHARE: Final = (0.05, 0.15)
+"""Share of the blocks that is steep from which on the stated spread counts in part, and alone."""
+
+_TENTHS_MM = 1e4
+"""Spreads that flightlines tell are whole numbers of these to the metre: what single precision
+makes of the sensor's own is that again."""
+
+_WHOLE, _STEEP, _TOLD = range(STEPS + 1, STEPS + 4)
+"""What is known of a block behind the counts of its cells by their scatter."""
 
 _NO_PLANE = 1e-6 * QUANTA_PER_M**4
 """Places whose scatter, along times across, is smaller lie on a line [quanta^4]."""
@@ -55,42 +75,92 @@ Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-class Evidence(NamedTuple):
-    """What a cloud shows of its ranges and its terrain; parts that cut no block add up."""
+class Spread(NamedTuple):
+    """Ranging spread by blocks of an absolute grid; beyond them that of the nearest one.
 
-    scatter: NDArray[np.int64]  #: (STEPS + 1,): cells by their scatter about a plane, in steps.
-    blocks: int = 0  #: Blocks of four squares with returns in each, and the steep ones of them.
-    steep: int = 0
+    Parameters
+    ----------
+    sigma_m : (rows, columns) float64
+        Standard deviation of a range [m].
+    first : (int, int)
+        Row and column of the first block.
+    """
 
-    def __add__(self, other: "Evidence") -> "Evidence":  # type: ignore[override]
-        """Of two parts of a cloud."""
-        return Evidence(
-            self.scatter + other.scatter, self.blocks + other.blocks, self.steep + other.steep
-        )
+    sigma_m: Float
+    first: tuple[int, int]
+
+    def at(self, row: Index, column: Index) -> Float:
+        """That of some blocks, by row and column of the grid [m]."""
+        rows, columns = self.sigma_m.shape
+        found: Float = self.sigma_m[
+            np.clip(row - self.first[0], 0, rows - 1),
+            np.clip(column - self.first[1], 0, columns - 1),
+        ]
+        return found
+
+    def over(self, first: tuple[int, int], shape: tuple[int, ...]) -> Float:
+        """That of all blocks of a rectangle: ``shape`` float64 [m]."""
+        row, column = (corner + np.arange(size) for corner, size in zip(first, shape, strict=True))
+        return self.at(row[:, None], column[None, :])
 
 
-def evidence(x: Float, y: Float, z: Float) -> Evidence:
-    """What some points show: (n,) each [m]."""
-    return Evidence(scatter_counts(x, y, z), *steep_blocks(x, y, z))
+EVERYWHERE: Final = Spread(np.full((1, 1), SIGMA_M), (0, 0))
+"""The least one, where flightlines tell nothing."""
 
 
-def steep_blocks(x: Float, y: Float, z: Float) -> tuple[int, int]:
-    """Blocks of four squares that all hold returns, and those of them that are steep [count]."""
-    if not len(x):
-        return 0, 0
+def evidence(x: Float, y: Float, z: Float, told_m: NDArray[np.floating]) -> Squares:
+    """What n > 0 points show of their ranges and their terrain, by blocks, row by row.
+
+    Parts of a cloud that cut no block add up.
+
+    Parameters
+    ----------
+    x, y, z : (n,) float64
+        Points [m].
+    told_m : (n,) floating
+        Ranging spread of each point's flightline [m].
+
+    Returns
+    -------
+    Squares
+        Of int64: (rows, columns, STEPS + 4), cells by scatter, whether all four squares of a block
+        hold returns, whether it is steep, and the largest spread that is told in it.
+    """
+    left, right, bottom, top = (
+        int(np.floor(end / BLOCK_M)) for v in (x, y) for end in (v.min(), v.max())
+    )
+    shown = np.zeros((top - bottom + 1, right - left + 1, STEPS + 4), np.int64)
+    found = Squares(shown, (bottom, left))
+    _add_scatter(x, y, z, found)
+    _add_squares(x, y, z, told_m, found)
+    return found
+
+
+def _add_squares(
+    x: Float, y: Float, z: Float, told_m: NDArray[np.floating], out: Squares
+) -> None:  # fmt: skip
+    """Fill in which blocks are whole and steep, and the spread that is told in them."""
+    bottom, left = (round(BLOCK_M / QUARTER_M) * corner for corner in out.first)
+    rows, columns, _ = out.sums.shape
     cells = group_by_cell(x, y, QUARTER_M)
-    full = np.diff(cells.start) > 0
-    first = cells.start[:-1][full]
-    lowest = np.minimum.reduceat(z[cells.order], first)
-    at = cells.order[first]
-    block = [np.floor(v[at] / (2.0 * QUARTER_M)).astype(np.int64) for v in (x, y)]
-    order = np.lexsort(block)
-    column, row = (v[order] for v in block)
-    new = np.append(True, (np.diff(column) != 0) | (np.diff(row) != 0))
-    start = np.flatnonzero(new)
-    whole = np.diff(np.append(start, len(order))) == 4
-    rise = np.maximum.reduceat(lowest[order], start) - np.minimum.reduceat(lowest[order], start)
-    return int(whole.sum()), int(np.count_nonzero(whole & (rise > STEEP * QUARTER_M)))
+    full = np.flatnonzero(np.diff(cells.start) > 0)
+    first = cells.start[full]
+    low, told = np.full((2, 2 * rows, 2 * columns), np.nan)
+    row, column = np.divmod(full, cells.columns)
+    at = (
+        row + int(np.floor(y.min() / QUARTER_M)) - bottom,
+        column + int(np.floor(x.min() / QUARTER_M)) - left,
+    )
+    low[at] = np.minimum.reduceat(z[cells.order], first)
+    told[at] = np.maximum.reduceat(told_m[cells.order], first)
+    low, told = (
+        square.reshape(rows, 2, columns, 2).swapaxes(1, 2).reshape(rows, columns, 4)
+        for square in (low, told)
+    )
+    rise = low.max(axis=2) - low.min(axis=2)
+    out.sums[:, :, _WHOLE] = np.isfinite(rise)
+    out.sums[:, :, _STEEP] = rise > STEEP * QUARTER_M
+    out.sums[:, :, _TOLD] = np.rint(_TENTHS_MM * np.fmax.reduce(told, axis=2, initial=0.0))
 
 
 def off_planes(x: Float, y: Float, z: Float, cells: Cells, fewest: int) -> Float:
@@ -145,43 +215,49 @@ def _off_planes(
         out[cell] = rest / QUANTA_PER_M**2
 
 
-def scatter_counts(x: Float, y: Float, z: Float) -> NDArray[np.int64]:
-    """Cells by their scatter about a plane, in steps, and the rougher ones: (STEPS + 1,) [count].
+def _add_scatter(x: Float, y: Float, z: Float, out: Squares) -> None:
+    """Add cells by their scatter about a plane, in steps, and the rougher ones.
 
-    One cell of :data:`EVERY` is looked at; counts of parts of a cloud that cut no cell add up.
+    One cell of :data:`EVERY` is looked at.
     """
     column, row = (np.floor(v / CELL_M).astype(np.int64) for v in (x, y))
     some = (column + 2 * row) % EVERY == 0
-    counts = np.zeros(STEPS + 1, np.int64)
     if not some.any():
-        return counts
+        return
     x, y, z = x[some], y[some], z[some]
     cells = group_by_cell(x, y, CELL_M)
     count = np.diff(cells.start)
-    told = count >= FEWEST
-    squares = off_planes(x, y, z, cells, FEWEST)[told] * count[told] / (count[told] - 3)
+    told = np.flatnonzero(count >= FEWEST)
+    count = count[told]
+    squares = off_planes(x, y, z, cells, FEWEST)[told] * count / (count - 3)
     step = np.minimum(np.sqrt(np.maximum(squares, 0.0)) / STEP_M, STEPS).astype(np.int64)
-    counts += np.bincount(step, minlength=STEPS + 1)
-    return counts
+    at = [
+        np.floor(((along + int(np.floor(v.min() / CELL_M))) * CELL_M) / BLOCK_M).astype(np.int64)
+        for along, v in zip(np.divmod(told, cells.columns), (y, x), strict=True)
+    ]
+    np.add.at(out.sums, (at[0] - out.first[0], at[1] - out.first[1], step), 1)
 
 
-def reckoned_m(told_m: float, shown: Evidence) -> float:
-    """Ranging spread to reckon with [m].
+def reckoned(shown: Squares) -> Spread:
+    """Ranging spread to reckon with, by what a cloud shows, as :func:`evidence` has it."""
+    around = (3, 3, 1)
+    counts = ndimage.correlate(shown.sums[:, :, :_TOLD], np.ones(around, int), mode="constant")
+    scatter = counts[:, :, : STEPS + 1]
+    told_m = ndimage.maximum_filter(shown.sums[:, :, _TOLD], around[:2], mode="constant")
+    told_m = told_m / _TENTHS_MM
+    stated = _share(counts[:, :, _STEEP] / np.maximum(counts[:, :, _WHOLE], 1), *STEEP_SHARE)
+    bare_m = CHANCE * STEP_M * quantiles(scatter, QUANTILE)
+    believed = 1.0 - _share(bare_m, CHANCE * told_m, ROUGH * told_m)
+    sigma_m = SIGMA_M + believed * (np.clip(bare_m, SIGMA_M, np.maximum(told_m, SIGMA_M)) - SIGMA_M)
+    sigma_m += stated * (told_m - sigma_m)
+    sigma_m[(told_m <= SIGMA_M) | ~scatter.any(axis=2)] = SIGMA_M
+    sure = told_m > COVERED * SIGMA_M
+    sigma_m[sure] = told_m[sure]
+    return Spread(sigma_m, shown.first)
 
-    Parameters
-    ----------
-    told_m : float
-        The largest that flightlines tell [m].
-    shown : Evidence
-        What the cloud shows, by :func:`evidence`.
-    """
-    counts = shown.scatter
-    if told_m > COVERED * SIGMA_M:
-        return told_m
-    if told_m <= SIGMA_M or not counts.any():
-        return SIGMA_M
-    if shown.steep > STEEP_SHARE * shown.blocks:
-        return told_m
-    before = np.insert(np.cumsum(counts), 0, 0) / counts.sum()
-    bare_m = CHANCE * float(np.interp(QUANTILE, before, np.arange(len(before)) * STEP_M))
-    return float(np.clip(bare_m, SIGMA_M, told_m)) if bare_m <= CHANCE * told_m else SIGMA_M
+
+def _share(value: Float, none: Float | float, all_: Float | float) -> Float:
+    """How far values have come from where nothing of something counts to where all does."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share: Float = np.clip((value - none) / (all_ - none), 0.0, 1.0)
+    return share

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from spl_batch.airborne.filter.drowned_surfaces import NEAR_M
-from spl_batch.airborne.ground.multiscale_surface import BLOCK_M
+from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M
 from spl_batch.airborne.ground.water.off_water import PART_STEP_M
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.task_memory import task_bytes
