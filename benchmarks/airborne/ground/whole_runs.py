@@ -5,7 +5,10 @@ Run ``python -m benchmarks.airborne.ground.whole_runs FOLDER TILE [...] [--linea
 Each tile is a survey of its own, with the sensor ``spl100`` and the beamlet in ``user_data``, or of
 linear-mode lidar. Of the cloud that a run delivers, the points that it calls ground are compared
 with the producer's, as :mod:`~benchmarks.airborne.ground.ground_tiles` does with a method alone:
-here the filter has taken its part, and the flightlines have told their ranging spread.
+here the filter has taken its part, and the flightlines have told their ranging spread. A second
+line says how many of the differences of ``dtm.tif`` from the TIN of the producer's ground lie
+within one and 1.96 standard deviations of ``dtm_quality.tif``, as
+:mod:`~benchmarks.airborne.products.dtm_quality` does.
 """
 
 import argparse
@@ -16,9 +19,11 @@ from typing import Final
 
 import laspy
 import numpy as np
+import rasterio
 from numpy.typing import NDArray
 
 from benchmarks.airborne.ground.ground_tiles import Tile, figures, read, show
+from benchmarks.airborne.products import dtm_quality
 from spl_batch import api
 from spl_batch.constants import CLASS_GROUND, QUANTUM_M
 
@@ -54,6 +59,19 @@ def called_ground(tile: Tile, out: Path) -> NDArray[np.bool_]:
     return np.array([tuple(place) in ground for place in places])
 
 
+def delivered(tile: Tile, out: Path) -> dtm_quality.Compared:
+    """Delivered terrain against that of the producer's ground, and the deviation that is said."""
+    corner = [np.floor(tile.table[axis].min() * QUANTUM_M) for axis in "xyz"]
+    found = []
+    for name in ("dtm", "dtm_quality"):
+        with rasterio.open(out / f"{name}.tif") as source:
+            values = np.array([v[0] for v in source.sample(tile.grid + corner[:2])], np.float64)
+            found.append(np.where(values == source.nodata, np.nan, values))
+    off, said = np.abs(found[0] - tile.truth - corner[2]), found[1]
+    told = np.isfinite(off) & np.isfinite(said)
+    return dtm_quality.Compared(off[told], said[told])
+
+
 def main(folder: Path, names: Sequence[str], kind: str) -> None:
     """Run tiles, and print."""
     for name in names:
@@ -62,8 +80,9 @@ def main(folder: Path, names: Sequence[str], kind: str) -> None:
             if tile is None:
                 continue
             with tempfile.TemporaryDirectory() as temporary:
-                found = called_ground(tile, process(path.resolve(), Path(temporary), kind))
-            show(tile, {"whole run": figures(tile, found, np.nan)})
+                out = process(path.resolve(), Path(temporary), kind)
+                show(tile, {"whole run": figures(tile, called_ground(tile, out), np.nan)})
+                dtm_quality.show(tile.name, "rasters", delivered(tile, out))
 
 
 if __name__ == "__main__":
