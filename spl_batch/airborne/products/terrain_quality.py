@@ -106,13 +106,13 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
     Returns
     -------
     (rows, columns) float64
-        Standard deviation [m]; NaN everywhere where too little ground is known to tell.
+        Standard deviation [m]; NaN where no ring holds enough ground to tell.
     """
     held = ~np.isnan(means[:, :, 2])
     moments = _moments(means, held, cell_m)
     integrals = _integrals(moments, 2 * max(RINGS))
     levels = _differences(held, moments, integrals)
-    if held.sum() < 2 * _ENOUGH or np.isnan(levels).all():
+    if levels is None:
         return np.full(held.shape, np.nan)
     found = _at_distance(levels, ndimage.distance_transform_edt(~held))
     if scatter is None:
@@ -153,25 +153,25 @@ def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: flo
     return layer
 
 
-def _differences(held: NDArray[np.bool_], moments: Grid, integrals: Grid) -> Grid:
+def _differences(held: NDArray[np.bool_], moments: Grid, integrals: Grid) -> Grid | None:
     """Deviation from the planes of rings, around each cell: (rings, rows, columns) [m].
 
     No larger ring gives less. For a ring that holds too little the next larger one speaks; without
-    one, the next smaller one, times the ratio of the radii. Where none holds enough, what each
-    gives in the whole area counts.
+    one, the next smaller one, times the ratio of the radii. Where none holds enough, the nearest
+    place where one does counts; without any there is nothing: None.
     """
     levels = np.full((len(RINGS), *held.shape), np.nan)
-    overall = np.full(len(RINGS), np.nan)
     for k, ring in enumerate(RINGS):
         off, known = _off_ring(held, moments, integrals, ring)
         given = np.stack([known.astype(np.float64), np.where(known, np.abs(off), 0.0)])
         count, total = _boxes(_integrals(given, AROUND), AROUND, AROUND)
         here = count > _ENOUGH - 0.5
         levels[k][here] = _HALF_NORMAL * total[here] / count[here]
-        if known.any():
-            overall[k] = _HALF_NORMAL * np.abs(off[known]).mean()
-    nowhere = np.isnan(levels).all(axis=0)
-    levels[:, nowhere] = overall[:, None]
+    nowhere = np.asarray(np.isnan(levels).all(axis=0))
+    if nowhere.all():
+        return None
+    nearest = ndimage.distance_transform_edt(nowhere, return_distances=False, return_indices=True)
+    levels = np.stack([level[tuple(nearest)] for level in levels])
     for k in reversed(range(len(RINGS) - 1)):
         levels[k] = np.where(np.isnan(levels[k]), levels[k + 1], levels[k])
     for k in range(1, len(RINGS)):

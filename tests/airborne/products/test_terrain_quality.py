@@ -178,6 +178,17 @@ def test_a_cell_is_told_by_what_lies_within_reach() -> None:
     assert np.allclose(left[common, 40 + REACH : 100 - REACH], right[common, REACH : 60 - REACH])
 
 
+def test_where_no_ring_holds_enough_the_nearest_place_counts_whatever_else_is_in_sight() -> None:
+    rng = np.random.default_rng(4)
+    height, held = rng.normal(0, 0.02, (40, 220)), np.zeros((40, 220), np.bool_)
+    height[:, :60] += rng.normal(0, 1.0, (40, 60))
+    held[:, :60] = held[:, 180:] = held[20, 140:142] = True
+    means = cell_means(height, held)
+    whole, east = terrain_sigma(means, 1.0), terrain_sigma(means[:, 100:], 1.0)
+    assert np.allclose(whole[:, 142:], east[:, 42:])
+    assert whole[20, 145] < 0.1 < whole[20, 70]
+
+
 def test_a_raster_of_quality_is_no_further_piece_of_the_terrain() -> None:
     assert is_piece("dtm", "dtm")
     assert is_piece("dtm_12", "dtm")
