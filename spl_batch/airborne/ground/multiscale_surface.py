@@ -21,7 +21,7 @@ Deviations from the sources:
   nodes scatter *below* the surface (:func:`spread_below`): vegetation scatters them upwards only.
 """
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,13 +121,30 @@ def _neighbours(grid: Float) -> Float:
     return np.stack([wide[i : i + rows, j : j + columns] for i, j in steps])
 
 
+class _Scale(NamedTuple):
+    """Lowest nodes of cells of one size: their grid, they, and their spread by blocks [m]."""
+
+    cell_m: float
+    grid: Index
+    nodes: Index
+    spread: Float
+
+
+def _scale(xyz: Float, usable: Mask, cell_m: float) -> _Scale:
+    grid = lowest_nodes(xyz, usable, cell_m)
+    nodes = np.sort(grid[grid >= 0])
+    return _Scale(cell_m, grid, nodes, scatter_below(xyz, nodes, grid, cell_m))
+
+
 def agreeing_nodes(
     xyz: Float, usable: Mask, filled: Mask, sigma: Spread = EVERYWHERE, cell_m: float = CELL_M
-) -> Mask:
-    """Nodes of the scale that the data have, block by block.
+) -> tuple[Mask, Mask]:
+    """Nodes of the scale that the data have, block by block, and which of them stand out.
 
     Starting with all nodes, a block goes on to the lowest nodes of cells twice as large while
-    more than a third of its nodes stand above the plane through the coarser ones around.
+    more than a third of its nodes stand above the plane through the coarser ones around. Where
+    cells of either size hold shrubs alone the coarser nodes scatter as well: of blocks of layers
+    the cells of twice their size tell how far ground does, if that is less.
 
     Parameters
     ----------
@@ -144,7 +161,11 @@ def agreeing_nodes(
 
     Returns
     -------
-    (n,) bool
+    chosen : (n,) bool
+        Nodes of the surface.
+    high : (n,) bool
+        Those in blocks of layers that stand above the coarser ones and are none of them: what
+        grows in a cell.
     """
     column, row, shape = _places(xyz, BLOCK_M)
     west, south = np.floor(xyz[:, :2].min(axis=0) / BLOCK_M).astype(int).tolist()
@@ -152,25 +173,25 @@ def agreeing_nodes(
     going = np.ones(shape, dtype=np.bool_)
     first = lowest_nodes(xyz, usable, cell_m)
     current = np.sort(first[first >= 0])
-    chosen = np.zeros(len(xyz), dtype=np.bool_)
-    for _ in range(LEVELS):
-        cell_m *= 2.0
-        grid = lowest_nodes(xyz, usable, cell_m)
-        coarse = np.sort(grid[grid >= 0])
+    chosen, high = np.zeros((2, len(xyz)), dtype=np.bool_)
+    scales = [_scale(xyz, usable, 2.0**k * cell_m) for k in range(1, LEVELS + 1)]
+    for scale, wider in zip(scales, [*scales[1:], scales[-1]], strict=True):
         at = row[current], column[current]
         count, layers = (_in_blocks(at, of, shape) for of in (slice(None), filled[current]))
-        many, most = (np.where(2.0 * layers >= count, *of) for of in (_AGREE_SIGMA, _HIGH_SHARE))
-        spread = np.maximum(scatter_below(xyz, coarse, grid, cell_m), sigma_m)
-        limit = np.minimum(many * spread, _AGREE_M)
-        above = xyz[current, 2] - plane_heights(xyz, current, grid, cell_m)
-        high = _in_blocks(at, above > limit[at], shape)
-        share = high / np.maximum(count, 1.0)
+        thick = 2.0 * layers >= count
+        many, most = (np.where(thick, *of) for of in (_AGREE_SIGMA, _HIGH_SHARE))
+        spread = np.where(thick, np.minimum(scale.spread, wider.spread), scale.spread)
+        limit = np.minimum(many * np.maximum(spread, sigma_m), _AGREE_M)
+        above = xyz[current, 2] - plane_heights(xyz, current, scale.grid, scale.cell_m) > limit[at]
+        share = _in_blocks(at, above, shape) / np.maximum(count, 1.0)
         stays = going & (share <= most)
         chosen[current[stays[at]]] = True
+        high[current[above & (stays & thick)[at]]] = True
+        high[scale.nodes] = False
         going &= ~stays
-        current = coarse
+        current = scale.nodes
     chosen[current[going[row[current], column[current]]]] = True
-    return chosen
+    return chosen, high
 
 
 def _in_blocks(at: tuple[Index, Index], some: Mask | slice, shape: tuple[int, int]) -> Float:
@@ -259,19 +280,23 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
     return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]), MOST)
 
 
-def ground_nodes(xyz: Float, grid: Index, nearest: Index, cell_m: float = CELL_M) -> Mask:
+def ground_nodes(
+    xyz: Float, high: Mask, grid: Index, nearest: Index, cell_m: float = CELL_M
+) -> Mask:
     """Chosen nodes that are on no object: (n,) bool.
 
     Parameters
     ----------
     xyz : (n, 3) float64
         Nodes [m].
+    high : (n,) bool
+        Nodes that stand out by themselves.
     grid, nearest : (rows, columns) int64
         Those that the surface is made of, by cells, or -1, and that of the nearest cell with one.
     cell_m : float
         Edge of the cells that the opening runs on [m].
     """
-    raised = _raised(xyz[nearest, 2], cell_m)
+    raised = _raised(xyz[nearest, 2], cell_m) | ((grid >= 0) & high[grid])
     level = grid[(grid >= 0) & ~raised]  # the lowest node is one
     x, y, z = xyz.T
     trend = fit_trend(xyz[level], x, y)

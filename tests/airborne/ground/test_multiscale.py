@@ -115,6 +115,29 @@ def test_low_outliers_are_found_side_by_side_and_a_ditch_is_not() -> None:
     assert np.array_equal(low_outliers(np.column_stack([x, y, z])), low)
 
 
+def layers_under_shrubs(shrub: NDArray[np.bool_]) -> Float:
+    """Nodes of cells of 1 m, each the mean of a layer; some lie in shrubs of 0.1 to 0.5 m."""
+    rng = np.random.default_rng(3)
+    y, x = (np.indices(shrub.shape) + 0.5).reshape(2, -1)
+    height = rng.normal(0, 0.01, shrub.shape) + shrub * rng.uniform(0.1, 0.5, shrub.shape)
+    return np.column_stack([x, y, height.ravel()])
+
+
+def test_single_cells_of_shrubs_stand_out_where_cells_are_small() -> None:
+    shrub = np.random.default_rng(4).random((64, 64)) < 0.12
+    chosen, high = agreeing_nodes(layers_under_shrubs(shrub), *np.ones((2, 64 * 64), np.bool_))
+    assert chosen.all()
+    assert high[shrub.ravel()].mean() > 0.97
+    assert high[~shrub.ravel()].mean() < 0.02
+
+
+def test_where_two_sizes_of_cells_hold_shrubs_wider_ones_tell_how_far_ground_scatters() -> None:
+    shrub = np.kron(np.random.default_rng(4).random((32, 32)) < 0.5, np.ones((2, 2), np.bool_))
+    chosen, _ = agreeing_nodes(layers_under_shrubs(shrub), *np.ones((2, 64 * 64), np.bool_))
+    assert shrub.ravel()[chosen].mean() < 0.12
+    assert chosen.sum() > 150
+
+
 def test_under_crowns_nodes_are_those_of_larger_cells() -> None:
     """West of x = 64 m every return is ground; east of it one of twelve."""
     x, y = places(24_000, 128)
@@ -124,7 +147,7 @@ def test_under_crowns_nodes_are_those_of_larger_cells() -> None:
     cell = np.floor(xyz[:, :2]).astype(int) @ (1, 1000)
     order = np.lexsort([xyz[:, 2], cell])
     nodes = order[np.r_[True, np.diff(cell[order]) > 0]]
-    chosen = agreeing_nodes(xyz[nodes], *np.ones((2, len(nodes)), np.bool_))
+    chosen, _ = agreeing_nodes(xyz[nodes], *np.ones((2, len(nodes)), np.bool_))
     open_ground = x[nodes] < 40
     assert chosen[open_ground].all()
     shade = (x[nodes] > 90) & chosen

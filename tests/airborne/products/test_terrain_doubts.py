@@ -65,7 +65,7 @@ def test_nodes_on_a_house_are_taken_off_and_those_of_a_high_rock_stay(
 
 def test_a_roof_that_an_opening_leaves_is_no_ground(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        masks, "ground_nodes", lambda xyz, grid, *_: np.isin(np.arange(len(xyz)), grid)
+        masks, "ground_nodes", lambda xyz, _, grid, __: np.isin(np.arange(len(xyz)), grid)
     )
     x, y, ground = (v.ravel() for v in plain(120))
     roof = warehouse(x, y)

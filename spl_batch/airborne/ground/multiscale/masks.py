@@ -207,10 +207,10 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     xyz, filled, hard = _nodes(evidence, sigma)
     if not len(xyz):
         return None
-    chosen = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma)
+    chosen, high = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma)
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
-    ground = ground_nodes(xyz, grid, nearest)
+    ground = ground_nodes(xyz, high, grid, nearest)
     ground = continued(xyz, grid, ground, CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
     ground = _joined(xyz, chosen & hard, ground)
