@@ -295,6 +295,26 @@ def test_no_command_waits_for_a_pipe_in_its_output(survey: Path, verb: str) -> N
     assert f"{output}/log.jsonl is a pipe, and no file: remove it" in ended.err.splitlines()[-1]
 
 
+@pytest.mark.parametrize("place", ["out", "out/below", "store"])
+def test_an_output_in_a_loop_of_links_is_refused_in_one_line(survey: Path, place: str) -> None:
+    output = survey.parent / "out"
+    if place == "store":
+        output.mkdir()
+        (output / "store").symlink_to("store")
+    else:
+        output.symlink_to("out")
+    changed = ["--set", f"output={place}"] * (place == "out/below")
+    for verb in ("plan", "run"):
+        ended = surveys.command(verb, survey, *changed)
+        assert ended.status == 2
+        (line,) = [line for line in ended.err.splitlines() if "output: " in line]
+        assert f"cannot be written: nothing can be made in {output}" in line
+        assert "(Too many levels of symbolic links)" in line
+    for verb in ("status", "report"):
+        ended = surveys.command(verb, survey.parent / place)
+        assert (ended.status, len(ended.err.splitlines())) == (2, 1)
+
+
 def test_a_workflow_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "workflow.yaml")
     ended = surveys.command("plan", tmp_path / "workflow.yaml")

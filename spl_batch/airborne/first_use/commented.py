@@ -26,6 +26,7 @@ from spl_batch.airborne.first_use.folder import Folder
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.errors import counted, grouped, named, plain
 from spl_batch.formats.crs import crs_name, same_crs
+from spl_batch.formats.files.atomic import real_path
 
 SMALL_M2: Final = 10_000.0
 """Area below which it is told in square metres [m2]."""
@@ -97,7 +98,7 @@ def propose(folder: Folder) -> Proposal:
         ]
     )
     made.section("survey")
-    made.lines += _key("name", folder.path.resolve().name or "survey", "  ")
+    made.lines += _key("name", real_path(folder.path).name or "survey", "  ")
     lines = [*_paths(folder.lines), *folder.damaged_lines]
     made.known("flightlines", _patterns(folder, lines), _clouds(folder.lines))
     _times(made, folder)

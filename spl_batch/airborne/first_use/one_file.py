@@ -29,7 +29,7 @@ from spl_batch.engine.verbs.conclusion import RunResult
 from spl_batch.engine.verbs.running import run
 from spl_batch.engine.watch.events import Listener, Note, ignore
 from spl_batch.errors import DamagedError, InputError, WorkflowError, grouped
-from spl_batch.formats.files.atomic import remove, replacing, write_bytes
+from spl_batch.formats.files.atomic import real_path, remove, replacing, write_bytes
 
 WORK: Final = ".work"
 """How the name of the folder ends that a result is made in, beside it."""
@@ -125,7 +125,7 @@ def denoise(
         told = ("attention", f"nothing was delivered, as told above; {folder} has the log")
         return RunResult(found.exit_status, folder, None, (told,))
     moves = dict(_moves(found.output, delivered[0], cloud, raster))
-    write_json(folder / _MOVED, {str(to.resolve()): _stamp(path) for path, to in moves.items()})
+    write_json(folder / _MOVED, {str(real_path(to)): _stamp(path) for path, to in moves.items()})
     rows = (*_counts(delivered[0], ground=ground), *_acquisition(store))
     if "channel_dimension" not in content["survey"]:
         rows += (*_doubt(delivered[0]),)
@@ -159,7 +159,7 @@ def _refuse(
             raise WorkflowError(f"{path}: write a name that ends in {suffix}{but}")
         if path.exists() and source.exists() and path.samefile(source):
             raise WorkflowError(f"{path}: this is the input; name another file")
-        mine = path.exists() and own.get(str(path.resolve())) == _stamp(path)
+        mine = path.exists() and own.get(str(real_path(path))) == _stamp(path)
         if path.exists() and not force and not mine:
             raise WorkflowError(f"{path} is there already; name another file, or add --force")
 
@@ -197,13 +197,13 @@ def _proposal(
     channel = channel_guess([look], load_preset(instrument))
     survey: dict[str, Any] = {
         "name": path.stem,
-        "flightlines": glob.escape(str(path.resolve())),
+        "flightlines": glob.escape(str(real_path(path))),
         "sensor": instrument,
     }
     if channel.value is not None:
         survey["channel_dimension"] = channel.value
     if trajectory is not None:
-        survey["trajectory"] = str(Path(trajectory).resolve())
+        survey["trajectory"] = str(real_path(trajectory))
     outputs = {"classes": "all" if ground else "noise", "catalogue": False}
     guessed = [
         f"guessed: beamlet numbers: {f'{channel.value} ' if channel.value else ''}{channel.reason}",

@@ -2,7 +2,6 @@
 
 import glob
 import hashlib
-import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.engine.tasks.ledger import AnySource
 from spl_batch.errors import WorkflowError, named
+from spl_batch.formats.files.atomic import real_path
 
 
 def refuse_own(paths: Sequence[Path], output: Path, key: str, faults: list[str]) -> None:
@@ -76,11 +76,6 @@ def expand(
             faults.append(f"{key}: {matches[0]} does not exist")
         found.update(dict.fromkeys(map(real_path, matches)))
     return tuple(found)
-
-
-def real_path(path: str | Path) -> Path:
-    """Where a path leads; a loop of links leads to itself, and cannot be read later."""
-    return Path(os.path.realpath(path))  # Path.resolve raises RuntimeError on a loop
 
 
 def name_below(path: Path, base: Path) -> str:

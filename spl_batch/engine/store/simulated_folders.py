@@ -11,7 +11,7 @@ from spl_batch.engine.store.deliveries import RECORD
 from spl_batch.engine.store.output_lock import lock_file
 from spl_batch.engine.store.working_store import read_json, write_json
 from spl_batch.errors import DamagedError, WorkflowError, named
-from spl_batch.formats.files.atomic import SCRATCH
+from spl_batch.formats.files.atomic import SCRATCH, real_path
 
 MADE: Final = "simulated.json"
 """Record of what a simulation has made, in its folder."""
@@ -45,7 +45,7 @@ def simulating(folder: Path, scene: Path) -> Iterator[None]:
     refuse_urls(folder)
     made = _made(folder)
     given = (
-        {scene.resolve().relative_to(folder.resolve()).as_posix()}
+        {real_path(scene).relative_to(real_path(folder)).as_posix()}
         if _holds(folder, scene)
         else set()
     )
@@ -72,7 +72,7 @@ def simulating(folder: Path, scene: Path) -> Iterator[None]:
 
 
 def _holds(folder: Path, scene: Path) -> bool:
-    return folder.resolve() in scene.resolve().parents
+    return real_path(folder) in real_path(scene).parents
 
 
 def mark_quickstart(folder: Path) -> None:

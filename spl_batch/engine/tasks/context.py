@@ -9,6 +9,7 @@ from pyproj import CRS
 
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.store.working_store import Store
+from spl_batch.formats.files.atomic import real_path
 
 W = TypeVar("W", bound=BaseWorkflow)
 
@@ -35,7 +36,7 @@ class RunContext(Generic[W]):
 
     def resolve(self, name: str) -> Path:
         """Path of the workflow, seen from its folder."""
-        return (self.base / name).resolve()
+        return real_path(self.base / name)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from spl_batch.engine.verbs.running import run
 from spl_batch.engine.watch.earlier_runs import share_time
 from spl_batch.engine.watch.events import Event, Listener, Note, ignore
 from spl_batch.errors import DamagedError, WorkflowError
+from spl_batch.formats.files.atomic import real_path
 from spl_batch.receivers import HOMES, comparison, task_kinds
 
 FOLDER: Final = "compare"
@@ -124,7 +125,7 @@ def compare(
     if found is None:
         known = ", ".join(name for name, home in HOMES.items() if home.compare)
         raise WorkflowError(f"{path}: kind: {settings.kind} has one method; compare is for {known}")
-    output = (path.resolve().parent / settings.output).resolve()
+    output = real_path(real_path(path).parent / settings.output)
     url = settings.outputs.store
     keys = {}
     for name, own in _chosen(methods, found, settings).items():

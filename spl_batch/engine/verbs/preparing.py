@@ -9,6 +9,7 @@ from spl_batch.engine.flow.executor import machine_memory
 from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped, told_together
+from spl_batch.formats.files.atomic import real_path
 from spl_batch.receivers import receiver
 
 REMOTE_BYTES: Final = 4 * 2**30
@@ -58,13 +59,13 @@ def prepare(
     """
     limit = limit_bytes(memory, workers, remote=remote)
     workflow = load_any(path, overrides)
-    base = path.resolve().parent
+    base = real_path(path).parent
     if "://" in workflow.output:
         raise WorkflowError(
             f"output: {workflow.output} is a URL: write a folder of this machine; "
             "outputs.store may lie on an object store"
         )
-    place = Place(path, base, (base / workflow.output).resolve())
+    place = Place(path, base, real_path(base / workflow.output))
     found: Receiver[Any, Any] = receiver(workflow.kind)
     prepared = found.prepare(workflow, place, Limits(limit, max(workers, 1)))
     prepared.ledger.shared = memory is None and not remote

@@ -16,6 +16,7 @@ from spl_batch.engine.verbs.conclusion import RunResult
 from spl_batch.engine.verbs.receiver import Place, Receiver
 from spl_batch.engine.verbs.repair import forget_makers
 from spl_batch.errors import DamagedError, SplBatchError, StoreError, WorkflowError, refuse_without
+from spl_batch.formats.files.atomic import real_path
 from spl_batch.receivers import receiver
 
 
@@ -40,7 +41,7 @@ def report(output: Path | str) -> RunResult:
     if fault:
         raise WorkflowError(f"{output}: {fault}")
     refuse_without("matplotlib", "reports", "report")
-    folder = Path(output).resolve()
+    folder = real_path(output)
     refuse_odd(folder)
     done, context, facts = recalled(folder)
     try:

@@ -37,6 +37,7 @@ _CONCERNS_EVERYTHING: Final = {
     "where it fits",
 }
 _OWNER: Final[ContextVar[tuple[str, str] | None]] = ContextVar("owner", default=None)
+_NOT_THERE: Final = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP}
 _NOT_ALLOWED: Final = {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
 
 
@@ -208,6 +209,11 @@ def of_a_file(path: str, flags: int) -> int:
     return descriptor
 
 
+def real_path(path: str | Path) -> Path:
+    """Where a path leads; a loop of links leads to itself, and cannot be used later."""
+    return Path(os.path.realpath(path))  # Path.resolve raises RuntimeError on a loop
+
+
 def sync_folder(path: Path) -> None:
     """Force a folder's entries to disk."""
     if is_remote(path):
@@ -252,7 +258,9 @@ def names_in(folder: Path, suffix: str) -> list[str]:
     """Names of the files of a folder that end so, in order, without their ends."""
     try:
         names = files_below(folder) if is_remote(folder) else os.listdir(folder)  # noqa: PTH208
-    except (FileNotFoundError, NotADirectoryError):
+    except OSError as error:
+        if error.errno not in _NOT_THERE:
+            raise
         return []
     return sorted(n.removesuffix(suffix) for n in names if n.endswith(suffix) and n[0] != ".")
 

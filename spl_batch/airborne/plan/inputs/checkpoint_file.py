@@ -8,9 +8,10 @@ from pyproj import CRS
 
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.airborne.tasks.checkpoints import read_named
-from spl_batch.engine.plan.input_files import name_below, real_path
+from spl_batch.engine.plan.input_files import name_below
 from spl_batch.errors import InputError, as_input_fault, grouped
 from spl_batch.formats.checkpoints import Checkpoint
+from spl_batch.formats.files.atomic import real_path
 from spl_batch.formats.las.reader import LasFacts
 
 
