@@ -15,7 +15,7 @@ from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
-from spl_batch.errors import grouped
+from spl_batch.errors import counted, grouped
 from spl_batch.formats.rasters.parts import overview_frame, read_overview
 
 BAND: Final = 4
@@ -133,7 +133,7 @@ def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
             else "count as signal, and may raise the DSM; noise.bloom: true makes them noise"
         )
         yield (
-            f"in {grouped(shots)} shots nearly all channels see one range while others of their "
+            f"in {counted(shots, 'shots')} nearly all channels see one range while others of their "
             f"returns lie behind it: bright points, as retro-reflectors, that light the whole "
             f"array, or a surface that lets light pass; the {grouped(returns)} returns at that "
             f"range {fate}"

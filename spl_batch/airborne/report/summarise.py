@@ -65,7 +65,7 @@ from spl_batch.engine.report.run_record import (
     provenance,
     remember,
 )
-from spl_batch.errors import Said, grouped, shared
+from spl_batch.errors import Said, counted, shared
 from spl_batch.formats.geoid import grid_file
 from spl_batch.formats.rasters.parts import Part, read_overview
 
@@ -298,7 +298,7 @@ def _uncovered(done: Receipts) -> Iterable[str]:
     said = (
         Said(
             line,
-            f"the trajectory does not cover {grouped(n)} returns between gps_time {low:.3f} and "
+            f"the trajectory does not cover {counted(n, 'returns')} between gps_time {low:.3f} and "
             f"{high:.3f}, or they do not lie below it; they are delivered unfiltered",
             n,
         )

@@ -8,7 +8,7 @@ import numpy as np
 
 from spl_batch.airborne.strips.pair_table import PairDifference
 from spl_batch.airborne.strips.strip_patches import MOST_PASSES
-from spl_batch.errors import grouped
+from spl_batch.errors import counted, grouped
 
 TOLD: Final = 3
 """Pairs that get a sentence of their own, the worst first [count]."""
@@ -42,7 +42,7 @@ def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Ite
         )
     if len(off) > TOLD:
         yield (
-            f"{grouped(len(off) - TOLD)} more pairs of flightlines differ by more than their "
+            f"{counted(len(off) - TOLD, 'more pairs')} of flightlines: off by more than their "
             "ranging noise; report.json lists all under strips"
         )
 
@@ -56,7 +56,7 @@ def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[str]:
     if cells:
         worst = max(sorted(cells), key=lambda cell: cells[cell])
         yield (
-            f"in {grouped(len(cells))} ground cells more than {MOST_PASSES} passes overlap, "
+            f"in {counted(len(cells), 'ground cells')} more than {MOST_PASSES} passes overlap, "
             f"{grouped(cells[worst] + MOST_PASSES)} in {worst}: those with most returns are "
             "compared, the others are not; survey.gap_s may be shorter than pauses within a "
             "flightline, or gps_time jumps"

@@ -27,7 +27,7 @@ from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
-from spl_batch.errors import Remark, WorkflowError, grouped
+from spl_batch.errors import Remark, WorkflowError, counted
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.copc_copy import copy_as_copc
 from spl_batch.formats.las.frame import Extent
@@ -319,9 +319,7 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
             description=args["meaning"],
             unit=args["unit"],
         )
-    lost = (
-        f"{args['target']}: {grouped(beyond)} cells lie beyond the grid {named.grid} and are void"
-    )
+    lost = f"{args['target']}: {counted(beyond, 'cells', 'lie')} beyond the grid {named.grid}: void"
     facts = {"name": args["target"], "warnings": [Remark(lost)] if beyond else []}
     return Produced([target], facts)
 

@@ -29,6 +29,9 @@ _FILES: Final = (
 _FOLDERS: Final = ("laz", "tiles", "stac", "store/receipts")
 """Names below the output that are folders."""
 
+_RESULTS: Final = (".tif", ".json", ".html", ".qml", ".qlr", ".gpkg", ".xml", ".vpc")
+"""How names of results end that lie in the output itself."""
+
 _REMEDY: Final = "remove it, or name another output"
 
 
@@ -48,6 +51,10 @@ def refuse_odd(output: Path) -> None:
         for path in _entries(place, but=store):
             _refuse(path, inside)
     _refuse_swapped(output)
+    results = (path for path in sorted(output.glob("*")) if path.name.endswith(_RESULTS))
+    for path in results:
+        if path.is_dir():
+            raise WorkflowError(_swapped(path, "a folder"))
 
 
 def refuse_odd_log(output: Path) -> None:
@@ -64,10 +71,14 @@ def _refuse_swapped(output: Path) -> None:
     swapped = [(name, "a folder") for name in _FILES if (output / name).is_dir()]
     swapped += [(name, "a file") for name in _FOLDERS if (output / name).is_file()]
     for name, kind in swapped:
-        raise WorkflowError(
-            f"output: {output / name} is {kind}, which a run cannot use there: move it away, or "
-            "name another output"
-        )
+        raise WorkflowError(_swapped(output / name, kind))
+
+
+def _swapped(path: Path, kind: str) -> str:
+    return (
+        f"output: {path} is {kind}, which a run cannot use there: move it away, or name another "
+        "output"
+    )
 
 
 def _entries(folder: Path, but: Path) -> Iterator[Path]:

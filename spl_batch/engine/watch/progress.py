@@ -26,7 +26,7 @@ from spl_batch.engine.watch.events import (
     WorkersReady,
     as_record,
 )
-from spl_batch.errors import DamagedError, named
+from spl_batch.errors import DamagedError, counted, named
 from spl_batch.formats.files.atomic import sweep
 
 LISTED: Final = 5
@@ -83,8 +83,8 @@ class Progress:
         """Remove what a killed run has left unfinished."""
         count, total = sweep(self.output)
         if count:
-            text = f"{count} unfinished files of a killed run removed ({total / 1e6:.1f} MB)"
-            self.tell(Note("info", text))
+            left = counted(count, "unfinished files")
+            self.tell(Note("info", f"{left} of a killed run removed ({total / 1e6:.1f} MB)"))
 
     @property
     def failed(self) -> list[Receipt]:

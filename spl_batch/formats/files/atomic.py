@@ -37,7 +37,6 @@ _CONCERNS_EVERYTHING: Final = {
     "where it fits",
 }
 _OWNER: Final[ContextVar[tuple[str, str] | None]] = ContextVar("owner", default=None)
-_NOT_THERE: Final = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP}
 _NOT_ALLOWED: Final = {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
 
 
@@ -258,8 +257,10 @@ def names_in(folder: Path, suffix: str) -> list[str]:
     """Names of the files of a folder that end so, in order, without their ends."""
     try:
         names = files_below(folder) if is_remote(folder) else os.listdir(folder)  # noqa: PTH208
+    except (FileNotFoundError, NotADirectoryError):
+        return []
     except OSError as error:
-        if error.errno not in _NOT_THERE:
+        if error.errno != errno.ELOOP:
             raise
         return []
     return sorted(n.removesuffix(suffix) for n in names if n.endswith(suffix) and n[0] != ".")

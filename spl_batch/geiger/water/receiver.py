@@ -12,7 +12,7 @@ from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
-from spl_batch.errors import Said, WorkflowError, grouped, shared
+from spl_batch.errors import Said, WorkflowError, counted, grouped, shared
 from spl_batch.geiger.water.calibration_targets import WITHOUT, refuse_unusable
 from spl_batch.geiger.water.plan import PHASES, WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
@@ -89,7 +89,10 @@ class Water(Receiver[WaterLedger, WaterContext]):
         targets = len(ledger.inputs.targets)
         return [
             ("surfaces", f"{grouped(surfaces)} of {grouped(ledger.per)} frames each"),
-            ("calibration", f"from {targets} files" if targets else "as the workflow gives it"),
+            (
+                "calibration",
+                f"from {counted(targets, 'files')}" if targets else "as the workflow gives it",
+            ),
         ]
 
     def after(

@@ -15,7 +15,7 @@ from spl_batch.airborne.plan.inputs.channel_dimension import are_beamlets, unnam
 from spl_batch.airborne.plan.inputs.findings import beams_without_trajectory
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.engine.watch.events import Note
-from spl_batch.errors import InputError, Said, shared, told_together
+from spl_batch.errors import InputError, Said, counted, shared, told_together
 from spl_batch.formats.las.number_dimensions import Numbers
 from spl_batch.geiger.water.ranges.silence import CHANCE_MIN, empty_share, too_many_empty
 from tests import surveys
@@ -176,3 +176,10 @@ def test_empty_frames_are_told_only_beyond_chance() -> None:
     assert too_many_empty(above, 1000, hits(above))
     assert not too_many_empty(0, 1000, hits(0))
     assert CHANCE_MIN == 1e-4
+
+
+def test_things_are_counted_in_one_way() -> None:
+    assert counted(1, "records", "have") == "1 record has"
+    assert counted(1, "files", "repeat") == "1 file repeats"
+    assert counted(1200, "points", "are") == "1 200 points are"
+    assert counted(0, "points") == "0 points"

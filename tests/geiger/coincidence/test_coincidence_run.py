@@ -151,7 +151,7 @@ def test_a_bad_file_is_named_and_the_rest_goes_on(survey: Path) -> None:
     assert set(reasons) == {"zz_detections.parquet", "yy_detections.parquet"}
     assert "no whole Parquet file" in reasons["zz_detections.parquet"]
     assert (
-        "1 detections are of frames that no frames file has, the first is 5"
+        "1 detection is of frames that no frames file has, the first is 5"
         in (reasons["yy_detections.parquet"])
     )
     assert np.array_equal(delivered(survey / "out_bad"), delivered(survey / "out"))
@@ -208,13 +208,13 @@ def changed(**columns: Any) -> dict[str, Any]:
         (changed(frame=[7.0, 7.5, 8.0]), "column 'frame' is double, not integer"),
         (changed(z=["a", "b", "c"]), "column 'z' is (large_)?string, not a number"),
         (changed(z=[1.0, np.nan, np.inf]), "2 values of 'z' are no finite metres"),
-        (changed(z=[1.0, None, 2.0]), "1 rows have no 'z'"),
+        (changed(z=[1.0, None, 2.0]), "1 row has no 'z'"),
         (
             changed(detector=[1, 512, 2]),
-            "1 detections of detectors up to 512, .* has 16 x 32",
+            "1 detection of detectors up to 512, .* has 16 x 32",
         ),
         (changed(detector=[1, -1, 2]), "'detector' runs from -1 to 2; count from 0"),
-        (changed(detector=[3, 3, 2]), "1 times a detector fires again .* detector 3 of frame 7"),
+        (changed(detector=[3, 3, 2]), "1 time a detector fires again .* detector 3 of frame 7"),
     ],
 )
 def test_faults_of_a_detections_file(tmp_path: Path, columns: dict[str, Any], said: str) -> None:
@@ -239,7 +239,7 @@ def test_a_frame_twice_is_a_fault(tmp_path: Path) -> None:
     path = tmp_path / "f.parquet"
     columns = {name: [0.0, 0.0] for name in l1_files.FRAME_COLUMNS[1:]}
     pq.write_table(pa.table({"frame": [4, 4], **columns}), path)
-    with pytest.raises(InputError, match="1 frames are there twice, the first is 4"):
+    with pytest.raises(InputError, match="1 frame is there twice, the first is 4"):
         list(l1_files.frames_in_order(path))
 
 

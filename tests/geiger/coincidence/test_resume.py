@@ -61,7 +61,7 @@ def test_a_frames_file_that_fails_is_named_to_its_detections(
     assert result.exit_status == 1
     reasons = {Path(f.place).name: f.reason for f in result.report.failures}
     assert set(reasons) == {"pass_1_frames.parquet", "pass_1_detections.parquet"}
-    assert "frames are there twice" in reasons["pass_1_frames.parquet"]
+    assert "1 frame is there twice" in reasons["pass_1_frames.parquet"]
     said = reasons["pass_1_detections.parquet"]
     assert "l1/pass_1_frames.parquet could not be read: mend" in said
     assert "name the file" not in said

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError, grouped, named
+from spl_batch.errors import InputError, counted, grouped, named
 from spl_batch.formats.crs import like_degrees, look_like_degrees
 from spl_batch.formats.las.reader import LasFacts
 
@@ -92,7 +92,7 @@ def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
         )
     more = len(wide) - TOLD
     if more > 0:
-        yield f"{grouped(more)} more files span too much for their points: check them as well"
+        yield f"{counted(more, 'more files', 'span')} too much for their points: check them as well"
     rest = [k for k in range(len(held)) if k not in set(wide)]
     yield from _distant([held[k][0] for k in rest], boxes[rest], points[rest])
 

@@ -19,7 +19,7 @@ from spl_batch.airborne.plan.task_memory import stretch_bytes
 from spl_batch.engine.plan.worker_memory import enough_mib
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.tasks.worklist import Worklist
-from spl_batch.errors import Said, WorkflowError, grouped, named, shared, told_together
+from spl_batch.errors import Said, WorkflowError, counted, grouped, named, shared, told_together
 from spl_batch.formats.las.number_dimensions import Numbers
 
 PRF_APART: Final = 0.05
@@ -159,9 +159,9 @@ def copies(survey: Survey) -> Iterator[str]:
         (
             Said(
                 f"{copy} and {kept}",
-                f"{grouped(count)} returns are in both, at the same time and place; each counts "
-                "once, and its copy in the first is delivered as not assessed; leave out one of "
-                "the files, or cut their overlap off",
+                f"{counted(count, 'returns', 'are')} in both, at the same time and place; each "
+                "counts once, and its copy in the first is delivered as not assessed; leave out "
+                "one of the files, or cut their overlap off",
                 count,
             )
             for copy, kept, count in others

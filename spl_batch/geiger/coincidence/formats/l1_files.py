@@ -34,7 +34,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.errors import InputError, reason_of
+from spl_batch.errors import InputError, counted, reason_of
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.files.external_sort import STRETCH_ROWS, Sorter, repeated
@@ -161,7 +161,7 @@ class _Checks:
         for name, nulls in self._nulls.items():
             low, high = self._ends.get(name, (0, 0))
             if nulls:
-                faults.append(f"{nulls} rows have no {name!r}")
+                faults.append(f"{counted(nulls, 'rows', 'have')} no {name!r}")
             if low < 0 or high > 2**62:
                 faults.append(f"{name!r} runs from {low} to {high}; count from 0")
             if self._bad[name]:
@@ -224,7 +224,8 @@ def frames_in_order(
     if twice:
         raise InputError(
             str(path),
-            f"{twice} frames are there twice, the first is {first}; number frames through",
+            f"{counted(twice, 'frames', 'are')} there twice, the first is {first}; number frames "
+            "through",
         )
 
 
@@ -262,7 +263,7 @@ def detections_in_order(
         if outside:
             raise InputError(
                 str(path),
-                f"{outside} detections of detectors up to {highest}, but the array has "
+                f"{counted(outside, 'detections')} of detectors up to {highest}, but the array has "
                 f"{array.rows} x {array.columns}; set array.rows and array.columns",
             )
         yield from _once_a_frame(path, sorter)
@@ -286,7 +287,7 @@ def _once_a_frame(path: Path, sorter: Sorter) -> Iterator[Detections]:
     if twice:
         raise InputError(
             str(path),
-            f"{twice} times a detector fires again in its frame, first detector "
+            f"{counted(twice, 'times')} a detector fires again in its frame, first detector "
             f"{first[0]} of frame {first[1]}; only the first detection counts",
         )
 

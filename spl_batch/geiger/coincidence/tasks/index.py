@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.tasks.context import Produced, RunContext
 from spl_batch.engine.tasks.input_changes import unchanged
-from spl_batch.errors import InputError, Remark
+from spl_batch.errors import InputError, Remark, counted
 from spl_batch.formats.files.atomic import checksum
 from spl_batch.geiger.coincidence.formats import l1_files, stored
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceWorkflow
@@ -172,7 +172,8 @@ class _DetectionTally:
             self._unknown += int(count[~known].sum())
 
     def _reason(self) -> str:
-        said = f"{self._unknown} detections are of frames that no frames file has, the first is "
+        found = counted(self._unknown, "detections", "are")
+        said = f"{found} of frames that no frames file has, the first is "
         unread = self._args["unread_frames"]
         if unread:
             return (
