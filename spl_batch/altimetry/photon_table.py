@@ -63,6 +63,8 @@ class Cells:
     fog_low: NDArray[np.int32]  #: (n,): lower end of a cloud [quanta].
     #: (n, b): photons by height above that; 0 where there is no cloud [1/m2].
     fog: NDArray[np.float32]
+    #: (n, 3): ends of what may be fog or woods [m], and its photons [count]; 0 where nothing is.
+    mist: NDArray[np.float32]
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays by name, for a file."""

@@ -1,6 +1,6 @@
 """Clouds in the gate: found where they float, and never trees, hills or noise."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,11 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.altimetry.clouds import WOODED, woods
 from benchmarks.altimetry.labelled_tracks import NOISE, Labelled, measured
 from benchmarks.altimetry.odd_tracks import BRIGHT, DAY, NIGHT, SCENES, Scene, make, thin
 from benchmarks.altimetry.photon_beams import Beam, Mask
 from spl_batch.altimetry.noise import noise_rate as rates
-from spl_batch.altimetry.noise.fog import BIN_M, BINS, Fog, find_fog, fog_at, fog_told
+from spl_batch.altimetry.noise.fog import BINS, Fog, find_fog, fog_at, fog_told
+from spl_batch.altimetry.noise.layers_above import BIN_M, above, foot
 from spl_batch.altimetry.photon_table import Cells
 from spl_batch.altimetry.report.summarise import _cloud
 from spl_batch.altimetry.settings import RateSettings
@@ -91,51 +93,21 @@ def test_tall_trees_without_lower_branches_are_no_cloud(stem_m: float, noise: fl
     assert not cells.fog.any()
 
 
-def rise(x: np.ndarray, height_m: float, long_m: float) -> np.ndarray:
-    """A level lake, a slope from 1500 m on, and a plateau."""
-    found: np.ndarray = np.clip((x - 1500.0) / long_m, 0.0, 1.0) * height_m
-    return found
-
-
 @pytest.mark.parametrize("noise", [NIGHT, DAY])
-@pytest.mark.parametrize("ground_per_shot", [0.05, 0.2])
-@pytest.mark.parametrize(
-    "land_m",
-    [
-        lambda x: rise(x, 150.0, 500.0),
-        lambda x: rise(x, 200.0, 300.0),
-        lambda x: 150.0 + 150.0 * np.sin(x / 450.0),
-        lambda x: 150.0 * np.exp(-(((x - 2000.0) / 250.0) ** 2)),
-    ],
-    ids=["slope by a lake", "steep slope by a lake", "mountains", "ridge between fields"],
-)
+@pytest.mark.parametrize("ground_per_shot", [0.04, 0.2])
+@pytest.mark.parametrize("name", [name for name in WOODED if "45" not in name])
 def test_woods_that_hide_the_ground_on_slopes_are_no_cloud(
-    land_m: Callable[[np.ndarray], np.ndarray], ground_per_shot: float, noise: float
+    name: str, ground_per_shot: float, noise: float
 ) -> None:
-    rng = np.random.default_rng(3)
-    shot = np.arange(0.0, 4000.0, 0.7)
-    foot = land_m(shot)
-    bare = (np.abs(shot - 2000.0) > 450.0) & (foot < 1.0)
-    per_shot = np.where(bare, 0.9, ground_per_shot)
-    ground = np.repeat(np.arange(len(shot)), rng.poisson(per_shot))
-    trees = np.repeat(np.arange(len(shot)), rng.poisson(np.where(bare, 0.0, 0.8)))
-    n = rng.poisson(noise * 4000.0 * 440.0)
-    x = np.concatenate([shot[ground], shot[trees], rng.uniform(0.0, 4000.0, n)])
-    z = np.concatenate(
-        [
-            foot[ground] + rng.normal(0.0, 0.15, len(ground)),
-            foot[trees] + rng.uniform(2.0, 30.0, len(trees)),
-            rng.uniform(-60.0, 380.0, n),
-        ]
-    )
-    order = np.argsort(x, kind="stable")
-    along = np.rint(x[order] * 1000.0).astype(np.int64)
-    height = np.rint(z[order] * 1000.0).astype(np.int32)
-    cells = rates.observe(along, height, RATE)
-    cell = np.searchsorted(cells.index, along // 20_000)
-    fog = fog_at(cell, height, cells.fog_low, cells.fog) > 0.0
-    signal = (np.arange(len(x)) < len(ground) + len(trees))[order]
-    assert fog[signal].mean() < 0.02
+    track = woods(WOODED[name], ground_per_shot, noise, 3)
+    _, fog = found(track)
+    assert fog[track.label != NOISE].mean() < 0.02
+
+
+def test_steep_woods_under_a_bright_sky_are_no_cloud() -> None:
+    track = woods(WOODED["mountains"], 0.2, BRIGHT, 0)
+    _, fog = found(track)
+    assert fog[track.label != NOISE].mean() < 0.02
 
 
 class Box(NamedTuple):
@@ -158,12 +130,15 @@ def layered(rng: np.random.Generator, boxes: list[Box]) -> tuple[np.ndarray, ...
 
 
 def test_a_bridge_a_bird_and_a_slope_are_no_cloud_and_a_layer_is() -> None:
-    index, high, noise = np.arange(40), np.full(40, 150_000, np.int32), np.zeros(40)
+    index, noise = np.arange(40), np.zeros(40)
+    gate = np.full(40, -10_000, np.int32), np.full(40, 150_000, np.int32)
 
     def fog(*boxes: Box) -> Fog:
         cell, height = layered(np.random.default_rng(1), list(boxes))
         mode, _ = fullest(cell, height, len(index))
-        return find_fog(index, cell, height, mode, high, noise, 20.0)
+        ground = foot(index, cell, height, mode, noise)
+        seen = above(index, cell, height, (ground.quanta, ground.known), gate, 20.0)
+        return find_fog(seen, ground)
 
     layer = fog(Box((10, 30), (70.0, 82.0), 0.05))
     assert layer.density[12:28].any(axis=1).all()

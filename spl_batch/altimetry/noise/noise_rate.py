@@ -21,18 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.altimetry.noise.fog import (
-    BIN_M,
-    BINS,
-    GROUND_CELLS,
-    JOINED_CELLS,
-    PATCH_CELLS,
-    find_fog,
-    fog_at,
-    outside,
-    reached,
-)
+from spl_batch.altimetry.noise.fog import BINS, JOINED_CELLS, find_fog, fog_at, outside, reached
 from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, narrow_gate, stretches
+from spl_batch.altimetry.noise.layers_above import BIN_M, GROUND_CELLS, PATCH_CELLS, above, foot
+from spl_batch.altimetry.noise.mist import find_mist, hidden
 from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
 from spl_batch.altimetry.noise.windows import of_window
 from spl_batch.altimetry.photon_table import Background, Cells, Scale
@@ -98,7 +90,14 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     low, high = gates(index, cell, height, (peak + base) * bin_q + bin_q // 2, settings)
     noise = _usual(index, table, [end / bin_q - base for end in (low, high)])
     layers = fullest(cell, height, len(index))
-    fog = find_fog(index, cell, height, layers[0], high, noise, settings.cell_m)
+    ground = foot(index, cell, height, layers[0], noise)
+    photons, cell_m = (index, cell, height), settings.cell_m
+    over = above(*photons, (ground.quanta, ground.known), (low, high), cell_m)
+    fog = find_fog(over, ground)
+    mist = find_mist(over, fog)
+    if not ground.known.all():
+        over = above(*photons, hidden(index, layers[0], ground), (low, high), cell_m)
+        mist += find_mist(over, fog)
     clear = outside(cell, height, fog)
     if len(clear) < len(cell):
         cell, height = cell[clear], height[clear]
@@ -141,6 +140,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         slope=water.slope,
         fog_low=fog.low,
         fog=fog.density,
+        mist=mist,
     )
 
 

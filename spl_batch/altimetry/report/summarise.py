@@ -74,10 +74,11 @@ SAID_LEAST: Final = 10
 """Far photons among the signal, over those allowed and as such, that are no chance; fewer of any
 kind are not worth a warning."""
 
+_MIST_SHARE: Final = 0.03
 _OVER_SHARE: Final = 0.02
 _ECHO_SHARE: Final = 0.1
-"""Photons over and under a surface, over those of the surface, and of an echo over those called
-floor, that are worth a warning."""
+"""Photons of what may be fog over all of the signal, those over and under a surface over those of
+the surface, and those of an echo over those called floor, that are worth a warning."""
 
 
 def _warnings(done: Receipts, limit: float) -> list[str]:
@@ -92,6 +93,7 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
             text = f"no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
             found.append(Said(beam, f"{text}is an upper bound"))
         found += [Said(beam, text) for text in _cloud(rate["fog"])]
+        found += [Said(beam, text) for text in _mist(rate["mist"], delivered.facts["mist"], kept)]
         far = chosen["far_signal"]
         # What noise alone could have given is told of once, below.
         sure = kept - chosen["doubtful"]["photons"]
@@ -128,6 +130,18 @@ def _cloud(fog: Mapping[str, float]) -> Iterator[str]:
             f"{grouped(fog['photons'])} photons count as noise of that height, and less light "
             "reaches what is below; thin parts of a cloud may stay signal, and dense woods on a "
             "steep slope may look like one"
+        )
+
+
+def _mist(mist: Mapping[str, float], signal: int, kept: int) -> Iterator[str]:
+    """What may be fog or a low cloud, and what that means for ground and canopy."""
+    if mist and signal >= max(SAID_LEAST, _MIST_SHARE * kept):
+        yield (
+            f"{grouped(signal)} of the {grouped(kept)} signal photons lie in a layer as even as "
+            f"fog or a low cloud is, on {mist['length_m'] / 1000:g} km of track between "
+            f"{mist['from_m'] / 1000:g} and {mist['to_m'] / 1000:g} km, most of it at heights of "
+            f"{mist['low_m']:.0f} to {mist['high_m']:.0f} m: they stay signal, since dense woods "
+            "may look like that; where no woods stand, ground and canopy are not to be relied on"
         )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from spl_batch.altimetry.formats.hdf5 import add_dataset, labelled_copy
 from spl_batch.altimetry.formats.track_csv import to_text
+from spl_batch.altimetry.noise.mist import in_mist
 from spl_batch.altimetry.photon_table import LABELS, NOT_ASSESSED, Scale
 from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, place, rows_between
 from spl_batch.altimetry.tasks.heights import COLUMNS
@@ -59,13 +60,17 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
     columns_of = dict(DELIVERED)
     if context.workflow.outputs.refraction:
         columns_of[REFRACTED] = np.float64
-    layers = Layers(*_ends(args["key"], context))
+    cells = read_rate(args["key"], context)[0]
+    layers, misty = Layers(*_ends(args["key"], context)), 0
     with writing(photons, columns_of, durable=True) as writer:
         for _, part in _passes(args, context):
             counts += np.bincount(part["signal"], minlength=256)
             water += np.bincount(part["water"], minlength=COLUMN + 1)
             over = (part["signal"] == 1) & np.isfinite(part[_DEPTH])
             layers.add(part["along_track"][over], part[_DEPTH][over], SURFACE_M)
+            own = part["signal"] == 1
+            along_m, height_m = part["along_track"][own], part["height"][own]
+            misty += int(np.count_nonzero(in_mist(cells, along_m, height_m, context.workflow.rate)))
             for start in range(0, len(part["signal"]), GROUP_PHOTONS):
                 rows = slice(start, start + GROUP_PHOTONS)
                 writer.write({name: part[name][rows] for name in columns_of})
@@ -78,6 +83,7 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
         "surface": int(water[SURFACE]),
         "floor": int(water[FLOOR]),
         "layers": layers.facts(),
+        "mist": misty,
     }
     return Produced([photons, profile], facts, int(counts.sum()))
 

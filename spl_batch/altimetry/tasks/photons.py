@@ -17,7 +17,7 @@ from spl_batch.altimetry.filter.likelihood import ratios
 from spl_batch.altimetry.filter.peer_filters import PEERS, keep
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.noise import windows
-from spl_batch.altimetry.noise.fog import Fog, fog_told
+from spl_batch.altimetry.noise.fog import Fog, fog_told, told
 from spl_batch.altimetry.noise.noise_at import below_surface
 from spl_batch.altimetry.photon_table import LABELS, PHOTONS, Background, Cells, Scale
 from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, gather, place, rows_between
@@ -87,6 +87,7 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
         "unseen": rates.unseen(cells, workflow.rate),
         "water": float(np.mean(cells.level != NO_WATER)) if len(cells.index) else 0.0,
         "fog": fog_told(cells.index, Fog(cells.fog_low, cells.fog), workflow.rate.cell_m),
+        "mist": told(cells.index, cells.mist.T.astype(np.float64), workflow.rate.cell_m),
         "length_m": len(cells.index) * workflow.rate.cell_m,
     }
     return Produced([path], facts, int(cells.count.sum()))
