@@ -38,7 +38,7 @@ from spl_batch.altimetry.filter.peer_filters import PEERS
 from spl_batch.altimetry.filter.peer_filters import keep as keep_peer
 from spl_batch.altimetry.formats.atl08 import find_labels
 from spl_batch.altimetry.formats.photons import inspect, iter_photons, read_background
-from spl_batch.altimetry.ground.profile import for_layout, profile
+from spl_batch.altimetry.ground.profile import for_layout, profile, spread_m
 from spl_batch.altimetry.photon_table import Background
 from spl_batch.altimetry.settings import BaselineSettings, SignalSettings
 from spl_batch.constants import QUANTA_PER_M
@@ -232,7 +232,8 @@ def ground(track: Labelled, atl03: Path, atl08: Path) -> None:
     rows = rows[np.lexsort((height[rows], along[rows]))]
     whole = (-(10**9), 10**9)
     settings = for_layout(PROFILE, "atl03")
-    columns = profile(along[rows], height[rows], kept[rows], whole, settings).columns
+    spread = spread_m(PROFILE, "atl03")
+    columns = profile(along[rows], height[rows], kept[rows], whole, settings, spread).columns
     at, theirs, photons = reference(track.name, atl03, atl08)
     known = np.isfinite(columns["ground"])
     mine = np.interp(at, columns["along_track"][known], columns["ground"][known], np.nan, np.nan)

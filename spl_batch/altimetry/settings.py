@@ -132,7 +132,8 @@ class ProfileSettings(Section):
     layer_m: Positive | None = Field(
         None,
         description="Thickness of the layer that is ground [m]; by default 0.75 for ATL03, whose "
-        "pulses of 1.5 ns are spread so far by a slope of 0.1 under 11 m of light, and 1.5 else.",
+        "pulses of 1.5 ns are spread so far by a slope of 0.1 under 11 m of light, more on steeper "
+        "stretches; 1.5 else.",
     )
     canopy_min_m: Positive = Field(2.0, description="Least height of canopy above ground [m].")
     canopy_share: float = Field(

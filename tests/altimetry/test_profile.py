@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers
-from spl_batch.altimetry.ground.profile import agree, profile, reach_cells
+from spl_batch.altimetry.ground.profile import agree, for_layout, profile, reach_cells, spread_m
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.tasks.heights import REFERENCE_GAP_M, between
@@ -62,7 +62,7 @@ def test_a_cell_that_its_neighbours_contradict_is_put_right() -> None:
     found = np.stack([10.0 + 2.0 * index, np.full(9, 0.1)], axis=1)
     found[4, 0] -= 30.0
     found[7] = np.nan
-    out, asked = agree(index, found, SETTINGS)
+    out, asked = agree(index, found, SETTINGS, 1.5)
     assert out[4, 0] == pytest.approx(18.0)
     assert np.isnan(out[7]).all()
     assert asked.tolist() == [3, 4, 5, 6, 5, 5, 4, 0, 2]
@@ -151,20 +151,41 @@ def test_curved_ground_is_followed_and_its_error_is_told() -> None:
         assert told.mean() > 0.85
 
 
+def test_layers_of_steep_tracks_are_thicker_and_of_flat_ones_as_before() -> None:
+    for kind, gain in (("mountain", 0.7), ("flat", None)):
+        track = simulate_track(scene(kind, "infrared", 11, length_m=1500.0, canopy=0.4))
+        some = track.truth > 0
+        along, height = lattice(track)
+        along, height = in_order(along[some], height[some])
+        sure, error = np.ones(len(along), np.bool_), []
+        for spread in (0.0, spread_m(ProfileSettings(), "atl03")):
+            thin = for_layout(ProfileSettings(), "atl03")
+            found = profile(along, height, sure, EVERYTHING, thin, spread).columns
+            off = found["ground"] - np.interp(found["along_track"], *track.reference_m.T)
+            error.append(float(np.sqrt(np.nanmean(off**2))))
+        assert error[1] < gain * error[0] if gain else error[1] == error[0]
+    assert spread_m(ProfileSettings(), "csv") == 0.0
+    assert spread_m(SETTINGS, "atl03") == 0.0
+
+
 @settings(max_examples=8, deadline=None)
-@given(st.integers(1, 4), st.integers(2, 45))
-def test_heights_do_not_depend_on_where_the_track_is_cut(seed: int, cut: int) -> None:
+@given(st.integers(1, 4), st.integers(2, 45), st.sampled_from([0.0, 6.6]))
+def test_heights_do_not_depend_on_where_the_track_is_cut(
+    seed: int, cut: int, spread: float
+) -> None:
     track = simulate_track(scene("mountain", "infrared", seed, length_m=1000.0, canopy=0.4))
     along, height = lattice(track)
     some = track.truth > 0
     along, height = in_order(along[some], height[some])
     sure = np.arange(len(along)) % 7 > 0
-    whole = profile(along, height, sure, EVERYTHING, SETTINGS).columns
-    reach, size = reach_cells(SETTINGS), 20_000
+    whole = profile(along, height, sure, EVERYTHING, SETTINGS, spread).columns
+    reach, size = reach_cells(SETTINGS, spread), 20_000
     parts = []
     for owned in ((EVERYTHING[0], cut), (cut, EVERYTHING[1])):
         rows = (along >= (owned[0] - reach) * size) & (along < (owned[1] + reach) * size)
-        parts.append(profile(along[rows], height[rows], sure[rows], owned, SETTINGS).columns)
+        parts.append(
+            profile(along[rows], height[rows], sure[rows], owned, SETTINGS, spread).columns
+        )
     for name, values in whole.items():
         joined = np.concatenate([p[name] for p in parts])
         np.testing.assert_array_equal(values, joined, err_msg=name)

@@ -56,6 +56,19 @@ LAYER_M: Final = 1.5
 ATL03_LAYER_M: Final = 0.75
 """The same of ATL03: a slope of 0.1 under 11 m of light spreads pulses of 1.5 ns to 0.7 m."""
 
+ATL03_LIGHT_M: Final = 11.0
+"""Width of the light on the ground [m]."""
+
+_SPREAD: Final = 0.6
+_PULSE_M: Final = 0.225
+"""Part of the rise under the light that most photons span; length of a pulse of 1.5 ns [m]."""
+
+STRETCH_CELLS: Final = 25
+"""Cells to each side whose slopes decide how thick a layer is [count]."""
+
+_STEPS: Final = 2
+"""Steps in which a thickness doubles [count]."""
+
 
 def thickness_m(settings: ProfileSettings) -> float:
     """Thickness of the layer that is ground [m]."""
@@ -77,9 +90,14 @@ def for_layout(settings: ProfileSettings, layout: str) -> ProfileSettings:
     return settings.model_copy(update={"layer_m": ATL03_LAYER_M})
 
 
-def reach_cells(settings: ProfileSettings) -> int:
-    """Cells to each side that decide a cell's heights [count]."""
-    return 2 * settings.reach_cells + 1
+def spread_m(settings: ProfileSettings, layout: str) -> float:
+    """What a slope of 1 spreads a pulse to [m]; 0 where a thickness is set or light is narrow."""
+    return _SPREAD * ATL03_LIGHT_M if settings.layer_m is None and layout == "atl03" else 0.0
+
+
+def reach_cells(settings: ProfileSettings, spread: float = 0.0) -> int:
+    """Cells to each side that decide a cell's heights [count]; ``spread`` as of :func:`profile`."""
+    return 2 * settings.reach_cells + 1 + (STRETCH_CELLS if spread else 0)
 
 
 def profile(
@@ -88,6 +106,7 @@ def profile(
     sure: NDArray[np.bool_],
     owned: tuple[int, int],
     settings: ProfileSettings,
+    spread: float = 0.0,
 ) -> Profile:
     """Heights of the cells of a piece of track that hold signal.
 
@@ -102,6 +121,8 @@ def profile(
         First cell of the piece, and the one after its last.
     settings : ProfileSettings
         Cells, layer, canopy.
+    spread : float
+        By :func:`spread_m`: layers are as much thicker as the slope of a kilometre asks for [m].
     """
     size = quanta(settings.cell_m)
     index = np.unique(along // size)
@@ -109,29 +130,26 @@ def profile(
     centre = index * size + size // 2
     first = np.searchsorted(along, (index - 1) * size)
     stop = np.searchsorted(along, (index + 2) * size)
-    found, fit = np.empty((len(index), 2)), np.empty((len(index), 5))
-    layer_m = thickness_m(settings)
-    # A step of slope moves the ends of three cells by a layer at most.
-    steps = max(math.ceil(1.5 * settings.cell_m * settings.slope_max / layer_m), 1)
-    lowest_layers(
-        along, z, first, stop, centre,
-        layer_m, settings.slope_max, steps, dense_share(layer_m), settings.photons_min, found,
-    )  # fmt: skip
-    agreed, asked = agree(index, found, settings)
+    photons = along, z, first, stop, centre
+    thick = np.full(len(index), thickness_m(settings))
+    found = _lowest(photons, thick, settings)
+    if spread:
+        thick = _thick(index, found[:, 1], thick, spread)
+        steep = np.flatnonzero(thick > thickness_m(settings))
+        some = along, z, first[steep], stop[steep], centre[steep]
+        found[steep] = _lowest(some, thick[steep], settings)
+    agreed, asked = agree(index, found, settings, thick)
     # A clump of noise reaches into the cells beside it, which then confirm it: photons that are
     # labelled signal have to vouch for a layer, more of them where no neighbour does.
     for c in np.flatnonzero(np.isfinite(agreed[:, 0])):
         rows = slice(first[c], stop[c])
         line = agreed[c, 0] + agreed[c, 1] * ((along[rows] - centre[c]) / QUANTA_PER_M)
-        inside = sure[rows] & (np.abs(z[rows] - line) <= thickness_m(settings))
+        inside = sure[rows] & (np.abs(z[rows] - line) <= thick[c])
         if np.count_nonzero(inside) < (1 if asked[c] >= 2 else _ALONE * settings.photons_min):
             agreed[c] = np.nan
-    fit_ground(
-        along, z, first, stop, centre,
-        thickness_m(settings), settings.cell_m / 2.0, settings.photons_min, agreed, fit,
-    )  # fmt: skip
+    fit = _fitted(photons, thick, agreed, settings)
     mine = np.flatnonzero((index >= owned[0]) & (index < owned[1]))
-    top, photons = _canopy(along, z, sure, index, centre, fit, mine, settings)
+    top, leaves = _canopy(along, z, sure, index, centre, fit, mine, settings)
     ground = fit[mine, 0]
     bare = np.where(np.isfinite(ground), 0.0, np.nan)
     return Profile(
@@ -142,15 +160,79 @@ def profile(
             "slope": fit[mine, 1],
             "ground_error": np.sqrt(fit[:, 2] ** 2 + _misfit2(index, fit[:, 4], settings))[mine],
             "ground_photons": np.nan_to_num(fit[mine, 3]).astype(np.int64),
-            "canopy_top": np.where(photons > 0, top, ground),
-            "canopy_height": np.where(photons > 0, top - ground, bare),
-            "canopy_photons": photons,
+            "canopy_top": np.where(leaves > 0, top, ground),
+            "canopy_height": np.where(leaves > 0, top - ground, bare),
+            "canopy_photons": leaves,
         }
     )
 
 
+def _thick(
+    index: NDArray[np.int64], slope: NDArray[np.float64], least: NDArray[np.float64], spread: float
+) -> NDArray[np.float64]:
+    """Thickness of each cell's layer by the median slope of its stretch, in steps, (c,) [m]."""
+    steep = np.abs(slope)
+    first = np.searchsorted(index, index - STRETCH_CELLS)
+    stop = np.searchsorted(index, index + STRETCH_CELLS, side="right")
+    median = np.zeros(len(index))
+    for c, (a, b) in enumerate(zip(first.tolist(), stop.tolist(), strict=True)):
+        known = steep[a:b][np.isfinite(steep[a:b])]
+        median[c] = np.median(known) if len(known) else 0.0
+    wanted = np.maximum(np.hypot(_PULSE_M, spread * median), least)
+    whole = np.rint(_STEPS * np.log2(wanted / least))
+    thick: NDArray[np.float64] = least * 2.0 ** (whole / _STEPS)
+    return thick
+
+
+_Photons = tuple[
+    NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]
+]
+
+
+def _lowest(
+    photons: _Photons, thick: NDArray[np.float64], settings: ProfileSettings
+) -> NDArray[np.float64]:
+    """Layers of cells, those of one thickness together: (c, 2) float64."""
+    along, z, first, stop, centre = photons
+    out = np.empty((len(thick), 2))
+    for layer_m in np.unique(thick):
+        own = thick == layer_m
+        # A step of slope moves the ends of three cells by a layer at most.
+        steps = max(math.ceil(1.5 * settings.cell_m * settings.slope_max / layer_m), 1)
+        part = np.empty((np.count_nonzero(own), 2))
+        lowest_layers(
+            along, z, first[own], stop[own], centre[own], float(layer_m), settings.slope_max, steps,
+            dense_share(layer_m), settings.photons_min, part,
+        )  # fmt: skip
+        out[own] = part
+    return out
+
+
+def _fitted(
+    photons: _Photons,
+    thick: NDArray[np.float64],
+    layers: NDArray[np.float64],
+    settings: ProfileSettings,
+) -> NDArray[np.float64]:
+    """Ground fitted to layers of cells, those of one thickness together: (c, 5) float64."""
+    along, z, first, stop, centre = photons
+    out = np.empty((len(thick), 5))
+    for layer_m in np.unique(thick):
+        own = thick == layer_m
+        part = np.empty((np.count_nonzero(own), 5))
+        fit_ground(
+            along, z, first[own], stop[own], centre[own], float(layer_m), settings.cell_m / 2.0,
+            settings.photons_min, layers[own], part,
+        )  # fmt: skip
+        out[own] = part
+    return out
+
+
 def agree(
-    index: NDArray[np.int64], found: NDArray[np.float64], settings: ProfileSettings
+    index: NDArray[np.int64],
+    found: NDArray[np.float64],
+    settings: ProfileSettings,
+    thick: NDArray[np.float64] | float,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Layers, those put to what their neighbours expect that these contradict.
 
@@ -165,7 +247,9 @@ def agree(
     found : (c, 2) float64
         Height [m] and slope [m/m] of each cell's layer; NaN where there is none.
     settings : ProfileSettings
-        Length and number of cells; thickness of a layer.
+        Length and number of cells.
+    thick : (c,) float64 or float
+        Thickness of the layers [m].
 
     Returns
     -------
@@ -188,7 +272,7 @@ def agree(
     columns = np.arange(len(index))
     middle = (ordered[np.maximum(asked - 1, 0) // 2, columns] + ordered[asked // 2, columns]) / 2.0
     out = found.copy()
-    wrong = np.abs(found[:, 0] - middle) > 2.0 * thickness_m(settings)
+    wrong = np.abs(found[:, 0] - middle) > 2.0 * np.asarray(thick)
     out[wrong, 0] = np.where(asked[wrong] >= 2, middle[wrong], np.nan)
     return out, asked
 

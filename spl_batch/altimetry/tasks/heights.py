@@ -40,16 +40,17 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     """Heights along a beam, segment by segment."""
     beam = args["key"]
     settings = profiles.for_layout(context.workflow.profile, args["layout"])
+    spread = profiles.spread_m(context.workflow.profile, args["layout"])
     size = quanta(settings.cell_m)
     chosen = Selection(beam, context)
     pieces = []
     for _, low, high in args["segments"]:
         owned = (-(-low // size), -(-high // size))
-        reach = profiles.reach_cells(settings) * size
+        reach = profiles.reach_cells(settings, spread) * size
         table = _labelled(args, owned[0] * size - reach, owned[1] * size + reach, context)
         if not len(table["row"]):
             continue
-        pieces.append(_heights(table, chosen, owned, settings, context))
+        pieces.append(_heights(table, chosen, owned, (settings, spread), context))
     columns = {
         name: np.concatenate([np.empty(0, dtype), *(p[name] for p in pieces)])
         for name, dtype in COLUMNS.items()
@@ -86,20 +87,20 @@ def _heights(
     table: Mapping[str, NDArray[Any]],
     chosen: Selection,
     owned: tuple[int, int],
-    settings: ProfileSettings,
+    settings: tuple[ProfileSettings, float],
     context: Context,
 ) -> dict[str, NDArray[Any]]:
     reference = context.workflow.reference
     sure = chosen(table, "label")
     some = chosen(table, "ground")
     columns = profiles.profile(
-        table["along"][some], table["height"][some], sure[some], owned, settings
+        table["along"][some], table["height"][some], sure[some], owned, *settings
     ).columns
     columns["baseline_ground"] = np.full(len(columns["cell"]), np.nan)
     if reference is not None and reference.baseline:
         base = table["baseline"] > 0
         other = profiles.profile(
-            table["along"][base], table["height"][base], base[base], owned, settings
+            table["along"][base], table["height"][base], base[base], owned, *settings
         ).columns
         _, mine, theirs = np.intersect1d(columns["cell"], other["cell"], return_indices=True)
         columns["baseline_ground"][mine] = other["ground"][theirs]

@@ -1,0 +1,103 @@
+"""How thick the layer is that ground is sought in: fixed, or by pulse and slope.
+
+Run ``python -m benchmarks.altimetry.ground_layers [ATL03 ATL08]``. "By slope" is what a run does
+with ATL03, by the slope of the kilometre around a cell; "by slope of the cell" takes each cell's
+ground from the profile whose thickness its own slope asks for. Printed are the median error and
+RMSE of the ground: against ATL08's fit of 20 m pieces, and on simulated tracks.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.altimetry.labelled_tracks import read_atl03, reference
+from benchmarks.altimetry.photon_beams import PROFILE, Beam, lattice
+from benchmarks.altimetry.profiles import tracks
+from spl_batch.altimetry.ground.profile import ATL03_LAYER_M, profile, spread_m
+
+Numbers = NDArray[np.float64]
+
+THICK_M = (0.45, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0)
+SHOWN_M = (0.45, 0.75, 1.5, 3.0)
+
+
+def profiles(beam: Beam) -> dict[str, tuple[Numbers, Numbers]]:
+    """Places and ground of a beam by each rule of thickness."""
+    score = beam.score()
+    kept = beam.keep(score)
+    rows = np.flatnonzero(kept | beam.keep(score, ground=True))
+    along, height = beam.along[rows], beam.height[rows]
+    order = np.lexsort((height, along))
+    photons, sure = (along[order], height[order]), kept[rows][order]
+
+    def columns(thick: float, spread: float = 0.0) -> dict[str, NDArray[Any]]:
+        settings = PROFILE.model_copy(update={"layer_m": thick})
+        return profile(*photons, sure, (-(10**9), 10**9), settings, spread).columns
+
+    spread = spread_m(PROFILE, "atl03")
+    found = {thick: columns(thick) for thick in THICK_M}
+    rules = {f"{thick:g} m": found[thick] for thick in SHOWN_M}
+    rules["by slope"] = columns(ATL03_LAYER_M, spread)
+    usual = found[ATL03_LAYER_M]
+    wanted = np.maximum(np.abs(np.nan_to_num(usual["slope"])) * spread, ATL03_LAYER_M)
+    at = np.abs(np.log(np.array(THICK_M)[:, None] / wanted)).argmin(axis=0)
+    ground = np.stack([one["ground"] for one in found.values()])
+    rules["by slope of the cell"] = {**usual, "ground": ground[at, np.arange(len(at))]}
+    return {name: (one["along_track"], one["ground"]) for name, one in rules.items()}
+
+
+def errors(found: tuple[Numbers, Numbers], truth: Numbers) -> Numbers:
+    """Ground less truth where both are known [m]."""
+    at, ground = found
+    off: Numbers = ground - np.interp(at, *truth.T)
+    return off[np.isfinite(off)]
+
+
+def show(name: str, off: dict[str, list[Numbers]]) -> None:
+    """A line for each rule."""
+    print(name)
+    for rule, parts in off.items():
+        every = np.concatenate(parts)
+        rmse = float(np.sqrt(np.mean(every**2)))
+        print(f"  {rule:22}{len(every):7}{np.median(every):+9.2f}{rmse:9.2f}", flush=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.altimetry.ground_layers", description=__doc__
+    )
+    parser.add_argument("files", nargs="*", type=Path)
+    options = parser.parse_args(arguments)
+    print(f"  {'thickness':22}{'cells':>7}{'median':>9}{'RMSE':>9}")
+    if len(options.files) == 2:
+        for track in read_atl03(*options.files):
+            at, theirs, _ = reference(track.name, *options.files)
+            off: dict[str, list[Numbers]] = {}
+            for rule, (x, ground) in profiles(Beam(track.photons, track.background)).items():
+                known = np.isfinite(ground)
+                mine = np.interp(at, x[known], ground[known], np.nan, np.nan)
+                off[rule] = [(mine - theirs)[np.isfinite(mine)]]
+            show(f"{track.name}, less ATL08", off)
+    for kind, colour, canopy in (
+        ("mountain", "infrared", 0.0),
+        ("mountain", "infrared", 0.4),
+        ("mountain", "infrared", 1.0),
+        ("flat", "infrared", 0.4),
+        ("flat", "infrared", 1.0),
+        ("flat", "green", 1.0),
+    ):
+        off = {}
+        for scene in tracks(kind, colour, canopy):
+            beam = Beam(lattice(scene.along_m, scene.height_m), scene.background)
+            for rule, one in profiles(beam).items():
+                off.setdefault(rule, []).append(errors(one, scene.reference_m))
+        show(f"{kind}, {colour}, {canopy:.0%} wooded", off)
+
+
+if __name__ == "__main__":
+    main()
