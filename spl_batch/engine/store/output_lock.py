@@ -55,12 +55,11 @@ def locked(output: Path) -> Iterator[str]:
             "token": uuid.uuid4().hex,
         }
         content = json.dumps(mark)
-        stream.seek(0)
-        stream.truncate()
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
         try:
+            # Not by the stream, which would try again at its end what a full disk has refused.
+            os.ftruncate(stream.fileno(), 0)
+            os.write(stream.fileno(), content.encode())
+            os.fsync(stream.fileno())
             yield content
         except OSError as error:
             stop_if_full(error, output)

@@ -244,7 +244,7 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
     except BaseException as error:  # one task's fault must not end the others
         if not is_fault(error):
             raise
-        stop_if_full(error, f"{task.kind} {task.name}")
+        stop_if_full(error, context.output)
         trace = traceback.format_exc()
         receipt = failure(task, key, one_line(error), time.perf_counter() - start, trace=trace)
     write_receipt(context.store, receipt)

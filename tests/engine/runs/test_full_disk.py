@@ -11,6 +11,7 @@ import pytest
 
 from spl_batch.airborne.store.raster_cells import create_raster_store, write_cell
 from spl_batch.airborne.store.voxel_parts import write_voxels
+from spl_batch.engine.store.output_lock import locked
 from spl_batch.engine.store.working_store import Store, append_log, write_receipt
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import StoppedError
@@ -36,6 +37,12 @@ def files_up_to(size: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_disk_that_is_full_from_the_start_is_named(tmp_path: Path) -> None:
+    with files_up_to(0), pytest.raises(StoppedError) as caught, locked(tmp_path / "out"):
+        pass
+    assert str(caught.value).startswith(f"{tmp_path / 'out'}: ")
 
 
 def table() -> PointTable:
