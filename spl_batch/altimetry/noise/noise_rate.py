@@ -61,8 +61,6 @@ _UNIT_M: Final = (0.5, 15.0)
 ALPHA_MIN: Final = 1e-4
 """Least noise in a unit [1/unit2]."""
 
-_CLIP_SD: Final = 4.0
-
 
 def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateSettings) -> Cells:
     """Count the photons of each cell, find the surface, and count what is away from it.
@@ -122,7 +120,6 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         away = whole & (np.abs(column - peak[:, None]) > max(int(reach * part), 1))
         fits = away.sum(axis=1) * 4 >= whole.sum(axis=1)
         empty = np.where((fits | ~empty.any(axis=1))[:, None], away, empty)
-    empty = _without_clumps(table, empty)
     counted, length = np.where(empty, table, 0).sum(1), empty.sum(1) * bin_q
     narrow, seen, seen_length = narrow_gate(index, cell, height, (low, high), water, length)
     return Cells(
@@ -196,15 +193,6 @@ def _neighbours(
         other = np.zeros_like(value) if missing is None else missing
         found.append(np.where(there if value.ndim == 1 else there[:, None], value, other))
     return found
-
-
-def _without_clumps(table: NDArray[np.int64], empty: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Leave out bins that hold far more than the others: cloud, or a surface not found."""
-    for _ in range(2):
-        mean = np.where(empty, table, 0).sum(1) / np.maximum(empty.sum(1), 1)
-        limit = mean + _CLIP_SD * np.sqrt(np.maximum(mean, 1.0))
-        empty = empty & (table <= limit[:, None])
-    return empty
 
 
 def far(
