@@ -73,12 +73,12 @@ class Sieve:
             raise InputError(str(self._path), self.reason)
         if not self._wrong:
             return ""
-        text = (
-            f"{counted(self._wrong, 'records', 'have')} a value that is missing or no finite "
-            "number, a time more than a year from the others, or a place beyond "
-            f"{FARTHEST_M:.0e} m, of {grouped(self._records)}{self._first}"
+        share = f"{grouped(self._wrong)} of {counted(self._records, 'records')}"
+        why = (
+            "(no finite number, a time more than a year from the others, or a place beyond "
+            f"{FARTHEST_M:.0e} m){self._first}"
         )
         if self._wrong > MOST_WRONG * self._records:
-            raise InputError(str(self._path), self.reason or f"{text}: remove them")
-        it = "it is" if self._wrong == 1 else "they are"
-        return f"trajectory {self._path.name}: {text}: {it} left out"
+            text = f"{share} cannot be used {why}: remove them"
+            raise InputError(str(self._path), self.reason or text)
+        return f"trajectory {self._path.name}: {share} left out {why}"
