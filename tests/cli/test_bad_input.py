@@ -1,6 +1,8 @@
 """Bad input: one clear line each, never a traceback, the exit status of the contract."""
 
+import errno
 import json
+import os
 import shutil
 import struct
 from collections.abc import Callable
@@ -14,6 +16,7 @@ import shapely
 from spl_batch import api
 from spl_batch.airborne.simulate.file_writers import write_polygons
 from spl_batch.engine.plan.input_files import source_key
+from spl_batch.engine.verbs import running
 from spl_batch.errors import grouped
 from tests import surveys
 from tests.io_files import patch
@@ -146,6 +149,33 @@ def test_a_broken_file_among_good_ones_is_named(
     assert f"unusable: {bad}: " in ended.out
     bad.unlink()
     assert run(survey).status == 0
+
+
+def test_names_as_long_as_they_may_be(survey: Path) -> None:
+    lines = survey.parent / "lines"
+    names = ["k" * 251 + ".laz", "雪" * 83 + ".laz"]
+    (lines / "good.laz").rename(lines / names[0])
+    surveys.write_cloud(lines / names[1], surveys.flightline(shots=TINY, psid=2, seed=4))
+    assert run(survey).status == 0
+    output = survey.parent / "out"
+    assert sorted(path.name for path in (output / "laz/lines").iterdir()) == sorted(names)
+    links = {path.name for path in (output / "stac").iterdir()}
+    assert len(links) == 4 + len(list(output.glob("*.tif")))
+    assert (output / "report.html").exists()
+
+
+def test_what_the_system_refuses_during_a_run_stops_it(
+    survey: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused_by_system(*_: object) -> None:
+        raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG), "some/place")
+
+    monkeypatch.setattr(running, "concluded", refused_by_system)
+    ended = run(survey, "--until", "index")
+    assert ended.status == 3, "2 is where nothing was started"
+    assert "some/place: File name too long; mend that, and run again" in ended.err
+    monkeypatch.undo()
+    assert run(survey, "--until", "index").status == 0
 
 
 def test_a_file_is_mended_and_only_that_is_done(survey: Path) -> None:

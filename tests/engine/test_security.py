@@ -265,7 +265,7 @@ def odd(path: Path, kind: str) -> None:
         path.symlink_to({"itself": path.name, "/dev/zero": "/dev/zero"}[kind])
 
 
-@pytest.mark.parametrize("name", ["log.jsonl", "store/lock", "store/run.json", "dtm.tif"])
+@pytest.mark.parametrize("name", ["log.jsonl", "store/lock", "store/blocks.json", "dtm.tif"])
 @pytest.mark.parametrize("kind", ["pipe", "socket", "folder", "itself", "/dev/zero"])
 def test_what_is_no_file_in_the_place_of_one_is_refused_and_not_waited_for(
     tmp_path: Path, name: str, kind: str

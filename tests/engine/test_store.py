@@ -154,13 +154,15 @@ def test_only_what_is_unfinished_and_ours_is_swept_away(tmp_path: Path) -> None:
     other = tmp_path / "compare" / "voxel"
     write_bytes(other / "store" / "lock", b"")
     scratch_name(other / "dtm.tif").write_bytes(b"another run is writing this")
-    left = [scratch_name(tmp_path / name) for name in ("dtm.tif", "laz/a.laz", "n" * 240)]
+    left = [
+        scratch_name(tmp_path / name) for name in ("dtm.tif", "laz/a.laz", "n" * 255, "雪" * 85)
+    ]
     for path in left:
         path.write_bytes(b"half")
     group = scratch_name(tmp_path / "laz" / "0.zarr")
     (group / "c").mkdir(parents=True)
     (group / "c" / "0").write_bytes(b"half")
-    assert sweep(tmp_path) == (4, 16)
+    assert sweep(tmp_path) == (5, 20)
     assert not any(path.exists() for path in [*left, group])
     assert sorted(p.name for p in (tmp_path / "laz").iterdir()) == sorted(foreign)
     assert len(list(other.iterdir())) == 2

@@ -4,7 +4,10 @@ Sources: STAC 1.1.0; extensions point cloud 1.0.0 and projection 2.0.0, by pysta
 relative, so that the folder can be moved.
 """
 
+import hashlib
 import json
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +19,9 @@ from spl_batch.formats.files.atomic import write_bytes
 FOLDER: Final = "stac"
 """Of the catalogue, below the output."""
 
+LONGEST_ID: Final = 200
+"""Of an item: file systems allow names of 255 bytes [byte]."""
+
 COG_TYPE: Final = "image/tiff; application=geotiff; profile=cloud-optimized"
 LAZ_TYPE: Final = "application/vnd.laszip"
 COPC_TYPE: Final = "application/vnd.laszip+copc"
@@ -24,26 +30,49 @@ SOFTWARE: Final = "spl-batch"
 
 def stac_files(delivery_clouds: list[str], rasters: list[str]) -> list[str]:
     """Names of the files that :func:`write_stac` writes, below the output."""
-    names = [_item_id(href) for href in (*delivery_clouds, *rasters)]
+    names = _item_ids([*delivery_clouds, *rasters])
     return [
         f"{FOLDER}/collection.json",
         f"{FOLDER}/items.json",
-        *(f"{FOLDER}/{name}.json" for name in names),
+        *(f"{FOLDER}/{name}.json" for name in names.values()),
     ]
 
 
-def _item_id(href: str) -> str:
+def _item_ids(hrefs: Sequence[str]) -> dict[str, str]:
+    """A name for the item of each file, which is a file's name as well.
+
+    Names that are too long for that, or would be those of two files, end in a hash.
+    """
+    plain = {href: _plain_id(href) for href in hrefs}
+    taken = Counter(name.casefold() for name in plain.values())
+    return {
+        href: name
+        if taken[name.casefold()] == 1 and len(name.encode()) <= LONGEST_ID
+        else _short_id(name, href)
+        for href, name in plain.items()
+    }
+
+
+def _plain_id(href: str) -> str:
     for end in (".laz", ".copc", ".tif"):
         href = href.removesuffix(end)
     return href.replace("/", "-")
+
+
+def _short_id(name: str, href: str) -> str:
+    start = name.encode()[: LONGEST_ID - 17].decode(errors="ignore")
+    return f"{start}-{hashlib.blake2b(href.encode(), digest_size=8).hexdigest()}"
 
 
 def write_stac(output: Path, delivery: Delivery) -> list[Path]:
     """Write ``stac/collection.json``, ``stac/items.json`` and the items."""
     import pystac  # noqa: PLC0415 - needed here alone
 
-    items = [_cloud_item(one, delivery) for one in delivery.clouds]
-    items += [_raster_item(one, delivery) for one in delivery.rasters]
+    hrefs = [cloud.href for cloud in delivery.clouds]
+    hrefs += [raster.href for raster in delivery.rasters]
+    ids = _item_ids(hrefs)
+    items = [_cloud_item(ids[one.href], one, delivery) for one in delivery.clouds]
+    items += [_raster_item(ids[one.href], one, delivery) for one in delivery.rasters]
     boxes = [list(item.bbox or ()) for item in items]
     flat = [box if len(box) == 4 else [*box[:2], *box[3:5]] for box in boxes]
     whole = [
@@ -96,7 +125,7 @@ def _slug(name: str) -> str:
     return kept.strip("-") or "survey"
 
 
-def _cloud_item(cloud: Cloud, delivery: Delivery) -> Any:
+def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Any:
     import pystac  # noqa: PLC0415
     from pystac.extensions.pointcloud import (  # noqa: PLC0415
         PhenomenologyType,
@@ -109,7 +138,7 @@ def _cloud_item(cloud: Cloud, delivery: Delivery) -> Any:
     west, south, east, north = delivery.box_deg(cloud.box_m)
     low_m, high_m = cloud.bounds_m[2], cloud.bounds_m[5]
     item = pystac.Item(
-        id=_item_id(cloud.href),
+        id=name,
         geometry=delivery.outline_deg(cloud.box_m),
         bbox=[west, south, low_m, east, north, high_m],
         datetime=None,
@@ -137,12 +166,12 @@ def _cloud_item(cloud: Cloud, delivery: Delivery) -> Any:
     return item
 
 
-def _raster_item(raster: RasterFile, delivery: Delivery) -> Any:
+def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> Any:
     import pystac  # noqa: PLC0415
     from pystac.extensions.projection import ProjectionExtension  # noqa: PLC0415
 
     item = pystac.Item(
-        id=raster.name,
+        id=name,
         geometry=delivery.outline_deg(raster.box_m),
         bbox=list(delivery.box_deg(raster.box_m)),
         datetime=None,

@@ -52,7 +52,7 @@ def refuse_odd(output: Path) -> None:
             _refuse(path, inside)
     _refuse_swapped(output)
     results = (path for path in sorted(output.glob("*")) if path.name.endswith(_RESULTS))
-    for path in results:
+    for path in (*results, *sorted(store.glob("*.json"))):
         if path.is_dir():
             raise WorkflowError(_swapped(path, "a folder"))
 

@@ -37,8 +37,10 @@ from spl_batch.errors import (
     WorkflowError,
     refuse_without,
     shared,
+    told_by_system,
     told_together,
 )
+from spl_batch.formats.files.atomic import stop_if_full
 
 COMPILING: Final = (
     "getting the kernels ready; the first run on a machine compiles them, which usually takes a "
@@ -141,7 +143,7 @@ def run(
         progress.tidy()
         compiles = prepared.receiver.compiles
         ahead = compiles and Ahead(compiles, COMPILING)
-        with _telling_the_end(progress):
+        with _telling_the_end(progress), _stopped_by_system():
             for text in (*prepared.ledger.remarks, *gone):
                 progress.aside(text)
             for text in prepared.ledger.inputs.warnings:
@@ -185,6 +187,19 @@ def _telling_the_end(progress: Progress) -> Iterator[None]:
         except StoppedError as unwritten:
             raise error from unwritten
         raise
+
+
+@contextmanager
+def _stopped_by_system() -> Iterator[None]:
+    """Make what the system refuses stop the run: its work has begun, and can be continued."""
+    try:
+        yield
+    except TimeoutError:  # of a cluster: who calls tells what helps
+        raise
+    except OSError as error:
+        stop_if_full(error, error.filename or "output")
+        text = told_by_system(error, "mend that, and run again to continue")
+        raise StoppedError(text) from error
 
 
 def _expected_s(cost: Cost) -> dict[str, float]:

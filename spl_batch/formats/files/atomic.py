@@ -42,8 +42,9 @@ _NOT_ALLOWED: Final = {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, er
 
 def scratch_name(path: Path) -> Path:
     """A name beside ``path`` for something that is not finished; no two calls give the same."""
-    # Long names of inputs must not become too long.
-    return path.with_name(f".{path.name[:128]}.{secrets.token_hex(8)}{SCRATCH}")
+    # A name may have 255 bytes, of which one letter takes up to four.
+    name = path.name.encode(errors="surrogateescape")[:128].decode(errors="ignore")
+    return path.with_name(f".{name}.{secrets.token_hex(8)}{SCRATCH}")
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from referencing import Registry, Resource
 from referencing.jsonschema import DRAFT7
 
 from spl_batch import api
+from spl_batch.airborne.catalogue import stac
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.catalogue.delivered_files import utc_span
 from tests import surveys
@@ -112,6 +113,16 @@ def test_models_come_above_the_geoid_in_a_crs_that_says_so(output: Path) -> None
         assert "NAVD88" not in items[model]["properties"]["proj:wkt2"]
     files = read(output / "report.json")["provenance"]["inputs"]
     assert [file["path"] for file in files if file["role"] == "geoid"] == ["a.gtx"]
+
+
+def test_items_have_names_of_their_own_that_files_can_have() -> None:
+    hrefs = ["laz/a.laz", "laz/b/c.laz", "laz/b-c.laz", f"laz/{'雪' * 83}.laz", "dtm.tif"]
+    plain, first, second, long, raster = stac.stac_files(hrefs[:-1], hrefs[-1:])[2:]
+    assert (plain, raster) == ("stac/laz-a.json", "stac/dtm.json")
+    assert first != second
+    assert all(name.startswith("stac/laz-b-c-") for name in (first, second))
+    assert len(long.encode()) < 220
+    assert long.startswith("stac/laz-雪雪")
 
 
 def test_every_link_of_stac_leads_somewhere(output: Path) -> None:
