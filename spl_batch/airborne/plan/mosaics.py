@@ -3,8 +3,11 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-from spl_batch.lattice.density import FAR_Q
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, shared
+
+APART_Q = 1_000_000
+"""Gap beyond which what lies on either side is a piece of its own, where so much would be empty: a
+few stray points 10 km away would make rasters of hundreds of square kilometres [quanta]."""
 
 LEAST_FILL = 0.02
 """Share of a mosaic that ground cells must cover where some lie far apart."""
@@ -57,8 +60,8 @@ def _region(
 
 
 def _pieces(cells: Iterable[CellId], cell_q: int) -> list[list[CellId]]:
-    """Ground cells that are joined through neighbouring squares of :data:`FAR_Q`."""
-    step = max(FAR_Q // cell_q, 1)
+    """Ground cells that are joined through neighbouring squares of :data:`APART_Q`."""
+    step = max(APART_Q // cell_q, 1)
     squares: dict[tuple[int, int], list[CellId]] = {}
     for cell in cells:
         squares.setdefault((cell.i // step, cell.j // step), []).append(cell)

@@ -509,6 +509,15 @@ def test_one_mosaic_where_the_survey_is_in_one_piece() -> None:
     assert split_mosaic({}, [], 200_000, 1000) == []
 
 
+def test_stray_points_some_kilometres_away_widen_no_raster() -> None:
+    survey = [CellId(i, 0) for i in range(3)]
+    strays = [CellId(45, 45), CellId(-45, -45)]
+    boxes = [box(-45 * 200_000, -45 * 200_000, 91 * 200_000)]
+    parts = split_mosaic(dict.fromkeys(survey, 9) | dict.fromkeys(strays, 1), boxes, 200_000, 1000)
+    assert [cells for cells, _ in parts] == [survey, strays[1:], strays[:1]]
+    assert all(region.area_m2 <= 600 * 200 for _, region in parts)
+
+
 def test_pieces_far_apart_get_rasters_of_their_own() -> None:
     near = [CellId(i, 0) for i in range(3)]
     far = [CellId(200_000, 100_000)]
