@@ -5,7 +5,6 @@ height: that of all its vertices, or a field :data:`HEIGHT_FIELDS`. Every fault 
 once.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -19,15 +18,13 @@ from spl_batch.errors import InputError
 from spl_batch.formats.crs import crs_name, vertical
 from spl_batch.formats.gdal_files import refuse_referring
 from spl_batch.formats.polygons import in_crs
+from spl_batch.formats.vector_layers import LINES, POLYGONS, Layer, read_layers
 
 HEIGHT_FIELDS: Final = ("z", "height", "elevation")
 """Names of a field with the height of a feature whose vertices have none [m]."""
 
 LEVEL_M: Final = 0.02
 """Heights of a lake's vertices differ by no more: by two roundings to centimetres [m]."""
-
-_POLYGONS: Final = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
-_LINES: Final = (shapely.GeometryType.LINESTRING, shapely.GeometryType.MULTILINESTRING)
 
 Geometries = NDArray[np.object_]
 Heights = NDArray[np.float64]
@@ -59,41 +56,32 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
     Raises
     ------
     InputError
-        With all faults of the file: none of its polygons, no CRS, units other than metres, heights
-        of another vertical datum, a polygon without one height and without a line.
+        With all faults of the file: a damaged shape, none of its polygons, no CRS, units other
+        than metres, heights of another vertical datum, a polygon without one height and without a
+        line.
     """
-    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
-
     if not path.exists():
         raise InputError(str(path), "no such file; check the path")
     refuse_referring(path)
     names: list[str] = []
     parts: list[Geometries] = []
     fields: list[Heights] = []
-    try:
-        for layer, shapes, heights, own in _layers(path):
-            _in_metres(path, own)
-            _same_datum(path, own, crs)
-            names += [f"{layer} {k}" for k in range(1, len(shapes) + 1)]
-            parts.append(in_crs(path, shapes, own, crs, heights=True))
-            fields.append(heights)
-    except (
-        pyogrio.errors.DataSourceError,
-        pyogrio.errors.DataLayerError,
-        shapely.errors.GEOSException,
-    ) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(str(path), f"cannot be read as breaklines: {reason}") from None
+    for layer in read_layers(path, (*POLYGONS, *LINES), fields=True):
+        _in_metres(path, layer.crs)
+        _same_datum(path, layer.crs, crs)
+        names += [f"{layer.name} {k}" for k in range(1, len(layer.shapes) + 1)]
+        parts.append(in_crs(path, layer.shapes, layer.crs, crs, heights=True))
+        fields.append(_heights(layer))
     if not parts:
         raise InputError(str(path), "holds no polygons of water; draw some or remove the key")
     shapes, height = np.concatenate(parts), np.concatenate(fields)
     kind = shapely.get_type_id(shapes)
-    if not np.isin(kind, _POLYGONS).any():
+    if not np.isin(kind, POLYGONS).any():
         raise InputError(str(path), "holds lines alone: draw the polygon of each river as well")
-    lines = _merged(shapes[np.isin(kind, _LINES)])
+    lines = _merged(shapes[np.isin(kind, LINES)])
     faults: list[str] = []
     found = []
-    for k in np.flatnonzero(np.isin(kind, _POLYGONS)):
+    for k in np.flatnonzero(np.isin(kind, POLYGONS)):
         try:
             found.append(_water(shapes[k], float(height[k]), lines))
         except ValueError as fault:
@@ -104,21 +92,13 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
     return found
 
 
-def _layers(path: Path) -> Iterator[tuple[str, Geometries, Heights, str | None]]:
-    """Name, lines and polygons, field of heights (NaN without), and CRS of each layer."""
-    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
-
-    for name, _ in pyogrio.list_layers(path):
-        meta, _, wkb, columns = pyogrio.raw.read(path, layer=name)
-        shapes = shapely.from_wkb([] if wkb is None else wkb)
-        heights = np.full(len(shapes), np.nan)
-        for field, values in zip(meta["fields"], columns, strict=True):
-            if field.lower() in HEIGHT_FIELDS and np.issubdtype(values.dtype, np.number):
-                heights = values.astype(np.float64)
-        chosen = np.isin(shapely.get_type_id(shapes), (*_POLYGONS, *_LINES))
-        chosen &= ~shapely.is_empty(shapes)
-        if chosen.any():
-            yield name, shapes[chosen], heights[chosen], meta["crs"]
+def _heights(layer: Layer) -> Heights:
+    """The field of heights; NaN without."""
+    heights = np.full(len(layer.shapes), np.nan)
+    for field, values in layer.fields.items():
+        if field in HEIGHT_FIELDS and np.issubdtype(values.dtype, np.number):
+            heights = values.astype(np.float64)
+    return heights
 
 
 def _in_metres(path: Path, own: str | None) -> None:

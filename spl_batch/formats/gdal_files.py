@@ -5,6 +5,8 @@ the names of other files, of services, or of commands that make it: a file of a 
 a run to read what nobody has named, and to ask the network.
 """
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Final
 
@@ -13,6 +15,9 @@ from spl_batch.formats.las.header import open_input
 
 _REFERRING: Final = (b"<ogr", b"<vrtdataset", b"wfs_capabilities", b"gdal_streamed_alg", b"<gdal")
 """Words at the start of a file whose content lies elsewhere, in lower case."""
+
+_DATABASE: Final = b"sqlite format 3\0"
+"""Start of a GeoPackage, in lower case."""
 
 _HEAD_BYTES: Final = 1 << 16
 """Start of a file that is looked at; GDAL looks at no more to tell such formats [byte]."""
@@ -41,4 +46,31 @@ def refuse_referring(path: Path, *, raster: bool = False) -> None:
             str(path),
             f"holds no {what} but says where GDAL finds some, in another file, a service or a"
             f" pipeline: write what it stands for to a {remedy}",
+        )
+    if head.startswith(_DATABASE) and not raster:
+        _refuse_views(path)
+
+
+def _refuse_views(path: Path) -> None:
+    """Refuse a database whose shapes a query makes: it may never end, or fill the memory."""
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
+    try:
+        uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+        with closing(sqlite3.connect(uri, uri=True)) as database:
+            found = database.execute("SELECT name FROM sqlite_master WHERE type = 'view'")
+            views = {str(name) for (name,) in found}
+        if not views:
+            return
+        own = {name for name in views if name.lower().startswith("gpkg_")}
+        layers = [] if own else pyogrio.list_layers(path)
+    except (sqlite3.Error, pyogrio.errors.DataSourceError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(str(path), f"cannot be read as shapes: {reason}: copy it again") from None
+    computed = own or views & {name for name, kind in layers if kind is not None}
+    if computed:
+        raise InputError(
+            str(path),
+            f"{min(computed)} is a view, whose rows a query makes: write them to a table, in a"
+            " GeoPackage of their own (ogr2ogr)",
         )

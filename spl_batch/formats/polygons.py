@@ -1,9 +1,7 @@
 """Areas of interest and water: polygons of any vector format, in the survey's CRS."""
 
-import warnings
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import shapely
@@ -15,8 +13,7 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError
 from spl_batch.formats.crs import crs_name, horizontal, same_crs
 from spl_batch.formats.gdal_files import refuse_referring
-
-_POLYGONAL: Final = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+from spl_batch.formats.vector_layers import POLYGONS, read_layers
 
 
 def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
@@ -32,45 +29,37 @@ def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
     Raises
     ------
     InputError
-        If the file is missing, no vector file, or has no polygons or no CRS.
+        As :func:`check_polygons`.
     """
-    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
-
-    if not path.exists():
-        raise InputError(str(path), "no such file; check the path")
-    refuse_referring(path)
-    parts = []
-    try:
-        for shapes, own in _layers(path):
-            parts.append(in_crs(path, shapely.force_2d(shapes), own, crs))
-    except (
-        pyogrio.errors.DataSourceError,
-        pyogrio.errors.DataLayerError,
-        shapely.errors.GEOSException,
-    ) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(str(path), f"cannot be read as polygons: {reason}") from None
-    if not parts:
-        raise InputError(str(path), "holds no polygons; draw at least one or remove the key")
-    area = shapely.union_all(shapely.make_valid(np.concatenate(parts)))
+    area = shapely.union_all(check_polygons(path, crs))
     shapely.prepare(area)
     return area
 
 
-def _layers(path: Path) -> Iterator[tuple[NDArray[Any], str | None]]:
-    """Polygons of each layer that holds some, and their CRS."""
-    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+def check_polygons(path: Path, crs: CRS | None) -> NDArray[Any]:
+    """Read all polygons of a file, and refuse one that a run could not use.
 
-    # GDAL's remarks on a damaged file are no lines for a screen: the user is told that no polygon
-    # is left.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        for name, _ in pyogrio.list_layers(path):
-            meta, _, wkb, _ = pyogrio.raw.read(path, layer=name, columns=[])
-            shapes = shapely.from_wkb([] if wkb is None else wkb)
-            shapes = shapes[np.isin(shapely.get_type_id(shapes), _POLYGONAL)]
-            if len(shapes):
-                yield shapes, meta["crs"]
+    Returns
+    -------
+    (n,) ndarray of Geometry
+        Each valid, in ``crs``; they may overlap.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no vector file, has no polygons or no CRS, or one that is damaged.
+    """
+    if not path.exists():
+        raise InputError(str(path), "no such file; check the path")
+    refuse_referring(path)
+    parts = [
+        in_crs(path, shapely.force_2d(layer.shapes), layer.crs, crs)
+        for layer in read_layers(path, POLYGONS)
+    ]
+    shapes = shapely.make_valid(np.concatenate(parts)) if parts else np.empty(0, object)
+    if not shapely.area(shapes).any():
+        raise InputError(str(path), "holds no polygons; draw at least one or remove the key")
+    return shapes
 
 
 def in_crs(

@@ -567,11 +567,22 @@ def test_an_area_of_interest_without_points(survey: Path) -> None:
     assert np.all(columns["noise_class"] == 255)
 
 
-def test_polygons_that_are_none(survey: Path) -> None:
-    (survey.parent / "aoi.gpkg").write_text("no polygons")
-    ended = run(survey, "--set", "aoi=aoi.gpkg")
-    assert ended.status in {1, 2}
-    assert "aoi.gpkg" in " ".join(ended.text.split())
+@pytest.mark.parametrize("key", ["aoi", "water", "breaklines"])
+def test_polygons_that_are_none_or_damaged_start_nothing(survey: Path, key: str) -> None:
+    path = survey.parent / "area.gpkg"
+    write_polygons(path, [shapely.box(0, 0, 9, 9)], surveys.CRS_NAME)
+    rings = bytearray(path.read_bytes())
+    polygon_of_one_ring = rings.index(struct.pack("<II", 3, 1))
+    struct.pack_into("<I", rings, polygon_of_one_ring + 4, 2**32 - 1)
+    for content, said in (
+        (b"no polygons", "cannot be read as shapes"),
+        (bytes(rings), "feature 1: has no geometry that can be decoded: mend or delete it"),
+    ):
+        path.write_bytes(content)
+        for verb in ("plan", "run"):
+            ended = surveys.command(verb, survey, "--workers", 0, "--set", f"{key}=area.gpkg")
+            refused(ended, f"{key}: {path}: ", said)
+    assert not (survey.parent / "out").exists()
 
 
 def test_status_and_report_of_nothing(tmp_path: Path) -> None:

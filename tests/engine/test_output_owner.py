@@ -10,10 +10,11 @@ import pytest
 
 from spl_batch import api
 from spl_batch.airborne import quickstart
+from spl_batch.airborne.tasks import time_domain
 from spl_batch.engine.store.output_owner import _head
 from spl_batch.engine.store.working_store import write_json
 from spl_batch.engine.verbs import simulation
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import InputError, WorkflowError
 from tests import surveys
 
 
@@ -116,6 +117,35 @@ def test_what_a_flightline_left_behind_is_listed_and_deleted(survey: Path, tmp_p
     assert "deleted, as an earlier run made them and this one does not: laz/lines/2.laz" in flat
     assert "laz/lines/2.laz" in (tmp_path / "out" / "log.jsonl").read_text()
     assert sorted(path.name for path in laz.iterdir()) == ["1.laz", "mine.laz"]
+
+
+def test_what_an_earlier_run_delivered_stays_where_tasks_fail(
+    survey: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, said = tmp_path / "out", "polygons that were damaged since the plan"
+    surveys.run(survey)
+    before = tree(out)
+    rasters = {name for name in before if name.endswith(".tif") and "/" not in name}
+    assert "dtm.tif" in rasters
+
+    def broken(*_: object) -> None:
+        raise InputError("area.gpkg", said)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(time_domain, "_mark_places", broken)
+        ended = command("run", survey, "--set", "tiling.tile_m=50")
+    flat = " ".join(ended.text.split())
+    assert ended.status == 1, flat
+    assert said in flat
+    assert "of an earlier run, kept as tasks of this one failed: " in flat
+    assert "deleted" not in flat
+    assert {name: (out / name).read_bytes() for name in rasters} == {
+        name: before[name] for name in rasters
+    }
+    warnings = json.loads((out / "report.json").read_text(encoding="utf-8"))["warnings"]
+    assert any("kept as tasks of this one failed" in text for text in warnings)
+    record = json.loads((out / "delivered.json").read_text(encoding="utf-8"))
+    assert rasters <= record["files"].keys(), "the next run may replace them"
 
 
 def test_what_a_flightline_renames_is_told_in_one_line(tmp_path: Path) -> None:

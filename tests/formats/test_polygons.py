@@ -1,6 +1,9 @@
 """Polygons of areas of interest and water."""
 
 import json
+import sqlite3
+import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +16,8 @@ from hypothesis import strategies as st
 from pyproj import CRS, Transformer
 
 from spl_batch.errors import InputError
-from spl_batch.formats.polygons import contains, read_polygons
+from spl_batch.formats.breaklines import read_breaklines
+from spl_batch.formats.polygons import check_polygons, contains, read_polygons
 
 UTM = CRS.from_epsg(32615)
 
@@ -104,3 +108,85 @@ def test_without_a_crs(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no CRS"):
         read_polygons(path, UTM)
     assert read_polygons(path, None).area == 1
+
+
+SQUARE, FAR = shapely.box(0, 0, 9, 9), shapely.box(20, 0, 29, 9)
+RING = struct.pack("<II", shapely.GeometryType.POLYGON, 1)
+"""Type of a polygon in WKB, and the number of its rings."""
+
+
+def edited(at: int, layout: str, value: float) -> Callable[[Path], Path]:
+    """Two polygons in a GeoPackage, of one of which a number is another."""
+
+    def make(path: Path) -> Path:
+        content = bytearray(write(path, [SQUARE, FAR]).read_bytes())
+        struct.pack_into(layout, content, content.index(RING) + at, value)
+        path.write_bytes(content)
+        return path
+
+    return make
+
+
+def viewed(rows: str) -> Callable[[Path], Path]:
+    """A GeoPackage whose shapes a query makes."""
+
+    def make(path: Path) -> Path:
+        with sqlite3.connect(write(path, [SQUARE])) as database:
+            database.execute("ALTER TABLE a RENAME TO b")
+            database.execute(f"CREATE VIEW a AS {rows}")
+        return path
+
+    return make
+
+
+def halved(path: Path) -> Path:
+    content = write(path, [SQUARE]).read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    return path
+
+
+ENDLESS = "WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) SELECT b.* FROM b, r"
+UNCLOSED = "feature 2: has no geometry that can be decoded"
+DAMAGED = {
+    "rings beyond the file": (edited(4, "<I", 2**32 - 1), UNCLOSED),
+    "points beyond the file": (edited(8, "<I", 2**32 - 1), UNCLOSED),
+    "a type that is none": (edited(0, "<I", 99), UNCLOSED),
+    "a point": (edited(0, "<I", 1), "feature 2: is no polygon, in a layer of polygons"),
+    "a ring that does not close": (edited(12, "<d", 7e300), UNCLOSED),
+    "no number": (
+        lambda path: write(path, [SQUARE, shapely.Polygon([(0, 0), (np.nan, 1), (2, 2)])]),
+        "feature 2: has a coordinate that is no number",
+    ),
+    "beyond Earth": (
+        lambda path: write(path, [SQUARE, shapely.box(0, 0, 9, 1e10)]),
+        "feature 2: has a coordinate that is no number, or beyond 1e9",
+    ),
+    "none": (lambda path: write(path, [SQUARE, FAR, shapely.Polygon()][2:]), "holds no polygons"),
+    "without an area": (
+        lambda path: write(path, [shapely.Polygon([(0, 0), (5, 5), (9, 9)])]),
+        "holds no polygons",
+    ),
+    "a query that never ends": (viewed(ENDLESS), "a is a view"),
+    "shapes that a query makes": (
+        viewed("SELECT fid, zeroblob(900000000) AS geom FROM b"),
+        "a is a view",
+    ),
+    "half a file": (
+        halved,
+        "cannot be read as shapes",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+@pytest.mark.parametrize("read", [check_polygons, read_breaklines])
+@pytest.mark.filterwarnings("ignore:invalid value encountered")
+def test_a_damaged_shape_among_sound_ones_is_refused_by_its_number(
+    tmp_path: Path, case: str, read: Callable[[Path, CRS], Any]
+) -> None:
+    make, said = DAMAGED[case]
+    with pytest.raises(InputError) as caught:
+        read(make(tmp_path / "a.gpkg"), UTM)
+    assert str(caught.value).startswith(str(tmp_path / "a.gpkg"))
+    if case != "without an area" or read is check_polygons:
+        assert said in str(caught.value)

@@ -45,6 +45,8 @@ class Deliveries:
         Stamp of each file, by its name below the output.
     begun : set of str
         Names of files whose writing has begun and of whose end nothing is known.
+    spared : list of str
+        Names of files that :meth:`withdraw` has left, as tasks failed.
     """
 
     def __init__(self, context: RunContext[Any]) -> None:
@@ -53,6 +55,7 @@ class Deliveries:
         self.survey: Mapping[str, Any] | None = None
         self.files: dict[str, Stamp] = {}
         self.begun: set[str] = set()
+        self.spared: list[str] = []
         kept: dict[str, Any] = {}
         try:
             kept = read_json(self.output / RECORD)
@@ -118,16 +121,19 @@ class Deliveries:
                 self.files[name] = [receipt.sizes[name], receipt.written_ns[name], content]
                 self.begun.discard(name)
 
-    def withdraw(self, ledger: Ledger[Any, Any]) -> Iterator[str]:
+    def withdraw(self, ledger: Ledger[Any, Any], *, failed: bool) -> Iterator[str]:
         """Delete what earlier runs delivered and this one does not vouch for.
 
         A file of an input that is gone, or can no longer be read, would pass for a result. Only
-        files that are as they were written are deleted, when they have been told.
+        files that are as they were written are deleted, when they have been told. Where tasks
+        failed nobody knows what they would have made: only what has another name now is deleted.
 
         Parameters
         ----------
         ledger : Ledger
             With the files that this run has made, or found finished.
+        failed : bool
+            Whether a task of this run failed.
 
         Yields
         ------
@@ -150,14 +156,18 @@ class Deliveries:
         if now:
             listed = named([f"{new} was {old}" for old, new in now.items()], LISTED)
             yield f"renamed, as the inputs share other folders than before: {listed}"
-        if left := [name for name in gone if name not in now]:
+        left = [name for name in gone if name not in now]
+        self.spared = left if failed else []
+        if left and not failed:
             it = "it" if len(left) == 1 else "them"
             yield (
                 f"deleted, as an earlier run made {it} and this one does not: {named(left, LISTED)}"
             )
+        stays = current.union(self.spared)
         for name in gone:
-            (self.output / name).unlink(missing_ok=True)
-        self.files = {name: stamp for name, stamp in self.files.items() if name in current}
+            if name not in stays:
+                (self.output / name).unlink(missing_ok=True)
+        self.files = {name: stamp for name, stamp in self.files.items() if name in stays}
         self.begun &= current
         self.save()
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from spl_batch.engine.report.number_format import as_ascii, duration
 from spl_batch.engine.report.run_record import REPORT_FILES, RunFacts, stands
+from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.runner import damaged_rasters, stages
 from spl_batch.engine.verbs.failures import failures
 from spl_batch.engine.verbs.receiver import Prepared
@@ -14,7 +15,7 @@ from spl_batch.engine.watch.earlier_runs import earlier_wall_s, log_bytes
 from spl_batch.engine.watch.events import Note, ReportStarted
 from spl_batch.engine.watch.listing import listed
 from spl_batch.engine.watch.progress import Progress
-from spl_batch.errors import DamagedError
+from spl_batch.errors import DamagedError, named
 from spl_batch.receivers import report_model
 
 
@@ -89,8 +90,7 @@ def _conclude(
     ledger, context, receiver = prepared.ledger, prepared.context, prepared.receiver
     order = stages_of(prepared)
     if until is None or order.index(until) >= order.index("deliver"):
-        for text in progress.deliveries.withdraw(ledger):
-            progress.tell(Note("info", text))
+        _withdraw(progress, ledger)
     if until is not None and until != "report":
         status = int(bool(progress.failures or ledger.inputs.bad))
         return RunResult(status, context.output, None)
@@ -122,6 +122,18 @@ def _conclude(
         now = [("now", f"nothing was left to do: looked at in {seconds}")]
     screen = (*receiver.screen(written), *now)
     return RunResult(int(bool(written.failures)), context.output, written, screen, _shown(prepared))
+
+
+def _withdraw(progress: Progress, ledger: Ledger[Any, Any]) -> None:
+    """Delete what is stale, and tell of it."""
+    deliveries = progress.deliveries
+    for text in deliveries.withdraw(ledger, failed=bool(progress.failures)):
+        progress.tell(Note("info", text))
+    if deliveries.spared:
+        progress.warn(
+            f"of an earlier run, kept as tasks of this one failed: {named(deliveries.spared)}; "
+            "mend what failed and run again, or delete what is of no use"
+        )
 
 
 def _standing(prepared: Prepared[Any, Any], facts: RunFacts) -> Any:

@@ -20,7 +20,7 @@ from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles, check
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
 from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.errors import InputError, Said, WorkflowError, named, shared
+from spl_batch.errors import InputError, Said, WorkflowError, as_input_fault, named, shared
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.crs import (
     compound,
@@ -36,6 +36,7 @@ from spl_batch.formats.crs import (
 from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.las.reader import LasFacts, inspect
+from spl_batch.formats.polygons import check_polygons
 
 MAX_POINTS = 2**32 - 1
 """Points that one file may hold [count]."""
@@ -114,8 +115,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         good = []
     if workflow.survey.vertical_crs is not None and good:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
-    if workflow.breaklines is not None and good:
-        read_breaklines(base / workflow.breaklines, crs)  # whatever is wrong is told here
+    if good:
+        _check_shapes(workflow, base, crs)
     if workflow.outputs.geoid is not None and good:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
@@ -149,6 +150,25 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         tuple(_checksums(base, {"breaklines": workflow.breaklines})),
         _geoid_checksum(workflow, base),
     )
+
+
+def _check_shapes(workflow: Workflow, base: Path, crs: CRS | None) -> None:
+    """Read every polygon and breakline once: whatever is wrong is told here, of all files."""
+    faults = []
+    for key, name, read in (
+        ("aoi", workflow.aoi, check_polygons),
+        ("water", workflow.water, check_polygons),
+        ("breaklines", workflow.breaklines, read_breaklines),
+    ):
+        if name is None:
+            continue
+        try:
+            with as_input_fault(base / name):
+                read(base / name, crs)
+        except InputError as fault:
+            faults.append(f"{key}: {fault}")
+    if faults:
+        raise WorkflowError("; ".join(faults))
 
 
 def _geoid_checksum(workflow: Workflow, base: Path) -> tuple[tuple[str, str], ...]:
