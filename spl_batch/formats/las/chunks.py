@@ -19,6 +19,12 @@ from numpy.typing import NDArray
 
 from spl_batch.errors import InputError, grouped, is_fault, reason_of
 from spl_batch.formats.declared import bounded, refuse_bomb
+from spl_batch.formats.las.counts import (
+    miscounted,
+    refuse_uncounted_chunks,
+    refuse_uncounted_records,
+    refuse_uncounted_rest,
+)
 from spl_batch.formats.las.header import LasHeader, open_input
 from spl_batch.formats.las.records import RecordLayout, record_layout
 
@@ -62,6 +68,7 @@ def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
     laszip = _laszip_data(header)
     chunk_points = CHUNK_SIZE.unpack_from(laszip, CHUNK_SIZE_AT)[0]
     if header.n_points == 0:
+        refuse_uncounted_chunks(header, file)
         start = np.array([0], dtype=np.int64)
         return ChunkTable(start, start + header.points_start + 8)
     start_byte = header.points_start + 8
@@ -75,8 +82,11 @@ def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
         "number of chunks in the LAZ chunk table",
         struct.unpack("<II", file.read(8))[1],
         least=1 if variable else exact,
-        most=min(header.n_points if variable else exact, table_byte - start_byte),
+        most=min(header.n_points, table_byte - start_byte) if variable else table_byte - start_byte,
     )
+    if not variable and count > exact:
+        least, most = (grouped(n * chunk_points + k) for n, k in ((count - 1, 1), (count, 0)))
+        raise miscounted(header, f"its {grouped(count)} LAZ chunks hold {least} to {most}")
     file.seek(header.points_start)
     entries = _guarded(
         path,
@@ -98,15 +108,19 @@ def _check_entries(
     header: LasHeader, entries: Sequence[tuple[int, int]], there: int, *, variable: bool
 ) -> None:
     """Compare the chunk table with the file, in Python's integers: damaged ones exceed 64 bits."""
-    path, n_points = header.path, header.n_points
+    path = header.path
     bounded(
         path, "bytes of the smallest LAZ chunk", min(s for _, s in entries), least=1, most=there
     )
     bounded(path, "bytes of all LAZ chunks", sum(s for _, s in entries), most=there)
     if variable:
-        bounded(path, "points of the smallest LAZ chunk", min(n for n, _ in entries), most=n_points)
-        total = sum(n for n, _ in entries)
-        bounded(path, "points of all LAZ chunks", total, least=n_points, most=n_points)
+        counts = [n for n, _ in entries]
+        bounded(path, "points of the smallest LAZ chunk", min(counts), most=_VARIABLE)
+        bounded(
+            path, "points of all LAZ chunks", sum(counts), least=header.n_points, most=_VARIABLE
+        )
+        if sum(counts) > header.n_points:
+            raise miscounted(header, f"its LAZ chunks hold {grouped(sum(counts))}")
 
 
 def _laszip_data(header: LasHeader) -> bytes:
@@ -206,6 +220,8 @@ class RecordReader:
                 self._n_layers = count_layers(self.laszip)
                 self._layers_head = struct.Struct(f"<{1 + self._n_layers}I")
                 self._table = read_chunk_table(header, self._file)
+            else:
+                refuse_uncounted_records(header, self._file)
         except BaseException:
             self._file.close()
             raise
@@ -336,6 +352,8 @@ class RecordReader:
         bounded(self.path, f"bytes read of {named}", len(packed), least=least, most=size)
         count, *sizes = head.unpack_from(packed, start)
         there = size - least
+        if end == self.header.n_points and end - begin < count <= CHUNK_POINTS_MAX:
+            raise miscounted(self.header, f"its LAZ chunks hold {grouped(begin + count)}")
         bounded(self.path, f"count of {named}", count, least=end - begin, most=end - begin)
         bounded(self.path, f"bytes of the layers of {named}", sum(sizes), least=there, most=there)
 
@@ -351,6 +369,8 @@ class RecordReader:
                 packed, self.laszip, out.view(np.uint8), [(len(out), len(packed))]
             ),
         )
+        if self._n_layers == 0 and begin + len(out) == self.header.n_points:
+            refuse_uncounted_rest(self.header, self.laszip, packed, len(out))
 
     def packed_chunks(self) -> Iterator[tuple[int, int, bytes]]:
         """First point, past-the-last point and bytes of each LAZ chunk that holds points."""

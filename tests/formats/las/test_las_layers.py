@@ -13,7 +13,7 @@ from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.layers import can_be_copied, given_of
 from spl_batch.formats.las.writer import Decoded, write_classified, write_points
 from spl_batch.lattice.tables import PointTable
-from tests.formats.test_las_write import labels
+from tests.formats.las.test_las_write import labels
 from tests.io_files import write_las
 
 EXTRA = {"height": "f8", "beam": "u1", "pair": "2i4"}
