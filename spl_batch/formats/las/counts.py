@@ -12,7 +12,7 @@ import numpy as np
 from spl_batch.errors import InputError, grouped, is_fault
 from spl_batch.formats.las.header import EVLR_HEAD, LasHeader
 
-_REST_BYTES: Final = 8
+_REST_BYTES: Final = 4
 """Bytes that compressed points may leave over [byte]; LASzip's and lazrs's leave none."""
 
 _BLOCK_BYTES: Final = 1 << 20
@@ -74,7 +74,8 @@ def refuse_uncounted_rest(header: LasHeader, laszip: bytes, packed: bytes, count
     """Refuse a LAZ file of point formats 0-5 whose last chunk has more points than are counted.
 
     Such a chunk does not say how many it holds. But its last point takes its last bytes: where the
-    counted points do without them, these are of others. One or two points more may pass.
+    counted points do without them, these are of others. What takes
+    no more than :data:`_REST_BYTES`, mostly one point, may pass.
 
     Parameters
     ----------
