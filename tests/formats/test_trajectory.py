@@ -119,13 +119,14 @@ def test_survey_with_geoid_heights(tmp_path: Path) -> None:
     assert moved.all() or "PROJ grids" in loaded.warnings[0]
 
 
-def test_a_record_that_cannot_be_is_left_out_of_any_format(tmp_path: Path) -> None:
+@pytest.mark.parametrize("latitude", [np.nan, np.inf, 1e300, -1.7e308])
+def test_a_record_that_cannot_be_is_left_out_of_any_format(tmp_path: Path, latitude: float) -> None:
     rows = flight()
     table = {k: rows[:, i].tolist() for i, k in enumerate(COLUMNS)}
     table["y"][7] = None
     pq.write_table(pa.table(table), tmp_path / "a.parquet")
     sbet = np.fromfile(write_sbet(tmp_path / "a.sbet", rows), SBET_RECORD)
-    sbet["latitude"][7] = np.nan
+    sbet["latitude"][7] = latitude
     sbet.tofile(tmp_path / "a.sbet")
     for name in ("a.parquet", "a.sbet"):
         loaded = read(tmp_path / name)

@@ -88,5 +88,7 @@ def _position(path: Path, records: NDArray[np.void], start: int) -> NDArray[np.f
             " by .csv or .parquet",
         )
     # A few that cannot be are left out later, like others.
-    place = [np.degrees(longitude), np.degrees(latitude), records["altitude"]]
-    return np.where(wrong[:, None], np.nan, np.column_stack(place))
+    place = np.column_stack([longitude, latitude, records["altitude"]])
+    place[wrong] = np.nan
+    place[:, :2] = np.degrees(place[:, :2])
+    return place
