@@ -44,6 +44,13 @@ UNKNOWN_SPAN: Final = Span(GPS_EPOCH, GPS_EPOCH)
 """Of points without a time, or of a clock that tells no year."""
 
 
+def plain_name(href: str) -> str:
+    """What catalogues call a delivered file, by its path below the output."""
+    for end in (".laz", ".copc", ".tif"):
+        href = href.removesuffix(end)
+    return href.replace("/", "-")
+
+
 @dataclass(frozen=True)
 class Cloud:
     """A delivered cloud."""
@@ -59,7 +66,7 @@ class Cloud:
     @property
     def name(self) -> str:
         """What catalogues call it: its path without its ends."""
-        return self.href.removesuffix(".laz").removesuffix(".copc").replace("/", "-")
+        return plain_name(self.href)
 
     @property
     def box_m(self) -> tuple[float, float, float, float]:
@@ -109,7 +116,7 @@ class RasterFile:
     @property
     def name(self) -> str:
         """What catalogues call it."""
-        return self.href.removesuffix(".tif").replace("/", "-")
+        return plain_name(self.href)
 
 
 def read_raster_file(output: Path, href: str) -> RasterFile:

@@ -13,7 +13,13 @@ from typing import Any, Final
 
 from pyproj import CRS
 
-from spl_batch.airborne.catalogue.delivered_files import Cloud, Delivery, RasterFile, outline
+from spl_batch.airborne.catalogue.delivered_files import (
+    Cloud,
+    Delivery,
+    RasterFile,
+    outline,
+    plain_name,
+)
 from spl_batch.formats.files.atomic import write_bytes
 
 FOLDER: Final = "stac"
@@ -43,7 +49,7 @@ def _item_ids(hrefs: Sequence[str]) -> dict[str, str]:
 
     Names that are too long for that, or would be those of two files, end in a hash.
     """
-    plain = {href: _plain_id(href) for href in hrefs}
+    plain = {href: plain_name(href) for href in hrefs}
     taken = Counter(name.casefold() for name in plain.values())
     return {
         href: name
@@ -51,12 +57,6 @@ def _item_ids(hrefs: Sequence[str]) -> dict[str, str]:
         else _short_id(name, href)
         for href, name in plain.items()
     }
-
-
-def _plain_id(href: str) -> str:
-    for end in (".laz", ".copc", ".tif"):
-        href = href.removesuffix(end)
-    return href.replace("/", "-")
 
 
 def _short_id(name: str, href: str) -> str:

@@ -95,9 +95,10 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     cells = partial(_cells, args["cells"], strips, context)
     pairs = pair_table((names, patches) for names, _, patches in cells())
     path = context.store.path("strips", "map.npz")
-    write_arrays(path, _map([patches for *_, patches in cells()]))
-    facts = {"pairs": [list(pair) for pair in pairs], "returns": _returns(cells())}
-    return Produced([path], facts)
+    found = [*cells()]
+    write_arrays(path, _map([patches for *_, patches in found]))
+    returns = _returns((names, passes) for names, passes, _ in found)
+    return Produced([path], {"pairs": [list(pair) for pair in pairs], "returns": returns})
 
 
 def align(args: Mapping[str, Any], context: Context) -> Produced:
@@ -107,9 +108,10 @@ def align(args: Mapping[str, Any], context: Context) -> Produced:
     cells = partial(_cells, args["cells"], strips, context, RECORDED)
     pairs = pair_table((names, patches) for names, _, patches in cells())
     psid_of = {strip.name: strip.psid for strip in strips}
-    for names, passes, _ in cells():
+    flown = [(names, passes) for names, passes, _ in cells()]
+    for names, passes in flown:
         psid_of |= dict(zip(names, passes["psid"].tolist(), strict=True))
-    found = align_lines([*psid_of], pairs, _returns(cells()), rigid=how == "rigid")
+    found = align_lines([*psid_of], pairs, _returns(flown), rigid=how == "rigid")
     spans = {strip.name: (strip.first_s, strip.last_s) for strip in strips}
     moves = [
         LineMove(
@@ -156,12 +158,10 @@ def pairs_of(facts: Mapping[str, Any]) -> list[PairDifference]:
     return [PairDifference(*pair) for pair in facts.get("pairs", ()) if len(pair) == told]
 
 
-def _returns(
-    cells: Iterable[tuple[list[str], dict[str, NDArray[Any]], Patches]],
-) -> dict[str, int]:
-    """Signal returns of each flightline in all cells [count]."""
+def _returns(flown: Iterable[tuple[list[str], dict[str, NDArray[Any]]]]) -> dict[str, int]:
+    """Signal returns of each flightline, by the names and passes of all cells [count]."""
     kept: Counter[str] = Counter()
-    for names, passes, _ in cells:
+    for names, passes in flown:
         for name, count in zip(names, passes["kept"].tolist(), strict=True):
             kept[name] += count
     return dict(kept)
