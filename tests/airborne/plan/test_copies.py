@@ -133,19 +133,29 @@ def test_of_many_files_that_overlap_few_are_named(small: Path) -> None:
     assert said.endswith("(the numbers of lines/tile_6.laz and lines/tile_7.laz)")
 
 
+def warned(survey: Path, until: str) -> list[str]:
+    """Warnings of a run up to a stage."""
+    events: list[Event] = []
+    surveys.run(survey, until=until, listener=events.append)
+    return [e.text for e in events if isinstance(e, Note) and e.level == "warning"]
+
+
+def test_a_flightline_and_its_copy_of_another_number_are_told(small: Path) -> None:
+    assert not [text for text in warned(small, "index") if "as a flightline and its copy" in text]
+    twin = surveys.flightline(shots=120, psid=7, seed=1)
+    surveys.write_cloud(lines(small)[0].with_name("twin.laz"), twin)
+    (said,) = [text for text in warned(small, "index") if "as a flightline and its copy" in text]
+    assert said.startswith("00001_371000000, 00007_371000000: ")
+    assert f"each has {grouped(len(twin['x']))} returns" in said
+
+
 def test_a_copy_in_another_place_is_called_so(tmp_path: Path) -> None:
     survey = surveys.small_survey(tmp_path)
     (tmp_path / "lines/line_2.laz").unlink()
     line = surveys.flightline(shots=120, psid=1, seed=1)
     line["x"] = line["x"] + 40_000.0
     surveys.write_cloud(tmp_path / "lines/moved.laz", line)
-    texts: list[str] = []
-
-    def listen(event: Event) -> None:
-        if isinstance(event, Note) and event.level == "warning":
-            texts.append(event.text)
-
-    surveys.run(survey, until="shots", listener=listen)
+    texts = warned(survey, "shots")
     (said,) = [text for text in texts if "same time and channel" in text]
     assert "lie more than 10 km apart, as where a file is a copy in another place" in said
     assert not any("afterpulses" in text for text in texts)

@@ -53,6 +53,7 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
             f"{FALLBACK_PRF_HZ:.0f} Hz is assumed; state acquisition.prf_hz"
         )
     yield from _contradicted_rates(survey)
+    yield from _flown_twice(survey)
     if survey.filtering and not survey.flightlines:
         raise WorkflowError(
             f"{named([source.name for source in timeless])}: no point has a usable gps_time, so "
@@ -264,6 +265,22 @@ def _contradicted_rates(survey: Survey) -> Iterator[str]:
             "and noise is computed with the stated one; leave prf_hz out of acquisition and "
             "sensor, and the rate from gps_time is used"
         )
+
+
+def _flown_twice(survey: Survey) -> Iterator[str]:
+    """Say which flightlines begin and end in the same moments, and hold as many returns."""
+    alike: dict[tuple[float, float, int], list[str]] = {}
+    for line in survey.flightlines:
+        if line.first_s < line.last_s:
+            alike.setdefault((line.first_s, line.last_s, line.points), []).append(line.name)
+    for (first_s, last_s, points), names in alike.items():
+        if len(names) > 1:
+            yield (
+                f"{named(names)}: flightlines with other point source ids begin and end at the "
+                f"same times ({first_s:.6f} to {last_s:.6f} s), and each has {grouped(points)} "
+                "returns, as a flightline and its copy would; each counts as a look of its own, "
+                "so density is told too high; leave the copies out"
+            )
 
 
 def beams_without_trajectory(survey: Survey) -> str:
