@@ -20,7 +20,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import InputError, named
 from spl_batch.formats.crs import crs_name, horizontal, same_crs, vertical
-from spl_batch.formats.gdal_files import refuse_referring
+from spl_batch.formats.gdal_files import read_as, refuse_referring
 
 Surface = Literal["open", "vegetated"]
 """Whether heights there are non-vegetated (NVA) or vegetated (VVA) ones."""
@@ -137,7 +137,7 @@ def _vector_rows(path: Path) -> list[_Row]:
 
     refuse_referring(path)
     rows: list[_Row] = []
-    try:
+    with read_as("points", path):
         for layer, kind in pyogrio.list_layers(path):
             if kind is None or "Point" not in kind:
                 continue
@@ -153,13 +153,6 @@ def _vector_rows(path: Path) -> list[_Row]:
                 row |= {} if flat else {"z": shapely.get_z(point)}
                 row[PARTS] = shapely.get_num_geometries(point)
                 rows.append({"crs": meta["crs"], **row})
-    except (
-        pyogrio.errors.DataSourceError,
-        pyogrio.errors.DataLayerError,
-        shapely.errors.GEOSException,
-    ) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(str(path), f"cannot be read as points: {reason}") from None
     return rows
 
 

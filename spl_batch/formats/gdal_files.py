@@ -6,9 +6,13 @@ a run to read what nobody has named, and to ask the network.
 """
 
 import sqlite3
-from contextlib import closing
+import warnings
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Final
+
+import shapely
 
 from spl_batch.errors import InputError
 from spl_batch.formats.las.header import open_input
@@ -51,12 +55,42 @@ def refuse_referring(path: Path, *, raster: bool = False) -> None:
         _refuse_views(path)
 
 
+@contextmanager
+def read_as(what: str, path: Path) -> Iterator[None]:
+    """Turn what GDAL, SQLite and shapely say of a damaged file into one line.
+
+    Their warnings are no lines for a screen: who reads looks at each shape. Names and texts of a
+    file may be no UTF-8.
+
+    Raises
+    ------
+    InputError
+        In place of their errors; ``what`` the file was to be read as: ``shapes``, ``points``.
+    """
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        try:
+            yield
+        except (
+            sqlite3.Error,
+            UnicodeDecodeError,
+            pyogrio.errors.DataSourceError,
+            pyogrio.errors.DataLayerError,
+            shapely.errors.GEOSException,
+        ) as error:
+            said = " ".join(str(error).split())
+            text = f"cannot be read as {what}: {said}: copy it again"
+            raise InputError(str(path), text) from None
+
+
 def _refuse_views(path: Path) -> None:
     """Refuse a database whose shapes a query makes: it may never end, or fill the memory."""
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
-    try:
-        uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+    uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+    with read_as("shapes", path):
         with closing(sqlite3.connect(uri, uri=True)) as database:
             found = database.execute("SELECT name FROM sqlite_master WHERE type = 'view'")
             views = {str(name) for (name,) in found}
@@ -64,9 +98,6 @@ def _refuse_views(path: Path) -> None:
             return
         own = {name for name in views if name.lower().startswith("gpkg_")}
         layers = [] if own else pyogrio.list_layers(path)
-    except (sqlite3.Error, pyogrio.errors.DataSourceError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(str(path), f"cannot be read as shapes: {reason}: copy it again") from None
     computed = own or views & {name for name, kind in layers if kind is not None}
     if computed:
         raise InputError(

@@ -4,7 +4,6 @@ GDAL gives nothing in place of a geometry that it cannot decode, and says nothin
 is lost so would be land, and a file of which nothing is left would blank a survey.
 """
 
-import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -14,6 +13,7 @@ import shapely
 from numpy.typing import NDArray
 
 from spl_batch.errors import InputError, named
+from spl_batch.formats.gdal_files import read_as
 
 COORDINATE_MAX: Final = 1e9
 """No projection has coordinates beyond, in metres, feet or degrees."""
@@ -49,36 +49,37 @@ def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> It
     InputError
         If the file cannot be read, or a shape is missing, damaged or nowhere on Earth.
     """
+    for name, kind in _layers(path):
+        meta, fids, shapes, columns = _read(path, name, fields=fields)
+        chosen = np.isin(shapely.get_type_id(shapes), kinds) & ~shapely.is_empty(shapes)
+        faults = _faults(kind, shapes, chosen)
+        if told := [f"feature {named(fids[bad].tolist(), 3)}: {x}" for x, bad in faults]:
+            text = f"layer {name}: {'; '.join(told)}: mend or delete it, or copy the file again"
+            raise InputError(str(path), text)
+        if chosen.any():
+            pairs = zip(meta["fields"], columns, strict=True)
+            values = {str(field).lower(): column[chosen] for field, column in pairs}
+            yield Layer(name, shapes[chosen], values, meta["crs"])
+
+
+def _layers(path: Path) -> list[tuple[str, str]]:
+    """Names and kinds of the layers that hold shapes."""
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
-    try:
-        for name, kind in pyogrio.list_layers(path):
-            if kind is None:  # a table without shapes
-                continue
-            # GDAL's remarks on a damaged file are no lines for a screen; here each shape is seen.
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)
-                meta, fids, wkb, columns = pyogrio.raw.read(
-                    path, layer=name, columns=None if fields else [], return_fids=True
-                )
-                shapes = shapely.from_wkb([] if wkb is None else wkb, on_invalid="ignore")
-            chosen = np.isin(shapely.get_type_id(shapes), kinds) & ~shapely.is_empty(shapes)
-            faults = _faults(kind, shapes, chosen)
-            if told := [f"feature {named(fids[bad].tolist(), 3)}: {x}" for x, bad in faults]:
-                text = f"layer {name}: {'; '.join(told)}: mend or delete it, or copy the file again"
-                raise InputError(str(path), text)
-            if chosen.any():
-                pairs = zip(meta["fields"], columns, strict=True)
-                values = {str(field).lower(): column[chosen] for field, column in pairs}
-                yield Layer(name, shapes[chosen], values, meta["crs"])
-    except (
-        pyogrio.errors.DataSourceError,
-        pyogrio.errors.DataLayerError,
-        pyogrio.errors.FeatureError,
-        shapely.errors.GEOSException,
-    ) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(str(path), f"cannot be read as shapes: {reason}: copy it again") from None
+    with read_as("shapes", path):
+        return [(name, kind) for name, kind in pyogrio.list_layers(path) if kind is not None]
+
+
+def _read(path: Path, layer: str, *, fields: bool) -> tuple[Any, Any, Geometries, Any]:
+    """What GDAL knows of a layer, its features' numbers, their shapes and their columns."""
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
+    with read_as("shapes", path):
+        meta, fids, wkb, columns = pyogrio.raw.read(
+            path, layer=layer, columns=None if fields else [], return_fids=True
+        )
+        shapes = shapely.from_wkb([] if wkb is None else wkb, on_invalid="ignore")
+    return meta, fids, shapes, columns
 
 
 def _faults(kind: str, shapes: Geometries, chosen: Mask) -> Iterator[tuple[str, Mask]]:
