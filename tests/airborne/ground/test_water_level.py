@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.classes.point_classes import classify
 from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.ground.water.level import Levels, flattened, in_water, water_level
+from spl_batch.airborne.ground.water.level import Levels, flattened, in_water
 from spl_batch.airborne.ground.water.off_water import OffWater, off_surface
 from spl_batch.airborne.products.surface_rasters import surfaces
 from spl_batch.airborne.settings import GroundSettings, ProductSettings
@@ -29,6 +29,13 @@ def quantised(x: Float, y: Float, z: Float) -> tuple[NDArray[np.int64], ...]:
 
 def differ(a: tuple[int, int], b: tuple[int, int]) -> tuple[int, int]:
     return a[0] - b[0], a[1] - b[1]
+
+
+def water_level(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.int64]:
+    """Level of the water around each of its returns, from all of them at once."""
+    levels = Levels()
+    levels.look(x, y, z)
+    return levels.at(x, y) if len(z) else np.empty(0, np.int64)
 
 
 def slow_level(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64]) -> list[int]:

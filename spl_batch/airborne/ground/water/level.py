@@ -181,24 +181,6 @@ def in_water(
     return rows, (x, y, z)
 
 
-def water_level(x: Heights, y: Heights, z: Heights) -> Heights:
-    """Level of the water around each of its returns.
-
-    Parameters
-    ----------
-    x, y, z : (n,) int64
-        Returns in water polygons, in any order, on the absolute lattice [quanta].
-
-    Returns
-    -------
-    (n,) int64
-        [quanta]; the same for all returns of a cell.
-    """
-    levels = Levels()
-    levels.look(x, y, z)
-    return levels.at(x, y) if len(z) else np.empty(0, np.int64)
-
-
 def _by_cell(x: Heights, y: Heights, z: Heights) -> _Cells:
     edge = quanta(CELL_M)
     i, j = cell_index(x, edge), cell_index(y, edge)
