@@ -5,8 +5,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -65,7 +66,7 @@ class Cluster:
     def start_scheduler(self) -> None:
         """Start a scheduler and wait for its address."""
         self._start("scheduler", "scheduler", "--host", "127.0.0.1", "--port", "0")
-        until = time.monotonic() + 60
+        until = time.monotonic() + 240
         while not (self.folder / "scheduler.json").exists():
             assert time.monotonic() < until, "the scheduler does not start"
             time.sleep(0.05)
@@ -81,7 +82,7 @@ class Cluster:
 
     def wait_for(self, name: str) -> None:
         """Wait until the scheduler knows a worker."""
-        until = time.monotonic() + 120
+        until = time.monotonic() + 240
         while "Registered to" not in (self.folder / name / "said.txt").read_text():
             assert time.monotonic() < until, f"{name} does not start"
             time.sleep(0.05)
@@ -133,3 +134,22 @@ def cluster(folder: Path, *threads: int) -> Iterator[Cluster]:
     finally:
         for number in range(len(started.processes)):
             started.kill(number)
+
+
+def wait_until(condition: Callable[[], object]) -> None:
+    """Wait for something to be so, two minutes at most."""
+    until = time.monotonic() + 120
+    while not condition() and time.monotonic() < until:
+        time.sleep(0.02)
+
+
+def when(condition: Callable[[], object], then: Callable[[], object]) -> threading.Thread:
+    """Do something in another thread as soon as a condition holds."""
+
+    def wait() -> None:
+        wait_until(condition)
+        then()
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    return thread

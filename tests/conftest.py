@@ -11,7 +11,7 @@ from spl_batch.airborne.report import summarise
 from spl_batch.airborne.simulate import preset_scene, simulate
 from spl_batch.engine.report import style
 from spl_batch.engine.report.picture import Picture
-from tests import clusters, surveys
+from tests import surveys
 from tests.report_data import drawn_png, empty_pictures
 
 # A machine that does other work as well is slow to draw examples, which says nothing of the code.
@@ -71,50 +71,43 @@ def _pictures_where_they_are_looked_at(
 @pytest.fixture(scope="session")
 def tiny_survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Workflow of the packaged scene that has one of everything: 86 000 points on 60 m."""
-    return simulate(preset_scene("tiny"), tmp_path_factory.mktemp("tiny")).workflow
+    scene = preset_scene("tiny")
+    return (
+        surveys.made_once(tmp_path_factory, "tiny", lambda at: simulate(scene, at))
+        / "workflow.yaml"
+    )
 
 
 @pytest.fixture(scope="session")
 def tiny_output(tiny_survey: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output of a complete run of the tiny survey, with diagnostics."""
-    folder = tmp_path_factory.mktemp("tiny_run")
-    workflow = surveys.copy_of(tiny_survey, folder)
-    result = surveys.run(workflow, "outputs.diagnostics=true")
-    assert result.exit_status == 0
-    return result.output
+
+    def make(folder: Path) -> None:
+        workflow = surveys.copy_of(tiny_survey, folder)
+        result = surveys.run(workflow, "outputs.diagnostics=true")
+        assert (result.exit_status, result.output) == (0, folder / "out")
+
+    return surveys.made_once(tmp_path_factory, "tiny_run", make) / "out"
 
 
 @pytest.fixture(scope="session")
 def small_lines(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Workflow of two short passes without a trajectory: 6 000 points."""
-    return surveys.small_survey(tmp_path_factory.mktemp("small"))
+    return surveys.made_once(tmp_path_factory, "small", surveys.small_survey) / "workflow.yaml"
 
 
 @pytest.fixture(scope="session")
 def small_output(small_lines: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output of a complete run of the small survey."""
-    workflow = surveys.copy_of(small_lines, tmp_path_factory.mktemp("small_run"))
-    return surveys.run(workflow).output
+
+    def make(folder: Path) -> None:
+        result = surveys.run(surveys.copy_of(small_lines, folder))
+        assert (result.exit_status, result.output) == (0, folder / "out")
+
+    return surveys.made_once(tmp_path_factory, "small_run", make) / "out"
 
 
 @pytest.fixture
 def small(small_lines: Path, tmp_path: Path) -> Path:
     """The small survey, in a folder of the test's own."""
     return surveys.copy_of(small_lines, tmp_path)
-
-
-@pytest.fixture(scope="module")
-def dask_processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[clusters.Cluster]:
-    """A scheduler and two workers, of one thread and of two: for the tests of one file.
-
-    Idle ones work as well, so they do not stay for the session.
-    """
-    with clusters.cluster(tmp_path_factory.mktemp("dask"), 1, 2) as started:
-        yield started
-
-
-@pytest.fixture
-def cluster(dask_processes: clusters.Cluster) -> clusters.Cluster:
-    """That cluster, with nothing that goes wrong on it."""
-    dask_processes.plan.set()
-    return dask_processes

@@ -1,14 +1,17 @@
 """Small surveys for whole runs, and ways to look at what a run has written."""
 
 import contextlib
+import fcntl
 import io
+import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import laspy
 import numpy as np
+import pytest
 import rasterio
 import yaml
 from numpy.typing import NDArray
@@ -250,6 +253,13 @@ def assert_same_labels(a: Mapping[str, Columns], b: Mapping[str, Columns]) -> No
             assert values.tobytes() == b[name][key].tobytes(), f"{name}: {key}"
 
 
+def assert_mended(workflow: Path, expected: Path) -> None:
+    """A run with nothing in its way ends as if nothing had ever been."""
+    ended = run(workflow, until="deliver")
+    assert ended.exit_status == 0
+    assert results(ended.output) == results(expected)
+
+
 def copy_of(survey: Path, folder: Path) -> Path:
     """A survey's inputs in another folder, nothing that a run has made; its workflow."""
     ignore = shutil.ignore_patterns("out", "truth")
@@ -260,3 +270,30 @@ def copy_of(survey: Path, folder: Path) -> Path:
 def point_rows(columns: Columns, names: Sequence[str]) -> NDArray[Any]:
     """Points as sorted records of these dimensions: a multiset that can be compared."""
     return np.sort(np.rec.fromarrays([columns[k] for k in names], names=",".join(names)))
+
+
+def made_once(places: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """A folder for all processes of pytest-xdist, into which nobody may write.
+
+    Parameters
+    ----------
+    places : pytest.TempPathFactory
+        Knows the folder of this run of the tests.
+    name : str
+        Of the folder.
+    make : callable
+        Fills it. The first process that asks calls it, others wait meanwhile; where it fails, the
+        next one that asks tries again.
+    """
+    place = places.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        place = place.parent
+    folder, done = place / name, place / f"{name}.done"
+    with (place / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            done.touch()
+    return folder

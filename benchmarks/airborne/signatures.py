@@ -4,7 +4,8 @@ Run ``python -m benchmarks.airborne.signatures``.
 
 Flies and runs the packaged tiny survey in this process and writes the types of the arguments of
 each kernel that Python called to ``spl_batch/airborne/signatures.json``, from which workers
-compile ahead. With ``--check`` it compares, and ends with status 1 where they differ.
+compile ahead. With ``--check`` it compares, and ends with status 1 where they differ. ``--flown``
+names the workflow of a tiny survey that is there already.
 """
 
 import argparse
@@ -26,11 +27,12 @@ def main() -> int:
     """Write or compare."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
-    check = parser.parse_args().check
+    parser.add_argument("--flown", type=Path, help="workflow of that survey, not to fly it again")
+    given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        workflow = simulate(preset_scene("tiny"), Path(folder)).workflow
-        found = called(workflow)
-    if check:
+        flown = given.flown or simulate(preset_scene("tiny"), Path(folder)).workflow
+        found = called(flown)
+    if given.check:
         known = precompile.signatures()
         for name in sorted({*found, *known}):
             if found.get(name) != known.get(name):

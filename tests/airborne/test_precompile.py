@@ -13,15 +13,17 @@ from spl_batch.airborne import precompile
 from spl_batch.engine.flow.cluster import SETTINGS
 from spl_batch.engine.flow.executor import Ahead
 from spl_batch.errors import StoppedError
+from tests import surveys
 
 Tell = Callable[[int, int], None]
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.slow
-def test_the_list_is_what_a_run_calls() -> None:
-    ended = subprocess.run(
-        [sys.executable, "-m", "benchmarks.airborne.signatures", "--check"],
+def test_the_list_is_what_a_run_calls(tiny_survey: Path, tmp_path: Path) -> None:
+    flown = surveys.copy_of(tiny_survey, tmp_path)
+    ended = subprocess.run(  # noqa: S603
+        [sys.executable, "-m", "benchmarks.airborne.signatures", "--check", "--flown", str(flown)],
         cwd=ROOT,
         capture_output=True,
         text=True,

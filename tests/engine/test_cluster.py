@@ -7,7 +7,6 @@ import re
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,47 +17,9 @@ from spl_batch.engine.flow import job as work
 from spl_batch.engine.flow.executor import Footing, OnDask
 from spl_batch.engine.tasks.task import Receipt, Task, WorkersSeen
 from spl_batch.errors import StoppedError
-from tests import clusters, surveys
-from tests.clusters import Cluster
+from tests import clusters
 
 # Processes
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("patch", "arguments", "said"),
-    [
-        (
-            ("spl_batch.airborne.receiver.code_version", lambda _: "0.0+other"),
-            (),
-            "here it is 0.0+other",
-        ),
-        (
-            ("spl_batch.engine.verbs.running.lock_file", lambda _: Path("/nowhere")),
-            (),
-            "must share that path",
-        ),
-        (None, ("--memory", "3GiB"), "less than --memory 3072 MiB; lower --memory"),
-    ],
-    ids=["code", "path", "memory"],
-)
-def test_workers_that_cannot_do_the_work_are_refused(
-    small: Path,
-    cluster: Cluster,
-    monkeypatch: pytest.MonkeyPatch,
-    patch: Any,
-    arguments: tuple[str, ...],
-    said: str,
-) -> None:
-    if patch is not None:
-        monkeypatch.setattr(patch[0], patch[1])
-    options = arguments or ("--memory", clusters.MEMORY)
-    ended = surveys.command("run", small, "--scheduler", cluster.address, *options)
-    assert ended.status == 2
-    (line,) = (x for x in ended.err.splitlines() if x.startswith("spl-batch:"))
-    assert line.startswith("spl-batch: --scheduler: worker tcp://127.0.0.1:")
-    assert said in line
-    assert not (small.parent / "out/store/receipts").exists()
 
 
 def test_the_slurm_snippet_of_the_documentation_makes_a_job() -> None:

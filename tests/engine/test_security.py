@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import dask
+import distributed
 import numpy as np
 import psutil
 import pytest
@@ -33,7 +35,7 @@ from spl_batch.formats.declared import BOMB_RATIO, SMALL_BYTES
 from spl_batch.formats.files.atomic import read_bytes, write_bytes
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water.formats import inspect_frames, iter_frames
-from tests import surveys
+from tests import clusters, surveys
 from tests.clusters import ROOT
 from tests.fuzz import __main__ as fuzz
 
@@ -107,33 +109,23 @@ def test_the_example_of_a_cluster_with_tls_works(
     common = ("--no-dashboard",)
     with (
         started(tmp_path, "s", *scheduler, "--scheduler-file", str(place), *common),
-        started(tmp_path, "w", *worker, *common),
+        started(tmp_path, "w", *worker, *common) as said,
     ):
-        command = [sys.executable, "-c", RUN, str(place), str(workflow)]
-        ended = subprocess.run(  # noqa: S603
-            command, env=encrypted(tmp_path), capture_output=True, check=False, timeout=240
-        )
-        assert ended.returncode == 0, ended.stderr.decode()
-        assert (tmp_path / "out/laz/lines/1.laz").exists()
+        clusters.wait_until(lambda: "Registered to" in said.read_text())
         address = json.loads(place.read_text())["address"]
         assert address.startswith("tls://127.0.0.1:")
+        with dask.config.set(dask.config.merge(distributed.config, settings)):
+            ended = surveys.command(
+                *("run", workflow, "--scheduler", address),
+                *("--memory", "1GiB", "--until", "deliver"),
+            )
+        assert ended.status == 0, ended.text
+        assert (tmp_path / "out/laz/lines/1.laz").exists()
         brief = {**executor.SETTINGS, "distributed.comm.timeouts.connect": "1s"}
         monkeypatch.setattr(executor, "SETTINGS", brief)  # it would ask again for ten seconds
         without = surveys.command("run", workflow, "--scheduler", address, "--fresh")
         assert without.status == 3, "who has no key gets no answer"
 
-
-RUN = """
-import json, sys, time
-from pathlib import Path
-from spl_batch.cli import main
-
-place = Path(sys.argv[1])
-while not place.exists():
-    time.sleep(0.1)
-main(["run", sys.argv[2], "--scheduler", json.loads(place.read_text())["address"],
-      "--memory", "1GiB"])
-"""
 
 # Nothing is executed
 

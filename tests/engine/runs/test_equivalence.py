@@ -19,8 +19,7 @@ from spl_batch.airborne.plan import block_size
 from spl_batch.airborne.plan import survey_ledger as survey_module
 from spl_batch.airborne.plan.flightlines import find_flightlines
 from spl_batch.engine.tasks.worklist import Worklist
-from tests import clusters, surveys
-from tests.clusters import Cluster
+from tests import surveys
 
 Way = Callable[[Path, pytest.FixtureRequest], None]
 
@@ -35,7 +34,7 @@ def here(*overrides: str, **options: Any) -> Way:
     return way
 
 
-def stretches(points: int) -> Way:
+def stretches(points: int, *overrides: str) -> Way:
     """Run with stretches of so many points."""
 
     def way(workflow: Path, request: pytest.FixtureRequest) -> None:
@@ -44,7 +43,7 @@ def stretches(points: int) -> Way:
 
         patch: pytest.MonkeyPatch = request.getfixturevalue("monkeypatch")
         patch.setattr(survey_module, "find_flightlines", short)
-        here()(workflow, request)
+        here(*overrides)(workflow, request)
         gathered = workflow.parent / "out/store/receipts/gather"
         assert len(list(gathered.iterdir())) > 4
 
@@ -61,7 +60,7 @@ def blocks_cut(workflow: Path, request: pytest.FixtureRequest) -> None:
 
 
 def shuffled(workflow: Path, request: pytest.FixtureRequest) -> None:
-    """Do the tasks of each phase in another order."""
+    """Do the tasks of each phase, of blocks of a tile each, in another order."""
     in_order = Worklist.jobs
 
     def mixed(self: Worklist) -> Iterator[Any]:
@@ -70,17 +69,7 @@ def shuffled(workflow: Path, request: pytest.FixtureRequest) -> None:
         yield from found
 
     request.getfixturevalue("monkeypatch").setattr(Worklist, "jobs", mixed)
-    here("tiling.tile_m=60")(workflow, request)
-
-
-def on_a_cluster(workflow: Path, request: pytest.FixtureRequest) -> None:
-    """Run on workers that were started elsewhere, by the scheduler's address."""
-    cluster: Cluster = request.getfixturevalue("cluster")
-    request.getfixturevalue("monkeypatch").chdir(workflow.parent)
-    options = ("--scheduler", cluster.address, "--memory", clusters.MEMORY)
-    ended = surveys.command("run", workflow.name, *options)
-    assert ended.status == 0, ended.text
-    assert cluster.plan.tries("denoise"), "the workers have done it"
+    here("tiling.tile_m=60", "tiling.block_tiles=1")(workflow, request)
 
 
 def killed(after: int) -> Way:
@@ -88,7 +77,10 @@ def killed(after: int) -> Way:
 
     def way(workflow: Path, request: pytest.FixtureRequest) -> None:
         output = workflow.parent / "out"
-        command = [sys.executable, "-m", "spl_batch", "run", str(workflow), "--workers", "1"]
+        command = [
+            *(sys.executable, "-m", "spl_batch", "run", str(workflow)),
+            *("--workers", "1", "--until", "deliver"),
+        ]
         process = subprocess.Popen(  # noqa: S603
             command,
             start_new_session=True,
@@ -118,18 +110,17 @@ def receipts(output: Path) -> int:
 
 
 WAYS: dict[str, Way] = {
-    "tiles of 60 m": here("tiling.tile_m=60", "tiling.block_tiles=1"),
+    "tiles of 60 m, shuffled task order": shuffled,
     "tiles of 250 m": here("tiling.tile_m=250", "tiling.block_tiles=1"),
-    "tiles of 33.3 m, blocks of 2 x 2": here("tiling.tile_m=33.3", "tiling.block_tiles=2"),
+    "tiles of 33.3 m, blocks of 2 x 2, stretches of 5000": stretches(
+        5000, "tiling.tile_m=33.3", "tiling.block_tiles=2"
+    ),
     "blocks that are cut": blocks_cut,
-    "stretches of 5000": stretches(5000),
-    "shuffled task order": shuffled,
 }
 """Ways of running the survey that has one of everything, of which one process is enough."""
 
 SLOW_WAYS: dict[str, Way] = {
     "1 worker, killed after 5 tasks": killed(5),
-    "2 workers of a cluster by its address": on_a_cluster,
 }
 """Ways that start processes, for the small survey."""
 

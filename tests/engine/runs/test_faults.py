@@ -6,88 +6,16 @@ import shlex
 import signal
 import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import dask
-import numpy as np
 import psutil
 import pytest
-import rasterio
 
 from spl_batch import api
 from spl_batch.airborne.filter import denoise
-from spl_batch.constants import NODATA
 from tests import clusters, faulty_worker, surveys
-from tests.clusters import Cluster, Plan, cluster, fault
-
-BLOCKS = ("--set", "tiling.block_tiles=1")
-"""The small survey in blocks of one tile, four of them."""
-
-
-def run_on(there: Cluster, workflow: Path, *options: object) -> surveys.Ended:
-    """Run a workflow on workers that were started elsewhere."""
-    # One worker in the plan cuts the blocks as a run in this process does.
-    limits = ("--workers", 1, "--memory", clusters.MEMORY)
-    return surveys.command("run", workflow, "--scheduler", there.address, *limits, *options)
-
-
-def report(workflow: Path) -> Any:
-    return json.loads((workflow.parent / "out/report.json").read_text())
-
-
-def assert_mended(workflow: Path, expected: Path) -> None:
-    """A run with nothing in its way ends as if nothing had ever been."""
-    ended = surveys.run(workflow, until="deliver")
-    assert ended.exit_status == 0
-    assert surveys.results(ended.output) == surveys.results(expected)
-
-
-def raster(output: Path, name: str) -> tuple[Any, Any, Any]:
-    """Cells of a raster, and where their centres are [m]."""
-    with rasterio.open(output / f"{name}.tif") as source:
-        values = source.read(1).ravel()
-        x, y = source.xy(*(i.ravel() for i in np.indices(source.shape)))
-    return values, np.array(x), np.array(y)
-
-
-@pytest.mark.slow
-def test_a_task_that_always_fails_costs_its_place_alone(
-    small: Path, small_output: Path, cluster: Cluster
-) -> None:
-    name = "2720_32900_1_1"
-    cluster.plan.set(fault("denoise", "raise", name))
-    ended = run_on(cluster, small, *BLOCKS)
-    assert ended.status == 1
-    assert f"failed: denoise {name}: RuntimeError: broken on purpose" in ended.err
-    tries = [pid for tried, pid in cluster.plan.tries("denoise") if tried == name]
-    assert len(set(tries)) == len(tries) == 2, "once more, on another worker"
-    (failure,) = report(small)["failures"]
-    assert failure["task"] == f"denoise {name}"
-    assert failure["reason"] == "RuntimeError: broken on purpose"
-    assert "tile 2720_32900" in failure["inputs"]
-    counts = report(small)["counts"]
-    assert counts["points_in"] == counts["points_out"]
-    assert 0 < counts["not_assessed"] < counts["points_in"]
-    corner_m = [100 * int(v) for v in name.split("_")[:2]]
-    inside = {}
-    for product in ("density", "dtm", "dsm"):
-        values, x, y = raster(small.parent / "out", product)
-        whole, _, _ = raster(small_output, product)
-        block = (x > corner_m[0]) & (y > corner_m[1])
-        inside[product] = (values[block], whole[block])
-        assert np.any(values[~block] > 0), "its neighbours are there"
-    values, whole = inside["density"]
-    assert np.all(values <= 0)
-    assert np.any(whole > 0)
-    for values, whole in (inside["dtm"], inside["dsm"]):
-        # Voids are filled from their edges, no further.
-        missing = np.count_nonzero((values == NODATA) & (whole != NODATA))
-        assert missing > 0.3 * np.count_nonzero(whole != NODATA)
-    assert_mended(small, small_output)
+from tests.clusters import Plan, fault
 
 
 def test_the_command_of_a_failure_reproduces_it_alone(
@@ -119,7 +47,7 @@ def test_the_command_of_a_failure_reproduces_it_alone(
     assert "Traceback" in log
     assert " --memory 2GiB " in failure.command
     assert failure.command in [json.loads(line).get("command") for line in log.splitlines()]
-    assert_mended(small, small_output)
+    surveys.assert_mended(small, small_output)
 
 
 @pytest.mark.parametrize(
@@ -135,21 +63,6 @@ def test_a_task_that_is_not_there_is_refused(small: Path, wanted: str, said: str
     ended = surveys.command("run", small, "--only", wanted)
     assert ended.status == 2
     assert said in ended.err
-
-
-@pytest.mark.slow
-def test_a_worker_that_is_killed_and_a_passing_fault_cost_nothing(
-    small: Path, small_output: Path, cluster: Cluster
-) -> None:
-    cluster.plan.set(fault("scatter", "raise", times=1), fault("denoise", "kill", times=1))
-    ended = run_on(cluster, small, *BLOCKS)
-    assert ended.status == 0, ended.text
-    assert "failed" not in ended.err
-    assert report(small)["failures"] == []
-    assert len(cluster.plan.tries("scatter")) == 3
-    assert len({pid for _, pid in cluster.plan.tries("scatter")}) == 2
-    assert len(cluster.plan.tries("denoise")) > 4
-    assert surveys.results(small.parent / "out") == surveys.results(small_output)
 
 
 @pytest.fixture
@@ -181,7 +94,7 @@ def test_a_task_that_eats_memory_fails_and_the_rest_is_finished(
     assert len([tried for tried, _ in own_workers.tries("ground") if tried == name]) == 2
     done = {tried for tried, _ in own_workers.tries("ground")}
     assert len(done) == len(list((small_output / "store/receipts/ground").glob("*.json")))
-    assert_mended(small, small_output)
+    surveys.assert_mended(small, small_output)
 
 
 def test_a_file_that_cannot_be_read_to_its_end_is_left_out_and_mended(
@@ -200,55 +113,17 @@ def test_a_file_that_cannot_be_read_to_its_end_is_left_out_and_mended(
     assert (result.output / "laz/lines/line_1.laz").exists()
     assert (result.output / "dtm.tif").exists()
     path.write_bytes(content)
-    assert_mended(small, small_output)
-
-
-def when(condition: Callable[[], object], then: Callable[[], object]) -> threading.Thread:
-    """Do something in another thread as soon as a condition holds."""
-
-    def wait() -> None:
-        until = time.monotonic() + 120
-        while not condition() and time.monotonic() < until:
-            time.sleep(0.02)
-        then()
-
-    thread = threading.Thread(target=wait)
-    thread.start()
-    return thread
-
-
-@pytest.mark.slow
-def test_a_lost_scheduler_ends_the_run_which_continues(
-    small: Path, small_output: Path, tmp_path: Path
-) -> None:
-    killed_s: list[float] = []
-    with cluster(tmp_path / "dask", 1) as there:
-        there.plan.set(fault("gather", "wait"))
-
-        def kill() -> None:
-            killed_s.append(time.monotonic())
-            there.kill(0)
-
-        thread = when(lambda: there.plan.tries("gather"), kill)
-        ended = run_on(there, small)
-        took_s = time.monotonic() - killed_s[0]
-        thread.join()
-    assert ended.status == 3
-    assert took_s < 30
-    (line,) = (x for x in ended.err.splitlines() if x.startswith("spl-batch:"))
-    assert "the scheduler is lost" in line
-    assert "run again" in line
-    result = api.status(small.parent / "out")
-    assert result.ended is not None
-    assert result.ended["exit_status"] == 3
-    assert_mended(small, small_output)
+    surveys.assert_mended(small, small_output)
 
 
 @pytest.mark.slow
 def test_ctrl_c_ends_a_run_in_order(small: Path, small_output: Path) -> None:
     output = small.parent / "out"
     process = subprocess.Popen(  # noqa: S603
-        [sys.executable, "-m", "spl_batch", "run", str(small), "--workers", "1"],
+        [
+            *(sys.executable, "-m", "spl_batch", "run", str(small)),
+            *("--workers", "1", "--until", "deliver"),
+        ],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         start_new_session=True,
@@ -261,7 +136,7 @@ def test_ctrl_c_ends_a_run_in_order(small: Path, small_output: Path) -> None:
         children.extend(psutil.Process(process.pid).children(recursive=True))
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
 
-    thread = when(lambda: list((output / "store/receipts").rglob("*.json")), send)
+    thread = clusters.when(lambda: list((output / "store/receipts").rglob("*.json")), send)
     said, _ = process.communicate(timeout=120)
     thread.join()
     assert process.returncode == 3, said
@@ -269,4 +144,4 @@ def test_ctrl_c_ends_a_run_in_order(small: Path, small_output: Path) -> None:
     assert b"Traceback" not in said
     _, left = psutil.wait_procs(children, timeout=10)
     assert not left
-    assert_mended(small, small_output)
+    surveys.assert_mended(small, small_output)
