@@ -198,7 +198,7 @@ def test_signal_that_noise_alone_gives_is_said(tmp_path: Path) -> None:
     found = [text for text in texts if "cannot be told from noise" in text]
     assert len(found) == 1, found
     assert found[0].startswith("noise.csv: track")
-    assert "on 10 km of track between 0 and 10 km" in found[0]
+    assert "of track between 0 and 10 km" in found[0]
     beam = next(b for b in report(workflow)["beams"] if b["file"] == "noise.csv")
     assert f"{beam['signal']:,} of the".replace(",", " ") in found[0]
 

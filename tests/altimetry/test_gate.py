@@ -1,14 +1,20 @@
-"""Gate and noise rate over water where floors are bright or deep, or nothing lies above."""
+"""Gate and noise rate where floors or woods fill a gate, or nothing lies above water."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from benchmarks.altimetry.photon_beams import Beam
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.noise.gate import STRETCH_CELLS
 from spl_batch.altimetry.settings import RateSettings
-from tests.altimetry.test_level_water import NIGHT, WaterTrack, photons, water_track
+from spl_batch.altimetry.water.emptiest import Photons, emptiest
+from spl_batch.altimetry.water.level_water import NO_WATER
+from tests.altimetry.test_level_water import DAY, NIGHT, WaterTrack, photons, water_track
+from tests.altimetry.tracks import assert_cut_matters_nowhere
 
 RATE = RateSettings()
 
@@ -52,3 +58,62 @@ def test_a_window_of_no_length_tells_of_no_rate() -> None:
     bound = rates.NOTHING_SEEN / ((STRETCH_CELLS + 1) * RATE.cell_m * rates.WINDOW_LEAST_M)
     assert found.max() <= bound * (1.0 + 1e-9)
     assert rates.unseen(cells, RATE) == 1.0
+
+
+def wood(
+    noise_per_m2: float, gate_m: tuple[float, float], crowns_m: tuple[float, float], seed: int = 1
+) -> WaterTrack:
+    """Woods on gentle ground, 3 km of them: half a photon per metre of ground, 0.8 of crowns."""
+    rng = np.random.default_rng(seed)
+    length_m = 3000.0
+    n = [rng.poisson(rate * length_m) for rate in (0.5, 0.8, noise_per_m2 * np.diff(gate_m)[0])]
+    x = [rng.uniform(0.0, length_m, count) for count in n]
+    hill = [4.0 * np.sin(one / 400.0) for one in x]
+    z = [
+        hill[0] + rng.normal(0.0, 0.15, n[0]),
+        hill[1] + crowns_m[0] + np.diff(crowns_m)[0] * rng.beta(3.0, 2.0, n[1]),
+        rng.uniform(*gate_m, n[2]),
+    ]
+    track = WaterTrack(np.concatenate(x), np.concatenate(z), np.repeat([4, 4, 1], n))
+    order = np.lexsort((track.z, track.x))
+    inside = (track.z > gate_m[0]) & (track.z < gate_m[1])
+    return only(track, order[inside[order]])
+
+
+@pytest.mark.parametrize("gate_m", [(-60.0, 140.0), (-30.0, 60.0), (-15.0, 45.0)])
+@pytest.mark.parametrize("crowns_m", [(18.0, 27.0), (2.0, 25.0)])
+def test_woods_by_night_are_not_taken_for_their_gate(
+    gate_m: tuple[float, float], crowns_m: tuple[float, float]
+) -> None:
+    track = wood(2e-5, gate_m, crowns_m)
+    beam = Beam(photons(track), None)
+    assert (beam.cells.level == NO_WATER).mean() > 0.9
+    kept = beam.keep(beam.score())
+    assert kept[track.kind == 4].mean() > 0.8
+
+
+@pytest.mark.parametrize("crowns_m", [(18.0, 27.0), (2.0, 25.0)])
+def test_noise_is_seen_between_and_around_crowns(crowns_m: tuple[float, float]) -> None:
+    cells = rates.observe(*photons(wood(DAY, (-20.0, 40.0), crowns_m)), RATE)
+    found = rates.density_from_window(cells, RATE)
+    assert np.median(found) == pytest.approx(DAY, rel=0.25)
+
+
+def test_what_is_emptiest_makes_noise_no_thinner() -> None:
+    track = wood(DAY, (-60.0, 60.0), (0.0, 1.0))
+    noise = only(track, track.kind == 1)
+    index, cell = np.unique(noise.x // RATE.cell_m, return_inverse=True)
+    height = np.rint(noise.z * 1000.0).astype(np.int32)
+    low, high = (np.full(len(index), end) for end in (-60_000, 60_000))
+    some, middle = np.ones(len(index), np.bool_), np.zeros(len(index), np.int64)
+    seen = Photons(index.astype(np.int64), cell, height)
+    count, length = emptiest(seen, (low, high), middle, some, 10)
+    assert length.sum() == pytest.approx(30_000 * len(index), rel=0.1)
+    found = count.sum() / (length.sum() / 1000.0 * RATE.cell_m)
+    assert found == pytest.approx(DAY, rel=0.1)
+
+
+@settings(max_examples=3, deadline=None)
+@given(st.integers(1, 5), st.integers(30, 120))
+def test_woods_do_not_depend_on_where_the_track_is_cut(seed: int, cut: int) -> None:
+    assert_cut_matters_nowhere(*photons(wood(NIGHT, (-15.0, 45.0), (18.0, 27.0), seed)), cut)

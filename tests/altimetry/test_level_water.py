@@ -438,7 +438,7 @@ def test_a_track_of_few_photons_far_apart_is_said(tmp_path: Path) -> None:
     assert "no photon is signal" in " ".join(report["warnings"])
 
 
-def test_a_second_surface_among_the_signal_is_said(tmp_path: Path) -> None:
+def test_a_bright_cloud_over_water_is_said_and_hides_no_surface(tmp_path: Path) -> None:
     track = water_track(NIGHT, length_m=2500.0)
     rng = np.random.default_rng(2)
     cloud = np.stack([rng.uniform(500.0, 2000.0, 3000), rng.normal(90.0, 2.0, 3000)], axis=1)
@@ -448,9 +448,10 @@ def test_a_second_surface_among_the_signal_is_said(tmp_path: Path) -> None:
     workflow = write_workflow(tmp_path, "photons.csv")
     assert surveys.command("run", workflow, "--workers", 0).status == 0
     said = " ".join(json.loads((tmp_path / "out/report.json").read_text())["warnings"])
-    assert "surface is among the signal" in said
-    kept = labels(tmp_path / "out", "photons/track")["signal"][: len(track.x)] == 1
-    assert kept[track.kind == SURFACE].mean() > 0.9
+    assert "a layer that floats as a cloud does" in said
+    kept = labels(tmp_path / "out", "photons/track")["signal"] == 1
+    assert kept[: len(track.x)][track.kind == SURFACE].mean() > 0.9
+    assert kept[len(track.x) :].mean() < 0.1
 
 
 def test_published_filters_keep_a_surface() -> None:

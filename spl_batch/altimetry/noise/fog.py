@@ -124,12 +124,10 @@ def outside(cell: NDArray[np.intp], height: NDArray[np.int32], fog: Fog) -> NDAr
     return np.flatnonzero(clear | ~some[cell])
 
 
-def reached(fog: Fog, low: NDArray[np.int64], length: int) -> NDArray[np.bool_]:
-    """Whether a cloud reaches into height bins from ``low`` on, (n, bins) bool."""
-    first = fog.low.astype(np.int64)[:, None]
-    top = first + _filled(fog)[:, None] * BIN_M * QUANTA_PER_M
-    found: NDArray[np.bool_] = (top > first) & (low < top) & (low + length > first)
-    return found
+def extent(fog: Fog) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Lower and upper end of each cell's cloud, (n,) int64 each [quanta]; equal where none is."""
+    first = fog.low.astype(np.int64)
+    return first, first + _filled(fog) * BIN_M * QUANTA_PER_M
 
 
 def _filled(fog: Fog) -> NDArray[np.int64]:

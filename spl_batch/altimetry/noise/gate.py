@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.settings import RateSettings
-from spl_batch.altimetry.water.level_water import NO_WATER, Water
-from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
 STRETCH_CELLS: Final = 50
@@ -25,18 +23,12 @@ STRETCH_PHOTONS: Final = 30
 END_PHOTONS: Final = 8
 """Of them on either side of the surface, so that both ends of the gate are seen [count]."""
 
-_FEW_BINS: Final = 0.1
-"""Empty bins over what is away from the surface, where the gate is too narrow for bins."""
-
-_BELOW_M: Final = 4
-"""What is nearer to the surface is never empty, whatever the gate [m]."""
-
 
 def gates(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
     height: NDArray[np.int32],
-    peak: NDArray[np.int64],
+    surface: tuple[NDArray[np.int64], NDArray[np.int64]],
     settings: RateSettings,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Ends of the gate of each cell, from as many cells around it as show them [quanta].
@@ -52,13 +44,14 @@ def gates(
         Row of each photon's cell.
     height : (p,) int32
         Photons [quanta].
-    peak : (n,) int64
-        Surface of each cell; photons farther than a height bin from it are noise [quanta].
+    surface : ((n,) int64, (n,) int64)
+        Lowest and highest surface of each cell; photons farther than a height bin below and above
+        them are noise [quanta].
     """
     n = len(index)
-    off = height - peak[cell]
     least = quanta(settings.slice_m)
-    below, above = (np.bincount(cell[side], minlength=n) for side in (off < -least, off > least))
+    sides = height < surface[0][cell] - least, height > surface[1][cell] + least
+    below, above = (np.bincount(cell[side], minlength=n) for side in sides)
     # Of the photons' own type: numpy takes seconds for others.
     low = np.full(n, np.iinfo(np.int32).max, np.int32)
     high = np.full(n, np.iinfo(np.int32).min, np.int32)
@@ -105,53 +98,6 @@ def stretches(
         if wider <= least:
             return reach, seen
         wider = max(wider // 2, least)
-
-
-def narrow_gate(
-    index: NDArray[np.int64],
-    cell: NDArray[np.intp],
-    height: NDArray[np.int32],
-    gate: tuple[NDArray[np.int32], NDArray[np.int32]],
-    water: Water,
-    empty: NDArray[np.int64],
-) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
-    """Where a gate is too narrow for empty bins, and what shows its noise instead.
-
-    That is the half of the gate above water, elsewhere the half below the surface: trees stand
-    above the ground.
-
-    Parameters
-    ----------
-    index, cell, height
-        As in :func:`gates`.
-    gate : ((n,) int32, (n,) int32)
-        Lower and upper end [quanta].
-    empty : (n,) int64
-        Length of the empty bins [quanta].
-
-    Returns
-    -------
-    narrow : (n,) bool
-        Cells with hardly an empty bin in the stretch around.
-    count, length : (n,) int64
-        Photons in the half of the gate, and its length [quanta].
-    """
-    low, high = (end.astype(np.int64) for end in gate)
-    up = water.level != NO_WATER
-    surface = np.where(up, water.level, water.fullest)
-    least = _BELOW_M * QUANTA_PER_M
-    up |= surface - low < least
-    middle = np.where(
-        up,
-        np.maximum((surface + high) // 2, surface + least),
-        np.minimum((surface + low) // 2, surface - least),
-    )
-    away = np.where(up[cell], height > middle[cell], height < middle[cell])
-    length = np.where(up, high - middle, middle - low)
-    length = np.maximum(length, 0)
-    seen, wanted = (_around(index, one, STRETCH_CELLS) for one in (empty, length))
-    narrow = seen < _FEW_BINS * wanted
-    return narrow, np.bincount(cell[away], minlength=len(low)), length
 
 
 def _around(index: NDArray[np.int64], values: NDArray[np.int64], reach: int) -> NDArray[np.int64]:

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.altimetry.water.emptiest import sums_around
 from spl_batch.altimetry.water.layers_of_cells import common_metre
-from spl_batch.altimetry.water.level_water import REACH_CELLS, sums_around
+from spl_batch.altimetry.water.level_water import REACH_CELLS
 from spl_batch.constants import QUANTA_PER_M
 
 BIN_M: Final = 3

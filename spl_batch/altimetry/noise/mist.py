@@ -22,7 +22,7 @@ from spl_batch.altimetry.noise.layers_above import (
 )
 from spl_batch.altimetry.photon_table import Cells
 from spl_batch.altimetry.settings import RateSettings
-from spl_batch.altimetry.water.level_water import sums_around
+from spl_batch.altimetry.water.emptiest import sums_around
 from spl_batch.constants import QUANTA_PER_M
 
 _THICK: Final = 4

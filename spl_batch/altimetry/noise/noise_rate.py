@@ -21,14 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.altimetry.noise.fog import BINS, JOINED_CELLS, find_fog, fog_at, outside, reached
-from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, narrow_gate, stretches
+from spl_batch.altimetry.noise.empty_window import empty_window
+from spl_batch.altimetry.noise.fog import BINS, JOINED_CELLS, find_fog, fog_at, outside
+from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, stretches
 from spl_batch.altimetry.noise.layers_above import BIN_M, GROUND_CELLS, PATCH_CELLS, above, foot
 from spl_batch.altimetry.noise.mist import find_mist, hidden
 from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
 from spl_batch.altimetry.noise.windows import of_window
 from spl_batch.altimetry.photon_table import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
+from spl_batch.altimetry.water.emptiest import Photons, sums_around
 from spl_batch.altimetry.water.layers_of_cells import fullest
 from spl_batch.altimetry.water.level_water import (
     DEPTHS,
@@ -38,13 +40,12 @@ from spl_batch.altimetry.water.level_water import (
     WOOD_CELLS,
     find_water,
     local_column,
-    sums_around,
 )
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
 HALO_CELLS: Final = (
-    JOINED_CELLS + GROUND_CELLS + 2 * PATCH_CELLS + 2 * REACH_CELLS + WOOD_CELLS + STRETCH_CELLS
+    JOINED_CELLS + GROUND_CELLS + 2 * (PATCH_CELLS + REACH_CELLS + WOOD_CELLS + STRETCH_CELLS)
 )
 """Cells to each side that :func:`observe` looks at [count]."""
 
@@ -85,9 +86,12 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     table = np.bincount(cell * width + (bins - base), minlength=len(index) * width)
     table = table.reshape(len(index), width)
     peak = _surface(index, table)
-    low, high = gates(index, cell, height, (peak + base) * bin_q + bin_q // 2, settings)
-    noise = _usual(index, table, [end / bin_q - base for end in (low, high)])
     layers = fullest(cell, height, len(index))
+    middle = (peak + base) * bin_q + bin_q // 2
+    # A floor may be brighter than the surface above it.
+    upper = np.maximum(middle, layers[1] * (QUANTA_PER_M // 2))
+    low, high = gates(index, cell, height, (middle, upper), settings)
+    noise = _usual(index, table, [end / bin_q - base for end in (low, high)])
     ground = foot(index, cell, height, layers[0], noise)
     photons, cell_m = (index, cell, height), settings.cell_m
     over = above(*photons, (ground.quanta, ground.known), (low, high), cell_m)
@@ -104,32 +108,20 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         peak = _surface(index, table)
         layers = fullest(cell, height, len(index))
     water = find_water(index, cell, height, layers, (low, high), settings.cell_m)
-    # A floor may be brighter than the surface above it.
-    peak = np.where(water.level != NO_WATER, water.level // bin_q - base, peak)
-    first = -(-(low.astype(np.int64)) // bin_q) - base
-    last = high.astype(np.int64) // bin_q - base
-    column = np.arange(width)
-    whole = (column >= first[:, None]) & (column < last[:, None])
-    # Below a water surface noise is counted by depth.
-    dry = (column > peak[:, None]) | (water.level == NO_WATER)[:, None]
-    whole &= dry & ~reached(fog, (column + base) * bin_q, bin_q)
-    reach = -(-quanta(settings.buffer_m) // bin_q)
-    empty = np.zeros_like(whole)
-    for part in (0.25, 0.5, 1.0):
-        # The widest buffer that leaves a quarter of the gate, the narrowest where none does.
-        away = whole & (np.abs(column - peak[:, None]) > max(int(reach * part), 1))
-        fits = away.sum(axis=1) * 4 >= whole.sum(axis=1)
-        empty = np.where((fits | ~empty.any(axis=1))[:, None], away, empty)
-    counted, length = np.where(empty, table, 0).sum(1), empty.sum(1) * bin_q
-    narrow, seen, seen_length = narrow_gate(index, cell, height, (low, high), water, length)
+    wet = water.level != NO_WATER
+    peak = np.where(wet, water.level // bin_q - base, peak)
+    middle = (peak + base) * bin_q + bin_q // 2
+    surface = np.where(wet, water.level, middle)
+    window = Photons(index, cell, height), (low, high), surface, wet, fog, settings
+    empty_count, empty_length = empty_window(*window)
     return Cells(
         index=index,
         count=count.astype(np.int64),
         low=low,
         high=high,
-        peak=((peak + base) * bin_q + bin_q // 2).astype(np.int32),
-        empty_count=np.where(narrow, seen, counted),
-        empty_length=np.where(narrow, seen_length, length),
+        peak=middle.astype(np.int32),
+        empty_count=empty_count,
+        empty_length=empty_length,
         level=water.level,
         column=water.column,
         first=water.first,
@@ -235,14 +227,10 @@ def density_from_window(cells: Cells, settings: RateSettings) -> NDArray[np.floa
     stop = np.searchsorted(cells.index, cells.index + reach, side="right")
     area = areas[stop] - areas[first]
     count = counts[stop] - counts[first]
-    whole = areas[-1]
-    overall = counts[-1] / whole if whole > 0 else 0.0
     expected = np.where(count > 0, count, NOTHING_SEEN)
     # Where no noise shows how far the gate reaches, what photons span is none of its length.
     area = np.where(count > 0, area, np.maximum(area, (stop - first) * cell_m * WINDOW_LEAST_M))
-    density: NDArray[np.float64] = np.where(
-        area > 0, expected / np.where(area > 0, area, 1.0), overall
-    )
+    density: NDArray[np.float64] = expected / area
     return density
 
 

@@ -14,13 +14,14 @@ by depth is taken that never grows (:mod:`spl_batch.altimetry.water.column_noise
 """
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.altimetry.water.column_noise import falling_density
+from spl_batch.altimetry.water.emptiest import Photons, emptiest, sums_around
 from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre
 from spl_batch.constants import QUANTA_PER_M
 
@@ -42,8 +43,8 @@ CANOPY_M: Final = 30
 _GROWN: Final = 1.5
 """Times the noise above them that trees hold at least."""
 
-_UNDER_M: Final = 4.0
-"""Depth below which ground leaves nothing but noise [m]."""
+_OVER_M: Final = 4.0
+"""Height above a level that a surface over a bright floor does not reach [m]."""
 
 _SEEN: Final = 2
 """Photons that show a surface in a cell of a brighter floor [count]."""
@@ -52,7 +53,7 @@ _FLOOR_CELLS: Final = 2
 """Cells to each side that a floor is looked for with [count]."""
 
 WOOD_CELLS: Final = 10
-"""Cells to each side that a wood is compared with the ground below it over [count]."""
+"""Cells to each side that trees are compared with what is emptiest over [count]."""
 
 _FLOOR_DEPTHS: Final = 9
 """Depths whose median a floor stands out of [count]."""
@@ -178,32 +179,45 @@ def _grown_over(
 ) -> NDArray[np.bool_]:
     """Cells where more stands above the level than noise can be: plains with trees, (n,) bool.
 
-    Noise is seen above trees and, in low gates, below ground; below water there is as much of it or
-    more. What stands a little above a level may be the surface over a bright floor, and is no wood.
+    Noise is seen above trees; in low gates, which trees may fill, in the emptiest quarter of what
+    reaches as high as trees. Below water there is as much noise or more. What stands a little above
+    a level may be the surface over a bright floor, and is no wood.
     """
     low, high = (end.astype(np.int64) for end in gate)
     foot = level.astype(np.int64) + round(SURFACE_M * QUANTA_PER_M)
     canopy = CANOPY_M * QUANTA_PER_M
     # Where the gate ends low above the water, noise is seen in the upper half of what there is.
     middle = foot + np.minimum(canopy, np.maximum(high - foot, 0) // 2)
-    off = round(_UNDER_M * QUANTA_PER_M)
-    under, over = level.astype(np.int64) - off, level.astype(np.int64) + off
-    trees, sky = (foot, np.minimum(high, middle)), (middle, high)
-    # Trees may fill that half too.
-    filled = np.where(high - foot < 2 * canopy, np.minimum(high, foot + canopy), over)
-    tall, ground = (over, filled), (low, under)
-    grown = np.zeros(len(level), np.bool_)
-    for bands, reach in (((trees, sky), _FLOOR_CELLS), ((tall, ground), WOOD_CELLS)):
-        inside = [(height > a[cell]) & (height <= b[cell]) for a, b in bands]
-        counted = [np.bincount(cell[some], minlength=len(level)) for some in inside]
-        length = [np.clip(b - a, 0, None) / QUANTA_PER_M for a, b in bands]
-        near, noise = sums_around(index, np.stack(counted, axis=1), reach).T
-        near_m, noise_m = sums_around(index, np.stack(length, axis=1), reach).T
-        ratio = near_m / np.maximum(noise_m, 1.0)
-        chance = _FLOOR_SD * np.sqrt(near + (noise + 1.0) * ratio**2)
-        grown |= (noise_m > 0) & (near > _GROWN * noise * ratio + chance)
-    grown &= level != NO_WATER
-    return grown
+    over = level.astype(np.int64) + round(_OVER_M * QUANTA_PER_M)
+    highest = np.minimum(high, foot + canopy)
+    photons, some = Photons(index, cell, height), level != NO_WATER
+    bands = (foot, np.minimum(high, middle)), (middle, high), (over, highest)
+    trees, sky, tall = (_within(photons, *band) for band in bands)
+    empty = emptiest(photons, (low, highest), level.astype(np.int64), some, WOOD_CELLS)
+    grown = _more(index, trees, sky, _FLOOR_CELLS) | _more(index, tall, empty, WOOD_CELLS)
+    found: NDArray[np.bool_] = grown & some
+    return found
+
+
+_Band = tuple[NDArray[np.int64], NDArray[np.int64]]
+
+
+def _within(photons: Photons, bottom: NDArray[np.int64], top: NDArray[np.int64]) -> _Band:
+    """Photons in a band of heights of each cell, and its length: (n,) int64 [count, quanta]."""
+    inside = (photons.height > bottom[photons.cell]) & (photons.height <= top[photons.cell])
+    count = np.bincount(photons.cell[inside], minlength=len(photons.number))
+    return count, np.clip(top - bottom, 0, None)
+
+
+def _more(index: NDArray[np.int64], band: _Band, empty: _Band, reach: int) -> NDArray[np.bool_]:
+    """Cells around which a band holds more than the noise of another can be, (n,) bool."""
+    counts, lengths = (np.stack(both, axis=1) for both in zip(band, empty, strict=True))
+    near, noise = sums_around(index, counts, reach).T
+    near_m, noise_m = sums_around(index, lengths / QUANTA_PER_M, reach).T
+    ratio = near_m / np.maximum(noise_m, 1.0)
+    chance = _FLOOR_SD * np.sqrt(near + (noise + 1.0) * ratio**2)
+    found: NDArray[np.bool_] = (noise_m > 0) & (near > _GROWN * noise * ratio + chance)
+    return found
 
 
 def _refined(
@@ -365,14 +379,3 @@ def local_column(
     share = np.minimum(column[wet] / np.maximum(sky, 1e-12), 1.0)
     local[wet] = np.maximum(column[wet] - sky, 0.0) + share * density[wet][:, None]
     return local
-
-
-def sums_around(index: NDArray[np.int64], values: NDArray[Any], reach: int) -> NDArray[np.float64]:
-    """Sums over the cells of an absolute grid within ``reach`` of each."""
-    # Whole parts of a square metre: sums of whole numbers have no order.
-    whole = np.rint(values * 1024).astype(np.int64)
-    total = np.concatenate([np.zeros((1, values.shape[1]), np.int64), np.cumsum(whole, axis=0)])
-    first = np.searchsorted(index, index - reach)
-    stop = np.searchsorted(index, index + reach, side="right")
-    found: NDArray[np.float64] = (total[stop] - total[first]) / 1024
-    return found
