@@ -16,7 +16,8 @@ Deviations from the sources:
   trend of what is left then. The edge of a slope does so only once.
 - **A fall of more than** :data:`STEP_M` from one window to the next is an object's at any radius.
 - **Low outliers** are told among the lowest nodes of :data:`PIT_CELL_M`: a node far below the third
-  lowest around is none of the ground's, also where several lie beside each other.
+  lowest around is none of the ground's, also where several lie beside each other. On steep ground,
+  where cells differ by as much, heights above the trend tell a single one.
 - **What counts as on the surface** follows from the spacing of the points, and from what ground
   nodes scatter *below* the surface (:func:`spread_below`): vegetation scatters them upwards only.
 """
@@ -29,7 +30,7 @@ from scipy import ndimage, special
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
-from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M, EVERYWHERE, Spread
+from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M, EVERYWHERE, STEEP, Spread
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.ground.point_spacing import Squares, quantiles
 from spl_batch.airborne.ground.smrf import object_cells
@@ -47,6 +48,14 @@ _AGREE_SIGMA = (2.0, 4.0)
 
 _HIGH_SHARE = (0.3, 0.35)
 """With more such nodes than this share a block takes the coarser cell: of the same two kinds."""
+
+_WIDER = 1.3
+"""Spread of the lowest nodes of four cells over that of sixteen, where nothing grows: the lowest of
+more scatter less."""
+
+ABOVE_SIGMA: Final = 2.5
+"""Ground reaches above a surface by so many spreads of most points below it, as plants stand
+there."""
 
 _SLOPE = 0.15
 """Slope tolerance of the opening, as published [rise/run]."""
@@ -67,8 +76,10 @@ MOST: Final = 0.5
 PIT_CELL_M: Final = 4.0
 _PIT_SLOPE = 1.5
 _PIT_RANK = 3
+_PIT_ABOVE_TREND = 0.5
 _PIT_ROUNDS = 8
-"""A low outlier lies below the third lowest of the eight cells around by more than this slope."""
+"""A low outlier lies below the third lowest of the eight cells around by more than the first slope,
+or on steep ground, above the trend, below the lowest of them by more than the second one."""
 
 _DEPTH_M = 0.01
 _DEPTHS = 50
@@ -99,18 +110,31 @@ def low_outliers(xyz: Float) -> Mask:
     xyz : (n, 3) float64
         Nodes [m].
     """
-    column, row, _ = _places(xyz, PIT_CELL_M)
+    x, y, z = xyz.T
     low = np.zeros(len(xyz), dtype=np.bool_)
     for _ in range(_PIT_ROUNDS):
-        height = _heights(lowest_nodes(xyz, ~low, PIT_CELL_M), xyz[:, 2])
-        around = np.sort(_neighbours(np.where(np.isnan(height), np.inf, height)), axis=0)
-        floor = around[_PIT_RANK - 1] - _PIT_SLOPE * PIT_CELL_M
-        floor[np.isinf(floor)] = -np.inf
-        found = ~low & (xyz[:, 2] < floor[row, column])
+        lowest = lowest_nodes(xyz, ~low, PIT_CELL_M)
+        trend = fit_trend(xyz[np.sort(lowest[lowest >= 0])], x, y)
+        above = z - trend_at(trend, x, y)
+        found = _far_below(xyz, low, _PIT_RANK, _PIT_SLOPE)
+        found |= _steep(trend, STEEP, x, y) & _far_below(
+            np.column_stack([x, y, above]), low, 1, _PIT_ABOVE_TREND
+        )
         if not found.any():
             break
         low |= found
     return low
+
+
+def _far_below(xyz: Float, low: Mask, rank: int, slope: float) -> Mask:
+    """Nodes that are not low yet, but lower by a slope than the lowest of so many cells around."""
+    column, row, _ = _places(xyz, PIT_CELL_M)
+    height = _heights(lowest_nodes(xyz, ~low, PIT_CELL_M), xyz[:, 2])
+    around = np.sort(_neighbours(np.where(np.isnan(height), np.inf, height)), axis=0)
+    floor = around[rank - 1] - slope * PIT_CELL_M
+    floor[np.isinf(floor)] = -np.inf
+    found: Mask = ~low & (xyz[:, 2] < floor[row, column])
+    return found
 
 
 def _neighbours(grid: Float) -> Float:
@@ -144,7 +168,8 @@ def agreeing_nodes(
     Starting with all nodes, a block goes on to the lowest nodes of cells twice as large while
     more than a third of its nodes stand above the plane through the coarser ones around. Where
     cells of either size hold shrubs alone the coarser nodes scatter as well: of blocks of layers
-    the cells of twice their size tell how far ground does, if that is less.
+    the cells of twice their size tell how far ground does, if that is less than they would have it
+    on bare ground.
 
     Parameters
     ----------
@@ -180,13 +205,15 @@ def agreeing_nodes(
         count, layers = (_in_blocks(at, of, shape) for of in (slice(None), filled[current]))
         thick = 2.0 * layers >= count
         many, most = (np.where(thick, *of) for of in (_AGREE_SIGMA, _HIGH_SHARE))
-        spread = np.where(thick, np.minimum(scale.spread, wider.spread), scale.spread)
-        limit = np.minimum(many * np.maximum(spread, sigma_m), _AGREE_M)
-        above = xyz[current, 2] - plane_heights(xyz, current, scale.grid, scale.cell_m) > limit[at]
-        share = _in_blocks(at, above, shape) / np.maximum(count, 1.0)
+        spread = np.where(thick, np.minimum(scale.spread, _WIDER * wider.spread), scale.spread)
+        spread = np.maximum(spread, sigma_m)
+        above = xyz[current, 2] - plane_heights(xyz, current, scale.grid, scale.cell_m)
+        disagree = above > np.minimum(many * spread, _AGREE_M)[at]
+        share = _in_blocks(at, disagree, shape) / np.maximum(count, 1.0)
         stays = going & (share <= most)
         chosen[current[stays[at]]] = True
-        high[current[above & (stays & thick)[at]]] = True
+        grown = above > np.minimum(ABOVE_SIGMA * spread, _AGREE_M)[at]
+        high[current[grown & (stays & thick)[at]]] = True
         high[scale.nodes] = False
         going &= ~stays
         current = scale.nodes
@@ -301,7 +328,7 @@ def ground_nodes(
     x, y, z = xyz.T
     trend = fit_trend(xyz[level], x, y)
     row, column = np.nonzero((grid >= 0) & raised)
-    steep = _steep(trend, *xyz[grid[row, column], :2].T)
+    steep = _steep(trend, _STEEP, *xyz[grid[row, column], :2].T)
     row, column = row[steep], column[steep]
     if len(row):
         part = tuple(_reach(places, cell_m) for places in (row, column))
@@ -326,9 +353,9 @@ def _reach(places: Index, cell_m: float) -> slice:
     return slice(max(int(places.min()) - far, 0), int(places.max()) + far + 1)
 
 
-def _steep(trend: Trend, x: Float, y: Float) -> Mask:
-    """Places where a trend rises by more than :data:`_STEEP`."""
+def _steep(trend: Trend, rise: float, x: Float, y: Float) -> Mask:
+    """Places where a trend rises by more than so much [rise/run]."""
     squared = sum(np.gradient(trend.height, TREND_M, axis=axis) ** 2 for axis in (0, 1))
     steepness = Trend(np.sqrt(np.asarray(squared)), trend.left, trend.bottom)
-    steep: Mask = trend_at(steepness, x, y) > _STEEP
+    steep: Mask = trend_at(steepness, x, y) > rise
     return steep

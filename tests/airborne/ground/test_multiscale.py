@@ -5,6 +5,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
@@ -113,6 +114,30 @@ def test_low_outliers_are_found_side_by_side_and_a_ditch_is_not() -> None:
     low = (np.abs(x - 31) < 3) & (np.abs(y - 30) < 1)
     z[low] = -20.0
     assert np.array_equal(low_outliers(np.column_stack([x, y, z])), low)
+
+
+@pytest.mark.parametrize("slope", [0.0, 1.0, 1.7])
+def test_on_steep_ground_a_single_node_is_a_low_outlier_and_a_ditch_is_not(slope: float) -> None:
+    x, y = places(20_000, 100)
+    z = slope * y + np.random.default_rng(6).normal(0, 0.3, len(x))
+    z -= np.where(np.abs(x - 70) < 1.5, 3.5, 0.0)
+    spots = [(east, north) for east in (14, 30, 46) for north in (14, 30, 46, 62, 78)]
+    few = [int(np.hypot(x - east, y - north).argmin()) for east, north in spots]
+    z[few] -= 5.0
+    found = low_outliers(np.column_stack([x, y, z]))
+    assert found[few].all() == (slope > 0.5)
+    found[few] = False
+    assert not found[np.abs(y - 50) < 42].any()
+
+
+def test_of_rough_ground_no_node_is_left_out_and_few_stand_out() -> None:
+    bare = layers_under_shrubs(np.zeros((64, 64), np.bool_))
+    bumps = ndimage.uniform_filter(bare[:, 2].reshape(64, 64), 2, mode="wrap")
+    for height, most in ((3.0 * bare[:, 2], 0.2), (10.0 * bumps.ravel(), 0.12)):
+        rough = np.column_stack([bare[:, :2], height])
+        chosen, high = agreeing_nodes(rough, *np.ones((2, 64 * 64), np.bool_))
+        assert chosen.all()
+        assert high.mean() < most
 
 
 def layers_under_shrubs(shrub: NDArray[np.bool_]) -> Float:

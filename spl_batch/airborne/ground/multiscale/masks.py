@@ -25,6 +25,7 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import (
     off_planes,
 )
 from spl_batch.airborne.ground.multiscale_surface import (
+    ABOVE_SIGMA,
     CELL_M,
     MOST,
     agreeing_nodes,
@@ -56,11 +57,10 @@ range], and least one in others, where fewer points fill it [m]."""
 _BAND_M: Final = 0.5
 """Largest distance from the surface of a ground point, where that is level [m]."""
 
-_ABOVE_SIGMA = 2.5
 _BELOW_SIGMA = 4.0
 _TAIL = 0.9
-"""Ground reaches above the surface by so many spreads of most points below it, as plants stand
-there, and below it by so many of the tail of these points, as nothing grows there."""
+"""Ground reaches below the surface by so many spreads of the tail of the points there, as nothing
+grows below."""
 
 _BAND_SPACINGS = 0.25
 """So many spacings of the points: between them the ground is not known better."""
@@ -236,7 +236,7 @@ def _known(points: Squares, depths: Squares, sigma: Spread) -> _Known:
     sigma_m = sigma.over(depths.first, depths.sums.shape[:2])
     above, below = (
         many * np.maximum(spread_below(depths, share), sigma_m)
-        for many, share in ((_ABOVE_SIGMA, MOST), (_BELOW_SIGMA, _TAIL))
+        for many, share in ((ABOVE_SIGMA, MOST), (_BELOW_SIGMA, _TAIL))
     )
     return _Known(points, above, below, depths.first)
 

@@ -2,7 +2,7 @@
 
 What sensors state is an upper figure: bare cells of real surveys scatter by half of it. A layer as
 thick as stated takes in grass and moss, one too thin loses returns of the ground. The cloud itself
-tells: where a fifth of its cells are as smooth as ranges can be stated to scatter, they are bare,
+tells: where a tenth of its cells are as smooth as ranges can be stated to scatter, they are bare,
 and their scatter is that of the ranges. Heath and closed forest have too few such cells; there the
 least spread is reckoned with, which finds the same terrain in clouds twice as noisy where it is
 even. Where the lowest returns step by metres it loses ground under trees: there the stated one
@@ -44,7 +44,7 @@ STEP_M: Final = 0.002
 STEPS: Final = 100
 """Steps in which their scatter is counted [m]."""
 
-QUANTILE: Final = 0.2
+QUANTILE: Final = 0.1
 """Share of the cells that is bare where there is bare ground."""
 
 CHANCE: Final = 1.15
