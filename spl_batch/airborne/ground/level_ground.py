@@ -32,7 +32,6 @@ from spl_batch.airborne.ground.steep_ground import (
     OTHER,
     STEEP,
     plane_beside,
-    standing,
 )
 from spl_batch.numerics.compiled import njit
 
@@ -101,7 +100,6 @@ def levelled(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: floa
     spacing[held] = spacing_at_m(in_squares(x, y), x, y)
     state = np.full(grid.shape, BARRED, dtype=np.uint8)
     state[held] = np.where(ground[nodes], GROUND, OTHER)
-    state[standing(xyz, grid, ground, cell_m)] = BARRED
     near = np.maximum(NEXT * spacing, EDGE_M)
     other = state == OTHER
     state[other & ~edges(xyz[nearest, 2], other, cell_m)] = BARRED
@@ -146,7 +144,9 @@ def _edges(height: Float, asked: Mask, edge: int, far: int, deck: int, out: Mask
                 other = _drops(height, r, c, -north, -east, edge, far)
                 out[r, c] |= one > 0 or other > 0
                 if one > 0 and other > 0 and one + other <= deck:
-                    if _is_corner(height, r, c, north, east, one + other, edge, far):
+                    between = 0.5 * (one - other)
+                    middle = int(np.rint(r + between * north)), int(np.rint(c + between * east))
+                    if _is_corner(height, *middle, north, east, one + other, edge, far):
                         continue
                     out[r, c] = False
                     break
@@ -158,7 +158,8 @@ def _is_corner(
 ) -> bool:
     """Whether what is so wide at a cell ends as near in front and widens behind, as no deck does.
 
-    ``north``, ``east``: on the way across. ``span``: from wall to wall [cells].
+    ``row``, ``column``: half-way between the walls, so that the way along an oblique deck does not
+    end at its side. ``north``, ``east``: on the way across. ``span``: from wall to wall [cells].
     """
     ends = 0.0
     for turn in (1.0, -1.0):

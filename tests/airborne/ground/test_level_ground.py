@@ -22,7 +22,7 @@ from spl_batch.airborne.ground.level_ground import (
     levelled,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
-from spl_batch.airborne.ground.steep_ground import FEWEST, FLAT, STEEP, standing
+from spl_batch.airborne.ground.steep_ground import FEWEST, FLAT, STEEP
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
 
@@ -57,6 +57,13 @@ def test_rims_and_spurs_of_a_cliff_are_ground(quarry: dict[str, Mask]) -> None:
 @pytest.mark.parametrize("what", ["deck", "hall"])
 def test_ground_goes_on_to_no_deck_and_no_hall(quarry: dict[str, Mask], what: str) -> None:
     assert quarry["found"][quarry[what]].mean() < 0.05
+
+
+def default_ground(x: Float, y: Float, z: Float) -> Mask:
+    """Ground by the default method, in the order of the points."""
+    columns = [np.rint(1000 * v).astype(np.int64) for v in (x, y, z)]
+    table = PointTable(dict(zip("xyz", columns, strict=True)))
+    return ground_mask(table, np.ones(len(x), dtype=np.bool_), GroundSettings())
 
 
 def terraces(seed: int) -> tuple[Float, NDArray[np.int64], Mask]:
@@ -107,15 +114,33 @@ def test_what_widens_behind_its_end_is_a_corner_and_a_pier_is_none() -> None:
     assert not edges(pier, pier > 0, 1.0)[26:35, 24:60].any()
 
 
+@pytest.mark.parametrize("turned_deg", [3, 12, 30])
+def test_a_deck_that_lies_oblique_to_the_grid_is_no_corner(turned_deg: float) -> None:
+    row, column = np.mgrid[0:90, 0:120]
+    cos, sin = np.cos(np.radians(turned_deg)), np.sin(np.radians(turned_deg))
+    along, across = cos * column + sin * (row - 30), cos * (row - 30) - sin * column
+    height = np.where((along < 20) | (along > 80) | (np.abs(across) < 4.5), 7.0, 0.0)
+    deck = (along > 26) & (along < 74) & (np.abs(across) < 4.5)
+    assert deck.sum() > 350
+    assert not edges(height, height > 0, 1.0)[deck].any()
+
+
+def test_the_rim_of_a_low_cliff_on_a_slope_is_ground() -> None:
+    rng = np.random.default_rng(7)
+    x, y = rng.uniform(0, 120, (2, 24_000))
+    rim = 60 + 0.1 * x + 3 * np.sin(x / 4)
+    z = 0.3 * x + 0.3 * y + 6.0 * (y < rim) + rng.normal(0, 0.03, len(x))
+    leaf = rng.random(len(x)) < 0.5
+    z[leaf] += rng.uniform(1, 14, leaf.sum())
+    near = (y < rim) & (y > 48 + 0.1 * x) & ~leaf & (np.abs(x - 60) < 50)
+    assert default_ground(x, y, z)[near].mean() > 0.7
+
+
 def test_the_corner_of_a_plateau_is_ground() -> None:
     rng = np.random.default_rng(7)
     x, y = rng.uniform(0, 140, (2, 30_000))
     plateau = (x < 70 + 0.3 * y) & (y < 90)
-    z = 14.0 * plateau + rng.normal(0, 0.03, len(x))
-    columns = {
-        name: np.rint(1000 * v).astype(np.int64) for name, v in zip("xyz", (x, y, z), strict=True)
-    }
-    found = ground_mask(PointTable(columns), np.ones(len(x), dtype=np.bool_), GroundSettings())
+    found = default_ground(x, y, 14.0 * plateau + rng.normal(0, 0.03, len(x)))
     tip = plateau & (y > 80) & (x > 82)
     assert tip.sum() > 150
     assert found[tip].mean() > 0.8
@@ -129,10 +154,7 @@ def _levelled(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
     known = held & ground[grid]
     asked = held & ~known
     barred = asked & ~edges(xyz[nearest_node(grid), 2], asked, 1.0)
-    cells = {
-        int(grid[*cell]): cell
-        for cell in np.argwhere(held & ~barred & ~standing(xyz, grid, ground, 1.0))
-    }
+    cells = {int(grid[*cell]): cell for cell in np.argwhere(held & ~barred)}
     of = np.array([i for i in cells if ground[i]])
     pairs = cKDTree(xyz[of, :2]).sparse_distance_matrix(cKDTree(xyz[of, :2]), near).tocoo()
     rise = np.abs(xyz[of[pairs.row], 2] - xyz[of[pairs.col], 2])
