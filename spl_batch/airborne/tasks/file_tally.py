@@ -1,7 +1,7 @@
 """What is in an input file, counted chunk by chunk; counts of its parts add up to those of all."""
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,14 @@ from spl_batch.airborne.beams.geometry import (
 )
 from spl_batch.airborne.tasks.return_rate import Rate
 from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
+from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
 
 Track = dict[str, NDArray[np.int64]]
 
 _COUNTED: Final = (
     "points", "timeless", "withheld", "withheld_unclassified", "vendor_noise", "excluded",
+    "lone",
 )  # fmt: skip
 
 YEAR_S: Final = 365.25 * 86_400
@@ -30,11 +32,25 @@ YEAR_S: Final = 365.25 * 86_400
 SEASON_POINTS: Final = 100
 """From so many points within a gap on they are another season's of the same tile [count]."""
 
+SPANS_FEW: Final = 100
+"""So many spans with next to no points are kept: a tile cuts corners of flightlines [count]."""
+
+LONE_SPANS: Final = 1000
+"""Of more spans of a chunk with next to no points nothing is kept in memory [count]."""
+
 FLOWN_S: Final = 50 * YEAR_S
 """Nobody has flown so long before or after the middle of a file's times, with any points [s]."""
 
 _TIMED: Final = ("gps_time", "point_source_id", "x", "y", "scan_angle")
 """Columns that say when and whereto a flightline was flown."""
+
+
+class _Spans(NamedTuple):
+    """Spans of time ``[first, last, points]`` of a file."""
+
+    near: dict[int, list[list[float]]]  #: Of flightlines, by point source id.
+    astray: list[list[float]]  #: Years from the others.
+    scattered: list[list[float]]  #: Too many for the few points that they hold.
 
 
 class Tally:
@@ -74,7 +90,23 @@ class Tally:
             self._low[axis] = min(self._low[axis], int(table[name].min()))
             self._high[axis] = max(self._high[axis], int(table[name].max()))
         self._channels.update(np.flatnonzero(np.bincount(table["channel"])).tolist())
-        self._add_times(table.select(_TIMED).take(rows_of(valid & ~excluded)))
+        timed = table.select(_TIMED).take(rows_of(valid & ~excluded))
+        self._add_times(self._without_lone(timed))
+
+    def _without_lone(self, table: PointTable) -> PointTable:
+        """Points without those of scattered times, of which a file may have as many as points."""
+        time, line = table["gps_time"], table["point_source_id"]
+        order = lexicographic_order([line, time])
+        opens = (np.diff(line[order]) != 0) | (np.diff(time[order]) > self.gap_s)
+        span = np.concatenate([np.zeros(min(len(order), 1), np.intp), np.cumsum(opens)])
+        lone = np.bincount(span) < SEASON_POINTS
+        if np.count_nonzero(lone) <= LONE_SPANS:
+            return table
+        left_out = order[lone[span]]
+        self.counts["lone"] += len(left_out)
+        keep = np.ones(len(table), np.bool_)
+        keep[left_out] = False
+        return table.take(rows_of(keep))
 
     def _add_times(self, table: PointTable) -> None:
         time = table["gps_time"]
@@ -94,7 +126,11 @@ class Tally:
             self._add_track(psid, observe_track(mine))
 
     def _add_steps(self, psid: int, steps: NDArray[np.int64]) -> None:
-        self._steps[psid] = self._steps[psid] + steps if psid in self._steps else steps
+        if psid in self._steps:
+            bins, counts = self._steps[psid]
+            steps[bins] += counts
+        some = np.flatnonzero(steps)  # all bins of all flightlines could fill the memory
+        self._steps[psid] = np.array([some, steps[some]])
 
     def _add_track(self, psid: int, track: Track) -> None:
         earlier = [self.tracks[psid]] if psid in self.tracks else []
@@ -103,42 +139,44 @@ class Tally:
     @property
     def standard(self) -> TimeStandard:
         """How the times are counted, as :func:`~spl_batch.formats.gps_clock.time_standard` says."""
-        near, _ = self._near_and_astray()
+        near = self._near_and_astray().near
         return time_standard(np.array([span[:2] for spans in near.values() for span in spans]))
 
-    def _near_and_astray(self) -> tuple[dict[int, list[list[float]]], list[list[float]]]:
+    def _near_and_astray(self) -> _Spans:
         """Time spans of each flightline, and those of times that none of them can have."""
         merged = {k: merge_spans(v, self.gap_s) for k, v in sorted(self._spans.items())}
         spans = np.array([span for listed in merged.values() for span in listed]).reshape(-1, 3)
+        found = _Spans({}, [], [])
         if not len(spans):
-            return {}, []
+            return found
         order = np.argsort(spans[:, 0], kind="stable")
         total = np.cumsum(spans[order, 2])
         middle = float(spans[order[np.searchsorted(total, total[-1] / 2)], 0])
-        near: dict[int, list[list[float]]] = {}
-        astray: list[list[float]] = []
         for psid, listed in merged.items():
             for span in listed:
                 apart_s = max(span[0] - middle, middle - span[1])
                 few = span[2] < SEASON_POINTS
                 far = apart_s > FLOWN_S or (few and apart_s > YEAR_S)
-                (astray if far else near.setdefault(psid, [])).append(span)
-        return near, astray
+                (found.astray if far else found.near.setdefault(psid, [])).append(span)
+        return _without_scattered(found, 0 if self.counts["lone"] else SPANS_FEW)
 
     def facts(self) -> dict[str, Any]:
         """What later phases and the report read of it."""
-        near, astray = self._near_and_astray()
+        near, astray, scattered = self._near_and_astray()
+        lone = self.counts["lone"] + sum(int(points) for *_, points in scattered)
+        far = sum(int(points) for *_, points in astray)
         return {
             **self.counts,
-            "timeless": self.counts["timeless"] + int(sum(points for *_, points in astray)),
+            "timeless": self.counts["timeless"] + far + lone,
             "astray_s": [first for first, *_ in astray[:1]],
+            "lone": lone,
             "bounds": [*self._low.tolist(), *self._high.tolist()]
             if self.counts["points"]
             else None,
             "channels_seen": f"{sum(1 << channel for channel in self._channels):x}",
             "spans": {str(psid): spans for psid, spans in near.items()},
             "fullest": {str(k): v.fullest() for k, v in sorted(self._rates.items())},
-            "prf_hz": {str(k): estimate_prf(v) for k, v in sorted(self._steps.items())},
+            "prf_hz": {str(k): estimate_prf(_all_bins(v)) for k, v in sorted(self._steps.items())},
         }
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -151,8 +189,7 @@ class Tally:
         }
         for psid, rate in self._rates.items():
             arrays[f"{psid}/spans"] = np.array(self._spans[psid])
-            some = np.flatnonzero(self._steps[psid])
-            arrays[f"{psid}/steps"] = np.array([some, self._steps[psid][some]])
+            arrays[f"{psid}/steps"] = self._steps[psid]
             arrays[f"{psid}/rate"] = np.array(rate.counted())
             arrays |= {f"{psid}/track/{k}": v for k, v in self.tracks[psid].items()}
         return arrays
@@ -168,18 +205,43 @@ class Tally:
             spans = arrays[f"{psid}/spans"].tolist()
             self._spans.setdefault(psid, []).extend([a, b, int(n)] for a, b, n in spans)
             self._rates.setdefault(psid, Rate()).join(*arrays[f"{psid}/rate"])
-            steps = np.zeros(STEP_BINS, np.int64)
-            steps[arrays[f"{psid}/steps"][0]] = arrays[f"{psid}/steps"][1]
-            self._add_steps(psid, steps)
+            self._add_steps(psid, _all_bins(arrays[f"{psid}/steps"]))
             prefix = f"{psid}/track/"
             names = [name for name in arrays if name.startswith(prefix)]
             self._add_track(psid, {k.removeprefix(prefix): arrays[k] for k in names})
+
+
+def _all_bins(steps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Histogram of steps, of its bins that hold some and their counts."""
+    found = np.zeros(STEP_BINS, np.int64)
+    found[steps[0]] = steps[1]
+    return found
 
 
 def spans_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float]]:
     """First and last time of each flightline in what :meth:`Tally.to_arrays` gave [s]."""
     spans = {psid: arrays[f"{psid}/spans"] for psid in arrays["lines"].tolist()}
     return {str(k): [float(v[:, 0].min()), float(v[:, 1].max())] for k, v in spans.items()}
+
+
+def _without_scattered(found: _Spans, left: int) -> _Spans:
+    """Part spans that are flightlines from scattered times, which none has.
+
+    Each flightline costs a run some tasks, so a file's must be worth them: the k-th largest span
+    holds at least k points, and :data:`SEASON_POINTS`. Where more than :data:`SPANS_FEW` spans do
+    not, the times of their points are scattered: none of these spans is a flightline. A file of n
+    points makes no more than ``sqrt(n) + SPANS_FEW`` flightlines, whatever its times are. ``left``
+    in place of :data:`SPANS_FEW`.
+    """
+    points = np.array([span[2] for listed in found.near.values() for span in listed])
+    largest = np.sort(points)[::-1]
+    small = largest < np.maximum(np.arange(1, len(largest) + 1), SEASON_POINTS)
+    if np.count_nonzero(small) <= left:
+        return found
+    most = float(largest[small][0])  # all of this size go: which comes first says nothing
+    near = {k: [s for s in listed if s[2] > most] for k, listed in found.near.items()}
+    scattered = [span for listed in found.near.values() for span in listed if span[2] <= most]
+    return found._replace(near={k: v for k, v in near.items() if v}, scattered=scattered)
 
 
 def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:

@@ -14,7 +14,7 @@ from pyproj import CRS
 
 from spl_batch.airborne.beams.geometry import heading_from_track, merge_track
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.tasks.file_tally import Tally, spans_of
+from spl_batch.airborne.tasks.file_tally import SPANS_FEW, Tally, spans_of
 from spl_batch.airborne.tasks.stretches import KEPT_COLUMNS, add_points
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import unchanged
@@ -113,6 +113,8 @@ def _without_time(known: Mapping[str, Any]) -> list[Remark]:
     why = "not finite, or beyond 1e10 s"
     if known["astray_s"]:
         why = f"such as {known['astray_s'][0]:.6g} s, more than a year from most"
+    if known["lone"]:
+        why = f"scattered over more than {SPANS_FEW} times, with few points at each"
     many = known["timeless"] > 1
     text = (
         f"{grouped(known['timeless'])} point{'s have' if many else ' has'} no usable gps_time "

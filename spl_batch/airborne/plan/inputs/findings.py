@@ -31,8 +31,8 @@ there is none."""
 
 
 _TIMELESS: Final = (
-    "no usable gps_time (none, not finite, or the same for every point); such points are delivered "
-    "unfiltered and are used for nothing else"
+    "no usable gps_time (none, not finite, scattered, or the same for every point); such points "
+    "are delivered unfiltered and are used for nothing else"
 )
 
 
