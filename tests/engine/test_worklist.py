@@ -23,10 +23,12 @@ from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.engine.plan import budget, worker_memory
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
+from spl_batch.engine.store import working_store
 from spl_batch.engine.store.working_store import Store, write_receipt
 from spl_batch.engine.tasks.receipt_index import Shelf
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import SORTED, Worklist
+from spl_batch.formats.files import atomic
 from spl_batch.lattice.density import from_counts
 from spl_batch.lattice.tiles import CellId, cell_bounds, parse_cell
 
@@ -252,10 +254,19 @@ def test_rates_are_those_of_a_stage_whose_kinds_handle_the_same_points(
         for k in range(tasks):
             done = Receipt(kind, f"{k}", "", "", "", {}, {}, points, wall_s, 9.0)
             write_receipt(store, done)
+    listed: list[Path] = []
+
+    def names_in(folder: Path, suffix: str) -> list[str]:
+        listed.append(folder)
+        return atomic.names_in(folder, suffix)
+
+    for module in (budget, working_store):
+        monkeypatch.setattr(module, "names_in", names_in, raising=False)
     rates, measured = budget.measured_rates({"shuffle": 1.0, "ground": 7.0}, context(tmp_path))
     assert measured
     # 120 points take 2 x 9 s to scatter and 12 x 1 s to gather in tiles.
     assert rates == {"shuffle": pytest.approx(4.0), "ground": 7.0}
+    assert len(listed) == len(set(listed)) > 2, "a request each, where the store is far away"
 
 
 def test_the_speed_of_a_stage_counts_each_point_once() -> None:

@@ -2,15 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any, Final, NamedTuple
 
 from spl_batch.engine.plan.worker_memory import enough_mib, usable_bytes
-from spl_batch.engine.store.working_store import Store, read_receipts
+from spl_batch.engine.store.working_store import Store, read_receipt, receipt_names
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.runner import kinds
 from spl_batch.errors import PlanError, grouped
-from spl_batch.formats.files.atomic import names_in
 
 SAMPLE: Final = 1000
 """Receipts of a kind that measured rates are taken from, at most [count]."""
@@ -108,8 +106,9 @@ class _Work(NamedTuple):
 
 def _work(store: Store, kind: str) -> _Work:
     """Points and time of a kind of task, from a sample where there are many."""
-    names = names_in(store.path("receipts", kind), ".json")
-    sample = [r for r in islice(read_receipts(store, kind), SAMPLE) if not r.failed]
+    names = receipt_names(store, kind)
+    made = (read_receipt(store, kind, name) for name in names[:SAMPLE])
+    sample = [receipt for receipt in made if receipt and not receipt.failed]
     if not sample:
         return _Work(0.0, 0.0)
     share = max(len(names) / SAMPLE, 1.0)

@@ -172,12 +172,15 @@ def read_receipt(store: Store, kind: str, name: str) -> Receipt | None:
         return None
 
 
+def receipt_names(store: Store, kind: str) -> list[str]:
+    """Tasks of one kind that have left a receipt, by name."""
+    return [name.replace("~", "/") for name in names_in(store.path("receipts", kind), ".json")]
+
+
 def read_receipts(store: Store, kind: str) -> Iterator[Receipt]:
     """All receipts of one kind, by name."""
-    for name in names_in(store.path("receipts", kind), ".json"):
-        receipt = read_receipt(store, kind, name.replace("~", "/"))
-        if receipt is not None:
-            yield receipt
+    made = (read_receipt(store, kind, name) for name in receipt_names(store, kind))
+    return (receipt for receipt in made if receipt is not None)
 
 
 def append_log(output: Path, event: Mapping[str, Any]) -> None:
