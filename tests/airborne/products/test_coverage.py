@@ -51,6 +51,7 @@ def linear(folder: Path, cell_m: float, output: str, **sections: Any) -> dict[st
         filter={"method": "none"},
         afterpulse={"enabled": False},
         products={"cell_m": cell_m},
+        ground={"cell_m": 100, "buffer_m": 20},  # a square lies on four of them
         **sections,
     )
     surveys.run(folder / "workflow.yaml")

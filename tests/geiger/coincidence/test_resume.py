@@ -21,11 +21,11 @@ from tests.geiger.coincidence.coincidence_scene import SMALL, flown
 
 @pytest.fixture(scope="module")
 def l1(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Frames and detections of the small scene, and a workflow with tiles of 1 m."""
+    """Frames and detections of the small scene, and a workflow with tiles of 2 m."""
     folder = tmp_path_factory.mktemp("coincidence_l1")
     simulate(SMALL, folder)
     content = yaml.safe_load((folder / "workflow.yaml").read_text())
-    content["tiling"] = {"tile_m": 1}
+    content["tiling"] = {"tile_m": 2}
     (folder / "workflow.yaml").write_text(yaml.safe_dump(content))
     return folder
 
