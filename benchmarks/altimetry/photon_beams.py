@@ -9,7 +9,6 @@ from scipy import special
 from spl_batch.altimetry.filter import chance
 from spl_batch.altimetry.filter import signal as signals
 from spl_batch.altimetry.filter.likelihood import Ratios, ratios
-from spl_batch.altimetry.filter.posterior import noise_posterior
 from spl_batch.altimetry.ground.profile import profile
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.noise import windows
@@ -75,7 +74,8 @@ class Beam:
         along, height, each, told = chance.places(self.cells, self.scale, every, RATE)
         prior = signals.log_prior(self.cells, self.scale, RATE, window_m)
         likelihoods = table or ratios(settings.neighbours, settings.contrast_max)
-        found = chance.score_places((along, height), photons, self.scale, prior, RATE, likelihoods)
+        both = RATE, self.signal
+        found = chance.score_places((along, height), photons, self.scale, prior, both, likelihoods)
         expected = counted(along, height, found, each / chance.SHARE_QUANTA)
         stray = each / chance.SHARE_QUANTA * rates.far(along, height, self.cells, RATE)
         strays = counted(along, height, found, stray)
@@ -132,18 +132,9 @@ class Beam:
         """Scores of all photons; by another table of likelihoods where one is given."""
         prior = signals.log_prior(self.cells, self.scale, RATE, self.signal.window_m)
         every = np.ones(len(self.along), np.bool_)
-        if table is None:
-            return signals.score(
-                self.along, self.height, every, self.scale, prior, RATE, self.signal
-            )
-        u, v, cell = signals.scaled(self.along, self.height, self.scale, RATE)
-        uv = np.stack([u - u.min(), v - v.min()], axis=1).astype(np.int32)
-        result = noise_posterior(
-            uv, every, signals.farthest(cell, self.scale),
-            np.pi * self.scale.alpha[cell] / signals.UNIT_QUANTA**2, prior[cell],
-            table.within, table.beyond, (table.first, table.step),
-        )  # fmt: skip
-        return result.astype(np.float32)
+        return signals.score(
+            self.along, self.height, every, self.scale, prior, RATE, self.signal, table
+        )
 
     def mdbscan(self, settings: BaselineSettings) -> Mask:
         """Signal by mDBSCAN."""

@@ -79,19 +79,14 @@ class Cells:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The along-track axis scaled by the noise rate, on the same cells.
+    """Noise of the same cells, and how neighbourhoods follow it.
 
-    One unit of the scaled plane is ``unit_m`` in height and holds ``alpha`` noise photons
-    per square; along the track it is as long as that takes.
+    :mod:`spl_batch.altimetry.noise.planes` makes planes of it in which noise is equally dense.
     """
 
     index: NDArray[np.int64]  #: (n,): cell numbers.
-    start: NDArray[np.float64]  #: (n,): scaled position of the cell's start [units].
-    per_m: NDArray[np.float64]  #: (n,): units per metre of track within the cell [1/m].
-    #: (n,): farthest neighbour that counts; nowhere farther along the track than the reach [units].
-    cap: NDArray[np.float64]
-    #: (n,): noise photons per square unit; 1 unless the reach is what limits a unit's length.
-    alpha: NDArray[np.float64]
+    usual: NDArray[np.float64]  #: (n,): noise that is usual around [1/m2].
+    aspect: NDArray[np.float64]  #: (n,): length over height of a neighbourhood where it is so.
     #: (n,): noise photons expected in the cell, and those of them below a water surface [count].
     noise: NDArray[np.float64]
     below: NDArray[np.float64]
@@ -104,12 +99,9 @@ class Scale:
     fog_low: NDArray[np.int32]
     fog: NDArray[np.float32]
     neighbours: NDArray[np.int64]  #: (n,): neighbours that count [count].
-    #: (n,): noise over the reference, water or not, and the start of the cell on that axis [m].
+    #: (n,): noise over the beam's median, water or not, and the start of the cell on that axis [m].
     stretch: NDArray[np.float64]
     stretched_m: NDArray[np.float64]
-    #: Height of a unit [m]; noise density that gives a unit its aspect [1/m2].
-    unit_m: float
-    reference: float
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays by name, for a file."""
@@ -118,9 +110,4 @@ class Scale:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "Scale":
         """What :meth:`to_arrays` gave."""
-        values = {f.name: arrays[f.name] for f in fields(cls)}
-        return cls(
-            **{k: v for k, v in values.items() if v.ndim},
-            unit_m=float(values["unit_m"]),
-            reference=float(values["reference"]),
-        )
+        return cls(**{f.name: arrays[f.name] for f in fields(cls)})

@@ -36,7 +36,7 @@ def test_a_place_has_the_score_of_a_photon_there() -> None:
         (expected,) = signals.score(along, height, query, scale, prior, RATE, SIGNAL)
         others = along[~query], height[~query]
         at = along[query], height[query]
-        (found,) = chance.score_places(at, others, scale, prior, RATE, TABLE)
+        (found,) = chance.score_places(at, others, scale, prior, (RATE, SIGNAL), TABLE)
         assert found == pytest.approx(expected, rel=1e-5)
 
 
@@ -44,8 +44,8 @@ def test_nothing_is_scored_without_photons_or_places() -> None:
     _, scale, prior = prepared(small_track(5))
     none, some = lattice(small_track(5)), lattice(small_track(5))
     none = none[0][:0], none[1][:0]
-    assert len(chance.score_places(none, some, scale, prior, RATE, TABLE)) == 0
-    assert (chance.score_places(some, none, scale, prior, RATE, TABLE) == 0).all()
+    assert len(chance.score_places(none, some, scale, prior, (RATE, SIGNAL), TABLE)) == 0
+    assert (chance.score_places(some, none, scale, prior, (RATE, SIGNAL), TABLE) == 0).all()
 
 
 @given(cut=st.integers(0, 30))
@@ -81,7 +81,9 @@ def test_places_tell_how_much_noise_passes(colour: str, canopy: float) -> None:
         every = np.ones(len(along), np.bool_)
         bins = signals.score_bins(signals.score(along, height, every, scale, prior, RATE, SIGNAL))
         *at, noise, _ = chance.places(cells, scale, np.ones(len(cells.index), np.bool_), RATE)
-        score = chance.score_places((at[0], at[1]), (along, height), scale, prior, RATE, TABLE)
+        score = chance.score_places(
+            (at[0], at[1]), (along, height), scale, prior, (RATE, SIGNAL), TABLE
+        )
         for least in (850, 950, 1050, 1150):
             passed = signals.score_bins(score) >= least
             expected.append(noise[passed].sum() / chance.SHARE_QUANTA)

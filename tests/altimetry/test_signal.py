@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from benchmarks.altimetry.photon_beams import Beam
 from spl_batch.altimetry.filter import signal as signals
 from spl_batch.altimetry.noise import noise_rate as rates
+from spl_batch.altimetry.noise.planes import planes
 from spl_batch.altimetry.photon_table import Cells
 from spl_batch.altimetry.settings import BaselineSettings, RateSettings, SignalSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
@@ -57,12 +58,79 @@ def test_noise_is_equally_dense_on_the_scaled_axis() -> None:
     cells = rates.observe(along, height, RATE)
     density = rates.density_from_product(cells, track.background, RATE)
     scale = rates.scale(cells, density, RATE, SIGNAL)
-    u, _, _ = signals.scaled(along, height, scale, RATE)
     raw = np.histogram(along, 20)[0]
-    even = np.histogram(u, 20)[0]
     assert raw.std() / raw.mean() > 0.5
-    assert even.std() / even.mean() < 0.06
-    assert np.all(np.diff(u) >= 0), "the order along the track stays"
+    seen = []
+    photons = signals.in_cells(along, height, scale, RATE)
+    for plane in planes(scale, np.arange(len(scale.index)), RATE, SIGNAL):
+        here = signals.placed(photons, plane, scale, RATE)
+        assert np.all(np.diff(here.uv[:, 0]) >= 0), "the order along the track stays"
+        gate = cells.gate_m[plane.rows] / plane.unit_m
+        units2 = gate * plane.per_m * RATE.cell_m
+        count = np.bincount(here.at, minlength=len(plane.rows))
+        seen.append((count[plane.own].sum(), units2[plane.own].sum()))
+    assert sum(count for count, _ in seen) == len(along)
+    for count, units2 in seen:
+        # A unit is longer than the reach allows nowhere here.
+        assert count / units2 == pytest.approx(1.0, abs=0.06 + 3.0 / np.sqrt(count))
+
+
+def beside(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[tuple[np.ndarray, np.ndarray], int]:
+    """Tracks in one, and where the photons of the first of them begin."""
+    along, height = (np.concatenate(v) for v in zip(*parts, strict=True))
+    order = np.lexsort((height, along))
+    return (along[order], height[order]), int(np.count_nonzero(along < parts[0][0].min()))
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    st.sampled_from([-1, 1]), st.sampled_from([0.0002, 0.02, 0.2]), st.integers(1, 4),
+    st.sampled_from([0.0, 300.0]),
+)  # fmt: skip
+def test_labels_depend_on_nothing_far_away(
+    side: int, noise_per_m2: float, seed: int, step_m: float
+) -> None:
+    first, _ = beside([lattice(small_track(seed))])
+    other = lattice(small_track(seed + 9, length_m=1200.0, noise_per_m2=noise_per_m2))
+    other = other[0] + side * 20_000_000, (other[1] + step_m * 1000.0).astype(np.int32)
+    alone = Beam(first, None)
+    photons, start = beside([first, other])
+    together = Beam(photons, None)
+    mine = slice(start, start + len(first[0]))
+    scores = alone.score(), together.score()
+    np.testing.assert_array_equal(scores[0], scores[1][mine])
+    kept = alone.keep(scores[0]), together.keep(scores[1])
+    np.testing.assert_array_equal(kept[0], kept[1][mine])
+
+
+def test_labels_far_from_a_join_do_not_depend_on_what_is_joined() -> None:
+    rng = np.random.default_rng(4)
+    x = np.sort(rng.uniform(0.0, 20_000.0, 8000))
+    z = np.where(rng.random(8000) < 0.7, 20.0 * np.sin(x / 200.0), rng.uniform(-60.0, 60.0, 8000))
+    first = np.rint(x * 1000.0).astype(np.int64), np.rint(z * 1000.0).astype(np.int32)
+    day = lattice(small_track(2, noise_per_m2=0.2))
+    near, alone = first[0] < 2_000_000, Beam(first, None)
+    joined = Beam(beside([first, (day[0] + 20_000_000, day[1])])[0], None)
+    scores = alone.score(), joined.score()
+    kept = alone.keep(scores[0]), joined.keep(scores[1])
+    for one, other in (scores, kept):
+        np.testing.assert_array_equal(one[near], other[: len(first[0])][near])
+    assert 0.5 < kept[0].mean() < 1.0
+
+
+@pytest.mark.parametrize("night_m", [1.0, 20_000.0])
+def test_a_night_behind_a_day_spoils_no_labels(night_m: float) -> None:
+    day = simulate_track(scene("mountain", "infrared", 3, length_m=2000.0))
+    night = simulate_track(
+        scene("mountain", "infrared", 4, length_m=6000.0, noise_per_m2=1e-6, patch=1.0)
+    )
+    photons, _ = beside(
+        [lattice(day), (lattice(night)[0] + 2_000_000 + int(night_m * 1000.0), lattice(night)[1])]
+    )
+    beam = Beam(photons, None)
+    kept, truth = beam.keep(beam.score())[: len(day.truth)], day.truth > 0
+    both = np.count_nonzero(kept & truth)
+    assert 2.0 * both / (kept.sum() + truth.sum()) > (0.9 if night_m < 100.0 else 0.95)
 
 
 def pieces(along: np.ndarray, cuts: list[int], reach: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -203,7 +271,8 @@ def test_a_segment_of_few_photons_fits_the_lattice() -> None:
         fog[:, :3],
     )
     scaled = rates.scale(sparse, np.full(len(index), 1e-6), RATE, SIGNAL)
-    cells = signals.most_cells(scaled, RATE)
-    assert (scaled.start[-1] - scaled.start[0]) * signals.UNIT_QUANTA > 2**30
+    cells = signals.most_cells(scaled, RATE, SIGNAL)
+    (plane,) = planes(scaled, np.arange(len(index)), RATE, SIGNAL)
+    assert plane.start[-1] - plane.start[0] > 2**30
     assert 10_000 < cells < len(index)
-    assert (scaled.start[cells] - scaled.start[0]) * signals.UNIT_QUANTA < 2**30
+    assert plane.start[cells] - plane.start[0] < 2**30

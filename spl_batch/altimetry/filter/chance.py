@@ -22,16 +22,16 @@ from scipy.spatial import cKDTree
 from spl_batch.altimetry.filter.likelihood import Ratios
 from spl_batch.altimetry.filter.signal import (
     SURE_SD,
-    UNIT_QUANTA,
-    farthest,
+    Placed,
     few_strays,
+    in_cells,
     is_sure,
-    local_alpha,
-    scaled,
+    placed,
 )
 from spl_batch.altimetry.noise.noise_at import noise_at, noise_told
+from spl_batch.altimetry.noise.planes import UNIT_QUANTA, planes
 from spl_batch.altimetry.photon_table import Cells, Scale
-from spl_batch.altimetry.settings import RateSettings
+from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.lattice.tiles import quanta
 
 SHARE_QUANTA: Final = 1 << 20
@@ -99,7 +99,7 @@ def score_places(
     photons: tuple[NDArray[np.int64], NDArray[np.int32]],
     scale: Scale,
     prior: NDArray[np.float64],
-    rate: RateSettings,
+    settings: tuple[RateSettings, SignalSettings],
     table: Ratios,
 ) -> NDArray[np.float32]:
     """Mean ln P(noise) that a photon would have at each place, (p,) float32.
@@ -110,42 +110,66 @@ def score_places(
         Places along the track and in height [quanta].
     photons : ((n,) int64, (n,) int32)
         Photons of the piece of track and of ``reach_m`` to each side, likewise.
-    scale, prior, rate
+    scale, prior
         As of :func:`spl_batch.altimetry.filter.signal.score`.
+    settings : (RateSettings, SignalSettings)
+        Cells; aspect and reach.
     table : Ratios
         Likelihoods, those that the photons are scored by.
     """
-    u, v, cell = scaled(*at, scale, rate)
-    others = np.stack(scaled(*photons, scale, rate)[:2], axis=1)
-    out = np.empty(len(u), np.float32)
-    if not len(others) or not len(u):
-        out[:] = 0.0
+    rate, signal = settings
+    out = np.zeros(len(at[0]), np.float32)
+    if not len(photons[0]):
         return out
-    anchor = others.min(axis=0)
-    # There are eight photons to a place: a tree that is quick to make wins.
-    tree = cKDTree((others - anchor).astype(np.float64), compact_nodes=False, balanced_tree=False)
-    area = np.pi * local_alpha(cell, at[1], scale) / UNIT_QUANTA**2
-    cap = farthest(cell, scale).astype(np.float64)
-    columns = np.arange(table.within.shape[1])
-    most = scale.neighbours[cell]
-    wanted = np.arange(1, int(most.max(initial=1)) + 1)
-    for first in range(0, len(u), _BATCH):
-        rows = slice(first, first + _BATCH)
-        here = np.stack([u[rows], v[rows]], axis=1) - anchor
-        # A list of neighbours gives two dimensions, of a single one too.
-        distance = np.asarray(tree.query(here, k=wanted, distance_upper_bound=cap.max() + 0.5)[0])
-        total = np.zeros(len(here))
-        for k in range(int(most[rows].max())):
-            found = distance[:, k] <= cap[rows]
-            squared = np.where(found, np.maximum(distance[:, k], 1.0), cap[rows]) ** 2
-            column = (np.log(squared * area[rows]) - table.first) * table.step
-            ratio = np.empty(len(column))
-            for some, row in ((found, table.within[k]), (~found, table.beyond[k])):
-                ratio[some] = np.interp(column[some], columns, row)
-            log_noise = np.logaddexp(0.0, ratio + prior[cell[rows]])
-            total -= np.where(k < most[rows], log_noise, 0.0)
-        out[rows] = total / most[rows]
+    own, given = (in_cells(*some, scale, rate) for some in (at, photons))
+    for plane in planes(scale, np.unique(own.cell), rate, signal):
+        here, others = (placed(some, plane, scale, rate) for some in (own, given))
+        mine = plane.own[here.at]
+        here = Placed(here.rows[mine], here.uv[mine], here.at[mine], here.alpha[mine])
+        anchor = others.uv.min(axis=0)
+        # There are eight photons to a place: a tree that is quick to make wins.
+        tree = cKDTree(
+            (others.uv - anchor).astype(np.float64), compact_nodes=False, balanced_tree=False
+        )
+        cap = here.farthest(plane).astype(np.float64)
+        cell = plane.rows[here.at]
+        most, log_prior = scale.neighbours[cell], prior[cell]
+        for first in range(0, len(cap), _BATCH):
+            rows = slice(first, first + _BATCH)
+            scores = _scores(
+                tree, here.uv[rows] - anchor, (cap[rows], here.alpha[rows]), log_prior[rows],
+                most[rows], table,
+            )  # fmt: skip
+            out[here.rows[rows]] = scores
     return out
+
+
+def _scores(
+    tree: cKDTree,
+    here: NDArray[np.int64],
+    plane: tuple[NDArray[np.float64], NDArray[np.float64]],
+    log_prior: NDArray[np.float64],
+    most: NDArray[np.int64],
+    table: Ratios,
+) -> NDArray[np.float64]:
+    """Scores of places in a plane, (p,) float64; ``plane``: cap and alpha of each."""
+    cap, alpha = plane
+    wanted = np.arange(1, int(most.max()) + 1)
+    # A list of neighbours gives two dimensions, of a single one too.
+    distance = np.asarray(tree.query(here, k=wanted, distance_upper_bound=cap.max() + 0.5)[0])
+    columns = np.arange(table.within.shape[1])
+    area = np.pi * alpha / UNIT_QUANTA**2
+    total = np.zeros(len(here))
+    for k in range(len(wanted)):
+        found = distance[:, k] <= cap
+        squared = np.where(found, np.maximum(distance[:, k], 1.0), cap) ** 2
+        column = (np.log(squared * area) - table.first) * table.step
+        ratio = np.empty(len(column))
+        for some, row in ((found, table.within[k]), (~found, table.beyond[k])):
+            ratio[some] = np.interp(column[some], columns, row)
+        log_noise = np.logaddexp(0.0, ratio + log_prior)
+        total -= np.where(k < most, log_noise, 0.0)
+    return total / most
 
 
 def noise_alone(taken: float, noise: float, share: float, neighbours: int) -> float:

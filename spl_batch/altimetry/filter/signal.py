@@ -15,28 +15,22 @@ Deviations from the source, with reasons:
   read off the same scores, in the part of the gate that is far from the surface.
 """
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spl_batch.altimetry.filter.likelihood import ratios
+from spl_batch.altimetry.filter.likelihood import Ratios, ratios
 from spl_batch.altimetry.filter.posterior import noise_posterior
 from spl_batch.altimetry.noise.noise_at import below_surface, in_fog, noise_at
-from spl_batch.altimetry.noise.noise_rate import (
-    ALPHA_MIN,
-    CAP_UNITS,
-)
+from spl_batch.altimetry.noise.planes import ALPHA_MIN, CAP_UNITS, UNIT_QUANTA, Plane, planes
 from spl_batch.altimetry.noise.windows import of_window
 from spl_batch.altimetry.photon_table import Cells, Scale
 from spl_batch.altimetry.settings import BaselineSettings, RateSettings, SignalSettings
 from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
-
-UNIT_QUANTA: Final = 4096
-"""Lattice of the scaled plane [quanta per unit]."""
 
 SCORE_BINS: Final = 1600
 SURE_SD: Final = 3.0
@@ -50,60 +44,65 @@ _LN_FIRST: Final = -10.0
 _NOISE_SHARE: Final = (0.01, 0.999)
 
 
-def scaled(
+class Photons(NamedTuple):
+    """Photons, or places."""
+
+    along: NDArray[np.int64]  #: (n,): along the track [quanta].
+    height: NDArray[np.int32]  #: (n,): [quanta].
+    cell: NDArray[np.intp]  #: (n,): rows of the scale.
+
+
+def in_cells(
     along: NDArray[np.int64], height: NDArray[np.int32], scale: Scale, rate: RateSettings
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.intp]]:
-    """Position in the scaled plane, and the row of the photon's cell.
+) -> Photons:
+    """Photons with the rows of their cells."""
+    return Photons(along, height, np.searchsorted(scale.index, along // quanta(rate.cell_m)))
 
-    Parameters
-    ----------
-    along, height : (n,) int64, (n,) int32
-        Photons [quanta].
 
-    Returns
-    -------
-    u, v : (n,) int64
-        Along the track, and height [1/4096 units].
-    cell : (n,) intp
-        Rows of ``scale``.
-    """
+class Placed(NamedTuple):
+    """Photons in a plane."""
+
+    rows: NDArray[np.intp]  #: (p,): those of all that lie in it.
+    uv: NDArray[np.int64]  #: (p, 2): along the track, and height [1/4096 units].
+    at: NDArray[np.intp]  #: (p,): rows of the plane's cells.
+    alpha: NDArray[np.float64]  #: (p,): noise photons per square unit.
+
+    def farthest(self, plane: Plane) -> NDArray[np.int64]:
+        """Farthest neighbour that counts, (p,) int64 [1/4096 units]."""
+        return np.maximum(np.floor(plane.cap[self.at] * UNIT_QUANTA), 1.0).astype(np.int64)
+
+
+def placed(photons: Photons, plane: Plane, scale: Scale, rate: RateSettings) -> Placed:
+    """Photons, or places, of the cells of a plane where they lie in it."""
+    along, height, cell = photons
     size = quanta(rate.cell_m)
-    cell = np.searchsorted(scale.index, along // size)
-    inside_m = (along - scale.index[cell] * size) / QUANTA_PER_M
-    u = np.rint((scale.start[cell] + inside_m * scale.per_m[cell]) * UNIT_QUANTA)
-    v = np.rint(height * (UNIT_QUANTA / (QUANTA_PER_M * scale.unit_m)))
+    at = plane.row_of(len(scale.index))[cell]
+    rows = np.flatnonzero(at >= 0)
+    cell, at, z = cell[rows], at[rows], height[rows]
+    inside_m = (along[rows] - scale.index[cell] * size) / QUANTA_PER_M
+    u = plane.start[at] + np.rint(inside_m * plane.per_m[at] * UNIT_QUANTA).astype(np.int64)
+    v = np.rint(z * (UNIT_QUANTA / (QUANTA_PER_M * plane.unit_m)))
     # A surface lends no photons to what lies below it: that is set off by the farthest neighbour.
-    v -= below_surface(cell, height, scale) * np.ceil((CAP_UNITS + 1.0) * UNIT_QUANTA)
+    v -= below_surface(cell, z, scale) * np.ceil((CAP_UNITS + 1.0) * UNIT_QUANTA)
     # A cloud lends none to what is around it, and is lent none: it lies above all else.
-    v += in_fog(cell, height, scale) * _ABOVE_ALL
-    return u.astype(np.int64), v.astype(np.int64), cell
+    cloud = in_fog(cell, z, scale)
+    v += cloud * _ABOVE_ALL
+    wet = scale.level[cell] != NO_WATER
+    alpha = plane.alpha[at]
+    if wet.any() or cloud.any():
+        own = np.maximum(noise_at(cell, z, scale) * plane.unit_m / plane.per_m[at], ALPHA_MIN)
+        alpha = np.where(wet | cloud, own, alpha)
+    return Placed(rows, np.stack([u, v.astype(np.int64)], axis=1), at, alpha)
 
 
-def local_alpha(
-    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
-) -> NDArray[np.float64]:
-    """Noise photons per square unit of the scaled plane where photons are, (n,) float64."""
-    wet, cloud = scale.level != NO_WATER, in_fog(cell, height, scale)
-    if not (wet.any() or cloud.any()):
-        return scale.alpha[cell]
-    own = noise_at(cell, height, scale) * scale.unit_m / scale.per_m[cell]
-    found: NDArray[np.float64] = np.where(
-        wet[cell] | cloud, np.maximum(own, ALPHA_MIN), scale.alpha[cell]
-    )
-    return found
-
-
-def farthest(cell: NDArray[np.intp], scale: Scale) -> NDArray[np.int64]:
-    """Farthest neighbour that counts, of photons by the row of their cell: (n,) int64 [quanta]."""
-    return np.maximum(np.floor(scale.cap[cell] * UNIT_QUANTA), 1.0).astype(np.int64)
-
-
-def most_cells(scale: Scale, rate: RateSettings) -> int:
+def most_cells(scale: Scale, rate: RateSettings, signal: SignalSettings) -> int:
     """Cells, as far apart as they may be, that the lattice has room for [count].
 
     Where photons are few, a segment is long: its positions are int32 from its first one.
     """
-    widest = float(scale.per_m.max(initial=0.0)) * rate.cell_m + 2.0 * CAP_UNITS
+    every = np.arange(len(scale.index))
+    most = max((float(p.per_m.max()) for p in planes(scale, every, rate, signal)), default=0.0)
+    widest = most * rate.cell_m + 2.0 * CAP_UNITS
     # Half of the room, so that the reach to either side fits in as well.
     return max(int(2**30 / (widest * UNIT_QUANTA)), 1)
 
@@ -128,6 +127,7 @@ def score(
     prior: NDArray[np.float64],
     rate: RateSettings,
     settings: SignalSettings,
+    table: Ratios | None = None,
 ) -> NDArray[np.float32]:
     """Mean ln P(noise) of the query photons, (q,) float32; all within the reach are given.
 
@@ -141,23 +141,29 @@ def score(
         From :func:`log_prior`.
     rate, settings : RateSettings, SignalSettings
         Cells; neighbours and contrasts.
+    table : Ratios, optional
+        Other likelihoods than those of the settings.
     """
-    u, v, cell = scaled(along, height, scale, rate)
-    anchor = np.array([u.min(initial=0), v.min(initial=0)])
-    uv = np.stack([u - anchor[0], v - anchor[1]], axis=1).astype(np.int32)
-    table = ratios(settings.neighbours, settings.contrast_max)
-    result = noise_posterior(
-        uv,
-        query,
-        farthest(cell, scale),
-        np.pi * local_alpha(cell, height, scale) / UNIT_QUANTA**2,
-        prior[cell],
-        table.within,
-        table.beyond,
-        (table.first, table.step),
-        scale.neighbours[cell],
-    )
-    return result.astype(np.float32)
+    out = np.zeros(len(along), np.float32)
+    table = table or ratios(settings.neighbours, settings.contrast_max)
+    photons = in_cells(along, height, scale, rate)
+    for plane in planes(scale, np.unique(photons.cell[query]), rate, settings):
+        here = placed(photons, plane, scale, rate)
+        own = query[here.rows] & plane.own[here.at]
+        cell = plane.rows[here.at]
+        result = noise_posterior(
+            (here.uv - here.uv.min(axis=0)).astype(np.int32),
+            own,
+            here.farthest(plane),
+            np.pi * here.alpha / UNIT_QUANTA**2,
+            prior[cell],
+            table.within,
+            table.beyond,
+            (table.first, table.step),
+            scale.neighbours[cell],
+        )
+        out[here.rows[own]] = result
+    return out[query]
 
 
 def score_bins(score: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -8,10 +8,6 @@ A gate that follows the terrain leaves a few hundred metres, so the window here 
 the gate that is farther than a buffer from the surface: the fullest three bins of height of
 a cell and its two neighbours (as the first step of DCC does, [W17] 3.2.3), the median of
 which over five cells passes over a bin that noise filled.
-
-Deviation: the source multiplies a cell by its rate, whatever the rate. At night that would
-press kilometres into a point, so a unit is never longer than the reach allows and the noise
-density in the scaled plane, 1 elsewhere, is less there.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,6 +23,7 @@ from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, stretches
 from spl_batch.altimetry.noise.layers_above import BIN_M, GROUND_CELLS, PATCH_CELLS, above, foot
 from spl_batch.altimetry.noise.mist import find_mist, hidden
 from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
+from spl_batch.altimetry.noise.planes import CAP_UNITS, UNIT_M, usual_noise
 from spl_batch.altimetry.noise.windows import of_window
 from spl_batch.altimetry.photon_table import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
@@ -54,13 +51,6 @@ NOTHING_SEEN: Final = 3.0
 
 WINDOW_LEAST_M: Final = 4.0
 """Least gate away from a surface: no noise there tells of so much of it [m]."""
-
-CAP_UNITS: Final = 5.0
-"""Farthest neighbour in the scaled plane [units]; 78 noise photons are expected nearer."""
-
-_UNIT_M: Final = (0.5, 15.0)
-ALPHA_MIN: Final = 1e-4
-"""Least noise in a unit [1/unit2]."""
 
 
 def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateSettings) -> Cells:
@@ -280,7 +270,7 @@ def scale(
     rate: RateSettings,
     signal: SignalSettings,
 ) -> Scale:
-    """Scale the along-track axis so that noise is equally dense all along it.
+    """What neighbourhoods of each cell follow, and the noise expected in it.
 
     Parameters
     ----------
@@ -292,52 +282,32 @@ def scale(
     column = local_column(cells.index, cells.level, cells.column, density)
     first = local_column(cells.index, cells.level, cells.first[:, None], density)[:, 0]
     noise, below = _expected(cells, density, column, rate)
-    known = density[density > 0]
-    reference = float(np.median(known)) if len(known) else 1e-6
-    wet = cells.level != NO_WATER
-    aspect = aspects(cells, signal)
-    unit_m = 1.0 / np.sqrt(reference * signal.aspect)
-    longest_m = signal.reach_m / (CAP_UNITS * signal.aspect)
-    unit_m = float(np.clip(unit_m, _UNIT_M[0], max(min(_UNIT_M[1], longest_m), _UNIT_M[0])))
-    wanted = density if signal.scaling else np.full(len(density), reference)
-    # By night noise would press kilometres into a unit: none is longer than its share of the reach.
-    floor = 1.0 / (aspect * unit_m * longest_m)
-    used = np.where(wet, reference, wanted) / (reference * aspect * unit_m**2)
-    used = np.maximum(used, floor)
-    per_m = used * unit_m
-    alpha = np.maximum(wanted / used, ALPHA_MIN)
-    cap = np.minimum(CAP_UNITS, signal.reach_m * _least_around(per_m, signal, rate))
-    gap = np.diff(cells.index, prepend=cells.index[:1]) - 1
-    step = per_m * rate.cell_m
-    # Beyond twice the farthest neighbour it does not matter how far.
-    apart_m = np.maximum(gap, 0) * rate.cell_m
-    before = np.minimum(apart_m * CAP_UNITS / signal.reach_m, 2 * CAP_UNITS)
-    start = np.cumsum(before) + np.concatenate([[0.0], np.cumsum(step)[:-1]])
-    # The axis of mDBSCAN knows no water.
-    dry_m = float(np.clip(1.0 / np.sqrt(reference * signal.aspect), *_UNIT_M))
-    least = CAP_UNITS / (dry_m * signal.reach_m)
-    # By night all of the track is at the least: it keeps its length.
-    normal = max(reference, least)
-    stretch = np.maximum(wanted, least) / normal
-    apart = np.minimum(apart_m * least / normal, 2 * CAP_UNITS / (normal * dry_m))
-    lengths = np.concatenate([[0.0], np.cumsum(stretch * rate.cell_m)[:-1]])
-    stretched_m = np.cumsum(apart) + lengths[: len(stretch)]
+    usual = usual_noise(cells.index, density, signal)
     return Scale(
-        cells.index, start, per_m, cap, alpha, noise, below, density, cells.level, column, first,
-        cells.top, cells.fog_low, cells.fog, neighbours(cells, density, rate, signal), stretch,
-        stretched_m, unit_m, reference,
+        cells.index, usual, aspects(cells, signal), noise, below, density,
+        cells.level, column, first, cells.top, cells.fog_low, cells.fog,
+        neighbours(cells, density, rate, signal), *_mdbscan_axis(cells, density, rate, signal),
     )  # fmt: skip
 
 
-def _least_around(
-    values: NDArray[np.float64], signal: SignalSettings, rate: RateSettings
-) -> NDArray[np.float64]:
-    """The least of the values of all cells within the reach, (n,) float64."""
-    if not len(values):
-        return values
-    cells = int(np.ceil(signal.reach_m / rate.cell_m)) + 1
-    least: NDArray[np.float64] = ndimage.minimum_filter1d(values, 2 * cells + 1, mode="nearest")
-    return least
+def _mdbscan_axis(
+    cells: Cells, density: NDArray[np.float64], rate: RateSettings, signal: SignalSettings
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Stretch of each cell on the axis of mDBSCAN, and its start: (n,) float64 [m/m, m].
+
+    As in the source the whole beam has one; it knows no water.
+    """
+    reference = float(np.median(density)) if len(density) else 1.0
+    dry_m = float(np.clip(1.0 / np.sqrt(reference * signal.aspect), *UNIT_M))
+    least = CAP_UNITS / (dry_m * signal.reach_m)
+    # By night all of the track is at the least: it keeps its length.
+    normal = max(reference, least)
+    wanted = density if signal.scaling else np.full(len(density), reference)
+    stretch = np.maximum(wanted, least) / normal
+    gap_m = np.maximum(np.diff(cells.index, prepend=cells.index[:1]) - 1, 0) * rate.cell_m
+    apart = np.minimum(gap_m * least / normal, 2 * CAP_UNITS / (normal * dry_m))
+    lengths = np.concatenate([[0.0], np.cumsum(stretch * rate.cell_m)[:-1]])
+    return stretch, np.cumsum(apart) + lengths[: len(stretch)]
 
 
 def _expected(

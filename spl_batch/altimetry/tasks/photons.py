@@ -68,7 +68,10 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
     far = rates.far_length_m(cells, workflow.rate)
     arrays = {f"cells_{k}": v for k, v in cells.to_arrays().items()}
     write_arrays(path, {**arrays, **scale.to_arrays(), "far_m": far})
-    limits = workflow.work.segment_photons, signals.most_cells(scale, workflow.rate)
+    limits = (
+        workflow.work.segment_photons,
+        signals.most_cells(scale, workflow.rate, workflow.signal),
+    )
     if workflow.signal.method in PEERS:
         # Their thresholds are those of a whole beam.
         limits = int(cells.count.sum()) + 1, len(cells.index) + 1
@@ -201,7 +204,7 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
             along, height, each, told = chance.places(cells, scale, owned, workflow.rate)
             likelihoods = ratios(workflow.signal.neighbours, workflow.signal.contrast_max)
             at = along, height
-            found = chance.score_places(at, photons, scale, prior, workflow.rate, likelihoods)
+            found = chance.score_places(at, photons, scale, prior, rest, likelihoods)
             cell = np.searchsorted(cells.index, along // size)
             noise = {
                 "along": along,
