@@ -170,16 +170,20 @@ class InputError(SplBatchError, ValueError):
 
 
 def is_fault(error: BaseException) -> bool:
-    """Whether something went wrong, and nobody just wants the program to stop.
+    """Whether something went wrong, and nobody just wants the program, or a generator, to stop.
 
-    The Rust decoder of LAZ panics with an exception that derives from ``BaseException``.
+    Libraries have exceptions of their own that derive from ``BaseException``: the Rust decoder of
+    LAZ panics with one.
     """
-    return isinstance(error, Exception) or type(error).__name__ == "PanicException"
+    return not isinstance(error, KeyboardInterrupt | SystemExit | GeneratorExit)
 
 
 def one_line(error: BaseException) -> str:
     """Kind and message of an exception in one line of at most 200 characters."""
-    text = plain(" ".join(str(error).split()))
+    try:
+        text = plain(" ".join(str(error).split()))
+    except Exception as silent:  # noqa: BLE001 - it may be anything, and its kind is told
+        text = f"its message cannot be written ({type(silent).__name__})"
     said = f"{type(error).__name__}: {text}" if text else type(error).__name__
     return said if len(said) <= 200 else f"{said[:197]}..."
 

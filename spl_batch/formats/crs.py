@@ -199,6 +199,13 @@ def same_crs(a: CRS, b: CRS) -> bool:
     return code is not None and code == second.to_epsg()
 
 
+def other_crs(found: CRS, survey: CRS) -> str:
+    """Sentence about a CRS that is not the survey's."""
+    if found.name == survey.name:
+        return f"CRS {found.name!r} has other parameters than the survey's of that name"
+    return f"CRS {found.name!r} is not the survey's {survey.name!r}"
+
+
 def crs_name(crs: CRS) -> str:
     """Name and, where there is one, EPSG code."""
     code = crs.to_epsg()

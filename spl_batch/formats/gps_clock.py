@@ -137,7 +137,7 @@ def _nearest_week(time: NDArray[np.float64], middle: float) -> NDArray[np.float6
 def _refuse_ambiguous(span_s: float, which: str, other: str) -> None:
     if span_s > GPS_WEEK_S / 2:
         raise ValueError(
-            f"the {other} are in seconds of the GPS week and the {which} span"
+            f"the times of the {other} are in seconds of the GPS week and the {which} span"
             f" {span_s / 86400:.1f} days, so the week is ambiguous: give both in adjusted"
             " standard time"
         )

@@ -1,5 +1,6 @@
 """Whatever a task raises becomes its receipt; only a wish to stop and a full disk pass."""
 
+import asyncio
 import errno
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,22 @@ class PanicException(BaseException):
     """What a panic in Rust raises."""
 
 
+class ForeignError(BaseException):
+    """What a library may derive from the class of wishes to stop."""
+
+
+class SpeechlessError(Exception):
+    """One that cannot tell what it is."""
+
+    def __str__(self) -> str:
+        """Fail."""
+        raise ValueError
+
+
 FAULTS: list[BaseException] = [
+    ForeignError("a library's own"),
+    asyncio.CancelledError(),
+    SpeechlessError(),
     ValueError("negative dimensions are not allowed"),
     OverflowError("Python int too large to convert to C long"),
     np.exceptions.AxisError(3, 1),

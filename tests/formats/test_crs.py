@@ -11,6 +11,7 @@ from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
     crs_problems,
     horizontal,
+    other_crs,
     parse_crs,
     same_crs,
     vertical,
@@ -106,3 +107,12 @@ def test_what_is_no_vertical_crs_of_the_files_is_refused(
     given = None if crs is None else CRS.from_user_input(crs)
     with pytest.raises(WorkflowError, match=f"key: .*{fault}"):
         with_vertical(given, text, "key")
+
+
+def test_another_crs_of_the_same_name_is_called_so() -> None:
+    zone = CRS.from_epsg(32615)
+    moved = CRS.from_wkt(zone.to_wkt().replace('"False easting",500000', '"False easting",500001'))
+    assert not same_crs(moved, zone)
+    assert other_crs(moved, zone).endswith("has other parameters than the survey's of that name")
+    said = other_crs(CRS.from_epsg(32616), zone)
+    assert said == "CRS 'WGS 84 / UTM zone 16N' is not the survey's 'WGS 84 / UTM zone 15N'"

@@ -4,8 +4,10 @@ A phase looks only at receipts of the phases before it. What failed there is lef
 its points stay unlabelled, the rest goes on.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
+from typing import Final
 
 from spl_batch.airborne.plan import catalogue_tasks, reference_tasks, space_tasks, strip_tasks
 from spl_batch.airborne.plan.flightlines import Flightline
@@ -22,6 +24,9 @@ RANGE_POINTS = 2_000_000
 
 POSITIONS_MARGIN_S = 30.0
 """More than the longest gap of a trajectory that is interpolated over, and leap seconds [s]."""
+
+FEW_POINTS: Final = 0.001
+"""Share of points at either end of all times that may be wrong ones."""
 
 
 def _trajectory_file(survey: Survey) -> Iterator[Task]:
@@ -80,11 +85,28 @@ def _trajectory(survey: Survey) -> Iterator[Task]:
     args = {
         "paths": [str(path) for path in sound],
         "stamps": [stamp_if_there(path) for path in sound],
-        "time_span_s": [min(x.first_s for x in lines), max(x.last_s for x in lines)],
+        "time_span_s": _time_of_most(lines),
         "bounds_m": [*low, *high],
     }
     needs = tuple(("trajectory_file", _file_task(path)) for path in sound)
     yield Task("trajectory", "all", args, needs)
+
+
+def _time_of_most(lines: Sequence[Flightline]) -> list[float]:
+    """First and last time of flightlines, but for the few points at either end of all [s].
+
+    One in a thousand at most: a few wrong times are no time of the survey's, and would leave open
+    in which week a trajectory was flown.
+    """
+    ordered = sorted(lines, key=lambda line: line.first_s)
+    upto = list(accumulate(line.points for line in ordered))
+    few = FEW_POINTS * upto[-1]
+    most = [
+        line
+        for line, end in zip(ordered, upto, strict=True)
+        if end > few and upto[-1] - end + line.points > few
+    ]
+    return [most[0].first_s, max(line.last_s for line in most)]
 
 
 def _heading(survey: Survey) -> Iterator[Task]:

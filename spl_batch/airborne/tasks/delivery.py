@@ -29,7 +29,9 @@ from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.errors import Remark, WorkflowError, counted
 from spl_batch.formats.geoid import Geoid
+from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc_copy import copy_as_copc
+from spl_batch.formats.las.descriptors import put_in_order
 from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records
@@ -38,6 +40,7 @@ from spl_batch.formats.las.writer import (
     KEEP_BUT_GROUND,
     KEEP_CLASS,
     Decoded,
+    added_names,
     kept_classes,
     write_classified,
     write_points,
@@ -141,23 +144,29 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             classes=classes,
             moved=moved,
         )
-    broken = Counter(broken_records(read_header(source)))
+    header = read_header(source)
+    broken = Counter(broken_records(header))
+    mended = Counter(
+        put_in_order(
+            header, copied_format(header.point_format), added_names(diagnostics=diagnostics)
+        )
+    )
     facts = {
         "name": args["delivered"],
         "points": written,
         "noise_class": _nonzero(labels.counts),
         "classes": _nonzero(classes),
         "records_left_out": broken.total(),
-        "warnings": [*_left_out(broken)],
+        "warnings": [*_of_header(broken, "left out of"), *_of_header(mended, "so in")],
     }
     return Produced([target], facts, written)
 
 
-def _left_out(broken: Mapping[str, int]) -> Iterator[Remark]:
-    """Name the header records that a copy does without."""
-    for text, count in broken.items():
+def _of_header(records: Mapping[str, int], done: str) -> Iterator[Remark]:
+    """Name what of a header a copy does without, or has in another way."""
+    for text, count in records.items():
         times = f", {count} times" if count > 1 else ""
-        yield Remark(f"{text}{times}; left out of the delivered copy")
+        yield Remark(f"{text}{times}; {done} the delivered copy")
 
 
 def _decoded(args: Mapping[str, Any], context: Context) -> Decoded | None:

@@ -136,7 +136,12 @@ def _kind(task: Task, context: RunContext[Any]) -> Kind:
 
 
 def finished(
-    task: Task, key: str, context: RunContext[Any], *, verify: bool = False
+    task: Task,
+    key: str,
+    context: RunContext[Any],
+    *,
+    verify: bool = False,
+    altered: list[str] | None = None,
 ) -> Receipt | None:
     """Receipt of a task that needs no doing: it matches, and its outputs are there.
 
@@ -148,12 +153,17 @@ def finished(
     ----------
     verify : bool
         Compare the checksums of all outputs, which reads all of them.
+    altered : list of str, optional
+        Outputs that are not as they were written are added to it.
     """
     receipt = read_receipt(context.store, task.kind, task.name)
     if receipt is None or receipt.failed or receipt.key != key:
         return None
-    if not all(_unchanged(name, receipt, context, verify=verify) for name in receipt.outputs):
-        return None
+    for name in receipt.outputs:
+        if not _unchanged(name, receipt, context, verify=verify):
+            if altered is not None:
+                altered.append(name)
+            return None
     return receipt
 
 

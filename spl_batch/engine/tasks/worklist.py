@@ -39,6 +39,8 @@ class Worklist:
         Points that the tasks to do will handle [count].
     refused : list of Receipt
         Failures of tasks that cannot be started.
+    altered : list of str
+        An output of each task that is done again as it is not as it was written.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class Worklist:
     ) -> None:
         self.left = self.ready = self.points = 0
         self.refused: list[Receipt] = []
+        self.altered: list[str] = []
         self._phase, self._ledger, self._context = phase, ledger, context
         self._verify = verify
         self._done = ledger.of(phase.kind)
@@ -60,9 +63,10 @@ class Worklist:
         """Count the tasks; each, with its receipt where it is finished already."""
         self.left = self.ready = self.points = 0
         self.refused.clear()
+        self.altered.clear()
         for task in self._phase.tasks(self._ledger):
             key = self.key(task)
-            receipt = finished(task, key, self._context, verify=self._verify)
+            receipt = finished(task, key, self._context, verify=self._verify, altered=self.altered)
             if receipt is not None:
                 self.ready += 1
                 self._done.put(receipt)

@@ -308,6 +308,8 @@ def _begin_phase(
             progress.deliveries.wrote(receipt)
             ready.append(receipt.name)
             progress.costs.setdefault(stage, StageCost()).skip(receipt)
+    if work.altered:
+        progress.altered(work.altered)
     if not work.left and not work.ready:
         return targets
     if work.left:

@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -120,6 +120,10 @@ class Progress:
             if self.repairs.may(one.receipt):
                 called = plain_name(one.task, self.names)
                 self.tell(Note("warning", f"failed: {called}: {one.receipt.reason}"))
+
+    def altered(self, outputs: Sequence[str]) -> None:
+        """Tell of outputs that are done again, as they are not as they were written."""
+        self.tell(Note("info", f"gone or not as written, made again: {named(outputs, LISTED)}"))
 
     def mended(self) -> None:
         """Tell what was damaged and is sound again."""

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.formats.las.descriptors import in_order
 from spl_batch.formats.las.records import (
     FIRST_EXTENDED_FORMAT,
     SCAN_ANGLE_STEP_DEG,
@@ -58,16 +59,23 @@ class Conversion:
         return out
 
 
+def copied_format(point_format: int) -> int:
+    """Point format of a copy of a file of one."""
+    return EXTENDED_FORMAT.get(point_format, point_format)
+
+
 def conversion(given: RecordLayout, added: Sequence[ExtraDimension]) -> Conversion:
     """Conversion into an extended point format with dimensions added.
 
     ``added``: dimensions of the output; an input's extra dimension of the same name is dropped.
+    What standard readers do not take of descriptors is put in order.
     """
     names = {d.name for d in added}
     old = [d for d in given.extra if d.name not in names]
-    numbered = [replace(d, field=f"extra_{i}") for i, d in enumerate([*old, *added])]
+    point_format = copied_format(given.point_format)
+    sound = [mended for mended, _ in in_order(old, point_format, names)]
+    numbered = [replace(d, field=f"extra_{i}") for i, d in enumerate([*sound, *added])]
     kept = tuple((before.field, after.field) for before, after in zip(old, numbered, strict=False))
-    point_format = EXTENDED_FORMAT.get(given.point_format, given.point_format)
     return Conversion(given, RecordLayout(point_format, tuple(numbered)), kept)
 
 

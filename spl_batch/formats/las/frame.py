@@ -25,6 +25,7 @@ from spl_batch.errors import WorkflowError, as_input_fault, reason_of
 from spl_batch.formats.crs import WKT_KEY
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.las.chunks import CHUNK_SIZE, CHUNK_SIZE_AT, LASZIP_KEY
+from spl_batch.formats.las.descriptors import sound_date, sound_system
 from spl_batch.formats.las.header import EVLR_HEAD, HEADER_SIZES, VLR_HEAD, Evlr, Vlr
 from spl_batch.formats.las.records import EXTRA_BYTES_KEY, RecordLayout
 
@@ -61,7 +62,8 @@ def preamble(old: bytes, *, wkt: bool) -> bytes:
     Parameters
     ----------
     old : bytes
-        Header whose ids, creation date and system are kept; zeros for a new file.
+        Header whose ids, creation date and system are kept, as far as readers take them; zeros
+        for a new file.
     wkt : bool
         Whether the file has a WKT record.
     """
@@ -74,9 +76,9 @@ def preamble(old: bytes, *, wkt: bool) -> bytes:
             encoding.to_bytes(2, "little"),
             old[8:24],
             bytes([1, 4]),
-            old[26:58],
+            sound_system(old[26:58]),
             software,
-            old[90:94],
+            sound_date(old[90:94]),
         ]
     )
 
@@ -118,6 +120,12 @@ class WatchedFile:
         return self.file.tell()
 
 
+def _read_back(path: Path) -> None:
+    """Open a file, and read a point of it: whoever gets it can do so."""
+    with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
+        laspy.LasData(file.header, file.read_points(1))
+
+
 @contextmanager
 def output_file(path: Path) -> Iterator[WatchedFile]:
     """Open a file that takes its name when the block succeeds."""
@@ -131,8 +139,8 @@ def output_file(path: Path) -> Iterator[WatchedFile]:
                 if watched.error is not None:
                     raise watched.error from None
                 raise
-            with as_input_fault(f"{path} as it was written"), laspy.open(temporary):
-                pass  # whoever gets it can open it
+            with as_input_fault(f"{path} as it was written"):
+                _read_back(temporary)
     except (FileExistsError, IsADirectoryError, NotADirectoryError) as error:
         raise WorkflowError(f"{path}: cannot be written: {reason_of(error)}") from error
 

@@ -70,6 +70,8 @@ def _fault(path: Path, record: Vlr | Evlr) -> str | None:
             ids = kind.official_record_ids()
             if kind.official_user_id() == name and record.record_id in ids:
                 content = _content(path, record)
+                if content is None:
+                    return None
                 kind.from_raw(laspy.VLR(name, record.record_id, description, content))
     except BaseException as error:
         if not is_fault(error):
@@ -78,9 +80,12 @@ def _fault(path: Path, record: Vlr | Evlr) -> str | None:
     return None
 
 
-def _content(path: Path, record: Vlr | Evlr) -> bytes:
+def _content(path: Path, record: Vlr | Evlr) -> bytes | None:
+    """Content of a record; None of one that is too long to be parsed."""
     if isinstance(record, Vlr):
         return record.data
+    if record.size > _PARSED_BYTES:
+        return None
     with path.open("rb") as file:
         file.seek(record.start)
-        return file.read(min(record.size, _PARSED_BYTES))
+        return file.read(record.size)

@@ -19,8 +19,8 @@ SCAN_ANGLE_STEP_DEG: Final = 0.006
 """Unit of the scan angle in point formats 6-10 [deg]."""
 
 _TYPES: Final = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
-_SCALE_BIT: Final = 8
-_OFFSET_BIT: Final = 16
+SCALE_BIT: Final = 8
+OFFSET_BIT: Final = 16
 _VLR_MAX: Final = 2**16 - 1
 _REWRITE: Final = "the header is damaged, rewrite the file with the software that made it"
 
@@ -76,27 +76,50 @@ def record_layout(header: LasHeader) -> RecordLayout:
     """
     base = standard_dtype(header.point_format).itemsize
     room = header.record_size - base
-    vlr = header.vlr(*EXTRA_BYTES_KEY)
-    described = b"" if vlr is None else vlr.data
     extra: list[ExtraDimension] = []
-    for start in range(0, len(described) - DESCRIPTOR_SIZE + 1, DESCRIPTOR_SIZE):
-        found = _dimension(header, described[start : start + DESCRIPTOR_SIZE], number=len(extra))
-        # One of no bytes holds nothing, and standard readers divide by its size.
-        extra += [found] if found.dtype.itemsize else []
+    for raw in descriptors(header):
+        found = _dimension(header, raw, number=len(extra))
+        if is_misread(raw):
+            extra += _plain(found.dtype.itemsize, len(extra))
+        elif found.dtype.itemsize:
+            # One of no bytes holds nothing, and standard readers divide by its size.
+            extra.append(found)
     held = sum(d.dtype.itemsize for d in extra)
     left = room - bounded(
         header.path, "extra bytes that are described", held, most=room, remedy=_REWRITE
     )
-    # Bytes that nothing describes get names, so that a copy can carry them along: common readers
-    # misunderstand the standard's own type for such blocks.
-    for plain in ["<u8"] * (left // 8) + ["u1"] * (left % 8):
-        name = f"undescribed_{len(extra)}"
-        field = f"extra_{len(extra)}"
-        extra.append(replace(new_dimension(name, np.dtype(plain), ""), field=field))
+    extra += _plain(left, len(extra))
     remedy = "the header is damaged, or the file needs converting"
     most = _VLR_MAX // DESCRIPTOR_SIZE
     bounded(header.path, "dimensions in the extra bytes", len(extra), most=most, remedy=remedy)
     return RecordLayout(header.point_format, tuple(extra))
+
+
+def descriptors(header: LasHeader) -> list[bytes]:
+    """Descriptors of the extra bytes, each whole."""
+    vlr = header.vlr(*EXTRA_BYTES_KEY)
+    data = b"" if vlr is None else vlr.data
+    starts = range(0, len(data) - DESCRIPTOR_SIZE + 1, DESCRIPTOR_SIZE)
+    return [data[start : start + DESCRIPTOR_SIZE] for start in starts]
+
+
+def is_misread(descriptor: bytes) -> bool:
+    """Whether it is of a block without a type whose length laspy takes for flags as well."""
+    return descriptor[2] == 0 and bool(descriptor[3] & (SCALE_BIT | OFFSET_BIT))
+
+
+def _plain(size: int, first: int) -> list[ExtraDimension]:
+    """Names for bytes that nothing describes, so that a copy can carry them along.
+
+    Common readers misunderstand the standard's own type for such blocks.
+    """
+    types = ["<u8"] * (size // 8) + ["u1"] * (size % 8)
+    return [
+        replace(
+            new_dimension(f"undescribed_{k}", np.dtype(plain), ""), field=f"extra_{k}"
+        )
+        for k, plain in enumerate(types, first)
+    ]  # fmt: skip
 
 
 def new_dimension(name: str, dtype: np.dtype[Any], text: str) -> ExtraDimension:
@@ -129,8 +152,8 @@ def _dimension(header: LasHeader, raw: bytes, *, number: int) -> ExtraDimension:
     base = np.dtype(f"<{_TYPES[(code - 1) % len(_TYPES)]}")
     count = (code - 1) // len(_TYPES) + 1
     dtype = base if count == 1 else np.dtype((base, (count,)))
-    scale = float(np.frombuffer(raw, "<f8", 1, 112)[0]) if options & _SCALE_BIT else None
-    offset = float(np.frombuffer(raw, "<f8", 1, 136)[0]) if options & _OFFSET_BIT else None
+    scale = float(np.frombuffer(raw, "<f8", 1, 112)[0]) if options & SCALE_BIT else None
+    offset = float(np.frombuffer(raw, "<f8", 1, 136)[0]) if options & OFFSET_BIT else None
     return ExtraDimension(name, field, dtype, scale, offset, raw)
 
 

@@ -99,6 +99,11 @@ class Decoded:
     extent: Extent
 
 
+def added_names(*, diagnostics: bool) -> list[str]:
+    """Names of the extra bytes of :data:`ADDED` that a copy gets."""
+    return [n for n in ADDED if diagnostics or n not in _DIAGNOSTICS]
+
+
 def write_classified(
     src: Path,
     dst: Path,
@@ -152,7 +157,7 @@ def write_classified(
     if dst.exists() and dst.samefile(src):
         raise WorkflowError(f"{dst}: is an input; choose another output folder")
     header = read_header(src)
-    names = [n for n in ADDED if diagnostics or n not in _DIAGNOSTICS]
+    names = added_names(diagnostics=diagnostics)
     written = np.zeros(256, np.int64) if classes is None else classes
     with RecordReader(header) as reader:
         convert = conversion(reader.layout, [_added(n) for n in names])

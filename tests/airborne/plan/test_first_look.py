@@ -166,6 +166,17 @@ def test_seconds_of_the_week_are_no_other_day(survey: Path) -> None:
         api.plan(survey)
 
 
+@pytest.mark.parametrize("wrong", [-1, 77])
+def test_one_wrong_time_leaves_no_week_open(survey: Path, wrong: int) -> None:
+    start = (surveys.START_S + 1e9 - 1) % 604_800
+    path, back_m = survey.parent / "trajectory.csv", surveys.SPEED_M_S * (surveys.START_S - start)
+    surveys.write_trajectory(path, start_s=start, stop_s=start + 11, shift_m=back_m)
+    line = surveys.flightline(shots=120, psid=2, start_s=surveys.START_S + 3, seed=2)
+    line["gps_time"][wrong] += 8 * DAY_S
+    surveys.write_cloud(survey.parent / "lines" / "line_2.laz", line)
+    assert surveys.run(survey, until="shots").exit_status == 0
+
+
 def test_a_trajectory_without_its_columns_is_a_fault(survey: Path) -> None:
     (survey.parent / "trajectory.csv").write_text("time,x,y,z\n1,2,3,4\n")
     fault = refused(survey)

@@ -273,7 +273,11 @@ def test_delivered_files_are_looked_at_closely_where_they_were_written_to(
     os.utime(path, ns=(0, receipt_at(receipt).written_ns["laz/lines/1.laz"]))
     damaged = surveys.results(surveys.run(survey, until="deliver").output)
     assert damaged != expected, "by size and time alone it cannot be told"
-    assert surveys.results(surveys.run(survey, until="deliver", verify=True).output) == expected
+    told: list[Event] = []
+    again = surveys.run(survey, until="deliver", verify=True, listener=told.append)
+    assert surveys.results(again.output) == expected
+    (said,) = [e.text for e in told if isinstance(e, Note) and "not as written" in e.text]
+    assert said == "gone or not as written, made again: laz/lines/1.laz"
 
 
 @pytest.mark.parametrize("harmed", ["tiles/*.parquet", "noise/*.parquet", "noise.tif"])

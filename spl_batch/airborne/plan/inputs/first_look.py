@@ -298,7 +298,8 @@ def _apart(
     try:
         known = in_time_of(list(spans.values()), known)
     except ValueError as error:
-        return [f"survey.trajectory: {names}: {error}"], []
+        # A single wrong time may be among the first and last ones; the index knows all of them.
+        return [], [f"survey.trajectory: {names}: {error}, if the first and last times are right"]
     far = {name: gap for name, span in spans.items() if (gap := gap_s(span, known)) > 0}
     if not far:
         return [], []

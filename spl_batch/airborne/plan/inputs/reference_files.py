@@ -8,7 +8,7 @@ from pyproj import CRS
 
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.errors import InputError, WorkflowError, named, told_together
-from spl_batch.formats.crs import like_degrees, look_like_degrees, parse_crs, same_crs
+from spl_batch.formats.crs import like_degrees, look_like_degrees, other_crs, parse_crs, same_crs
 from spl_batch.formats.las.reader import LasFacts, inspect
 
 
@@ -73,4 +73,4 @@ def _crs_fault(
             f"nor is that of {named([error.path for error in others], 3)}: most points are "
             "in the survey's, reproject what is wrong"
         )
-    return f"CRS {found.name!r} is not the survey's {crs.name!r}; {remedy}"
+    return f"{other_crs(found, crs)}; {remedy}"

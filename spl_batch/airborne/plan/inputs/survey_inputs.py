@@ -27,6 +27,7 @@ from spl_batch.formats.crs import (
     crs_name,
     crs_problems,
     horizontal,
+    other_crs,
     parse_crs,
     same_crs,
     same_heights,
@@ -267,7 +268,7 @@ def _survey_crs(
         if facts.crs is None or not facts.n_points or same_crs(facts.crs, given):
             agreeing.append(facts)
         else:
-            text = f"CRS {facts.crs.name!r} is not the survey's {given.name!r}; reproject the file"
+            text = f"{other_crs(facts.crs, given)}; reproject the file"
             if stated is not None:
                 text += ", or leave out survey.crs, which is for files that carry none"
             bad.append(InputError(str(facts.path), text))

@@ -1,0 +1,130 @@
+"""What a header says of extra bytes, of its system and its day, as standard readers take it.
+
+laspy refuses a file whose extra bytes have a name twice, or one that the record has already, a
+text that is no UTF-8, or a scale that is no number: what is delivered is put in order, and told.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+from datetime import date, timedelta
+from typing import Final
+
+import laspy
+import numpy as np
+
+from spl_batch.formats.las.header import LasHeader
+from spl_batch.formats.las.records import (
+    OFFSET_BIT,
+    SCALE_BIT,
+    ExtraDimension,
+    descriptors,
+    is_misread,
+    record_layout,
+    standard_dtype,
+)
+
+_NAME: Final = slice(4, 36)
+_SCALE, _OFFSET = 112, 136
+_TEXT: Final = slice(160, 192)
+_SYSTEM: Final = slice(26, 58)
+_DAY, _YEAR = slice(90, 92), slice(92, 94)
+
+
+def in_order(
+    extra: Sequence[ExtraDimension], point_format: int, added: Collection[str]
+) -> Iterator[tuple[ExtraDimension, list[str]]]:
+    """Extra dimensions as standard readers take them, each with what was wrong with it.
+
+    Parameters
+    ----------
+    extra : sequence of ExtraDimension
+        Of the input, without those whose name is in ``added``.
+    point_format : int
+        Of the copy.
+    added : collection of str
+        Names of dimensions that the copy gets.
+    """
+    standard = laspy.PointFormat(point_format).standard_dimension_names
+    taken = {*standard, *(standard_dtype(point_format).names or ()), *added}
+    for dimension in extra:
+        mended, faults = _mended(dimension, taken)
+        taken.add(mended.name)
+        yield mended, faults
+
+
+def put_in_order(header: LasHeader, point_format: int, added: Collection[str]) -> Iterator[str]:
+    """What of a file's header a copy has in another way; arguments of :func:`in_order`."""
+    raw = header.raw
+    if sound_system(raw[_SYSTEM]) != raw[_SYSTEM]:
+        yield "its system identifier is no ASCII, and has ? in these places"
+    if sound_date(raw[90:94]) != raw[90:94]:
+        day, year = (int.from_bytes(raw[part], "little") for part in (_DAY, _YEAR))
+        yield f"day {day} of the year {year} is no date, and is left out"
+    for descriptor in descriptors(header):
+        if is_misread(descriptor):
+            name = _text(descriptor[_NAME])
+            yield f"extra dimension {name!a}: a block without a type, which is several of bytes"
+    kept = [d for d in record_layout(header).extra if d.name not in added]
+    for mended, faults in in_order(kept, point_format, added):
+        if faults:
+            yield f"extra dimension {mended.name!a}: {', '.join(faults)}"
+
+
+def sound_system(given: bytes) -> bytes:
+    """System identifier in ASCII."""
+    return bytes(b if b < 0x80 else ord("?") for b in given)
+
+
+def sound_date(given: bytes) -> bytes:
+    """Day of the year and year of a header; zeros where there is no such day."""
+    day, year = int.from_bytes(given[:2], "little"), int.from_bytes(given[2:], "little")
+    try:
+        date(year, 1, 1) + timedelta(day - 1)
+    except OverflowError:  # readers know that a year of 0 is none, but not this
+        return bytes(4)
+    except ValueError:
+        return given
+    return given
+
+
+def _mended(dimension: ExtraDimension, taken: Collection[str]) -> tuple[ExtraDimension, list[str]]:
+    raw, faults = bytearray(dimension.descriptor), []
+    name, text = _free(_text(raw[_NAME]), taken), _text(raw[_TEXT])
+    if not _holds(raw[_NAME], name):
+        known = dimension.name and _holds(raw[_NAME], dimension.name)
+        faults.append(f"{dimension.name!a} is taken" if known else "its name was no text")
+        raw[_NAME] = name.encode().ljust(32, b"\0")
+    if not _holds(raw[_TEXT], text):
+        faults.append("its description is no text")
+        raw[_TEXT] = text.encode().ljust(32, b"\0")
+    scale, offset = dimension.scale, dimension.offset
+    elements = (raw[2] - 1) // 10 + 1 if raw[2] else 0
+    for bit, start in ((SCALE_BIT, _SCALE), (OFFSET_BIT, _OFFSET)):
+        values = np.frombuffer(raw, "<f8", elements, start)
+        sound = np.isfinite(values) & ((values != 0) | (bit != SCALE_BIT))
+        if raw[3] & bit and not sound.all():
+            faults.append("its scale or offset cannot be used")
+            raw[3] &= 0xFF ^ (SCALE_BIT | OFFSET_BIT)
+            scale = offset = None
+    new = replace(dimension, name=name, scale=scale, offset=offset, descriptor=bytes(raw))
+    return new, faults
+
+
+def _text(field: bytes | bytearray) -> str:
+    """Text of a field up to its first zero, without what is no UTF-8."""
+    return field.split(b"\0")[0].decode("utf-8", errors="ignore")
+
+
+def _holds(field: bytearray, text: str) -> bool:
+    return field.split(b"\0")[0] == text.encode()
+
+
+def _free(name: str, taken: Collection[str]) -> str:
+    """The name, or, where it is taken, it and the first number that is free."""
+    name = name or "unnamed"
+    found, k = name, 2
+    while found in taken:
+        ending = f"_{k}"
+        found = name.encode()[: 32 - len(ending)].decode("utf-8", errors="ignore") + ending
+        k += 1
+    return found

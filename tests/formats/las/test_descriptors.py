@@ -1,0 +1,179 @@
+"""What readers do not take of a header is put in order, told, and loses no byte of a point."""
+
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from spl_batch.formats.las.chunks import RecordReader
+from spl_batch.formats.las.convert import copied_format
+from spl_batch.formats.las.descriptors import put_in_order
+from spl_batch.formats.las.header import read_header
+from spl_batch.formats.las.writer import added_names, write_classified
+from tests.io_files import write_las
+
+SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 8, 8: 8, 9: 4, 10: 8}
+POINTS = 20
+
+
+def descriptor(
+    code: int = 1,
+    options: int = 0,
+    name: bytes = b"a",
+    text: bytes = b"",
+    scale: float = 1.0,
+    offset: float = 0.0,
+) -> bytes:
+    numbers = struct.pack("<6d", scale, 1.0, 1.0, offset, 0.0, 0.0)
+    return struct.pack("<2sBB32s76s48s32s", b"", code, options, name, b"", numbers, text)
+
+
+def described(folder: Path, *descriptors: bytes, point_format: int = 6) -> Path:
+    """A file whose extra bytes have these descriptors."""
+    sizes = [SIZES[d[2]] if d[2] else d[3] for d in descriptors]
+    extra = {f"e{k}": "u1" for k in range(sum(sizes))}
+    values = {name: (np.arange(POINTS) * 7 + k).astype(np.uint8) for k, name in enumerate(extra)}
+    path = write_las(
+        folder / "a.las", n=POINTS, point_format=point_format, extra=extra, values=values
+    )
+    content = path.read_bytes()
+    place = content.index(b"LASF_Spec") - 2
+    data = b"".join(descriptors)
+    before = 54 + struct.unpack_from("<H", content, place + 20)[0]
+    head = bytearray(content[:place] + content[place : place + 54] + data)
+    struct.pack_into("<H", head, place + 20, len(data))
+    (start,) = struct.unpack_from("<I", head, 96)
+    struct.pack_into("<I", head, 96, start + 54 + len(data) - before)
+    evlrs = struct.unpack_from("<Q", head, 235)[0]
+    assert not evlrs
+    path.write_bytes(bytes(head) + content[place + before :])
+    return path
+
+
+def labels(start: int, stop: int) -> Mapping[str, NDArray[Any]]:
+    return dict.fromkeys(("classification", "noise_class"), np.zeros(stop - start, np.uint8))
+
+
+def copied(path: Path) -> tuple[laspy.LasData, list[str]]:
+    """A copy as laspy reads it and writes it again, and what was told."""
+    target = path.with_name("copy.laz")
+    write_classified(path, target, labels=labels, diagnostics=False, crs=None)
+    found = laspy.read(target)
+    for name in found.point_format.dimension_names:
+        assert len(found[name]) == POINTS
+    header = read_header(path)
+    told = put_in_order(
+        header, copied_format(header.point_format), added_names(diagnostics=False)
+    )  # fmt: skip
+    return found, list(told)
+
+
+def extra_bytes(path: Path, but: int = 0) -> NDArray[np.uint8]:
+    """Bytes of the extra dimensions of each point, without the last ones."""
+    with RecordReader(read_header(path)) as reader:
+        records = np.ascontiguousarray(reader.read(0, POINTS))
+        size = sum(d.dtype.itemsize for d in reader.layout.extra)
+    raw = records.view(np.uint8).reshape(POINTS, -1)
+    return raw[:, raw.shape[1] - size : raw.shape[1] - but]
+
+
+CASES = {
+    "name twice": ([{"name": b"k"}, {"name": b"k"}], ["k", "k_2"], "'k_2': 'k' is taken"),
+    "name of the record": ([{"name": b"gps_time"}], ["gps_time_2"], "'gps_time' is taken"),
+    "bits of the record": ([{"name": b"bit_fields"}], ["bit_fields_2"], "'bit_fields' is taken"),
+    "long name twice": ([{"name": b"k" * 32}] * 2, ["k" * 32, "k" * 30 + "_2"], "is taken"),
+    "no text": ([{"name": b"a\xff"}], ["a"], "'a': its name was no text"),
+    "text that is cut": ([{"name": b"a" + "é".encode() * 16}], ["a" + "é" * 15], "was no text"),
+    "no name": ([{"name": b""}, {"name": b"\xff"}], ["unnamed", "unnamed_2"], "was no text"),
+    "description": ([{"text": b"\xff\xfe"}], ["a"], "its description is no text"),
+    "scale": ([{"options": 8, "scale": np.inf}], ["a"], "its scale or offset cannot be used"),
+    "scale of zero": ([{"options": 24, "scale": 0.0}], ["a"], "its scale or offset cannot be used"),
+    "offset": ([{"options": 31, "offset": np.nan}], ["a"], "its scale or offset cannot be used"),
+    "block": (
+        [{"code": 0, "options": 9, "name": b"b"}],
+        ["undescribed_0", "undescribed_1"],
+        "'b': a block without a type",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_laspy_refuses_is_put_in_order_and_told(tmp_path: Path, case: str) -> None:
+    parts, names, words = CASES[case]
+    path = described(tmp_path, *(descriptor(**part) for part in parts))  # type: ignore[arg-type]
+    found, told = copied(path)
+    found.write(path.with_name("again.laz"))
+    got = [*found.point_format.extra_dimension_names]
+    assert got == [*names, "input_classification", "noise_class"]
+    assert words in told[-1]
+    assert np.array_equal(extra_bytes(path), extra_bytes(path.with_name("copy.laz"), but=2))
+
+
+def test_what_is_in_order_stays(tmp_path: Path) -> None:
+    sound = [descriptor(7, 31, "é".encode() * 16, b"text", 0.5, -3.0), descriptor(10, name=b"X Y")]
+    path = described(tmp_path, *sound)
+    found, told = copied(path)
+    assert told == []
+    assert read_header(path.with_name("copy.laz")).raw[26:58] == read_header(path).raw[26:58]
+    assert b"".join(sound) in path.with_name("copy.laz").read_bytes()
+    assert np.isfinite(found["é" * 16]).all()
+
+
+def test_a_name_that_the_copy_needs_is_its_own(tmp_path: Path) -> None:
+    path = described(tmp_path, descriptor(name=b"noise_class"), descriptor(name=b"noise_class\xff"))
+    found, told = copied(path)
+    names = ["noise_class_2", "input_classification", "noise_class"]
+    assert [*found.point_format.extra_dimension_names] == names
+    assert len(told) == 1
+    assert not found["noise_class"].any()
+    assert found["noise_class_2"].any()
+
+
+@pytest.mark.parametrize(
+    ("place", "content", "words"),
+    [(26, b"\xffme", "system identifier"), (90, b"\xff\xff\x0f\x27", "day 65535 of the year 9999")],
+)
+def test_system_and_day_that_readers_fail_at(
+    tmp_path: Path, place: int, content: bytes, words: str
+) -> None:
+    path = described(tmp_path, descriptor())
+    made = bytearray(path.read_bytes())
+    made[place : place + len(content)] = content
+    path.write_bytes(made)
+    found, (told,) = copied(path)
+    assert words in told
+    found.write(path.with_name("again.laz"))
+
+
+BYTES = st.binary(max_size=32).map(lambda b: b.ljust(32, b"\0"))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([0, *SIZES]), st.integers(0, 64), BYTES, BYTES,
+            st.floats(width=32), st.floats(width=32),
+        ),
+        min_size=1, max_size=4,
+    ),
+    st.sampled_from([1, 6, 7]),
+)  # fmt: skip
+def test_any_descriptors(
+    tmp_path_factory: pytest.TempPathFactory, parts: list[Any], point_format: int
+) -> None:
+    folder = tmp_path_factory.mktemp("any")
+    made = [descriptor(), *(descriptor(*part) for part in parts)]
+    path = described(folder, *made, point_format=point_format)
+    found, told = copied(path)
+    assert all(len(text) < 250 for text in told)
+    names = list(found.point_format.dimension_names)
+    assert len(set(names)) == len(names)
+    assert np.array_equal(extra_bytes(path), extra_bytes(path.with_name("copy.laz"), but=2))
