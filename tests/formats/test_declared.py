@@ -1,5 +1,6 @@
 """What files declare is compared with what can be, before anything is read by it."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -167,3 +168,37 @@ def test_references_that_are_none_too_many_are_read() -> None:
     assert parse_yaml("a: &a {b: [1, 2]}\nc: *a\nd: [*a, *a]") == {
         "a": {"b": [1, 2]}, "c": {"b": [1, 2]}, "d": [{"b": [1, 2]}] * 2,
     }  # fmt: skip
+
+
+def test_characters_that_json_writes_in_halves_are_put_together() -> None:
+    texts = ["My survey \U0001f600", "M\u00fcnchen \U0001d11e\U0001f600", "plain"]
+    written = {text: [text] for text in texts}
+    assert parse_yaml(json.dumps(written)) == written
+
+
+NO_TEXTS = {
+    r'survey: {name: "\ud800x"}': (
+        r"name: '\ud800x' has half a character (\ud800): write the whole"
+    ),
+    r'"\udc00\ud800": 1': r"'\udc00\ud800' has half a character (\udc00)",
+    r'output: "a\0b"': r"output: 'a\x00b' has a NUL character (\0): leave it out",
+    r'survey: {flightlines: ["\ud83d*.laz"]}': r"'\ud83d*.laz' has half a character (\ud83d)",
+}
+
+
+@pytest.mark.parametrize("text", NO_TEXTS)
+def test_a_text_that_no_file_can_hold_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "workflow.yaml"
+    path.write_text(f"# first\n{text}\n")
+    ended = surveys.command("plan", path)
+    assert ended.status == 2
+    (line,) = ended.err.splitlines()
+    assert f"{path}: not valid YAML: line 2: {NO_TEXTS[text]}" in line
+
+
+def test_a_setting_that_no_file_can_hold_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "workflow.yaml"
+    path.write_text("output: out\n")
+    ended = surveys.command("plan", path, "--set", r'survey.name="\ud83d"')
+    assert ended.status == 2
+    assert r"--set survey.name: '\ud83d' has half a character (\ud83d)" in ended.err

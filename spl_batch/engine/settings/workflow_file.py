@@ -10,7 +10,7 @@ import yaml
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.settings.mistaken_file import called, is_scene
 from spl_batch.engine.settings.validation import validated
-from spl_batch.engine.settings.yaml_text import parse_yaml
+from spl_batch.engine.settings.yaml_text import NoTextError, parse_yaml
 from spl_batch.errors import WorkflowError, reason_of
 from spl_batch.formats.files.atomic import of_a_file
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
@@ -116,6 +116,8 @@ def _apply(content: dict[str, Any], override: str) -> None:
         node = child
     try:
         node[last] = parse_yaml(text)
+    except NoTextError as error:
+        raise WorkflowError(f"--set {key}: {error.problem}") from None
     except yaml.YAMLError:
         raise WorkflowError(
             f"--set {override}: the value is not valid YAML; quote it: key='*.laz'"

@@ -1,8 +1,10 @@
 """YAML of settings: no key twice, and nothing that grows as it is read.
 
 Aliases could make gigabytes of a few lines, and deep nesting stops a parser: neither is taken.
+Texts are such as files can be called and hold: UTF-8 without NUL.
 """
 
+import re
 from typing import Any, Final
 
 import yaml
@@ -18,6 +20,14 @@ DIGITS_MAX: Final = 300
 
 DEPTH_MAX: Final = 40
 """Sections within each other [count]."""
+
+
+_PAIR: Final = re.compile("[\ud800-\udbff][\udc00-\udfff]")
+_NO_TEXT: Final = re.compile("[\0\ud800-\udfff]")
+
+
+class NoTextError(yaml.MarkedYAMLError):
+    """A text that no file can hold, or none can be called."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -39,6 +49,9 @@ class _Loader(yaml.SafeLoader):
             raise self._refused(f"is nested more than {DEPTH_MAX} deep", self.peek_event())  # type: ignore[no-untyped-call]
         node = super().compose_node(parent, index)
         self._open -= 1
+        if isinstance(node, yaml.ScalarNode):
+            key = f"{index.value}: " if isinstance(index, yaml.ScalarNode) else ""
+            node.value = _whole_text(node, key)
         if node is not None and id(node) not in self._size:
             count, depth = self._measured(node)
             if count > NODES_MAX or depth > DEPTH_MAX:
@@ -87,13 +100,37 @@ class _Loader(yaml.SafeLoader):
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 
+def _whole_text(node: yaml.ScalarNode, key: str) -> str:
+    """Text of a node; characters that JSON writes in two halves are put together.
+
+    Raises
+    ------
+    NoTextError
+        If it holds half a character, or NUL.
+    """
+    text = _PAIR.sub(_joined, node.value)
+    wrong = _NO_TEXT.search(text)
+    if wrong is None:
+        return text
+    if wrong[0] == "\0":
+        what = "a NUL character (\\0): leave it out"
+    else:
+        what = f"half a character ({ascii(wrong[0])[1:-1]}): write the whole one"
+    raise NoTextError(problem=f"{key}{text[:80]!a} has {what}", problem_mark=node.start_mark)
+
+
+def _joined(pair: re.Match[str]) -> str:
+    return pair[0].encode("utf-16-le", "surrogatepass").decode("utf-16-le")
+
+
 def parse_yaml(text: str) -> Any:
     """Value that a YAML text stands for.
 
     Raises
     ------
     yaml.YAMLError
-        If it is none, names a key twice, or is larger or deeper than settings are.
+        If it is none, names a key twice, is larger or deeper than settings are, or has a text that
+        no file can hold.
     """
     if len(text) > TEXT_MAX:
         raise yaml.YAMLError(f"it has {len(text)} characters; at most {TEXT_MAX} are read")
