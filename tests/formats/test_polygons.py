@@ -1,6 +1,7 @@
 """Polygons of areas of interest and water."""
 
 import json
+import os
 import sqlite3
 import struct
 from collections.abc import Callable
@@ -164,6 +165,24 @@ def viewed(rows: str) -> Callable[[Path], Path]:
     return make
 
 
+def generated(path: Path) -> Path:
+    """A GeoPackage whose shapes a formula makes: 900 MB of each row."""
+    with sqlite3.connect(write(path, [SQUARE])) as database:
+        database.execute("ALTER TABLE a RENAME TO b")
+        shape = "geom BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL"
+        database.execute(f"CREATE TABLE a (fid INTEGER PRIMARY KEY, {shape}, n INT)")
+        database.execute("INSERT INTO a(n) VALUES (1)")
+    return path
+
+
+def virtual(path: Path) -> Path:
+    """A GeoPackage whose shapes a module of SQLite makes."""
+    with sqlite3.connect(write(path, [SQUARE])) as database:
+        database.execute("ALTER TABLE a RENAME TO b")
+        database.execute("CREATE VIRTUAL TABLE a USING fts5(fid, geom)")
+    return path
+
+
 def halved(path: Path) -> Path:
     content = write(path, [SQUARE]).read_bytes()
     path.write_bytes(content[: len(content) // 2])
@@ -196,6 +215,8 @@ DAMAGED = {
         viewed("SELECT fid, zeroblob(900000000) AS geom FROM b"),
         "a is a view",
     ),
+    "shapes that a formula makes": (generated, "a is a table with generated columns"),
+    "shapes that a module makes": (virtual, "a is a virtual table"),
     "half a file": (
         halved,
         "cannot be read as shapes",
@@ -215,3 +236,14 @@ def test_a_damaged_shape_among_sound_ones_is_refused_by_its_number(
     assert str(caught.value).startswith(str(tmp_path / "a.gpkg"))
     if case != "without an area" or read is check_polygons:
         assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["a.gpkg-journal", "a.gpkg-wal", "a.gpkg.aux.xml"])
+def test_a_pipe_that_gdal_would_open_is_refused(tmp_path: Path, name: str) -> None:
+    path = write(tmp_path / "a.gpkg", [SQUARE])
+    (tmp_path / "a.folder").mkdir()
+    (tmp_path / "a.link").symlink_to("nowhere")
+    check_polygons(path, UTM)
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match=f"{name} beside it is a pipe or a device"):
+        check_polygons(path, UTM)
