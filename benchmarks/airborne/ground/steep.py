@@ -92,11 +92,17 @@ def _valley(depth_m: float, slope_deg: float) -> Terrain:
 
 
 class Case(NamedTuple):
-    """What a small survey is of; ``deck_m`` are the ends of a bridge and how far they move [m]."""
+    """What a small survey is of.
+
+    ``deck_m`` are the ends of a bridge and how far they move, ``width_m`` is its width [m], and
+    ``skew_m`` how much farther north its east end lies.
+    """
 
     terrain: Terrain
     trees: Mapping[str, Any] | None = None
     deck_m: tuple[float, float, float] | None = None
+    width_m: float = 9
+    skew_m: float = -4
 
 
 SCENES: Final[Mapping[str, Case]] = {
@@ -111,6 +117,7 @@ SCENES: Final[Mapping[str, Case]] = {
     "cliff on a slope, trees": Case(_cliff(80, relief_m=60, wavelength_m=130), TREES),
     "bridge over a valley": Case(_valley(18, 40), {"cover": 0.2}, (28, 100, 21)),
     "bridge over a gorge": Case(_valley(15, 85), {"cover": 0.2}, (45, 84, 2)),
+    "wide bridge": Case(_valley(12, 35), {"cover": 0.2}, (32, 96, 16), 18, 10),
     "level": Case(lambda _: {}, TREES),
 }
 """Surveys by name."""
@@ -135,8 +142,8 @@ def content(name: str, seed: int, times: float) -> dict[str, Any]:
     if of.deck_m:
         west, east, more = of.deck_m
         more *= max(times - 1, 0)
-        ends = [(west - more, 62), (east + more, 58)]
-        made["bridges"] = [{"ends_m": ends, "width_m": 9}]
+        ends = [(west - more, 62), (east + more, 62 + of.skew_m)]
+        made["bridges"] = [{"ends_m": ends, "width_m": of.width_m}]
     return made | {"seed": seed}
 
 
