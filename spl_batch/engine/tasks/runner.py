@@ -23,7 +23,7 @@ from spl_batch.engine.tasks.context import RunContext, TaskFunction
 from spl_batch.engine.tasks.receipt_index import delivers
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.errors import DamagedError, SplBatchError, StoppedError, is_fault, one_line
+from spl_batch.errors import DamagedError, SplBatchError, StoppedError, one_line
 from spl_batch.formats.files.atomic import checksum, size, stop_if_full
 from spl_batch.imports import content_hash, data_files, imported, module_file
 from spl_batch.receivers import HOMES, load, task_kinds
@@ -244,16 +244,14 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
             {n: _written_ns(p) for n, p in paths.items() if not _tells_damage(n)},
             produced.inputs,
         )
-    except StoppedError:
+    except (StoppedError, KeyboardInterrupt):
         raise
     except DamagedError as error:
         receipt = failure(task, key, error.told, time.perf_counter() - start, damaged=error.path)
     except SplBatchError as error:
         trace = traceback.format_exc()
         receipt = failure(task, key, str(error), time.perf_counter() - start, trace=trace)
-    except BaseException as error:  # one task's fault must not end the others
-        if not is_fault(error):
-            raise
+    except BaseException as error:  # noqa: BLE001 - a library may even end the program
         stop_if_full(error, context.output)
         trace = traceback.format_exc()
         receipt = failure(task, key, one_line(error), time.perf_counter() - start, trace=trace)
