@@ -11,10 +11,11 @@ from benchmarks.altimetry.photon_beams import Beam
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.noise.gate import STRETCH_CELLS
 from spl_batch.altimetry.settings import RateSettings
+from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.water.emptiest import Photons, emptiest
 from spl_batch.altimetry.water.level_water import NO_WATER
 from tests.altimetry.test_level_water import DAY, NIGHT, WaterTrack, photons, water_track
-from tests.altimetry.tracks import assert_cut_matters_nowhere
+from tests.altimetry.tracks import assert_cut_matters_nowhere, lattice
 
 RATE = RateSettings()
 
@@ -78,6 +79,16 @@ def wood(
     order = np.lexsort((track.z, track.x))
     inside = (track.z > gate_m[0]) & (track.z < gate_m[1])
     return only(track, order[inside[order]])
+
+
+def test_a_bright_sky_shows_the_ends_of_each_cell_s_gate() -> None:
+    track = simulate_track(
+        scene(
+            "mountain", "green", 2, length_m=600.0, noise_per_m2=0.3, signal_per_m=5.0, canopy=0.2
+        )
+    )
+    cells = rates.observe(*lattice(track), RATE)
+    assert np.median(cells.gate_m) == pytest.approx(1200.0, abs=6.0)
 
 
 @pytest.mark.parametrize("gate_m", [(-60.0, 140.0), (-30.0, 60.0), (-15.0, 45.0)])

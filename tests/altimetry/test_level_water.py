@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pyarrow.csv
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -157,7 +158,8 @@ def test_a_cliff_takes_no_water_away(noise: float) -> None:
         assert both / np.count_nonzero(signal & place) > 0.95
         assert both / np.count_nonzero(kept & place) > 0.9
     false = np.count_nonzero(kept & ~signal)
-    assert beam.told == pytest.approx(false, rel=0.3)
+    # By night the emptiest heights of woods on a slope count as noise: more of it is told.
+    assert beam.told == pytest.approx(false, rel=0.3 if noise == DAY else 0.5)
 
 
 def test_neighbourhoods_are_as_long_as_the_slope_allows() -> None:
@@ -414,6 +416,21 @@ def test_a_run_tells_surface_floor_and_column_apart(tmp_path: Path) -> None:
         lifted[floor], -table["height"][floor] * (1.0 - AIR / WATER), atol=0.1
     )
     assert (lifted[table["water"] == 41] == 0).all()
+    profile = pyarrow.csv.read_csv(tmp_path / "out/profiles/photons/track.csv").to_pydict()
+    columns = {name: np.array(values, float) for name, values in profile.items()}
+    assert (columns["water"] == 1).all()
+    # One line: the surface, never the floor, whose depth is no height of a canopy either.
+    assert np.nanmax(np.abs(columns["ground"])) < 0.3
+    assert np.isfinite(columns["ground"]).mean() > 0.95
+    assert np.isnan(columns["canopy_height"]).all()
+    depth = 10.0 - 7.0 * np.sin(columns["along_track"] / 400.0)
+    seen = np.isfinite(columns["floor"])
+    assert seen.mean() > 0.9
+    assert np.median(np.abs(columns["floor"] + depth)[seen]) < 0.1
+    assert (np.abs(columns["floor"] + depth)[seen] < 1.0).mean() > 0.95
+    np.testing.assert_allclose(
+        columns["floor_refracted"][seen], columns["floor"][seen] * AIR / WATER, atol=0.1
+    )
 
 
 def test_a_rate_that_is_not_seen_is_said(tmp_path: Path) -> None:

@@ -5,11 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers
 from spl_batch.altimetry.ground.profile import agree, for_layout, profile, reach_cells, spread_m
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.tasks.heights import REFERENCE_GAP_M, between
+from spl_batch.altimetry.water.level_water import NO_WATER
+from spl_batch.altimetry.water.refraction import AIR, WATER
 from tests.altimetry.tracks import lattice, quanta
 
 SETTINGS = ProfileSettings(layer_m=1.5)
@@ -196,3 +199,51 @@ def test_a_reference_says_nothing_of_its_wide_gaps() -> None:
     at = np.array([-1.0, 0.0, 50.0, 100.0, 200.0, 101.0 + REFERENCE_GAP_M, 400.0])
     np.testing.assert_equal(between(at, known), [np.nan, 1.0, 2.0, 3.0, np.nan, 9.0, np.nan])
     np.testing.assert_equal(between(at[1:3], known[:1]), [1.0, np.nan])
+
+
+def test_a_profile_across_a_shore_has_one_line_and_the_floor_apart() -> None:
+    rng = np.random.default_rng(5)
+    x = rng.uniform(0.0, 2000.0, 8000)
+    shore, kind = x < 1010.0, rng.random(8000)
+    slope = np.where(shore, 0.0, (x - 1010.0) / 50.0)
+    z = slope + rng.normal(0.0, 0.1, 8000)
+    z[shore & (kind < 0.5)] -= 8.0
+    z[~shore & (kind < 0.5)] += rng.uniform(5.0, 15.0, np.count_nonzero(~shore & (kind < 0.5)))
+    along, height = quanta(np.stack([x, z], axis=1))
+    order = np.lexsort((height, along))
+    along, height = along[order], height[order]
+    level = np.where(along < 1_020_000, 0, NO_WATER).astype(np.int64)
+    photons = along, height, np.ones(len(along), np.bool_)
+    whole = over_water.profile(photons, level, (0, 100), (ProfileSettings(), 0.0), 0.0)
+    wet = whole["water"] == 1
+    np.testing.assert_array_equal(wet, whole["cell"] < 51)
+    truth = np.maximum(whole["along_track"] - 1010.0, 0.0) / 50.0
+    assert np.abs(whole["ground"] - truth).max() < 0.5
+    assert np.abs(whole["floor"][wet][:-2] + 8.0).max() < 0.2
+    assert np.isnan(whole["floor"][~wet]).all()
+    assert not whole["canopy_photons"][wet].any()
+    assert np.isnan(whole["canopy_height"][wet]).all()
+    assert (whole["canopy_height"][~wet] > 10.0).mean() > 0.9
+    parts = []
+    for low, high in ((0, 40), (40, 100)):
+        rows = (along >= (low - 7) * 20_000) & (along < (high + 7) * 20_000)
+        some = tuple(v[rows] for v in photons)
+        parts.append(
+            over_water.profile(
+                (some[0], some[1], some[2]), level[rows], (low, high), (ProfileSettings(), 0.0), 0.0
+            )
+        )
+    for name, values in whole.items():
+        np.testing.assert_array_equal(values, np.concatenate([p[name] for p in parts]))
+
+
+def test_water_whose_surface_is_lost_keeps_its_floor() -> None:
+    rng = np.random.default_rng(6)
+    along = np.sort(rng.integers(0, 400_000, 1500))
+    height = rng.normal(-5000.0, 100.0, 1500).astype(np.int32)
+    photons = along, height, np.ones(1500, np.bool_)
+    level = np.zeros(1500, np.int64)
+    found = over_water.profile(photons, level, (0, 20), (ProfileSettings(), 0.0), 0.0)
+    assert np.isnan(found["ground"]).all()
+    assert np.abs(found["floor"] + 5.0).max() < 0.1
+    np.testing.assert_allclose(found["floor_refracted"], found["floor"] * AIR / WATER, atol=0.01)

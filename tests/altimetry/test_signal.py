@@ -118,6 +118,22 @@ def test_labels_far_from_a_join_do_not_depend_on_what_is_joined() -> None:
     assert 0.5 < kept[0].mean() < 1.0
 
 
+@pytest.mark.parametrize("scaling", [True, False])
+def test_a_product_may_say_that_there_is_no_noise(scaling: bool) -> None:  # noqa: FBT001
+    along, height = lattice(small_track(2, noise_per_m2=1e-4))
+    cells = rates.observe(along, height, RATE)
+    for none in (slice(None), slice(0, 10)):
+        density = np.full(len(cells.index), 1e-4)
+        density[none] = 0.0
+        chosen = SIGNAL.model_copy(update={"scaling": scaling})
+        scale = rates.scale(cells, density, RATE, chosen)
+        prior = signals.log_prior(cells, scale, RATE, chosen.window_m)
+        every = np.ones(len(along), np.bool_)
+        score = signals.score(along, height, every, scale, prior, RATE, chosen)
+        assert np.isfinite(score).all()
+        assert np.isfinite(scale.stretched_m).all()
+
+
 @pytest.mark.parametrize("night_m", [1.0, 20_000.0])
 def test_a_night_behind_a_day_spoils_no_labels(night_m: float) -> None:
     day = simulate_track(scene("mountain", "infrared", 3, length_m=2000.0))

@@ -23,18 +23,18 @@ from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, stretches
 from spl_batch.altimetry.noise.layers_above import BIN_M, GROUND_CELLS, PATCH_CELLS, above, foot
 from spl_batch.altimetry.noise.mist import find_mist, hidden
 from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
-from spl_batch.altimetry.noise.planes import CAP_UNITS, UNIT_M, usual_noise
+from spl_batch.altimetry.noise.planes import CAP_UNITS, UNIT_M, median_noise, usual_noise
 from spl_batch.altimetry.noise.windows import of_window
 from spl_batch.altimetry.photon_table import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.water.emptiest import Photons, sums_around
-from spl_batch.altimetry.water.layers_of_cells import fullest
 from spl_batch.altimetry.water.level_water import (
     DEPTHS,
     NO_WATER,
     REACH_CELLS,
     SURFACE_M,
     WOOD_CELLS,
+    find_layers,
     find_water,
     local_column,
 )
@@ -42,7 +42,10 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
 HALO_CELLS: Final = (
-    JOINED_CELLS + GROUND_CELLS + 2 * (PATCH_CELLS + REACH_CELLS + WOOD_CELLS + STRETCH_CELLS)
+    JOINED_CELLS
+    + GROUND_CELLS
+    + REACH_CELLS
+    + 2 * (PATCH_CELLS + REACH_CELLS + WOOD_CELLS + STRETCH_CELLS)
 )
 """Cells to each side that :func:`observe` looks at [count]."""
 
@@ -76,9 +79,9 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     table = np.bincount(cell * width + (bins - base), minlength=len(index) * width)
     table = table.reshape(len(index), width)
     peak = _surface(index, table)
-    layers = fullest(cell, height, len(index))
+    layers = find_layers(index, cell, height)
     middle = (peak + base) * bin_q + bin_q // 2
-    # A floor may be brighter than the surface above it.
+    # A level floor may be brighter than the surface above it.
     upper = np.maximum(middle, layers[1] * (QUANTA_PER_M // 2))
     low, high = gates(index, cell, height, (middle, upper), settings)
     noise = _usual(index, table, [end / bin_q - base for end in (low, high)])
@@ -96,7 +99,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         table = np.bincount(cell * width + (height // bin_q - base), minlength=table.size)
         table = table.reshape(len(index), width)
         peak = _surface(index, table)
-        layers = fullest(cell, height, len(index))
+        layers = find_layers(index, cell, height)
     water = find_water(index, cell, height, layers, (low, high), settings.cell_m)
     wet = water.level != NO_WATER
     peak = np.where(wet, water.level // bin_q - base, peak)
@@ -297,7 +300,7 @@ def _mdbscan_axis(
 
     As in the source the whole beam has one; it knows no water.
     """
-    reference = float(np.median(density)) if len(density) else 1.0
+    reference = median_noise(density)
     dry_m = float(np.clip(1.0 / np.sqrt(reference * signal.aspect), *UNIT_M))
     least = CAP_UNITS / (dry_m * signal.reach_m)
     # By night all of the track is at the least: it keeps its length.

@@ -34,6 +34,9 @@ USUAL_CELLS: Final = 100
 BLOCK_CELLS: Final = 20
 """Cells of a block of the absolute grid, which has one usual noise [count]."""
 
+_LEAST_NOISE: Final = 1e-6
+"""What is usual where there is no noise at all [1/m2]."""
+
 _STEPS: Final = 8
 """Steps in which a usual noise doubles: with few of them there are few planes [count]."""
 
@@ -70,14 +73,20 @@ def usual_noise(
     Without scaling it is that of the whole beam.
     """
     if not signal.scaling:
-        return np.full(len(index), np.median(density) if len(index) else 1.0)
+        return np.full(len(index), median_noise(density))
     block, at = np.unique(index // BLOCK_CELLS, return_inverse=True)
     first = np.searchsorted(index, block * BLOCK_CELLS - USUAL_CELLS)
     stop = np.searchsorted(index, (block + 1) * BLOCK_CELLS + USUAL_CELLS)
     pairs = zip(first.tolist(), stop.tolist(), strict=True)
-    median = np.array([np.median(density[a:b]) for a, b in pairs])
+    median = np.array([median_noise(density[a:b]) for a, b in pairs])
     usual: NDArray[np.float64] = 2.0 ** (np.rint(_STEPS * np.log2(median)) / _STEPS)
     return usual[at]
+
+
+def median_noise(density: NDArray[np.float64]) -> float:
+    """Median of the noise of cells that have some [1/m2]."""
+    known = density[density > 0.0]
+    return float(np.median(known)) if len(known) else _LEAST_NOISE
 
 
 def planes(

@@ -46,7 +46,7 @@ _DEPTH: Final = "depth"
 SURFACE, FLOOR, COLUMN = 41, 40, 45
 """Where water is seen: signal at its surface, signal below it, and what else lies below it."""
 
-_PROFILE: Final = tuple(name for name in COLUMNS if name != "baseline_ground")
+_PROFILE: Final = tuple(n for n in COLUMNS if n not in {"baseline_ground", "floor_refracted"})
 _DATASETS: Final[Mapping[str, tuple[type, float, str]]] = {
     "spl_signal": (np.uint8, NOT_ASSESSED, "0 noise, 1 signal, 255 not assessed"),
     "spl_confidence": (np.float32, math.nan, "confidence that the photon is signal, 0..1"),
@@ -74,7 +74,8 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
             for start in range(0, len(part["signal"]), GROUP_PHOTONS):
                 rows = slice(start, start + GROUP_PHOTONS)
                 writer.write({name: part[name][rows] for name in columns_of})
-    columns = read_columns(place(context, "profiles", args["key"], ".parquet"), _PROFILE)
+    names = (*_PROFILE, *(("floor_refracted",) if context.workflow.outputs.refraction else ()))
+    columns = read_columns(place(context, "profiles", args["key"], ".parquet"), names)
     profile = context.output / "profiles" / f"{args['delivered']}.csv"
     write_bytes(profile, to_text(columns))
     facts = {

@@ -11,18 +11,19 @@ from numpy.typing import NDArray
 from spl_batch.altimetry.formats.atl08 import find_labels
 from spl_batch.altimetry.formats.terrain import sample_terrain
 from spl_batch.altimetry.formats.track_csv import read_profile
+from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground import profile as profiles
-from spl_batch.altimetry.photon_table import LABELS
+from spl_batch.altimetry.photon_table import LABELS, Scale
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.tasks.context import Context, gather, place, rows_between
-from spl_batch.altimetry.tasks.photons import Selection
+from spl_batch.altimetry.tasks.photons import Selection, read_rate
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns, write_arrays, writing
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.error_statistics import statistics
 
 COLUMNS: Final = {
-    **profiles.COLUMNS,
+    **over_water.COLUMNS,
     "latitude": np.float64,
     "longitude": np.float64,
     "baseline_ground": np.float64,
@@ -42,7 +43,7 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     settings = profiles.for_layout(context.workflow.profile, args["layout"])
     spread = profiles.spread_m(context.workflow.profile, args["layout"])
     size = quanta(settings.cell_m)
-    chosen = Selection(beam, context)
+    chosen, scale = Selection(beam, context), read_rate(beam, context)[1]
     pieces = []
     for _, low, high in args["segments"]:
         owned = (-(-low // size), -(-high // size))
@@ -50,7 +51,7 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
         table = _labelled(args, owned[0] * size - reach, owned[1] * size + reach, context)
         if not len(table["row"]):
             continue
-        pieces.append(_heights(table, chosen, owned, (settings, spread), context))
+        pieces.append(_heights(table, (chosen, scale), owned, (settings, spread), context))
     columns = {
         name: np.concatenate([np.empty(0, dtype), *(p[name] for p in pieces)])
         for name, dtype in COLUMNS.items()
@@ -64,6 +65,8 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {
         "cells": len(ground),
         "ground_cells": int(np.count_nonzero(ground)),
+        "water_cells": int(np.count_nonzero(columns["water"])),
+        "floor_cells": int(np.count_nonzero(np.isfinite(columns["floor"]))),
         "canopy_cells": int(np.count_nonzero(columns["canopy_photons"])),
     }
     return Produced([path], facts, args["points"])
@@ -85,17 +88,20 @@ def _labelled(
 
 def _heights(
     table: Mapping[str, NDArray[Any]],
-    chosen: Selection,
+    beam: tuple[Selection, Scale],
     owned: tuple[int, int],
     settings: tuple[ProfileSettings, float],
     context: Context,
 ) -> dict[str, NDArray[Any]]:
     reference = context.workflow.reference
+    chosen, scale = beam
     sure = chosen(table, "label")
     some = chosen(table, "ground")
-    columns = profiles.profile(
-        table["along"][some], table["height"][some], sure[some], owned, *settings
-    ).columns
+    photons = table["along"][some], table["height"][some], sure[some]
+    cell = np.searchsorted(scale.index, photons[0] // quanta(context.workflow.rate.cell_m))
+    level = scale.level[cell].astype(np.int64)
+    off_nadir_deg = context.workflow.track.off_nadir_deg
+    columns = over_water.profile(photons, level, owned, settings, off_nadir_deg)
     columns["baseline_ground"] = np.full(len(columns["cell"]), np.nan)
     if reference is not None and reference.baseline:
         base = table["baseline"] > 0

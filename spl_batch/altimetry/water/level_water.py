@@ -22,7 +22,7 @@ from scipy import ndimage
 
 from spl_batch.altimetry.water.column_noise import falling_density
 from spl_batch.altimetry.water.emptiest import Photons, emptiest, sums_around
-from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre
+from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre, fullest
 from spl_batch.constants import QUANTA_PER_M
 
 NO_WATER: Final = np.iinfo(np.int32).min
@@ -84,6 +84,17 @@ class Water(NamedTuple):
     fullest: NDArray[np.int64]  #: (n,): middle of the densest metre [quanta].
 
 
+def find_layers(
+    index: NDArray[np.int64], cell: NDArray[np.intp], height: NDArray[np.int32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Half-metre of each cell's fullest metre, and of what may be a surface: (n,) int64 each.
+
+    That is a layer above it where half of the cells around have one at that height.
+    """
+    mode, upper = fullest(cell, height, len(index))
+    return mode, agreed(index, mode, upper, REACH_CELLS)
+
+
 def find_water(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
@@ -103,8 +114,7 @@ def find_water(
     height : (p,) int32
         Photons [quanta].
     layers : ((n,) int64, (n,) int64)
-        Fullest metre and highest layer of each cell, by
-        :func:`~spl_batch.altimetry.water.layers_of_cells.fullest`.
+        By :func:`find_layers`.
     gate : ((n,) int32, (n,) int32)
         Lower and upper end of each cell's gate [quanta].
     """
@@ -119,8 +129,8 @@ def find_water(
     )
     if not n:
         return water
-    mode, upper = layers
-    level = _level(index, agreed(index, mode, upper, REACH_CELLS), cell, height)
+    mode, chosen = layers
+    level = _level(index, chosen, cell, height)
     half = QUANTA_PER_M // 2
     water.fullest[:] = mode * half + half // 2
     water.slope[:] = _slope(index, mode, cell_m)
