@@ -41,7 +41,8 @@ def command(verb: str, workflow: Path, *options: object) -> surveys.Ended:
 
 def refused(ended: surveys.Ended) -> str:
     assert ended.status == 2, ended.text
-    (line,) = ended.err.splitlines()
+    # What takes long is told meanwhile.
+    (line,) = [line for line in ended.err.splitlines() if not line.startswith("info: ")]
     return line
 
 
