@@ -35,28 +35,25 @@ def rasters(output: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(output.glob("*.tif"))}
 
 
-def test_a_task_killed_half_way_leaves_no_receipt_that_speaks_for_it(
+def test_a_task_stopped_half_way_leaves_no_receipt_that_speaks_for_it(
     survey: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     output = api.run(survey, workers=0, until="deliver").output
     first = rasters(output)
     receipts = set((output / "store" / "receipts" / "surface").glob("*.json"))
 
-    class Killed(BaseException):
-        pass
-
     write_cell = surfaces.write_cell
 
     def killed(*args: Any) -> None:
         write_cell(*args)
-        raise Killed
+        raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr(surfaces, "write_cell", killed)
-        with pytest.raises(Killed):
+        with pytest.raises(KeyboardInterrupt):
             api.run(survey, workers=0, until="deliver", overrides=["products.void_max_m=1"])
     left = set((output / "store" / "receipts" / "surface").glob("*.json"))
-    assert len(receipts - left) == 1, "the task that was killed, and no other"
+    assert len(receipts - left) == 1, "the task that was stopped, and no other"
     (output / "dtm.tif").unlink()
     assert rasters(api.run(survey, workers=0, until="deliver").output) == first
 
