@@ -115,25 +115,26 @@ def low_outliers(xyz: Float) -> Mask:
     for _ in range(_PIT_ROUNDS):
         lowest = lowest_nodes(xyz, ~low, PIT_CELL_M)
         trend = fit_trend(xyz[np.sort(lowest[lowest >= 0])], x, y)
-        above = z - trend_at(trend, x, y)
-        found = _far_below(xyz, low, _PIT_RANK, _PIT_SLOPE)
+        over = np.column_stack([x, y, z - trend_at(trend, x, y)])
+        found = _far_below(xyz, lowest, _PIT_RANK, _PIT_SLOPE)
         found |= _steep(trend, STEEP, x, y) & _far_below(
-            np.column_stack([x, y, above]), low, 1, _PIT_ABOVE_TREND
+            over, lowest_nodes(over, ~low, PIT_CELL_M), 1, _PIT_ABOVE_TREND
         )
+        found &= ~low
         if not found.any():
             break
         low |= found
     return low
 
 
-def _far_below(xyz: Float, low: Mask, rank: int, slope: float) -> Mask:
-    """Nodes that are not low yet, but lower by a slope than the lowest of so many cells around."""
+def _far_below(xyz: Float, lowest: Index, rank: int, slope: float) -> Mask:
+    """Nodes lower by a slope than the lowest of so many cells around; ``lowest``: of each cell."""
     column, row, _ = _places(xyz, PIT_CELL_M)
-    height = _heights(lowest_nodes(xyz, ~low, PIT_CELL_M), xyz[:, 2])
+    height = _heights(lowest, xyz[:, 2])
     around = np.sort(_neighbours(np.where(np.isnan(height), np.inf, height)), axis=0)
     floor = around[rank - 1] - slope * PIT_CELL_M
     floor[np.isinf(floor)] = -np.inf
-    found: Mask = ~low & (xyz[:, 2] < floor[row, column])
+    found: Mask = xyz[:, 2] < floor[row, column]
     return found
 
 
