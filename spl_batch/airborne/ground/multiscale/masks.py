@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from spl_batch.airborne.ground.decks import on_decks
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
 from spl_batch.airborne.ground.level_ground import levelled
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED, Nodes, lowest_layers
@@ -211,9 +212,12 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
     ground = ground_nodes(xyz, high, grid, nearest)
+    decks = on_decks(xyz, grid, nearest, ground, CELL_M)
+    ground &= ~decks
     ground = continued(xyz, grid, ground, CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
     ground = _joined(xyz, chosen & hard, ground)
+    ground &= ~decks
     ground &= ~on_houses(xyz, ground)
     return _surface(xyz[ground])
 
