@@ -12,9 +12,8 @@ Other filters run as published, by scikit-learn (``pip install 'spl-batch[peers]
 this project's. "ours, no land" leaves out what lies within 10 m of a photon of land: labels with
 one signal photon per shot call the others of the land, and its trees, noise. How much they call
 noise there is printed beside what it would be at the density elsewhere. Below it stands what the
-filter tells and the labels call noise by part of the track, and what bounds that comparison: pairs
-of photons of one shot within half a metre, which labels of water hardly call noise or leave out;
-and how much more noise labels have beside their floor than farther off.
+filter tells and the labels call noise by part of the track; what labels cannot say of it is
+measured by :mod:`benchmarks.altimetry.label_rule`.
 
 ``--picture FOLDER`` draws labels and ours of each track. ``--halves`` cuts each track in the
 middle. ``--scale KEY=FACTOR`` multiplies a setting of ``signal``, to see what hangs on it.
@@ -33,7 +32,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.altimetry.photon_beams import PROFILE, SIGNAL, Beam, Mask, Photons, lattice
-from benchmarks.altimetry.told_noise import beside_floor, by_part, in_words, pairs
+from benchmarks.altimetry.told_noise import by_part, in_words
 from spl_batch.altimetry.filter.peer_filters import PEERS
 from spl_batch.altimetry.filter.peer_filters import keep as keep_peer
 from spl_batch.altimetry.formats.atl08 import find_labels
@@ -161,20 +160,12 @@ def over_land(track: Labelled, along: NDArray[np.int64]) -> Mask:
 
 
 def where_labels_tell(track: Labelled, found: Found) -> None:
-    """Noise told and labelled among what is taken, by part, and what bounds the labels."""
-    beam, noise, floor = found.beam, track.label == NOISE, track.label == FLOOR
+    """Noise told and labelled among what is taken, by part."""
+    beam, noise = found.beam, track.label == NOISE
     if beam is None:
         return
     parts = by_part(beam, found.kept, noise, lambda along: over_land(track, along))
     print(f"  noise told / labelled: {in_words(parts)}")
-    every, of_noise = pairs(track.photons, noise)
-    print(f"  {every} pairs of photons of one shot within half a metre, {of_noise} with noise")
-    if floor.any():
-        close, far = beside_floor(beam, noise, floor)
-        print(
-            f"  below water labelled over expected noise: {close:.2f} at 0.5 to 2 m from labelled "
-            f"floor, {far:.2f} at 2 to 5 m"
-        )
 
 
 def without_land(track: Labelled, found: Found) -> None:

@@ -18,15 +18,6 @@ from spl_batch.constants import QUANTA_PER_M
 
 PARTS = ("land", "no water", "above", "waves", "first metre", "below")
 
-CLUSTER_M = (0.35, 0.5)
-"""Half of a shot's spacing, and the height of a cluster [m]."""
-
-BESIDE_M = (10.0, 1.0)
-"""Track and height of a box around a photon of a floor, whose multiples are distances [m]."""
-
-BESIDE = ((0.5, 2.0), (2.0, 5.0))
-"""Distances from a floor that labels are compared at [m]."""
-
 LEAST, WITHIN = 20, 0.3
 """Photons of noise that a part holds to be judged [count], and how well it is to be told."""
 
@@ -96,29 +87,3 @@ def near(photons: Photons, places: Sequence[NDArray[Any]], size_m: Sequence[floa
     size = np.array(size_m) * QUANTA_PER_M
     tree = cKDTree(np.stack(photons, axis=1) / size)
     return tree.query(np.stack(places, axis=1) / size, p=np.inf)[0]
-
-
-def pairs(photons: Photons, noise: Mask) -> tuple[int, int]:
-    """Pairs of photons of one shot within half a metre, and those with noise among them [count]."""
-    size = np.array(CLUSTER_M) * QUANTA_PER_M
-    found = cKDTree(np.stack(photons, axis=1) / size).query_pairs(
-        1.0, p=np.inf, output_type="ndarray"
-    )
-    return len(found), int(np.count_nonzero(noise[found].any(axis=1)))
-
-
-def beside_floor(beam: Beam, noise: Mask, floor: Mask) -> list[float]:
-    """Labelled noise over noise expected at the distances :data:`BESIDE` from a labelled floor."""
-    photons = beam.along, beam.height
-    own = beam.along[floor], beam.height[floor]
-    *places, each = beam.expected_at
-    deep = beam.depth_m(*places) > SURFACE_M
-    found = noise & (beam.depth_m(*photons) > SURFACE_M)
-    off, there = near(own, photons, BESIDE_M), near(own, places, BESIDE_M)
-    return [
-        float(
-            np.count_nonzero(found & (off >= low) & (off < high))
-            / each[deep & (there >= low) & (there < high)].sum()
-        )
-        for low, high in BESIDE
-    ]

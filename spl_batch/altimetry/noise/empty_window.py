@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from spl_batch.altimetry.noise.fog import Fog, extent
 from spl_batch.altimetry.noise.gate import STRETCH_CELLS
 from spl_batch.altimetry.settings import RateSettings
-from spl_batch.altimetry.water.emptiest import QUARTER, Photons, emptiest, mean_height
+from spl_batch.altimetry.water.emptiest import QUARTER, Photons, emptiest, mean_height, sums_around
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
 _MEAN_CELLS: Final = 2
 """Cells to each side whose photons say how high a cell lies [count]."""
+
+_SURE_SD: Final = 3.0
 
 _LEAST_M: Final = 4
 """What is nearer to a water surface is never empty, whatever the gate [m]."""
@@ -64,10 +66,37 @@ def empty_window(
     if short.any():
         middle = mean_height(photons, _MEAN_CELLS)
         found = emptiest(photons, (low, top), middle, short, STRETCH_CELLS)
+        full = _fuller(photons.number, found, (count * ~short, length * ~short))
+        found = found[0] * ~full, found[1] * ~full
         count, length = (
             np.where(short, *both) for both in zip(found, (count, length), strict=True)
         )
     return count.astype(np.int64), length
+
+
+def _fuller(
+    index: NDArray[np.int64],
+    emptiest_quarter: tuple[NDArray[np.int64], NDArray[np.int64]],
+    window: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> NDArray[np.bool_]:
+    """Cells around which the emptiest quarter holds more than the noise seen near by: (n,) bool.
+
+    Woods on a slope have crowns at every height, and by night a gate that few photons show may seem
+    no higher than they are. Long windows within a kilometre then tell what the quarter cannot.
+
+    Parameters
+    ----------
+    emptiest_quarter, window : ((n,) int64, (n,) int64)
+        Photons, and the length that they are counted in [count, quanta].
+    """
+    own = np.stack([emptiest_quarter[0], emptiest_quarter[1] / QUANTA_PER_M], axis=1)
+    near = np.stack([window[0], window[1] / QUANTA_PER_M], axis=1)
+    seen, seen_m = sums_around(index, own, _MEAN_CELLS).T
+    noise, noise_m = sums_around(index, near, STRETCH_CELLS).T
+    ratio = seen_m / np.maximum(noise_m, 1.0)
+    chance = _SURE_SD * np.sqrt(seen + (noise + 1.0) * ratio**2)
+    found: NDArray[np.bool_] = (noise_m > seen_m) & (seen > noise * ratio + chance)
+    return found
 
 
 def _outside(

@@ -44,8 +44,9 @@ from spl_batch.lattice.tiles import quanta
 HALO_CELLS: Final = (
     JOINED_CELLS
     + GROUND_CELLS
-    + REACH_CELLS
-    + 2 * (PATCH_CELLS + REACH_CELLS + WOOD_CELLS + STRETCH_CELLS)
+    + 2 * REACH_CELLS
+    + 2 * (PATCH_CELLS + REACH_CELLS + WOOD_CELLS)
+    + 3 * STRETCH_CELLS
 )
 """Cells to each side that :func:`observe` looks at [count]."""
 

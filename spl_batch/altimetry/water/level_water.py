@@ -23,6 +23,7 @@ from scipy import ndimage
 from spl_batch.altimetry.water.column_noise import falling_density
 from spl_batch.altimetry.water.emptiest import Photons, emptiest, sums_around
 from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre, fullest
+from spl_batch.altimetry.water.rough_surface import rough_land, roughness, smooth_sums
 from spl_batch.constants import QUANTA_PER_M
 
 NO_WATER: Final = np.iinfo(np.int32).min
@@ -136,6 +137,9 @@ def find_water(
     water.slope[:] = _slope(index, mode, cell_m)
     level = _refined(cell, height, level)
     level[_grown_over(index, cell, height, gate, level)] = NO_WATER
+    over_m = (height - level[cell].astype(np.int64)) / QUANTA_PER_M
+    edges_m = WAVE_M, SURFACE_M
+    level[rough_land(index, cell, over_m, level != NO_WATER, edges_m, REACH_CELLS)] = NO_WATER
     water.level[:] = level
     wet = level != NO_WATER
     if wet.any():
@@ -263,16 +267,16 @@ def _columns(
     length = np.clip(gate_m[:, None] - np.arange(DEPTHS), 0.0, 1.0)
     length[:, -1] = np.maximum(gate_m - (DEPTHS - 1), 0.0)
     area = np.where(wet[:, None], length * cell_m, 0.0)
-    near = sums_around(index, count, _FLOOR_CELLS)
+    over_m = (height - level[cell].astype(np.int64)) / QUANTA_PER_M
+    rough = roughness(index, cell, over_m, wet, (WAVE_M, SURFACE_M), REACH_CELLS)
+    near = smooth_sums(index, count, rough, np.zeros(count.shape, np.bool_), _FLOOR_CELLS)
     around = ndimage.median_filter(near, size=(1, _FLOOR_DEPTHS), mode="mirror")
     # In turbid water noise grows steeply towards the surface: the first two metres hold as much as
     # those below them, seen over a kilometre, let expect.
     bright = near > around + _FLOOR_SD * np.sqrt(np.maximum(around, 1.0))
     bright = ndimage.binary_dilation(bright, np.ones((1, 3), np.bool_))
     seen = np.maximum(sums_around(index, np.where(bright, 0.0, 1.0), REACH_CELLS), 1.0)
-    wide = (
-        sums_around(index, np.where(bright, 0, count), REACH_CELLS) * (2 * _FLOOR_CELLS + 1) / seen
-    )
+    wide = smooth_sums(index, count, rough, bright, REACH_CELLS) * (2 * _FLOOR_CELLS + 1) / seen
     steeper = np.maximum((wide[:, 2] + 0.1) / (wide[:, 4] + 0.1), 1.0)
     around[:, 0] = np.maximum(around[:, 0], wide[:, 2] * steeper)
     around[:, 1] = np.maximum(around[:, 1], wide[:, 2] * np.sqrt(steeper))
@@ -282,7 +286,7 @@ def _columns(
     floor[:, -1] = False
     out = np.zeros((n, DEPTHS))
     falling_density(
-        sums_around(index, np.where(floor, 0, count), REACH_CELLS),
+        smooth_sums(index, count, rough, floor, REACH_CELLS),
         sums_around(index, np.where(floor, 0.0, area), REACH_CELLS),
         out,
     )
