@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.altimetry.clouds import WOODED, woods
-from benchmarks.altimetry.labelled_tracks import NOISE, Labelled, measured
+from benchmarks.altimetry.labelled_tracks import LAND, NOISE, Labelled, measured
 from benchmarks.altimetry.odd_tracks import BRIGHT, DAY, NIGHT, SCENES, Scene, make, thin
 from benchmarks.altimetry.photon_beams import Beam, Mask
 from spl_batch.altimetry.noise import noise_rate as rates
@@ -20,7 +20,7 @@ from spl_batch.altimetry.photon_table import Cells
 from spl_batch.altimetry.report.summarise import _cloud
 from spl_batch.altimetry.settings import RateSettings
 from spl_batch.altimetry.water.layers_of_cells import fullest
-from tests.altimetry.tracks import assert_cut_matters_nowhere
+from tests.altimetry.tracks import assert_cut_matters_nowhere, quanta
 
 RATE = RateSettings()
 WOODS = Scene(
@@ -61,6 +61,27 @@ def test_photons_of_a_cloud_are_noise_and_what_is_below_is_kept(noise: float, li
     assert measured(kept, track.label)[0] > 0.93
     assert kept[track.label != NOISE].mean() > 0.9
     assert kept[cloud].mean() < 0.05
+
+
+@pytest.mark.parametrize("relief_m", [0.0, 10.0])
+def test_a_thin_bright_cloud_is_no_water_above_its_ground(relief_m: float) -> None:
+    rng = np.random.default_rng(1)
+    n = (1700, 4000, 12_000)
+    x = np.concatenate([rng.uniform(0.0, 2000.0, count) for count in n])
+    ground = relief_m * np.sin(x / 300.0)
+    spread = (
+        rng.normal(0.0, 0.15, n[0]),
+        80.0 + rng.normal(0.0, 2.0, n[1]),
+        rng.uniform(-70, 130, n[2]),
+    )
+    z = np.concatenate(spread)
+    z[: n[0]] += ground[: n[0]]
+    kind = np.repeat([LAND, NOISE, NOISE], n)
+    order = np.argsort(x)
+    beam = Beam(quanta(np.stack([x, z], axis=1)[order]), None)
+    kept = beam.keep(beam.score())
+    assert kept[kind[order] == LAND].mean() > 0.9
+    assert kept[kind[order] == NOISE].mean() < 0.05
 
 
 def test_a_cloud_is_found_where_it_is() -> None:
@@ -135,7 +156,7 @@ def test_a_bridge_a_bird_and_a_slope_are_no_cloud_and_a_layer_is() -> None:
 
     def fog(*boxes: Box) -> Fog:
         cell, height = layered(np.random.default_rng(1), list(boxes))
-        mode, _ = fullest(cell, height, len(index))
+        mode, *_ = fullest(cell, height, len(index))
         ground = foot(index, cell, height, mode, noise)
         seen = above(index, cell, height, (ground.quanta, ground.known), gate, 20.0)
         return find_fog(seen, ground)

@@ -20,7 +20,7 @@ from spl_batch.altimetry.filter import signal as signals
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
 from spl_batch.altimetry.photon_table import Cells
-from spl_batch.altimetry.report.summarise import _odd_layers
+from spl_batch.altimetry.report.summarise import _odd_layers, _second_surface
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.water.column_noise import falling_density
@@ -534,3 +534,13 @@ def test_layers_that_may_be_neither_land_nor_floor_are_told() -> None:
     assert "photons more lie 0.3 to 1 m below the water surface than as far above it" in under
     (cloud,) = told(np.where((x >= 1000.0) & (x < 1400.0), -12.0, floor))
     assert "200 signal photons between 1 and 1.4 km lie more than 1 m above" in cloud
+
+
+@pytest.mark.parametrize(
+    ("far", "doubtful", "said"),
+    [(300, 0, True), (9, 0, False), (900, 90_000, False), (90, 0, False)],
+)
+def test_a_second_surface_among_the_signal_is_said(far: int, doubtful: int, *, said: bool) -> None:
+    chosen = {"far_signal": far, "doubtful": {"photons": doubtful}}
+    found = list(_second_surface(chosen, 100_000, 5e-4))
+    assert ["a second surface is among the signal" in text for text in found] == [True] * said

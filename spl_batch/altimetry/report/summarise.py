@@ -94,16 +94,7 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
             found.append(Said(beam, f"{text}is an upper bound"))
         found += [Said(beam, text) for text in _cloud(rate["fog"])]
         found += [Said(beam, text) for text in _mist(rate["mist"], delivered.facts["mist"], kept)]
-        far = chosen["far_signal"]
-        # What noise alone could have given is told of once, below.
-        sure = kept - chosen["doubtful"]["photons"]
-        if far > _FAR_TIMES * limit * max(kept, 1) and far >= SAID_LEAST and 2.0 * sure > kept:
-            text = (
-                f"{grouped(far)} of the {grouped(kept)} signal photons lie farther than "
-                "rate.buffer_m from the surface, more than signal.false_share allows of noise; a "
-                "cloud, a cliff or a second surface is among the signal"
-            )
-            found.append(Said(beam, text))
+        found += [Said(beam, text) for text in _second_surface(chosen, kept, limit)]
         found += [Said(beam, text) for text in _like_noise(chosen, kept)]
         found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
         if kept and not noise:
@@ -118,6 +109,19 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
                 )
             found.append(Said(beam, text))
     return list(shared(found, "beams"))
+
+
+def _second_surface(chosen: Mapping[str, Any], kept: int, limit: float) -> Iterator[str]:
+    """More signal far from the surface than ``signal.false_share`` lets noise leave there."""
+    far = chosen["far_signal"]
+    # What noise alone could have given is told of by itself.
+    sure = kept - chosen["doubtful"]["photons"]
+    if far > _FAR_TIMES * limit * max(kept, 1) and far >= SAID_LEAST and 2.0 * sure > kept:
+        yield (
+            f"{grouped(far)} of the {grouped(kept)} signal photons lie farther than "
+            "rate.buffer_m from the surface, more than signal.false_share allows of noise; a "
+            "cloud, a cliff or a second surface is among the signal"
+        )
 
 
 def _cloud(fog: Mapping[str, float]) -> Iterator[str]:

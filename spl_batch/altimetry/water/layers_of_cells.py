@@ -1,6 +1,6 @@
-"""The fullest metre of each cell, and a layer above it that may be a water surface.
+"""The fullest metre of each cell, and layers beside it that may be the surface instead.
 
-A floor may be brighter than the surface above it, and as level.
+A floor may be brighter than the surface above it, and as level. So may a thin cloud be, above both.
 """
 
 from typing import Final
@@ -18,23 +18,29 @@ LEAST_CELLS: Final = 10
 """Cells that a level has to be the fullest metre of [count]."""
 
 _LAYER_LEAST: Final = 4
-"""Photons that a cell's layer above its fullest metre holds at least [count]."""
+"""Photons that a cell's layer above or below its fullest metre holds at least [count]."""
+
+_SURE_SD: Final = 5.0
+
+_DEEPEST_M: Final = 60
+"""No floor is seen through more water than this [m]."""
 
 
 def fullest(
     cell: NDArray[np.intp], height: NDArray[np.int32], n: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Half-metre whose metre holds most photons, of each cell, and the one of the highest layer.
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Half-metre whose metre holds most photons, of each cell, and those of two layers beside it.
 
-    That is the fullest metre too, unless one above it holds a quarter as many photons: a surface
-    above a floor that is brighter. (n,) int64 each.
+    One is the highest layer with a quarter as many photons: a surface above a floor that is
+    brighter. The other is the fullest as bright that lies deeper than any floor is seen: the
+    ground below a thin cloud. Both are the fullest metre where there is none. (n,) int64 each.
     """
     if not n:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
     half = QUANTA_PER_M // 2
     bins = height // half
     base, width = int(bins.min()), int(bins.max() - bins.min()) + 1
-    mode, upper = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    mode, upper, lower = (np.zeros(n, np.int64) for _ in range(3))
     step = max(4_000_000 // width, 1)
     order = np.argsort(cell, kind="stable")
     edges = np.searchsorted(cell[order], np.arange(n + 1))
@@ -53,22 +59,44 @@ def fullest(
         top = around[:, 0] + np.take_along_axis(metre, around, axis=1).argmax(1)
         higher = many.any(1) & (top > mode[first:stop] + 2)
         upper[first:stop] = np.where(higher, top, mode[first:stop])
-    return mode + base, upper + base
+        deep = np.arange(width) < mode[first:stop, None] - 2 * _DEEPEST_M
+        lower[first:stop] = _deeper(metre, deep, mode[first:stop])
+    return mode + base, upper + base, lower + base
+
+
+def _deeper(
+    metre: NDArray[np.int64], deep: NDArray[np.bool_], mode: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """The fullest of the deep metres of each cell, where it is no noise, else ``mode``: (n,)."""
+    held = np.where(deep, metre, 0)
+    best = held.max(1, initial=0)
+    # What lies in a metre lies in those beside it as well.
+    others = np.maximum(held.sum(1) - 3 * best, 0) / np.maximum(deep.sum(1), 1)
+    least = np.maximum(others + _SURE_SD * np.sqrt(others) + 3.0, metre.max(1) / _BRIGHTER)
+    found: NDArray[np.int64] = np.where(best >= least, held.argmax(1), mode)
+    return found
 
 
 def agreed(
-    index: NDArray[np.int64], mode: NDArray[np.int64], upper: NDArray[np.int64], reach: int
+    index: NDArray[np.int64],
+    mode: NDArray[np.int64],
+    layer: NDArray[np.int64],
+    reach: int,
+    *,
+    level: bool,
 ) -> NDArray[np.int64]:
-    """The highest layer where half of the cells around have it at that height, else the fullest.
+    """A layer beside the fullest where half of the cells around have one, else the fullest.
 
-    A cloud or trees have a layer in every cell, and hardly at one height.
+    A ``level`` one has to lie at the height that it has there: a cloud or trees have a layer above
+    the ground in every cell, and hardly at one height.
     """
     chosen = mode.copy()
-    for i in np.flatnonzero(upper != mode):
+    for i in np.flatnonzero(layer != mode):
         first, stop = np.searchsorted(index, (index[i] - reach, index[i] + reach + 1))
-        around = upper[first:stop]
-        if 2 * np.count_nonzero(np.abs(around - upper[i]) <= 1) >= len(around):
-            chosen[i] = upper[i]
+        around = layer[first:stop]
+        there = np.abs(around - layer[i]) <= 1 if level else around <= layer[i] + 2 * _DEEPEST_M
+        if 2 * np.count_nonzero(there) >= len(around):
+            chosen[i] = layer[i]
     return chosen
 
 

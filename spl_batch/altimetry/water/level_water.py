@@ -90,10 +90,14 @@ def find_layers(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Half-metre of each cell's fullest metre, and of what may be a surface: (n,) int64 each.
 
-    That is a layer above it where half of the cells around have one at that height.
+    That is a layer above it where half of the cells around have one at that height. Where they
+    have one deeper than any floor, that counts in place of the fullest.
     """
-    mode, upper = fullest(cell, height, len(index))
-    return mode, agreed(index, mode, upper, REACH_CELLS)
+    mode, upper, lower = fullest(cell, height, len(index))
+    ground = agreed(index, mode, lower, REACH_CELLS, level=False)
+    upper = agreed(index, mode, upper, REACH_CELLS, level=True)
+    upper = np.where(ground < mode, ground, upper)
+    return ground, upper
 
 
 def find_water(
