@@ -1,6 +1,8 @@
 """Flightlines that a run brings together, from files to deliveries, without a noise filter."""
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -9,9 +11,14 @@ import pytest
 import rasterio
 
 from spl_batch import api
+from spl_batch.airborne.strips import strip_comparison
+from spl_batch.airborne.tasks import space_domain, surfaces
+from spl_batch.engine.store.working_store import read_receipts
+from spl_batch.engine.verbs.preparing import prepare
 from tests import surveys
 from tests.airborne.strips.test_strip_run import FINE, survey
 from tests.airborne.strips.two_strips import Shift, hills
+from tests.airborne.tasks.test_done_in_parts import cuts_of, only_task
 
 OFF = Shift(0.3, -0.2, 0.2)
 
@@ -89,6 +96,38 @@ def test_delivered_points_are_shifted_by_the_numbers_told(rigid: api.RunResult) 
     ordered = [np.unique(np.round(one, 3), axis=0) for one in places]
     np.testing.assert_array_equal(*ordered)
     assert rigid.report.counts.points_out == rigid.report.counts.points_in
+
+
+STEPS = ("index_file", "scatter", "build_tile", "denoise", "recorded_patches", "align", "ground")
+"""What must be done before shifted points are compared and drawn."""
+
+
+@pytest.mark.parametrize("kind", ["recorded_patches", "strip_patches", "ground", "surface"])
+def test_where_memory_is_small_shifted_clouds_are_read_in_strips_and_no_byte_tells(
+    rigid: api.RunResult, tmp_path: Path, kind: str
+) -> None:
+    prepared = prepare(rigid.output.parent / "workflow.yaml", ["outputs.tiles=laz"])
+    shutil.copytree(rigid.output / "store", tmp_path / "store")
+    context = replace(prepared.context, output=tmp_path)
+    for step in STEPS:
+        for receipt in read_receipts(context.store, step):
+            prepared.ledger.of(step).put(receipt)
+    task = only_task(prepared.ledger, kind)
+    assert ("align", "all") in task.needs or kind == "recorded_patches"
+    work = {"ground": space_domain.ground, "surface": surfaces.surface}.get(
+        kind, strip_comparison.strip_patches
+    )
+    alike = replace(task, kind="strip_patches") if "patches" in kind else task
+    how = cuts_of(alike, context, 4)
+    assert max(map(len, how["cuts"].values())) > 1
+    found = []
+    for cuts in ({}, how["cuts"]):
+        produced = work({**task.args, "cuts": cuts}, context)
+        found.append([path.read_bytes() for path in produced.outputs])
+    whole, strips = found
+    assert whole == strips
+    (receipt,) = (r for r in read_receipts(context.store, kind) if r.name == task.name)
+    assert len(whole) == len(receipt.outputs)
 
 
 def test_tiles_and_workers_do_not_count_and_going_back_gives_what_was(
