@@ -260,8 +260,11 @@ def _workflow(scene: Scene, out: Path, water: bool) -> Path:  # noqa: FBT001 - o
         },
         "reference": {"points": "reference_lml.laz", "checkpoints": "checkpoints.csv"},
         "output": "out",
-        "acquisition": {"prf_hz": scene.acquisition.prf_hz, "gate_m": scene.acquisition.gate_m},
+        "acquisition": {"prf_hz": scene.acquisition.prf_hz},
     }
+    gates = set(map(scene.gate_of, scene.flights))
+    if len(gates) == 1:  # else each flightline shows its own
+        content["acquisition"]["gate_m"] = gates.pop()
     if water:
         content["water"] = "water.gpkg"
     path = out / "workflow.yaml"

@@ -142,6 +142,9 @@ class PointFiles:
             out["gps_time"] = np.rint(out["gps_time"] / step) * step
         number = run.number if given.point_source_id else 0
         out["point_source_id"] = np.full(len(out["x"]), number, np.uint16)
+        if run.flight.crs is not None:
+            moved = Transformer.from_crs(self._scene.crs, run.flight.crs, always_xy=True)
+            out["x"], out["y"] = moved.transform(out["x"], out["y"])
         return out
 
     def _files(self, run: Pass, columns: Columns) -> Iterator[tuple[str, NDArray[np.intp]]]:
@@ -158,7 +161,11 @@ class PointFiles:
     def _writer(self, name: str, run: Pass) -> PointsWriter:
         if name not in self._writers:
             scene = self._scene
-            header = las_header(scene.crs, scene.origin_m, run.middle_s, scene.delivery.scale_m)
+            crs, origin_m = run.flight.crs or scene.crs, scene.origin_m
+            if crs != scene.crs:
+                moved = Transformer.from_crs(scene.crs, crs, always_xy=True)
+                origin_m = (*moved.transform(*origin_m[:2]), origin_m[2])
+            header = las_header(crs, origin_m, run.middle_s, scene.delivery.scale_m)
             if scene.delivery.channel_dimension == "channel":
                 header.add_extra_dim(laspy.ExtraBytesParams("channel", "uint8", "beamlet, from 1"))
             laz, truth = (

@@ -1,5 +1,6 @@
 """Fly a scene: flightlines with truth, trajectory, reference, and a workflow to run them."""
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -184,7 +185,7 @@ def _check_coverage(passes: list[Pass], pieces: list[list[Chunk]]) -> None:
 
 def _noise_grid(scene: Scene) -> NoiseGrid:
     """Voxels on the absolute lattice over the extent, as high as the gates reach."""
-    gate = scene.acquisition.gate_m
+    gate = max(map(scene.gate_of, scene.flights))
     # 20 m more than the gate, for relief and for what the aircraft's wobble does to ranges
     low = np.array([*scene.origin_m[:2], scene.origin_m[2] - gate - 20])
     high = low + np.array([*scene.extent_m, 2 * gate + 40])
@@ -199,7 +200,7 @@ def _fly(
     """Write one flightline; returns the number of points of each kind."""
     centres = gate_centres(pieces)
     counts = np.zeros(len(KINDS), dtype=np.int64)
-    gate = rig.scene.acquisition.gate_m
+    gate = rig.scene.gate_of(run.flight)
     peak = rig.noise.at(np.array([run.flight.sky * (1 + rig.scene.sky.variation)]))
     gain = float(rig.optics.gain.max(initial=0.0))
     nearest = min(float(piece.ground_range_m.min()) for piece in pieces) - gate / 2
@@ -275,7 +276,7 @@ def _shots(rig: _Rig, run: Pass, piece: Chunk, gate_start_m: float) -> Shots:
         rotations(*run.attitude(time_s)),
         run.scan_angle(piece.shot),
         start,
-        start + rig.scene.acquisition.gate_m,
+        start + rig.scene.gate_of(run.flight),
         rig.noise.at(run.sky(time_s)),
         time_s - rig.scene.acquisition.start_s,
     )
@@ -295,11 +296,18 @@ def _columns(
     angle = np.degrees(np.arctan2(starboard, -beam[:, 2]))
     # a silicon photomultiplier's pulse grows with the cells that fire [W17 2.2.1]
     pulse = 8000.0 + 1500.0 * (points.electrons - 1) + 600.0 * rng.standard_normal(len(time_s))
-    east, north, up = run.flight.strip_offset_m
+    place = points.xyz + run.flight.strip_offset_m
+    place[:, :2] += rig.scene.origin_m[:2]
+    if run.flight.boresight_roll_deg:
+        turned = math.radians(run.flight.boresight_roll_deg)
+        aside = starboard * (math.cos(turned) - 1) + beam[:, 2] * math.sin(turned)
+        place[:, 0] += aside * np.cos(heading)
+        place[:, 1] -= aside * np.sin(heading)
+        place[:, 2] += beam[:, 2] * (math.cos(turned) - 1) - starboard * math.sin(turned)
     return {
-        "x": points.xyz[:, 0] + rig.scene.origin_m[0] + east,
-        "y": points.xyz[:, 1] + rig.scene.origin_m[1] + north,
-        "z": points.xyz[:, 2] + up,
+        "x": place[:, 0],
+        "y": place[:, 1],
+        "z": place[:, 2],
         "gps_time": time_s,
         "channel": points.channel,
         "intensity": np.clip(np.rint(pulse), 1, 65535).astype(np.uint16),

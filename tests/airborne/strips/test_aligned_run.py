@@ -121,6 +121,7 @@ def test_where_memory_is_small_shifted_clouds_are_read_in_strips_and_no_byte_tel
     how = cuts_of(alike, context, 4)
     assert max(map(len, how["cuts"].values())) > 1
     found = []
+    cuts: dict[str, object]
     for cuts in ({}, how["cuts"]):
         produced = work({**task.args, "cuts": cuts}, context)
         found.append([path.read_bytes() for path in produced.outputs])

@@ -48,7 +48,7 @@ def random_buildings(
                 centre_m=tuple(_inside(rng, extent, reach + 2) for extent in scene.extent_m),
                 size_m=size,
                 heading_deg=rng.uniform(0, 180),
-                eave_m=rng.uniform(4, 12),
+                eave_m=rng.uniform(*scene.buildings.eave_m),
                 roof=roofs[k % 3],
                 pitch_deg=rng.uniform(15, 35),
                 reflectance=rng.uniform(0.1, 0.7),

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
@@ -26,6 +26,19 @@ Place = tuple[float, float]
 
 MOST_TILES: Final = 400
 """Files of a delivery by tile, all of which are open while it is simulated [count]."""
+
+
+def _projected(name: str) -> str:
+    try:
+        crs = CRS.from_user_input(name)
+    except CRSError:
+        raise ValueError(f"{name!r} is not a CRS that PROJ knows") from None
+    if not crs.is_projected or crs.axis_info[0].unit_conversion_factor != 1.0:
+        raise ValueError(f"{name!r} must be projected, in metres")
+    return name
+
+
+Projected = Annotated[str, AfterValidator(_projected)]
 
 
 class Section(BaseModel):
@@ -76,6 +89,7 @@ class Buildings(Section):
     """Buildings by list, by number, or both."""
 
     count: int = Field(0, ge=0, description="Random buildings [count].")
+    eave_m: tuple[Positive, Positive] = Field((4.0, 12.0), description="Of random ones [m].")
     items: tuple[Building, ...] = Field((), alias="list", description="Buildings one by one.")
 
 
@@ -136,6 +150,15 @@ class Water(Section):
         0.15, description="Diffuse attenuation of clear water, one way [1/m]."
     )
     bottom_reflectance: Share = Field(0.15, description="Of its bottom.")
+    waves_m: NotNegative = Field(
+        0.0, description="Spread of heights of opaque water, standing waves of some 10 m [m]."
+    )
+
+    @model_validator(mode="after")
+    def _opaque_with_waves(self) -> "Water":
+        if self.waves_m and self.depth_m:
+            raise ValueError("waves_m needs opaque water: leave depth_m out")
+        return self
 
 
 class Flight(Section):
@@ -151,6 +174,14 @@ class Flight(Section):
         description="East, north and up by which its recorded returns lie off, as where strips are "
         "not adjusted [m].",
     )
+    boresight_roll_deg: float = Field(
+        0.0,
+        ge=-5,
+        le=5,
+        description="By which its recorded beams are turned about the way, starboard down [deg].",
+    )
+    gate_m: Positive | None = Field(None, description="Of its gate; the acquisition's without [m].")
+    crs: Projected | None = Field(None, description="CRS of its file, where not the scene's.")
 
 
 class Haze(Section):
@@ -287,7 +318,7 @@ class Scene(Section):
 
     kind: Literal["imaging"] = Field("imaging", description="Airborne single-photon lidar.")
     name: str = Field("scene", description="Title of the survey.")
-    crs: str = Field("EPSG:32615", description="Projected CRS in metres.")
+    crs: Projected = Field("EPSG:32615", description="Projected CRS in metres.")
     origin_m: tuple[float, float, float] = Field(
         (272_000.0, 3_290_000.0, 40.0), description="South-west corner; mean ground height [m]."
     )
@@ -311,12 +342,8 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Scene":
-        try:
-            crs = CRS.from_user_input(self.crs)
-        except CRSError:
-            raise ValueError(f"crs: {self.crs!r} is not a CRS that PROJ knows") from None
-        if not crs.is_projected or crs.axis_info[0].unit_conversion_factor != 1.0:
-            raise ValueError(f"crs: {self.crs!r} must be projected, in metres")
+        if self.delivery.tile_m is not None and any(flight.crs for flight in self.flights):
+            raise ValueError("flights: crs is that of a file, which tile_m shares; leave one out")
         instrument = self.instrument
         if instrument.array_columns**2 != instrument.beamlets:
             raise ValueError("sensor: beamlets must be array_columns squared")
@@ -328,11 +355,8 @@ class Scene(Section):
         upside_down = [k for k, haze in enumerate(self.sky.haze) if haze.top_m <= haze.base_m]
         if upside_down:
             raise ValueError(f"sky: haze.{upside_down[0]}: top_m must be above base_m")
-        tile_m = self.delivery.tile_m
-        if (
-            tile_m is not None
-            and math.prod(size / tile_m + 1 for size in self.extent_m) > MOST_TILES
-        ):
+        tile_m = self.delivery.tile_m or math.inf
+        if math.prod(size / tile_m + 1 for size in self.extent_m) > MOST_TILES:
             raise ValueError(
                 f"delivery: tile_m makes more than {MOST_TILES} files; choose larger tiles"
             )
@@ -340,6 +364,10 @@ class Scene(Section):
         if outside:
             raise ValueError(f"acquisition: channels are 1..{instrument.beamlets}, not {outside}")
         return self
+
+    def gate_of(self, flight: Flight) -> float:
+        """Length of a flightline's range gate [m]."""
+        return self.acquisition.gate_m if flight.gate_m is None else flight.gate_m
 
     @cached_property
     def instrument(self) -> Sensor:

@@ -14,6 +14,9 @@ from spl_batch.airborne.simulate.scene.scene_file import Landform, Scene
 APRON_M = 60.0
 """How far the ground goes on beyond the extent, so that slanted beams meet it [m]."""
 
+WAVE_M = 10.0
+"""Length of waves on water [m]."""
+
 
 class Ground(NamedTuple):
     """Node grids; see :class:`~spl_batch.airborne.simulate.scene.ray_trace.SceneArrays`."""
@@ -83,6 +86,14 @@ def _smooth_noise(
     return scaled
 
 
+def _waves(scene: Scene, shape: tuple[int, ...], step: float) -> NDArray[np.float64]:
+    """Waves of mean zero and spread one."""
+    rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(7,)))
+    rough = ndimage.gaussian_filter(rng.standard_normal(shape), WAVE_M / step / 4, mode="wrap")
+    waves: NDArray[np.float64] = (rough - rough.mean()) / max(float(rough.std()), 1e-12)
+    return waves
+
+
 def _raised(
     form: Landform, grid: NDArray[np.float64], shape: tuple[int, ...]
 ) -> NDArray[np.float64]:
@@ -118,6 +129,8 @@ def _flood(scene: Scene, ground: Ground) -> Ground:
         wet = distance == 0.0
         z[near] = np.minimum(z[near], level + 0.05 + water.bank_slope * distance)
         z[near][wet] = level
+        if water.waves_m:
+            z[near][wet] += water.waves_m * _waves(scene, wet.shape, step)[wet]
         rho[near][wet] = water.reflectance
         kind[near][wet] = KIND_WATER
         if water.depth_m > 0.0:
