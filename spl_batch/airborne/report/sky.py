@@ -38,6 +38,9 @@ FOG_SHARE: Final = 0.5
 LEAST_M2: Final = 500.0
 """Area from which haze is told [m2]."""
 
+THIN_PER_M3: Final = 0.2
+"""Dense noise from which on a power line loses some of its returns [1/m3]."""
+
 
 KEPT_TOLD: Final = 5.0
 KEPT_LEAST: Final = 100
@@ -161,20 +164,25 @@ def fog_warning(done: Receipts) -> Iterator[str]:
 
 
 def drowned_warning(done: Receipts) -> Iterator[str]:
-    """Sentence on places where dense noise leaves no surface."""
+    """Sentence on dense noise that leaves no surface, or takes what is thin."""
     parts = [r.facts for r in done.get("ground", {}).values() if r.facts.get("dense")]
     if not parts:
         return
     dense, drowned, sums = np.array([facts["dense"] for facts in parts]).sum(axis=0).tolist()
     area_m2 = drowned * CELL_M**2
+    where = (
+        f"noise is dense, {significant(sums / dense, 2)} returns per m3 over "
+        f"{significant(dense * CELL_M**2 * 1e-6, 2)} km2"
+    )
     if area_m2 < LEAST_M2:
+        if dense * CELL_M**2 >= LEAST_M2 and sums >= THIN_PER_M3 * dense:
+            yield as_ascii(f"{where}: wires and other thin objects lose returns in it")
         return
     boxes = np.array([facts["core"] for facts in parts if facts["dense"][1]]) * QUANTUM_M
     west, south = boxes[:, :2].min(axis=0).tolist()
     east, north = boxes[:, 2:].max(axis=0).tolist()
     yield as_ascii(
-        f"noise is dense, {significant(sums / dense, 2)} returns per m3 over "
-        f"{significant(dense * CELL_M**2 * 1e-6, 2)} km2, and in {grouped(round(area_m2))} m2 of "
+        f"{where}, and in {grouped(round(area_m2))} m2 of "
         f"it, within x {west:.0f} to {east:.0f} and y {south:.0f} to {north:.0f}, no surface "
         "stands out: no ground is found there, and the terrain is void or spans it from the sides"
     )

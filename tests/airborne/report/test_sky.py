@@ -142,8 +142,12 @@ def test_dense_noise_that_leaves_no_surface_is_told_with_place_and_area():
     assert "1.3 returns per m3 over 0.050 km2" in text
     assert "7 500 m2" in text
     assert "x 0 to 200 and y 0 to 200" in text
-    few = {"a": receipt(core=[0, 0, 200_000, 200_000], dense=[1600, 19, 1600.0])}
-    assert list(drowned_warning({"ground": few})) == []
+    few = {"a": receipt(core=[0, 0, 200_000, 200_000], dense=[1600, 19, 400.0])}
+    (text,) = drowned_warning({"ground": few})
+    assert text.startswith("noise is dense, 0.25 returns per m3 over 0.040 km2: wires")
+    for dense in ([1600, 19, 290.0], [15, 0, 9.0]):
+        less = {"a": receipt(core=[0, 0, 200_000, 200_000], dense=dense)}
+        assert list(drowned_warning({"ground": less})) == []
 
 
 @pytest.mark.parametrize(("kept", "told"), [(400, 0), (600, 1)])
