@@ -92,6 +92,43 @@ def dark_lake(times: float) -> dict[str, Any]:
     return {"water": [{"ring_m": ring, "reflectance": 0.002 / times}]}
 
 
+def two_clouds(times: float) -> dict[str, Any]:
+    """Two layers of patches, one above the other."""
+    low, high = haze(25 * times, 40, 55, 0.6), haze(15 * times, 80, 100, 0.7)
+    return {"sky": {"haze": [*low["sky"]["haze"], *high["sky"]["haze"]]}}
+
+
+def long_lags(times: float) -> dict[str, Any]:
+    """Most afterpulses come late, by a power law that hardly ends."""
+    late = {"share": min(0.6 * times, 1.0), "scale_m": 1.0, "power": 1.3}
+    return {"detector": {"afterpulse_probability": 0.2, "afterpulse_lag_max_m": 40, "tail": late}}
+
+
+def city(times: float) -> dict[str, Any]:
+    """High houses in fog."""
+    return {"buildings": {"count": 14, "eave_m": [20, 60]}, "trees": {"cover": 0.05},
+            "sky": {"fog": [{"times_noise": 40 * times, "scale_m": 3}]}}  # fmt: skip
+
+
+def rolled(times: float) -> dict[str, Any]:
+    """The second flightline was recorded with a wrong mounting angle."""
+    first, second = BASE["flights"]
+    return {"flights": [first, {**second, "boresight_roll_deg": 0.02 * times}]}
+
+
+def unlike(_: float) -> dict[str, Any]:
+    """Flightlines of unlike height and gate, the second file in another zone."""
+    first, second = BASE["flights"]
+    other = {**second, "gate_m": 350, "crs": "EPSG:32616"}
+    return {"flights": [{**first, "altitude_agl_m": 1800}, other]}
+
+
+def snow(_: float) -> dict[str, Any]:
+    """Bright ground, and a lake with waves."""
+    ring = [[20, 15], [80, 15], [80, 60], [20, 60]]
+    return {"terrain": {"reflectance": 0.8}, "water": [{"ring_m": ring, "waves_m": 0.3}]}
+
+
 EFFECTS: dict[str, Any] = {
     "base": lambda _: {},
     "by tile, no ids": lambda _: {"delivery": {"tile_m": 40, "point_source_id": False}},
@@ -110,10 +147,24 @@ EFFECTS: dict[str, Any] = {
     "lake, 0.2 % reflected": dark_lake,
     "noise 0.3 per m3": lambda t: {"sky": {"background_per_m3": 0.3 * t}},
     "times rounded to 100 us": lambda t: {"delivery": {"time_step_us": 100 * t}},
+    "haze 30-50 m, 50 x": lambda t: haze(50 * t, 30, 50, 0.4),
+    "two clouds": two_clouds,
+    "long lags": long_lags,
+    "boresight roll 0.02 deg": rolled,
+    "range walk 0.3 m": lambda t: {"detector": {"range_walk_m": 0.3 * t}},
+    "city in fog": city,
+    "unlike flightlines": unlike,
+    "snow, waves": snow,
+    "cm, us, user_data": lambda _: {
+        "delivery": {"channel_dimension": "user_data", "scale_m": 0.01, "time_step_us": 1}
+    },
 }
 """Effects by name: what strength makes of the base."""
 
-ONCE: tuple[str, ...] = ("base", "by tile, no ids", "no channel numbers")
+ONCE: tuple[str, ...] = (
+    "base", "by tile, no ids", "no channel numbers", "unlike flightlines", "snow, waves",
+    "cm, us, user_data",
+)  # fmt: skip
 """Those that have no strength."""
 
 SETTINGS: dict[str, list[str]] = {"no channel numbers": ["survey.channel_dimension=null"]}
