@@ -10,6 +10,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.stray_returns import CELL_M
 from spl_batch.airborne.noise.haze import CUBE_M
 from spl_batch.airborne.products import near_ground
+from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.airborne.report.model import Haze
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import NODATA, QUANTUM_M
@@ -89,6 +90,8 @@ def _ground(context: Context, bounds_m: tuple[float, float, float, float]) -> fl
     west, south, east, north = bounds_m
     known = np.empty(0, np.float32)
     for path in sorted(context.output.glob("dtm*.tif")):
+        if not is_piece(path.stem, "dtm"):
+            continue
         rows, cols, left, top, cell = overview_frame(path)
         if left < east and west < left + cols * cell and top - rows * cell < north and south < top:
             values = read_overview(path, bounds_m=bounds_m).values

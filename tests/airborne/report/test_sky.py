@@ -71,6 +71,7 @@ def write_dtm(path, west, height, cells=(100, 100)):
 def test_the_ground_below_haze_is_that_of_the_piece_below_it_in_coarse_cells(context, monkeypatch):
     write_dtm(context.output / "dtm.tif", 5000.0, 500.0)
     write_dtm(context.output / "dtm_2.tif", 0.0, 20.0, (99, 3000))
+    write_dtm(context.output / "dtm_quality_2.tif", 0.0, 0.02, (99, 3000))
     seen = []
 
     def reading(path, **given):
