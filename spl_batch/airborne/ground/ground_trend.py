@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.smrf import fill_gaps
+from spl_batch.numerics.cell_groups import group_by_cell
 from spl_batch.numerics.compiled import njit
 
 STEP_M = 4.0
@@ -32,9 +33,8 @@ _FAR_M = 6.0
 _DAMPING_M2 = 0.1
 """Added to the horizontal scatter of that ground: a slope that it does not tell is none [m2]."""
 
-_SUMS = 9
-
 Float = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
 class Trend(NamedTuple):
@@ -59,7 +59,7 @@ def fit_trend(ground: Float, x: Float, y: Float) -> Trend:
     Parameters
     ----------
     ground : (m, 3) float64
-        Nodes of the ground [m]; at least one. Sums are taken in their order.
+        Nodes of the ground [m]; at least one. Sums are taken cell by cell, in their order.
     x, y : (n,) float64
         Places whose bounding box the trend covers [m]; those of the ground lie within.
 
@@ -70,52 +70,63 @@ def fit_trend(ground: Float, x: Float, y: Float) -> Trend:
     """
     left, bottom = (int(np.floor(v.min() / STEP_M)) for v in (x, y))
     right, top = (int(np.floor(v.max() / STEP_M)) + 1 for v in (x, y))
-    sums = np.zeros((top - bottom + 1, right - left + 1, _SUMS))
-    base = float(ground[0, 2])
-    _add_up(ground, base, left, bottom, sums)
-    height = base + _heights(sums)
+    height = np.empty((top - bottom + 1, right - left + 1))
+    east, north = ground[:, :2].T.copy()
+    cells = group_by_cell(east, north, STEP_M)
+    west, south = (int(np.floor(v.min() / STEP_M)) for v in (east, north))
+    _planes(
+        ground[cells.order], cells.start, (south, west, cells.rows, cells.columns),
+        (bottom, left), float(ground[0, 2]), height,
+    )  # fmt: skip
     if np.isnan(height).all():
         height[:] = ground[:, 2].mean()
     return Trend(fill_gaps(height), left, bottom)
 
 
 @njit()
-def _add_up(ground: Float, base: float, left: int, bottom: int, sums: Float) -> None:
-    """Weights and weighted x, y, z, xx, xy, yy, xz, yz about each lattice node."""
-    rows, columns, _ = sums.shape
+def _planes(
+    ground: Float,
+    start: Index,
+    cells: tuple[int, int, int, int],
+    corner: tuple[int, int],
+    base: float,
+    out: Float,
+) -> None:
+    """Height of each lattice node's plane there; NaN where it has none.
+
+    ``ground`` lies cell by cell, ``start`` is where each begins; ``cells`` are the row and column
+    of the first one and how many there are, ``corner`` those of the first lattice node.
+    """
     span = int(np.ceil(REACH_M / STEP_M))
-    for i in range(len(ground)):
-        column = int(np.floor(ground[i, 0] / STEP_M)) - left
-        row = int(np.floor(ground[i, 1] / STEP_M)) - bottom
-        z = ground[i, 2] - base
-        for r in range(max(row - span, 0), min(row + span + 2, rows)):
-            y = ground[i, 1] - (r + bottom) * STEP_M
-            for c in range(max(column - span, 0), min(column + span + 2, columns)):
-                x = ground[i, 0] - (c + left) * STEP_M
-                nearness = 1.0 - (x * x + y * y) / REACH_M**2
-                if nearness > 0.0:
-                    w = nearness * nearness
-                    out = sums[r, c]
-                    out[0] += w
-                    out[1] += w * x
-                    out[2] += w * y
-                    out[3] += w * z
-                    out[4] += w * x * x
-                    out[5] += w * x * y
-                    out[6] += w * y * y
-                    out[7] += w * x * z
-                    out[8] += w * y * z
-
-
-def _heights(sums: Float) -> Float:
-    """Height of each lattice node's plane there; NaN where it has none: (rows, columns)."""
-    with np.errstate(invalid="ignore"):
-        x, y, z, xx, xy, yy, xz, yz = np.moveaxis(sums[:, :, 1:] / sums[:, :, :1], 2, 0)
-    xx, yy, xy = xx - x * x + _DAMPING_M2, yy - y * y + _DAMPING_M2, xy - x * y
-    xz, yz = xz - x * z, yz - y * z
-    east, north = yy * xz - xy * yz, xx * yz - xy * xz
-    height: Float = z - (east * x + north * y) / (xx * yy - xy * xy)
-    return np.where(x * x + y * y <= _FAR_M**2, height, np.nan)
+    south, west, rows, columns = cells
+    for r in range(len(out)):
+        for c in range(out.shape[1]):
+            row, column = r + corner[0] - south, c + corner[1] - west
+            first, last = max(column - span, 0), min(column + span, columns)
+            n, x, y, z = 0.0, 0.0, 0.0, 0.0
+            xx, xy, yy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0
+            out[r, c] = np.nan
+            if first >= last:
+                continue
+            for k in range(max(row - span, 0), min(row + span, rows)):
+                for i in range(start[k * columns + first], start[k * columns + last]):
+                    dx = ground[i, 0] - (c + corner[1]) * STEP_M
+                    dy = ground[i, 1] - (r + corner[0]) * STEP_M
+                    nearness = 1.0 - (dx * dx + dy * dy) / REACH_M**2
+                    if nearness > 0.0:
+                        w, dz = nearness * nearness, ground[i, 2] - base
+                        n, x, y, z = n + w, x + w * dx, y + w * dy, z + w * dz
+                        xx, xy, yy = xx + w * dx * dx, xy + w * dx * dy, yy + w * dy * dy
+                        xz, yz = xz + w * dx * dz, yz + w * dy * dz
+            if n == 0.0:
+                continue
+            x, y, z = x / n, y / n, z / n
+            if x * x + y * y > _FAR_M**2:
+                continue
+            xx, yy = xx / n - x * x + _DAMPING_M2, yy / n - y * y + _DAMPING_M2
+            xy, xz, yz = xy / n - x * y, xz / n - x * z, yz / n - y * z
+            east, north = yy * xz - xy * yz, xx * yz - xy * xz
+            out[r, c] = base + (z - (east * x + north * y) / (xx * yy - xy * xy))
 
 
 @njit()

@@ -68,6 +68,13 @@ DECK_M: Final = 20.0
 ISLAND: Final = 50
 """Fewer nodes that hang together are an island [count]."""
 
+_NONE: Final = 0
+_UNKNOWN: Final = 1
+_QUEUED: Final = 2
+_LARGE: Final = 3
+_SMALL: Final = 4
+"""What is known of a cell: no ground, ground, some that is looked at, of land, of an island."""
+
 ROUNDS: Final = 20
 """Nodes that ground grows by at the most [count]."""
 
@@ -103,9 +110,7 @@ def levelled(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: floa
     near = np.maximum(NEXT * spacing, EDGE_M)
     other = state == OTHER
     state[other & ~edges(xyz[nearest, 2], other, cell_m)] = BARRED
-    state[(state == GROUND) & (_hanging(xyz, grid, state == GROUND, near, cell_m) < ISLAND)] = (
-        BARRED
-    )
+    state[islands(xyz, grid, state == GROUND, near, cell_m)] = BARRED
     _grow(xyz, grid, np.clip(REACH * spacing, *REACH_M), cell_m, state)
     out = ground.copy()
     out[grid[state == GROWN]] = True
@@ -200,43 +205,80 @@ def _drops(
     return 0
 
 
-def _hanging(xyz: Float, grid: Index, ground: Mask, near: Float, cell_m: float) -> Index:
-    """Nodes of the ground that hang together with that of each cell, 0 where there is none."""
-    out = np.zeros(grid.shape, dtype=np.int64)
-    _count_hanging(xyz, grid, ground, near, np.ceil(near / cell_m).astype(np.int64), out)
-    return out
+def islands(xyz: Float, grid: Index, ground: Mask, near: Float, cell_m: float) -> Mask:
+    """Cells whose ground hangs together with too little: (rows, columns) bool.
+
+    Parameters
+    ----------
+    xyz, grid, cell_m
+        As :func:`levelled` has them.
+    ground : (rows, columns) bool
+        Cells with ground.
+    near : (rows, columns) float64
+        How far off a node may hang together with that of each cell [m]; the less of both counts.
+    """
+    kind = np.where(ground, _UNKNOWN, _NONE).astype(np.uint8)
+    _tell_islands(xyz, grid, near, np.ceil(near / cell_m).astype(np.int64), kind)
+    found: Mask = kind == _SMALL
+    return found
 
 
 @njit()
-def _count_hanging(
-    xyz: Float, grid: Index, ground: Mask, near: Float, reach: Index, out: Index
+def _tell_islands(
+    xyz: Float, grid: Index, near: Float, reach: Index, kind: NDArray[np.uint8]
 ) -> None:
-    """Fill with the size of what each cell hangs together with."""
-    rows, columns = grid.shape
-    queue = np.empty(rows * columns, dtype=np.int64)
-    open_ = ground.copy()
+    """Tell ground of islands from that of the rest, each as soon as enough of it is known."""
+    rows, columns = kind.shape
+    queue = np.empty(ISLAND, dtype=np.int64)
     for first in range(rows * columns):
-        if not open_[first // columns, first % columns]:
+        if kind[first // columns, first % columns] != _UNKNOWN:
             continue
-        queue[0], held, done = first, 1, 0
-        open_[first // columns, first % columns] = False
-        while done < held:
-            row, column = queue[done] // columns, queue[done] % columns
+        kind[first // columns, first % columns] = _QUEUED
+        queue[0], held, done, land = first, 1, 0, False
+        while done < held and not land:
+            held, land = _look_around(xyz, grid, near, reach, kind, queue, held, queue[done])
             done += 1
-            i, far = grid[row, column], reach[row, column]
-            for r in range(max(row - far, 0), min(row + far + 1, rows)):
-                for c in range(max(column - far, 0), min(column + far + 1, columns)):
-                    if not open_[r, c]:
-                        continue
-                    j = grid[r, c]
-                    away = np.hypot(xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1])
-                    step = STEP_M + STEP_SLOPE * away
-                    if away <= near[row, column] and abs(xyz[j, 2] - xyz[i, 2]) <= step:
-                        open_[r, c] = False
-                        queue[held] = r * columns + c
-                        held += 1
+        found = _LARGE if land else _SMALL
         for k in range(held):
-            out[queue[k] // columns, queue[k] % columns] = held
+            kind[queue[k] // columns, queue[k] % columns] = found
+
+
+@njit()
+def _look_around(
+    xyz: Float,
+    grid: Index,
+    near: Float,
+    reach: Index,
+    kind: NDArray[np.uint8],
+    queue: Index,
+    held: int,
+    at: int,
+) -> tuple[int, bool]:
+    """Put what hangs together with a cell into the queue, until that is no island.
+
+    Returns how many are in the queue then, and whether it is land.
+    """
+    rows, columns = kind.shape
+    row, column = at // columns, at % columns
+    i, far = grid[row, column], reach[row, column]
+    for r in range(max(row - far, 0), min(row + far + 1, rows)):
+        for c in range(max(column - far, 0), min(column + far + 1, columns)):
+            if kind[r, c] != _UNKNOWN and kind[r, c] != _LARGE:
+                continue
+            j = grid[r, c]
+            east, north = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1]
+            away = np.sqrt(east * east + north * north)
+            step = STEP_M + STEP_SLOPE * away
+            if away > min(near[row, column], near[r, c]) or abs(xyz[j, 2] - xyz[i, 2]) > step:
+                continue
+            if kind[r, c] == _LARGE:
+                return held, True
+            kind[r, c] = _QUEUED
+            queue[held] = r * columns + c
+            held += 1
+            if held == ISLAND:
+                return held, True
+    return held, False
 
 
 @njit()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 
 Heights = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 
 def octagon(radius: int) -> tuple[int, int]:
@@ -43,32 +44,89 @@ def opening(surface: Heights, radius: int) -> Heights:
     -------
     (rows, columns) float32
     """
-    rows, columns = surface.shape
-    # Beyond this margin no window begins that reaches a cell of the surface.
-    room = np.empty((2, rows + 4 * radius, columns + 4 * radius), dtype=np.float32)
-    room[0] = np.pad(surface, 2 * radius, mode="edge")
-    return _open(room, *octagon(radius))[:rows, :columns]
+    heights = surface.astype(np.float32)
+    _opened(heights, *octagon(radius), _room(surface.shape, radius), heights)
+    return heights
+
+
+def cut_off(surface: NDArray[np.floating], falls: NDArray[np.floating]) -> Mask:
+    """Cells that fall by more than is allowed from one opening to the next.
+
+    Parameters
+    ----------
+    surface : (rows, columns) floating
+        Heights without gaps [m].
+    falls : (n,) floating
+        What is allowed to the openings by octagons of radius 1, 2 and so on, of what the one before
+        has left [m].
+
+    Returns
+    -------
+    (rows, columns) bool
+    """
+    found = np.zeros(surface.shape, dtype=np.bool_)
+    sizes = np.array([octagon(radius) for radius in range(1, len(falls) + 1)])
+    room = _room(surface.shape, len(falls))
+    _cut_off(surface.astype(np.float32), sizes, falls.astype(np.float32), room, found)
+    return found
+
+
+def _room(shape: tuple[int, ...], radius: int) -> Heights:
+    """Two grids with a margin beyond which no window begins that reaches a cell within."""
+    return np.empty((2, shape[0] + 4 * radius, shape[1] + 4 * radius), dtype=np.float32)
 
 
 @njit()
-def _open(room: Heights, square: int, diamond: int) -> Heights:
-    """Opening of the first of two grids, in the upper left corner; both are written to."""
-    rows, columns = room.shape[1:]
+def _cut_off(
+    last: Heights, sizes: NDArray[np.int64], falls: Heights, room: Heights, out: Mask
+) -> None:
+    """Fill ``out``; ``sizes`` are squares and diamonds of the octagons; the heights are opened."""
+    opened = np.empty_like(last)
+    for k in range(len(sizes)):
+        _opened(last, sizes[k, 0], sizes[k, 1], room, opened)
+        for r in range(len(out)):
+            _compare(last[r], opened[r], falls[k], out[r])
+
+
+@njit()
+def _compare(last: Heights, opened: Heights, fall: float, out: Mask) -> None:
+    """Mark what has fallen by more, and keep the new heights."""
+    for c in range(len(out)):
+        out[c] |= last[c] - opened[c] > fall
+        last[c] = opened[c]
+
+
+@njit()
+def _opened(heights: Heights, square: int, diamond: int, room: Heights, out: Heights) -> None:
+    """Fill with the opening; ``room``: two grids with a margin, both are written to."""
     reach = 2 * (square + diamond)
-    _turn_over(room[0], room[0])
+    rows, columns = heights.shape[0] + 2 * reach, heights.shape[1] + 2 * reach
+    for r in range(rows):
+        _continue(heights[min(max(r - reach, 0), len(heights) - 1)], reach, room[0, r])
     at = _widen(room, 0, rows, columns, square, diamond)
     rows, columns = rows - reach, columns - reach
-    _turn_over(room[at, :rows, :columns], room[at, :rows, :columns])
-    opened: Heights = room[_widen(room, at, rows, columns, square, diamond)]
-    return opened
+    for r in range(rows):
+        _turn_over(room[at, r, :columns])
+    at = _widen(room, at, rows, columns, square, diamond)
+    for r in range(len(out)):
+        out[r] = room[at, r, : out.shape[1]]
 
 
 @njit()
-def _turn_over(heights: Heights, out: Heights) -> None:
-    """Heights with the other sign."""
-    for r in range(len(heights)):
-        for c in range(heights.shape[1]):
-            out[r, c] = -heights[r, c]
+def _continue(heights: Heights, margin: int, out: Heights) -> None:
+    """A row with the other sign, and level on both sides."""
+    last = margin + len(heights)
+    for c in range(margin):
+        out[c], out[last + c] = -heights[0], -heights[-1]
+    for c in range(len(heights)):
+        out[margin + c] = -heights[c]
+
+
+@njit()
+def _turn_over(heights: Heights) -> None:
+    """Heights with the other sign, in their place."""
+    for c in range(len(heights)):
+        heights[c] = -heights[c]
 
 
 @njit()

@@ -5,9 +5,9 @@ Grids lie on the absolute lattice of their cell size; a cell names its node by n
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.nearest_cells import nearest_cells
 
 _DAMPING_M2 = 0.05
 """Added to the scatter of places when a plane is fitted, per node [m2]."""
@@ -72,8 +72,7 @@ def nearest_node(grid: Index) -> Index:
     grid : (rows, columns) int64
         A node for each cell, or -1; not everywhere.
     """
-    nearest = ndimage.distance_transform_edt(grid < 0, return_distances=False, return_indices=True)
-    found: Index = grid[tuple(nearest)]
+    found: Index = grid[nearest_cells(grid >= 0)]
     return found
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.ground.morphology import opening
+from spl_batch.airborne.ground.morphology import cut_off
+from spl_batch.numerics.nearest_cells import nearest_cells
 from spl_batch.numerics.triangulation.tin import interpolate, triangulate
 
 _LOW_SLOPE = 5.0
@@ -52,14 +53,8 @@ def object_cells(
     -------
     (rows, columns) bool
     """
-    objects = np.zeros(surface.shape, dtype=np.bool_)
     largest = int(np.ceil(window_m / cell_m))
-    last = surface.astype(np.float32)
-    for radius in range(1, largest + 1):
-        opened = opening(last, radius)
-        objects |= last - opened > min(slope * radius * cell_m, step_m)
-        last = opened
-    return objects
+    return cut_off(surface, np.minimum(slope * np.arange(1, largest + 1) * cell_m, step_m))
 
 
 def low_outliers(surface: Grid, cell_m: float) -> NDArray[np.bool_]:
@@ -94,8 +89,7 @@ def fill_gaps(surface: Grid) -> Grid:
     gaps = np.isnan(surface)
     if not gaps.any():
         return surface
-    nearest = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
-    filled: Grid = surface[tuple(nearest)]
+    filled: Grid = surface[nearest_cells(~gaps)]
     rim = ~gaps & ndimage.binary_dilation(gaps, structure=np.ones((3, 3), dtype=np.bool_))
     row, column = np.nonzero(rim)
     place = np.column_stack([column, row]) + _jitter(surface[rim])

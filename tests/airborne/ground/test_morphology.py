@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from spl_batch.airborne.ground.morphology import octagon, opening
+from spl_batch.airborne.ground.morphology import cut_off, octagon, opening
 
 
 def footprint(radius: int) -> np.ndarray:
@@ -40,3 +40,15 @@ def test_opening_is_idempotent_and_below() -> None:
     assert np.all(once <= surface)
     inner = slice(12, -12)
     assert np.array_equal(opening(once, 3)[inner, inner], once[inner, inner])
+
+
+def test_what_is_cut_off_falls_from_one_opening_to_the_next() -> None:
+    surface = np.random.default_rng(2).normal(size=(31, 50)).cumsum(axis=1)
+    falls = np.array([0.5, 0.9, 0.3, 0.7])
+    expected, last = np.zeros(surface.shape, np.bool_), surface.astype(np.float32)
+    for radius, fall in enumerate(falls, start=1):
+        opened = opening(last, radius)
+        expected |= last - opened > np.float32(fall)
+        last = opened
+    assert 0.1 < expected.mean() < 0.9
+    assert np.array_equal(cut_off(surface, falls), expected)

@@ -20,6 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.nearest_cells import nearest_cells
+
 DOMAIN: Final = "space"
 
 SQUARE_M: Final = 2.0
@@ -147,18 +150,48 @@ def walled_in(surface: Grid, reach: int) -> Mask:
     reach : int
         How far off a wall counts [squares].
     """
-    row, column = np.nonzero(_between_walls(surface, reach))
-    walls = np.zeros(len(row), np.int64)
-    for asked in range(DIRECTIONS):
-        # Directions a quarter apart follow each other: most hillsides fail the first ones.
-        number = asked * (DIRECTIONS // 4) % DIRECTIONS + asked * 4 // DIRECTIONS
-        angle = 2 * np.pi * number / DIRECTIONS
-        walls += _ends_in_wall(surface, row, column, (np.sin(angle), np.cos(angle)), reach)
-        kept = walls >= MOST - (DIRECTIONS - 1 - asked)
-        row, column, walls = row[kept], column[kept], walls[kept]
-    found = np.zeros(surface.shape, np.bool_)
-    found[row, column] = True
+    found = _between_walls(surface, reach)
+    # Directions a quarter apart follow each other: most hillsides fail the first ones.
+    asked = np.arange(DIRECTIONS).reshape(4, -1).T.ravel()
+    angle = 2 * np.pi * asked / DIRECTIONS
+    towards = np.column_stack([np.sin(angle), np.cos(angle)])
+    towards /= np.abs(towards).max(axis=1, keepdims=True)
+    steps = (reach / np.hypot(*towards.T)).astype(np.int64)
+    _keep_walled(surface, towards, steps, found)
     return found
+
+
+@njit()
+def _keep_walled(surface: Grid, towards: Grid, steps: Index, found: Mask) -> None:
+    """Keep the squares from which the surface ends in a wall in enough directions."""
+    for r in range(len(surface)):
+        for c in range(surface.shape[1]):
+            left = len(steps) - MOST
+            for k in range(len(steps)):
+                if not found[r, c]:
+                    break
+                left -= not _ends_in_wall(surface, r, c, towards[k, 0], towards[k, 1], steps[k])
+                found[r, c] = left >= 0
+
+
+@njit()
+def _ends_in_wall(
+    surface: Grid, row: int, column: int, north: float, east: float, steps: int
+) -> bool:
+    """Whether the surface falls by a wall on the way from a square, before it rises by one."""
+    rows, columns = surface.shape
+    top = last = surface[row, column]
+    for k in range(1, steps + 1):
+        r, c = row + int(np.rint(k * north)), column + int(np.rint(k * east))
+        if r < 0 or c < 0 or r >= rows or c >= columns:
+            return False
+        here = surface[r, c]
+        if here <= min(top, last) - WALL_M:
+            return True
+        if here >= top + WALL_M:
+            return False
+        last = here
+    return False
 
 
 def _between_walls(surface: Grid, reach: int) -> Mask:
@@ -173,29 +206,6 @@ def _between_walls(surface: Grid, reach: int) -> Mask:
                 )
     between: Mask = count >= 3
     return between
-
-
-def _ends_in_wall(
-    surface: Grid, row: Index, column: Index, towards: tuple[float, float], reach: int
-) -> Mask:
-    """Whether the surface falls by a wall on the way from each square, before it rises by one."""
-    scale = max(map(abs, towards))
-    north, east = (part / scale for part in towards)
-    found = np.zeros(len(row), np.bool_)
-    going, last = np.arange(len(row)), surface[row, column]
-    top = last
-    for k in range(1, int(reach / np.hypot(north, east)) + 1):
-        r, c = row[going] + round(k * north), column[going] + round(k * east)
-        inside = (r >= 0) & (r < surface.shape[0]) & (c >= 0) & (c < surface.shape[1])
-        going, r, c, last, top = (values[inside] for values in (going, r, c, last, top))
-        here = surface[r, c]
-        wall = here <= np.minimum(top, last) - WALL_M
-        found[going[wall]] = True
-        goes = ~wall & (here < top + WALL_M)
-        going, last, top = going[goes], here[goes], top[goes]
-        if not len(going):
-            break
-    return found
 
 
 def _buildings(lowest: Grid, edge_m: float) -> Iterator[tuple[tuple[slice, ...], Mask, Grid]]:
@@ -220,8 +230,7 @@ def _buildings(lowest: Grid, edge_m: float) -> Iterator[tuple[tuple[slice, ...],
     held = ~np.isnan(lowest)
     if not held.any():
         return
-    nearest = ndimage.distance_transform_edt(~held, return_distances=False, return_indices=True)
-    surface = lowest[tuple(nearest)]
+    surface = lowest[nearest_cells(held)]
     numbers, _ = ndimage.label(walled_in(surface, round(REACH_M / edge_m)))
     for number, box in enumerate(ndimage.find_objects(numbers), start=1):
         near = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in box)
