@@ -335,6 +335,12 @@ def test_water_does_not_depend_on_where_the_track_is_cut(seed: int, cut: int) ->
     assert_cut_matters_nowhere(*photons(water_track(NIGHT, seed)), cut)
 
 
+def test_a_rough_surface_does_not_depend_on_where_the_track_is_cut() -> None:
+    track = water_track(NIGHT, length_m=13_000.0, surface_per_m=0.6)
+    rough = track._replace(z=np.where(track.kind == SURFACE, 5.0 * track.z, track.z))
+    assert_cut_matters_nowhere(*photons(rough), 430)
+
+
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 30))
 def test_falling_densities_are_isotonic_regression(seed: int, depths: int) -> None:
