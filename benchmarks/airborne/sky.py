@@ -64,6 +64,12 @@ def haze(times: float, base_m: float, top_m: float, cover: float = 0.5) -> dict[
     return {"sky": {"haze": [layer]}}
 
 
+def small_patches(times: float) -> dict[str, Any]:
+    """The same in patches half as large that drift faster."""
+    (layer,) = haze(50 * times, 30, 50, 0.4)["sky"]["haze"]
+    return {"sky": {"haze": [{**layer, "patch_m": 30, "drift_m_s": [4, -2]}]}}
+
+
 def reflectors(count: float) -> dict[str, Any]:
     """Retro-reflectors here and there, some on poles."""
     rng = np.random.default_rng(5)
@@ -94,8 +100,15 @@ def dark_lake(times: float) -> dict[str, Any]:
 
 def two_clouds(times: float) -> dict[str, Any]:
     """Two layers of patches, one above the other."""
-    low, high = haze(25 * times, 40, 55, 0.6), haze(15 * times, 80, 100, 0.7)
-    return {"sky": {"haze": [*low["sky"]["haze"], *high["sky"]["haze"]]}}
+    layers = [
+        {**layer, "patch_m": patch_m, "drift_m_s": [4, -2]}
+        for patch_m, of in (
+            (50, haze(25 * times, 40, 55, 0.6)),
+            (80, haze(15 * times, 80, 100, 0.7)),
+        )
+        for layer in of["sky"]["haze"]
+    ]
+    return {"sky": {"haze": layers}}
 
 
 def long_lags(times: float) -> dict[str, Any]:
@@ -117,10 +130,9 @@ def rolled(times: float) -> dict[str, Any]:
 
 
 def unlike(_: float) -> dict[str, Any]:
-    """Flightlines of unlike height and gate, the second file in another zone."""
+    """The second flightline has a longer gate, and its file is in another zone."""
     first, second = BASE["flights"]
-    other = {**second, "gate_m": 350, "crs": "EPSG:32616"}
-    return {"flights": [{**first, "altitude_agl_m": 1800}, other]}
+    return {"flights": [first, {**second, "gate_m": 350, "crs": "EPSG:32616"}]}
 
 
 def snow(_: float) -> dict[str, Any]:
@@ -147,13 +159,13 @@ EFFECTS: dict[str, Any] = {
     "lake, 0.2 % reflected": dark_lake,
     "noise 0.3 per m3": lambda t: {"sky": {"background_per_m3": 0.3 * t}},
     "times rounded to 100 us": lambda t: {"delivery": {"time_step_us": 100 * t}},
-    "haze 30-50 m, 50 x": lambda t: haze(50 * t, 30, 50, 0.4),
+    "haze 30-50 m, 50 x": small_patches,
     "two clouds": two_clouds,
     "long lags": long_lags,
     "boresight roll 0.02 deg": rolled,
     "range walk 0.3 m": lambda t: {"detector": {"range_walk_m": 0.3 * t}},
     "city in fog": city,
-    "unlike flightlines": unlike,
+    "gate 350 m, another CRS": unlike,
     "snow, waves": snow,
     "cm, us, user_data": lambda _: {
         "delivery": {"channel_dimension": "user_data", "scale_m": 0.01, "time_step_us": 1}
@@ -162,7 +174,7 @@ EFFECTS: dict[str, Any] = {
 """Effects by name: what strength makes of the base."""
 
 ONCE: tuple[str, ...] = (
-    "base", "by tile, no ids", "no channel numbers", "unlike flightlines", "snow, waves",
+    "base", "by tile, no ids", "no channel numbers", "gate 350 m, another CRS", "snow, waves",
     "cm, us, user_data",
 )  # fmt: skip
 """Those that have no strength."""
