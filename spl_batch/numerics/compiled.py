@@ -35,6 +35,7 @@ from numba.core import caching, types
 from numba.core.dispatcher import Dispatcher
 
 from spl_batch.imports import content_hash, imported
+from spl_batch.numerics.linked_code import CompilerForLinking
 
 try:
     import fcntl
@@ -75,7 +76,7 @@ def njit(**options: Any) -> Callable[[_F], "Dispatcher[_F]"]:
 
 def _inner(function: Callable[..., Any], options: Mapping[str, Any]) -> Any:
     """The same kernel for other kernels alone; None where its code cannot be kept apart."""
-    without: dict[str, Any] = {**options, "no_cpython_wrapper": True}
+    without = {**options, "no_cpython_wrapper": True, "pipeline_class": CompilerForLinking}
     inner: Any = numba.njit(**without)(function)
     code = kept(inner._cache, "inner")  # noqa: SLF001 - there is no other way
     if not isinstance(code, KeptCode):

@@ -8,7 +8,9 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from numba import njit
 from numba.core import types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
@@ -19,6 +21,7 @@ from spl_batch.imports import content_hash, imported
 from spl_batch.lattice import row_order
 from spl_batch.numerics import compiled
 from spl_batch.numerics.compiled import KeptCode, source_stamp
+from spl_batch.numerics.linked_code import CompilerForLinking, LinkedLibrary
 
 WRITERS = 4
 
@@ -145,3 +148,29 @@ def test_what_only_kernels_call_has_no_wrapper_for_python() -> None:
     assert (len(tripled.signatures), len(tripled.for_kernels.signatures)) == (0, 1)
     assert tripled(2) == 6, "Python may call it all the same"
     assert tripled_twice.py_func(2) == 18
+
+
+@compiled.njit()
+def checked_rows(rows):  # type: ignore[no-untyped-def]
+    taken = np.zeros(rows, np.float64)
+    if rows > 2:
+        raise ValueError("too many rows")
+    return taken
+
+
+@compiled.njit()
+def sum_of_rows(rows):  # type: ignore[no-untyped-def]
+    return checked_rows(rows).sum() + tripled(rows)
+
+
+def test_linked_code_is_taken_in_and_never_made_ready_to_run() -> None:
+    """What a called kernel makes and raises reaches Python."""
+    assert sum_of_rows(2) == 6.0
+    with pytest.raises(ValueError, match="too many rows"):
+        sum_of_rows(3)
+    fresh = njit(pipeline_class=CompilerForLinking, no_cpython_wrapper=True)(checked_rows.py_func)
+    fresh.get_call_template((types.int64,), {})
+    library = fresh.overloads[(types.int64,)].library
+    assert isinstance(library, LinkedLibrary)
+    kind = library.serialize_using_object_code()[1]
+    assert kind == "bitcode"
