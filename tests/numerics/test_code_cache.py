@@ -168,7 +168,10 @@ def test_linked_code_is_taken_in_and_never_made_ready_to_run() -> None:
     assert sum_of_rows(2) == 6.0
     with pytest.raises(ValueError, match="too many rows"):
         sum_of_rows(3)
-    fresh = njit(pipeline_class=CompilerForLinking, no_cpython_wrapper=True)(checked_rows.py_func)
+    compile_: Any = njit
+    fresh = compile_(pipeline_class=CompilerForLinking, no_cpython_wrapper=True)(
+        checked_rows.py_func
+    )
     fresh.get_call_template((types.int64,), {})
     library = fresh.overloads[(types.int64,)].library
     assert isinstance(library, LinkedLibrary)
