@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from spl_batch.airborne.plan.task_memory import task_bytes
+from spl_batch.airborne.precompile import compiling_beside
 from spl_batch.engine.plan.budget import Cost, refuse_too_large
 from spl_batch.engine.store.simulated_folders import mark_quickstart, quickstarted
 from spl_batch.engine.verbs.conclusion import RunResult
@@ -63,7 +64,8 @@ def quickstart(
     workflow = folder / "workflow.yaml"
     if not quickstarted(folder):
         preset = resources.files("spl_batch.airborne.simulate").joinpath("presets/quickstart.yaml")
-        with resources.as_file(preset) as scene:
+        # The simulation takes one processor.
+        with resources.as_file(preset) as scene, compiling_beside(workers):
             simulate(scene, folder, progress=progress)
         mark_quickstart(folder)
     return run(workflow, workers=workers, memory=memory, listener=listener)

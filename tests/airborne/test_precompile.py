@@ -144,6 +144,25 @@ def none_left(share: int, shares: int, _tell: Tell) -> int:
     return 0 * share * shares
 
 
+def test_beside_a_block_kernels_of_all_shares_are_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert precompile.in_turn(["abc", "d", "ef"]) == ["a", "d", "e", "b", "f", "c"]
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(precompile.os, "cpu_count", lambda: 2)
+    end_s = time.monotonic() + 120.0
+    with precompile.compiling_beside(2) as child:
+        assert child is not None
+        while not list(tmp_path.rglob("*.nbc")):
+            assert child.poll() is None
+            assert time.monotonic() < end_s
+            time.sleep(0.05)
+    assert child.returncode < 0, "it has ended with the block"
+    monkeypatch.setattr(precompile.os, "cpu_count", lambda: 1)
+    with precompile.compiling_beside(2) as child:
+        assert child is None
+
+
 def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:
     import dask  # noqa: PLC0415 - slow
     from distributed import Client, LocalCluster  # noqa: PLC0415
