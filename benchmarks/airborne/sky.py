@@ -129,10 +129,10 @@ def rolled(times: float) -> dict[str, Any]:
     return {"flights": [first, {**second, "boresight_roll_deg": 0.02 * times}]}
 
 
-def unlike(_: float) -> dict[str, Any]:
-    """The second flightline has a longer gate, and its file is in another zone."""
-    first, second = BASE["flights"]
-    return {"flights": [first, {**second, "gate_m": 350, "crs": "EPSG:32616"}]}
+def unlike(**second: Any) -> dict[str, Any]:
+    """The second flightline is unlike the first."""
+    first, usual = BASE["flights"]
+    return {"flights": [first, {**usual, **second}]}
 
 
 def snow(_: float) -> dict[str, Any]:
@@ -165,7 +165,12 @@ EFFECTS: dict[str, Any] = {
     "boresight roll 0.02 deg": rolled,
     "range walk 0.3 m": lambda t: {"detector": {"range_walk_m": 0.3 * t}},
     "city in fog": city,
-    "gate 350 m, another CRS": unlike,
+    "second gate 350 m": lambda _: unlike(gate_m=350),
+    "second file in another CRS": lambda _: unlike(crs="EPSG:32616"),
+    "second line from 1800 m": lambda _: unlike(altitude_agl_m=1800),
+    "both lines from 1800 m": lambda _: {
+        "flights": [{**flight, "altitude_agl_m": 1800} for flight in BASE["flights"]]
+    },
     "snow, waves": snow,
     "cm, us, user_data": lambda _: {
         "delivery": {"channel_dimension": "user_data", "scale_m": 0.01, "time_step_us": 1}
@@ -174,8 +179,9 @@ EFFECTS: dict[str, Any] = {
 """Effects by name: what strength makes of the base."""
 
 ONCE: tuple[str, ...] = (
-    "base", "by tile, no ids", "no channel numbers", "gate 350 m, another CRS", "snow, waves",
-    "cm, us, user_data",
+    "base", "by tile, no ids", "no channel numbers", "second gate 350 m",
+    "second file in another CRS", "second line from 1800 m", "both lines from 1800 m",
+    "snow, waves", "cm, us, user_data",
 )  # fmt: skip
 """Those that have no strength."""
 
@@ -288,7 +294,7 @@ def main() -> None:
             overrides = [*settings, *SETTINGS.get(name, ())]
             run(survey / "workflow.yaml", workers=0, overrides=overrides)
             figures = measure(survey)
-            said = json.loads((survey / "out" / "report.json").read_text())["warnings"]
+            said = told_by(json.loads((survey / "out" / "report.json").read_text()))
             if name == "base":
                 usual, base = said, figures
                 print(f"{'':34s}" + "".join(f"{key:>15s}" for key in (*figures, "told")))
@@ -298,6 +304,11 @@ def main() -> None:
             print(f"{name:30s}{times:4g}{row}{len(told):15d} {words}", flush=True)
             for text in told if given.say else []:
                 print(f"    {text}")
+
+
+def told_by(report: dict[str, Any]) -> list[str]:
+    """What a report warns of, and why it lacks files."""
+    return [*report["warnings"], *(failure["reason"] for failure in report["failures"])]
 
 
 def new_warnings(said: Iterable[str], usual: Iterable[str]) -> list[str]:
