@@ -5,9 +5,12 @@ from pathlib import Path
 
 import pytest
 import yaml
+from pydantic import BaseModel
 
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
 from spl_batch.airborne.simulate import load_scene
+from spl_batch.airborne.simulate.scene import scene_file
+from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.airborne.tasks.kinds import STAGES
 from spl_batch.engine.settings.workflow_file import parse_any
 from tests.workflow_files import differing, unshown
@@ -37,6 +40,21 @@ def test_workflow_files_are_accepted(path: Path) -> None:
 def test_the_scene_file_is_accepted() -> None:
     scene = load_scene(ROOT / "workflows" / "scene.yaml")
     assert len(scene.flights) >= 2
+
+
+def test_the_scene_file_names_every_key_and_what_is_commented_out_is_accepted_too() -> None:
+    text = (ROOT / "workflows" / "scene.yaml").read_text(encoding="utf-8")
+    parts = [
+        part
+        for part in vars(scene_file).values()
+        if isinstance(part, type) and issubclass(part, BaseModel)
+    ]
+    own = [part for part in parts if part.__module__ == scene_file.__name__]
+    keys = {key for part in own for key in part.model_fields}
+    assert [key for key in keys - {"items"} if not re.search(rf"\b{key}\b", text)] == []
+    whole = re.sub(r"^( *)# ([a-z_]+: )", r"\1\2", text, flags=re.MULTILINE)
+    scene = parse_scene(yaml.safe_load(whole), "scene.yaml")
+    assert (scene.sky.haze[0].times_noise, scene.sky.fog[0].scale_m) == (20.0, 1.5)
 
 
 def test_the_complete_workflow_names_every_key_with_its_default() -> None:

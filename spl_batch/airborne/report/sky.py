@@ -104,17 +104,20 @@ def haze_warning(found: Haze | None) -> Iterator[str]:
     if found is None or found.low_m is None or found.high_m is None or found.extent_m is None:
         return
     west, east, south, north = (f"{side:.0f}" for side in found.extent_m if side is not None)
-    above = found.above_ground_m
-    if above is None:
+    base, thick = found.above_ground_m, found.high_m - found.low_m
+    means = "haze or cloud; its returns are class 18, and weak signals among them are lost"
+    if base is None:
         where = f"between heights of {found.low_m:.0f} and {found.high_m:.0f} m"
+    elif base + thick > 0.0:
+        where = f"between {base:.0f} and {base + thick:.0f} m above ground"
     else:
-        thick = found.high_m - found.low_m
-        where = f"between {above:.0f} and {above + thick:.0f} m above ground"
+        where = f"between {-base - thick:.0f} and {-base:.0f} m below ground"
+        means = "no haze, for that lies above; its returns are class 7"
     times = "more than" if found.times_expected is None else f"{found.times_expected:.1f} times"
     yield as_ascii(
         f"noise {where} is {times} what the model of the noise expects, over "
         f"{significant(found.area_km2, 2)} km2 within x {west} to {east} and y {south} to {north}: "
-        "haze or cloud; its returns are class 18, and weak signals among them are lost"
+        f"{means}"
     )
 
 

@@ -57,6 +57,9 @@ def test_haze_of_all_blocks_is_one_sentence_with_height_area_and_factor(context)
     assert "18.0 times" in text
     assert "0.010 km2" in text
     assert "class 18" in text
+    (text,) = haze_warning(found.model_copy(update={"above_ground_m": -100.0}))
+    assert "between 62 and 100 m below ground" in text
+    assert "class 18" not in text
 
 
 def write_dtm(path, west, height, cells=(100, 100)):
