@@ -85,6 +85,13 @@ def _cliff(slope_deg: float = 90, **relief: float) -> Terrain:
     return lambda times: {**relief, "landforms": [{**form, "height_m": 15 * times}]}
 
 
+def _mound(slope_deg: float) -> Terrain:
+    """A plateau of 12 m that is steep on all sides."""
+    ring = [(40, 40), (80, 40), (80, 80), (40, 80)]
+    form = {"ring_m": ring, "slope_deg": slope_deg}
+    return lambda times: {"landforms": [{**form, "height_m": 12 * times}]}
+
+
 def _valley(depth_m: float, slope_deg: float) -> Terrain:
     """A valley below a bridge."""
     ring = [(50, -80), (60, -80), (75, 200), (65, 200)]
@@ -116,6 +123,8 @@ SCENES: Final[Mapping[str, Case]] = {
     "cliff 15 m": Case(_cliff()),
     "cliff 15 m, trees": Case(_cliff(), TREES),
     "cliff on a slope, trees": Case(_cliff(80, relief_m=60, wavelength_m=130), TREES),
+    "mound of 40 m, 55 deg": Case(_mound(55)),
+    "mound of 40 m, 80 deg": Case(_mound(80)),
     "bridge over a valley": Case(_valley(18, 40), {"cover": 0.2}, (28, 100, 21)),
     "bridge over a gorge": Case(_valley(15, 85), {"cover": 0.2}, (45, 84, 2)),
     "wide bridge": Case(_valley(12, 35), {"cover": 0.2}, (32, 96, 16), 18, 10),
