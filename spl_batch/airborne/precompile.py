@@ -82,9 +82,19 @@ def compile_share(share: int, shares: int, tell: Tell = _tell_nobody) -> int:
     return compiled + _compile(share, shares, _tell_nobody)
 
 
+def _command(share: int, shares: int) -> tuple[str, ...]:
+    """Command of the process that compiles: it finds the same files of this project as this one.
+
+    ``python -m`` would take those of the folder that it is called in, such as a clone.
+    """
+    begin = f"import runpy, sys; sys.path[:] = {sys.path!r}; "
+    begin += f"runpy.run_module({__name__!r}, run_name='__main__', alter_sys=True)"
+    return sys.executable, "-c", begin, str(share), str(shares), WATCHED
+
+
 def _elsewhere(share: int, shares: int, tell: Tell) -> int:
     """Compile in another process; kernels that were compiled [count]."""
-    command = (sys.executable, "-m", __name__, str(share), str(shares), WATCHED)
+    command = _command(share, shares)
     last = "0"
     with tempfile.TemporaryFile("w+") as errors:
         with subprocess.Popen(  # noqa: S603 - this project's own module
@@ -115,7 +125,7 @@ def compiling_beside(shares: int) -> Iterator["subprocess.Popen[bytes] | None"]:
     if (os.cpu_count() or 1) < 2:
         yield None
         return
-    command = (sys.executable, "-m", __name__, str(EVERY), str(max(shares, 1)), WATCHED)
+    command = _command(EVERY, max(shares, 1))
     with subprocess.Popen(  # noqa: S603 - this project's own module
         command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     ) as child:

@@ -144,6 +144,18 @@ def none_left(share: int, shares: int, _tell: Tell) -> int:
     return 0 * share * shares
 
 
+def test_the_other_process_finds_the_same_files_wherever_it_is_called(tmp_path: Path) -> None:
+    """In a clone beside an installed version, say: its own files would be compiled."""
+    other = tmp_path / "spl_batch"
+    other.mkdir()
+    (other / "__init__.py").write_text("raise SystemExit('not these')", encoding="utf-8")
+    done = subprocess.run(  # noqa: S603 - this project's own module
+        precompile._command(15, 16), cwd=tmp_path, capture_output=True, text=True, check=False,
+        input="",
+    )  # fmt: skip
+    assert "not these" not in done.stderr
+
+
 def test_beside_a_block_kernels_of_all_shares_are_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
