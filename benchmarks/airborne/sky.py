@@ -123,12 +123,6 @@ def city(times: float) -> dict[str, Any]:
             "sky": {"fog": [{"times_noise": 40 * times, "scale_m": 3}]}}  # fmt: skip
 
 
-def rolled(times: float) -> dict[str, Any]:
-    """The second flightline was recorded with a wrong mounting angle."""
-    first, second = BASE["flights"]
-    return {"flights": [first, {**second, "boresight_roll_deg": 0.02 * times}]}
-
-
 def unlike(**second: Any) -> dict[str, Any]:
     """The second flightline is unlike the first."""
     first, usual = BASE["flights"]
@@ -162,7 +156,7 @@ EFFECTS: dict[str, Any] = {
     "haze 30-50 m, 50 x": small_patches,
     "two clouds": two_clouds,
     "long lags": long_lags,
-    "boresight roll 0.02 deg": rolled,
+    "boresight roll 0.02 deg": lambda t: unlike(boresight_roll_deg=0.02 * t),
     "range walk 0.3 m": lambda t: {"detector": {"range_walk_m": 0.3 * t}},
     "city in fog": city,
     "second gate 350 m": lambda _: unlike(gate_m=350),

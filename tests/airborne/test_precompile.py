@@ -94,9 +94,8 @@ def test_a_share_that_another_process_compiles_is_loaded(monkeypatch: pytest.Mon
 
 
 def test_compiling_ends_with_the_process_that_asked_for_it() -> None:
-    command = (sys.executable, "-m", precompile.__name__, "0", "1", precompile.WATCHED)
     with subprocess.Popen(  # noqa: S603 - this project's own module
-        command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        precompile._command(0, 1), cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as left:
         assert left.stdin is not None
         assert left.stdout is not None

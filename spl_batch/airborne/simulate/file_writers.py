@@ -142,10 +142,16 @@ class PointFiles:
             out["gps_time"] = np.rint(out["gps_time"] / step) * step
         number = run.number if given.point_source_id else 0
         out["point_source_id"] = np.full(len(out["x"]), number, np.uint16)
-        if run.flight.crs is not None:
-            moved = Transformer.from_crs(self._scene.crs, run.flight.crs, always_xy=True)
-            out["x"], out["y"] = moved.transform(out["x"], out["y"])
+        out["x"], out["y"] = self._moved(run, out["x"], out["y"])
         return out
+
+    def _moved(self, run: Pass, x: Any, y: Any) -> tuple[Any, Any]:
+        """Places in the CRS of a flightline's file."""
+        if run.flight.crs is None:
+            return x, y
+        to_file = Transformer.from_crs(self._scene.crs, run.flight.crs, always_xy=True)
+        moved: tuple[Any, Any] = to_file.transform(x, y)
+        return moved
 
     def _files(self, run: Pass, columns: Columns) -> Iterator[tuple[str, NDArray[np.intp]]]:
         """Names of the files that the returns go to, and which do."""
@@ -161,10 +167,9 @@ class PointFiles:
     def _writer(self, name: str, run: Pass) -> PointsWriter:
         if name not in self._writers:
             scene = self._scene
-            crs, origin_m = run.flight.crs or scene.crs, scene.origin_m
-            if crs != scene.crs:
-                moved = Transformer.from_crs(scene.crs, crs, always_xy=True)
-                origin_m = (*moved.transform(*origin_m[:2]), origin_m[2])
+            east, north, up = scene.origin_m
+            origin_m = (*self._moved(run, east, north), up)
+            crs = run.flight.crs or scene.crs
             header = las_header(crs, origin_m, run.middle_s, scene.delivery.scale_m)
             if scene.delivery.channel_dimension == "channel":
                 header.add_extra_dim(laspy.ExtraBytesParams("channel", "uint8", "beamlet, from 1"))

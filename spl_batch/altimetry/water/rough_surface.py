@@ -4,6 +4,7 @@ High waves, and land that is level but rough, reach farther than the metre that 
 What lies below it would pass for scattered light, and hide the surface that it belongs to.
 """
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -55,12 +56,7 @@ def roughness(
     wave_m, half_m = edges_m
     bands = [(half_m + i, half_m + i + 1.0) for i in range(ROUGH_M + 1)]
     bands += [(wave_m, half_m), (-half_m, -wave_m)]
-    own = wet[cell]
-    counted = [
-        np.bincount(cell[own & (over_m > low) & (over_m <= high)], minlength=len(index))
-        for low, high in bands
-    ]
-    sums = sums_around(index, np.stack([*counted, wet], axis=1), reach)
+    sums = _sums_by_band(index, cell, over_m, wet, bands, reach)
     over, sky, above, below, cells = np.split(sums, np.cumsum([ROUGH_M, 1, 1, 1]), axis=1)
     sure = over > sky + _SURE_SD * np.sqrt(2.0 * (sky + 1.0))
     sure &= (above <= _EVEN * below) & (below <= _EVEN * above) & wet[:, None]
@@ -80,17 +76,29 @@ def rough_land(
 
     Parameters are those of :func:`roughness`.
     """
-    half_m, own = edges_m[1], wet[cell]
-    bands = ((-half_m, half_m), (-_DEEP_M[1], -_DEEP_M[0]), _DEEP_M)
-    counted = [
-        np.bincount(cell[own & (over_m > low) & (over_m <= high)], minlength=len(index))
-        for low, high in bands
-    ]
-    surface, below, above, cells = sums_around(index, np.stack([*counted, wet], axis=1), reach).T
+    bands = ((-edges_m[1], edges_m[1]), (-_DEEP_M[1], -_DEEP_M[0]), _DEEP_M)
+    surface, below, above, cells = _sums_by_band(index, cell, over_m, wet, bands, reach).T
     rough = roughness(index, cell, over_m, wet, edges_m, reach).sum(axis=1) * cells
     watery = below > _EVEN * above + _WATERY_SD * np.sqrt(2.0 * (above + 1.0))
     found: NDArray[np.bool_] = wet & (rough > _ROUGH_SHARE * surface) & ~watery
     return found
+
+
+def _sums_by_band(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    over_m: NDArray[np.float64],
+    wet: NDArray[np.bool_],
+    bands: Sequence[tuple[float, float]],
+    reach: int,
+) -> NDArray[np.float64]:
+    """Photons around each cell at each span of heights, and cells with a surface: (n, b + 1)."""
+    own = wet[cell]
+    counted = [
+        np.bincount(cell[own & (over_m > low) & (over_m <= high)], minlength=len(index))
+        for low, high in bands
+    ]
+    return sums_around(index, np.stack([*counted, wet], axis=1), reach)
 
 
 def smooth_sums(
