@@ -3,26 +3,38 @@
 Run ``python -m benchmarks.altimetry.ground_layers [ATL03 ATL08]``. "By slope" is what a run does
 with ATL03, by the slope of the kilometre around a cell; "by slope of the cell" takes each cell's
 ground from the profile whose thickness its own slope asks for. Printed are the median error and
-RMSE of the ground: against ATL08's fit of 20 m pieces, and on simulated tracks.
+RMSE of the ground: against ATL08's fit of 20 m pieces, on simulated tracks, and on rough land that
+no line of 60 m follows.
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.altimetry.labelled_tracks import read_atl03, reference
 from benchmarks.altimetry.photon_beams import PROFILE, Beam, lattice
-from benchmarks.altimetry.profiles import tracks
+from benchmarks.altimetry.profiles import SEEDS, tracks
 from spl_batch.altimetry.ground.profile import ATL03_LAYER_M, profile, spread_m
 
 Numbers = NDArray[np.float64]
 
 THICK_M = (0.45, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0)
 SHOWN_M = (0.45, 0.75, 1.5, 3.0)
+
+ROUGH = {
+    "rough land, strong beam": (8.0, 0.002, 0.0),
+    "rough land, weak beam": (1.5, 0.01, 0.0),
+    "rough land, half of it wooded": (2.0, 0.005, 0.6),
+}
+"""Photons of the surface [1/m], noise [1/m2] and share of photons that crowns give, by scene."""
+
+ROUGH_M = 3000.0
+"""Length of a rough track [m]."""
 
 
 def profiles(beam: Beam) -> dict[str, tuple[Numbers, Numbers]]:
@@ -66,6 +78,22 @@ def show(name: str, off: dict[str, list[Numbers]]) -> None:
         print(f"  {rule:22}{len(every):7}{np.median(every):+9.2f}{rmse:9.2f}", flush=True)
 
 
+def rough(per_m: float, noise: float, leaves: float) -> Iterator[tuple[Beam, Numbers]]:
+    """Tracks over hollows and ridges 20 m wide, 1.5 m deep (one sigma), and their ground."""
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        x = np.arange(-200.0, ROUGH_M + 200.0)
+        short, long = (gaussian_filter1d(rng.normal(size=len(x)), wide) for wide in (8, 80))
+        ground = 1.5 * short / short.std() + 60.0 * long
+        along = rng.uniform(0.0, ROUGH_M, int(per_m * ROUGH_M))
+        height = np.interp(along, x, ground) + rng.normal(0.0, 0.15, len(along))
+        wood = (np.sin(along / 150.0) > 0.0) & (rng.uniform(size=len(along)) < leaves)
+        height += np.where(wood, rng.gamma(4.0, 2.5, len(along)), 0.0)
+        sky = rng.uniform((0.0, -50.0), (ROUGH_M, 70.0), (int(noise * ROUGH_M * 120.0), 2))
+        photons = np.vstack([np.column_stack([along, height]), sky])
+        yield Beam(lattice(*photons.T), None), np.column_stack([x, ground])
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
@@ -97,6 +125,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for rule, one in profiles(beam).items():
                 off.setdefault(rule, []).append(errors(one, scene.reference_m))
         show(f"{kind}, {colour}, {canopy:.0%} wooded", off)
+    for name, scene_of in ROUGH.items():
+        off = {}
+        for beam, truth in rough(*scene_of):
+            for rule, one in profiles(beam).items():
+                off.setdefault(rule, []).append(errors(one, truth))
+        show(name, off)
 
 
 if __name__ == "__main__":

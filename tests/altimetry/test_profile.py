@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers
+from spl_batch.altimetry.ground.own_layers import held, not_beside
 from spl_batch.altimetry.ground.profile import agree, for_layout, profile, reach_cells, spread_m
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
@@ -81,6 +82,44 @@ def test_a_lonely_clump_needs_photons_that_are_labelled_signal() -> None:
         flags = np.full(12, sure)
         columns = profile(along, height, flags, EVERYTHING, SETTINGS).columns
         assert np.isfinite(columns["ground"]).any() == there
+
+
+def test_ground_that_rises_and_falls_within_a_cell_is_followed() -> None:
+    """Ridges of 3 m every 25 m, as of crevassed ice: no line of 60 m follows them."""
+    rng = np.random.default_rng(6)
+    x = rng.uniform(0.0, 1000.0, 8000)
+    z = 1.5 * np.sin(x / 4.0) + 3.0 * np.sin(x / 22.0) + rng.normal(0.0, 0.15, len(x))
+    along, height = in_order(*quanta(np.stack([x, z], axis=1)))
+    thin = SETTINGS.model_copy(update={"layer_m": 0.75})
+    columns = profile(along, height, np.ones(len(x), np.bool_), EVERYTHING, thin).columns
+    at = columns["along_track"]
+    off = np.abs(columns["ground"] - 1.5 * np.sin(at / 4.0) - 3.0 * np.sin(at / 22.0))
+    assert np.count_nonzero(np.isfinite(off)) >= 48
+    assert np.nanmedian(off) < 0.6  # 1.4 m where neighbours overrule a cell
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.integers(0, 60))
+def test_photons_in_a_layer_are_counted_as_by_hand(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, z = np.sort(rng.uniform(-30.0, 30.0, n)), rng.normal(0.0, 2.0, n)
+    along, height = quanta(np.stack([x, z], axis=1))
+    layers = np.array([[rng.normal(), rng.uniform(-1.0, 1.0)], [np.nan, 0.0]])
+    out = np.empty(2, np.int64)
+    bounds = np.array([0, 0]), np.array([n, n])
+    held(along, height / 1000.0, *bounds, np.zeros(2, np.int64), layers, np.array([0.7, 0.7]), out)
+    off = height / 1000.0 - layers[0, 0] - layers[0, 1] * along / 1000.0
+    assert out.tolist() == [np.count_nonzero(np.abs(off) <= 0.7), 0]
+
+
+def test_a_cell_leaves_the_layer_beside_it_if_it_holds_no_part_of_it() -> None:
+    found = np.array([[0.0, 0.1], [0.0, 0.1], [0.0, 0.1], [np.nan, np.nan]])
+    own = np.full((4, 2), 5.0)
+    # A hollow beside the cell; sparse ground under dense leaves; too few photons; no layer.
+    in_found, in_own = np.array([0, 8, 0, 0]), np.array([40, 40, 6, 40])
+    out = not_beside(found, own, in_found, in_own, 3)
+    np.testing.assert_array_equal(out[0], own[0])
+    np.testing.assert_array_equal(out[1:], found[1:])
 
 
 def slow_layer(x: np.ndarray, z: np.ndarray, layer_m: float, photons_min: int) -> tuple[float, int]:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers
+from spl_batch.altimetry.ground.own_layers import held, not_beside, overruled_by_none
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
@@ -138,7 +139,7 @@ def profile(
         steep = np.flatnonzero(thick > thickness_m(settings))
         some = along, z, first[steep], stop[steep], centre[steep]
         found[steep] = _lowest(some, thick[steep], settings)
-    agreed, asked = agree(index, found, settings, thick)
+    agreed, asked = _settled(photons, index, found, thick, settings)
     # A clump of noise reaches into the cells beside it, which then confirm it: photons that are
     # labelled signal have to vouch for a layer, more of them where no neighbour does.
     for c in np.flatnonzero(np.isfinite(agreed[:, 0])):
@@ -206,6 +207,34 @@ def _lowest(
         )  # fmt: skip
         out[own] = part
     return out
+
+
+def _settled(
+    photons: _Photons,
+    index: NDArray[np.int64],
+    found: NDArray[np.float64],
+    thick: NDArray[np.float64],
+    settings: ProfileSettings,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Layers as the cell itself and then its neighbours have them, as of :func:`agree`."""
+    along, z, *_, centre = photons
+    size = quanta(settings.cell_m)
+    first = np.searchsorted(along, index * size)
+    stop = np.searchsorted(along, (index + 1) * size)
+    alone = along, z, first, stop, centre
+
+    def inside(layers: NDArray[np.float64], reach_m: NDArray[np.float64]) -> NDArray[np.int64]:
+        out = np.empty(len(index), np.int64)
+        held(*alone, layers, reach_m, out)
+        return out
+
+    own = _lowest(alone, thick, settings)
+    in_found, in_own = inside(found, thick / 2.0), inside(own, thick / 2.0)
+    found = not_beside(found, own, in_found, in_own, settings.photons_min)
+    agreed, asked = agree(index, found, settings, thick)
+    sure = overruled_by_none(inside(found, thick), stop - first, settings.photons_min)
+    agreed[sure] = found[sure]
+    return agreed, asked
 
 
 def _fitted(
