@@ -34,6 +34,7 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M, EVERYWHE
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.ground.point_spacing import Squares, quantiles
 from spl_batch.airborne.ground.smrf import object_cells
+from spl_batch.numerics.compiled import njit
 
 CELL_M: Final = 1.0
 """Edge of the cells that the opening runs on [m]."""
@@ -236,7 +237,7 @@ def _around(grid: NDArray[Any]) -> Float:
     return summed
 
 
-def depths_below(off: Float, x: Float, y: Float) -> Squares:
+def depths_below(off: Float, x: Float, y: Float, frame: Squares | None = None) -> Squares:
     """Points below the surface by depth, in blocks of :data:`BLOCK_M`, row by row.
 
     Parameters
@@ -245,14 +246,32 @@ def depths_below(off: Float, x: Float, y: Float) -> Squares:
         Heights above the surface [m].
     x, y : (n,) float64
         Places [m]; n > 0.
+    frame : Squares, optional
+        Counts to add to, by default none yet of all blocks around the places.
     """
-    column, row, shape = _places(np.column_stack([x, y]), BLOCK_M)
-    low = off < 0.0
-    depth = np.minimum(-off[low] / _DEPTH_M, _DEPTHS).astype(np.int64)
-    steps = _DEPTHS + 1
-    key = (row[low] * shape[1] + column[low]) * steps + depth
-    counts = np.bincount(key, minlength=shape[0] * shape[1] * steps).reshape(*shape, steps)
-    return Squares(counts, (int(np.floor(y.min() / BLOCK_M)), int(np.floor(x.min() / BLOCK_M))))
+    if frame is None:
+        frame = no_depths(x, y)
+    _count_depths(off, x, y, *frame)
+    return frame
+
+
+def no_depths(x: Float, y: Float) -> Squares:
+    """None yet, for all blocks around n > 0 places."""
+    left, right, bottom, top = (
+        int(np.floor(end / BLOCK_M)) for v in (x, y) for end in (v.min(), v.max())
+    )
+    counts = np.zeros((top - bottom + 1, right - left + 1, _DEPTHS + 1), np.int64)
+    return Squares(counts, (bottom, left))
+
+
+@njit()
+def _count_depths(off: Float, x: Float, y: Float, out: Index, first: tuple[int, int]) -> None:
+    """Add the points below by row, column and depth."""
+    for i in range(len(off)):
+        if off[i] < 0.0:
+            depth = int(min(-off[i] / _DEPTH_M, float(_DEPTHS)))
+            row, column = int(np.floor(y[i] / BLOCK_M)), int(np.floor(x[i] / BLOCK_M))
+            out[row - first[0], column - first[1], depth] += 1
 
 
 def noise_below(depths: Squares) -> Squares:

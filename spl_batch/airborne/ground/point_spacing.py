@@ -92,18 +92,30 @@ def spacing_at_m(squares: Squares, at_x: Float, at_y: Float) -> Float:
     (m,) float64
         Of the squares with points; :data:`WIDE_M` where none of the nine has any.
     """
+    around = spacings(squares)
+    # Places farther out have no points around, as the outermost squares have none.
+    column = np.floor(at_x / WIDE_M).astype(np.int64) - around.first[0]
+    row = np.floor(at_y / WIDE_M).astype(np.int64) - around.first[1]
+    at = np.clip(column, 0, len(around.sums) - 1), np.clip(row, 0, len(around.sums[0]) - 1)
+    found: Float = around.sums[at]
+    return found
+
+
+def spacings(squares: Squares) -> Squares:
+    """Mean spacing of points around squares, and around two more on each side [m].
+
+    Parameters
+    ----------
+    squares : Squares
+        Points, by :func:`in_squares`.
+    """
     around = np.pad(squares.sums, 2)
     points, held = (
         sum(np.roll(values, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
         for values in (around, (around > 0).astype(np.int64))
     )
     spacing = WIDE_M * np.sqrt(np.maximum(held, 1) / np.maximum(points, 1))
-    # Places farther out have no points around, as the outermost squares have none.
-    column = np.floor(at_x / WIDE_M).astype(np.int64) - squares.first[0] + 2
-    row = np.floor(at_y / WIDE_M).astype(np.int64) - squares.first[1] + 2
-    at = np.clip(column, 0, len(spacing) - 1), np.clip(row, 0, len(spacing[0]) - 1)
-    found: Float = spacing[at]
-    return found
+    return Squares(spacing, (squares.first[0] - 2, squares.first[1] - 2))
 
 
 def quantiles(counts: NDArray[Any], share: float) -> Float:

@@ -12,7 +12,6 @@ from spl_batch.numerics.cell_groups import chosen_places, group_by_cell
 from spl_batch.numerics.triangulation.tin import (
     OUTSIDE,
     first_of,
-    heights_and_slopes,
     interpolate,
     locate,
     locate_one,
@@ -78,15 +77,6 @@ def test_slopes_are_means_by_area_of_the_triangles_around() -> None:
         normals = [np.cross(xyz[b] - xyz[a], xyz[c] - xyz[a]) for a, b, c in around]
         normal = np.sum(normals, axis=0)  # as long as twice the area
         np.testing.assert_allclose(slopes[v], -normal[:2] / normal[2], atol=1e-9)
-    x, y = np.random.default_rng(4).uniform(-20, 120, (2, 200))
-    height, slope = heights_and_slopes(tin, slopes, np.argsort(x), x, y)
-    np.testing.assert_allclose(height, interpolate(tin, x, y), atol=1e-9)
-    facet = Delaunay(xyz[:, :2]).find_simplex(np.column_stack([x, y]))
-    inside = facet >= 0
-    assert np.array_equal(inside, ~np.isnan(slope))
-    corners = Delaunay(xyz[:, :2]).simplices[facet[inside]]
-    expected = np.hypot(*slopes[corners].mean(axis=1).T)
-    np.testing.assert_allclose(slope[inside], expected, atol=1e-9)
 
 
 def test_of_the_triangles_that_hold_a_place_the_first_is_found_from_anywhere() -> None:

@@ -12,12 +12,19 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from spl_batch.airborne.ground.decks import on_decks
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
 from spl_batch.airborne.ground.level_ground import levelled
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED, Nodes, lowest_layers
+from spl_batch.airborne.ground.multiscale.near_surface import (
+    Near,
+    Surface,
+    near_surface,
+    needed,
+    surface_of,
+    within,
+)
 from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
     BLOCK_M,
@@ -33,6 +40,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
     depths_below,
     ground_nodes,
     low_outliers,
+    no_depths,
     noise_below,
     spread_below,
 )
@@ -41,22 +49,17 @@ from spl_batch.airborne.ground.point_spacing import (
     Squares,
     added_up,
     in_squares,
-    spacing_at_m,
-    spacing_m,
+    spacings,
 )
 from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
-from spl_batch.numerics.triangulation.tin import Tin, heights_and_slopes, triangulate, vertex_slopes
 
 _LAYER_SIGMA = 3.0
 _LAYER_M = 0.15
 _CROWDED = 20
 """Thickness of the layer whose mean is a node, in cells of so many points [standard deviations of a
 range], and least one in others, where fewer points fill it [m]."""
-
-_BAND_M: Final = 0.5
-"""Largest distance from the surface of a ground point, where that is level [m]."""
 
 _BELOW_SIGMA = 4.0
 _TAIL = 0.9
@@ -66,10 +69,6 @@ grows below."""
 _BAND_SPACINGS = 0.25
 """So many spacings of the points: between them the ground is not known better."""
 
-_SLOPE_M = 1.25
-"""The band grows with the slope by the spacing of the points, and this at most [m], which is what
-the source adds at any spacing."""
-
 _LIMITS: Final = Limits(
     terrain_slope=float(np.tan(np.radians(88.0))),
     sin_angle=float(np.sin(np.radians(10.0))),
@@ -78,9 +77,6 @@ _LIMITS: Final = Limits(
     insert_m=0.05,
 )
 """Iteration parameters of [Axelsson 2000] for what the opening cuts off."""
-
-_NEAR_SPACINGS = 2.0
-"""Places are looked up by cells of so many spacings of the nodes, one beside the other."""
 
 _HARD_POINTS = 6
 _HARD_SIGMA = 1.6
@@ -105,14 +101,6 @@ def _joined(xyz: Float, hard: Mask, ground: Mask) -> Mask:
     joined = ground.copy()
     joined[others[taken]] = True
     return joined
-
-
-class Surface(NamedTuple):
-    """Ground: its nodes (n, 3) [m], their slopes to east and north, and a TIN if there is one."""
-
-    nodes: Float
-    slopes: Float
-    tin: Tin | None
 
 
 class Strip(NamedTuple):
@@ -184,15 +172,25 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERY
     (m,) bool
         Which of those asked are ground.
     """
-    evidence = _of(places, own)
+    # One cell after the other: neighbours follow each other wherever points are looked at.
+    order = group_by_cell(*places[:2], CELL_M).order
+    x, y, z = (v[order] for v in places)
+    own, asked = own[order], asked[order]
+    evidence = _of((x, y, z), own)
     surface = _ground_surface((evidence,), sigma)
+    found = np.zeros(len(x), np.bool_)
     if surface is None:
-        return np.zeros(int(asked.sum()), np.bool_)
-    height, slope = _surface_at(surface, places)
-    x, y, z = evidence
-    depths = noise_below(depths_below(z - height[own], x, y))
-    known = _known(in_squares(x, y), depths, sigma)
-    return _within(known, _of(places, asked), height[asked], slope[asked])
+        return found[: int(asked.sum())]
+    depths = no_depths(*evidence[:2])
+    near = near_surface(surface, (x, y, z), needed(x, y, own, asked, depths))
+    counted = own[near.at]
+    which = near.at[counted]
+    depths_below(near.off[counted], x[which], y[which], depths)
+    known = _known(in_squares(*evidence[:2]), noise_below(depths), sigma)
+    _mark(known, near, (x, y), found)
+    told, by_place = np.empty((2, len(x)), np.bool_)
+    told[order], by_place[order] = found, asked
+    return told[by_place]
 
 
 def _of(places: Place, chosen: Mask) -> Place:
@@ -219,7 +217,7 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground = _joined(xyz, chosen & hard, ground)
     ground &= ~decks
     ground &= ~on_houses(xyz, ground)
-    return _surface(xyz[ground])
+    return surface_of(xyz[ground])
 
 
 def _evidence(strip: Strip) -> Place:
@@ -227,9 +225,9 @@ def _evidence(strip: Strip) -> Place:
 
 
 class _Known(NamedTuple):
-    """What tells ground: points around, and how far ground reaches by blocks [m]."""
+    """What tells ground: spacing of points around, and how far ground reaches by blocks [m]."""
 
-    points: Squares
+    spacings: Squares
     above: Float
     below: Float
     first: tuple[int, int]
@@ -242,7 +240,7 @@ def _known(points: Squares, depths: Squares, sigma: Spread) -> _Known:
         many * np.maximum(spread_below(depths, share), sigma_m)
         for many, share in ((ABOVE_SIGMA, MOST), (_BELOW_SIGMA, _TAIL))
     )
-    return _Known(points, above, below, depths.first)
+    return _Known(spacings(points), above, below, depths.first)
 
 
 def _look(surface: Surface, strip: Strip) -> tuple[Squares, Squares] | None:
@@ -250,65 +248,31 @@ def _look(surface: Surface, strip: Strip) -> tuple[Squares, Squares] | None:
     x, y, z = strip.own
     if not len(x):
         return None
-    height, _ = _surface_at(surface, strip.own)
-    return noise_below(depths_below(z - height, x, y)), in_squares(x, y)
+    order = group_by_cell(x, y, CELL_M).order
+    places = x[order], y[order], z[order]
+    near = near_surface(surface, places, np.ones(len(x), np.bool_))
+    east, north = (v[near.at] for v in places[:2])
+    depths = depths_below(near.off, east, north, no_depths(x, y))
+    return noise_below(depths), in_squares(x, y)
 
 
 def _told(surface: Surface, known: _Known, strip: Strip) -> tuple[Strip, Mask]:
     """A strip, and which of the points that are asked are ground."""
-    return strip, _within(known, strip.asked, *_surface_at(surface, strip.asked))
+    x, y, z = strip.asked
+    found = np.zeros(len(x), np.bool_)
+    if len(x):
+        order = group_by_cell(x, y, CELL_M).order
+        places = x[order], y[order], z[order]
+        near = near_surface(surface, places, np.ones(len(x), np.bool_))
+        _mark(known, near._replace(at=order[near.at]), (x, y), found)
+    return strip, found
 
 
-def _within(known: _Known, places: Place, height: Float, slope: Float) -> Mask:
-    """Which points lie on a surface whose height and slope are told for each."""
-    x, y, z = places
-    off = z - height
-    spacing = spacing_at_m(known.points, x, y)
-    at = _block(known, x, y)
-    reach = np.where(off > 0.0, known.above[at], known.below[at])
-    level = np.minimum(np.maximum(reach, _BAND_SPACINGS * spacing), _BAND_M)
-    found: Mask = np.abs(off) <= level + np.minimum(spacing, _SLOPE_M) * slope
-    return found
-
-
-def _surface(nodes: Float) -> Surface:
-    """Surface through nodes of the ground, at least one."""
-    tin = triangulate(nodes)
-    slopes = np.zeros((len(nodes), 2)) if tin is None else vertex_slopes(tin)
-    return Surface(nodes, slopes, tin)
-
-
-def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
-    """Height of the surface at places [m], and its slope there [rise/run].
-
-    Beyond the triangles the nearest node is continued by its slope.
-    """
-    x, y, _ = places
-    if not len(x):
-        return x, y
-    height, slope = np.full((2, len(x)), np.nan)
-    if surface.tin is not None:
-        near_m = max(CELL_M, _NEAR_SPACINGS * spacing_m(surface.nodes[:, 0], surface.nodes[:, 1]))
-        order = group_by_cell(x, y, near_m).order
-        height, slope = heights_and_slopes(surface.tin, surface.slopes, order, x, y)
-    beyond = np.flatnonzero(np.isnan(height))
-    if len(beyond):
-        at = np.column_stack([x[beyond], y[beyond]])
-        # A few places ask for a tree of many nodes: one that is made fast.
-        tree = cKDTree(surface.nodes[:, :2], balanced_tree=False, compact_nodes=False)
-        nearest = tree.query(at)[1]
-        node, rise = surface.nodes[nearest], surface.slopes[nearest]
-        height[beyond] = node[:, 2] + ((at - node[:, :2]) * rise).sum(axis=1)
-        slope[beyond] = np.hypot(*rise.T)
-    return height, slope
-
-
-def _block(known: _Known, x: Float, y: Float) -> tuple[Index, Index]:
-    """Row and column of the block that each place is in, or of the nearest."""
-    rows, columns = known.above.shape
-    row = np.floor(y / BLOCK_M).astype(np.int64) - known.first[0]
-    column = np.floor(x / BLOCK_M).astype(np.int64) - known.first[1]
-    return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
+def _mark(known: _Known, near: Near, place: tuple[Float, Float], out: Mask) -> None:
+    """Mark the points that lie on a surface."""
+    within(
+        near, place, *known.spacings, (known.above, known.below), known.first, _BAND_SPACINGS, out
+    )  # fmt: skip
 
 
 def _nodes(strips: Iterable[Place], sigma: Spread) -> tuple[Float, Mask, Mask]:
