@@ -58,13 +58,18 @@ class Band(NamedTuple):
 
 
 def haze(done: Receipts, context: Context) -> Haze | None:
-    """Haze of the whole survey; None where there is none."""
+    """Haze of the whole survey; None where there is none.
+
+    Cubes around a clump of noise at the edge of a swath hold no more than the model expects.
+    """
     parts = [r.facts["air"] for r in done.get("denoise", {}).values() if r.facts.get("air")]
     area = sum(part["squares"] for part in parts) * CUBE_M**2
     if area < LEAST_M2:
         return None
     returns = sum(part["returns"] for part in parts)
     expected = sum(part["expected"] for part in parts)
+    if returns < TOLD * expected:
+        return None
     volume = sum(part["cubes"] for part in parts) * CUBE_M**3
     box = np.array([part["box"] for part in parts]) * QUANTUM_M
     extent = (*box[:, :2].min(axis=0), *box[:, 2:].max(axis=0))

@@ -87,8 +87,9 @@ def test_the_ground_below_haze_is_that_of_the_piece_below_it_in_coarse_cells(con
     assert [max(part.values.shape) for part in seen] == [1000]
 
 
-def test_a_few_squares_of_haze_are_not_told(context):
+def test_a_few_squares_of_haze_or_no_more_noise_than_usual_are_not_told(context):
     assert haze(done([block(10, 60, 90)]), context) is None
+    assert haze(done([block(100, 60, 90, returns=400)]), context) is None
     assert list(haze_warning(None)) == []
 
 
