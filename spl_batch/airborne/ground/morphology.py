@@ -17,6 +17,12 @@ from spl_batch.numerics.compiled import njit
 Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
+_STEP = 2
+"""Step between the radii of openings that are made for all cells [cells]."""
+
+_PART = 64
+"""Edge of the parts of a grid that are told one by one [cells]."""
+
 
 def octagon(radius: int) -> tuple[int, int]:
     """Half-width of the square and radius of the diamond that add up to an octagon.
@@ -45,12 +51,21 @@ def opening(surface: Heights, radius: int) -> Heights:
     (rows, columns) float32
     """
     heights = surface.astype(np.float32)
-    _opened(heights, *octagon(radius), _room(surface.shape, radius), heights)
-    return heights
+    opened = np.empty_like(heights)
+    _opened(heights, (0, 0), *octagon(radius), _room(surface.shape, radius), opened)
+    return opened
 
 
-def cut_off(surface: NDArray[np.floating], falls: NDArray[np.floating]) -> Mask:
+def cut_off(
+    surface: NDArray[np.floating], falls: NDArray[np.floating], asked: Mask | None = None
+) -> Mask:
     """Cells that fall by more than is allowed from one opening to the next.
+
+    An opening by an octagon is that of any opening by a smaller one. So not all are made for all
+    cells, one from the other: where cells fall between two of them (:func:`stages`) by no more than
+    any opening between them allows, those are not needed. Elsewhere the one half-way is made, for
+    the cells alone that may be cut off, and both halves are told like the whole. The same cells are
+    found as by all openings, but for some near the edges, which each opening continues level.
 
     Parameters
     ----------
@@ -59,16 +74,29 @@ def cut_off(surface: NDArray[np.floating], falls: NDArray[np.floating]) -> Mask:
     falls : (n,) floating
         What is allowed to the openings by octagons of radius 1, 2 and so on, of what the one before
         has left [m].
+    asked : (rows, columns) bool, optional
+        Cells to be told; all by default.
 
     Returns
     -------
     (rows, columns) bool
     """
     found = np.zeros(surface.shape, dtype=np.bool_)
-    sizes = np.array([octagon(radius) for radius in range(1, len(falls) + 1)])
-    room = _room(surface.shape, len(falls))
-    _cut_off(surface.astype(np.float32), sizes, falls.astype(np.float32), room, found)
+    told = np.ones(surface.shape, np.bool_) if asked is None else np.ascontiguousarray(asked)
+    sizes = np.array([octagon(radius) for radius in range(len(falls) + 1)])
+    ends, room = np.array(stages(len(falls))), _room(surface.shape, len(falls))
+    heights = surface.astype(np.float32)
+    _cut_off(heights, sizes, ends, falls.astype(np.float32), told, room, found)
     return found
+
+
+def stages(largest: int) -> list[int]:
+    """Radii of the openings that are made for all cells, from 0 on [cells].
+
+    Each rounds off what an edge of the grid cuts, and what is left is continued: by few openings
+    less is rounded off, and long halls at the edge would stay.
+    """
+    return [*range(0, largest, _STEP), largest]
 
 
 def _room(shape: tuple[int, ...], radius: int) -> Heights:
@@ -78,31 +106,89 @@ def _room(shape: tuple[int, ...], radius: int) -> Heights:
 
 @njit()
 def _cut_off(
-    last: Heights, sizes: NDArray[np.int64], falls: Heights, room: Heights, out: Mask
-) -> None:
+    last: Heights, sizes: NDArray[np.int64], ends: NDArray[np.int64], falls: Heights, asked: Mask,
+    room: Heights, out: Mask,
+) -> None:  # fmt: skip
     """Fill ``out``; ``sizes`` are squares and diamonds of the octagons; the heights are opened."""
     opened = np.empty_like(last)
-    for k in range(len(sizes)):
-        _opened(last, sizes[k, 0], sizes[k, 1], room, opened)
-        for r in range(len(out)):
-            _compare(last[r], opened[r], falls[k], out[r])
+    for k in range(1, len(ends)):
+        square, diamond = sizes[ends[k]]
+        _opened(last, (0, 0), square, diamond, room, opened)
+        for top in range(0, last.shape[0], _PART):
+            for left in range(0, last.shape[1], _PART):
+                part = _active(
+                    last, opened, falls[ends[k - 1] : ends[k]].min(), asked, top, left, out
+                )
+                if part[0] < part[1]:
+                    _between(
+                        last, opened, part, ends[k - 1], ends[k], sizes, falls, asked, room, out
+                    )
+        for r in range(len(last)):
+            for c in range(last.shape[1]):
+                last[r, c] = opened[r, c]
 
 
 @njit()
-def _compare(last: Heights, opened: Heights, fall: float, out: Mask) -> None:
-    """Mark what has fallen by more, and keep the new heights."""
-    for c in range(len(out)):
-        out[c] |= last[c] - opened[c] > fall
-        last[c] = opened[c]
+def _active(
+    last: Heights, opened: Heights, fall: float, asked: Mask, top: int, left: int, known: Mask
+) -> tuple[int, int, int, int]:
+    """First and last row and column of a part's cells that fall by more, the last ones beyond."""
+    first_row, end_row, first_column, end_column = last.shape[0], 0, last.shape[1], 0
+    for r in range(top, min(top + _PART, last.shape[0])):
+        for c in range(left, min(left + _PART, last.shape[1])):
+            if asked[r, c] and not known[r, c] and last[r, c] - opened[r, c] > fall:
+                first_row, end_row = min(first_row, r), r + 1
+                first_column, end_column = min(first_column, c), max(end_column, c + 1)
+    return first_row, end_row, first_column, end_column
 
 
 @njit()
-def _opened(heights: Heights, square: int, diamond: int, room: Heights, out: Heights) -> None:
-    """Fill with the opening; ``room``: two grids with a margin, both are written to."""
+def _between(
+    last: Heights, opened: Heights, part: tuple[int, int, int, int], start: int, end: int,
+    sizes: NDArray[np.int64], falls: Heights, asked: Mask, room: Heights, out: Mask,
+) -> None:  # fmt: skip
+    """Mark cells of a part that fall by too much between two radii."""
+    top, bottom, left, right = part
+    made = np.empty((end - start + 1, bottom - top, right - left), np.float32)
+    for r in range(top, bottom):
+        for c in range(left, right):
+            made[0, r - top, c - left] = last[r, c]
+            made[end - start, r - top, c - left] = opened[r, c]
+    waiting, held = np.empty((end - start + 1, 2), np.int64), 1
+    waiting[0] = start, end
+    while held:
+        held -= 1
+        small, large = waiting[held]
+        fall = falls[small:large].min()
+        goes_on = False
+        for r in range(bottom - top):
+            for c in range(right - left):
+                fell = made[small - start, r, c] - made[large - start, r, c] > fall
+                if fell and asked[top + r, left + c] and not out[top + r, left + c]:
+                    goes_on = True
+                    out[top + r, left + c] = large == small + 1
+        if goes_on and large > small + 1:
+            middle = (small + large) // 2
+            square, diamond = sizes[middle]
+            _opened(last, (top, left), square, diamond, room, made[middle - start])
+            waiting[held] = small, middle
+            waiting[held + 1] = middle, large
+            held += 2
+
+
+@njit()
+def _opened(
+    heights: Heights, first: tuple[int, int], square: int, diamond: int, room: Heights, out: Heights
+) -> None:
+    """Fill with the opening of a part of a grid, from its first row and column on.
+
+    ``room``: two grids with a margin, both are written to.
+    """
     reach = 2 * (square + diamond)
-    rows, columns = heights.shape[0] + 2 * reach, heights.shape[1] + 2 * reach
+    rows, columns = out.shape[0] + 2 * reach, out.shape[1] + 2 * reach
     for r in range(rows):
-        _continue(heights[min(max(r - reach, 0), len(heights) - 1)], reach, room[0, r])
+        from_row = min(max(first[0] + r - reach, 0), len(heights) - 1)
+        _continue(heights[from_row], first[1] - reach, room[0, r, :columns])
     at = _widen(room, 0, rows, columns, square, diamond)
     rows, columns = rows - reach, columns - reach
     for r in range(rows):
@@ -113,13 +199,16 @@ def _opened(heights: Heights, square: int, diamond: int, room: Heights, out: Hei
 
 
 @njit()
-def _continue(heights: Heights, margin: int, out: Heights) -> None:
-    """A row with the other sign, and level on both sides."""
-    last = margin + len(heights)
-    for c in range(margin):
-        out[c], out[last + c] = -heights[0], -heights[-1]
-    for c in range(len(heights)):
-        out[margin + c] = -heights[c]
+def _continue(heights: Heights, first: int, out: Heights) -> None:
+    """A row from a column on with the other sign, and level on both sides."""
+    before = min(max(-first, 0), len(out))
+    behind = max(min(len(heights) - first, len(out)), before)
+    for c in range(before):
+        out[c] = -heights[0]
+    for c in range(before, behind):
+        out[c] = -heights[first + c]
+    for c in range(behind, len(out)):
+        out[c] = -heights[-1]
 
 
 @njit()

@@ -343,7 +343,7 @@ def ground_nodes(
     cell_m : float
         Edge of the cells that the opening runs on [m].
     """
-    raised = _raised(xyz[nearest, 2], cell_m) | ((grid >= 0) & high[grid])
+    raised = _raised(xyz[nearest, 2], grid >= 0, cell_m) | ((grid >= 0) & high[grid])
     level = grid[(grid >= 0) & ~raised]  # the lowest node is one
     x, y, z = xyz.T
     trend = fit_trend(xyz[level], x, y)
@@ -354,17 +354,18 @@ def ground_nodes(
         part = tuple(_reach(places, cell_m) for places in (row, column))
         used = nearest[part]
         above = z[used] - trend_at(trend, x[used].ravel(), y[used].ravel()).reshape(used.shape)
-        twice = np.zeros_like(raised)
-        twice[part] = _raised(above, cell_m)
+        asked, twice = np.zeros((2, *raised.shape), np.bool_)
+        asked[row, column] = True
+        twice[part] = _raised(above, asked[part], cell_m)
         raised[row, column] = twice[row, column]
     ground = np.zeros(len(xyz), dtype=np.bool_)
     ground[grid[(grid >= 0) & ~raised]] = True
     return ground
 
 
-def _raised(surface: Float, cell_m: float) -> Mask:
-    """Cells that the opening cuts off."""
-    return object_cells(surface, cell_m, _SLOPE, WINDOW_M, step_m=STEP_M)
+def _raised(surface: Float, asked: Mask, cell_m: float) -> Mask:
+    """Cells that the opening cuts off, of those asked."""
+    return object_cells(surface, cell_m, _SLOPE, WINDOW_M, step_m=STEP_M, asked=asked)
 
 
 def _reach(places: Index, cell_m: float) -> slice:

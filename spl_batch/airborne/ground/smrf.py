@@ -31,7 +31,13 @@ Grid = NDArray[np.float64]
 
 
 def object_cells(
-    surface: Grid, cell_m: float, slope: float, window_m: float, *, step_m: float = np.inf
+    surface: Grid,
+    cell_m: float,
+    slope: float,
+    window_m: float,
+    *,
+    step_m: float = np.inf,
+    asked: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_]:
     """Cells that stand above the progressively opened surface.
 
@@ -48,13 +54,16 @@ def object_cells(
     step_m : float
         A larger fall from one window to the next is an object's at any radius [m]; the
         source has no such limit, and keeps halls that are low for their width.
+    asked : (rows, columns) bool, optional
+        Cells to be told; all by default.
 
     Returns
     -------
     (rows, columns) bool
     """
     largest = int(np.ceil(window_m / cell_m))
-    return cut_off(surface, np.minimum(slope * np.arange(1, largest + 1) * cell_m, step_m))
+    falls = np.minimum(slope * np.arange(1, largest + 1) * cell_m, step_m)
+    return cut_off(surface, falls, asked)
 
 
 def low_outliers(surface: Grid, cell_m: float) -> NDArray[np.bool_]:
