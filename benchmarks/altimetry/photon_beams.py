@@ -84,12 +84,16 @@ class Beam:
         for values in (expected, strays):
             values[0] *= seen[0, :, None]
         least = np.empty((2, len(window)), np.int64)
+        away_too = np.ones((2, len(window)), np.bool_)
         for z in range(2):
             wanted = np.maximum(counts[z].sum(axis=1) - sums[z], 0.0)
             least[z] = signals.thresholds(counts[z], away[z], wanted, settings.false_share)
             if settings.selection == "f1":
                 least[z] = chance.best_thresholds(
                     counts[z], expected[z], away[z], strays[z], wanted, settings.false_share
+                )
+                away_too[z] = chance.more_far_than_noise(
+                    counts[z], expected[z], away[z], strays[z], least[z]
                 )
             if ground:
                 limits = PROFILE.photons_factor * wanted, PROFILE.false_share
@@ -104,13 +108,16 @@ class Beam:
             for w, b in enumerate(least[0])
         ]
         unsure = np.array(alone) > chance.LIKE_NOISE
-        passed = signals.score_bins(found) >= least[self._zone(along, height, window)]
+        there = self._zone(along, height, window)
+        passed = signals.score_bins(found) >= least[there]
+        passed &= (rates.far(along, height, self.cells, RATE) == 0) | away_too[there]
         photons_told = told * seen[self._zone(along, height, window)] / chance.SHARE_QUANTA
         self.told = float(photons_told[passed].sum())
         self.expected_at = along, height, photons_told
         self.told_at = along[passed], height[passed], photons_told[passed]
         zone, at = self._zone(*photons, window)
         kept: Mask = signals.score_bins(score) >= least[zone, at]
+        kept &= (far == 0) | away_too[zone, at]
         self.doubtful = np.count_nonzero(kept & (zone == 0) & unsure[at])
         return kept
 

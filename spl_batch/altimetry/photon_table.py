@@ -58,6 +58,7 @@ class Cells:
     column: NDArray[np.float32]
     first: NDArray[np.float32]  #: (n,): noise of the first metre below it [1/m2].
     top: NDArray[np.int32]  #: (n,): water surface, not lowered by what lies below it [quanta].
+    calm: NDArray[np.bool_]  #: (n,): whether the surface is water: it is too level for land.
     #: (n,): steps between the densest layers of cells next to each other, their median [m/m].
     slope: NDArray[np.float32]
     fog_low: NDArray[np.int32]  #: (n,): lower end of a cloud [quanta].
@@ -96,6 +97,7 @@ class Scale:
     column: NDArray[np.float32]
     first: NDArray[np.float32]
     top: NDArray[np.int32]
+    calm: NDArray[np.bool_]
     fog_low: NDArray[np.int32]
     fog: NDArray[np.float32]
     neighbours: NDArray[np.int64]  #: (n,): neighbours that count [count].

@@ -250,7 +250,7 @@ def best_thresholds(
         From 1 to the number of bins, which takes none.
     """
     tables = (counts, noise, far, far_noise)
-    above, below, away, strays = (np.cumsum(table[:, ::-1], axis=1) for table in tables)
+    above, below, away = (np.cumsum(table[:, ::-1], axis=1) for table in tables[:3])
     signal = np.clip(above - below, 0.0, wanted[:, None])
     every = 2.0 * signal / np.maximum(above + wanted[:, None], 1.0)
     sure = is_sure(counts, wanted)
@@ -258,13 +258,35 @@ def best_thresholds(
     least_f1 = (1.0 - _MOST_LOST) * every.max(axis=1)
     costly = sure & (gain.max(axis=1) < least_f1)
     best = np.arange(len(every)), every.argmax(axis=1)
-    # Noise is told by places; each stands for so many photons at most.
-    each = _PHOTONS_PER_PLACE * below[:, -1] / np.maximum(above[:, -1], 1.0)
-    chance = SURE_SD * np.sqrt((1.0 + each) * strays[best])
-    layered = costly & (away[best] > strays[best] + each + chance)
+    layered = costly & more_far_than_noise(*tables, counts.shape[1] - 1 - best[1])
     gain[layered] = every[layered]
     taken = np.where(gain.max(axis=1) > 0.0, gain.argmax(axis=1) + 1, 0)
     fewest = np.argmax(every >= least_f1[:, None], axis=1) + 1
     taken = np.where(costly & ~layered, fewest, taken)
     least: NDArray[np.int64] = np.maximum(counts.shape[1] - taken, 1)
     return least
+
+
+def more_far_than_noise(
+    counts: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    far: NDArray[np.float64],
+    far_noise: NDArray[np.float64],
+    least: NDArray[np.int64],
+) -> NDArray[np.bool_]:
+    """Windows of whose photons more lie far from the surface than noise explains, (w,) bool.
+
+    By three standard deviations. Noise is told by places; each stands for so many photons at most.
+
+    Parameters
+    ----------
+    counts, noise, far, far_noise : (w, bins) float64
+        As of :func:`best_thresholds`.
+    least : (w,) int64
+        Least score bin that is taken.
+    """
+    taken = np.arange(counts.shape[1]) >= least[:, None]
+    away, strays = (np.where(taken, table, 0.0).sum(axis=1) for table in (far, far_noise))
+    each = _PHOTONS_PER_PLACE * noise.sum(axis=1) / np.maximum(counts.sum(axis=1), 1.0)
+    found: NDArray[np.bool_] = away > strays + each + SURE_SD * np.sqrt((1.0 + each) * strays)
+    return found

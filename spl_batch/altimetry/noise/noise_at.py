@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from spl_batch.altimetry.noise.fog import fog_at
 from spl_batch.altimetry.photon_table import Scale
-from spl_batch.altimetry.water.level_water import DEPTHS, NO_WATER, SURFACE_M
+from spl_batch.altimetry.water.level_water import DEPTHS, NO_WATER, REACH_CELLS, SURFACE_M
 from spl_batch.constants import QUANTA_PER_M
 
 _SURFACE_Q = round(SURFACE_M * QUANTA_PER_M)
@@ -57,3 +57,32 @@ def noise_told(
     near = np.where(depth < 0, scale.density[cell], scale.first[cell])
     found: NDArray[np.float64] = np.where(within, near, noise_at(cell, height, scale))
     return found
+
+
+def local_column(
+    index: NDArray[np.int64],
+    level: NDArray[np.int32],
+    column: NDArray[np.float32],
+    density: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Noise by depth of each cell: what a kilometre shows, with the sky's noise of the cell.
+
+    By day the sky's noise reaches below the surface too and varies as fast as above it. What the
+    water adds is counted over a kilometre; what is less than the sky's is a share of it.
+
+    Parameters
+    ----------
+    index, level, column : (n,) int64, (n,) int32, (n, DEPTHS) float32
+        Cells, and their water as of :class:`Water`.
+    density : (n,) float64
+        Noise above the surface [1/m2].
+    """
+    wet = np.flatnonzero(level != NO_WATER)
+    local = column.copy()
+    total = np.concatenate([[0.0], np.cumsum(density[wet])])
+    first = np.searchsorted(index[wet], index[wet] - REACH_CELLS)
+    stop = np.searchsorted(index[wet], index[wet] + REACH_CELLS, side="right")
+    sky = ((total[stop] - total[first]) / (stop - first))[:, None]
+    share = np.minimum(column[wet] / np.maximum(sky, 1e-12), 1.0)
+    local[wet] = np.maximum(column[wet] - sky, 0.0) + share * density[wet][:, None]
+    return local

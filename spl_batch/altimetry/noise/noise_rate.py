@@ -23,11 +23,13 @@ from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, stretches
 from spl_batch.altimetry.noise.layers_above import BIN_M, GROUND_CELLS, PATCH_CELLS, above, foot
 from spl_batch.altimetry.noise.mist import find_mist, hidden
 from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
+from spl_batch.altimetry.noise.noise_at import local_column
 from spl_batch.altimetry.noise.planes import CAP_UNITS, UNIT_M, median_noise, usual_noise
 from spl_batch.altimetry.noise.windows import of_window
 from spl_batch.altimetry.photon_table import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.water.emptiest import Photons, sums_around
+from spl_batch.altimetry.water.faint_surface import BLOCK_CELLS
 from spl_batch.altimetry.water.level_water import (
     DEPTHS,
     NO_WATER,
@@ -36,8 +38,8 @@ from spl_batch.altimetry.water.level_water import (
     WOOD_CELLS,
     find_layers,
     find_water,
-    local_column,
 )
+from spl_batch.altimetry.water.levelness import SWELL_CELLS
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
@@ -47,6 +49,10 @@ HALO_CELLS: Final = (
     + 2 * REACH_CELLS
     + 2 * (PATCH_CELLS + REACH_CELLS + WOOD_CELLS)
     + 3 * STRETCH_CELLS
+    + 2 * BLOCK_CELLS
+    + 3 * REACH_CELLS
+    + SWELL_CELLS
+    + 1
 )
 """Cells to each side that :func:`observe` looks at [count]."""
 
@@ -120,6 +126,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         column=water.column,
         first=water.first,
         top=water.top,
+        calm=water.calm,
         slope=water.slope,
         fog_low=fog.low,
         fog=fog.density,
@@ -289,7 +296,7 @@ def scale(
     usual = usual_noise(cells.index, density, signal)
     return Scale(
         cells.index, usual, aspects(cells, signal), noise, below, density,
-        cells.level, column, first, cells.top, cells.fog_low, cells.fog,
+        cells.level, column, first, cells.top, cells.calm, cells.fog_low, cells.fog,
         neighbours(cells, density, rate, signal), *_mdbscan_axis(cells, density, rate, signal),
     )  # fmt: skip
 

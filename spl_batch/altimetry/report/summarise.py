@@ -13,7 +13,8 @@ from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, Track
 from spl_batch.altimetry.report.page import render
 from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
 from spl_batch.altimetry.tasks.context import Context, place
-from spl_batch.altimetry.tasks.photons import Selection, read_rate
+from spl_batch.altimetry.tasks.photons import Selection
+from spl_batch.altimetry.tasks.rate import read_rate
 from spl_batch.altimetry.water.level_water import UNDER_SHARE
 from spl_batch.altimetry.water.odd_layers import Layer
 from spl_batch.constants import QUANTA_PER_M
@@ -89,13 +90,14 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
         beam = f"{done['index_file'][source].facts['name']}: {name}"
         rate, chosen = done["rate"][key].facts, done["select"][key].facts
         kept, noise = (delivered.facts["labels"].get(k, 0) for k in ("1", "0"))
+        floor = delivered.facts["floor"]
         if rate["basis"] != "product" and rate["unseen"] > UNSEEN_SHARE:
             text = f"no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
             found.append(Said(beam, f"{text}is an upper bound"))
         found += [Said(beam, text) for text in _cloud(rate["fog"])]
         found += [Said(beam, text) for text in _mist(rate["mist"], delivered.facts["mist"], kept)]
         found += [Said(beam, text) for text in _second_surface(chosen, kept, limit)]
-        found += [Said(beam, text) for text in _like_noise(chosen, kept)]
+        found += [Said(beam, text) for text in _like_noise(chosen, kept, floor)]
         found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
         if kept and not noise:
             text = f"all {grouped(kept)} photons are signal; nothing is told apart"
@@ -149,7 +151,7 @@ def _mist(mist: Mapping[str, float], signal: int, kept: int) -> Iterator[str]:
         )
 
 
-def _like_noise(chosen: Mapping[str, Any], kept: int) -> Iterator[str]:
+def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[str]:
     """What noise alone could have given, of a beam's signal and of its floor."""
     at = chosen["doubtful"]
     if at["photons"] >= SAID_LEAST:
@@ -161,7 +163,7 @@ def _like_noise(chosen: Mapping[str, Any], kept: int) -> Iterator[str]:
             "canopy are not to be relied on there"
         )
     photons, noise = chosen["doubtful_floor"]
-    if photons >= SAID_LEAST:
+    if min(photons, floor) >= SAID_LEAST:
         yield (
             f"the {grouped(photons)} photons called floor cannot be told from noise below the "
             f"surface ({grouped(noise / SHARE_QUANTA)} noise photons are expected among them): "

@@ -14,7 +14,8 @@ from spl_batch.altimetry.noise.mist import in_mist
 from spl_batch.altimetry.photon_table import LABELS, NOT_ASSESSED, Scale
 from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, place, rows_between
 from spl_batch.altimetry.tasks.heights import COLUMNS
-from spl_batch.altimetry.tasks.photons import Selection, read_rate
+from spl_batch.altimetry.tasks.photons import Selection
+from spl_batch.altimetry.tasks.rate import read_rate
 from spl_batch.altimetry.water.level_water import NO_WATER, SURFACE_M
 from spl_batch.altimetry.water.odd_layers import Layers
 from spl_batch.altimetry.water.refraction import refracted
@@ -133,9 +134,9 @@ def _in_water(
     """Part of the water that photons lie in, what refraction lifts and depth [m]; 0, 0, NaN."""
     cell = np.searchsorted(scale.index, rows["along"] // quanta(context.workflow.rate.cell_m))
     level = scale.level[cell].astype(np.int64)
-    wet = level != NO_WATER
+    wet = (level != NO_WATER) & scale.calm[cell]
     depth_m = np.where(wet, (level - rows["height"]) / QUANTA_PER_M, 0.0)
-    below = rows["below"] > 0
+    below = wet & (rows["below"] > 0)
     kind = np.where(below, np.where(signal, FLOOR, COLUMN), 0)
     kind[wet & signal & (np.abs(depth_m) <= SURFACE_M)] = SURFACE
     _, up_m = refracted(np.where(below, depth_m, 0.0), context.workflow.track.off_nadir_deg)

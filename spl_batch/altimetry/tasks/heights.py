@@ -16,7 +16,9 @@ from spl_batch.altimetry.ground import profile as profiles
 from spl_batch.altimetry.photon_table import LABELS, Scale
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.tasks.context import Context, gather, place, rows_between
-from spl_batch.altimetry.tasks.photons import Selection, read_rate
+from spl_batch.altimetry.tasks.photons import Selection
+from spl_batch.altimetry.tasks.rate import read_rate
+from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns, write_arrays, writing
 from spl_batch.lattice.tiles import quanta
@@ -99,7 +101,7 @@ def _heights(
     some = chosen(table, "ground")
     photons = table["along"][some], table["height"][some], sure[some]
     cell = np.searchsorted(scale.index, photons[0] // quanta(context.workflow.rate.cell_m))
-    level = scale.level[cell].astype(np.int64)
+    level = np.where(scale.calm, scale.level, NO_WATER)[cell].astype(np.int64)
     off_nadir_deg = context.workflow.track.off_nadir_deg
     columns = over_water.profile(photons, level, owned, settings, off_nadir_deg)
     columns["baseline_ground"] = np.full(len(columns["cell"]), np.nan)

@@ -15,7 +15,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
             "index", "spl_batch.altimetry.tasks.index:take_in", ("track.prf_hz", "rate.cell_m")
         ),
         "rate": Kind(
-            "rate", "spl_batch.altimetry.tasks.photons:find_rate", ("rate", "signal", "work")
+            "rate", "spl_batch.altimetry.tasks.rate:find_rate", ("rate", "signal", "work")
         ),
         "score": Kind("signal", "spl_batch.altimetry.tasks.photons:score", _FOUND),
         "select": Kind(

@@ -1,11 +1,11 @@
-"""Stages ``rate`` and ``signal``: the noise along a beam, scores by segment, and what is signal.
+"""Stage ``signal``: scores by segment, and what is signal.
 
 A segment is a run of cells. It reads the photons of its cells and of the reach of a score to
 each side, and writes those of its cells, so where a track is cut does not matter.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -17,21 +17,15 @@ from spl_batch.altimetry.filter.likelihood import ratios
 from spl_batch.altimetry.filter.peer_filters import PEERS, keep
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.noise import windows
-from spl_batch.altimetry.noise.fog import Fog, fog_told, told
 from spl_batch.altimetry.noise.noise_at import below_surface
-from spl_batch.altimetry.photon_table import LABELS, PHOTONS, Background, Cells, Scale
-from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, gather, place, rows_between
+from spl_batch.altimetry.photon_table import LABELS, PHOTONS
+from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, place
+from spl_batch.altimetry.tasks.rate import photons_of, read_rate
 from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays, writing
 from spl_batch.lattice.tiles import quanta
-
-OBSERVE_PHOTONS: Final = 500_000
-"""Photons whose cells are looked at together, about [count]."""
-
-OBSERVE_CELLS: Final = 1024
-"""Cells that are looked at together, at most: a table of them by height is held [count]."""
 
 SELECT_WINDOWS: Final = 256
 """Windows whose photons are held by score at once: 20 MB [count]."""
@@ -53,116 +47,6 @@ _SURE: Final = np.float32(-30.0)
 """Score of what a method without scores calls signal."""
 
 
-def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
-    """Noise of every cell of a beam, the scaled axis, and the cut into segments."""
-    workflow, beam = context.workflow, args["key"]
-    counted = read_arrays(place(context, "places", beam, ".npz"))
-    parts = [
-        _observed(beam, run, context)
-        for run in runs(counted["count"], OBSERVE_PHOTONS, OBSERVE_CELLS)
-    ]
-    cells = rates.join(parts) if parts else rates.observe(*_nothing(), workflow.rate)
-    density, basis = _density(cells, args, context)
-    scale = rates.scale(cells, density, workflow.rate, workflow.signal)
-    path = place(context, "rate", beam, ".npz")
-    far = rates.far_length_m(cells, workflow.rate)
-    arrays = {f"cells_{k}": v for k, v in cells.to_arrays().items()}
-    write_arrays(path, {**arrays, **scale.to_arrays(), "far_m": far})
-    limits = (
-        workflow.work.segment_photons,
-        signals.most_cells(scale, workflow.rate, workflow.signal),
-    )
-    if workflow.signal.method in PEERS:
-        # Their thresholds are those of a whole beam.
-        limits = int(cells.count.sum()) + 1, len(cells.index) + 1
-    segments = [
-        [int(cells.index[a]), int(cells.index[b - 1]) + 1, int(cells.count[a:b].sum())]
-        for a, b in runs(cells.count, *limits)
-    ]
-    facts = {
-        "basis": basis,
-        "segments": segments,
-        "noise_photons": float(scale.noise.sum()),
-        "density_per_m2": [float(v) for v in np.quantile(density, [0.05, 0.5, 0.95])]
-        if len(density)
-        else None,
-        "gate_m": float(np.median(cells.gate_m)) if len(cells.index) else None,
-        "unseen": rates.unseen(cells, workflow.rate),
-        "water": float(np.mean(cells.level != NO_WATER)) if len(cells.index) else 0.0,
-        "fog": fog_told(cells.index, Fog(cells.fog_low, cells.fog), workflow.rate.cell_m),
-        "mist": told(cells.index, cells.mist.T.astype(np.float64), workflow.rate.cell_m),
-        "length_m": len(cells.index) * workflow.rate.cell_m,
-    }
-    return Produced([path], facts, int(cells.count.sum()))
-
-
-def runs(
-    count: NDArray[np.int64], most: int, cells: int = np.iinfo(np.int64).max
-) -> Iterator[tuple[int, int]]:
-    """Runs of cells that hold ``most`` photons, or one cell of more: first, stop.
-
-    Parameters
-    ----------
-    count : (n,) int64
-        Photons of each cell, at least one in each [count].
-    most, cells : int
-        Photons and cells of a run, at most [count].
-    """
-    start = total = 0
-    for i, n in enumerate(count.tolist()):
-        if total and (total + n > most or i - start >= cells):
-            yield start, i
-            start, total = i, 0
-        total += n
-    if total:
-        yield start, len(count)
-
-
-def _nothing() -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    return np.empty(0, np.int64), np.empty(0, np.int32)
-
-
-def _observed(beam: str, run: tuple[int, int], context: Context) -> Cells:
-    """Cells of a run, seen with those around it."""
-    settings = context.workflow.rate
-    size = quanta(settings.cell_m)
-    index = read_arrays(place(context, "places", beam, ".npz"))["index"]
-    first, stop = int(index[run[0]]), int(index[run[1] - 1]) + 1
-    reach = rates.HALO_CELLS
-    table = _photons(beam, (first - reach) * size, (stop + reach) * size, context)
-    cells = rates.observe(table["along"], table["height"], settings)
-    mine = (cells.index >= first) & (cells.index < stop)
-    return Cells(**{name: values[mine] for name, values in cells.to_arrays().items()})
-
-
-def _photons(beam: str, low: int, high: int, context: Context) -> dict[str, NDArray[Any]]:
-    path = place(context, "photons", beam, ".parquet")
-    return gather(rows_between(path, tuple(PHOTONS), "along", low, high), PHOTONS)
-
-
-def _density(
-    cells: Cells, args: Mapping[str, Any], context: Context
-) -> tuple[NDArray[np.float64], str]:
-    """Noise density of each cell, and where it comes from."""
-    workflow = context.workflow
-    settings = workflow.rate
-    if settings.source == "window" or not args["background"] or not len(cells.index):
-        return rates.density_from_window(cells, settings), "window"
-    stated = Background(**read_arrays(place(context, "background", args["key"], ".npz")))
-    if settings.source == "product":
-        return rates.density_from_product(cells, stated, settings), "product"
-    window_m = workflow.signal.window_m
-    return rates.density_from_both(cells, stated, settings, window_m), "product and window"
-
-
-def read_rate(beam: str, context: Context) -> tuple[Cells, Scale, NDArray[np.float64]]:
-    """Cells of a beam, its scaled axis, and the length of gate far from the surface [m]."""
-    arrays = read_arrays(place(context, "rate", beam, ".npz"))
-    names = [name for name in arrays if name.startswith("cells_")]
-    cells = Cells(**{name.removeprefix("cells_"): arrays[name] for name in names})
-    return cells, Scale.from_arrays(arrays), arrays["far_m"]
-
-
 def score(args: Mapping[str, Any], context: Context) -> Produced:
     """Score the photons of a segment, and count them by score."""
     workflow, beam = context.workflow, args["key"]
@@ -175,7 +59,7 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
     if baseline:
         reach_m = max(reach_m, signals.baseline_reach_m(scale, workflow.signal.mdbscan))
     reach = math.ceil((reach_m + 1.0) * QUANTA_PER_M)
-    table = _photons(beam, low - reach, high + reach, context)
+    table = photons_of(beam, low - reach, high + reach, context)
     mine = (table["along"] >= low) & (table["along"] < high)
     labels = {name: table[name][mine] for name in PHOTONS}
     labels["far"] = rates.far(labels["along"], labels["height"], cells, workflow.rate)
@@ -267,6 +151,7 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
     noise = np.bincount(at, scale.noise, len(window)).astype(np.float64)
     _, sums = windows.of_window(scale.index, values, workflow.rate, workflow.signal.window_m)
     least = np.empty((2, ZONES, len(window)), np.int64)
+    far_too = np.ones((ZONES, len(window)), np.bool_)
     taken, every = (np.zeros((ZONES, len(COUNTED))) for _ in range(2))
     doubtful = np.zeros((2, len(window)))
     for first in range(0, len(window), SELECT_WINDOWS):
@@ -286,15 +171,17 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
         for zone in range(ZONES):
             estimated = part[0, zone].sum(axis=1) - sums[zone, first:stop]
             least[:, zone, first:stop] = _least(part[:, zone], np.maximum(estimated, 0.0), context)
+            far_too[zone, first:stop] = _far_too(part[:, zone], least[0, zone, first:stop], context)
             for i, b in enumerate(least[0, zone, first:stop].tolist()):
-                own = counts[:, zone, i, b:].sum(axis=1)
+                own = _taken(counts[:, zone, i, b:], far_too=far_too[zone, first + i])
                 taken[zone] += own
                 every[zone] += counts[:, zone, i].sum(axis=1)
-                around = part[:, 0, i, b:].sum(axis=1), part[:, 0, i].sum(axis=1)
+                passed = _taken(part[:, 0, i, b:], far_too=far_too[0, first + i])
+                around = passed, part[:, 0, i].sum(axis=1)
                 if zone == 0 and _like_noise(*around, workflow.signal.neighbours):
                     doubtful[:, first + i] = own[[0, 2]]
     path = place(context, "selection", beam, ".npz")
-    arrays = {"window": window, "label": least[0], "ground": least[1]}
+    arrays = {"window": window, "label": least[0], "ground": least[1], "far": far_too}
     write_arrays(path, arrays)
     told = float(taken[:, 4].sum()) / chance.SHARE_QUANTA
     unsure = _like_noise(taken[1], every[1], workflow.signal.water_neighbours)
@@ -307,6 +194,27 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
         "false_signal": told or None,
     }
     return Produced([path], facts, int(cells.count.sum()))
+
+
+def _far_too(
+    around: NDArray[np.float64], least: NDArray[np.int64], context: Context
+) -> NDArray[np.bool_]:
+    """Windows of a zone in which photons far from the surface may be signal, (w,) bool.
+
+    Where noise explains all of them that pass, they are noise.
+    """
+    if context.workflow.signal.method != "bayes" or context.workflow.signal.selection != "f1":
+        return np.ones(len(least), np.bool_)
+    counts, far, noise, far_noise, _ = around
+    expected = noise / chance.SHARE_QUANTA, far, far_noise / chance.SHARE_QUANTA
+    return chance.more_far_than_noise(counts, *expected, least)
+
+
+def _taken(table: NDArray[np.float64], *, far_too: bool) -> NDArray[np.float64]:
+    """What is taken of photons by score, (5,) counts as of COUNTED."""
+    own: NDArray[np.float64] = table.sum(axis=1)
+    # Far from any surface the noise that is told is that which is expected.
+    return own if far_too else own - own[[1, 1, 3, 3, 3]]
 
 
 def _like_noise(taken: NDArray[Any], every: NDArray[Any], neighbours: int) -> bool:
@@ -392,5 +300,7 @@ class Selection:
         window = windows.window_of(cell, settings.rate, settings.signal.window_m)
         at = np.searchsorted(self.arrays["window"], window)
         least = self.arrays[which][labels["below"], at]
+        far_too = self.arrays["far"][labels["below"], at]
         passed: NDArray[np.bool_] = signals.score_bins(labels["score"]) >= least
+        passed &= far_too | (labels["far"] == 0)
         return passed

@@ -22,8 +22,11 @@ from scipy import ndimage
 
 from spl_batch.altimetry.water.column_noise import falling_density
 from spl_batch.altimetry.water.emptiest import Photons, emptiest, sums_around
+from spl_batch.altimetry.water.faint_surface import CLEAR, faint_surface
 from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre, fullest
+from spl_batch.altimetry.water.levelness import is_water
 from spl_batch.altimetry.water.rough_surface import rough_land, roughness, smooth_sums
+from spl_batch.altimetry.water.surface_height import heights_of
 from spl_batch.constants import QUANTA_PER_M
 
 NO_WATER: Final = np.iinfo(np.int32).min
@@ -61,6 +64,10 @@ _FLOOR_DEPTHS: Final = 9
 
 _FLOOR_SD: Final = 3.0
 
+_LEFT_SD: Final = 4.0
+_LEFT_LEAST: Final = 2.0
+"""Standard deviations, and photons beside them, that a single box is over what is expected."""
+
 WAVE_M: Final = 0.3
 """Waves reach as far above a surface as below it; farther off the two are compared [m]."""
 
@@ -83,6 +90,7 @@ class Water(NamedTuple):
     #: where too few are.
     slope: NDArray[np.float32]
     fullest: NDArray[np.int64]  #: (n,): middle of the densest metre [quanta].
+    calm: NDArray[np.bool_]  #: (n,): whether the surface is too level for land.
 
 
 def find_layers(
@@ -90,12 +98,14 @@ def find_layers(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Half-metre of each cell's fullest metre, and of what may be a surface: (n,) int64 each.
 
-    That is a layer above it where half of the cells around have one at that height. Where they
-    have one deeper than any floor, that counts in place of the fullest.
+    That is a layer above it where half of the cells around have one at that height, or where the
+    stretch around has, though each cell hardly shows it. Where they have one deeper than any floor,
+    that counts in place of the fullest.
     """
     mode, upper, lower = fullest(cell, height, len(index))
     ground = agreed(index, mode, lower, REACH_CELLS, level=False)
     upper = agreed(index, mode, upper, REACH_CELLS, level=True)
+    upper = np.maximum(upper, faint_surface(index, cell, height, mode, LEAST_CELLS))
     upper = np.where(ground < mode, ground, upper)
     return ground, upper
 
@@ -131,15 +141,17 @@ def find_water(
         np.full(n, NO_WATER, np.int32),
         np.ones(n, np.float32),
         np.zeros(n, np.int64),
+        np.zeros(n, np.bool_),
     )
     if not n:
         return water
     mode, chosen = layers
     level = _level(index, chosen, cell, height)
-    half = QUANTA_PER_M // 2
-    water.fullest[:] = mode * half + half // 2
+    half_m = QUANTA_PER_M // 2
+    water.fullest[:] = mode * half_m + half_m // 2
     water.slope[:] = _slope(index, mode, cell_m)
-    level = _refined(cell, height, level)
+    half = round(SURFACE_M * QUANTA_PER_M)
+    level = heights_of(index, cell, height, level, level != NO_WATER, half)
     level[_grown_over(index, cell, height, gate, level)] = NO_WATER
     over_m = (height - level[cell].astype(np.int64)) / QUANTA_PER_M
     edges_m = WAVE_M, SURFACE_M
@@ -152,6 +164,9 @@ def find_water(
         water.top[:] = _top(cell, height, level, expected * cell_m)
         first = first_metre(index, cell, height, water.top, cell_m, column[:, 0], expected)
         water.column[wet], water.first[wet] = column[wet], first[wet]
+        level_m = np.where(wet, level / QUANTA_PER_M, np.nan)
+        below = chosen >= mode + CLEAR
+        water.calm[:] = is_water(index, level_m, below, cell_m, REACH_CELLS)
     return water
 
 
@@ -238,20 +253,6 @@ def _more(index: NDArray[np.int64], band: _Band, empty: _Band, reach: int) -> ND
     return found
 
 
-def _refined(
-    cell: NDArray[np.intp],
-    height: NDArray[np.int32],
-    level: NDArray[np.int32],
-) -> NDArray[np.int32]:
-    """The levels, each put to the mean of the photons of its layer."""
-    near = np.abs(height.astype(np.int64) - level[cell]) <= round(SURFACE_M * QUANTA_PER_M)
-    near &= level[cell] != NO_WATER
-    total = np.bincount(cell[near], height[near].astype(np.int64), len(level))
-    count = np.bincount(cell[near], minlength=len(level))
-    mean = np.rint(total / np.maximum(count, 1))
-    return np.where(count > 0, mean, level).astype(np.int32)
-
-
 def _columns(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
@@ -288,7 +289,26 @@ def _columns(
     # What lies in a metre lies in the ends of those beside it as well.
     floor[:, :-1] = ndimage.binary_dilation(floor[:, :-1], np.ones((1, 3), np.bool_))
     floor[:, -1] = False
-    out = np.zeros((n, DEPTHS))
+    own = (index, count, rough, area)
+    out = _without(floor, *own)
+    # Where two floors meet the depths around both are full; their boxes stand out of what a
+    # kilometre shows, cell by cell.
+    expected = out * area
+    expected[:, : rough.shape[1]] += rough
+    left = ~floor & (count > expected + _LEFT_SD * np.sqrt(expected) + _LEFT_LEAST)
+    left[:, -1] = False
+    return _without(floor | left, *own) if left.any() else out
+
+
+def _without(
+    floor: NDArray[np.bool_],
+    index: NDArray[np.int64],
+    count: NDArray[np.int64],
+    rough: NDArray[np.float64],
+    area: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Noise by depth of a kilometre without the boxes of a floor, (n, DEPTHS) float64 [1/m2]."""
+    out = np.zeros(count.shape)
     falling_density(
         smooth_sums(index, count, rough, floor, REACH_CELLS),
         sums_around(index, np.where(floor, 0.0, area), REACH_CELLS),
@@ -368,32 +388,3 @@ def first_metre(
     most = np.maximum(expected, UNDER_SHARE * surface / high_m / area)
     first: NDArray[np.float64] = np.where(found <= most, np.maximum(found, deeper), expected)
     return first
-
-
-def local_column(
-    index: NDArray[np.int64],
-    level: NDArray[np.int32],
-    column: NDArray[np.float32],
-    density: NDArray[np.float64],
-) -> NDArray[np.float32]:
-    """Noise by depth of each cell: what a kilometre shows, with the sky's noise of the cell.
-
-    By day the sky's noise reaches below the surface too and varies as fast as above it. What the
-    water adds is counted over a kilometre; what is less than the sky's is a share of it.
-
-    Parameters
-    ----------
-    index, level, column : (n,) int64, (n,) int32, (n, DEPTHS) float32
-        Cells, and their water as of :class:`Water`.
-    density : (n,) float64
-        Noise above the surface [1/m2].
-    """
-    wet = np.flatnonzero(level != NO_WATER)
-    local = column.copy()
-    total = np.concatenate([[0.0], np.cumsum(density[wet])])
-    first = np.searchsorted(index[wet], index[wet] - REACH_CELLS)
-    stop = np.searchsorted(index[wet], index[wet] + REACH_CELLS, side="right")
-    sky = ((total[stop] - total[first]) / (stop - first))[:, None]
-    share = np.minimum(column[wet] / np.maximum(sky, 1e-12), 1.0)
-    local[wet] = np.maximum(column[wet] - sky, 0.0) + share * density[wet][:, None]
-    return local

@@ -1,0 +1,102 @@
+"""Where the surface of each cell lies: above a shallow floor that is brighter, not between both.
+
+A reef a metre below a lagoon draws the mean of what lies near its surface down, and is taken for
+it where it is brighter. Photons show two layers then, and few between them.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_BIN: Final = 100
+_BINS: Final = 36
+"""Height of a bin of a surface and what lies just below it [quanta], and bins [count]."""
+
+_APART: Final = 4
+"""Bins from a shallow floor to the surface above it, at least [count]."""
+
+_SHOWN: Final = (4, 0.1)
+"""Photons of a surface above a shallow floor, and share of that one's, at least."""
+
+
+def heights_of(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+    level: NDArray[np.int32],
+    wet: NDArray[np.bool_],
+    half: int,
+) -> NDArray[np.int32]:
+    """The levels, each put to the mean of its layer or of the one above a shallow floor.
+
+    Parameters
+    ----------
+    index : (n,) int64
+        Cell numbers, in order.
+    cell, height : (p,) intp, (p,) int32
+        Row of each photon's cell; photons [quanta].
+    level, wet : (n,) int32, (n,) bool
+        Surface of each cell, about [quanta]; whether there is one.
+    half : int
+        Half-thickness of a surface [quanta].
+
+    Returns
+    -------
+    (n,) int32
+        As ``level``; unchanged where there is no surface.
+    """
+    over = height.astype(np.int64) - level[cell]
+    rows = np.flatnonzero(wet[cell] & (np.abs(over) <= _BIN * _BINS // 2))
+    cell, over = cell[rows], over[rows]
+    n = len(level)
+    near = np.abs(over) <= half
+    total = np.bincount(cell[near], over[near], n)
+    mean = total / np.maximum(np.bincount(cell[near], minlength=n), 1)
+    steps = np.searchsorted(index, index[cell, None] + np.array([-1, 0, 1])).clip(max=n - 1)
+    around = height[rows, None].astype(np.int64) - level[steps]
+    up = upper_peak(index, cell, np.where(wet[steps], around, _BIN * _BINS))
+    found = np.where(wet, level + np.rint(np.where(np.isfinite(up), up, mean)), level)
+    return found.astype(np.int32)
+
+
+def upper_peak(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    over: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Height of the surface above a shallow floor over the level of both, (n,) [quanta].
+
+    NaN where photons do not show two layers, and few between them.
+
+    Parameters
+    ----------
+    cell : (p,) intp
+        Rows of the cells of photons that may be of the surface.
+    over : (p, 3) int64
+        Their heights over the level of the cell before, of their own, and of the one behind
+        [quanta].
+    """
+    n = len(index)
+    table = np.zeros((n, _BINS), np.int64)
+    for step in (-1, 0, 1):
+        at = np.minimum(np.searchsorted(index, index[cell] + step), n - 1)
+        row = over[:, step + 1] // _BIN + _BINS // 2
+        there = (index[at] == index[cell] + step) & (row >= 0) & (row < _BINS)
+        np.add.at(table, (at[there], row[there]), 1)
+    three = table.copy()
+    three[:, 1:] += table[:, :-1]
+    three[:, :-1] += table[:, 1:]
+    rows, bins = np.arange(n), np.arange(_BINS)
+    main = three.argmax(axis=1)
+    above = np.where(bins >= main[:, None] + _APART, three, 0)
+    peak = above.argmax(axis=1)
+    between = (bins >= main[:, None]) & (bins <= peak[:, None])
+    dip = np.where(between, three, three.max(axis=1, keepdims=True)).min(axis=1)
+    high = above[rows, peak]
+    least, share = _SHOWN
+    found = (high >= np.maximum(least, share * three[rows, main])) & (2 * dip <= high)
+    near = np.abs(bins - peak[:, None]) <= 2
+    counted = np.where(near, table, 0)
+    middle = (counted * ((bins - _BINS // 2) * _BIN + _BIN // 2)).sum(axis=1)
+    return np.where(found, middle / np.maximum(counted.sum(axis=1), 1), np.nan)

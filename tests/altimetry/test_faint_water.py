@@ -1,0 +1,124 @@
+"""Water that is seen by few photons, shallow floors below it, and land that is none."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from benchmarks.altimetry.labelled_tracks import LAND
+from benchmarks.altimetry.odd_tracks import Scene, make
+from benchmarks.altimetry.photon_beams import RATE, Beam
+from spl_batch.altimetry.noise import noise_rate as rates
+from spl_batch.altimetry.water.level_water import NO_WATER
+from spl_batch.altimetry.water.levelness import is_water
+from tests.altimetry.test_level_water import (
+    DAY,
+    FLOOR,
+    NIGHT,
+    NOISE,
+    SURFACE,
+    photons,
+    water_track,
+)
+from tests.altimetry.tracks import assert_cut_matters_nowhere, quanta
+
+Depth = Callable[[np.ndarray], np.ndarray]
+
+
+def lagoon(x: np.ndarray) -> np.ndarray:
+    """Depths of 1 to 6 m."""
+    return 3.5 + 2.5 * np.sin(x / 300.0)
+
+
+def reef(x: np.ndarray) -> np.ndarray:
+    """A floor 1.3 m below the surface all along."""
+    return np.full(len(x), 1.3)
+
+
+@pytest.mark.parametrize("noise", [NIGHT, DAY])
+@pytest.mark.parametrize("surface_per_m", [0.1, 0.3])
+def test_a_faint_surface_over_a_bright_floor_is_seen(noise: float, surface_per_m: float) -> None:
+    track = water_track(
+        noise, surface_per_m=surface_per_m, floor_per_m=1.4, depth_m=lagoon, column=(0.02, 4.0)
+    )
+    beam = Beam(photons(track), None)
+    wet = beam.cells.level != NO_WATER
+    assert beam.cells.calm.mean() > 0.9
+    assert np.median(np.abs(beam.cells.level[wet].astype(np.int64))) < 200
+    kept, signal = beam.keep(beam.score()), track.kind != NOISE
+    assert kept[track.kind == SURFACE].mean() > (0.9 if noise == NIGHT else 0.6)
+    assert kept[track.kind == FLOOR].mean() > 0.97
+    assert kept[signal].mean() + 1.0 - kept[~signal].mean() > (1.6 if noise == NIGHT else 1.9)
+
+
+@pytest.mark.parametrize("depth_m", [lagoon, reef])
+def test_a_floor_near_the_surface_draws_it_nowhere(depth_m: Depth) -> None:
+    track = water_track(NIGHT, surface_per_m=0.9, floor_per_m=1.8, depth_m=depth_m)
+    beam = Beam(photons(track), None)
+    calm = beam.cells.calm
+    assert calm.mean() > 0.75
+    assert np.quantile(np.abs(beam.cells.level[calm].astype(np.int64)), 0.9) < 250
+    depth = beam.depth_m(*photons(track))
+    floor = track.kind == FLOOR
+    assert (depth[floor] > 1.0).mean() > 0.75
+
+
+@pytest.mark.parametrize("roofs", [False, True])
+def test_a_plain_below_roofs_and_crests_is_no_floor(roofs: bool) -> None:  # noqa: FBT001
+    rng = np.random.default_rng(6)
+    x = np.sort(rng.uniform(0.0, 4000.0, 5000))
+    block = (x // 35.0).astype(np.int64)
+    built = roofs & (x % 35.0 < 20.0)
+    z = 2.0 * np.sin(x / 90.0) * (not roofs) + built * (6.0 + 6.0 * (block * 7919 % 4))
+    z += rng.normal(0.0, 0.3, len(x))
+    cells = rates.observe(*quanta(np.stack([x, z], axis=1)), RATE)
+    assert (cells.calm & (cells.level > 3000)).mean() < 0.02
+    assert roofs or not cells.calm.any()
+
+
+@pytest.mark.parametrize("noise", [NIGHT, DAY])
+@pytest.mark.parametrize("relief_m", [12.0, 30.0])
+def test_dry_hills_are_no_water(noise: float, relief_m: float) -> None:
+    number = np.arange(1, 80)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        high, phase = rng.rayleigh(1.0, 79) / number**2.0, rng.uniform(0.0, 2.0 * np.pi, 79)
+
+        def land(x: np.ndarray, high: np.ndarray = high, phase: np.ndarray = phase) -> np.ndarray:
+            waves = high * np.sin(2.0 * np.pi * number * x[:, None] / 4000.0 + phase)
+            z: np.ndarray = waves.sum(axis=1)
+            return z * relief_m / 2.5
+
+        scene = Scene(noise, land=((0.0, 4000.0),), land_m=land, gate_m=(-100.0, 150.0))
+        track = make("hills", scene, seed)
+        assert (track.label == LAND).any()
+        cells = rates.observe(*track.photons, RATE)
+        assert cells.calm.mean() < 0.03
+
+
+def test_swell_averages_out_along_the_track_and_ground_does_not() -> None:
+    index = np.arange(200)
+    swell = 0.3 * np.sin(2.0 * np.pi * index / 9.0)
+    slow = 0.3 * np.sin(2.0 * np.pi * index / 60.0)
+    none = np.zeros(200, np.bool_)
+    assert is_water(index, swell, none, 20.0, 25)[5:-5].all()
+    assert not is_water(index, slow, none, 20.0, 25).any()
+    assert not is_water(index, 0.003 * 20.0 * index, none, 20.0, 25).any()
+    # A layer below a surface is a floor, however the surface runs.
+    assert is_water(index, slow, ~none, 20.0, 25).all()
+    assert not is_water(index, np.full(200, np.nan), ~none, 20.0, 25).any()
+
+
+def test_where_two_floors_meet_the_water_is_no_denser() -> None:
+    steps = lambda x: 2.0 + 4.0 * ((x // 250.0) % 2)  # noqa: E731
+    track = water_track(NIGHT, floor_per_m=1.3, depth_m=steps, column=(0.07, 4.0))
+    cells = rates.observe(*photons(track), RATE)
+    found = np.median(cells.column[cells.level != NO_WATER, :2], axis=0)
+    true = NIGHT + 0.07 * (np.exp(-np.array([1, 2]) / 4.0) - np.exp(-np.array([2, 3]) / 4.0))
+    assert np.abs(np.log(found / true)).max() < np.log(2.5)
+
+
+@pytest.mark.parametrize("cut", [61, 333])
+def test_a_lagoon_does_not_depend_on_where_the_track_is_cut(cut: int) -> None:
+    track = water_track(NIGHT, length_m=13_000.0, surface_per_m=0.2, depth_m=lagoon)
+    assert_cut_matters_nowhere(*photons(track), cut)
