@@ -40,6 +40,39 @@ def test_fog_near_the_ground_is_told_of(name: str, share: float, noise: float) -
 
 
 @pytest.mark.parametrize("noise", [NIGHT, DAY])
+@pytest.mark.parametrize(("light", "level"), [(0.5, False), (0.2, True), (0.0, False)])
+def test_fog_over_rolling_ground_is_told_of(noise: float, light: float, *, level: bool) -> None:
+    """From 5 to 25 m above the ground or above its mean, along half of the track."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        shot = np.arange(0.0, 4000.0, 0.7)
+        land = (12.0 + 2.0 * seed) * np.sin(shot / (180.0 + 40.0 * seed))
+        let = np.where(shot % 1500.0 < 750.0, light, 1.0)
+        ground = np.repeat(np.arange(len(shot)), rng.poisson(1.2 * let))
+        fog = np.repeat(np.arange(len(shot)), rng.poisson(1.0 - let))
+        foot = 0.0 if level else land[fog]
+        high = foot + rng.uniform(5.0, 25.0, len(fog))
+        fog, high = fog[high > land[fog]], high[high > land[fog]]
+        n = rng.poisson(noise * 4000.0 * 200.0)
+        x = np.concatenate([shot[ground], shot[fog], rng.uniform(0.0, 4000.0, n)])
+        low = land[ground] + rng.normal(0.0, 0.3, len(ground))
+        z = np.concatenate([low, high, rng.uniform(-80.0, 120.0, n)])
+        order = np.argsort(x, kind="stable")
+        cells = rates.observe(*lattice(x[order], z[order]), RATE)
+        seen = in_mist(cells, x, z, RATE)[len(ground) : len(ground) + len(fog)]
+        # A run names what holds 3 % of the signal.
+        assert np.count_nonzero(seen) > 0.03 * (len(ground) + len(fog))
+
+
+def test_bare_hills_are_no_fog() -> None:
+    for seed in range(3):
+        land = lambda x, s=seed: (10.0 + 20.0 * s) * np.sin(x / (90.0 + 60.0 * s))  # type: ignore[misc]  # noqa: E731
+        scene = replace(SCENES["land alone, slope 0.5"], land_m=land, noise_per_m2=DAY)
+        _, signal, _ = told_share(make("hills", scene, seed))
+        assert signal < 0.01
+
+
+@pytest.mark.parametrize("noise", [NIGHT, DAY])
 @pytest.mark.parametrize(
     "name", ["plain", "swell of 1 m", "wooded island", "land alone, slope 0.5"]
 )

@@ -234,23 +234,40 @@ def sure(layers: Above) -> NDArray[np.bool_]:
     return found & (total >= _LEAST)
 
 
-def even(layers: Above, clumped: float) -> NDArray[np.bool_]:
+def even(layers: Above, clumped: float, *, inner: bool = False) -> NDArray[np.bool_]:
     """Runs whose photons scatter among the cells of the patch as chance does: (r,) bool.
 
     Parameters
     ----------
     clumped : float
         Squared coefficient of variation of the density among boxes, at most.
+    inner : bool
+        Without the boxes at both ends: ground reaches into the lowest.
     """
     runs, k = layers.runs, layers.cells()
-    total, square, spread = (
-        runs.total(values) for values in (layers.seen, layers.squares, layers.seen**2)
+    some = inside(runs) if inner else np.ones(len(runs.which), np.bool_)
+
+    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        own = np.where(some, values[runs.at], 0.0)
+        return np.bincount(runs.which, own, len(runs.row)).astype(np.float64)
+
+    count, square, spread = (
+        total(values) for values in (layers.seen, layers.squares, layers.seen**2)
     )
-    boxes = (runs.stop - runs.first) * k
-    mean = total / boxes
-    dispersion = (square - spread / k) / np.maximum(total, 1.0) * (k / (k - 1))
+    boxes = np.maximum(np.bincount(runs.which, some, len(runs.row)), 1.0) * k
+    mean = count / boxes
+    dispersion = (square - spread / k) / np.maximum(count, 1.0) * (k / (k - 1))
     chance = SD * np.sqrt((2.0 + 1.0 / np.maximum(mean, 1e-9)) / boxes)
     found: NDArray[np.bool_] = dispersion <= 1.0 + clumped * mean + chance
+    return found
+
+
+def inside(runs: Runs) -> NDArray[np.bool_]:
+    """Boxes of runs that are neither the first nor the last, (b,) bool."""
+    column = runs.at[1]
+    found: NDArray[np.bool_] = (column > runs.first[runs.which]) & (
+        column < runs.stop[runs.which] - 1
+    )
     return found
 
 

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from spl_batch.altimetry.noise.fog import Fog, fog_at
 from spl_batch.altimetry.noise.layers_above import (
     BIN_M,
-    GROUND_CELLS,
+    PATCH_CELLS,
     SD,
     Above,
     Foot,
     even,
+    inside,
     shown_around,
     sure,
 )
@@ -28,14 +29,16 @@ from spl_batch.constants import QUANTA_PER_M
 _THICK: Final = 4
 """Boxes that it fills at least: ground on a slope fills some [count]."""
 
+_LONG: Final = 16
+"""Cells that show it, of those around; a patch alone shows itself in eleven [count]."""
+
 _CLUMPED: Final = 0.1
 _UNEVEN: Final = 0.1
 """Squared coefficients of variation of its density among boxes along the track and in height, at
 most."""
 
 HIDDEN_M: Final = 120
-"""Where no ground is near, heights count from a multiple of this, twice it or more below what is
-fullest [m]."""
+"""Where no ground is near, heights count from so far below what is fullest [m]."""
 
 
 def find_mist(layers: Above, fog: Fog) -> NDArray[np.float32]:
@@ -50,11 +53,12 @@ def find_mist(layers: Above, fog: Fog) -> NDArray[np.float32]:
     """
     runs, n = layers.runs, len(layers.number)
     out = np.zeros((n, 3), np.float32)
-    some = (runs.stop - runs.first >= _THICK) & sure(layers) & even(layers, _CLUMPED)
+    some = (runs.stop - runs.first >= _THICK) & sure(layers) & even(layers, _CLUMPED, inner=True)
     some &= _level(layers)
     middle = (layers.foot[runs.row] + (runs.first + runs.stop) // 2) * BIN_M * QUANTA_PER_M
     some &= fog_at(runs.row.astype(np.intp), middle.astype(np.int32), *fog) == 0.0
     some &= shown_around(layers, some)
+    some = _long(layers, some)
     more = (runs.total(layers.seen) - runs.total(layers.sky)) / layers.cells()
     for run in np.flatnonzero(some):
         own = out[runs.row[run]]
@@ -66,12 +70,19 @@ def find_mist(layers: Above, fog: Fog) -> NDArray[np.float32]:
     return out
 
 
+def _long(layers: Above, some: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Runs of ``some`` beside what patches show which have no photon in common, (r,) bool."""
+    row, number, reach = layers.runs.row, layers.number, 2 * PATCH_CELLS + 1
+    shown = np.bincount(row[some], minlength=len(number))[:, None] > 0
+    long = shown & (sums_around(number, shown, reach) >= _LONG)
+    found: NDArray[np.bool_] = some & (sums_around(number, long, reach)[row, 0] > 0)
+    return found
+
+
 def _level(layers: Above) -> NDArray[np.bool_]:
     """Runs that are as dense in all of their boxes but the ends, (r,) bool."""
     runs = layers.runs
-    inner = np.ones(len(runs.at[1]), np.bool_)
-    for end in (runs.first, runs.stop - 1):
-        inner &= runs.at[1] != end[runs.which]
+    inner = inside(runs)
     values = np.where(inner, layers.seen[runs.at], 0.0)
     r = len(runs.row)
     k = np.maximum(np.bincount(runs.which, inner, r), 1.0)
@@ -89,17 +100,19 @@ def hidden(
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Where heights count from in cells without ground near by, (n,) int64 [quanta], (n,) bool.
 
+    That is so far below what is fullest around: fog that hides the ground follows it.
+
     Parameters
     ----------
     index, mode : (n,) int64
         Cells, and the half-metre of the fullest metre of each.
     """
-    lone = ~ground.known
+    lone = ~ground.near
     values = np.stack([np.where(lone, mode, 0), lone], axis=1)
-    total, count = sums_around(index, values, GROUND_CELLS).T
+    total, count = sums_around(index, values, PATCH_CELLS).T
     middle_m = total / np.maximum(count, 1.0) / 2.0
-    foot_m = np.floor(middle_m / HIDDEN_M - 2.0).astype(np.int64) * HIDDEN_M
-    return foot_m * QUANTA_PER_M, lone
+    foot = np.rint((middle_m - HIDDEN_M) * QUANTA_PER_M).astype(np.int64)
+    return foot, lone
 
 
 def in_mist(

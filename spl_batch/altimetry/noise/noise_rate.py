@@ -97,9 +97,9 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     over = above(*photons, (ground.quanta, ground.known), (low, high), cell_m)
     fog = find_fog(over, ground)
     mist = find_mist(over, fog)
-    if not ground.known.all():
+    if not ground.near.all():
         over = above(*photons, hidden(index, layers[0], ground), (low, high), cell_m)
-        mist += find_mist(over, fog)
+        mist = np.where(mist[:, 2:] > 0.0, mist, find_mist(over, fog))
     clear = outside(cell, height, fog)
     if len(clear) < len(cell):
         cell, height = cell[clear], height[clear]
