@@ -14,6 +14,7 @@ import rasterio
 import yaml
 
 from spl_batch.altimetry.filter.signal import score_bins
+from spl_batch.altimetry.report.summarise import _like_noise
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.simulate import SceneFile, simulate_file
 from spl_batch.altimetry.tasks import heights
@@ -198,9 +199,20 @@ def test_signal_that_noise_alone_gives_is_said(tmp_path: Path) -> None:
     found = [text for text in texts if "cannot be told from noise" in text]
     assert len(found) == 1, found
     assert found[0].startswith("noise.csv: track")
-    assert "of track between 0 and 10 km" in found[0]
     beam = next(b for b in report(workflow)["beams"] if b["file"] == "noise.csv")
-    assert f"{beam['signal']:,} of the".replace(",", " ") in found[0]
+    assert f"nothing but noise is seen: the {beam['signal']} photons called" in found[0]
+
+
+@pytest.mark.parametrize(
+    ("doubtful", "kept", "said"),
+    [(7, 7, "nothing but noise"), (7, 900, ""), (20, 900, "20 of the 900"), (0, 0, "")],
+)
+def test_few_photons_that_are_all_noise_are_said(doubtful: int, kept: int, said: str) -> None:
+    where = {"noise": 7e6, "length_m": 2000.0, "from_m": 0.0, "to_m": 2000.0}
+    chosen = {"doubtful": {"photons": doubtful, **where}, "doubtful_floor": [0, 0]}
+    texts = list(_like_noise(chosen, kept, 0))
+    assert len(texts) == bool(said)
+    assert said in "".join(texts)
 
 
 def test_a_simulated_track_is_run_and_measured(tmp_path: Path) -> None:

@@ -154,7 +154,13 @@ def _mist(mist: Mapping[str, float], signal: int, kept: int) -> Iterator[str]:
 def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[str]:
     """What noise alone could have given, of a beam's signal and of its floor."""
     at = chosen["doubtful"]
-    if at["photons"] >= SAID_LEAST:
+    if kept and at["photons"] == kept:
+        yield (
+            f"nothing but noise is seen: the {grouped(kept)} photons called signal cannot be told "
+            f"from noise, which comes in clumps ({grouped(at['noise'])} noise photons are expected "
+            "among them)"
+        )
+    elif at["photons"] >= SAID_LEAST:
         yield (
             f"{grouped(at['photons'])} of the {grouped(kept)} signal photons, on "
             f"{at['length_m'] / 1000:g} km of track between {at['from_m'] / 1000:g} and "

@@ -16,6 +16,14 @@ _BINS: Final = 36
 _APART: Final = 4
 """Bins from a shallow floor to the surface above it, at least [count]."""
 
+_DIP: Final = 4
+"""Times as many photons as between both that the surface has, at least."""
+
+_THIN: Final = 3
+_IN_BOTH: Final = 0.8
+"""Bins from the middle of either to its end, and share of photons that lie in both: swell has as
+many between its crests and its troughs."""
+
 _SHOWN: Final = (4, 0.1)
 """Photons of a surface above a shallow floor, and share of that one's, at least."""
 
@@ -95,7 +103,10 @@ def upper_peak(
     dip = np.where(between, three, three.max(axis=1, keepdims=True)).min(axis=1)
     high = above[rows, peak]
     least, share = _SHOWN
-    found = (high >= np.maximum(least, share * three[rows, main])) & (2 * dip <= high)
+    found = (high >= np.maximum(least, share * three[rows, main])) & (_DIP * dip <= high)
+    thin = np.minimum(np.abs(bins - peak[:, None]), np.abs(bins - main[:, None])) <= _THIN
+    held = np.where(bins >= main[:, None] - _THIN, table, 0)
+    found &= (held * thin).sum(axis=1) >= _IN_BOTH * held.sum(axis=1)
     near = np.abs(bins - peak[:, None]) <= 2
     counted = np.where(near, table, 0)
     middle = (counted * ((bins - _BINS // 2) * _BIN + _BIN // 2)).sum(axis=1)
