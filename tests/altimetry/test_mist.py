@@ -30,7 +30,7 @@ def told_share(track: Labelled) -> tuple[Cells, float, float]:
 
 @pytest.mark.parametrize("noise", [NIGHT, DAY])
 @pytest.mark.parametrize(
-    ("name", "share"), [("on a plain, 30 m thick", 0.5), ("at 40 to 60 m", 0.2)]
+    ("name", "share"), [("on a plain, 30 m thick", 0.5), ("at 22 to 45 m, hides 600 m", 0.2)]
 )
 def test_fog_near_the_ground_is_told_of(name: str, share: float, noise: float) -> None:
     track = make("fog", replace(CLOUDS[name], noise_per_m2=noise), 1)
@@ -125,7 +125,7 @@ def test_a_cloud_that_hides_the_ground_for_long_is_noise_at_its_ends_and_told_of
 @settings(max_examples=2, deadline=None)
 @given(st.integers(0, 5), st.integers(30, 120))
 def test_what_is_told_does_not_depend_on_where_the_track_is_cut(seed: int, cut: int) -> None:
-    scene = replace(CLOUDS["at 40 to 60 m"], length_m=3000.0)
+    scene = replace(CLOUDS["at 22 to 45 m, hides 600 m"], length_m=3000.0)
     along, height = make("fog", scene, seed).photons
     assert rates.observe(along, height, RATE).mist.any()
     assert_cut_matters_nowhere(along, height, cut)
