@@ -146,7 +146,7 @@ def fit_ground(
     along, height_m, first, stop, centre, layer_m, photons_min
         As in :func:`lowest_layers`.
     half_m : float
-        Half the length of a cell [m].
+        Half the length of what is compared with the line in the middle [m].
     layers : (c, 2) float64
         Height at the middle [m] and slope [m/m] of the layer.
     out : (c, 5) float64

@@ -26,6 +26,9 @@ FLOOR: Final = {
 """Columns of the floor: height [m], its standard error [m], photons, and the height corrected for
 refraction [m]; NaN where unknown."""
 
+_NEAR_M: Final = 0.5
+"""Photons of a water surface that its height is fitted to: below them a reef may lie [m]."""
+
 COLUMNS: Final = {**profiles.COLUMNS, "water": np.int64, **FLOOR}
 """Columns of a profile that knows water; ``water`` is 1 where ground is a water surface."""
 
@@ -57,7 +60,7 @@ def profile(
     wet, off = level != NO_WATER, height - level
     surface_q = round(SURFACE_M * QUANTA_PER_M)
     below = wet & (off < -surface_q)
-    dry = ~wet | (np.abs(off) <= surface_q)
+    dry = ~wet | (np.abs(off) <= round(_NEAR_M * QUANTA_PER_M))
     top, floor = (
         profiles.profile(along[some], height[some], sure[some], owned, *settings).columns
         for some in (dry, below)

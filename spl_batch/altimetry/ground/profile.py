@@ -27,6 +27,9 @@ from spl_batch.lattice.tiles import quanta
 
 _DENSE: Final = 0.3
 _DENSE_THIN: Final = 0.23
+_UNSURE: Final = 1.5
+"""Standard errors by which what a line leaves of the ground's shape is told too large."""
+
 _ALONE: Final = 3
 """How many times the least photons a layer needs that no two neighbours confirm."""
 
@@ -250,7 +253,7 @@ def _fitted(
         own = thick == layer_m
         part = np.empty((np.count_nonzero(own), 5))
         fit_ground(
-            along, z, first[own], stop[own], centre[own], float(layer_m), settings.cell_m / 2.0,
+            along, z, first[own], stop[own], centre[own], float(layer_m), settings.cell_m / 4.0,
             settings.photons_min, layers[own], part,
         )  # fmt: skip
         out[own] = part
@@ -311,16 +314,23 @@ def _misfit2(
 ) -> NDArray[np.float64]:
     """Squared error that the ground's shape leaves, from the cells around each, (c,) float64 [m2].
 
-    In one cell what its photons tell is mostly chance; over several that averages out.
+    In one cell what its photons tell is mostly chance; over several that averages out. What is left
+    of chance is added, so that the error is told too small nowhere by it.
     """
     known = np.isfinite(off2)
+    value = np.where(known, off2, 0.0)
     # Whole numbers: their sums have no order.
-    whole = np.rint(np.where(known, off2, 0.0) * 1e9).astype(np.int64)
-    total, count = (np.concatenate([[0], np.cumsum(v)]) for v in (whole, known))
+    counted = [np.rint(v * 1e9).astype(np.int64) for v in (value, value**2)]
     first = np.searchsorted(index, index - settings.reach_cells)
     stop = np.searchsorted(index, index + settings.reach_cells, side="right")
-    mean = (total[stop] - total[first]) / np.maximum(count[stop] - count[first], 1) * 1e-9
-    misfit2: NDArray[np.float64] = np.maximum(mean, 0.0)
+    total, squares, count = (
+        (sums := np.concatenate([[0], np.cumsum(v)]))[stop] - sums[first]
+        for v in (*counted, known.astype(np.int64))
+    )
+    n = np.maximum(count, 2)
+    mean = total * 1e-9 / n
+    error = np.sqrt(np.maximum(squares * 1e-9 / n - mean**2, 0.0) / (n - 1))
+    misfit2: NDArray[np.float64] = np.maximum(mean + _UNSURE * error, 0.0)
     return misfit2
 
 
