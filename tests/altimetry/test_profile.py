@@ -193,6 +193,27 @@ def test_curved_ground_is_followed_and_its_error_is_told() -> None:
         assert told.mean() > 0.85
 
 
+@pytest.mark.parametrize(("relief_m", "falls"), [(5.0, 2.0), (40.0, 2.0), (40.0, 1.5)])
+def test_the_error_of_ground_covers_what_it_says(relief_m: float, falls: float) -> None:
+    """Smooth and rough terrain: nine tenths or more within twice the error, and not for nothing."""
+    rng = np.random.default_rng(7)
+    number = np.arange(1, 200)
+    high, phase = rng.rayleigh(1.0, 199) / number**falls, rng.uniform(0.0, 2.0 * np.pi, 199)
+
+    def land(x: np.ndarray) -> np.ndarray:
+        z: np.ndarray = (high * np.sin(2.0 * np.pi * number * x[:, None] / 4000.0 + phase)).sum(1)
+        return z * relief_m / 3.0
+
+    x = np.sort(rng.uniform(0.0, 4000.0, 7000))
+    along, height = quanta(np.stack([x, land(x) + rng.normal(0.0, 0.3, len(x))], axis=1))
+    order = np.lexsort((height, along))
+    sure = np.ones(len(x), np.bool_)
+    found = profile(along[order], height[order], sure, EVERYTHING, ProfileSettings()).columns
+    error = np.abs(found["ground"] - land(found["along_track"]))
+    assert np.mean(error < 2.0 * found["ground_error"]) > 0.9
+    assert np.sqrt(np.mean(found["ground_error"] ** 2)) < 2.5 * np.sqrt(np.mean(error**2))
+
+
 def test_layers_of_steep_tracks_are_thicker_and_of_flat_ones_as_before() -> None:
     for kind, gain in (("mountain", 0.7), ("flat", None)):
         track = simulate_track(scene(kind, "infrared", 11, length_m=1500.0, canopy=0.4))
