@@ -128,8 +128,8 @@ def print_land(name: str, at: NDArray[np.float64]) -> None:
         )
     near = taken > 0
     print(
-        f"  of the {np.count_nonzero(near)} that are taken {shots[near].mean():.0%} lie in the "
-        f"shot of a photon of land, of those {FAR_M[0]:g} to {FAR_M[1]:g} m off {shots[far].mean():.0%}"
+        f"  of the {np.count_nonzero(near)} that are taken {shots[near].mean():.0%} lie in the shot"
+        f" of a photon of land, of those {FAR_M[0]:g} to {FAR_M[1]:g} m off {shots[far].mean():.0%}"
     )
 
 

@@ -64,6 +64,9 @@ _FLOOR_DEPTHS: Final = 9
 
 _FLOOR_SD: Final = 3.0
 
+_KNOWN: Final = 0.25
+"""Share of a depth along a kilometre that is no floor, where its noise is counted."""
+
 _LEFT_SD: Final = 4.0
 _LEFT_LEAST: Final = 2.0
 """Standard deviations, and photons beside them, that a single box is over what is expected."""
@@ -309,11 +312,11 @@ def _without(
 ) -> NDArray[np.float64]:
     """Noise by depth of a kilometre without the boxes of a floor, (n, DEPTHS) float64 [1/m2]."""
     out = np.zeros(count.shape)
-    falling_density(
-        smooth_sums(index, count, rough, floor, REACH_CELLS),
-        sums_around(index, np.where(floor, 0.0, area), REACH_CELLS),
-        out,
-    )
+    left = sums_around(index, np.where(floor, 0.0, area), REACH_CELLS)
+    # What a floor leaves of a depth along a kilometre is its edges: the depths beside it tell.
+    known = left >= _KNOWN * sums_around(index, area, REACH_CELLS)
+    seen = smooth_sums(index, count, rough, floor, REACH_CELLS)
+    falling_density(np.where(known, seen, 0.0), np.where(known, left, 0.0), out)
     return out
 
 
