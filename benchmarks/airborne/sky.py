@@ -154,6 +154,8 @@ EFFECTS: dict[str, Any] = {
     "noise 0.3 per m3": lambda t: {"sky": {"background_per_m3": 0.3 * t}},
     "times rounded to 100 us": lambda t: {"delivery": {"time_step_us": 100 * t}},
     "haze 30-50 m, 50 x": small_patches,
+    "thin haze 20-30 m, 30 x": lambda t: haze(30 * t, 20, 30, 0.7),
+    "thinner haze 8-14 m, 20 x": lambda t: haze(20 * t, 8, 14),
     "two clouds": two_clouds,
     "long lags": long_lags,
     "boresight roll 0.02 deg": lambda t: unlike(boresight_roll_deg=0.02 * t),

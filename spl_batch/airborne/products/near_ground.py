@@ -7,12 +7,18 @@ nothing there. If most places are filled it is fog, or low vegetation without a 
 nothing is removed. Our own rule: no source has one.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.constants import NODATA, NOISE_AFTERPULSE, NOISE_NOT_ASSESSED, QUANTUM_M
+from spl_batch.constants import (
+    NODATA,
+    NOISE_AFTERPULSE,
+    NOISE_NOT_ASSESSED,
+    NOISE_SIGNAL,
+    QUANTUM_M,
+)
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
 
@@ -41,19 +47,55 @@ UNEVEN: Final = 0.5
 """Largest variance of the cells' counts beyond chance, over their squared mean."""
 
 
-def filled_places(
-    table: PointTable, core: Bounds, dtm: NDArray[np.float32], noise_m3: float
-) -> list[int]:
-    """How many places there are with ground, and how many of them are filled, step by step.
+class Placed(NamedTuple):
+    """Points over places: those that lie in whole ones, afterpulses left out."""
+
+    shape: tuple[int, int]  #: Rows and columns of places, from the south-west [count].
+    place: NDArray[np.int64]  #: (n,): number of each point's place, row by row.
+    within: NDArray[np.int64]  #: (n,): number of its cell within the place.
+    height: NDArray[np.float64]  #: (n,): above the DTM, NaN where it is void [m].
+    kept: NDArray[np.bool_]  #: (n,): whether it is signal.
+    grounded: NDArray[np.bool_]  #: (places,): whether points lie on the DTM there.
+
+
+def placed(table: PointTable, core: Bounds, dtm: NDArray[np.float32]) -> Placed | None:
+    """Places of points, and their heights above the ground; None where no place is whole.
 
     Parameters
     ----------
     table : PointTable
         Points of a ground cell, :data:`COLUMNS_NEEDED`.
     core : Bounds
-        The ground cell; squares of the absolute grid that lie in it count [quanta].
+        The ground cell; squares of the absolute grid that lie in it are places [quanta].
     dtm : (rows, cols) float32
         Its DTM, north up [m].
+    """
+    edge, cell = quanta(SQUARE_M), quanta(CELL_M)
+    west, south = -(-core.xmin // edge), -(-core.ymin // edge)
+    columns, rows = core.xmax // edge - west, core.ymax // edge - south
+    if columns < 1 or rows < 1:
+        return None
+    x, y = table["x"] - west * edge, table["y"] - south * edge
+    kind = table["noise_class"]
+    chosen = (x >= 0) & (x < columns * edge) & (y >= 0) & (y < rows * edge)
+    chosen &= (kind != NOISE_AFTERPULSE) & (kind != NOISE_NOT_ASSESSED)
+    x, y = x[chosen], y[chosen]
+    height, near = _heights(table, chosen, core, dtm)
+    place = (y // edge) * columns + x // edge
+    parts = edge // cell
+    within = (y % edge // cell) * parts + x % edge // cell
+    grounded = np.bincount(place[near], minlength=int(rows * columns)) > 0
+    kept = kind[chosen] == NOISE_SIGNAL
+    return Placed((int(rows), int(columns)), place, within, height, kept, grounded)
+
+
+def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
+    """How many places there are with ground, and how many of them are filled, step by step.
+
+    Parameters
+    ----------
+    points : Placed, optional
+        Points over places, by :func:`placed`.
     noise_m3 : float
         Expected noise [1/m3].
 
@@ -62,33 +104,20 @@ def filled_places(
     list of int
         Places [count], then those filled in each of the :data:`STEPS`.
     """
-    edge, cell = quanta(SQUARE_M), quanta(CELL_M)
-    west, south = -(-core.xmin // edge), -(-core.ymin // edge)
-    columns, rows = core.xmax // edge - west, core.ymax // edge - south
-    if columns < 1 or rows < 1:
+    if points is None:
         return [0] * (STEPS + 1)
-    x, y = table["x"] - west * edge, table["y"] - south * edge
-    kind = table["noise_class"]
-    chosen = (x >= 0) & (x < columns * edge) & (y >= 0) & (y < rows * edge)
-    chosen &= (kind != NOISE_AFTERPULSE) & (kind != NOISE_NOT_ASSESSED)
-    x, y = x[chosen], y[chosen]
-    height, near = _heights(table, chosen, core, dtm)
-    step = np.floor((height - FLOOR_M) / STEP_M)
-    place = (y // edge) * columns + x // edge
-    places = int(rows * columns)
-    parts = edge // cell
-    within = (y % edge // cell) * parts + x % edge // cell
-    grounded = np.bincount(place[near], minlength=places) > 0
-    out = [int(np.count_nonzero(grounded))]
+    step = np.floor((points.height - FLOOR_M) / STEP_M)
+    places, parts = len(points.grounded), quanta(SQUARE_M) // quanta(CELL_M)
+    out = [int(np.count_nonzero(points.grounded))]
     for k in range(STEPS):
         inside = step == k
-        number = place[inside] * parts**2 + within[inside]
+        number = points.place[inside] * parts**2 + points.within[inside]
         count = np.bincount(number, minlength=places * parts**2).reshape(places, parts**2)
         mean = count.mean(axis=1)
         excess = count.var(axis=1) - mean
         noise = noise_m3 * SQUARE_M**2 * STEP_M
         full = count.sum(axis=1) >= TIMES_NOISE * noise + LEAST
-        full &= (excess <= UNEVEN * mean**2) & grounded
+        full &= (excess <= UNEVEN * mean**2) & points.grounded
         out.append(int(np.count_nonzero(full)))
     return out
 

@@ -174,6 +174,31 @@ def fog_warning(done: Receipts) -> Iterator[str]:
     )
 
 
+def thin_haze_warning(done: Receipts) -> Iterator[str]:
+    """Sentence on layers of haze that are too thin to be taken for noise."""
+    foggy = any(fog_warning(done))
+    found = [
+        layer
+        for r in done.get("surface", {}).values()
+        for layer in r.facts.get("thin_haze", ())
+        if not foggy or layer[-1] < FOG_SHARE
+    ]
+    if not found:
+        return
+    places, low, high, x, y, _ = max(found)
+    area_m2 = near_ground.SQUARE_M**2 * sum(layer[0] for layer in found)
+    most = near_ground.SQUARE_M**2 * places
+    east, north = (grouped(round(axis * QUANTUM_M)) for axis in (x, y))
+    yield as_ascii(
+        f"returns fill the air evenly in {counted(len(found), 'thin layers')} above the ground, "
+        f"{grouped(round(area_m2))} m2 in all, the largest of {grouped(round(most))} m2 at "
+        f"{east} E, {north} N, {low:.0f} to {high:.0f} m above it: "
+        "haze or a low cloud, or crowns without a gap; as they are less than "
+        f"{3 * CUBE_M:.0f} m thick they stay signal, and the DSM lies on them; look at the "
+        "profile there, and classify by hand what is no canopy"
+    )
+
+
 def drowned_warning(done: Receipts) -> Iterator[str]:
     """Sentence on dense noise that leaves no surface, or takes what is thin."""
     parts = [r.facts for r in done.get("ground", {}).values() if r.facts.get("dense")]

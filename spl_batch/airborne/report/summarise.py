@@ -40,6 +40,7 @@ from spl_batch.airborne.report.sky import (
     haze_warning,
     kept_warning,
     misfit_warning,
+    thin_haze_warning,
 )
 from spl_batch.airborne.report.strip_pairs import (
     alignment,
@@ -107,6 +108,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *bloom_warning(done, removed=_leaves_bloom_out(context.workflow)),
             *haze_warning(noise.haze),
             *fog_warning(done),
+            *thin_haze_warning(done),
             *misfit_warning(done, context),
             *drowned_warning(done),
             *kept_warning(done, context.workflow.filter),

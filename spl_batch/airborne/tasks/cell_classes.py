@@ -12,7 +12,7 @@ from spl_batch.airborne.classes import point_classes
 from spl_batch.airborne.classes.buildings import CELLS_M, REACH_M, Floor, buildings
 from spl_batch.airborne.classes.overlap import overlapping
 from spl_batch.airborne.filter import kept_noise
-from spl_batch.airborne.products import near_ground
+from spl_batch.airborne.products import near_ground, thin_haze
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of
 from spl_batch.airborne.settings import ClassSettings
@@ -56,10 +56,11 @@ class _Known(NamedTuple):
 
 
 class _Told(NamedTuple):
-    """Labels of the points of a part, and places that returns fill just above the ground."""
+    """Labels of the points of a part, and places and blocks of air that returns fill."""
 
     labels: Labelled
     filled: list[int]
+    blocks: NDArray[np.bool_] | None
 
 
 def step_q(asked: ClassSettings) -> int:
@@ -112,6 +113,9 @@ def classes(
     facts: dict[str, Any] = {"kept_noise": noise.kept}
     if known.noise_m3 is not None:
         facts["filled"] = np.sum([part.filled for part in told], axis=0).tolist()
+        blocks = [part.blocks for part in told if part.blocks is not None]
+        if blocks:
+            facts["thin_haze"] = thin_haze.layers(np.concatenate(blocks, axis=1), cell.core)
     path = cell.context.store.labels("classes", cell.args["cell"])
     write_labels(path, [part.labels for part in told])
     return path, facts, sum(len(part.labels[0].row) for part in told)
@@ -206,6 +210,10 @@ def _tell(
         if asked.overlap:
             flags[overlapping(known.lines, mine["x"], mine["y"])] |= FLAG_OVERLAP
     filled: list[int] = []
+    blocks = None
     if known.noise_m3 is not None:
-        filled = near_ground.filled_places(mine, part, dtm, known.noise_m3)
-    return _Told((origin.of(owned), labels), filled)
+        placed = near_ground.placed(mine, part, dtm)
+        filled = near_ground.filled_places(placed, known.noise_m3)
+        if placed is not None:
+            blocks = thin_haze.filled_blocks(placed, known.noise_m3)
+    return _Told((origin.of(owned), labels), filled, blocks)

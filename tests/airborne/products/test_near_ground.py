@@ -36,7 +36,8 @@ def ground(rng):
 
 
 def shares(points, noise=0.05):
-    places, *filled = near_ground.filled_places(points, CORE, dtm(), noise)
+    placed = near_ground.placed(points, CORE, dtm())
+    places, *filled = near_ground.filled_places(placed, noise)
     assert places == 30
     return np.array(filled) / places
 
@@ -72,6 +73,8 @@ def test_places_without_ground_and_cells_too_small_tell_nothing():
     rng = np.random.default_rng(4)
     fog = scatter(rng, 8.0, lambda n: 1.0 + rng.exponential(1.5, n))
     void = np.full((50, 60), -9999, np.float32)
-    assert near_ground.filled_places(table(fog), CORE, void, 0.05) == [0] * 9
+    placed = near_ground.placed(table(fog), CORE, void)
+    assert near_ground.filled_places(placed, 0.05) == [0] * 9
     small = Bounds(1000, 1000, 8000, 8000)
-    assert near_ground.filled_places(table(fog), small, void[:7, :7], 0.05) == [0] * 9
+    assert near_ground.placed(table(fog), small, void[:7, :7]) is None
+    assert near_ground.filled_places(None, 0.05) == [0] * 9

@@ -16,6 +16,7 @@ from spl_batch.airborne.report.sky import (
     haze_warning,
     kept_warning,
     misfit_warning,
+    thin_haze_warning,
 )
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.formats.rasters.parts import read_overview
@@ -126,6 +127,20 @@ def test_fog_is_told_where_most_places_are_filled_with_the_height_that_it_reache
     bare = {"a": receipt(filled=[100, 20, 0, 0, 0, 0, 0, 0, 0]), "b": receipt()}
     assert list(fog_warning({"surface": bare})) == []
     assert list(fog_warning({"surface": {"a": receipt(filled=[10] * 9)}})) == []
+
+
+def test_thin_haze_is_told_with_its_place_and_not_beside_fog():
+    layers = {"thin_haze": [[12.0, 20.0, 29.0, 45_000.0, 55_000.0, 0.0]]}
+    low = {"thin_haze": [[30.0, 0.8, 9.0, 245_000.0, 55_000.0, 0.9]]}
+    cells = {"a": receipt(**layers), "b": receipt(**low)}
+    (text,) = thin_haze_warning({"surface": cells})
+    assert "2 thin layers above the ground, 4 200 m2 in all, the largest of 3 000 m2" in text
+    assert "at 245 E, 55 N, 1 to 9 m above it" in text
+    cells["b"].facts["filled"] = [100, 90, 90, 0, 0, 0, 0, 0, 0]
+    assert len(list(fog_warning({"surface": cells}))) == 1
+    (text,) = thin_haze_warning({"surface": cells})
+    assert "1 thin layer above the ground, 1 200 m2 in all" in text
+    assert not list(thin_haze_warning({"surface": {"a": receipt(thin_haze=[])}}))
 
 
 def test_bloom_is_counted_in_one_sentence():

@@ -1,0 +1,130 @@
+r"""Layers of haze that are too thin to be taken for noise: they are told.
+
+Domain: space. :mod:`spl_batch.airborne.noise.haze` takes 15 m of even returns for air. A thinner
+layer passes the test of noise, stays signal and becomes the surface. A block is a place of 10 m and
+:data:`BLOCK` metres of height above the ground. It is *filled* if it holds many more returns than
+noise explains, enough of them are kept, and they lie evenly: with n returns in each of its k cells
+of 1 m,
+
+.. math:: \kappa = k \sum n (n - 1) / (\sum n)^2
+
+is 1 in air and well above 1 among leaves. Crowns fill single places. Haze also fills most places
+beside one, at the same height. It is told, and nothing is removed. Our own rule: no source has one.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.airborne.products.near_ground import CELL_M, FLOOR_M, SQUARE_M, Placed
+from spl_batch.lattice.tiles import Bounds, quanta
+
+DOMAIN: Final = "space"
+
+TOP: Final = 60
+"""Metres above the floor that are looked at, one by one."""
+
+BLOCK: Final = 4
+"""Metres that a block is high."""
+
+LOWEST: Final = 2
+"""Metre above the floor from which on a block does not reach down to the ground."""
+
+EVEN: Final = 1.3
+"""Largest clumping of a filled block."""
+
+LEAST_PER_M3: Final = 0.3
+TIMES_NOISE: Final = 4.0
+"""Returns of a filled block: enough to show clumps, and many more than noise [1/m3, 1]."""
+
+KEPT: Final = 0.25
+"""Least share of them that the filter keeps."""
+
+BESIDE: Final = 6
+"""Places that are filled at the same height, of nine."""
+
+PLACES_LEAST: Final = 6
+"""Places of one layer that are told: 600 m2."""
+
+BLOCKS: Final = TOP - BLOCK + 1
+
+
+def filled_blocks(placed: Placed, noise_m3: float) -> NDArray[np.bool_]:
+    """Blocks of each place that are evenly filled.
+
+    Parameters
+    ----------
+    placed : Placed
+        Points of a part of a ground cell.
+    noise_m3 : float
+        Expected noise [1/m3].
+
+    Returns
+    -------
+    (rows, columns, BLOCKS) bool
+        From the south-west; by the lowest metre of a block.
+    """
+    rows, columns = placed.shape
+    parts = quanta(SQUARE_M) // quanta(CELL_M)
+    metre = np.floor(placed.height - FLOOR_M)
+    inside = (metre >= 0) & (metre < TOP)
+    number = placed.place[inside] * TOP + metre[inside].astype(np.int64)
+    cell, count = np.unique(number * parts**2 + placed.within[inside], return_counts=True)
+    size = rows * columns * TOP
+    sums = (
+        np.bincount(number, minlength=size),
+        np.bincount(cell // parts**2, count * (count - 1), minlength=size).astype(np.int64),
+        np.bincount(number[placed.kept[inside]], minlength=size),
+    )
+    returns, pairs, known = (_high(values.reshape(rows, columns, TOP)) for values in sums)
+    cells = BLOCK * parts**2
+    volume = BLOCK * SQUARE_M**2
+    filled = returns >= volume * max(LEAST_PER_M3, TIMES_NOISE * noise_m3)
+    filled &= cells * pairs <= EVEN * returns**2
+    filled &= known >= KEPT * returns
+    grounded: NDArray[np.bool_] = filled & placed.grounded.reshape(rows, columns, 1)
+    return grounded
+
+
+def layers(filled: NDArray[np.bool_], core: Bounds) -> list[list[float]]:
+    """Layers of haze of a ground cell.
+
+    Parameters
+    ----------
+    filled : (rows, columns, BLOCKS) bool
+        Blocks of the places of the whole cell.
+    core : Bounds
+        The ground cell [quanta].
+
+    Returns
+    -------
+    list of [places, low, high, x, y, down]
+        Places [count], the median height of their lower and upper end above the ground [m],
+        their middle [quanta], and the share of them that are filled down to the ground, as by fog.
+    """
+    beside = ndimage.convolve(filled.astype(np.int8), np.ones((3, 3, 1), np.int8), mode="constant")
+    haze = filled & (beside >= BESIDE)
+    low_down, anywhere = (np.asarray(part.any(axis=2)) for part in (filled[:, :, :LOWEST], haze))
+    group, number = ndimage.label(anywhere)
+    edge = quanta(SQUARE_M)
+    west, south = -(-core.xmin // edge) * edge, -(-core.ymin // edge) * edge
+    found = []
+    for k in range(1, number + 1):
+        row, column = np.nonzero(group == k)
+        if len(row) < PLACES_LEAST:
+            continue
+        own = haze[row, column]
+        low = float(np.median(own.argmax(axis=1))) + FLOOR_M
+        high = float(np.median(BLOCKS - 1 - own[:, ::-1].argmax(axis=1))) + BLOCK + FLOOR_M
+        x, y = (float(np.mean(at)) * edge + edge / 2 for at in (column, row))
+        down = float(low_down[row, column].mean())
+        found.append([float(len(row)), low, high, west + x, south + y, down])
+    return found
+
+
+def _high(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Sums over the metres of each block."""
+    total = np.cumsum(np.pad(values, ((0, 0), (0, 0), (1, 0))), axis=2)
+    return total[:, :, BLOCK:] - total[:, :, :-BLOCK]

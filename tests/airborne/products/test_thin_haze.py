@@ -1,0 +1,87 @@
+"""Thin layers of haze: told by how evenly they fill places beside each other."""
+
+import numpy as np
+import pytest
+
+from spl_batch.airborne.products import near_ground, thin_haze
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds
+
+CORE = Bounds(0, 0, 60_000, 50_000)
+FLAT = np.zeros((50, 60), np.float32)
+
+
+def table(xyz, kind=0):
+    mm = np.rint(xyz * 1000).astype(np.int64)
+    kinds = np.full(len(xyz), kind, np.uint8)
+    return PointTable(
+        {"x": mm[:, 0], "y": mm[:, 1], "z": mm[:, 2].astype(np.int32), "noise_class": kinds}
+    )
+
+
+def scatter(rng, per_m3, low, high):
+    n = rng.poisson(per_m3 * 3000 * (high - low))
+    return rng.uniform((0, 0, low), (60, 50, high), (n, 3))
+
+
+def ground(rng):
+    return rng.uniform((0, 0, -0.1), (60, 50, 0.1), (9000, 3))
+
+
+def found(*parts, kind=0, noise=0.05):
+    placed = near_ground.placed(table(np.concatenate(parts), kind), CORE, FLAT)
+    return thin_haze.layers(thin_haze.filled_blocks(placed, noise), CORE)
+
+
+@pytest.mark.parametrize(("low", "high", "per_m3"), [(8.0, 16.0, 0.5), (20.0, 27.0, 2.0)])
+def test_a_layer_is_told_with_its_place_and_heights(low, high, per_m3):
+    rng = np.random.default_rng(1)
+    (layer,) = found(ground(rng), scatter(rng, 0.05, -5, 60), scatter(rng, per_m3, low, high))
+    places, lower, upper, x, y, down = layer
+    assert places >= 20
+    assert (lower, upper) == (pytest.approx(low, abs=1.5), pytest.approx(high, abs=1.5))
+    assert (x, y) == (pytest.approx(30_000, abs=5000), pytest.approx(25_000, abs=5000))
+    assert down == 0.0
+
+
+def test_crowns_noise_and_what_the_filter_refuses_are_none():
+    rng = np.random.default_rng(2)
+    crowns = scatter(rng, 2.0, 8, 16)
+    leaves = (crowns[:, 0] // 3 + crowns[:, 1] // 3 + crowns[:, 2] // 3) % 2 == 0
+    assert not found(ground(rng), crowns[leaves])
+    assert not found(ground(rng), scatter(rng, 0.05, -5, 60))
+    assert not found(ground(rng), scatter(rng, 0.5, 8, 16), kind=1)
+    assert not found(ground(rng), scatter(rng, 0.5, 8, 16), noise=0.2)
+
+
+def test_a_dense_place_alone_is_none():
+    rng = np.random.default_rng(3)
+    cloud = scatter(rng, 2.0, 8, 16)
+    alone = (cloud[:, 0] < 20) & (cloud[:, 1] < 20)
+    assert not found(ground(rng), cloud[alone])
+
+
+def test_blocks_are_filled_as_counting_by_hand_says():
+    rng = np.random.default_rng(4)
+    cloud = scatter(rng, 0.4, 0, 40)
+    cloud = cloud[rng.random(len(cloud)) < np.where(cloud[:, 0] < 30, 1.0, 0.7)]
+    points = np.concatenate([ground(rng), cloud])
+    filled = thin_haze.filled_blocks(near_ground.placed(table(points), CORE, FLAT), 0.05)
+    assert filled.shape == (5, 6, thin_haze.BLOCKS)
+    mm = np.rint(points * 1000) / 1000
+    metre = np.floor(mm[:, 2] - near_ground.FLOOR_M)
+    for row, column, low in [(0, 0, 0), (4, 5, 3), (2, 3, 17), (1, 2, 38), (3, 1, 56)]:
+        inside = (mm[:, 0] // 10 == column) & (mm[:, 1] // 10 == row)
+        inside &= (metre >= low) & (metre < low + thin_haze.BLOCK)
+        cells = np.column_stack([np.floor(mm[inside, :2]), metre[inside]])
+        n = np.unique(cells, axis=0, return_counts=True)[1]
+        volume = 100 * thin_haze.BLOCK
+        even = volume * (n * (n - 1)).sum() <= thin_haze.EVEN * n.sum() ** 2
+        assert filled[row, column, low] == (n.sum() >= 0.3 * volume and even)
+
+
+def test_places_without_ground_tell_nothing():
+    rng = np.random.default_rng(5)
+    void = np.full((50, 60), -9999, np.float32)
+    placed = near_ground.placed(table(scatter(rng, 2.0, 8, 16)), CORE, void)
+    assert not thin_haze.filled_blocks(placed, 0.05).any()
