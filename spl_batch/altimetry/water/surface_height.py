@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.altimetry.water.levelness import beside
+
 _BIN: Final = 100
 _BINS: Final = 36
 """Height of a bin of a surface and what lies just below it [quanta], and bins [count]."""
@@ -23,6 +25,10 @@ _THIN: Final = 3
 _IN_BOTH: Final = 0.8
 """Bins from the middle of either to its end, and share of photons that lie in both: swell has as
 many between its crests and its troughs."""
+
+_AROUND: Final = 10
+_SEEN: Final = 2
+"""Cells to each side that tell of a surface, and photons that show it where they do [count]."""
 
 _SHOWN: Final = (4, 0.1)
 """Photons of a surface above a shallow floor, and share of that one's, at least."""
@@ -64,8 +70,32 @@ def heights_of(
     steps = np.searchsorted(index, index[cell, None] + np.array([-1, 0, 1])).clip(max=n - 1)
     around = height[rows, None].astype(np.int64) - level[steps]
     up = upper_peak(index, cell, np.where(wet[steps], around, _BIN * _BINS))
+    up = np.where(wet, up, np.nan)
+    missed = _beside_others(index, cell, level + up, height[rows], np.where(wet, level, 0))
+    up = np.where(np.isfinite(up), up, missed - level)
     found = np.where(wet, level + np.rint(np.where(np.isfinite(up), up, mean)), level)
     return found.astype(np.int32)
+
+
+def _beside_others(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    upper: NDArray[np.float64],
+    height: NDArray[np.int32],
+    level: NDArray[np.int32],
+) -> NDArray[np.float64]:
+    """Surface of cells that show none above their floor, where half of those around do: (n,).
+
+    It lies where theirs does, if photons are there [quanta]; NaN where it does not.
+    """
+    around = np.sort(beside(index, upper, _AROUND), axis=1)
+    known, n = np.isfinite(around).sum(axis=1), len(index)
+    usual = around[np.arange(n), np.maximum(known - 1, 0) // 2]
+    near = np.abs(height - usual[cell]) <= _THIN * _BIN
+    count = np.bincount(cell[near], minlength=n)
+    mean = np.bincount(cell[near], height[near], n) / np.maximum(count, 1)
+    low = (usual - level >= _APART * _BIN) & (usual - level <= _BIN * _BINS // 2)
+    return np.where((known > _AROUND) & low & (count >= _SEEN), mean, np.nan)
 
 
 def upper_peak(
