@@ -48,6 +48,9 @@ BESIDE: Final = 6
 PLACES_LEAST: Final = 6
 """Places of one layer that are told: 600 m2."""
 
+AT_ONCE: Final = 6
+"""Metres whose points are counted at once: memory for few of them."""
+
 BLOCKS: Final = TOP - BLOCK + 1
 
 
@@ -69,15 +72,15 @@ def filled_blocks(placed: Placed, noise_m3: float) -> NDArray[np.bool_]:
     rows, columns = placed.shape
     parts = quanta(SQUARE_M) // quanta(CELL_M)
     metre = np.floor(placed.height - FLOOR_M)
-    inside = (metre >= 0) & (metre < TOP)
-    number = placed.place[inside] * TOP + metre[inside].astype(np.int64)
-    cell, count = np.unique(number * parts**2 + placed.within[inside], return_counts=True)
     size = rows * columns * TOP
-    sums = (
-        np.bincount(number, minlength=size),
-        np.bincount(cell // parts**2, count * (count - 1), minlength=size).astype(np.int64),
-        np.bincount(number[placed.kept[inside]], minlength=size),
-    )
+    sums = np.zeros((3, size), np.int64)
+    for low in range(0, TOP, AT_ONCE):
+        inside = (metre >= low) & (metre < low + AT_ONCE)
+        number = placed.place[inside] * TOP + metre[inside].astype(np.int64)
+        cell, count = np.unique(number * parts**2 + placed.within[inside], return_counts=True)
+        np.add.at(sums[1], cell // parts**2, count * (count - 1))
+        for row, some in ((0, number), (2, number[placed.kept[inside]])):
+            sums[row] += np.bincount(some, minlength=size)
     returns, pairs, known = (_high(values.reshape(rows, columns, TOP)) for values in sums)
     cells = BLOCK * parts**2
     volume = BLOCK * SQUARE_M**2
