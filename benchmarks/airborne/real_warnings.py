@@ -24,7 +24,7 @@ CRS: Final = "EPSG:32612"
 
 OF_FIT: Final = re.compile(
     r"haze|cloud:|fog|cross|bloom|one range|afterpulse|law|ranging noise|noise is dense|"
-    r"what its model expects|filter\.alpha|on one beam"
+    r"what its model expects|filter\.alpha|p-value|floats|on one beam"
 )
 """Words of warnings that the model of noise, instrument or flightlines does not fit."""
 

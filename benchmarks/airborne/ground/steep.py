@@ -124,6 +124,7 @@ SCENES: Final[Mapping[str, Case]] = {
     "cliff 15 m, trees": Case(_cliff(), TREES),
     "cliff on a slope, trees": Case(_cliff(80, relief_m=60, wavelength_m=130), TREES),
     "mound of 40 m, 55 deg": Case(_mound(55)),
+    "mound of 40 m, 70 deg": Case(_mound(70)),
     "mound of 40 m, 80 deg": Case(_mound(80)),
     "bridge over a valley": Case(_valley(18, 40), {"cover": 0.2}, (28, 100, 21)),
     "bridge over a gorge": Case(_valley(15, 85), {"cover": 0.2}, (45, 84, 2)),

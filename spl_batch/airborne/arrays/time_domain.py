@@ -158,7 +158,12 @@ class _Line:
         observed |= candidates.observe(seen, beams, stated)
         self.model = line_noise.fit(line_noise.merge([observed]), settings.noise, sensor)
         beamlets = stated.beamlets if self.unnumbered else 1
-        self.law = afterpulse_law.fit([observed], self.model.mean_rate / beamlets, sensor)
+        self.law = afterpulse_law.fit(
+            [observed],
+            self.model.mean_rate / beamlets,
+            sensor,
+            crosstalk.share_of_returns(self.crosstalk),
+        )
 
     def _beams(self, origin_m: NDArray[np.float64] | None) -> tuple[str, BeamTable]:
         table = self.table

@@ -4,7 +4,8 @@ Domain: time. Crosstalk makes pairs of noise, which look like a signal of two be
 surface, pairs of one shot within :data:`SAME_M` of range are counted, by their directions: of
 beamlets one pitch apart, and of those somewhat farther apart. Chance makes as many of both. Wires
 and towers make pairs too, but not everywhere: a flightline is cut into :data:`PARTS`, and the half
-with fewest pairs must show it. One shot in :data:`EVERY` is counted.
+with fewest pairs must show it; the half in the middle tells how much. One shot in :data:`EVERY` is
+counted.
 
 Where a flightline shows it, a pair that stands alone in its shot is one witness (:func:`set_off`):
 of returns side by side at one range, with next to nothing else of the shot within :data:`ALONE_M`,
@@ -112,13 +113,22 @@ def chance(parts: Sequence[Mapping[str, NDArray[Any]]]) -> float:
     ordered = np.zeros((len(interval), 3), np.int64)
     np.add.at(ordered, row, rows[:, 1:])
     sums = np.array([part.sum(axis=0) for part in np.array_split(ordered, PARTS)])
-    fewest = np.argsort(sums[:, 1] / np.maximum(sums[:, 0], 1), kind="stable")[: PARTS // 2]
-    returns, beside, further = sums[fewest].sum(axis=0).tolist()
+    order = np.argsort(sums[:, 1] / np.maximum(sums[:, 0], 1), kind="stable")
+    _, beside, further = sums[order[: PARTS // 2]].sum(axis=0).tolist()
     by_chance = LIKELY * further
     if beside - CLOSER * by_chance <= SURE * np.sqrt(beside + CLOSER**2 * LIKELY * by_chance):
         return 0.0
+    # The fewest of equals are too few: how much it is, the half in the middle tells.
+    middle = order[PARTS // 4 : PARTS - PARTS // 4]
+    returns, beside, further = sums[middle].sum(axis=0).tolist()
+    by_chance = LIKELY * further
     found = (beside - by_chance) / (NEIGHBOURS * max(returns - beside, 1))
     return found if found >= LEAST else 0.0
+
+
+def share_of_returns(found: float) -> float:
+    """Share of all returns that others set off, by the :func:`chance` of it, 0..1."""
+    return NEIGHBOURS * found / (1.0 + NEIGHBOURS * found)
 
 
 def told(found: float) -> tuple[Remark, ...]:
@@ -126,8 +136,9 @@ def told(found: float) -> tuple[Remark, ...]:
     if not found:
         return ()
     text = (
-        "far from the surface a return sets off each channel beside its own with a chance of "
-        f"{100 * found:.1f} %, at the same range: crosstalk; returns that stand alone with such "
+        "far from the surface a return sets off each channel beside its own with a chance of at "
+        f"least {100 * found:.1f} %, at the same range: crosstalk, about "
+        f"{100 * share_of_returns(found):.0f} % of all returns; those that stand alone with such "
         "neighbours count as one and share its label, beside surfaces they stay, so that edges "
         "are blurred by a beamlet"
     )

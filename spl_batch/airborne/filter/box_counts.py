@@ -120,3 +120,42 @@ def in_marked_cells(
     """
     for i in range(len(number)):
         out[i] = number[i] >= 0 and marked[number[i]]
+
+
+@njit()
+def count_values(
+    xyz: _Axes, kind: tuple[NDArray[np.uint8], NDArray[np.bool_]], kinds: tuple[int, int],
+    value: NDArray[np.float32], corner: NDArray[np.int64], edge: float,
+    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+    marked: NDArray[np.bool_], ends: NDArray[np.float64], out: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Histogram of a value of the points of two kinds in marked cells.
+
+    Parameters
+    ----------
+    kind : (n,) uint8, (n,) bool
+        What points are, and which of them count.
+    value : (n,) float32
+        NaN counts nowhere.
+    place : three (cells,) int64
+        As in :func:`count_in_cells`.
+    marked : (a, b, c) bool
+        Cells.
+    ends : (bins,) float64
+        Upper end of each bin, rising.
+    out : (bins + 1,) int64, added to
+        The last one has what lies beyond.
+    """
+    x, y, z = xyz
+    what, counts = kind
+    for i in range(len(what)):
+        if not counts[i] or np.isnan(value[i]) or (what[i] != kinds[0] and what[i] != kinds[1]):
+            continue
+        a = place[0][np.int64((x[i] - corner[0]) / edge)]
+        b = place[1][np.int64((y[i] - corner[1]) / edge)]
+        c = place[2][np.int64((z[i] - corner[2]) / edge)]
+        if marked[a, b, c]:
+            bin_of = 0
+            while bin_of < len(ends) and value[i] > ends[bin_of]:
+                bin_of += 1
+            out[bin_of] += 1

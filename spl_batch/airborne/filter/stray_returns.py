@@ -28,6 +28,7 @@ from scipy import ndimage
 from spl_batch.airborne.filter.box_counts import (
     cells_held,
     count_in_cells,
+    count_values,
     in_marked_cells,
     lowest_and_highest,
 )
@@ -37,6 +38,7 @@ from spl_batch.airborne.filter.drowned_surfaces import (
     drowned_columns,
     unfilled,
 )
+from spl_batch.airborne.filter.judged_fit import P_VALUES, float_facts
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
@@ -91,11 +93,18 @@ class Bare(NamedTuple):
     marked: NDArray[np.bool_]  #: (a, b, c): the cells.
     dense: NDArray[np.float32]  #: (a, b, c): noise where it is dense, 0 elsewhere [1/m3].
     signal: NDArray[np.bool_]  #: (a, b): columns with signal in dense noise.
+    lowest: NDArray[np.bool_]  #: (a, b, c): cells below all surfaces of their columns.
+    kept: Count  #: (a, b, c): signals [count].
     #: (a, b), (a, b): kept and refused returns below all surfaces of a column [count].
     below: tuple[Count, Count]
 
     def columns(self, region: Bounds) -> tuple[Count, Count]:
         """Numbers along x and y of the columns whose corner lies in a region, and holds points."""
+        x, y = (self.place[axis][index] for axis, index in enumerate(self._within(region)))
+        return x, y
+
+    def _within(self, region: Bounds) -> tuple[Count, Count]:
+        """Indices of these columns on the lattice."""
         edge, found = quanta(CELL_M), []
         for axis, (low, high) in enumerate(
             ((region.xmin, region.xmax), (region.ymin, region.ymax))
@@ -104,7 +113,7 @@ class Bare(NamedTuple):
             at = self.corner[axis] + index * edge
             # Cells without points have the number of the first one.
             known = (self.place[axis] > 0) | (index == 0)
-            found.append(self.place[axis][known & (low <= at) & (at < high)])
+            found.append(np.flatnonzero(known & (low <= at) & (at < high)))
         return found[0], found[1]
 
     def facts(self, region: Bounds, standing: NDArray[np.bool_]) -> dict[str, Any]:
@@ -120,15 +129,40 @@ class Bare(NamedTuple):
         dict
             ``below``, kept and refused returns below all surfaces [count]; where noise is dense
             ``dense``, the number of columns, of those that lose all signal to it, and the sum of
-            the densest noise of each [1/m3].
+            the densest noise of each [1/m3]; and those of
+            :func:`~spl_batch.airborne.filter.judged_fit.float_facts`.
         """
         at = np.ix_(*self.columns(region))
         most = self.dense[at].max(axis=2, initial=0.0).astype(np.float64)
         found: dict[str, Any] = {"below": [int(count[at].sum()) for count in self.below]}
+        x, y = (
+            self.corner[axis] + index * quanta(CELL_M)
+            for axis, index in enumerate(self._within(region))
+        )
+        found |= float_facts(self.kept, self.marked, at, (x, y))
         if most.any():
             drowned = int(np.count_nonzero(drowned_columns(self.signal, standing)[at]))
             found["dense"] = [int(np.count_nonzero(most)), drowned, float(most.sum())]
         return found
+
+    def count_chances(
+        self, table: PointTable, owned: NDArray[np.bool_], counts: NDArray[np.int64]
+    ) -> None:
+        """Add p-values of noise below all surfaces to a histogram.
+
+        Parameters
+        ----------
+        table : PointTable
+            Points with ``x, y, z, noise_class, p_value``.
+        owned : (n,) bool
+            Those that count.
+        counts : (m + 1,) int64, added to
+            Returns up to each of the m :data:`P_VALUES` and not up to the one before, and beyond.
+        """
+        count_values(
+            _xyz(table), (table["noise_class"], owned), _KINDS, table["p_value"], self.corner,
+            float(quanta(CELL_M)), self.place, self.lowest, np.array(P_VALUES), counts,
+        )  # fmt: skip
 
     def mark_columns(
         self, table: PointTable, chosen: NDArray[np.bool_], standing: NDArray[np.bool_]
@@ -217,7 +251,7 @@ def bare_cells(
     below = np.where(lowest, kept, 0).sum(axis=2), np.where(lowest, gone, 0).sum(axis=2)
     dense = dense_noise(kept, gone)
     signal: NDArray[np.bool_] = np.any((kept > 0) & (dense > 0), axis=2)
-    return Bare(corner, place, bare, dense, signal, below)
+    return Bare(corner, place, bare, dense, signal, lowest, kept, below)
 
 
 def _xyz(table: PointTable) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:

@@ -151,6 +151,7 @@ class Surfaces:
         self._refused = RefusedReturns(self.region, size)
         self._held = np.zeros((rows, cols), np.bool_)
         self._made: dict[str, NDArray[np.float64]] = {}
+        self._lowest = np.empty((0, 0))
 
     def look(self, table: PointTable, part: Bounds) -> None:
         """Gather what a part tells of the whole: points of it, with :data:`COLUMNS_NEEDED`."""
@@ -209,6 +210,7 @@ class Surfaces:
         dsm = np.where(dsm < dtm, dtm, dsm)
         rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
         rasters["dtm_quality"] = np.where(np.isnan(dtm), np.nan, sigma)
+        self._lowest = self._made.pop("lowest")
         rasters |= self._made
         margin = margin_cells(self._settings)
         over = close(self._held, quanta(self._settings.void_max_m) // self._size)
@@ -220,7 +222,7 @@ class Surfaces:
         """What speaks against the terrain that :meth:`rasters` has made."""
         margin, cell_m = margin_cells(self._settings), self._settings.cell_m
         heights = self._means[:, 2].reshape(shape_of(self.region, self._size))
-        return doubts(heights * QUANTUM_M, margin, cell_m)
+        return doubts(heights * QUANTUM_M, margin, cell_m)._replace(lowest=self._lowest[::-1])
 
     def _of_terrain(self, table: PointTable, part: Bounds) -> tuple[PointTable, NDArray[np.bool_]]:
         """Ground of a part, and what of it waits until the level of all water is known.
@@ -321,19 +323,23 @@ def _signal(
 
 
 def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np.float64]]:
-    """Signal returns per m2, and mean intensity of the first returns (NaN without any)."""
-    needed = signal.select([n for n in ("x", "y", *COLUMNS_OF_INTENSITY) if n in signal])
+    """Signal returns per m2, the lowest one [m], mean intensity of the first returns; or NaN."""
+    needed = signal.select([n for n in ("x", "y", "z", *COLUMNS_OF_INTENSITY) if n in signal])
     core = needed.take(inside(signal["x"], signal["y"], cell))
     shape = shape_of(cell, size)
     cells = shape[0] * shape[1]
     number = cell_number(core, cell, size)
     density = np.bincount(number, minlength=cells) / (size * QUANTUM_M) ** 2
+    lowest = np.full(cells, np.inf)
+    np.minimum.at(lowest, number, core["z"] * QUANTUM_M)
+    lowest[np.isinf(lowest)] = np.nan
+    found = {"density": density.reshape(shape), "lowest": lowest.reshape(shape)}
     if "intensity" not in core:
-        return {"density": density.reshape(shape)}
+        return found
     first = core["return_number"] <= 1
     number = number[first]
     # Sums of whole numbers below 2**53 are exact in float64, in any order.
     total = np.bincount(number, weights=core["intensity"][first], minlength=cells)
     count = np.bincount(number, minlength=cells)
     mean = np.divide(total, count, out=np.full(cells, np.nan), where=count > 0)
-    return {"intensity": mean.reshape(shape), "density": density.reshape(shape)}
+    return found | {"intensity": mean.reshape(shape)}

@@ -8,6 +8,7 @@ import numpy as np
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.doubts.terrain_doubts import (
+    BLOCKS,
     CLIMBS,
     FAR_M,
     GAPS,
@@ -17,6 +18,7 @@ from spl_batch.airborne.products.doubts.terrain_doubts import (
 )
 from spl_batch.airborne.products.footprint import SQUARE_M2
 from spl_batch.airborne.report.model import (
+    CutOffBlock,
     Density,
     RaisedPatch,
     SteepPatch,
@@ -122,7 +124,7 @@ def _quantile(cells: Mapping[int, int], share: float) -> int:
 def terrain_doubts(done: Receipts) -> TerrainDoubts:
     """Gaps and raised patches of all pieces of a survey."""
     facts = [receipt.facts for receipt in done.get("surface", {}).values()]
-    gaps, raised, climbs = (largest(facts, name) for name in (GAPS, RAISED, CLIMBS))
+    gaps, raised, climbs, blocks = (largest(facts, name) for name in (GAPS, RAISED, CLIMBS, BLOCKS))
     return TerrainDoubts(
         gaps=len(gaps),
         gaps_m2=sum(gap[0] for gap in gaps),
@@ -141,6 +143,12 @@ def terrain_doubts(done: Receipts) -> TerrainDoubts:
         largest_steep=tuple(
             SteepPatch(area_m2=area, at_m=_metres(at), rise_m=rise)
             for area, *at, rise in climbs[:LISTED]
+        ),
+        blocks=len(blocks),
+        blocks_m2=sum(block[0] for block in blocks),
+        largest_blocks=tuple(
+            CutOffBlock(area_m2=area, at_m=_metres(at), height_m=height)
+            for area, *at, height in blocks[:LISTED]
         ),
     )
 
@@ -175,6 +183,20 @@ def doubt_warnings(found: TerrainDoubts) -> Iterator[str]:
             "there was cut off, as rims, spurs and crests of steep ground are, or something beside "
             "it is no ground, as the end of a bridge deck or noise beyond a swath's edge. Heights "
             "may be off by metres there; look at the place, and classify it by hand if it matters"
+        )
+
+
+def block_warning(found: TerrainDoubts) -> Iterator[str]:
+    """Sentence on raised blocks that were cut off and are perhaps hills."""
+    if found.largest_blocks:
+        block = found.largest_blocks[0]
+        area = _area(found.blocks_m2, block.area_m2, found.blocks, block.at_m)
+        yield (
+            f"{_counted(found.blocks, 'raised block')}, {area}, {block.height_m:.0f} m above the "
+            "terrain model, cut off as a building is, though its sides hold returns at all heights "
+            "as no wall does: if it is a mound, a dam or a heap, heights of the terrain are off by "
+            "so much there, and dtm_quality.tif has half of that; look at the place, and classify "
+            "it by hand if it is ground"
         )
 
 

@@ -187,6 +187,14 @@ class SteepPatch(Part):
     rise_m: Number = Field(description="From its lowest to its highest cell [m].")
 
 
+class CutOffBlock(Part):
+    """A raised block that was cut off as a building is, and has no walls."""
+
+    area_m2: Number = Field(description="Area with its sides [m2].")
+    at_m: tuple[Number, Number] = Field(description="Easting and northing of its middle [m].")
+    height_m: Number = Field(description="How far it stands above the terrain model [m].")
+
+
 class TerrainDoubts(Part):
     """Where the terrain model may be wrong."""
 
@@ -199,6 +207,9 @@ class TerrainDoubts(Part):
     steep: Count = Field(0, description="Steep patches that hold no ground return.")
     steep_m2: Number = Field(0.0, description="Area of all of them [m2].")
     largest_steep: tuple[SteepPatch, ...] = Field((), description="The largest of them.")
+    blocks: Count = Field(0, description="Raised blocks without walls that were cut off.")
+    blocks_m2: Number = Field(0.0, description="Area of all of them [m2].")
+    largest_blocks: tuple[CutOffBlock, ...] = Field((), description="The largest of them.")
 
 
 class Haze(Part):
@@ -218,6 +229,29 @@ class Haze(Part):
     times_expected: Number = Field(
         None, description="Returns over what the model of the noise expects there."
     )
+
+
+class NoiseFit(Part):
+    """What the filter did where nothing stands: below all surfaces, and high above them."""
+
+    returns_below: Count = Field(
+        0, description="Returns that were judged more than 10 m below all surfaces [count]."
+    )
+    p_value_times: Number = Field(
+        None,
+        description="How many of these have a p-value up to p_value, over what uniform ones would "
+        "have: 1 if noise is what its model says; null where they need not be so, or are few.",
+    )
+    p_value: Number = Field(
+        None,
+        description="Of 0.01, 0.02, 0.05, 0.1 and 0.2 the one at which that is farthest from 1.",
+    )
+    floating: Count = Field(
+        0,
+        description="Signal with no other in the 15 m below it, in its column of 5 m and those "
+        "around, though some lies farther down; surfaces excepted [count].",
+    )
+    floating_share: Number = Field(None, description="These over all signal, 0..1.")
 
 
 class Noise(Part):
@@ -247,8 +281,15 @@ class Noise(Part):
     crosstalk: Count = Field(
         0,
         description="Returns of flightlines with crosstalk that one beside them may have set off: "
-        "no evidence of their own, with the label of that one [count].",
+        "no evidence of their own, with the label of that one. Those beside surfaces are not among "
+        "them [count].",
     )
+    crosstalk_expected: Count = Field(
+        0,
+        description="Returns that others have set off, by the chance of it that flightlines show "
+        "far from surfaces [count].",
+    )
+    fit: NoiseFit | None = Field(None, description="Null where nothing was filtered.")
     haze: Haze | None = Field(None, description="Haze or cloud that was found; null without.")
     dsm_support: Count | None = Field(
         None, description="Returns nearby that a highest return needs to set a DSM cell [count]."

@@ -32,6 +32,10 @@ def _pair(pair: PairDifference) -> StripPair:
         noise_m=pair.noise_m,
         largest_m=pair.largest_m,
         largest_sd_m=pair.largest_sd_m,
+        tilt_east_m=pair.tilt_east_m,
+        tilt_north_m=pair.tilt_north_m,
+        tilt_sd_m=pair.tilt_sd_m,
+        change_m=pair.change_m,
         largest_at_m=None if pair.largest_m is None else (pair.largest_x_m, pair.largest_y_m),
     )
 

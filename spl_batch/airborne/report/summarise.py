@@ -12,12 +12,16 @@ from spl_batch.airborne.hydro.flattening import bank_warnings
 from spl_batch.airborne.report.clip_view import cut_clip
 from spl_batch.airborne.report.coverage import (
     area_km2,
+    block_warning,
     density,
     doubt_warnings,
     sparse_vegetation,
     terrain_doubts,
     unsure_terrain,
 )
+from spl_batch.airborne.report.fit.noise_fit import noise_fit
+from spl_batch.airborne.report.fit.noise_warnings import noise_warnings
+from spl_batch.airborne.report.fit.sky import bloom, crosstalk, crosstalk_expected, haze
 from spl_batch.airborne.report.good_enough import checkpoint_report, judged, swath_reports
 from spl_batch.airborne.report.model import (
     Accuracy,
@@ -30,18 +34,6 @@ from spl_batch.airborne.report.model import (
 )
 from spl_batch.airborne.report.pictures import OF_PRODUCTS, PictureInputs, make_pictures
 from spl_batch.airborne.report.profile_strips import cut_profile
-from spl_batch.airborne.report.sky import (
-    bloom,
-    bloom_warning,
-    crosstalk,
-    drowned_warning,
-    fog_warning,
-    haze,
-    haze_warning,
-    kept_warning,
-    misfit_warning,
-    thin_haze_warning,
-)
 from spl_batch.airborne.report.strip_pairs import (
     alignment,
     strip_map,
@@ -105,15 +97,10 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *_unfiltered(counts, context),
             *facts.notes,
             *_uncovered(done),
-            *bloom_warning(done, removed=_leaves_bloom_out(context.workflow)),
-            *haze_warning(noise.haze),
-            *fog_warning(done),
-            *thin_haze_warning(done),
-            *misfit_warning(done, context),
-            *drowned_warning(done),
-            *kept_warning(done, context.workflow.filter),
+            *noise_warnings(done, context, noise.haze),
             *unsure_terrain(done),
             *doubt_warnings(doubted),
+            *block_warning(doubted),
             *sparse_vegetation(covered, context.workflow.classes),
             *bank_warnings(
                 r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts
@@ -224,10 +211,6 @@ def _accuracy(found: Comparison | None) -> Accuracy | None:
     )
 
 
-def _leaves_bloom_out(workflow: Workflow) -> bool:
-    return workflow.noise.bloom and workflow.filter.method != "none"
-
-
 def _noise(done: Receipts, context: Context, removed: int) -> Noise:
     settings = context.workflow.filter
     mean, low, high = _noise_levels(done, context)
@@ -242,6 +225,8 @@ def _noise(done: Receipts, context: Context, removed: int) -> Noise:
         kept_within_signal=_kept_within_signal(done, settings),
         bloom=bloom(done)[1],
         crosstalk=crosstalk(done),
+        crosstalk_expected=crosstalk_expected(done),
+        fit=noise_fit(done),
         haze=haze(done, context),
         dsm_support=context.workflow.products.dsm_support,
     )

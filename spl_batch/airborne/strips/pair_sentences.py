@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from spl_batch.airborne.strips.pair_table import PairDifference
+from spl_batch.airborne.strips.pair_table import TILT_PER_M, PairDifference
 from spl_batch.airborne.strips.strip_patches import MOST_PASSES
 from spl_batch.errors import counted, grouped
 
@@ -38,7 +38,8 @@ def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Ite
             f"{pair.second} lies {' and '.join(_parts(pair))} of {pair.first}, around "
             f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar "
             f"patches), more than the ranging noise of {100 * pair.noise_m:.1f} cm: surfaces that "
-            f"both have seen are double, and rasters lie between them; {REMEDIES[align]}"
+            f"both have seen are double, and rasters lie between them{_tilt(pair)}; "
+            f"{REMEDIES[align]}"
         )
     if len(off) > TOLD:
         yield (
@@ -66,14 +67,30 @@ def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[str]:
 def _away(pair: PairDifference) -> float:
     """How far a pair is off, in parts of its ranging noise; 0 where it is not."""
     vertical = abs(pair.up_m) if pair.is_off_vertically else 0.0
+    if pair.is_tilted and pair.change_m is not None:
+        vertical = max(vertical, pair.change_m)
     horizontal = 0.0
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
         horizontal = float(np.hypot(pair.east_m, pair.north_m))
     return max(vertical, horizontal) / max(pair.noise_m, 1e-3)
 
 
+def _tilt(pair: PairDifference) -> str:
+    """What a tilt means; nothing without one."""
+    east, north, change = pair.tilt_east_m, pair.tilt_north_m, pair.change_m
+    if east is None or north is None or change is None:
+        return ""
+    rise = float(np.hypot(east, north))
+    angle = np.degrees(np.arctan(rise / TILT_PER_M))
+    return (
+        f". The height between them is not the same everywhere: it changes by {100 * rise:.1f} cm "
+        f"on {TILT_PER_M:.0f} m and by {100 * change:.1f} cm over these patches, as where a "
+        f"flightline is turned by {angle:.3f} degrees; no shift takes that away"
+    )
+
+
 def _parts(pair: PairDifference) -> Iterator[str]:
-    if pair.is_off_vertically:
+    if pair.is_off_vertically or (pair.is_tilted and not pair.is_off_horizontally):
         yield f"{100 * abs(pair.up_m):.1f} cm {'above' if pair.up_m > 0 else 'below'}"
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
         yield (

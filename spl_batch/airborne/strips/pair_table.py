@@ -6,6 +6,10 @@ found by least squares over the patches, weighted by their variance, with Huber'
 Tukey's biweight. The noise of slopes would make a horizontal shift seem less than it is, so their
 covariance is taken from the normal equations (W. A. Fuller, 1987, *Measurement Error Models*,
 section 2.2). A horizontal part that is not determined is not told.
+
+A flightline that is turned about its track, or drifts, is off by another height at each place, and
+that passes for a part of the horizontal shift. Where a tilt, one rise to the east and one to the
+north for all patches, is sure, it is found together with the shift.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -48,6 +52,12 @@ UNKNOWNS: Final = 3
 FEW_M: Final = 0.2
 """Horizontal difference that is told however few squares there are: on some few, aligned
 flightlines have been seen to differ by half as much, sure as each square was [m]."""
+
+TILT_PER_M: Final = 100.0
+"""A tilt is told as rise per so much of way [m]."""
+
+TILT_SURE: Final = 5.0
+"""Standard deviations from which on a tilt is believed: patches of one house may share a cause."""
 
 TWICE: Final = 2.0
 """A patch thicker than this times the noise is overgrown, and no measure of heights."""
@@ -95,11 +105,23 @@ class PairDifference(NamedTuple):
     #: Where that patch lies [m].
     largest_x_m: float | None
     largest_y_m: float | None
+    #: By how much ``up_m``, that at the place of all patches, rises on 100 m to the east and to the
+    #: north, its standard deviation in the worst direction, and the change over all patches; None
+    #: where no tilt is sure [m].
+    tilt_east_m: float | None = None
+    tilt_north_m: float | None = None
+    tilt_sd_m: float | None = None
+    change_m: float | None = None
 
     @property
     def is_off_vertically(self) -> bool:
         """Whether the flightlines differ by more than a single range does."""
         return abs(self.up_m) > max(self.noise_m, 3 * self.up_sd_m)
+
+    @property
+    def is_tilted(self) -> bool:
+        """Whether a tilt makes them differ by more than a single range does, here or there."""
+        return self.change_m is not None and self.change_m > self.noise_m
 
     @property
     def is_off_horizontally(self) -> bool:
@@ -189,6 +211,11 @@ def _difference(first: str, second: str, listed: Patches) -> PairDifference:
         noise,
         int(_square(patches).max()) + 1,
         *_largest({name: values[smooth] for name, values in listed.items()}),
+    )._replace(
+        tilt_east_m=shift.tilt_east_m,
+        tilt_north_m=shift.tilt_north_m,
+        tilt_sd_m=shift.tilt_sd_m,
+        change_m=shift.change_m,
     )
 
 
@@ -209,6 +236,10 @@ class Shift(NamedTuple):
     east_m: float | None = None
     north_m: float | None = None
     horizontal_sd_m: float | None = None
+    tilt_east_m: float | None = None
+    tilt_north_m: float | None = None
+    tilt_sd_m: float | None = None
+    change_m: float | None = None
 
 
 def fit_shift(patches: Mapping[str, NDArray[Any]]) -> Shift:
@@ -217,8 +248,54 @@ def fit_shift(patches: Mapping[str, NDArray[Any]]) -> Shift:
     Parameters
     ----------
     patches : mapping of str to (p,) ndarray
-        ``x, y, rise, variance, east, north, ee, en, nn``; p >= 1.
+        ``x, y, edge_m, rise, variance, east, north, ee, en, nn``; p >= 1.
     """
+    found = _without_tilt(patches)
+    return _with_tilt(patches, slopes=found.east_m is not None) or found
+
+
+def _with_tilt(patches: Mapping[str, NDArray[Any]], *, slopes: bool) -> Shift | None:
+    """Shift and tilt; None where no tilt is sure."""
+    own = patches["variance"] + OWN_M**2
+    away = [
+        (patches[axis] - np.average(patches[axis], weights=patches["edge_m"] ** 2)) / TILT_PER_M
+        for axis in "xy"
+    ]
+    columns = [*away, np.ones(len(own))]
+    if slopes:
+        columns = [-patches["east"], -patches["north"], *columns]
+    noise = np.zeros((len(own), len(columns), len(columns)))
+    if slopes:
+        noise[:, 0, 0], noise[:, 1, 1] = patches["ee"], patches["nn"]
+        noise[:, 0, 1] = noise[:, 1, 0] = patches["en"]
+    whole = _robust(patches["rise"], np.stack(columns, axis=1), own, noise, _square(patches))
+    if whole is None:
+        return None
+    found, covariance = whole
+    tilt, of_tilt = found[-3:-1], covariance[-3:-1, -3:-1]
+    change = float(np.ptp(tilt[0] * away[0] + tilt[1] * away[1]))
+    if change < OWN_M or tilt @ np.linalg.solve(of_tilt, tilt) < TILT_SURE**2:
+        return None
+    east = north = horizontal_sd = None
+    if slopes:
+        east, north = found[:2].tolist()
+        horizontal_sd = _worst(covariance[:2, :2])
+    up, up_sd = float(found[-1]), float(np.sqrt(covariance[-1, -1]))
+    return Shift(up, up_sd, east, north, horizontal_sd)._replace(
+        tilt_east_m=float(tilt[0]),
+        tilt_north_m=float(tilt[1]),
+        tilt_sd_m=_worst(of_tilt),
+        change_m=change,
+    )
+
+
+def _worst(covariance: NDArray[np.float64]) -> float:
+    """Standard deviation in the worst direction."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+
+
+def _without_tilt(patches: Mapping[str, NDArray[Any]]) -> Shift:
+    """Shift of all patches alike."""
     rise, own = patches["rise"], patches["variance"] + OWN_M**2
     ones = np.ones(len(rise))
     design = np.stack([-patches["east"], -patches["north"], ones], axis=1)
@@ -234,7 +311,7 @@ def fit_shift(patches: Mapping[str, NDArray[Any]]) -> Shift:
     if whole is None:
         return Shift(up, up_sd)
     found, covariance = whole
-    worst = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    worst = _worst(covariance[:2, :2])
     if worst > DETERMINED_M:
         return Shift(up, up_sd)
     east, north, up = found.tolist()

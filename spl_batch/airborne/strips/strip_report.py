@@ -34,6 +34,14 @@ class StripPair(Part):
     largest_at_m: tuple[Number, Number] | None = Field(
         None, description="Easting and northing of that patch [m]."
     )
+    tilt_east_m: Number = Field(
+        None, description="Change of up_m on 100 m to the east; null where no tilt is sure [m]."
+    )
+    tilt_north_m: Number = Field(None, description="The same to the north [m].")
+    tilt_sd_m: Number = Field(
+        None, description="Standard deviation of these, in the worst direction [m]."
+    )
+    change_m: Number = Field(None, description="Change of up_m over all patches by that tilt [m].")
 
 
 class LineShift(Part):

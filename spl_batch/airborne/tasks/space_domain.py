@@ -13,10 +13,12 @@ from spl_batch.airborne.filter.air import COLUMNS_NEEDED as AIR_COLUMNS
 from spl_batch.airborne.filter.air import Look, facts_of, look_at_air, noise_in_air
 from spl_batch.airborne.filter.drowned_surfaces import NEAR_M
 from spl_batch.airborne.filter.expected_noise import noise_model
+from spl_batch.airborne.filter.judged_fit import P_VALUES
 from spl_batch.airborne.filter.stray_returns import Bare, bare_cells
 from spl_batch.airborne.ground import ground_methods as grounding
 from spl_batch.airborne.ground.water.off_water import OffWater
 from spl_batch.airborne.products import surface_points
+from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.store.label_tables import Marks, Origin, read_region, write_labels
 from spl_batch.airborne.store.line_moves import LineMoves, read_moves
 from spl_batch.engine.tasks.context import Produced
@@ -40,7 +42,7 @@ Read = Callable[[Bounds, Sequence[str]], tuple[PointTable, Origin]]
 
 T = TypeVar("T")
 
-_LABELS: Final = ("noise_class", "ground", "noise_density", "wire")
+_LABELS: Final = ("noise_class", "p_value", "ground", "noise_density", "wire")
 
 _GROUND_COLUMNS = ("x", "y", "z", "flags", "afterpulse", "range_sigma")
 
@@ -114,31 +116,36 @@ def _judged(args: Mapping[str, Any], context: Context, core: Bounds) -> _Judged:
 def ground(args: Mapping[str, Any], context: Context) -> Produced:
     """Find the ground of a cell, strip by strip where not all of it fits in memory."""
     core, cells = Bounds(*args["core"]), tile_cells(args["tiles"])
-    noise = {"noise_class": label_units(args["noise"])}
-    moves = read_moves(args, context.store)
+    units, moves = label_units(args["noise"]), read_moves(args, context.store)
+    chances = _Chances(context.workflow.filter)
 
     def read(part: Bounds, columns: Sequence[str]) -> tuple[PointTable, Origin]:
-        return read_region(context.store, cells, part, columns, noise, ordered=False, moves=moves)
+        labels = {name: units for name in ("noise_class", *columns) if name in _LABELS}
+        return read_region(
+            context.store, cells, part, [name for name in columns if name not in labels], labels,
+            ordered=False, moves=moves,
+        )  # fmt: skip
 
     region = grow(core, args["halo"])
     parts = strips_between(region, args.get("cuts", {}).get("ground", ()))
 
     def points(part: Bounds, bare: Bare | None, off: Marks) -> grounding.Band:
-        table, usable, origin = _standing(part, region, read, bare, _GROUND_COLUMNS)
+        table, usable, origin = _standing(part, region, read, bare, chances.with_them(part))
         usable &= ~off.holds(origin)
         if bare is not None:
             bare.mark_columns(table, usable, standing)
         mine = inside(table["x"], table["y"], shared(core, part))
-        return grounding.Band(table, usable, mine, origin)
+        return grounding.Band(chances.counted(table, mine, bare, part), usable, mine, origin)
 
     if len(parts) == 1:
-        table, origin = read(region, _GROUND_COLUMNS)
+        table, origin = read(region, chances.with_them(region))
         bare = bare_cells(lambda: (table,))
         standing = _no_column(bare)
         usable = surface_points.holds_ground(table, bare)
         if bare is not None:
             bare.mark_columns(table, usable, standing)
         owned = inside(table["x"], table["y"], core)
+        table = chances.counted(table, owned, bare, region)
         mask = grounding.ground_mask(table, usable, context.workflow.ground, owned)
         found = [_owned((grounding.Band(table, usable, owned, origin), mask))]
     else:
@@ -153,8 +160,35 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     write_labels(path, found)
     labels = [part["ground"] for _, part in found]
     facts = {"ground": int(sum(map(np.count_nonzero, labels))), "core": list(core)}
-    facts |= {} if bare is None else bare.facts(core, standing)
+    facts |= chances.facts() | ({} if bare is None else bare.facts(core, standing))
     return Produced([path], facts, sum(map(len, labels)))
+
+
+class _Chances:
+    """P-values of noise below all surfaces, counted as points pass: nothing else needs them."""
+
+    def __init__(self, settings: FilterSettings) -> None:
+        self._asked = settings.method == "vsaes" and settings.test == "calibrated"
+        self._counts = np.zeros(len(P_VALUES) + 1, np.int64)
+        self._seen: set[Bounds] = set()
+
+    def with_them(self, part: Bounds) -> tuple[str, ...]:
+        """Columns of the ground, and what is to be counted of a part: each is read again."""
+        wanted = self._asked and part not in self._seen
+        return (*_GROUND_COLUMNS, "p_value") if wanted else _GROUND_COLUMNS
+
+    def counted(
+        self, table: PointTable, mine: NDArray[np.bool_], bare: Bare | None, part: Bounds
+    ) -> PointTable:
+        """The table of a part without them; those of its points that are mine count, once."""
+        if bare is not None and "p_value" in table:
+            bare.count_chances(table, mine, self._counts)
+        self._seen.add(part)
+        return table.select([name for name in table.columns if name != "p_value"])
+
+    def facts(self) -> dict[str, list[int]]:
+        """``p_values``: returns by p-value; nothing where there are none."""
+        return {"p_values": self._counts.tolist()} if self._counts.any() else {}
 
 
 def _standing(

@@ -21,7 +21,7 @@ from spl_batch.airborne.ground.water.level import CELL_M
 from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
-from spl_batch.airborne.products.doubts.terrain_doubts import Doubts, doubt_facts
+from spl_batch.airborne.products.doubts.terrain_doubts import Doubts, block_facts, doubt_facts
 from spl_batch.airborne.products.footprint import Footprint
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
@@ -83,8 +83,10 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     banks = _flatten(arrays, core, context)
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
-    counted = pulses.covered(squares, arrays, context)
-    counted |= doubt_facts(doubted, arrays, core, quanta(workflow.products.cell_m))
+    size = quanta(workflow.products.cell_m)
+    blocks = block_facts(doubted, arrays, core, size)
+    counted = pulses.covered(squares, arrays, context) | blocks
+    counted |= doubt_facts(doubted, arrays, core, size)
     give_back()
     found = _pulses(cell)
     judged = found.judged(squares)

@@ -94,11 +94,12 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     # Without channels the model's noise is that of a whole shot.
     stated = context.workflow.sensor
     beamlets = stated.beamlets if lines_of_sight.tells_beamlets(args, stated) else 1
-    law = afterpulse_law.fit(parts, model.mean_rate / beamlets, sensor)
+    chance = crosstalk.chance(parts)
+    set_off = crosstalk.share_of_returns(chance)
+    law = afterpulse_law.fit(parts, model.mean_rate / beamlets, sensor, set_off)
     told = disagreements(law, sensor) if context.workflow.afterpulse.enabled else ()
     if context.workflow.afterpulse.enabled:
         told += uneven(parts, _spans_s(args), law, model.mean_rate / beamlets, sensor)
-    chance = crosstalk.chance(parts)
     told += crosstalk.told(chance)
     write_arrays(path, {**model.to_arrays(), **law.to_arrays(), "crosstalk": np.array(chance)})
     seen = model.seen_fraction
@@ -109,6 +110,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_m": model.gate_m,
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
+        "crosstalk": set_off,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
         "afterpulses": {
             "probability": law.probability,

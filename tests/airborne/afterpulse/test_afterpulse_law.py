@@ -198,6 +198,19 @@ def test_the_ranging_spread_is_what_planes_show(spread: float, found: float) -> 
     assert ranging_spread(planes * 0, SENSOR) == SENSOR.range_sigma_m
 
 
+def test_crosstalk_that_widens_planes_is_no_ranging_noise() -> None:
+    """One return in four lies aside, on a tilted plane by more than ranges scatter."""
+    rng = np.random.default_rng(3)
+    for noise, found in ((0.05, 0.05), (0.15, 0.21)):
+        off = rng.normal(0, noise, (2000, 24))
+        off[:, :6] += 0.5 * rng.choice([-1.0, 1.0], (2000, 6))
+        of_planes = np.median(np.abs(off), axis=1) / 0.6745
+        planes = np.bincount((of_planes / SPREAD_STEP_M).astype(int), minlength=SPREADS)[:SPREADS]
+        told = [ranging_spread(planes, SENSOR, share) for share in (0.0, 0.25)]
+        assert told[1] == pytest.approx(found, rel=0.1)
+        assert told[0] == pytest.approx(1.43 * noise, rel=0.12)
+
+
 def test_planes_of_heath_tell_no_ranging_spread() -> None:
     rng = np.random.default_rng(2)
     for least, mean in ((0.05, 0.2), (0.15, 0.3)):

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from spl_batch.airborne.beams.crosstalk import EVERY, chance, observe, set_off, told
+from spl_batch.airborne.beams.crosstalk import (
+    EVERY,
+    chance,
+    observe,
+    set_off,
+    share_of_returns,
+    told,
+)
 from spl_batch.airborne.beams.crosstalk_pairs import count_pairs
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.lattice.tables import BeamTable, PointTable
@@ -56,7 +63,9 @@ def line(rng, *, chance=0.0, noise=8.0, shots=2000, wire=0.0, lean=0.13):
 @pytest.mark.parametrize("noise", [0.5, 8.0])
 def test_crosstalk_is_told_with_its_chance(noise):
     (remark,) = told(chance([line(np.random.default_rng(3), chance=0.05, noise=noise)]))
-    assert remark.badness == pytest.approx(0.05, rel=0.25)
+    assert remark.badness == pytest.approx(0.05, rel=0.15)
+    assert "% of all returns" in remark.text
+    assert share_of_returns(0.05) == pytest.approx(0.18 / 1.18)
 
 
 def test_nothing_is_told_without_it_whatever_the_noise():

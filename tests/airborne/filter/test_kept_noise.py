@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.airborne.filter.kept_noise import PARTS, within_signal
-from spl_batch.airborne.report.model import Counts, Noise
+from spl_batch.airborne.report.model import Counts, Noise, NoiseFit
 from spl_batch.airborne.report.summarise import _kept_by_chance
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.settings import FilterSettings
@@ -88,4 +88,15 @@ def test_the_page_says_which_noise_stays(noise: dict[str, Any], said: tuple[str,
     text = page.replace("\N{NARROW NO-BREAK SPACE}", " ")
     for words in said:
         assert words in text, words
+    assert "Fit below surfaces" not in text
     assert ("Noise near surfaces</dt>" in text) == (made.kept_within_signal is not None)
+
+
+def test_the_page_says_how_the_filter_fits_where_nothing_stands() -> None:
+    fit = NoiseFit(
+        returns_below=5000, p_value=0.05, p_value_times=1.31, floating=12, floating_share=0.0004
+    )
+    text = render(make_report(noise=Noise(method="vsaes", test="calibrated", fit=fit)), {})
+    text = text.replace("\N{NARROW NO-BREAK SPACE}", " ")
+    assert "1.31 times as many have a p-value up to 0.05" in text
+    assert "12 signals float, 0.04" in text

@@ -9,14 +9,17 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.multiscale import masks
 from spl_batch.airborne.ground.multiscale.raised_patches import Patch, on_houses, raised_patches
+from spl_batch.airborne.products.doubts.cut_off_blocks import cut_off_blocks
 from spl_batch.airborne.products.doubts.terrain_doubts import (
+    BLOCKS,
     CLIMBS,
     GAPS,
     RAISED,
+    block_facts,
     doubt_facts,
     doubts,
 )
-from spl_batch.airborne.report.coverage import doubt_warnings, terrain_doubts
+from spl_batch.airborne.report.coverage import block_warning, doubt_warnings, terrain_doubts
 from spl_batch.constants import NODATA, QUANTA_PER_M
 from spl_batch.lattice.tiles import Bounds
 
@@ -31,6 +34,13 @@ def plain(edge: int = 140) -> tuple[Grid, Grid, Grid]:
 
 def warehouse(x: Grid, y: Grid) -> NDArray[np.bool_]:
     return (np.abs(x - 70) < 20) & (np.abs(y - 66) < 14)
+
+
+def plateau(x: Grid, y: Grid, height_m: float, slope: float) -> Grid:
+    """A square of 40 m with sides of a slope."""
+    away = np.maximum(np.abs(x - 70), np.abs(y - 70)) - 20
+    found: Grid = np.clip(height_m - slope * away, 0, height_m)
+    return found
 
 
 def thinned(height: Grid, share: float) -> Grid:
@@ -78,7 +88,8 @@ def test_a_roof_that_an_opening_leaves_is_no_ground(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize(
-    "shape", ["terrace", "ridge", "mound", "embankment", "shed", "headland", "plain"]
+    "shape",
+    ["terrace", "ridge", "mound", "steep mound", "embankment", "shed", "headland", "plain"],
 )
 def test_ground_that_rises_is_no_roof(shape: str) -> None:
     x, y, ground = plain()
@@ -89,6 +100,7 @@ def test_ground_that_rises_is_no_roof(shape: str) -> None:
             "terrace": 8.0 * (x > 60 + 8 * np.sin(y / 9)),
             "ridge": np.maximum(25 - 1.5 * np.abs(x - 70), 0),
             "mound": np.clip(30 - 0.7 * away, 0, 9),
+            "steep mound": plateau(x, y, 12.0, 1.43),
             "embankment": np.clip(12 - 0.7 * np.abs(x - 70), 0, 6),
             "shed": 4.0 * ((np.abs(x - 70) < 3) & (np.abs(y - 70) < 3)),
             "headland": 9.0 * ((np.abs(x - 70) < 30) & (y > 50)),
@@ -202,3 +214,55 @@ def test_warnings_tell_number_place_and_consequence() -> None:
     assert climb.startswith("2 steep patches of the terrain, over 45 degrees, without a ground ")
     assert "199 m2 in all, the largest 141 m2 at 1 310 E, 90 N, rising by 12 m" in climb
     assert not list(doubt_warnings(terrain_doubts(receipts({GAPS: [], RAISED: []}))))
+
+
+@pytest.mark.parametrize("shape", ["mound", "hall", "wood", "hill with ground"])
+def test_a_block_whose_sides_are_no_walls_is_told_whole(shape: str) -> None:
+    x, y, ground = plain()
+    cut_off = plateau(x, y, 12.0, 5.7) > 0
+    lowest = (
+        ground
+        + {
+            "mound": plateau(x, y, 12.0, 5.7),
+            "hall": 12.0 * (plateau(x, y, 12.0, 5.7) == 12.0),
+            "wood": np.random.default_rng(3).uniform(0, 12, x.shape) * cut_off,
+            "hill with ground": plateau(x, y, 12.0, 5.7),
+        }[shape]
+    )
+    there = ~cut_off | (shape == "hill with ground")
+    lowest[::7, ::5] = np.nan
+    found = list(cut_off_blocks(lowest, ground, there & (x > 0), 1.0))
+    if shape != "mound":
+        assert found == []
+        return
+    (block,) = found
+    assert block.area_m2 == block.cells.sum() == pytest.approx(cut_off.sum(), rel=0.1)
+    assert (block.row, block.column) == pytest.approx((70, 70), abs=3)
+    assert block.height_m == pytest.approx(12.0, abs=0.3)
+
+
+def test_what_is_cut_off_and_perhaps_a_hill_has_no_small_sigma_and_is_told_with_its_place() -> None:
+    x, y, ground = plain()
+    lowest = ground + plateau(x, y, 12.0, 5.7)
+    inner = slice(20, -20)
+    found = doubts(np.where(lowest > ground, np.nan, ground), 20, 1.0)
+    found = found._replace(lowest=lowest[inner, inner][::-1])
+    arrays = {
+        "dtm": ground[inner, inner][::-1].astype(np.float32),
+        "dtm_quality": np.full((100, 100), 0.2, np.float32),
+    }
+    given = arrays["dtm_quality"].copy()
+    core = Bounds(0, 0, 100 * QUANTA_PER_M, 100 * QUANTA_PER_M)
+    facts = block_facts(found, arrays, core, QUANTA_PER_M)
+    off = (lowest - ground > 1.0)[inner, inner][::-1]
+    assert arrays["dtm_quality"][off].min() == pytest.approx(6.0, abs=0.2)
+    assert (arrays["dtm_quality"] > 0.2).sum() < 1.1 * off.sum()
+    assert (given == np.float32(0.2)).all()
+    ((area, east, north, height),) = facts[BLOCKS]
+    assert (east / QUANTA_PER_M, north / QUANTA_PER_M) == pytest.approx((50, 50), abs=3)
+    report = terrain_doubts(receipts({BLOCKS: [[area, east, north, height]]}))
+    (text,) = block_warning(report)
+    assert report.blocks_m2 == area
+    assert text.startswith("1 raised block, 1 ")
+    assert "12 m above the terrain model" in text
+    assert list(block_warning(terrain_doubts(receipts({})))) == []

@@ -7,8 +7,9 @@ import pytest
 import rasterio
 from affine import Affine
 
-from spl_batch.airborne.report import sky
-from spl_batch.airborne.report.sky import (
+from spl_batch.airborne.report.fit import sky
+from spl_batch.airborne.report.fit.noise_fit import float_warning, noise_fit, uniform_warning
+from spl_batch.airborne.report.fit.sky import (
     bloom_warning,
     drowned_warning,
     fog_warning,
@@ -177,3 +178,38 @@ def test_noise_that_is_kept_where_nothing_stands_is_told(kept, told):
     assert len(texts) == told
     assert all("0.60 % of 100 600" in text for text in texts)
     assert list(kept_warning({"ground": cells}, FilterSettings(method="aes"))) == []
+
+
+def ground_cell(west, p_values, afloat):
+    core = [west * 1000, 0, (west + 200) * 1000, 200_000]
+    return receipt(core=core, p_values=p_values, afloat=afloat)
+
+
+def test_p_values_that_are_not_uniform_are_told_with_place_and_consequence():
+    fits, dense = [50, 50, 150, 250, 500, 4000], [150, 100, 300, 350, 600, 4000]
+    cells = {"a": ground_cell(0, fits, [0, 900, 0]), "b": ground_cell(200, dense, [0, 900, 0])}
+    (text,) = uniform_warning({"ground": cells})
+    assert "2.00 times as many of the 5 500 returns within x 200 to 400 and y 0 to 200" in text
+    assert "up to 0.05" in text
+    assert "denser than expected" in text
+    assert noise_fit({"ground": cells}).p_value_times == pytest.approx(1.67, abs=0.01)
+    thin = {"a": ground_cell(0, [20, 20, 60, 100, 100, 4700], [0, 900, 0])}
+    assert "weak signals are lost" in next(uniform_warning({"ground": thin}))
+    for some in ({"a": cells["a"]}, {"a": receipt(core=[0, 0, 0, 0])}, {}):
+        assert list(uniform_warning({"ground": some})) == []
+
+
+def test_signal_that_floats_over_an_area_is_told_with_its_share_and_place():
+    settings = FilterSettings()
+    cells = {
+        "a": ground_cell(0, [0] * 6, [400, 10_000, 30, 50_000, 95_000, 0, 45_000]),
+        "b": ground_cell(200, [0] * 6, [90, 10_000, 60, 200_000, 395_000, 0, 195_000]),
+        "c": receipt(core=[0, 0, 0, 0]),
+    }
+    (text,) = float_warning({"ground": cells}, settings)
+    assert "4.0 % of the signal within x 50 to 100 and y 0 to 50, 400 returns over 750 m2" in text
+    assert noise_fit({"ground": cells}).floating_share == pytest.approx(0.0245)
+    assert list(float_warning({"ground": {"b": cells["b"]}}, settings)) == []
+    assert list(float_warning({"ground": cells}, FilterSettings(alpha=0.01))) == []
+    assert list(float_warning({}, settings)) == []
+    assert noise_fit({"ground": {"c": cells["c"]}}) is None

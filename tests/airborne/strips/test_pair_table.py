@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from spl_batch.airborne.strips.pair_sentences import left_out_warnings, offset_warnings
 from spl_batch.airborne.strips.pair_table import (
@@ -16,7 +17,16 @@ from spl_batch.airborne.strips.pair_table import (
     pair_table,
 )
 from spl_batch.airborne.strips.strip_patches import Patches, find_passes, find_patches
-from tests.airborne.strips.two_strips import CORE, Heights, Shift, flat, hills, two_strips
+from tests.airborne.strips.two_strips import (
+    CORE,
+    Heights,
+    Shift,
+    flat,
+    ground,
+    hills,
+    table,
+    two_strips,
+)
 
 STRIPS = [Strip("one", 1, 1000.0, 1001.0), Strip("two", 2, 2000.0, 2001.0)]
 SEEDS = range(6)
@@ -59,6 +69,29 @@ def test_known_shifts_are_found_within_their_errors(shift: Shift, noise_m: float
     assert found[0].horizontal_sd_m < DETERMINED_M  # type: ignore[operator]
 
 
+@pytest.mark.parametrize("heights", [hills, flat], ids=["hills", "level"])
+def test_a_flightline_that_is_turned_is_found_with_its_shift_and_tilt(heights: Heights) -> None:
+    """By 0.06 degrees about the north: 10 cm on 100 m to the east."""
+
+    def turned(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return heights(x - 0.6, y) + 0.001 * (x - 40)
+
+    lines = [ground(1, Shift(), heights=heights), ground(2, Shift(), heights=turned)]
+    points = table(lines)
+    passes = find_passes([points], 60.0)
+    names = named_passes(passes.psid, passes.time_s, STRIPS)
+    (found,) = pair_table([(names, find_patches([points], passes, CORE))])
+    assert found.tilt_east_m == pytest.approx(0.1, abs=5 * (found.tilt_sd_m or 0.0))
+    assert found.tilt_north_m == pytest.approx(0.0, abs=5 * (found.tilt_sd_m or 0.0))
+    assert found.change_m == pytest.approx(0.075, abs=0.02)
+    if heights is hills:
+        assert found.east_m == pytest.approx(0.6, abs=0.05)
+        assert found.north_m == pytest.approx(0.0, abs=0.05)
+    (said,) = offset_warnings([found])
+    assert "turned by 0.06" in said or "turned by 0.05" in said
+    assert "no shift takes that away" in said
+
+
 def test_level_ground_tells_the_height_alone() -> None:
     found = pair(Shift(0.5, 0.5, 0.1), Scene(heights=flat))
     assert (found.east_m, found.north_m, found.horizontal_sd_m) == (None, None, None)
@@ -72,6 +105,7 @@ def test_aligned_flightlines_are_null_and_nothing_is_said() -> None:
     for seed in range(20):
         found = pair(Shift(), seed=seed)
         assert abs(found.up_m) < 4 * found.up_sd_m
+        assert found.change_m is None
         assert list(offset_warnings([found])) == []
 
 

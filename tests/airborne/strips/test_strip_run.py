@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from spl_batch.airborne.report import summarise
+from spl_batch.airborne.report.fit import noise_warnings
 from tests import surveys
 from tests.airborne.strips.two_strips import Returns, Shift, ground
 
@@ -36,7 +36,7 @@ def test_an_offset_is_in_warnings_report_and_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = ["what only the report of the whole survey tells"]
-    monkeypatch.setattr(summarise, "misfit_warning", lambda *_: whole)
+    monkeypatch.setattr(noise_warnings, "misfit_warning", lambda *_: whole)
     result = surveys.run(survey(tmp_path, Shift(0.3, -0.2, 0.2)))
     (pair,) = json.loads((result.output / "report.json").read_text())["strips"]
     assert pair["up_m"] == pytest.approx(0.2, abs=0.01)

@@ -2,9 +2,9 @@
 
 Where a ground filter leaves a roof, the terrain ends in a wall nearly all around it: from a place
 on it the surface goes on without a step and then falls, in most directions. A ramp that leads up
-takes some of these. From a terrace, a bank or a hillside the terrain falls to one side only, a
-mound has no walls, and a crest is narrow. A flat rock or a spur with walls on three sides looks the
-same as a roof.
+takes some of these. From a terrace, a bank or a hillside the terrain falls to one side only, from a
+mound it falls on beyond the edge, and a crest is narrow. A flat rock or a spur with walls on three
+sides looks the same as a roof.
 
 A ground method takes the nodes of such patches off again, but of those whose walls are too low or
 too high for a house, as in quarries: these are told alone.
@@ -221,7 +221,7 @@ def _buildings(lowest: Grid, edge_m: float) -> Iterator[tuple[tuple[slice, ...],
     Yields
     ------
     near : (slice, slice)
-        Rows and columns of the patch and one more on each side.
+        Rows and columns of the patch and two more on each side.
     mine : (...) bool
         Squares of the patch there.
     fall : (n,) float64
@@ -233,17 +233,26 @@ def _buildings(lowest: Grid, edge_m: float) -> Iterator[tuple[tuple[slice, ...],
     surface = lowest[nearest_cells(held)]
     numbers, _ = ndimage.label(walled_in(surface, round(REACH_M / edge_m)))
     for number, box in enumerate(ndimage.find_objects(numbers), start=1):
-        near = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in box)
+        near = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
         mine, heights = numbers[near] == number, surface[near]
         if mine.sum() * edge_m**2 < LEAST_M2 or not _flat(heights, mine & held[near], edge_m):
             continue
-        rim = ndimage.binary_dilation(mine, np.ones((3, 3), np.bool_)) & ~mine
+        rim, beyond = _rings(mine)
         fall = np.median(heights[mine]) - heights[rim]
         if np.mean(fall > RIM_M) < RIM:
+            continue
+        if beyond.any() and np.median(heights[rim]) - np.median(heights[beyond]) > RIM_M:
             continue
         if ndimage.distance_transform_edt(np.pad(mine, 1)).max() < NARROW:
             continue
         yield near, mine, fall
+
+
+def _rings(mine: Mask) -> tuple[Mask, Mask]:
+    """Squares beside some, and those beside these."""
+    around = np.ones((3, 3), np.bool_)
+    once, twice = (ndimage.binary_dilation(mine, around, iterations=k) for k in (1, 2))
+    return once & ~mine, twice & ~once
 
 
 def _flat(heights: Grid, known: Mask, edge_m: float) -> bool:

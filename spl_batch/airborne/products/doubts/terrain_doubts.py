@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.ground.multiscale.raised_patches import Patch, raised_patches
+from spl_batch.airborne.products.doubts.cut_off_blocks import cut_off_blocks
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.lattice.tiles import Bounds
 
@@ -52,6 +53,9 @@ deviation [m]."""
 RAISED: Final = "raised"
 """Fact of a ground cell: each raised flat patch's area [m2], place [quanta] and height [m]."""
 
+BLOCKS: Final = "blocks"
+"""Fact of a ground cell: each raised block's area [m2], place [quanta] and height [m]."""
+
 Grid = NDArray[np.float64]
 Fact = list[float]
 
@@ -67,11 +71,14 @@ class Doubts(NamedTuple):
         Usual distance between cells with ground around each cell [cells].
     patches : sequence of Patch
         Raised flat patches; their rows count from the north, too.
+    lowest : (rows, columns) float64
+        Height of the lowest signal of each cell, row 0 northernmost [m]; NaN without any.
     """
 
     away_m: Grid
     spacing: Grid
     patches: Sequence[Patch]
+    lowest: Grid = np.empty((0, 0))
 
 
 def doubts(ground: Grid, margin: int, cell_m: float) -> Doubts:
@@ -128,10 +135,7 @@ def doubt_facts(
     far = known & (found.away_m > FAR_M) & (sigma > UNSURE_M)
 
     def place(row: int, column: int) -> list[float]:
-        return [
-            float(core.xmin + column * cell_q + cell_q // 2),
-            float(core.ymax - row * cell_q - cell_q // 2),
-        ]
+        return _place(core, cell_q, row, column)
 
     gaps = []
     for patch in _hanging_together(far):
@@ -155,6 +159,38 @@ def doubt_facts(
         if known[patch.row, patch.column]
     ]
     return {GAPS: gaps, RAISED: raised, CLIMBS: climbs}
+
+
+def block_facts(
+    found: Doubts, arrays: dict[str, NDArray[np.float32]], core: Bounds, cell_q: int
+) -> dict[str, list[Fact]]:
+    """Raised blocks that were cut off; where they are the model is no surer than half their height.
+
+    Parameters
+    ----------
+    found, core, cell_q
+        As for :func:`doubt_facts`.
+    arrays : dict of str to (rows, cols) float32
+        Rasters of the cell; ``dtm_quality`` is raised.
+    """
+    dtm = np.where(arrays["dtm"] == NODATA, np.nan, arrays["dtm"].astype(np.float64))
+    sigma, blocks = arrays["dtm_quality"].copy(), []
+    for block in cut_off_blocks(found.lowest, dtm, found.away_m == 0.0, cell_q * QUANTUM_M):
+        at = block.cells & ~np.isnan(dtm)
+        sigma[at] = np.maximum(sigma[at], np.float32(block.height_m / 2))
+        blocks.append(
+            [block.area_m2, *_place(core, cell_q, block.row, block.column), block.height_m]
+        )
+    arrays["dtm_quality"] = sigma
+    return {BLOCKS: blocks}
+
+
+def _place(core: Bounds, cell_q: int, row: int, column: int) -> list[float]:
+    """Middle of a raster cell [quanta]."""
+    return [
+        float(core.xmin + column * cell_q + cell_q // 2),
+        float(core.ymax - row * cell_q - cell_q // 2),
+    ]
 
 
 def _steep(dtm: NDArray[np.float32], cell_m: float) -> NDArray[np.bool_]:

@@ -137,6 +137,13 @@ def crosstalk(done: Receipts) -> int:
     return sum(r.facts.get("crosstalk", 0) for r in done.get("scatter", {}).values())
 
 
+def crosstalk_expected(done: Receipts) -> int:
+    """How many returns others have set off, by the chance of it that flightlines show [count]."""
+    facts = [r.facts for r in done.get("fit_line", {}).values()]
+    found = [float(some["points"]) * float(some.get("crosstalk", 0.0)) for some in facts]
+    return round(sum(found))
+
+
 def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
     """Sentence on shots in which a bright point lit the whole array."""
     shots, returns = bloom(done)

@@ -10,7 +10,7 @@ from spl_batch.airborne.filter.wires.tube_clearance import PARTS, around_tubes
 from spl_batch.airborne.filter.wires.wire_scan import scan
 from spl_batch.airborne.settings import WireSettings
 from spl_batch.numerics.neighbours.lattice_columns import columns
-from tests.airborne.filter.test_wire_scan import conductor, made_cloud, noise
+from tests.airborne.filter.wires.test_wire_scan import conductor, made_cloud, noise
 
 Metres = NDArray[np.float64]
 SETTINGS = WireSettings(classify=True)

@@ -1,0 +1,121 @@
+"""Raised blocks that were cut off the terrain as buildings, and do not look like one.
+
+A house ends in walls, on which hardly a return lies. A mound, a dam or a heap that is steep on all
+sides is cut off as a house is, but its sides hold returns at all heights, cell beside cell. So what
+was cut off is looked at where the lowest returns of cells without ground make a smooth surface well
+above the terrain: crowns are rough. If its sides hold returns half-way up, nearly all along its
+edge, nobody knows what it is, and the terrain model is no surer than half of its height.
+"""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.numerics.nearest_cells import nearest_cells
+
+DOMAIN: Final = "space"
+
+RAISED_M: Final = 2.0
+"""Height of a block above the terrain model, at least: a low storey [m]."""
+
+LEAST_M2: Final = 200.0
+"""Area of a house; smaller blocks are not told [m2]."""
+
+FILLED: Final = 0.7
+"""Share of a block's cells that hold a return: in sparser clouds no side is told from a wall."""
+
+SMOOTH_M: Final = 0.5
+SMOOTH: Final = 0.6
+"""A smooth cell is so near to the median of the eight around it; of the cells of a block with a
+return this share are [m, 1]."""
+
+HALF_WAY: Final = (0.15, 0.85)
+AROUND_M: Final = 2.0
+"""A return on a side lies above the first share of the block's height, and below the other one of
+what stands within so much of it: lower wings of a house end in walls, too [1, m]."""
+
+BESIDE: Final = np.ones((3, 3), np.bool_)
+"""Cells that hang together."""
+
+SIDES: Final = 0.5
+"""Cells half-way up over those along the edge of a block, from which on its sides are no walls."""
+
+Grid = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Block(NamedTuple):
+    """A raised block that was cut off."""
+
+    cells: Mask  #: (rows, columns): the block, and its sides.
+    area_m2: float
+    row: int
+    column: int  #: A cell about in its middle.
+    height_m: float  #: Above the terrain model.
+
+
+def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iterator[Block]:
+    """Blocks whose sides are no walls.
+
+    Parameters
+    ----------
+    lowest : (rows, columns) float64
+        Height of the lowest signal in each cell [m]; NaN without any.
+    dtm : (rows, columns) float64
+        Terrain model [m]; NaN in voids.
+    ground : (rows, columns) bool
+        Cells with ground.
+    cell_m : float
+        Edge of a cell [m].
+    """
+    known, held = ~np.isnan(dtm), ~np.isnan(lowest)
+    if not known.any() or not held.any():
+        return
+    above = lowest[nearest_cells(held)] - dtm[nearest_cells(known)]
+    if not (above >= RAISED_M).any():
+        return
+    typical = ndimage.median_filter(above, 3, mode="nearest")
+    raised = (typical >= RAISED_M) & ~ground
+    numbers, _ = ndimage.label(raised, BESIDE)
+    for number, box in enumerate(ndimage.find_objects(numbers), start=1):
+        near = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
+        mine = numbers[near] == number
+        if mine.sum() * cell_m**2 < LEAST_M2 or held[near][mine].mean() < FILLED:
+            continue
+        if not _is_smooth(np.where(held[near], above[near], np.nan), mine):
+            continue
+        height = float(np.median(above[near][mine]))
+        low = HALF_WAY[0] * height
+        around = ndimage.maximum_filter(above[near], 2 * round(AROUND_M / cell_m) + 1)
+        side = held[near] & (above[near] > low) & (above[near] < HALF_WAY[1] * around)
+        edge = mine & ~_worn(mine, 1)
+        side &= ndimage.binary_dilation(mine, BESIDE, iterations=2) & ~_worn(mine, 3)
+        if side.sum() < SIDES * max(edge.sum(), 1):
+            continue
+        depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
+        row, column = (int(k) for k in np.unravel_index(depth.argmax(), mine.shape))
+        cells = np.zeros(above.shape, np.bool_)
+        cells[near] = mine | side
+        area = float(cells.sum() * cell_m**2)
+        yield Block(cells, area, row + near[0].start, column + near[1].start, height)
+
+
+def _worn(mine: Mask, cells: int) -> Mask:
+    """A block without so many cells along its edge."""
+    worn: Mask = ndimage.binary_erosion(mine, BESIDE, iterations=cells, border_value=1)
+    return worn
+
+
+def _is_smooth(above: Grid, mine: Mask) -> bool:
+    """Whether most cells of a block lie as high as those around; NaN without a return."""
+    rows, columns = above.shape
+    wide = np.pad(above, 1, constant_values=np.nan)
+    steps = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    asked = mine & ~np.isnan(above)
+    beside = np.stack([wide[i : i + rows, j : j + columns][asked] for i, j in steps])
+    counted = ~np.isnan(beside).all(axis=0)
+    off = np.abs(above[asked][counted] - np.nanmedian(beside[:, counted], axis=0))
+    return bool(counted.any() and np.mean(off <= SMOOTH_M) >= SMOOTH)

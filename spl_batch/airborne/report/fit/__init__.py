@@ -1,0 +1,1 @@
+"""What a report says of noise that does not fit its model."""

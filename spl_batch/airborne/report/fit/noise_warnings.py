@@ -1,0 +1,35 @@
+"""All sentences of a report on noise that does not fit its model, in the order in which they come."""
+
+from collections.abc import Iterator
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.report.fit.noise_fit import float_warning, uniform_warning
+from spl_batch.airborne.report.fit.sky import (
+    bloom_warning,
+    drowned_warning,
+    fog_warning,
+    haze_warning,
+    kept_warning,
+    misfit_warning,
+    thin_haze_warning,
+)
+from spl_batch.airborne.report.model import Haze
+from spl_batch.engine.report.run_record import Receipts
+
+
+def noise_warnings(done: Receipts, context: Context, haze: Haze | None) -> Iterator[str]:
+    """Sentences with number, place and consequence.
+
+    ``haze``: that of :func:`~spl_batch.airborne.report.fit.sky.haze`.
+    """
+    workflow = context.workflow
+    removed = workflow.noise.bloom and workflow.filter.method != "none"
+    yield from bloom_warning(done, removed=removed)
+    yield from haze_warning(haze)
+    yield from fog_warning(done)
+    yield from thin_haze_warning(done)
+    yield from misfit_warning(done, context)
+    yield from drowned_warning(done)
+    yield from kept_warning(done, workflow.filter)
+    yield from uniform_warning(done)
+    yield from float_warning(done, workflow.filter)
