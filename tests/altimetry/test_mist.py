@@ -82,23 +82,25 @@ def test_water_ground_and_thin_woods_are_not(name: str, noise: float) -> None:
     assert not (cells.mist[:, 2] > 0).mean() > 0.02
 
 
+@pytest.mark.parametrize("relief_m", [0.0, 150.0])
 @pytest.mark.parametrize("noise", [NIGHT, DAY])
-def test_woods_with_gaps_are_not(noise: float) -> None:
+def test_woods_with_gaps_are_not(noise: float, relief_m: float) -> None:
     rng = np.random.default_rng(4)
     shot = np.arange(0.0, 4000.0, 0.7)
+    slope = relief_m * np.sin(shot / 450.0)
     # Crowns 9 m wide, each as high as it grew.
     crown = shot // 9.0
     high = rng.uniform(6.0, 28.0, int(crown.max()) + 1)[crown.astype(int)]
     dense = rng.gamma(0.8, 1.0, int(crown.max()) + 1)[crown.astype(int)]
     tree = np.repeat(np.arange(len(shot)), rng.poisson(np.minimum(dense, 3.0)))
     ground = np.repeat(np.arange(len(shot)), rng.poisson(0.3, len(shot)))
-    n = rng.poisson(noise * 4000.0 * 200.0)
+    n = rng.poisson(noise * 4000.0 * (200.0 + 2.0 * relief_m))
     x = np.concatenate([shot[tree], shot[ground], rng.uniform(0.0, 4000.0, n)])
     z = np.concatenate(
         [
-            high[tree] * rng.beta(4.0, 2.0, len(tree)),
-            rng.normal(0.0, 0.2, len(ground)),
-            rng.uniform(-80.0, 120.0, n),
+            slope[tree] + high[tree] * rng.beta(4.0, 2.0, len(tree)),
+            slope[ground] + rng.normal(0.0, 0.2, len(ground)),
+            rng.uniform(-80.0 - relief_m, 120.0 + relief_m, n),
         ]
     )
     label = np.repeat([LAND, NOISE], [len(tree) + len(ground), n])
