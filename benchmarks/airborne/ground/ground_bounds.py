@@ -7,7 +7,8 @@ FOLDER is that of :mod:`~benchmarks.airborne.ground.ground_tiles`. Prints, and d
 - heath: where the returns of the smoothest cells lie about the producer's terrain, those that he
   calls ground and all, and a profile with his terrain and ours;
 - town: error of the terrain within so many metres of the producer's ground, at the edge of the tile
-  and within, and without what is taken of each of his other classes;
+  and within, and without what is taken of each of his other classes; where cells are too high, by
+  the class of the point that lifts them, and a profile through the largest patch of these;
 - quarry and hillside town (samples 53 and 11): ground that the method misses and objects that it
   takes, over the shaded terrain.
 """
@@ -19,7 +20,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy import ndimage
+from scipy.spatial import Delaunay, cKDTree
 
 from benchmarks.airborne.ground.ground_tiles import CLEAR_M, Mask, Tile, project, terrain, tiles
 
@@ -43,6 +45,17 @@ WIDE_M: Final = 0.75
 BARE: Final = -0.15, 0.25
 DISTANCES_M: Final = (1, 2, 3, 5, 7, 10)
 ZONES_M: Final = ((5.0, 20.0), (20.0, 40.0), (40.0, np.inf))
+
+CLASSES: Final = {
+    1: "unclassified", 2: "ground", 3: "low vegetation", 4: "medium vegetation",
+    5: "high vegetation", 6: "building",
+}  # fmt: skip
+LEAST: Final = 0.01
+"""Classes that lift a smaller share of the cells are not drawn."""
+
+WIDE_TOWN_M: Final = 4.0
+LONG_M: Final = 80.0
+"""Half the width and the length of the town's profile [m]."""
 
 Float = NDArray[np.float64]
 
@@ -157,6 +170,48 @@ def town(of: Judged, axes: Any) -> None:
     )  # fmt: skip
 
 
+def too_high(of: Judged, axes: Any, profile: Any) -> None:
+    """Cells that are too high, by the class of the highest corner of their triangle; a profile."""
+    tile, ours = of.tile, of.tile.xyz[of.found]
+    off = terrain(ours, tile.grid) - tile.truth
+    places = tile.grid[off > CLEAR_M]
+    triangles = Delaunay(ours[:, :2])
+    corners = triangles.simplices[triangles.find_simplex(places)]
+    above = np.nan_to_num(of.above[of.found][corners], nan=-np.inf)
+    lifts = np.take_along_axis(corners, above.argmax(axis=1)[:, None], axis=1)[:, 0]
+    classes = tile.classes[of.found][lifts]
+    for number in np.unique(classes):
+        own = classes == number
+        print(
+            f"  too high by class {number}: {100 * own.mean():.0f} % of {len(own)} cells, points "
+            f"{np.median(above.max(axis=1)[own]):.2f} m above the producer's terrain"
+        )
+        if own.mean() > LEAST:
+            label = f"{CLASSES.get(int(number), f'class {number}')}: {own.sum()}"
+            axes.scatter(*places[own].T, 1.5, label=label)
+    axes.set(title="town: cells > 0.5 m too high", aspect="equal")
+    axes.legend(fontsize=7, loc="lower left", markerscale=4)
+    step = 2.0
+    column, row = np.floor(places / step).astype(int).T
+    held = np.zeros((row.max() + 1, column.max() + 1), np.bool_)
+    held[row, column] = True
+    patches, _ = ndimage.label(held, np.ones((3, 3)))
+    largest = np.bincount(patches[patches > 0]).argmax()
+    size = int((patches == largest).sum())
+    print(f"  largest patch: {size * step**2:.0f} m2 of {held.sum() * step**2:.0f} m2")
+    x, y = np.median(places[patches[row, column] == largest], axis=0)
+    near = (np.abs(tile.xyz[:, 1] - y) < WIDE_TOWN_M) & (np.abs(tile.xyz[:, 0] - x) < LONG_M)
+    for number in np.unique(tile.classes[near]):
+        own = near & (tile.classes == number)
+        label = CLASSES.get(int(number), f"class {number}")
+        profile.scatter(tile.xyz[own, 0], of.above[own], 6, label=label)
+    profile.set(
+        title=f"its largest patch, {size * step**2:.0f} m2: {2 * WIDE_TOWN_M:g} m wide",
+        xlabel="east [m]", ylabel="height above the producer's terrain [m]", ylim=(-1, 5),
+    )  # fmt: skip
+    profile.legend(fontsize=7, loc="upper right")
+
+
 def mistakes(of: Judged, axes: Any) -> None:
     """Missed ground and taken objects over the shaded terrain."""
     tile = of.tile
@@ -181,16 +236,18 @@ def mistakes(of: Judged, axes: Any) -> None:
 
 def main(folder: Path, picture: Path | None) -> None:
     """Print, and draw."""
-    figure = Figure(figsize=(16, 8), layout="constrained")
-    axes = figure.subplots(2, 4)
+    figure = Figure(figsize=(20, 8), layout="constrained")
+    axes = figure.subplots(2, 5)
     for column, name in enumerate(HEATHS):
         heath(judged(folder, name), axes[0, column], axes[1, column])
-    town(judged(folder, TOWN), axes[0, 2])
+    of_town = judged(folder, TOWN)
+    town(of_town, axes[0, 2])
+    too_high(of_town, axes[0, 3], axes[1, 3])
     mistakes(judged(folder, SAMPLES[0]), axes[1, 2])
-    grid = axes[0, 3].get_gridspec()
-    for spare in axes[:, 3]:
+    grid = axes[0, 4].get_gridspec()
+    for spare in axes[:, 4]:
         spare.remove()
-    mistakes(judged(folder, SAMPLES[1]), figure.add_subplot(grid[:, 3]))
+    mistakes(judged(folder, SAMPLES[1]), figure.add_subplot(grid[:, 4]))
     if picture:
         figure.savefig(picture, dpi=90)
 

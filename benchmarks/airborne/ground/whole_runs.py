@@ -67,7 +67,7 @@ def delivered(tile: Tile, out: Path) -> dtm_quality.Compared:
         with rasterio.open(out / f"{name}.tif") as source:
             values = np.array([v[0] for v in source.sample(tile.grid + corner[:2])], np.float64)
             found.append(np.where(values == source.nodata, np.nan, values))
-    off, said = np.abs(found[0] - tile.truth - corner[2]), found[1]
+    off, said = found[0] - tile.truth - corner[2], found[1]
     told = np.isfinite(off) & np.isfinite(said)
     return dtm_quality.Compared(off[told], said[told])
 
