@@ -1,4 +1,4 @@
-"""All sentences of a report on noise that does not fit its model, in the order in which they come."""
+"""All sentences of a report on noise that does not fit its model, in their order."""
 
 from collections.abc import Iterator
 
