@@ -30,6 +30,7 @@ from scipy.spatial import KDTree
 from benchmarks.airborne.filter.methods import KINDS, is_noise
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
+from spl_batch.airborne.simulate.survey import KINDS as ALL_KINDS
 from spl_batch.engine.verbs.running import run
 
 BASE: dict[str, Any] = {
@@ -298,8 +299,20 @@ def main() -> None:
             row = "".join(f"{value:15.2f}" for value in figures.values())
             words = verdict(figures, base, len(told))
             print(f"{name:30s}{times:4g}{row}{len(told):15d} {words}", flush=True)
+            if name.startswith("crosstalk"):
+                print(f"    {crosstalk(survey)}")
             for text in told if given.say else []:
                 print(f"    {text}")
+
+
+def crosstalk(survey: Path) -> str:
+    """Returns that others set off: in truth, and in the report [count]."""
+    noise = json.loads((survey / "out" / "report.json").read_text())["noise"]
+    true = 0
+    for path in sorted((survey / "out" / "laz").rglob("*.laz")):
+        kind = pq.read_table(survey / "truth" / f"{path.stem}.parquet")["kind"].to_numpy()
+        true += int(np.count_nonzero(kind == ALL_KINDS.index("crosstalk")))
+    return f"{true} set off, {noise['crosstalk']} counted, {noise['crosstalk_expected']} reckoned"
 
 
 def told_by(report: dict[str, Any]) -> list[str]:
