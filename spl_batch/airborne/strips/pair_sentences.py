@@ -68,7 +68,7 @@ def _away(pair: PairDifference) -> float:
     """How far a pair is off, in parts of its ranging noise; 0 where it is not."""
     vertical = abs(pair.up_m) if pair.is_off_vertically else 0.0
     if pair.is_tilted and pair.change_m is not None:
-        vertical = max(vertical, pair.change_m)
+        vertical = max(vertical, pair.change_m / 2)
     horizontal = 0.0
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
         horizontal = float(np.hypot(pair.east_m, pair.north_m))

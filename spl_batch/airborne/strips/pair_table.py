@@ -121,7 +121,7 @@ class PairDifference(NamedTuple):
     @property
     def is_tilted(self) -> bool:
         """Whether a tilt makes them differ by more than a single range does, here or there."""
-        return self.change_m is not None and self.change_m > self.noise_m
+        return self.change_m is not None and self.change_m / 2 > self.noise_m
 
     @property
     def is_off_horizontally(self) -> bool:
