@@ -59,7 +59,9 @@ def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
     word >>= np.uint64(row_bits)
     tied = np.flatnonzero(word[1:] == word[:-1])
     if len(tied):
-        at = np.union1d(tied, tied + 1)
+        equal = np.zeros(n, np.bool_)
+        equal[tied] = equal[tied + 1] = True
+        at = np.flatnonzero(equal)
         rows = order[at]
         order[at] = rows[np.lexsort([key[rows] for key in reversed(keys)])]
     return order

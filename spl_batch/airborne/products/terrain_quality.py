@@ -189,9 +189,14 @@ def _moments(means: Grid, held: NDArray[np.bool_], cell_m: float) -> Grid:
 
 def _integrals(fields: Grid, reach: int) -> Grid:
     """Sums from the first corner on of (n, rows, columns) fields, with zeros around them."""
-    wide = np.pad(fields, [(0, 0), *[(reach + 1, reach)] * 2])
-    integrals: Grid = wide.cumsum(axis=1).cumsum(axis=2)
-    return integrals
+    count, *shape = fields.shape
+    integrals: Grid = np.zeros((count, *(size + 2 * reach + 1 for size in shape)))
+    inside = [slice(reach + 1, reach + 1 + size) for size in shape]
+    integrals[:, inside[0], inside[1]] = fields
+    # Row by row: a sum along columns jumps through memory, and takes five times as long.
+    for row in range(reach + 2, integrals.shape[1]):
+        integrals[:, row] += integrals[:, row - 1]
+    return np.cumsum(integrals, axis=2, out=integrals)
 
 
 def _boxes(integrals: Grid, widest: int, reach: int) -> Grid:

@@ -16,7 +16,7 @@ from spl_batch.airborne.beams.geometry import (
 )
 from spl_batch.airborne.tasks.return_rate import Rate
 from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
-from spl_batch.lattice.row_order import lexicographic_order
+from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
 
 Track = dict[str, NDArray[np.int64]]
@@ -96,7 +96,8 @@ class Tally:
     def _without_lone(self, table: PointTable) -> PointTable:
         """Points without those of scattered times, of which a file may have as many as points."""
         time, line = table["gps_time"], table["point_source_id"]
-        order = lexicographic_order([line, time])
+        keys = [line, time]
+        order = np.arange(len(time)) if in_order(keys) else lexicographic_order(keys)
         opens = (np.diff(line[order]) != 0) | (np.diff(time[order]) > self.gap_s)
         span = np.concatenate([np.zeros(min(len(order), 1), np.intp), np.cumsum(opens)])
         lone = np.bincount(span) < SEASON_POINTS
