@@ -209,10 +209,9 @@ def _boxes(integrals: Grid, widest: int, reach: int) -> Grid:
         last = size - 2 * widest - 1
         ends.append([slice(k, k + last) for k in (widest - reach, widest + 1 + reach)])
     (low, high), (left, right) = ends
-    summed: Grid = (
-        integrals[:, high, right] - integrals[:, low, right]
-        - integrals[:, high, left] + integrals[:, low, left]
-    )  # fmt: skip
+    summed: Grid = integrals[:, high, right] - integrals[:, low, right]
+    summed -= integrals[:, high, left]
+    summed += integrals[:, low, left]
     return summed
 
 
