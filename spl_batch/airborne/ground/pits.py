@@ -17,13 +17,21 @@ they agree:
   through a crown is, needs agreement among nodes that are not such single returns themselves:
   a roof fills its layers, leaves do not.
 
+Below a closed crown none of this speaks: few returns reach the ground, and the neighbours of what
+noise has left there are leaves. It takes the place of the ground among the lowest nodes, and true
+returns above it are lost. Once the ground has been told from what stands on it, its own nodes are
+the neighbours, in cells as wide as they need to be (:func:`under_ground`).
+
 After the low-point tests of ground filters (isolated points below all neighbours
 [Axelsson 2000 uses them before the seeds]); the comparison of opposite pairs is our own.
 """
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.ground.node_grids import lowest_nodes
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.sorting import order_of
 
@@ -47,6 +55,43 @@ _ENOUGH = 4
 
 _LEAVES_M = 2.0
 """Leaves of a crown are seldom this near to the ground below them [m]."""
+
+_CELLS_M: Final = (1.0, 2.0, 4.0)
+"""Cells whose lowest ground nodes are compared, one size after the other [m]."""
+
+_NEXT: Final = 2
+"""How many of these cells off, on each side, neighbours are [count]."""
+
+
+def under_ground(
+    xyz: NDArray[np.float64], ground: NDArray[np.bool_], doubtful: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Ground nodes in pits of the ground around them: (n,) bool.
+
+    Where single returns are all that there is, as in sparse surveys, none is doubtful, and no pit
+    is looked for.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    ground : (n,) bool
+        Those of the ground.
+    doubtful : (n,) bool
+        Nodes of one or two returns below many others in the same cell: those that are judged.
+    """
+    found = np.zeros(len(xyz), dtype=np.bool_)
+    if not (ground & doubtful).any():
+        return found
+    for cell_m in _CELLS_M:
+        grid = lowest_nodes(xyz, ground & ~found, cell_m)
+        cell = np.flatnonzero(grid >= 0)
+        nodes = grid.ravel()[cell]
+        pit = np.empty(len(nodes), dtype=np.bool_)
+        firm = np.zeros(len(nodes), dtype=np.bool_)
+        in_pits(xyz[nodes], cell, doubtful[nodes], firm, *grid.shape, _NEXT, pit)
+        found[nodes[pit]] = True
+    return found
 
 
 @njit()

@@ -219,6 +219,21 @@ def test_forest_floor_is_found_between_rare_ground_returns() -> None:
     assert found[~leaf].mean() > 0.95
 
 
+def test_kept_noise_below_a_closed_forest_is_no_ground() -> None:
+    """20 returns per m2, a fiftieth of them of the ground, and some noise a metre or two below."""
+    n, noise = 100_000, 150
+    x, y = places(n, 70)
+    rng = np.random.default_rng(16)
+    floor = 3 * np.sin(x / 30) + 2 * np.cos(y / 25)
+    leaf = rng.random(n) > 0.02
+    height = rng.normal(0, 0.03, n) + np.where(leaf, rng.uniform(2, 20, n), 0.0)
+    height[:noise] = rng.uniform(-2.0, -0.8, noise)
+    found = default_ground(x, y, floor + height)
+    inner = np.all([(v > 5) & (v < 65) for v in (x, y)], axis=0)
+    assert found[inner & (height < -0.7)].mean() < 0.02
+    assert found[inner & ~leaf & (height > -0.2)].mean() > 0.97
+
+
 def test_shrubs_of_a_dense_heath_are_no_ground() -> None:
     """40 returns per m2, a sixth of them of the ground, the rest in shrubs up to a metre."""
     x, y = places(36_000, 30)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.pits import in_pits
+from spl_batch.airborne.ground.pits import in_pits, under_ground
 from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.smrf import fill_gaps
 from spl_batch.airborne.settings import GroundSettings
@@ -128,6 +128,39 @@ def test_a_pit_at_the_edge_of_a_crown_is_one() -> None:
     assert found[40]
     z[40] = 0.0
     assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))[40]
+
+
+def plain_under_ground(xyz: np.ndarray, ground: np.ndarray, doubtful: np.ndarray) -> np.ndarray:
+    """Pits of the lowest ground of cells, size by size, by the plain rule."""
+    left = ground.copy()
+    for edge in (1, 2, 4):
+        column, row = (np.floor(xyz[:, axis] / edge).astype(int) for axis in (0, 1))
+        column, row = column - column.min(), row - row.min()
+        shape = int(row.max()) + 1, int(column.max()) + 1
+        cell = row * shape[1] + column
+        by_height = sorted(np.flatnonzero(left), key=lambda i: (cell[i], xyz[i, 2]))
+        kept = [i for k, i in enumerate(by_height) if k == 0 or cell[i] != cell[by_height[k - 1]]]
+        firm = np.zeros(len(kept), bool)
+        told = [plain_pit(xyz[kept], cell[kept], shape, firm, k) for k in range(len(kept))]
+        left[[i for i, pit in zip(kept, told, strict=True) if pit and doubtful[i]]] = False
+    return ground & ~left
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_pits_of_sparse_ground_are_those_of_a_slow_twin(seed: int) -> None:
+    n = 500
+    rng = np.random.default_rng(seed)
+    xyz = np.column_stack([*rng.uniform(0, 30, (2, n)), rng.normal(0, 0.05, n)])
+    xyz[:, 2] += 0.3 * xyz[:, 0]
+    low = rng.random(n) < 0.05
+    xyz[low, 2] -= rng.uniform(0.6, 3.0, int(low.sum()))
+    ground, doubtful = rng.random(n) < 0.9, low | (rng.random(n) < 0.3)
+    found = under_ground(xyz, ground, doubtful)
+    assert found.tolist() == plain_under_ground(xyz, ground, doubtful).tolist()
+    inner = np.all((xyz[:, :2] > 8) & (xyz[:, :2] < 22), axis=1)
+    assert found[low & ground & inner].mean() > 0.8
+    assert not found[~low].any()
+    assert not under_ground(xyz, ground, np.zeros(n, dtype=np.bool_)).any()
 
 
 def test_the_bottom_of_a_ditch_is_no_pit() -> None:

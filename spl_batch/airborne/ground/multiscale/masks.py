@@ -45,6 +45,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
     spread_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
+from spl_batch.airborne.ground.pits import under_ground
 from spl_batch.airborne.ground.point_spacing import (
     Squares,
     added_up,
@@ -203,7 +204,7 @@ def _of(places: Place, chosen: Mask) -> Place:
 
 def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     """Surface of the ground by some points, strip by strip; None where none of them is believed."""
-    xyz, filled, hard = _nodes(evidence, sigma)
+    xyz, filled, hard, doubtful = _nodes(evidence, sigma)
     if not len(xyz):
         return None
     chosen, high = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma)
@@ -217,6 +218,7 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground = _joined(xyz, chosen & hard, ground)
     ground &= ~decks
     ground &= ~on_houses(xyz, ground)
+    ground &= ~under_ground(xyz, ground, doubtful)
     return surface_of(xyz[ground])
 
 
@@ -275,8 +277,17 @@ def _mark(known: _Known, near: Near, place: tuple[Float, Float], out: Mask) -> N
     )  # fmt: skip
 
 
-def _nodes(strips: Iterable[Place], sigma: Spread) -> tuple[Float, Mask, Mask]:
-    """Lowest layers that are no low noise: (n, 3) [m]; which are filled; which of hard cells."""
+class _Layers(NamedTuple):
+    """Nodes (n, 3) [m]; which are filled, of hard cells, and single returns below many."""
+
+    xyz: Float
+    filled: Mask
+    hard: Mask
+    doubtful: Mask
+
+
+def _nodes(strips: Iterable[Place], sigma: Spread) -> _Layers:
+    """Lowest layers that are no low noise."""
     parts = [part for part in map(partial(_layers, sigma), strips) if part is not None]
     found, hard, row, column = zip(*parts, strict=True)
     at = [np.concatenate(some) for some in (row, column)]
@@ -291,7 +302,8 @@ def _nodes(strips: Iterable[Place], sigma: Spread) -> tuple[Float, Mask, Mask]:
     if nodes.doubtful.any():
         above &= ~nodes.doubtful | supported(nodes, rows, columns, CELL_M)
     filled = nodes.points >= SUPPORTED
-    return nodes.xyz[above], filled[above], np.concatenate(hard)[order][above]
+    hard_too = np.concatenate(hard)[order]
+    return _Layers(*(of[above] for of in (nodes.xyz, filled, hard_too, nodes.doubtful)))
 
 
 def _layers(sigma: Spread, own: Place) -> tuple[Nodes, Mask, Index, Index] | None:
