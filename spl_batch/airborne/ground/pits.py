@@ -89,7 +89,8 @@ def under_ground(
         nodes = grid.ravel()[cell]
         pit = np.empty(len(nodes), dtype=np.bool_)
         firm = np.zeros(len(nodes), dtype=np.bool_)
-        in_pits(xyz[nodes], cell, doubtful[nodes], firm, *grid.shape, _NEXT, pit)
+        rows, columns = grid.shape
+        in_pits(xyz[nodes], cell, doubtful[nodes], firm, rows, columns, _NEXT, pit)
         found[nodes[pit]] = True
     return found
 

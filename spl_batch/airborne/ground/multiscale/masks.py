@@ -302,8 +302,8 @@ def _nodes(strips: Iterable[Place], sigma: Spread) -> _Layers:
     if nodes.doubtful.any():
         above &= ~nodes.doubtful | supported(nodes, rows, columns, CELL_M)
     filled = nodes.points >= SUPPORTED
-    hard_too = np.concatenate(hard)[order]
-    return _Layers(*(of[above] for of in (nodes.xyz, filled, hard_too, nodes.doubtful)))
+    of_hard = np.concatenate(hard)[order]
+    return _Layers(nodes.xyz[above], filled[above], of_hard[above], nodes.doubtful[above])
 
 
 def _layers(sigma: Spread, own: Place) -> tuple[Nodes, Mask, Index, Index] | None:
