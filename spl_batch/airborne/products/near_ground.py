@@ -43,6 +43,11 @@ TIMES_NOISE: Final = 4.0
 LEAST: Final = 10.0
 """A filled place holds so many times the noise, and so many returns more."""
 
+LOW_STEPS: Final = 2
+LOW_PER_M3: Final = 0.5
+"""Steps that mist in patches fills, higher than most crops, and returns enough to show clumps
+[count, 1/m3]."""
+
 UNEVEN: Final = 0.5
 """Largest variance of the cells' counts beyond chance, over their squared mean."""
 
@@ -89,6 +94,39 @@ def placed(table: PointTable, core: Bounds, dtm: NDArray[np.float32]) -> Placed 
     return Placed((int(rows), int(columns)), place, within, height, kept, grounded)
 
 
+def low_places(points: Placed, noise_m3: float) -> NDArray[np.bool_]:
+    """Places that returns fill evenly in the first :data:`LOW_STEPS` steps above the ground.
+
+    Parameters
+    ----------
+    points : Placed
+        Points over places.
+    noise_m3 : float
+        Expected noise [1/m3].
+
+    Returns
+    -------
+    (rows, columns) bool
+        From the south-west.
+    """
+    full = points.grounded.copy()
+    least = SQUARE_M**2 * STEP_M * max(LOW_PER_M3, TIMES_NOISE * noise_m3)
+    for k in range(LOW_STEPS):
+        count = _by_cell(points, k)
+        mean = count.mean(axis=1)
+        full &= count.sum(axis=1) >= least
+        full &= count.var(axis=1) - mean <= UNEVEN * mean**2
+    return full.reshape(points.shape)
+
+
+def _by_cell(points: Placed, step: int) -> NDArray[np.int64]:
+    """Returns of a step by place and cell: (places, cells)."""
+    places, parts = len(points.grounded), quanta(SQUARE_M) // quanta(CELL_M)
+    inside = np.floor((points.height - FLOOR_M) / STEP_M) == step
+    number = points.place[inside] * parts**2 + points.within[inside]
+    return np.bincount(number, minlength=places * parts**2).reshape(places, parts**2)
+
+
 def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
     """How many places there are with ground, and how many of them are filled, step by step.
 
@@ -106,13 +144,9 @@ def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
     """
     if points is None:
         return [0] * (STEPS + 1)
-    step = np.floor((points.height - FLOOR_M) / STEP_M)
-    places, parts = len(points.grounded), quanta(SQUARE_M) // quanta(CELL_M)
     out = [int(np.count_nonzero(points.grounded))]
     for k in range(STEPS):
-        inside = step == k
-        number = points.place[inside] * parts**2 + points.within[inside]
-        count = np.bincount(number, minlength=places * parts**2).reshape(places, parts**2)
+        count = _by_cell(points, k)
         mean = count.mean(axis=1)
         excess = count.var(axis=1) - mean
         noise = noise_m3 * SQUARE_M**2 * STEP_M

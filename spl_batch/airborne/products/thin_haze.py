@@ -45,8 +45,11 @@ KEPT: Final = 0.25
 BESIDE: Final = 6
 """Places that are filled at the same height, of nine."""
 
+BESIDE_LOW: Final = 3
+"""The same of mist: no crowns reach down so far, and its patches are small."""
+
 PLACES_LEAST: Final = 6
-"""Places of one layer that are told: 600 m2."""
+"""Places of one layer, or of one patch of mist, that are told: 600 m2."""
 
 AT_ONCE: Final = 6
 """Metres whose points are counted at once: memory for few of them."""
@@ -111,8 +114,6 @@ def layers(filled: NDArray[np.bool_], core: Bounds) -> list[list[float]]:
     haze = filled & (beside >= BESIDE)
     low_down, anywhere = (np.asarray(part.any(axis=2)) for part in (filled[:, :, :LOWEST], haze))
     group, number = ndimage.label(anywhere)
-    edge = quanta(SQUARE_M)
-    west, south = -(-core.xmin // edge) * edge, -(-core.ymin // edge) * edge
     found = []
     for k in range(1, number + 1):
         row, column = np.nonzero(group == k)
@@ -121,10 +122,42 @@ def layers(filled: NDArray[np.bool_], core: Bounds) -> list[list[float]]:
         own = haze[row, column]
         low = float(np.median(own.argmax(axis=1))) + FLOOR_M
         high = float(np.median(BLOCKS - 1 - own[:, ::-1].argmax(axis=1))) + BLOCK + FLOOR_M
-        x, y = (float(np.mean(at)) * edge + edge / 2 for at in (column, row))
         down = float(low_down[row, column].mean())
-        found.append([float(len(row)), low, high, west + x, south + y, down])
+        found.append([float(len(row)), low, high, *_middle(row, column, core), down])
     return found
+
+
+def mist(low: NDArray[np.bool_], core: Bounds) -> list[list[float]]:
+    """Patches of mist of a ground cell.
+
+    Parameters
+    ----------
+    low : (rows, columns) bool
+        Places that are filled just above the ground.
+    core : Bounds
+        The ground cell [quanta].
+
+    Returns
+    -------
+    list of [places, x, y]
+        Places [count], and their middle [quanta].
+    """
+    beside = ndimage.convolve(low.astype(np.int8), np.ones((3, 3), np.int8), mode="constant")
+    group, number = ndimage.label(low & (beside >= BESIDE_LOW))
+    found = []
+    for k in range(1, number + 1):
+        row, column = np.nonzero(group == k)
+        if len(row) >= PLACES_LEAST:
+            found.append([float(len(row)), *_middle(row, column, core)])
+    return found
+
+
+def _middle(row: NDArray[np.intp], column: NDArray[np.intp], core: Bounds) -> tuple[float, float]:
+    """Middle of some places of a ground cell, x and y [quanta]."""
+    edge = quanta(SQUARE_M)
+    west, south = -(-core.xmin // edge) * edge, -(-core.ymin // edge) * edge
+    x, y = (float(np.mean(at)) * edge + edge / 2 for at in (column, row))
+    return west + x, south + y
 
 
 def _high(values: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -60,7 +60,7 @@ class _Told(NamedTuple):
 
     labels: Labelled
     filled: list[int]
-    blocks: NDArray[np.bool_] | None
+    air: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None
 
 
 def step_q(asked: ClassSettings) -> int:
@@ -113,9 +113,11 @@ def classes(
     facts: dict[str, Any] = {"kept_noise": noise.kept}
     if known.noise_m3 is not None:
         facts["filled"] = np.sum([part.filled for part in told], axis=0).tolist()
-        blocks = [part.blocks for part in told if part.blocks is not None]
-        if blocks:
-            facts["thin_haze"] = thin_haze.layers(np.concatenate(blocks, axis=1), cell.core)
+        air = [part.air for part in told if part.air is not None]
+        if air:
+            blocks, low = (np.concatenate(parts, axis=1) for parts in zip(*air, strict=True))
+            facts["thin_haze"] = thin_haze.layers(blocks, cell.core)
+            facts["mist"] = thin_haze.mist(low, cell.core)
     path = cell.context.store.labels("classes", cell.args["cell"])
     write_labels(path, [part.labels for part in told])
     return path, facts, sum(len(part.labels[0].row) for part in told)
@@ -210,10 +212,13 @@ def _tell(
         if asked.overlap:
             flags[overlapping(known.lines, mine["x"], mine["y"])] |= FLAG_OVERLAP
     filled: list[int] = []
-    blocks = None
+    air = None
     if known.noise_m3 is not None:
         placed = near_ground.placed(mine, part, dtm)
         filled = near_ground.filled_places(placed, known.noise_m3)
         if placed is not None:
-            blocks = thin_haze.filled_blocks(placed, known.noise_m3)
-    return _Told((origin.of(owned), labels), filled, blocks)
+            air = (
+                thin_haze.filled_blocks(placed, known.noise_m3),
+                near_ground.low_places(placed, known.noise_m3),
+            )
+    return _Told((origin.of(owned), labels), filled, air)

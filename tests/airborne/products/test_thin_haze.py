@@ -85,3 +85,20 @@ def test_places_without_ground_tell_nothing():
     void = np.full((50, 60), -9999, np.float32)
     placed = near_ground.placed(table(scatter(rng, 2.0, 8, 16)), CORE, void)
     assert not thin_haze.filled_blocks(placed, 0.05).any()
+
+
+def test_mist_in_patches_is_told_and_crops_and_gaps_are_not():
+    rng = np.random.default_rng(6)
+    air = scatter(rng, 2.0, 0, 3.5)
+
+    def patches(points):
+        placed = near_ground.placed(table(np.concatenate([ground(rng), points])), CORE, FLAT)
+        return thin_haze.mist(near_ground.low_places(placed, 0.05), CORE)
+
+    ((places, x, y),) = patches(air[air[:, 0] < 30])
+    assert 8 <= places <= 15
+    assert (x, y) == (pytest.approx(15_000, abs=2000), pytest.approx(25_000, abs=5000))
+    assert not patches(air[air[:, 2] < 1.6]), "crops"
+    bushes = (air[:, 0] // 2 + air[:, 1] // 2) % 3 == 0
+    assert not patches(air[bushes])
+    assert not patches(air[(air[:, 0] < 20) & (air[:, 1] < 20)]), "small"

@@ -130,6 +130,17 @@ def test_fog_is_told_where_most_places_are_filled_with_the_height_that_it_reache
     assert list(fog_warning({"surface": {"a": receipt(filled=[10] * 9)}})) == []
 
 
+def test_mist_in_patches_is_told_where_most_ground_is_clear():
+    clear = [100, 20, 20, 0, 0, 0, 0, 0, 0]
+    cell = receipt(filled=clear, mist=[[12.0, 45_000.0, 55_000.0], [7.0, 0.0, 0.0]])
+    (text,) = fog_warning({"surface": {"a": cell}})
+    assert "up to 2.8 m and more above the ground evenly in 2 patches, 1 900 m2 in all" in text
+    assert "the largest of 1 200 m2 at 45 E, 55 N" in text
+    cell.facts["filled"] = [100, 90, 90, 0, 0, 0, 0, 0, 0]
+    (text,) = fog_warning({"surface": {"a": cell}})
+    assert "ground fog" in text
+
+
 def test_thin_haze_is_told_with_its_place_and_not_beside_fog():
     layers = {"thin_haze": [[12.0, 20.0, 29.0, 45_000.0, 55_000.0, 0.0]]}
     low = {"thin_haze": [[30.0, 0.8, 9.0, 245_000.0, 55_000.0, 0.9]]}

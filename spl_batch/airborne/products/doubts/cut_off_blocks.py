@@ -21,8 +21,9 @@ DOMAIN: Final = "space"
 RAISED_M: Final = 2.0
 """Height of a block above the terrain model, at least: a low storey [m]."""
 
-LEAST_M2: Final = 200.0
-"""Area of a house; smaller blocks are not told [m2]."""
+LEAST_M2: Final = 400.0
+"""Area of a large house: trees beside smaller ones pass for sides. Smaller blocks are not told
+[m2]."""
 
 FILLED: Final = 0.7
 """Share of a block's cells that hold a return: in sparser clouds no side is told from a wall."""

@@ -170,6 +170,7 @@ def fog_warning(done: Receipts) -> Iterator[str]:
     area_m2 = places * near_ground.SQUARE_M**2
     shares = np.array(filled) / max(places, 1)
     if area_m2 < FOG_LEAST_M2 or shares[0] < FOG_SHARE:
+        yield from _mist_warning(done)
         return
     steps = int(np.argmax(np.append(shares < FOG_SHARE, True)))
     top = near_ground.FLOOR_M + steps * near_ground.STEP_M
@@ -178,6 +179,24 @@ def fog_warning(done: Receipts) -> Iterator[str]:
         f"{100 * shares[0]:.0f} % of {significant(area_m2 * 1e-6, 2)} km2: ground fog, or low "
         f"plants without gaps; below {top:.1f} m above the ground neither the DSM nor the "
         "signal points can be trusted"
+    )
+
+
+def _mist_warning(done: Receipts) -> Iterator[str]:
+    """Sentence on patches of ground that returns fill, where most ground is clear."""
+    found = [patch for r in done.get("surface", {}).values() for patch in r.facts.get("mist", ())]
+    if not found:
+        return
+    places, x, y = max(found)
+    total, most = (near_ground.SQUARE_M**2 * n for n in (sum(p[0] for p in found), places))
+    east, north = (grouped(round(axis * QUANTUM_M)) for axis in (x, y))
+    top = near_ground.FLOOR_M + near_ground.LOW_STEPS * near_ground.STEP_M
+    patches = f"{len(found)} patch{'es' * (len(found) > 1)}"
+    yield as_ascii(
+        f"returns fill the air up to {top:.1f} m and more above the ground evenly in {patches}, "
+        f"{grouped(round(total))} m2 in all, the largest of {grouped(round(most))} m2 at {east} E, "
+        f"{north} N: mist, or plants without gaps; there "
+        "neither the DSM nor the signal points just above the ground can be trusted"
     )
 
 
