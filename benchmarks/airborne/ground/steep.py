@@ -129,6 +129,7 @@ SCENES: Final[Mapping[str, Case]] = {
     "bridge over a valley": Case(_valley(18, 40), {"cover": 0.2}, (28, 100, 21)),
     "bridge over a gorge": Case(_valley(15, 85), {"cover": 0.2}, (45, 84, 2)),
     "wide bridge": Case(_valley(12, 35), {"cover": 0.2}, (32, 96, 16), 18, 10),
+    "overpass": Case(_valley(5, 45), {"cover": 0.2}, (50, 80, 5), 25, 6),
     "level": Case(lambda _: {}, TREES),
 }
 """Surveys by name."""
