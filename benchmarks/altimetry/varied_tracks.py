@@ -5,8 +5,9 @@ Run ``python -m benchmarks.altimetry.varied_tracks FOLDER``; the folder is that 
 it, ``--quick`` leaves the published filters out.
 
 Each track is thinned, brightened, moved, cut, stretched and turned. Water gets another gate,
-another floor, turbid water, fewer photons of noise, and land at both ends. The land clip keeps the
-labels and, where the variant leaves its noise alone, the rate of its product.
+another floor, floors that roll and are steeper, turbid water, fewer photons of noise, and land at
+both ends. The land clip keeps the labels and, where the variant leaves its noise alone, the rate of
+its product.
 
 A line has F1, balanced accuracy and recall of the floor of ours, the published filter with the
 largest F1, the share of the track along which no noise is seen, and what is wrong: a balanced
@@ -47,6 +48,9 @@ BALANCED_LEAST, F1_BEHIND = 0.75, 0.01
 
 BANDS_M = ((-75.0, 6.0), (-40.0, 12.0), (-30.0, 5.0), (-60.0, 14.0), (-35.0, 8.0), (-50.0, 6.0))
 """Gates of six blocks of track, from the mean surface [m]."""
+
+ROLLS_M = ((1.0, 100.0), (2.0, 100.0), (2.0, 60.0), (3.0, 150.0))
+"""Amplitudes and lengths of the waves that floors get [m]."""
 
 DRAWS = 3
 """Times that photons are thinned out."""
@@ -151,6 +155,9 @@ def watery(one: Points, shore: Points) -> Iterator[tuple[str, Points]]:
     yield "empty windows", few.some(~noise | ~off | (rng.uniform(size=len(off)) < 0.02))
     yield "no noise off water", few.some(~noise | ~off)
     yield "floor at 25 to 30 m", deepened(one, level)
+    for high_m, long_m in ROLLS_M:
+        yield f"floor rolls {high_m:g} m in {long_m:g}", rolled(one, high_m, long_m)
+    yield "depth x 3", steepened(one, level, 3.0)
     turbid = one.some(
         (one.label != FLOOR) | (rng.uniform(size=len(off)) < np.exp((one.z - level) / 6))
     )
@@ -169,6 +176,18 @@ def deepened(one: Points, level: float) -> Points:
         own = floor & (piece == at)
         z[own] += level - 27.5 + 2.5 * np.sin(at / 3.0) - np.median(z[own])
     return Points(one.x, z, one.label)
+
+
+def rolled(one: Points, high_m: float, long_m: float) -> Points:
+    """The floor lowered by waves of an amplitude and a length."""
+    down = high_m * (1.0 + np.sin(2.0 * np.pi * one.x / long_m))
+    return Points(one.x, np.where(one.label == FLOOR, one.z - down, one.z), one.label)
+
+
+def steepened(one: Points, level: float, times: float) -> Points:
+    """Depths, floor and noise alike, that many times as large, as far as 60 m."""
+    z = np.where(one.z < level, level + times * (one.z - level), one.z)
+    return Points(one.x, z, one.label).some(z > level - 60.0)
 
 
 def ashore(rng: np.random.Generator, one: Points, shore: Points, level: float) -> Points:

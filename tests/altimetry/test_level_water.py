@@ -27,6 +27,7 @@ from spl_batch.altimetry.water.column_noise import falling_density
 from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.altimetry.water.odd_layers import Layers
 from spl_batch.altimetry.water.refraction import AIR, WATER, refracted
+from spl_batch.altimetry.water.rolling_floor import emptier_boxes, standing_out
 from spl_batch.errors import WorkflowError
 from tests import surveys
 from tests.altimetry.tracks import (
@@ -197,6 +198,42 @@ def test_scores_along_a_coast_do_not_depend_on_where_it_is_cut(seed: int, cut: i
     mine = along[rows] < cut * 20_000
     part = signals.score(along[rows], height[rows], mine, *rest)
     np.testing.assert_array_equal(part, whole[rows[mine]])
+
+
+@pytest.mark.parametrize("noise", [NIGHT, DAY])
+@pytest.mark.parametrize(
+    "depth_m",
+    [
+        lambda x: 8.0 + 3.0 * np.sin(x / 32.0),
+        lambda x: 15.0 + 13.0 * 2.0 / np.pi * np.arcsin(np.sin(x / 83.0)),
+    ],
+    ids=["waves of 200 m", "slope of 0.1"],
+)
+def test_a_floor_that_rolls_or_slopes_is_no_noise_of_the_water(
+    noise: float, depth_m: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    track = water_track(noise, length_m=3000.0, floor_per_m=0.45, depth_m=depth_m)
+    beam = Beam(photons(track), None)
+    kept = beam.keep(beam.score())
+    floor = track.kind == FLOOR
+    assert kept[floor].mean() > 0.85
+    assert kept[track.kind == NOISE].mean() < 0.3
+
+
+def test_the_emptier_boxes_tell_noise_and_no_floor_among_them() -> None:
+    """Noise of a Poisson mean of 0.8, with a floor of 6 in a third of the boxes of two depths."""
+    rng = np.random.default_rng(3)
+    count = rng.poisson(0.8, (400, 8))
+    count[:, 4:6] += np.where(rng.uniform(size=(400, 2)) < 0.33, 6, 0)
+    full = np.ones(count.shape, np.bool_)
+    mean = emptier_boxes(np.arange(400), count, full, 200)
+    assert mean[200, :4] == pytest.approx(0.8, abs=0.15)
+    # Its own noise of a depth is no more than that above.
+    assert (np.diff(mean, axis=1) <= 0.0).all()
+    assert (mean[:, 4:] > 0.4).all()
+    floor = standing_out(count, np.broadcast_to(mean, count.shape))
+    assert floor[:, 4:6][count[:, 4:6] >= 6].mean() > 0.7
+    assert floor[:, :3].mean() < 0.05
 
 
 def test_noise_below_a_surface_is_counted_by_depth_and_the_floor_left_out() -> None:

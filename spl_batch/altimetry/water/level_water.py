@@ -9,7 +9,8 @@ No kind of ground but a plain is like that, and below a plain there is nothing t
 way. Nothing above the surface changes: canopies are not touched.
 
 What is a layer of its own below the surface, a floor, is no noise: boxes that hold more than the
-depths around them, with what is beside them along the track, are left out. Of the rest the density
+depths around them, with what is beside them along the track, are left out, and so are those of a
+floor that slopes or rolls (:mod:`spl_batch.altimetry.water.rolling_floor`). Of the rest the density
 by depth is taken that never grows (:mod:`spl_batch.altimetry.water.column_noise`).
 """
 
@@ -25,6 +26,7 @@ from spl_batch.altimetry.water.emptiest import Photons, emptiest, sums_around
 from spl_batch.altimetry.water.faint_surface import CLEAR, faint_surface
 from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre, fullest
 from spl_batch.altimetry.water.levelness import is_water
+from spl_batch.altimetry.water.rolling_floor import emptier_boxes, standing_out
 from spl_batch.altimetry.water.rough_surface import rough_land, roughness, smooth_sums
 from spl_batch.altimetry.water.surface_height import heights_of
 from spl_batch.constants import QUANTA_PER_M
@@ -67,9 +69,8 @@ _FLOOR_SD: Final = 3.0
 _KNOWN: Final = 0.25
 """Share of a depth along a kilometre that is no floor, where its noise is counted."""
 
-_LEFT_SD: Final = 4.0
-_LEFT_LEAST: Final = 2.0
-"""Standard deviations, and photons beside them, that a single box is over what is expected."""
+_TIMES: Final = 3
+"""Times that noise is told by what the last floor found leaves [count]."""
 
 WAVE_M: Final = 0.3
 """Waves reach as far above a surface as below it; farther off the two are compared [m]."""
@@ -294,13 +295,16 @@ def _columns(
     floor[:, -1] = False
     own = (index, count, rough, area)
     out = _without(floor, *own)
-    # Where two floors meet the depths around both are full; their boxes stand out of what a
-    # kilometre shows, cell by cell.
-    expected = out * area
-    expected[:, : rough.shape[1]] += rough
-    left = ~floor & (count > expected + _LEFT_SD * np.sqrt(expected) + _LEFT_LEAST)
-    left[:, -1] = False
-    return _without(floor | left, *own) if left.any() else out
+    # A floor that slopes or rolls stands out of what the emptier boxes of a kilometre show.
+    lowest = emptier_boxes(index, count, area > 0.99 * cell_m, REACH_CELLS)
+    expected = np.minimum(out * area, lowest)
+    for _ in range(_TIMES):
+        expected[:, : rough.shape[1]] += rough
+        left = floor.copy()
+        left[:, :-1] |= standing_out(count[:, :-1], expected[:, :-1])
+        out = _without(left, *own)
+        expected = out * area
+    return out
 
 
 def _without(
