@@ -11,7 +11,8 @@ the noise that the filter itself expects among the photons that it takes, over t
 Other filters run as published, by scikit-learn (``pip install 'spl-batch[peers]'``); mDBSCAN is
 this project's. "ours, no land" leaves out what lies within 10 m of a photon of land: labels with
 one signal photon per shot call the others of the land, and its trees, noise. How much they call
-noise there is printed beside what it would be at the density elsewhere. Below it stands what the
+noise there is printed beside what it would be at the density elsewhere, and what is told over what
+is labelled farther from land than some distances. Below it stands what the
 filter tells and the labels call noise by part of the track; what labels cannot say of it is
 measured by :mod:`benchmarks.altimetry.label_rule`.
 
@@ -45,6 +46,9 @@ from spl_batch.constants import QUANTA_PER_M
 NOISE, SURFACE, FLOOR, LAND = 1, 2, 3, 4
 LAND_M, BAND_M = 10.0, 2.0
 """Reach of a photon of land along the track; half-height of what is looked at around it [m]."""
+
+REACHES_M = (2.0, 5.0, 10.0, 20.0, 50.0)
+"""Distances from land beyond which the noise that is told is put beside the labels' [m]."""
 
 HEADS = ("photons", "kept", "F1", "balanced", "floor", "precision", "recall", "told", "s/M")
 
@@ -151,10 +155,10 @@ def row(name: str, found: Found, label: NDArray[np.int64]) -> None:
     print(f"  {name:14}{len(label):10}{np.count_nonzero(found.kept):10}{numbers}", flush=True)
 
 
-def over_land(track: Labelled, along: NDArray[np.int64]) -> Mask:
+def over_land(track: Labelled, along: NDArray[np.int64], reach_m: float = LAND_M) -> Mask:
     """Places within reach of a photon of land, (n,) bool."""
     land = np.sort(track.photons[0][track.label == LAND])
-    reach = round(LAND_M * QUANTA_PER_M)
+    reach = round(reach_m * QUANTA_PER_M)
     near: Mask = np.searchsorted(land, along - reach) < np.searchsorted(land, along + reach)
     return near
 
@@ -178,6 +182,13 @@ def without_land(track: Labelled, found: Found) -> None:
     told = float(each[~over_land(track, at)].sum())
     row("ours, no land", Found(found.kept[away], told, found.seconds), track.label[away])
     noise, land = track.label == NOISE, track.label == LAND
+    ratios = []
+    for reach_m in REACHES_M:
+        far = ~over_land(track, along, reach_m)
+        labelled = np.count_nonzero(found.kept & noise & far)
+        ratios.append(each[~over_land(track, at, reach_m)].sum() / max(labelled, 1))
+    told_over = ", ".join(f"{m:g} m {v:.2f}" for m, v in zip(REACHES_M, ratios, strict=True))
+    print(f"  noise told / labelled farther from land than: {told_over}")
     order = np.argsort(along[land], kind="stable")
     line = np.interp(along, along[land][order], height[land][order].astype(float))
     band = np.abs(height - line) <= BAND_M * QUANTA_PER_M

@@ -485,7 +485,9 @@ def test_a_run_tells_surface_floor_and_column_apart(tmp_path: Path) -> None:
         lifted[floor], -table["height"][floor] * (1.0 - AIR / WATER), atol=0.1
     )
     assert (lifted[table["water"] == 41] == 0).all()
-    profile = pyarrow.csv.read_csv(tmp_path / "out/profiles/photons/track.csv").to_pydict()
+    path = tmp_path / "out/profiles/photons/track.csv"
+    assert "nan" not in path.read_text()
+    profile = pyarrow.csv.read_csv(path).to_pydict()
     columns = {name: np.array(values, float) for name, values in profile.items()}
     assert (columns["water"] == 1).all()
     # One line: the surface, never the floor, whose depth is no height of a canopy either.

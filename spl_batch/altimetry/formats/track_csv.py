@@ -109,7 +109,8 @@ def read_profile(path: Path) -> NDArray[np.float64]:
 
 
 def to_text(columns: dict[str, NDArray[Any]]) -> bytes:
-    """Columns as the text of a CSV file."""
+    """Columns as the text of a CSV file; NaN is empty."""
     buffer = io.BytesIO()
-    pa.csv.write_csv(pa.table(columns), buffer)
+    values = {name: pa.array(column, from_pandas=True) for name, column in columns.items()}
+    pa.csv.write_csv(pa.table(values), buffer)
     return buffer.getvalue()

@@ -45,12 +45,14 @@ def emptier_boxes(
     reach : int
         Cells to each side [count].
     """
-    boxes = sums_around(index, full, reach)
+    boxes = sums_around(index, full, reach).astype(np.int64)
+    most = np.arange(2 * reach + 2)
     mean = np.full(count.shape, np.inf)
     for few in reversed(_FEW):
-        share = sums_around(index, full & (count <= few), reach) / np.maximum(boxes, 1.0)
-        told = share >= _EMPTIER
-        mean[told] = special.gammainccinv(few + 1, np.minimum(share[told], 1.0))
+        held = sums_around(index, full & (count <= few), reach).astype(np.int64)
+        share = np.minimum(most / np.maximum(most, 1)[:, None], 1.0)
+        told = (boxes > 0) & (held >= _EMPTIER * boxes)
+        mean[told] = special.gammainccinv(few + 1, share)[boxes[told], held[told]]
     falling: NDArray[np.float64] = np.minimum.accumulate(mean, axis=1)
     return falling
 
@@ -72,4 +74,5 @@ def standing_out(count: NDArray[Any], expected: NDArray[np.float64]) -> NDArray[
 def _with_beside(values: NDArray[Any]) -> NDArray[Any]:
     """Sums of each depth, the one above and the one below it."""
     deep = np.pad(values, ((0, 0), (1, 1)))
-    return deep[:, :-2] + deep[:, 1:-1] + deep[:, 2:]
+    sums: NDArray[Any] = deep[:, :-2] + deep[:, 1:-1] + deep[:, 2:]
+    return sums
