@@ -223,16 +223,19 @@ def test_a_floor_that_rolls_or_slopes_is_no_noise_of_the_water(
 def test_the_emptier_boxes_tell_noise_and_no_floor_among_them() -> None:
     """Noise of a Poisson mean of 0.8, with a floor of 6 in a third of the boxes of two depths."""
     rng = np.random.default_rng(3)
-    count = rng.poisson(0.8, (400, 8))
+    count = rng.poisson(0.8, (400, 16))
     count[:, 4:6] += np.where(rng.uniform(size=(400, 2)) < 0.33, 6, 0)
     full = np.ones(count.shape, np.bool_)
     mean = emptier_boxes(np.arange(400), count, full, 200)
     assert mean[200, :4] == pytest.approx(0.8, abs=0.15)
     # Its own noise of a depth is no more than that above.
     assert (np.diff(mean, axis=1) <= 0.0).all()
-    assert (mean[:, 4:] > 0.4).all()
-    floor = standing_out(count, np.broadcast_to(mean, count.shape))
-    assert floor[:, 4:6][count[:, 4:6] >= 6].mean() > 0.7
+    assert (mean[:, 4:] > 0.3).all()
+    # A cell that is full at every depth is no floor.
+    count[7] = 8
+    floor = standing_out(count, mean, full)
+    assert not floor[7].any()
+    assert floor[:, 4:6][count[:, 4:6] > 8].mean() > 0.7
     assert floor[:, :3].mean() < 0.05
 
 

@@ -301,7 +301,7 @@ def _columns(
     for _ in range(_TIMES):
         expected[:, : rough.shape[1]] += rough
         left = floor.copy()
-        left[:, :-1] |= standing_out(count[:, :-1], expected[:, :-1])
+        left[:, :-1] |= standing_out(count[:, :-1], expected[:, :-1], area[:, :-1] > 0.0)
         out = _without(left, *own)
         expected = out * area
     return out

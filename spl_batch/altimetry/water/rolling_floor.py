@@ -25,6 +25,9 @@ _SD: Final = 3.0
 _LEAST: Final = 2.0
 """Standard deviations, and photons beside them, that three depths are over what is expected."""
 
+_MOST: Final = 0.5
+"""Share of a cell's depths that a floor stands out of, at most."""
+
 
 def emptier_boxes(
     index: NDArray[np.int64], count: NDArray[Any], full: NDArray[np.bool_], reach: int
@@ -57,17 +60,25 @@ def emptier_boxes(
     return falling
 
 
-def standing_out(count: NDArray[Any], expected: NDArray[np.float64]) -> NDArray[np.bool_]:
+def standing_out(
+    count: NDArray[Any], expected: NDArray[np.float64], seen: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Boxes of three depths of one cell that hold more than expected: (n, d) bool.
+
+    Where that is so of most depths of a cell, its noise has grown, and none of them is a floor.
 
     Parameters
     ----------
     count, expected : (n, d) int, (n, d) float64
         Photons of each cell and depth, and what noise lets expect [count].
+    seen : (n, d) bool
+        Boxes that the gate reaches.
     """
     held, noise = _with_beside(count), _with_beside(expected)
     over = held > noise + _SD * np.sqrt(noise) + _LEAST
     found: NDArray[np.bool_] = _with_beside(over.astype(np.int64)) > 0
+    burst = np.count_nonzero(found & seen, axis=1) > _MOST * np.count_nonzero(seen, axis=1)
+    found[burst] = False
     return found
 
 
