@@ -88,7 +88,7 @@ def choose_region(
     side: Side = "below" if up > down else "above"
     more, times = ("above", up / down) if up > down else ("below", down / up)
     text = (
-        f"where noise is counted, {times:.1f} times as much returns {more} the surface as on its "
+        f"where noise is counted, {times:.1f} times as many returns {more} the surface as on its "
         f"other side: haze, cloud or signal; noise is counted {side} the surface only"
     )
     return Region(b, side, (*notes, Remark(text, times)))

@@ -85,7 +85,8 @@ def _tilt(pair: PairDifference) -> str:
     return (
         f". The height between them is not the same everywhere: it changes by {100 * rise:.1f} cm "
         f"on {TILT_PER_M:.0f} m and by {100 * change:.1f} cm over these patches, as where a "
-        f"flightline is turned by {angle:.3f} degrees; no shift takes that away"
+        f"flightline is turned by {angle:.3f} degrees; a shift takes away only what is the "
+        "same everywhere"
     )
 
 

@@ -89,7 +89,7 @@ def test_a_flightline_that_is_turned_is_found_with_its_shift_and_tilt(heights: H
         assert found.north_m == pytest.approx(0.0, abs=0.05)
     (said,) = offset_warnings([found])
     assert "turned by 0.11" in said or "turned by 0.12" in said
-    assert "no shift takes that away" in said
+    assert "only what is the same everywhere" in said
 
 
 def test_level_ground_tells_the_height_alone() -> None:
