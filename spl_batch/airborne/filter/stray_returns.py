@@ -100,8 +100,8 @@ class Bare(NamedTuple):
 
     def columns(self, region: Bounds) -> tuple[Count, Count]:
         """Numbers along x and y of the columns whose corner lies in a region, and holds points."""
-        x, y = (self.place[axis][index] for axis, index in enumerate(self._within(region)))
-        return x, y
+        x, y = self._within(region)
+        return self.place[0][x], self.place[1][y]
 
     def _within(self, region: Bounds) -> tuple[Count, Count]:
         """Indices of these columns on the lattice."""

@@ -58,7 +58,7 @@ class Placed(NamedTuple):
     shape: tuple[int, int]  #: Rows and columns of places, from the south-west [count].
     place: NDArray[np.int64]  #: (n,): number of each point's place, row by row.
     within: NDArray[np.int64]  #: (n,): number of its cell within the place.
-    height: NDArray[np.float64]  #: (n,): above the DTM, NaN where it is void [m].
+    metre: NDArray[np.float64]  #: (n,): whole metres above the floor; NaN where the DTM is void.
     kept: NDArray[np.bool_]  #: (n,): whether it is signal.
     grounded: NDArray[np.bool_]  #: (places,): whether points lie on the DTM there.
 
@@ -91,7 +91,8 @@ def placed(table: PointTable, core: Bounds, dtm: NDArray[np.float32]) -> Placed 
     within = (y % edge // cell) * parts + x % edge // cell
     grounded = np.bincount(place[near], minlength=int(rows * columns)) > 0
     kept = kind[chosen] == NOISE_SIGNAL
-    return Placed((int(rows), int(columns)), place, within, height, kept, grounded)
+    metre = np.floor((height - FLOOR_M) / STEP_M)
+    return Placed((int(rows), int(columns)), place, within, metre, kept, grounded)
 
 
 def low_places(points: Placed, noise_m3: float) -> NDArray[np.bool_]:
@@ -122,7 +123,7 @@ def low_places(points: Placed, noise_m3: float) -> NDArray[np.bool_]:
 def _by_cell(points: Placed, step: int) -> NDArray[np.int64]:
     """Returns of a step by place and cell: (places, cells)."""
     places, parts = len(points.grounded), quanta(SQUARE_M) // quanta(CELL_M)
-    inside = np.floor((points.height - FLOOR_M) / STEP_M) == step
+    inside = points.metre == step
     number = points.place[inside] * parts**2 + points.within[inside]
     return np.bincount(number, minlength=places * parts**2).reshape(places, parts**2)
 

@@ -12,6 +12,7 @@ is 1 in air and well above 1 among leaves. Crowns fill single places. Haze also 
 beside one, at the same height. It is told, and nothing is removed. Our own rule: no source has one.
 """
 
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -74,12 +75,11 @@ def filled_blocks(placed: Placed, noise_m3: float) -> NDArray[np.bool_]:
     """
     rows, columns = placed.shape
     parts = quanta(SQUARE_M) // quanta(CELL_M)
-    metre = np.floor(placed.height - FLOOR_M)
     size = rows * columns * TOP
     sums = np.zeros((3, size), np.int64)
     for low in range(0, TOP, AT_ONCE):
-        inside = (metre >= low) & (metre < low + AT_ONCE)
-        number = placed.place[inside] * TOP + metre[inside].astype(np.int64)
+        inside = (placed.metre >= low) & (placed.metre < low + AT_ONCE)
+        number = placed.place[inside] * TOP + placed.metre[inside].astype(np.int64)
         cell, count = np.unique(number * parts**2 + placed.within[inside], return_counts=True)
         np.add.at(sums[1], cell // parts**2, count * (count - 1))
         for row, some in ((0, number), (2, number[placed.kept[inside]])):
@@ -113,12 +113,8 @@ def layers(filled: NDArray[np.bool_], core: Bounds) -> list[list[float]]:
     beside = ndimage.convolve(filled.astype(np.int8), np.ones((3, 3, 1), np.int8), mode="constant")
     haze = filled & (beside >= BESIDE)
     low_down, anywhere = (np.asarray(part.any(axis=2)) for part in (filled[:, :, :LOWEST], haze))
-    group, number = ndimage.label(anywhere)
     found = []
-    for k in range(1, number + 1):
-        row, column = np.nonzero(group == k)
-        if len(row) < PLACES_LEAST:
-            continue
+    for row, column in _groups(anywhere):
         own = haze[row, column]
         low = float(np.median(own.argmax(axis=1))) + FLOOR_M
         high = float(np.median(BLOCKS - 1 - own[:, ::-1].argmax(axis=1))) + BLOCK + FLOOR_M
@@ -143,13 +139,21 @@ def mist(low: NDArray[np.bool_], core: Bounds) -> list[list[float]]:
         Places [count], and their middle [quanta].
     """
     beside = ndimage.convolve(low.astype(np.int8), np.ones((3, 3), np.int8), mode="constant")
-    group, number = ndimage.label(low & (beside >= BESIDE_LOW))
-    found = []
+    return [
+        [float(len(row)), *_middle(row, column, core)]
+        for row, column in _groups(low & (beside >= BESIDE_LOW))
+    ]
+
+
+def _groups(
+    marked: NDArray[np.bool_],
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Rows and columns of marked places that hang together, where they are enough."""
+    group, number = ndimage.label(marked)
     for k in range(1, number + 1):
         row, column = np.nonzero(group == k)
         if len(row) >= PLACES_LEAST:
-            found.append([float(len(row)), *_middle(row, column, core)])
-    return found
+            yield row, column
 
 
 def _middle(row: NDArray[np.intp], column: NDArray[np.intp], core: Bounds) -> tuple[float, float]:

@@ -261,14 +261,10 @@ def _with_tilt(patches: Mapping[str, NDArray[Any]], *, slopes: bool) -> Shift | 
         (patches[axis] - np.average(patches[axis], weights=patches["edge_m"] ** 2)) / TILT_PER_M
         for axis in "xy"
     ]
-    columns = [*away, np.ones(len(own))]
-    if slopes:
-        columns = [-patches["east"], -patches["north"], *columns]
-    noise = np.zeros((len(own), len(columns), len(columns)))
-    if slopes:
-        noise[:, 0, 0], noise[:, 1, 1] = patches["ee"], patches["nn"]
-        noise[:, 0, 1] = noise[:, 1, 0] = patches["en"]
-    whole = _robust(patches["rise"], np.stack(columns, axis=1), own, noise, _square(patches))
+    design, noise = _design(patches, [*away, np.ones(len(own))])
+    if not slopes:
+        design, noise = design[:, 2:].copy(), noise[:, 2:, 2:].copy()
+    whole = _robust(patches["rise"], design, own, noise, _square(patches))
     if whole is None:
         return None
     found, covariance = whole
@@ -281,12 +277,19 @@ def _with_tilt(patches: Mapping[str, NDArray[Any]], *, slopes: bool) -> Shift | 
         east, north = found[:2].tolist()
         horizontal_sd = _worst(covariance[:2, :2])
     up, up_sd = float(found[-1]), float(np.sqrt(covariance[-1, -1]))
-    return Shift(up, up_sd, east, north, horizontal_sd)._replace(
-        tilt_east_m=float(tilt[0]),
-        tilt_north_m=float(tilt[1]),
-        tilt_sd_m=_worst(of_tilt),
-        change_m=change,
-    )
+    turned = float(tilt[0]), float(tilt[1]), _worst(of_tilt), change
+    return Shift(up, up_sd, east, north, horizontal_sd, *turned)
+
+
+def _design(
+    patches: Mapping[str, NDArray[Any]], further: Sequence[NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Columns of a horizontal shift and further ones, (p, k), and the noise of each, (p, k, k)."""
+    design = np.stack([-patches["east"], -patches["north"], *further], axis=1)
+    noise = np.zeros((*design.shape, design.shape[1]))
+    noise[:, 0, 0], noise[:, 1, 1] = patches["ee"], patches["nn"]
+    noise[:, 0, 1] = noise[:, 1, 0] = patches["en"]
+    return design, noise
 
 
 def _worst(covariance: NDArray[np.float64]) -> float:
@@ -297,11 +300,7 @@ def _worst(covariance: NDArray[np.float64]) -> float:
 def _without_tilt(patches: Mapping[str, NDArray[Any]]) -> Shift:
     """Shift of all patches alike."""
     rise, own = patches["rise"], patches["variance"] + OWN_M**2
-    ones = np.ones(len(rise))
-    design = np.stack([-patches["east"], -patches["north"], ones], axis=1)
-    noise = np.zeros((len(rise), 3, 3))
-    noise[:, 0, 0], noise[:, 1, 1] = patches["ee"], patches["nn"]
-    noise[:, 0, 1] = noise[:, 1, 0] = patches["en"]
+    design, noise = _design(patches, [np.ones(len(rise))])
     square = _square(patches)
     level = _robust(rise, design[:, 2:], own, noise[:, 2:, 2:], square)
     if level is None:  # one patch, or all alike: nothing to weigh

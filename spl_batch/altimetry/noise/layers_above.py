@@ -207,11 +207,12 @@ class Runs(NamedTuple):
     which: NDArray[np.int64]  #: (b,): run of each bin, and where the bin is.
     at: tuple[NDArray[np.int64], NDArray[np.int64]]
 
-    def total(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sums of values of bins, (r,) float64."""
-        total = np.zeros(len(self.row))
-        np.add.at(total, self.which, values[self.at])
-        return total
+    def total(
+        self, values: NDArray[np.float64], some: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float64]:
+        """Sums of values of bins, (r,) float64; ``some``: (b,) those of them that count."""
+        own = values[self.at] if some is None else np.where(some, values[self.at], 0.0)
+        return np.bincount(self.which, own, len(self.row)).astype(np.float64)
 
 
 def _runs(layer: NDArray[np.bool_]) -> Runs:
@@ -246,13 +247,8 @@ def even(layers: Above, clumped: float, *, inner: bool = False) -> NDArray[np.bo
     """
     runs, k = layers.runs, layers.cells()
     some = inside(runs) if inner else np.ones(len(runs.which), np.bool_)
-
-    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        own = np.where(some, values[runs.at], 0.0)
-        return np.bincount(runs.which, own, len(runs.row)).astype(np.float64)
-
     count, square, spread = (
-        total(values) for values in (layers.seen, layers.squares, layers.seen**2)
+        runs.total(values, some) for values in (layers.seen, layers.squares, layers.seen**2)
     )
     boxes = np.maximum(np.bincount(runs.which, some, len(runs.row)), 1.0) * k
     mean = count / boxes

@@ -83,10 +83,8 @@ def _level(layers: Above) -> NDArray[np.bool_]:
     """Runs that are as dense in all of their boxes but the ends, (r,) bool."""
     runs = layers.runs
     inner = inside(runs)
-    values = np.where(inner, layers.seen[runs.at], 0.0)
-    r = len(runs.row)
-    k = np.maximum(np.bincount(runs.which, inner, r), 1.0)
-    total, square = (np.bincount(runs.which, v, r) for v in (values, values**2))
+    k = np.maximum(np.bincount(runs.which, inner, len(runs.row)), 1.0)
+    total, square = (runs.total(values, inner) for values in (layers.seen, layers.seen**2))
     mean = total / k
     variance = np.maximum(square / k - mean**2, 0.0) * (k / np.maximum(k - 1.0, 1.0))
     # Variance of counts is their mean by chance, within a few of its own errors.

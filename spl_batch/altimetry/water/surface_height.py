@@ -15,6 +15,9 @@ _BIN: Final = 100
 _BINS: Final = 36
 """Height of a bin of a surface and what lies just below it [quanta], and bins [count]."""
 
+_NOWHERE: Final = _BIN * _BINS
+"""Height of a photon over a surface that is not there [quanta]: beyond all bins."""
+
 _APART: Final = 4
 """Bins from a shallow floor to the surface above it, at least [count]."""
 
@@ -67,9 +70,8 @@ def heights_of(
     near = np.abs(over) <= half
     total = np.bincount(cell[near], over[near], n)
     mean = total / np.maximum(np.bincount(cell[near], minlength=n), 1)
-    steps = np.searchsorted(index, index[cell, None] + np.array([-1, 0, 1])).clip(max=n - 1)
-    around = height[rows, None].astype(np.int64) - level[steps]
-    up = upper_peak(index, cell, np.where(wet[steps], around, _BIN * _BINS))
+    around = height[rows, None] - beside(index, np.where(wet, level, np.nan), 1)[cell]
+    up = upper_peak(index, cell, np.where(np.isnan(around), _NOWHERE, around).astype(np.int64))
     up = np.where(wet, up, np.nan)
     missed = _beside_others(index, cell, level + up, height[rows], np.where(wet, level, 0))
     up = np.where(np.isfinite(up), up, missed - level)
@@ -113,14 +115,14 @@ def upper_peak(
         Rows of the cells of photons that may be of the surface.
     over : (p, 3) int64
         Their heights over the level of the cell before, of their own, and of the one behind
-        [quanta].
+        [quanta]; :data:`_NOWHERE` where there is none.
     """
     n = len(index)
     table = np.zeros((n, _BINS), np.int64)
     for step in (-1, 0, 1):
-        at = np.minimum(np.searchsorted(index, index[cell] + step), n - 1)
+        at = np.searchsorted(index, index + step)[cell]
         row = over[:, step + 1] // _BIN + _BINS // 2
-        there = (index[at] == index[cell] + step) & (row >= 0) & (row < _BINS)
+        there = (row >= 0) & (row < _BINS)
         np.add.at(table, (at[there], row[there]), 1)
     three = table.copy()
     three[:, 1:] += table[:, :-1]

@@ -1,6 +1,6 @@
 """Where noise is not what its model says: haze and cloud, and noise that varies in the gate."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -187,16 +187,24 @@ def _mist_warning(done: Receipts) -> Iterator[str]:
     found = [patch for r in done.get("surface", {}).values() for patch in r.facts.get("mist", ())]
     if not found:
         return
-    places, x, y = max(found)
-    total, most = (near_ground.SQUARE_M**2 * n for n in (sum(p[0] for p in found), places))
-    east, north = (grouped(round(axis * QUANTUM_M)) for axis in (x, y))
+    _, x, y = max(found)
     top = near_ground.FLOOR_M + near_ground.LOW_STEPS * near_ground.STEP_M
     patches = f"{len(found)} patch{'es' * (len(found) > 1)}"
     yield as_ascii(
         f"returns fill the air up to {top:.1f} m and more above the ground evenly in {patches}, "
-        f"{grouped(round(total))} m2 in all, the largest of {grouped(round(most))} m2 at {east} E, "
-        f"{north} N: mist, or plants without gaps; there "
+        f"{_extent(found, x, y)}: mist, or plants without gaps; there "
         "neither the DSM nor the signal points just above the ground can be trusted"
+    )
+
+
+def _extent(found: Sequence[Sequence[float]], x: float, y: float) -> str:
+    """Area of all, and of the largest with its place; each begins with its number of places."""
+    places = [patch[0] for patch in found]
+    total, most = (near_ground.SQUARE_M**2 * n for n in (sum(places), max(places)))
+    east, north = (grouped(round(axis * QUANTUM_M)) for axis in (x, y))
+    return (
+        f"{grouped(round(total))} m2 in all, the largest of {grouped(round(most))} m2 "
+        f"at {east} E, {north} N"
     )
 
 
@@ -211,14 +219,10 @@ def thin_haze_warning(done: Receipts) -> Iterator[str]:
     ]
     if not found:
         return
-    places, low, high, x, y, _ = max(found)
-    area_m2 = near_ground.SQUARE_M**2 * sum(layer[0] for layer in found)
-    most = near_ground.SQUARE_M**2 * places
-    east, north = (grouped(round(axis * QUANTUM_M)) for axis in (x, y))
+    _, low, high, x, y, _ = max(found)
     yield as_ascii(
         f"returns fill the air evenly in {counted(len(found), 'thin layers')} above the ground, "
-        f"{grouped(round(area_m2))} m2 in all, the largest of {grouped(round(most))} m2 at "
-        f"{east} E, {north} N, {low:.0f} to {high:.0f} m above it: "
+        f"{_extent(found, x, y)}, {low:.0f} to {high:.0f} m above it: "
         "haze or a low cloud, or crowns without a gap; as they are less than "
         f"{3 * CUBE_M:.0f} m thick they stay signal, and the DSM lies on them; look at the "
         "profile there, and classify by hand what is no canopy"
