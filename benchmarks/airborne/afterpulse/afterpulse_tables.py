@@ -139,7 +139,8 @@ def _line(
     beams = geometry.beams(table, trajectory)
     observed = line_noise.observe(table, beams, workflow.noise)
     model = line_noise.fit(line_noise.merge([observed]), workflow.noise, sensor)
-    law = afterpulse_law.fit([candidates.observe(table, beams, sensor)], model.mean_rate, sensor)
+    lags = candidates.observe(table, beams, sensor, workflow.noise.interval_shots)
+    law = afterpulse_law.fit([lags], model.mean_rate, sensor)
     chance = candidates.probability(
         table, beams, workflow.afterpulse, sensor, gate_m=model.gate_m, law=law
     )

@@ -155,7 +155,7 @@ class _Line:
         if self.unnumbered:
             seen, order = told_apart(seen, beams, stated)
             beams = beams.take(order)
-        observed |= candidates.observe(seen, beams, stated)
+        observed |= candidates.observe(seen, beams, stated, settings.noise.interval_shots)
         self.model = line_noise.fit(line_noise.merge([observed]), settings.noise, sensor)
         beamlets = stated.beamlets if self.unnumbered else 1
         self.law = afterpulse_law.fit(
@@ -183,7 +183,10 @@ class _Line:
             name: np.zeros(len(self.table), np.float32) for name in _ADDED
         }
         added["line_density"][rows] = line_noise.line_density(table, model)
-        found = find_bloom(table, beams, run_starts(table["gps_time"]), self.sensor.beamlets)
+        found = find_bloom(
+            table, beams, run_starts(table["gps_time"]), self.sensor.beamlets, self.law.sigma_m,
+            self.settings.noise.interval_shots,
+        )  # fmt: skip
         if found.shots and self.settings.noise.bloom:
             self.bloom[rows[found.returns]] = True
             rows = rows[~found.returns]

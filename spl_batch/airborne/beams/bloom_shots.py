@@ -1,56 +1,77 @@
-"""Kernels of :mod:`~spl_batch.airborne.beams.bloom`: shots in which nearly all see one range."""
+"""Kernels of :mod:`~spl_batch.airborne.beams.bloom`: shots in which many see one range."""
+
+import math
+from typing import Final
 
 import numpy as np
 
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.sorting import sort
 
+ONE_RANGE: Final = 1
+PASSED: Final = 2
+"""What a shot shows: one range of many channels, and light that goes on behind it."""
+
+PART: Final = 0.35
+"""Least part of the channels with another return behind: more than a detector's afterpulses."""
+
+OFTEN: Final = 0.25
+SURE: Final = 2.5
+"""Part that afterpulses reach at the most, and standard deviations of chance beyond it: few
+channels tell less than many."""
+
 
 @njit()
-def mark_bloom(starts, channel, range_m, needed, share, width, out):  # type: ignore[no-untyped-def]
-    """Mark the returns of each shot that has bloom; how many shots have."""
-    shots, seen = 0, np.zeros(256, np.int32)
+def one_range(starts, channel, range_m, rules, low, seen):  # type: ignore[no-untyped-def]
+    """What each shot shows, and where its window begins.
+
+    ``rules``: least channels with a return in the window [count], its width, largest standard
+    deviation in it, and how far behind another return is looked for [m].
+    """
+    has = np.zeros(256, np.int32)
+    needed, width, spread, reach = rules
     for s in range(len(starts) - 1):
         first, stop = starts[s], starts[s + 1]
         if stop - first < needed:
             continue
         near, of = range_m[first:stop], channel[first:stop]
-        low = _fullest(near, width[0])
-        held, passed = _channels(near, of, low, width, seen)
-        if held >= needed and passed >= share * held:
-            shots += 1
-            for k in range(first, stop):
-                out[k] = low <= range_m[k] <= low + width[0]
-    return shots
+        low[s], deviation = _fullest(near, width)
+        if deviation > spread:
+            continue
+        held, passed = _channels(near, of, low[s], width, reach, has)
+        if held >= needed:
+            due = OFTEN * held + SURE * math.sqrt(OFTEN * (1.0 - OFTEN) * held)
+            seen[s] = PASSED if passed >= max(PART * held, due) else ONE_RANGE
 
 
 @njit()
-def _fullest(near, window):  # type: ignore[no-untyped-def]
-    """Where the window begins that holds most returns of a shot [m]."""
+def _fullest(near, width):  # type: ignore[no-untyped-def]
+    """Where the window begins that holds most returns of a shot, and their spread [m]."""
     ordered = np.empty(len(near), np.float64)
     for k in range(len(near)):
         ordered[k] = near[k]
     sort(ordered)
-    begin, most, low = 0, 0, ordered[0]
+    begin, most, at = 0, 0, 0
     for k in range(len(ordered)):
-        while ordered[k] - ordered[begin] > window:
+        while ordered[k] - ordered[begin] > width:
             begin += 1
         if k + 1 - begin > most:
-            most, low = k + 1 - begin, ordered[begin]
-    return low
+            most, at = k + 1 - begin, begin
+    held = ordered[at : at + most] - ordered[at]
+    return ordered[at], math.sqrt(max(np.mean(held * held) - np.mean(held) ** 2, 0.0))
 
 
 @njit()
-def _channels(near, of, low, width, seen):  # type: ignore[no-untyped-def]
+def _channels(near, of, low, width, reach, has):  # type: ignore[no-untyped-def]
     """Channels with a return in the window, and those of them with another one behind it."""
-    high, held, passed = low + width[0], 0, 0
-    seen[:] = 0
+    high, held, passed = low + width, 0, 0
+    has[:] = 0
     for k in range(len(near)):
         if low <= near[k] <= high:
-            seen[of[k]] |= 1
-        elif high < near[k] <= high + width[1]:
-            seen[of[k]] |= 2
-    for c in range(len(seen)):
-        held += seen[c] & 1
-        passed += seen[c] == 3
+            has[of[k]] |= 1
+        elif high < near[k] <= high + reach:
+            has[of[k]] |= 2
+    for c in range(len(has)):
+        held += has[c] & 1
+        passed += has[c] == 3
     return held, passed

@@ -127,14 +127,14 @@ def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) 
     unknown_part = len(unknown) / len(table)
     if args["trajectory"] and (unknown_part > 0.5 or (ahead is not None and not ahead.is_above)):
         facts["leap_s"] = _leap(table, context.store)
-    observed = line_noise.observe(table, known, context.workflow.noise)
-    sensor = context.workflow.sensor
+    sensor, noise = context.workflow.sensor, context.workflow.noise
+    observed = line_noise.observe(table, known, noise)
     if args["trajectory"] or args["sensor_path"]:
-        observed |= crosstalk.observe(table, known, sensor, context.workflow.noise.interval_shots)
+        observed |= crosstalk.observe(table, known, sensor, noise.interval_shots)
     if tells_beamlets(args, sensor):
         table, order = told_apart(table, known, sensor)
         known = known.take(order)
-    observed |= candidates.observe(table, known, sensor)
+    observed |= candidates.observe(table, known, sensor, noise.interval_shots)
     stats = context.store.path("observed", f"{args['stretch']}.npz")
     write_arrays(stats, observed)
     return Produced([stats], facts, int(np.count_nonzero(known.known)))

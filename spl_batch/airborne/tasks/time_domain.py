@@ -206,16 +206,21 @@ def _assess(
     table = table.with_columns(flags=flags)
     known = rows_of(beams.known)
     subset, beams = table.take(known), beams.take(known)
-    bloom = find_bloom(subset, beams, run_starts(subset["gps_time"]), int(args["beamlets"]))
+    line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
+    law = afterpulse_law.AfterpulseLaw.from_arrays(line)
+    starts = run_starts(subset["gps_time"])
+    bloom = find_bloom(
+        subset, beams, starts, int(args["beamlets"]), law.sigma_m, workflow.noise.interval_shots
+    )
     if bloom.shots:
-        facts["bloom"] = [bloom.shots, int(np.count_nonzero(bloom.returns))]
+        lit = subset.take(bloom.returns)
+        facts["bloom"] = [bloom.shots, len(lit), *_box(lit)]
     if bloom.shots and args["bloom"]:
         known = np.arange(len(table))[known]
         flags[known[bloom.returns]] |= np.uint8(PointFlag.BLOOM)
         table = table.with_columns(flags=flags)
         subset, beams = subset.take(~bloom.returns), beams.take(~bloom.returns)
         known = known[~bloom.returns]
-    line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
     model = line_noise.LineModel.from_arrays(line)
     if line["crosstalk"] > 0:
         of_others = crosstalk.set_off(subset, beams, workflow.sensor)
@@ -225,7 +230,6 @@ def _assess(
     density = np.zeros(len(table), np.float32)
     density[known] = line_noise.line_density(subset, model)
     if workflow.afterpulse.enabled:
-        law = afterpulse_law.AfterpulseLaw.from_arrays(line)
         table = _with_afterpulses(table, known, beams, law, model.gate_m, args, context)
     if args["dcc"] is not None:
         noise = dcc.shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
@@ -242,6 +246,12 @@ def _assess(
     facts |= {"voxels_apart": dict(zip(names[1:], boxes[1:], strict=True))} if boxes[1:] else {}
     table = table.with_columns(line_density=density)
     return table, [*paths, *_write_fired(subset, beams, model, args, context, facts)]
+
+
+def _box(table: PointTable) -> list[int]:
+    """West, south, east and north of some points [quanta]."""
+    x, y = table["x"], table["y"]
+    return [int(x.min()), int(y.min()), int(x.max()), int(y.max())]
 
 
 def _with_afterpulses(

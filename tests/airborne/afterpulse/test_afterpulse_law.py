@@ -26,7 +26,7 @@ from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.sensors.sensor import Sensor, load_preset
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.airborne.simulate.detector import Receiver, draw_lag, truncated_exponential
-from spl_batch.lattice.tables import BeamTable
+from spl_batch.lattice.tables import BeamTable, concat
 from tests.airborne.afterpulse.test_candidates import shots
 
 SENSOR = load_preset("spl100")
@@ -39,7 +39,7 @@ def flat(x: np.ndarray, _: np.ndarray) -> np.ndarray:
 def observed(number: int = 400, **keys: float) -> dict[str, np.ndarray]:
     table, trajectory, _ = shots(flat, number=number, **keys)  # type: ignore[arg-type]
     table = table.with_columns(shot=np.rint(table["gps_time"] / 2e-5).astype(np.int64))
-    return candidates.observe(table, geometry.beams(table, trajectory), SENSOR)
+    return candidates.observe(table, geometry.beams(table, trajectory), SENSOR, 60)
 
 
 def counted(
@@ -68,6 +68,29 @@ def test_the_share_of_afterpulses_is_found(share: float) -> None:
     assert law[:-1] == again[:-1]
 
 
+def test_shots_of_bloom_take_no_part() -> None:
+    """The ground follows what a bright point sends to all channels."""
+    table, trajectory, _ = shots(flat, number=120, seed=8)
+    table = table.with_columns(shot=np.rint(table["gps_time"] / 2e-5).astype(np.int64))
+    beams = geometry.beams(table, trajectory)
+    lit = np.flatnonzero((table["shot"] % 12 == 0) & (beams.range_m < 2580))
+    _, first = np.unique(table["shot"][lit] * 100 + table["channel"][lit], return_index=True)
+    lit = lit[first]
+    bright_m = 2541.0 - 0.2 * table["shot"][lit]  # the ground rises, too
+    forward = (bright_m - beams.range_m[lit])[:, None] * beams.direction[lit] * 1000
+    moved = {
+        k: (table[k][lit] + np.rint(forward[:, a])).astype(table[k].dtype)
+        for a, k in enumerate("xyz")
+    }
+    both = concat([table, table.take(lit).with_columns(**moved)], tuple(table.columns))
+    both = both.take(np.lexsort([both["channel"], both["gps_time"]]))
+    seen = candidates.observe(both, geometry.beams(both, trajectory), SENSOR, 60)
+    rest = table.take(table["shot"] % 12 != 0)
+    due = candidates.observe(rest, geometry.beams(rest, trajectory), SENSOR, 60)
+    assert due["afterpulse_entries"].sum() > 500
+    np.testing.assert_array_equal(seen["afterpulse_followers"], due["afterpulse_followers"])
+
+
 def test_background_is_not_taken_for_afterpulses() -> None:
     parts = [observed(afterpulses=0.1, noise_per_m=4e-3, seed=3)]
     law, blind = (afterpulse_law.fit(parts, rate, SENSOR) for rate in (4e-3, 0.0))
@@ -80,7 +103,7 @@ def test_without_hard_surfaces_the_sensor_is_believed() -> None:
     heights = iter(rng.uniform(0, 12, 100_000))
     table, trajectory, _ = shots(lambda x, _: np.full(len(x), 30 + next(heights)), number=40)
     table = table.with_columns(shot=np.rint(table["gps_time"] / 2e-5).astype(np.int64))
-    part = candidates.observe(table, geometry.beams(table, trajectory), SENSOR)
+    part = candidates.observe(table, geometry.beams(table, trajectory), SENSOR, 60)
     assert part["afterpulse_entries"].sum() == 0
     law, stated = afterpulse_law.fit([part], 1e-3, SENSOR), sensor_law(SENSOR)
     assert law.probability == pytest.approx(SENSOR.afterpulse_probability, rel=1e-3)

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from spl_batch.airborne.beams.bloom import FILLED, PASSED, find_bloom
+from spl_batch.airborne.beams.bloom import BEHIND_M, FILLED, SPREAD, WINDOW, find_bloom
+from spl_batch.airborne.beams.bloom_shots import OFTEN, PART, SURE
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 SIGMA_M = 0.05
 
 
-def shot(rng, *, bright=None, seen=0.66, lean=1.3, ground=2500.0, behind=0.0):
+def shot(rng, *, bright=None, electrons=9.0, seen=0.66, lean=1.3, ground=2500.0, behind=0.0):
     """Ranges and channels of one shot: a leaning plane, afterpulses behind it, and a bloom."""
     channel = np.arange(1, 101)
     plane = ground + lean * ((channel - 1) % 10 / 9 - 0.5)
@@ -20,8 +21,9 @@ def shot(rng, *, bright=None, seen=0.66, lean=1.3, ground=2500.0, behind=0.0):
     ranges.append(plane[late] + rng.exponential(0.7, late.sum()) + 0.3)
     channels.append(channel[late])
     if bright is not None:
-        ranges.append(np.full(100, bright))
-        channels.append(channel)
+        reached = channel[rng.random(100) < -np.expm1(-electrons)]
+        ranges.append(np.full(len(reached), bright))
+        channels.append(reached)
     ranges = np.concatenate(ranges)
     return ranges + rng.normal(0, SIGMA_M, len(ranges)), np.concatenate(channels)
 
@@ -32,8 +34,9 @@ def found(shots):
     ranges = np.concatenate([r for r, _ in shots])
     n = len(ranges)
     beams = BeamTable(np.zeros((n, 3)), np.zeros((n, 3)), ranges, np.ones(n, np.bool_))
-    table = PointTable({"gps_time": time, "channel": channel.astype(np.uint8)})
-    return find_bloom(table, beams, run_starts(time), 100), time, ranges
+    number = np.rint(time * 60_000).astype(np.int64)
+    table = PointTable({"gps_time": time, "channel": channel.astype(np.uint8), "shot": number})
+    return find_bloom(table, beams, run_starts(time), 100, SIGMA_M, 60), time, ranges
 
 
 @pytest.mark.parametrize("above", [1.5, 6.0])
@@ -44,8 +47,32 @@ def test_a_bright_point_is_found_and_the_ground_behind_it_stays(above):
     bloom, time, ranges = found(shots)
     assert bloom.shots == 1
     assert set(time[bloom.returns]) == {7 / 60_000}
-    assert np.abs(ranges[bloom.returns] - (2500.0 - above)).max() <= 0.5
+    assert np.abs(ranges[bloom.returns] - (2500.0 - above)).max() <= WINDOW * SIGMA_M
     assert 90 <= bloom.returns.sum() <= 100 + 30
+    assert set(time[bloom.of_shots]) == {7 / 60_000}
+    assert bloom.of_shots.sum() == (time == 7 / 60_000).sum()
+
+
+@pytest.mark.parametrize("electrons", [0.7, 1.0, 2.0])
+def test_a_point_that_lights_a_part_of_the_channels_is_found(electrons):
+    rng = np.random.default_rng(9)
+    shots = [shot(rng) for _ in range(300)]
+    for k in range(0, 300, 30):
+        shots[k] = shot(rng, bright=2497.0, electrons=electrons)
+    bloom, time, _ = found(shots)
+    assert bloom.shots >= 9
+    assert set(np.rint(time[bloom.returns] * 60_000).astype(int) % 30) == {0}
+
+
+def test_a_surface_that_lets_light_pass_is_no_bloom_where_shots_around_see_it_too():
+    """As clear water below the sensor, with its bottom; alone, such a shot could be a point."""
+    rng = np.random.default_rng(10)
+    shots = [shot(rng) for _ in range(240)]
+    for k in range(60, 120):
+        shots[k] = shot(rng, bright=2497.0, electrons=1.0)
+    shots[200] = shots[80]
+    bloom, time, _ = found(shots)
+    assert set(time[bloom.returns]) == {200 / 60_000}
 
 
 def test_surfaces_are_no_bloom_however_bright_and_square_to_the_beam():
@@ -93,14 +120,15 @@ def test_a_level_hedge_square_to_the_beam_is_no_bloom(top):
     assert found(shots)[0].shots == 0
 
 
-def test_a_shot_is_judged_alike_in_any_company():
+@pytest.mark.parametrize("most", [20, 60])
+def test_a_shot_is_judged_alike_in_any_company(most):
     """How a flightline is cut into stretches depends on the memory, and must decide nothing."""
     rng = np.random.default_rng(8)
     ranges, channels = shot(rng, bright=2498.0)
-    part = channels <= 60
+    part = channels <= most
     alone = found([(ranges[part], channels[part])])[0].shots
-    ground = shot(rng)
-    assert alone == found([(ranges[part], channels[part]), ground])[0].shots == 0
+    assert alone == (most >= FILLED * 100)
+    assert alone == found([(ranges[part], channels[part]), shot(rng)])[0].shots
 
 
 def test_few_channels_tell_nothing():
@@ -114,17 +142,22 @@ def test_what_is_found_agrees_with_looking_at_each_window():
     rng = np.random.default_rng(5)
     shots = []
     for _ in range(60):
-        r, c = shot(rng, bright=2500.0 + rng.uniform(-3, 3), seen=rng.uniform(0.1, 0.9))
-        part = rng.random(len(r)) < rng.uniform(0.8, 1.0)
-        shots.append((r[part], c[part]))
+        r, c = shot(rng, bright=2500.0 + rng.uniform(-3, 3), electrons=rng.uniform(0.2, 3.0))
+        shots.append((r, c))
+        shots.extend(shot(rng, lean=9.0) for _ in range(9))
     bloom, time, _ = found(shots)
+    width = WINDOW * SIGMA_M
     for k, (r, c) in enumerate(shots):
         inside = max(
-            ((low <= r) & (r <= low + 0.5) for low in np.sort(r)), key=lambda window: window.sum()
+            ((low <= r) & (r <= low + width) for low in np.sort(r)),
+            key=lambda window: window.sum(),
         )
         low = r[inside].min()
-        near = (r > low + 0.5) & (r <= low + 12.5)
-        held = set(c[inside])
-        want = len(held) >= FILLED * 100 and len(held & set(c[near])) >= PASSED * len(held)
+        near = (r > low + width) & (r <= low + width + BEHIND_M)
+        held, passed = set(c[inside]), set(c[inside]) & set(c[near])
+        n = len(held)
+        least = max(PART * n, OFTEN * n + SURE * np.sqrt(OFTEN * (1 - OFTEN) * n))
+        sharp = np.std(r[inside]) <= SPREAD * SIGMA_M
+        want = sharp and n >= FILLED * 100 and len(passed) >= least
         assert bool(bloom.returns[time == k / 60_000].any()) == want
-    assert 5 < bloom.shots < 55
+    assert 15 < bloom.shots < 55

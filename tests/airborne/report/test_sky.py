@@ -156,10 +156,14 @@ def test_thin_haze_is_told_with_its_place_and_not_beside_fog():
 
 
 def test_bloom_is_counted_in_one_sentence():
-    parts = {"a": receipt(bloom=[2, 180]), "b": receipt(), "c": receipt(bloom=[1, 95])}
-    for removed, fate in ((True, "are noise"), (False, "count as signal")):
+    parts = {
+        "a": receipt(bloom=[2, 180, 10_000, 20_000, 30_000, 40_000]),
+        "b": receipt(),
+        "c": receipt(bloom=[1, 95, 5_000, 60_000, 8_000, 70_000]),
+    }
+    for removed, fate in ((True, "are noise"), (False, "stay signal")):
         (text,) = bloom_warning({"scatter": parts}, removed=removed)
-        assert text.startswith("in 3 shots")
+        assert text.startswith("3 shots within x 5 to 30 and y 20 to 70: ")
         assert f"275 returns at that range {fate}" in text
         assert list(bloom_warning({"scatter": {"b": receipt()}}, removed=removed)) == []
 

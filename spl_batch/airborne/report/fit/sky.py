@@ -128,8 +128,13 @@ def haze_warning(found: Haze | None) -> Iterator[str]:
 
 def bloom(done: Receipts) -> tuple[int, int]:
     """Shots that one bright point lit wholly, and their returns at its range [count]."""
-    found = [r.facts.get("bloom", [0, 0]) for r in done.get("scatter", {}).values()]
-    return sum(shots for shots, _ in found), sum(returns for _, returns in found)
+    found = _bloom(done)
+    return sum(one[0] for one in found), sum(one[1] for one in found)
+
+
+def _bloom(done: Receipts) -> list[list[int]]:
+    """Shots, returns, and west, south, east and north of these [quanta], by stretch."""
+    return [r.facts["bloom"] for r in done.get("scatter", {}).values() if "bloom" in r.facts]
 
 
 def crosstalk(done: Receipts) -> int:
@@ -147,18 +152,22 @@ def crosstalk_expected(done: Receipts) -> int:
 def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
     """Sentence on shots in which a bright point lit the whole array."""
     shots, returns = bloom(done)
-    if shots:
-        fate = (
-            "are noise, class 18 or 7"
-            if removed
-            else "count as signal, and may raise the DSM; noise.bloom: true makes them noise"
-        )
-        yield (
-            f"in {counted(shots, 'shots')} nearly all channels see one range while others of their "
-            f"returns lie behind it: bright points, as retro-reflectors, that light the whole "
-            f"array, or a surface that lets light pass; the {grouped(returns)} returns at that "
-            f"range {fate}"
-        )
+    if not shots:
+        return
+    box = np.array([one[2:] for one in _bloom(done)]) * QUANTUM_M
+    west, south = box[:, :2].min(axis=0)
+    east, north = box[:, 2:].max(axis=0)
+    fate = (
+        "are noise, class 18 or 7"
+        if removed
+        else "stay signal and may raise the DSM: set noise.bloom: true to make them noise"
+    )
+    yield as_ascii(
+        f"{counted(shots, 'shots')} within x {west:.0f} to {east:.0f} and y {south:.0f} to "
+        f"{north:.0f}: many channels have a return at one and the same range, and others behind "
+        "it. Bright points such as retro-reflectors light the whole array so, or a small surface "
+        f"that lets light pass; the {grouped(returns)} returns at that range {fate}"
+    )
 
 
 def fog_warning(done: Receipts) -> Iterator[str]:
