@@ -10,6 +10,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.doubts.terrain_doubts import (
     BLOCKS,
     CLIMBS,
+    DECKS,
     FAR_M,
     GAPS,
     RAISED,
@@ -124,7 +125,8 @@ def _quantile(cells: Mapping[int, int], share: float) -> int:
 def terrain_doubts(done: Receipts) -> TerrainDoubts:
     """Gaps and raised patches of all pieces of a survey."""
     facts = [receipt.facts for receipt in done.get("surface", {}).values()]
-    gaps, raised, climbs, blocks = (largest(facts, name) for name in (GAPS, RAISED, CLIMBS, BLOCKS))
+    names = GAPS, RAISED, DECKS, CLIMBS, BLOCKS
+    gaps, raised, decks, climbs, blocks = (largest(facts, name) for name in names)
     return TerrainDoubts(
         gaps=len(gaps),
         gaps_m2=sum(gap[0] for gap in gaps),
@@ -137,6 +139,12 @@ def terrain_doubts(done: Receipts) -> TerrainDoubts:
         largest_raised=tuple(
             RaisedPatch(area_m2=area, at_m=_metres(at), height_m=height)
             for area, *at, height in raised[:LISTED]
+        ),
+        decks=len(decks),
+        decks_m2=sum(strip[0] for strip in decks),
+        largest_decks=tuple(
+            RaisedPatch(area_m2=area, at_m=_metres(at), height_m=height)
+            for area, *at, height in decks[:LISTED]
         ),
         steep=len(climbs),
         steep_m2=sum(patch[0] for patch in climbs),
@@ -173,6 +181,16 @@ def doubt_warnings(found: TerrainDoubts) -> Iterator[str]:
             f"{patch.height_m:.1f} m above the ground around with walls on most sides: probably a "
             "roof that was taken for ground. Heights of the terrain, and heights above it, are "
             "off by so much there; look at the place"
+        )
+    if found.largest_decks:
+        deck = found.largest_decks[0]
+        area = _area(found.decks_m2, deck.area_m2, found.decks, deck.at_m)
+        yield (
+            f"{_counted(found.decks, 'raised strip')} of the terrain between two walls, {area}, "
+            f"{deck.height_m:.1f} m above the level floor on both sides, going on at its own "
+            "height to the others: probably a wide bridge that was taken for ground, if it is no "
+            "dam, bank or pier. Below a bridge heights of the terrain are off by so much; look at "
+            "the place, and classify its deck by hand"
         )
     if found.largest_steep:
         climb = found.largest_steep[0]

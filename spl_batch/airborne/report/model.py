@@ -172,7 +172,7 @@ class TerrainGap(Part):
 
 
 class RaisedPatch(Part):
-    """A raised flat patch of a building's size in the terrain, with walls on most sides."""
+    """A raised flat patch in the terrain with walls on most sides, or a strip between two walls."""
 
     area_m2: Number = Field(description="Area [m2].")
     at_m: tuple[Number, Number] = Field(description="Easting and northing of its middle [m].")
@@ -204,6 +204,9 @@ class TerrainDoubts(Part):
     raised: Count = Field(0, description="Raised flat patches: probably roofs.")
     raised_m2: Number = Field(0.0, description="Area of all of them [m2].")
     largest_raised: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
+    decks: Count = Field(0, description="Raised strips between two walls: probably bridges.")
+    decks_m2: Number = Field(0.0, description="Area of all of them [m2].")
+    largest_decks: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
     steep: Count = Field(0, description="Steep patches that hold no ground return.")
     steep_m2: Number = Field(0.0, description="Area of all of them [m2].")
     largest_steep: tuple[SteepPatch, ...] = Field((), description="The largest of them.")

@@ -10,9 +10,22 @@ from numpy.typing import NDArray
 from spl_batch.airborne.ground.multiscale import masks
 from spl_batch.airborne.ground.multiscale.raised_patches import Patch, on_houses, raised_patches
 from spl_batch.airborne.products.doubts.cut_off_blocks import cut_off_blocks
+from spl_batch.airborne.products.doubts.raised_strips import (
+    ALIKE,
+    AXES,
+    BEYOND_M,
+    LEVEL_M,
+    OPEN,
+    REACH_M,
+    WALL_M,
+    WIDER,
+    between_walls,
+    raised_strips,
+)
 from spl_batch.airborne.products.doubts.terrain_doubts import (
     BLOCKS,
     CLIMBS,
+    DECKS,
     GAPS,
     RAISED,
     block_facts,
@@ -194,6 +207,112 @@ def receipts(*facts: dict[str, Any]) -> Any:
     return {"surface": {str(k): SimpleNamespace(facts=f) for k, f in enumerate(facts)}}
 
 
+def crossing(shape: str) -> Grid:
+    """A cutting of 5 m, 22 m wide, that something crosses; or a bank."""
+    x, y, ground = plain(160)
+    away = np.abs(x - 80 - 0.2 * (y - 80)) if shape != "bank" else np.full(x.shape, 80.0)
+    along = np.abs(y - 80 + 0.3 * (x - 80))
+    cut = np.clip(away - 11, -5, 0)
+    if shape == "bank":
+        return ground + np.clip(17 - along, 0, 5)
+    if shape == "dam":
+        cut = np.where(y > 80, cut * 0.5, cut)
+    if shape == "gentle":
+        return ground + np.maximum(cut, np.clip(0.6 * (12 - along), -5, 0))
+    if shape == "pier":
+        cut, along = np.where((x > 75) & (x < 130), -5.0, cut), np.where(x < 100, along, 80.0)
+    return ground + np.where(along < 12, 0.0, cut)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.2])
+def test_a_wide_deck_over_a_cutting_is_told(share: float) -> None:
+    (found,) = raised_strips(thinned(crossing("deck"), share), 1.0)
+    assert (found.row, found.column) == pytest.approx((80, 80), abs=12)
+    assert 0.3 * 530 < found.area_m2 < 530
+    assert found.height_m == pytest.approx(5.0, abs=0.6)
+
+
+@pytest.mark.parametrize("shape", ["bank", "dam", "gentle", "pier"])
+def test_what_has_no_walls_on_two_sides_alone_is_no_deck(shape: str) -> None:
+    assert list(raised_strips(crossing(shape), 1.0)) == []
+
+
+def _ray(surface: Grid, start: tuple[int, int], towards: Grid, steps: int) -> Grid:
+    """Heights on the way from a square; NaN beyond the survey."""
+    at = np.rint(np.outer(np.arange(1, steps + 1), towards)).astype(int) + start
+    wide = np.pad(surface, 200, constant_values=np.nan)
+    heights: Grid = wide[tuple(at.T + 200)]
+    return heights
+
+
+def _first_wall(surface: Grid, start: tuple[int, int], towards: Grid, steps: int) -> int:
+    ray = np.concatenate([[surface[start]], _ray(surface, start, towards, steps)])
+    with np.errstate(invalid="ignore"):
+        falls = ray[1:] <= np.minimum(ray[0], ray[:-1]) - WALL_M
+        stops = (ray[1:] >= ray[0] + WALL_M) | np.isnan(ray[1:])
+    first = int(np.argmax(np.append(falls | stops, True)))
+    return first + 1 if first < steps and falls[first] else 0
+
+
+def _is_open(
+    surface: Grid, start: tuple[int, int], along: Grid, sides: tuple[int, int], fall: float, n: int
+) -> bool:
+    ray = np.concatenate([[surface[start]], _ray(surface, start, along, n)])
+    highest = np.maximum.accumulate(ray)
+    for k in range(1, n + 1):
+        if not abs(ray[k] - ray[k - 1]) < WALL_M:
+            return False
+        here = tuple(np.array(start) + np.rint(k * along).astype(int))
+        left, right = np.array([-along[1], along[0]]), np.array([along[1], -along[0]])
+        beside = [*_ray(surface, here, left, sides[0]), *_ray(surface, here, right, sides[1])]
+        if np.all(np.array(beside) >= highest[k] - fall):
+            return True
+    return False
+
+
+def _mark_strips(surface: Grid, start: tuple[int, int], edge_m: float, above: Grid) -> None:
+    for k in range(AXES):
+        across = np.array([np.sin(np.pi * k / AXES), np.cos(np.pi * k / AXES)])
+        across /= np.abs(across).max()
+        steps = int(REACH_M / edge_m / np.hypot(*across))
+        one = _first_wall(surface, start, across, steps)
+        two = _first_wall(surface, start, -across, steps - one) if one else 0
+        if not two:
+            continue
+        n = max(int(BEYOND_M / edge_m / np.hypot(*across)), 2)
+        ends = [_ray(surface, start, s * across, w + n)[w:] for s, w in ((1, one), (-1, two))]
+        if not all(np.ptp(end) <= LEVEL_M for end in ends):
+            continue
+        floors = [float(end.min()) for end in ends]
+        tall = float(surface[start]) - max(floors)
+        if tall < WALL_M or abs(floors[0] - floors[1]) > ALIKE * tall:
+            continue
+        along, sides = np.array([across[1], -across[0]]), (WIDER * one, WIDER * two)
+        if _is_open(surface, start, along, sides, OPEN * tall, steps) and _is_open(
+            surface, start, -along, sides[::-1], OPEN * tall, steps
+        ):
+            between = np.rint(np.outer(np.arange(1 - two, one), across)).astype(int) + start
+            np.maximum.at(above, tuple(between.T), tall)
+
+
+def test_squares_between_walls_equal_a_slow_twin() -> None:
+    rng = np.random.default_rng(6)
+    found = 0
+    for _ in range(2):
+        y, x = np.indices((30, 22))
+        cut = np.abs(x - 11 - rng.uniform(-0.4, 0.4) * (y - 15)) < 4
+        deck = np.abs(y - 15 - rng.uniform(-0.6, 0.6) * (x - 11)) < rng.uniform(3, 6)
+        surface = rng.normal(0, 0.15, x.shape) - np.where(cut & ~deck, 5.0, 0.0)
+        surface[rng.random(x.shape) < 0.002] -= 4
+        above = between_walls(surface, 2.0)
+        found += int((above > 0).sum())
+        slow = np.zeros(surface.shape)
+        for r, c in np.ndindex(surface.shape):
+            _mark_strips(surface, (r, c), 2.0, slow)
+        np.testing.assert_array_equal(above, slow)
+    assert found > 50
+
+
 def test_warnings_tell_number_place_and_consequence() -> None:
     q = QUANTA_PER_M
     done = receipts(
@@ -201,16 +320,19 @@ def test_warnings_tell_number_place_and_consequence() -> None:
         {
             GAPS: [[410.0, 1200.0 * q, 2500.0 * q, 12.4, 0.7]],
             RAISED: [[220.0, 976.0 * q, 404.0 * q, 4.8]],
+            DECKS: [[480.0, 530.0 * q, 320.0 * q, 5.1]],
             CLIMBS: [[58.0, 1300.0 * q, 404.0 * q, 10.8], [141.0, 1310.0 * q, 90.0 * q, 12.4]],
         },
         {"voids": 3},
     )
-    gap, roof, climb = doubt_warnings(terrain_doubts(done))
+    gap, roof, deck, climb = doubt_warnings(terrain_doubts(done))
     assert gap.startswith("2 gaps in the ground, 500 m2 in all, the largest 410 m2 at 1 200 E, ")
     assert "up to 12 m away" in gap
     assert "known to 0.7 m" in gap
     assert roof.startswith("1 raised flat patch of a building's size in the terrain, 220 m2 at 976")
     assert "4.8 m above the ground" in roof
+    assert deck.startswith("1 raised strip of the terrain between two walls, 480 m2 at 530 E, 320 ")
+    assert "5.1 m above the level floor" in deck
     assert climb.startswith("2 steep patches of the terrain, over 45 degrees, without a ground ")
     assert "199 m2 in all, the largest 141 m2 at 1 310 E, 90 N, rising by 12 m" in climb
     assert not list(doubt_warnings(terrain_doubts(receipts({GAPS: [], RAISED: []}))))

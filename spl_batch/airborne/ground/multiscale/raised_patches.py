@@ -97,7 +97,7 @@ def raised_patches(ground: Grid, cell_m: float) -> list[Patch]:
     """
     step = max(1, round(SQUARE_M / cell_m))
     found = []
-    for near, mine, fall in _buildings(_lowest(ground, step), step * cell_m):
+    for near, mine, fall in _buildings(lowest_of_squares(ground, step), step * cell_m):
         depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
         middle = np.unravel_index(depth.argmax(), mine.shape)
         row, column = (
@@ -131,7 +131,7 @@ def on_houses(xyz: Grid, ground: Mask) -> Mask:
     return out
 
 
-def _lowest(ground: Grid, step: int) -> Grid:
+def lowest_of_squares(ground: Grid, step: int) -> Grid:
     """Lowest height of squares of so many cells; NaN without any."""
     rows, columns = (-(-size // step) for size in ground.shape)
     wide = np.full((rows * step, columns * step), np.inf)
@@ -235,7 +235,7 @@ def _buildings(lowest: Grid, edge_m: float) -> Iterator[tuple[tuple[slice, ...],
     for number, box in enumerate(ndimage.find_objects(numbers), start=1):
         near = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
         mine, heights = numbers[near] == number, surface[near]
-        if mine.sum() * edge_m**2 < LEAST_M2 or not _flat(heights, mine & held[near], edge_m):
+        if mine.sum() * edge_m**2 < LEAST_M2 or not is_flat(heights, mine & held[near], edge_m):
             continue
         rim, beyond = _rings(mine)
         fall = np.median(heights[mine]) - heights[rim]
@@ -255,7 +255,7 @@ def _rings(mine: Mask) -> tuple[Mask, Mask]:
     return once & ~mine, twice & ~once
 
 
-def _flat(heights: Grid, known: Mask, edge_m: float) -> bool:
+def is_flat(heights: Grid, known: Mask, edge_m: float) -> bool:
     """Whether some squares lie on a plane that is hardly tilted."""
     row, column = np.nonzero(known)
     if len(row) < FEWEST:

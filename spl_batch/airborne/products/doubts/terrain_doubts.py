@@ -2,12 +2,13 @@
 
 Between ground returns heights are interpolated. Where the nearest one is far, and the ground
 around rough for that distance, nobody knows what lies there; what the filter took for ground by
-mistake is known to nobody either, but a roof shows its walls. Where the model rises steeply through
-cells that hold no ground, while it does hold ground at its usual spacing elsewhere, something was
-cut off or taken in: rims and spurs of cliffs, ends of bridge decks, noise beyond a swath's edge.
+mistake is known to nobody either, but a roof shows its walls, and a wide deck two of them. Where
+the model rises steeply through cells that hold no ground, while it does hold ground at its usual
+spacing elsewhere, something was cut off or taken in: rims and spurs of cliffs, ends of bridge
+decks, noise beyond a swath's edge.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy import ndimage
 
 from spl_batch.airborne.ground.multiscale.raised_patches import Patch, raised_patches
 from spl_batch.airborne.products.doubts.cut_off_blocks import cut_off_blocks
+from spl_batch.airborne.products.doubts.raised_strips import raised_strips
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.lattice.tiles import Bounds
 
@@ -53,6 +55,9 @@ deviation [m]."""
 RAISED: Final = "raised"
 """Fact of a ground cell: each raised flat patch's area [m2], place [quanta] and height [m]."""
 
+DECKS: Final = "decks"
+"""Fact of a ground cell: each raised strip's area [m2], place [quanta] and height [m]."""
+
 BLOCKS: Final = "blocks"
 """Fact of a ground cell: each raised block's area [m2], place [quanta] and height [m]."""
 
@@ -71,6 +76,8 @@ class Doubts(NamedTuple):
         Usual distance between cells with ground around each cell [cells].
     patches : sequence of Patch
         Raised flat patches; their rows count from the north, too.
+    strips : sequence of Patch
+        Raised strips between two walls, likewise.
     lowest : (rows, columns) float64
         Height of the lowest signal of each cell, row 0 northernmost [m]; NaN without any.
     """
@@ -78,6 +85,7 @@ class Doubts(NamedTuple):
     away_m: Grid
     spacing: Grid
     patches: Sequence[Patch]
+    strips: Sequence[Patch] = ()
     lowest: Grid = np.empty((0, 0))
 
 
@@ -100,12 +108,16 @@ def doubts(ground: Grid, margin: int, cell_m: float) -> Doubts:
         away = ndimage.distance_transform_edt(~held) * cell_m
     spacing = np.rint(_spacing(held))
     rows, columns = away[inner].shape
-    found = (
-        patch._replace(row=rows - 1 - (patch.row - margin), column=patch.column - margin)
-        for patch in raised_patches(ground, cell_m)
-    )
-    owned = [p for p in found if 0 <= p.row < rows and 0 <= p.column < columns]
-    return Doubts(away[inner][::-1], spacing[inner][::-1], owned)
+
+    def owned(patches: Iterable[Patch]) -> list[Patch]:
+        found = (
+            patch._replace(row=rows - 1 - (patch.row - margin), column=patch.column - margin)
+            for patch in patches
+        )
+        return [p for p in found if 0 <= p.row < rows and 0 <= p.column < columns]
+
+    roofs, strips = owned(raised_patches(ground, cell_m)), owned(raised_strips(ground, cell_m))
+    return Doubts(away[inner][::-1], spacing[inner][::-1], roofs, strips)
 
 
 def _spacing(held: NDArray[np.bool_]) -> Grid:
@@ -153,12 +165,15 @@ def doubt_facts(
             off = np.abs(patch - patch.mean(axis=1, keepdims=True)).sum(axis=0)
             at = place(*patch.T[off.argmin()].tolist())
             climbs.append([len(patch.T) * edge_m**2, *at, rise])
-    raised = [
-        [patch.area_m2, *place(patch.row, patch.column), patch.height_m]
-        for patch in found.patches
-        if known[patch.row, patch.column]
-    ]
-    return {GAPS: gaps, RAISED: raised, CLIMBS: climbs}
+    raised, decks = (
+        [
+            [patch.area_m2, *place(patch.row, patch.column), patch.height_m]
+            for patch in patches
+            if known[patch.row, patch.column]
+        ]
+        for patches in (found.patches, found.strips)
+    )
+    return {GAPS: gaps, RAISED: raised, DECKS: decks, CLIMBS: climbs}
 
 
 def block_facts(
