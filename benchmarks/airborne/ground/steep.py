@@ -14,11 +14,12 @@ each the table says
   ground [%].
 
 ``run`` is the delivered result. It is *held* where ground, RMSE or, below bridges, the largest
-error of the floor are within bounds, else *told* if the run has a warning of heights that level
-ground under trees has not, or *SILENT*; ``--say`` prints these warnings. The other rows are methods
-on the points that the run kept, less noise more than 5 m below all ground, which the cloth filter
-does not stand, with the TIN of what they call ground as terrain: the project's, and the three stock
-settings of the cloth filter of PyPI (``cloth-simulation-filter``).
+error of the floor are within bounds, else *told* if the run has a warning that level ground under
+trees has not, and of a kind that says what is off (:data:`SAYS`), or *SILENT*; ``--say`` prints the
+new warnings. ``before`` is the result of another version, ``--before CHECKOUT``. The other rows
+are methods on the points that the run kept, less noise more than 5 m below all ground, which the
+cloth filter does not stand, with the TIN of what they call ground as terrain: the project's, and
+the three stock settings of the cloth filter of PyPI (``cloth-simulation-filter``).
 """
 
 import argparse
@@ -37,8 +38,9 @@ from scipy import ndimage
 
 from benchmarks.airborne.ground.ground_tiles import CLOTHS, cloth, project, terrain
 from benchmarks.airborne.ground.ground_tiles import Tile as Points
+from benchmarks.airborne.other_version import OUT, run_by
 from benchmarks.airborne.quality import KINDS
-from benchmarks.airborne.sky import new_warnings
+from benchmarks.airborne.told import kinds, new_warnings, telling, told_by
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.constants import CLASS_GROUND, QUANTUM_M
@@ -141,8 +143,11 @@ LARGEST_M: Final = 0.5
 error of the valley's floor [m]."""
 
 
-OF_HEIGHTS: Final = ("do not measure heights", "heights may be off", "off by so much")
-"""What a warning says that tells of a wrong terrain."""
+_CUT_OFF: Final = ("steep", "block", "gaps", "unsure")
+SAYS: Final = {
+    name: ("deck", "steep", "roof") if of.deck_m else _CUT_OFF for name, of in SCENES.items()
+}
+"""Kinds of warnings that say what is off: of what was cut off, or a deck that stayed."""
 
 
 def content(name: str, seed: int, times: float) -> dict[str, Any]:
@@ -191,19 +196,25 @@ class Kept(NamedTuple):
 
 def process(name: str, seed: int, times: float, folder: Path) -> Path:
     """Simulate and run one survey."""
-    survey = folder / f"{name}_{seed}_{times:g}".replace(" ", "_").replace(",", "")
-    if not (survey / "workflow.yaml").exists():
-        simulate(parse_scene(content(name, seed, times), name), survey)
+    survey = simulated(name, seed, times, folder)
     run(survey / "workflow.yaml", workers=0)
     return survey
 
 
-def load(survey: Path) -> tuple[Truth, Kept]:
+def simulated(name: str, seed: int, times: float, folder: Path) -> Path:
+    """Folder of a survey, made where it is not there."""
+    survey = folder / f"{name}_{seed}_{times:g}".replace(" ", "_").replace(",", "")
+    if not (survey / "workflow.yaml").exists():
+        simulate(parse_scene(content(name, seed, times), name), survey)
+    return survey
+
+
+def load(survey: Path, out: str = "out") -> tuple[Truth, Kept]:
     """Truth of a survey, and the points that its run kept."""
     with rasterio.open(survey / "truth" / "dtm.tif") as source:
         truth = Truth(source.read(1).astype(np.float64), source.bounds.left, source.bounds.top)
     parts: list[Kept] = []
-    for path in sorted((survey / "out" / "laz").rglob("*.laz")):
+    for path in sorted((survey / out / "laz").rglob("*.laz")):
         las = laspy.read(path)
         kept = np.asarray(las["noise_class"]) == 0
         kind = pq.read_table(survey / "truth" / f"{path.stem}.parquet")["kind"].to_numpy()
@@ -213,10 +224,10 @@ def load(survey: Path) -> tuple[Truth, Kept]:
     return truth, Kept(*(np.concatenate(some) for some in zip(*parts, strict=True)))
 
 
-def delivered(survey: Path, truth: Truth) -> Grid:
+def delivered(survey: Path, truth: Truth, out: str = "out") -> Grid:
     """The run's terrain on the cells of the truth."""
     rows, columns = truth.height.shape
-    with rasterio.open(survey / "out" / "dtm.tif") as source:
+    with rasterio.open(survey / out / "dtm.tif") as source:
         frame = truth.left, truth.top - rows, truth.left + columns, truth.top
         window = source.window(*frame).round_offsets().round_lengths()
         found = source.read(1, window=window, boundless=True, fill_value=source.nodata)
@@ -322,40 +333,57 @@ def main() -> None:
     parser.add_argument("--times", nargs="+", type=float, default=[1.0])
     parser.add_argument("--methods", nargs="*", default=["multiscale", "ptd", *CLOTHS])
     parser.add_argument("--say", action="store_true", help="print the warnings")
+    parser.add_argument("--before", type=Path, metavar="CHECKOUT", help="another version")
     given = parser.parse_args()
+    rows = [("level", 11, 1.0)]
+    rows += [(n, seed, times) for n in given.only for seed in given.seeds for times in given.times]
     with tempfile.TemporaryDirectory() as temporary:
         folder = given.folder or Path(temporary)
-        usual = _warnings(process("level", 11, 1.0, folder))
-        for name in given.only:
-            for seed in given.seeds:
-                for times in given.times:
-                    survey = process(name, seed, times, folder)
-                    told = [
-                        text
-                        for text in new_warnings(_warnings(survey), usual)
-                        if any(words in text.lower() for words in OF_HEIGHTS)
-                    ]
-                    _print(survey, name, f"{name}, seed {seed}, {times:g}", told, given.methods)
-                    for text in told if given.say else []:
-                        print(f"    {text}")
+        versions = {"run": "out"}
+        if given.before:
+            versions = {"before": OUT} | versions
+            surveys = [simulated(*row, folder) for row in dict.fromkeys(rows)]
+            run_by(given.before, [(survey / "workflow.yaml", ()) for survey in surveys])
+        level = process(*rows[0], folder)
+        usual = {out: _warnings(level, out) for out in versions.values()}
+        for name, seed, times in rows[1:]:
+            survey = process(name, seed, times, folder)
+            truth, kept = load(survey)
+            columns = figures(truth, kept, kept.called, truth.height)
+            print(
+                f"{name}, seed {seed}, {times:g}".ljust(38) + "".join(f"{n:>10}" for n in columns)
+            )
+            for version, out in versions.items():
+                _print(survey, name, (version, out), usual[out], say=given.say)
+            for method, row in by_methods(truth, kept, given.methods).items():
+                print(_row(method, row), flush=True)
 
 
-def _warnings(survey: Path) -> list[str]:
-    told: list[str] = json.loads((survey / "out" / "report.json").read_text())["warnings"]
-    return told
+def _warnings(survey: Path, out: str) -> list[str]:
+    return told_by(json.loads((survey / out / "report.json").read_text()))
+
+
+def _row(method: str, row: Mapping[str, float]) -> str:
+    return f"  {method:36}" + "".join(f"{value:10.2f}" for value in row.values())
 
 
 def _print(
-    survey: Path, name: str, title: str, told: Sequence[str], methods: Sequence[str]
+    survey: Path,
+    name: str,
+    version: tuple[str, str],
+    usual: Sequence[str],
+    *,
+    say: bool,
 ) -> None:
-    """One survey by its run and by methods."""
-    truth, kept = load(survey)
-    found = figures(truth, kept, kept.called, delivered(survey, truth))
-    print(title.ljust(38) + "".join(f"{n:>10}" for n in found))
-    for method, row in {"run": found, **by_methods(truth, kept, methods)}.items():
-        values = "".join(f"{value:10.2f}" for value in row.values())
-        words = f"  {verdict(found, name, told)}" if method == "run" else ""
-        print(f"  {method:36}{values}{words}", flush=True)
+    """One survey by the run of a version, its name and where its result lies."""
+    method, out = version
+    truth, kept = load(survey, out)
+    found = figures(truth, kept, kept.called, delivered(survey, truth, out))
+    new = new_warnings(_warnings(survey, out), usual)
+    words = verdict(found, name, telling(new, SAYS[name]))
+    print(f"{_row(method, found)}  {words} [{', '.join(kinds(new))}]", flush=True)
+    for text in new if say else []:
+        print(f"    {text}")
 
 
 if __name__ == "__main__":

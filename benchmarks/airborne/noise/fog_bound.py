@@ -20,7 +20,8 @@ import rasterio
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from benchmarks.airborne.sky import BASE, measure, scene
+from benchmarks.airborne.sky import BASE, scene
+from benchmarks.airborne.sky_figures import measure
 from spl_batch.airborne.filter.air import noise_in_air
 from spl_batch.airborne.filter.expected_noise import Expected
 from spl_batch.airborne.simulate import simulate
@@ -36,7 +37,7 @@ TIMES: Final = 60.0
 
 SHOWN: Final = ("noise removed", "far noise kept", "ground", "roof", "vegetation", "wire",
                 "DSM > 1 m")  # fmt: skip
-"""Figures of :func:`benchmarks.airborne.sky.measure` that are printed [%]."""
+"""Figures of :func:`benchmarks.airborne.sky_figures.measure` that are printed [%]."""
 
 
 def known_fog(survey: Path, scale_m: float, low_m: float) -> Callable[..., Expected]:
