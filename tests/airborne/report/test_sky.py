@@ -148,6 +148,9 @@ def test_thin_haze_is_told_with_its_place_and_not_beside_fog():
     (text,) = thin_haze_warning({"surface": cells})
     assert "2 thin layers above the ground, 4 200 m2 in all, the largest of 3 000 m2" in text
     assert "at 245 E, 55 N, 1 to 9 m above it" in text
+    cells["b"].facts |= {"filled": [100, 20, 20, 0, 0, 0, 0, 0, 0], "mist": [[30.0, 0.0, 0.0]]}
+    assert "mist" in next(fog_warning({"surface": cells}))
+    assert list(thin_haze_warning({"surface": cells})) == [text]
     cells["b"].facts["filled"] = [100, 90, 90, 0, 0, 0, 0, 0, 0]
     assert len(list(fog_warning({"surface": cells}))) == 1
     (text,) = thin_haze_warning({"surface": cells})

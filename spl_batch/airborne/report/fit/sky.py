@@ -57,6 +57,14 @@ class Band(NamedTuple):
     times: float
 
 
+class Fog(NamedTuple):
+    """Ground fog: how high it reaches, its part of a survey, and the survey's area."""
+
+    high_m: float
+    share: float
+    area_m2: float
+
+
 def haze(done: Receipts, context: Context) -> Haze | None:
     """Haze of the whole survey; None where there is none.
 
@@ -171,24 +179,31 @@ def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
 
 
 def fog_warning(done: Receipts) -> Iterator[str]:
-    """Sentence on returns that fill the air just above the ground nearly everywhere."""
-    parts = [r.facts["filled"] for r in done.get("surface", {}).values() if r.facts.get("filled")]
-    if not parts:
-        return
-    places, *filled = np.array(parts).sum(axis=0)
-    area_m2 = places * near_ground.SQUARE_M**2
-    shares = np.array(filled) / max(places, 1)
-    if area_m2 < FOG_LEAST_M2 or shares[0] < FOG_SHARE:
+    """Sentence on returns that fill the air just above the ground, everywhere or in patches."""
+    found = _fog(done)
+    if found is None:
         yield from _mist_warning(done)
         return
-    steps = int(np.argmax(np.append(shares < FOG_SHARE, True)))
-    top = near_ground.FLOOR_M + steps * near_ground.STEP_M
     yield as_ascii(
-        f"returns fill the air up to {top:.1f} m above the ground evenly in "
-        f"{100 * shares[0]:.0f} % of {significant(area_m2 * 1e-6, 2)} km2: ground fog, or low "
-        f"plants without gaps; below {top:.1f} m above the ground neither the DSM nor the "
-        "signal points can be trusted"
+        f"returns fill the air up to {found.high_m:.1f} m above the ground evenly in "
+        f"{100 * found.share:.0f} % of {significant(found.area_m2 * 1e-6, 2)} km2: ground fog, or "
+        f"low plants without gaps; below {found.high_m:.1f} m above the ground neither the DSM nor "
+        "the signal points can be trusted"
     )
+
+
+def _fog(done: Receipts) -> Fog | None:
+    """Fog over most of the survey; None where there is none."""
+    parts = [r.facts["filled"] for r in done.get("surface", {}).values() if r.facts.get("filled")]
+    if not parts:
+        return None
+    places, *filled = np.array(parts).sum(axis=0)
+    area_m2 = float(places * near_ground.SQUARE_M**2)
+    shares = np.array(filled) / max(places, 1)
+    if area_m2 < FOG_LEAST_M2 or shares[0] < FOG_SHARE:
+        return None
+    steps = int(np.argmax(np.append(shares < FOG_SHARE, True)))
+    return Fog(near_ground.FLOOR_M + steps * near_ground.STEP_M, float(shares[0]), area_m2)
 
 
 def _mist_warning(done: Receipts) -> Iterator[str]:
@@ -219,7 +234,7 @@ def _extent(found: Sequence[Sequence[float]], x: float, y: float) -> str:
 
 def thin_haze_warning(done: Receipts) -> Iterator[str]:
     """Sentence on layers of haze that are too thin to be taken for noise."""
-    foggy = any(fog_warning(done))
+    foggy = _fog(done) is not None
     found = [
         layer
         for r in done.get("surface", {}).values()
