@@ -8,8 +8,9 @@ of 1 m,
 
 .. math:: \kappa = k \sum n (n - 1) / (\sum n)^2
 
-is 1 in air and well above 1 among leaves. Crowns fill single places. Haze also fills most places
-beside one, at the same height. It is told, and nothing is removed. Our own rule: no source has one.
+is 1 in air, scattered by chance in single places, and above 1 among leaves. Evenly turbid crowns
+come so near to 1 in single places, haze in several that lie together at the same height. It is
+told, and nothing is removed. Our own rule: no source has one.
 """
 
 from collections.abc import Iterator
@@ -33,21 +34,18 @@ BLOCK: Final = 4
 LOWEST: Final = 2
 """Metre above the floor from which on a block does not reach down to the ground."""
 
-EVEN: Final = 1.3
-"""Largest clumping of a filled block."""
+EVEN: Final = 1.1
+"""Largest clumping of a filled block: of turbid crowns one in a hundred has less."""
 
-LEAST_PER_M3: Final = 0.3
+LEAST_PER_M3: Final = 0.2
 TIMES_NOISE: Final = 4.0
 """Returns of a filled block: enough to show clumps, and many more than noise [1/m3, 1]."""
 
 KEPT: Final = 0.25
 """Least share of them that the filter keeps."""
 
-BESIDE: Final = 6
+BESIDE: Final = 3
 """Places that are filled at the same height, of nine."""
-
-BESIDE_LOW: Final = 3
-"""The same of mist: no crowns reach down so far, and its patches are small."""
 
 PLACES_LEAST: Final = 6
 """Places of one layer, or of one patch of mist, that are told: 600 m2."""
@@ -59,7 +57,16 @@ BLOCKS: Final = TOP - BLOCK + 1
 
 
 def filled_blocks(placed: Placed, noise_m3: float) -> NDArray[np.bool_]:
-    """Blocks of each place that are evenly filled.
+    """Blocks of each place that are evenly filled: (rows, columns, BLOCKS) bool.
+
+    The arguments are those of :func:`clumping`.
+    """
+    filled: NDArray[np.bool_] = clumping(placed, noise_m3) <= EVEN
+    return filled
+
+
+def clumping(placed: Placed, noise_m3: float) -> NDArray[np.float64]:
+    """How clumped the returns of blocks lie that hold enough.
 
     Parameters
     ----------
@@ -70,8 +77,9 @@ def filled_blocks(placed: Placed, noise_m3: float) -> NDArray[np.bool_]:
 
     Returns
     -------
-    (rows, columns, BLOCKS) bool
-        From the south-west; by the lowest metre of a block.
+    (rows, columns, BLOCKS) float64
+        From the south-west; by the lowest metre of a block. Infinite where a block holds too few
+        returns, or few that are kept, or where there is no ground [1].
     """
     rows, columns = placed.shape
     parts = quanta(SQUARE_M) // quanta(CELL_M)
@@ -87,11 +95,10 @@ def filled_blocks(placed: Placed, noise_m3: float) -> NDArray[np.bool_]:
     returns, pairs, known = (_high(values.reshape(rows, columns, TOP)) for values in sums)
     cells = BLOCK * parts**2
     volume = BLOCK * SQUARE_M**2
-    filled = returns >= volume * max(LEAST_PER_M3, TIMES_NOISE * noise_m3)
-    filled &= cells * pairs <= EVEN * returns**2
-    filled &= known >= KEPT * returns
-    grounded: NDArray[np.bool_] = filled & placed.grounded.reshape(rows, columns, 1)
-    return grounded
+    enough = returns >= volume * max(LEAST_PER_M3, TIMES_NOISE * noise_m3)
+    enough &= known >= KEPT * returns
+    enough &= placed.grounded.reshape(rows, columns, 1)
+    return np.where(enough, cells * pairs / np.maximum(returns, 1) ** 2.0, np.inf)
 
 
 def layers(filled: NDArray[np.bool_], core: Bounds) -> list[list[float]]:
@@ -141,7 +148,7 @@ def mist(low: NDArray[np.bool_], core: Bounds) -> list[list[float]]:
     beside = ndimage.convolve(low.astype(np.int8), np.ones((3, 3), np.int8), mode="constant")
     return [
         [float(len(row)), *_middle(row, column, core)]
-        for row, column in _groups(low & (beside >= BESIDE_LOW))
+        for row, column in _groups(low & (beside >= BESIDE))
     ]
 
 
