@@ -4,8 +4,8 @@ Run ``python -m benchmarks.airborne.products.thin_layers [FOLDER]``.
 
 Scenes of 110 m with haze of 6 m in patches, at 10, 20 and 40 times the noise, and forests of
 several kinds without haze, each with several seeds; ``--half`` leaves out half of all returns. From
-the simulated returns without afterpulses and the true terrain come, by the rule of
-:mod:`spl_batch.airborne.products.thin_haze`,
+the simulated returns and the true terrain come, by the rule of
+:mod:`spl_batch.airborne.products.thin_haze`, without afterpulses or, by ``--afterpulses``, with all,
 
 - the clumping of blocks that hold enough, its 5th, 25th and 50th percentile;
 - the share of them that are even enough, of all that hold enough [%];
@@ -55,8 +55,13 @@ SCENES: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType({
 """What scenes have beyond the base of :mod:`benchmarks.airborne.sky`."""
 
 
-def returns(survey: Path, *, half: bool) -> tuple[PointTable, NDArray[np.float32], Bounds]:
-    """Returns of a survey that are no afterpulse, its true terrain, and its bounds [quanta]."""
+def returns(
+    survey: Path, *, half: bool, followed: bool
+) -> tuple[PointTable, NDArray[np.float32], Bounds]:
+    """Returns of a survey, its true terrain, and its bounds [quanta].
+
+    ``half``: leave out half; ``followed``: afterpulses among them.
+    """
     with rasterio.open(survey / "truth" / "dtm.tif") as source:
         dtm = source.read(1).astype(np.float32)
         sides = source.bounds
@@ -65,7 +70,8 @@ def returns(survey: Path, *, half: bool) -> tuple[PointTable, NDArray[np.float32
     for path in sorted((survey / "flightlines").glob("*.laz")):
         las = laspy.read(path)
         kind = pq.read_table(survey / "truth" / f"{path.stem}.parquet")["kind"].to_numpy()
-        xyz = np.column_stack([las.x, las.y, las.z])[kind != KINDS.index("afterpulse")]
+        chosen = followed | (kind != KINDS.index("afterpulse"))
+        xyz = np.column_stack([las.x, las.y, las.z])[chosen]
         parts.append(np.rint(xyz / QUANTUM_M).astype(np.int64))
     places = np.concatenate(parts)
     if half:
@@ -81,9 +87,9 @@ def returns(survey: Path, *, half: bool) -> tuple[PointTable, NDArray[np.float32
     return table, dtm, Bounds(*(quanta(side) for side in sides))
 
 
-def figures(survey: Path, *, half: bool) -> str:
-    """What a survey shows."""
-    table, dtm, core = returns(survey, half=half)
+def figures(survey: Path, *, half: bool, followed: bool) -> str:
+    """What a survey shows; the arguments are those of :func:`returns`."""
+    table, dtm, core = returns(survey, half=half, followed=followed)
     placed = near_ground.placed(table, core, dtm)
     if placed is None:
         raise SystemExit(f"{survey}: no whole place")
@@ -103,6 +109,7 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--seeds", nargs="+", type=int, default=[11, 12, 13])
     parser.add_argument("--half", action="store_true", help="leave out half of all returns")
+    parser.add_argument("--afterpulses", action="store_true", help="keep all of them")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         print(f"{'':34}{'5 %':>7}{'25 %':>7}{'50 %':>7}{'even, %':>9}{'places':>8}")
@@ -114,7 +121,10 @@ def main() -> None:
                     for key, value in more.items():
                         content[key] = {**BASE[key], **value}
                     simulate(parse_scene(content, name), survey)
-                print(f"{name:28}{seed:6}{figures(survey, half=given.half)}", flush=True)
+                print(
+                    f"{name:28}{seed:6}{figures(survey, half=given.half, followed=given.afterpulses)}",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -39,6 +39,9 @@ STEP_M: Final = 1.0
 STEPS: Final = 8
 """Height and number of the steps."""
 
+HALF_M: Final = 0.5
+"""Height by which points are sorted [m]."""
+
 TIMES_NOISE: Final = 4.0
 LEAST: Final = 10.0
 """A filled place holds so many times the noise, and so many returns more."""
@@ -58,7 +61,8 @@ class Placed(NamedTuple):
     shape: tuple[int, int]  #: Rows and columns of places, from the south-west [count].
     place: NDArray[np.int64]  #: (n,): number of each point's place, row by row.
     within: NDArray[np.int64]  #: (n,): number of its cell within the place.
-    metre: NDArray[np.float64]  #: (n,): whole metres above the floor; NaN where the DTM is void.
+    #: (n,): half metres above the floor, rounded down; NaN where the DTM is void.
+    half_metre: NDArray[np.float64]
     kept: NDArray[np.bool_]  #: (n,): whether it is signal.
     grounded: NDArray[np.bool_]  #: (places,): whether points lie on the DTM there.
 
@@ -91,8 +95,8 @@ def placed(table: PointTable, core: Bounds, dtm: NDArray[np.float32]) -> Placed 
     within = (y % edge // cell) * parts + x % edge // cell
     grounded = np.bincount(place[near], minlength=int(rows * columns)) > 0
     kept = kind[chosen] == NOISE_SIGNAL
-    metre = np.floor((height - FLOOR_M) / STEP_M)
-    return Placed((int(rows), int(columns)), place, within, metre, kept, grounded)
+    half_metre = np.floor((height - FLOOR_M) / HALF_M)
+    return Placed((int(rows), int(columns)), place, within, half_metre, kept, grounded)
 
 
 def low_places(points: Placed, noise_m3: float) -> NDArray[np.bool_]:
@@ -123,7 +127,8 @@ def low_places(points: Placed, noise_m3: float) -> NDArray[np.bool_]:
 def _by_cell(points: Placed, step: int) -> NDArray[np.int64]:
     """Returns of a step by place and cell: (places, cells)."""
     places, parts = len(points.grounded), quanta(SQUARE_M) // quanta(CELL_M)
-    inside = points.metre == step
+    half = round(STEP_M / HALF_M)
+    inside = (points.half_metre >= half * step) & (points.half_metre < half * (step + 1))
     number = points.place[inside] * parts**2 + points.within[inside]
     return np.bincount(number, minlength=places * parts**2).reshape(places, parts**2)
 

@@ -3,8 +3,8 @@ r"""Layers of haze that are too thin to be taken for noise: they are told.
 Domain: space. :mod:`spl_batch.airborne.noise.haze` takes 15 m of even returns for air. A thinner
 layer passes the test of noise, stays signal and becomes the surface. A block is a place of 10 m and
 :data:`BLOCK` metres of height above the ground. It is *filled* if it holds many more returns than
-noise explains, enough of them are kept, and they lie evenly: with n returns in each of its k cells
-of 1 m,
+noise explains, enough of them are kept, and they lie evenly: with n returns in each of its k cells,
+2 m wide and half a metre high, so that no return shares one with its own afterpulse,
 
 .. math:: \kappa = k \sum n (n - 1) / (\sum n)^2
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.products.near_ground import CELL_M, FLOOR_M, SQUARE_M, Placed
+from spl_batch.airborne.products.near_ground import CELL_M, FLOOR_M, HALF_M, SQUARE_M, Placed
 from spl_batch.lattice.tiles import Bounds, quanta
 
 DOMAIN: Final = "space"
@@ -30,6 +30,9 @@ TOP: Final = 60
 
 BLOCK: Final = 4
 """Metres that a block is high."""
+
+WIDE: Final = 2
+"""Cells of :data:`~spl_batch.airborne.products.near_ground.CELL_M` that are one here, each way."""
 
 LOWEST: Final = 2
 """Metre above the floor from which on a block does not reach down to the ground."""
@@ -50,10 +53,13 @@ BESIDE: Final = 3
 PLACES_LEAST: Final = 6
 """Places of one layer, or of one patch of mist, that are told: 600 m2."""
 
-AT_ONCE: Final = 6
-"""Metres whose points are counted at once: memory for few of them."""
+AT_ONCE: Final = 12
+"""Half metres whose points are counted at once: memory for few of them."""
 
 BLOCKS: Final = TOP - BLOCK + 1
+
+_HALVES: Final = round(1.0 / HALF_M)
+"""Layers of cells in a metre."""
 
 
 def filled_blocks(placed: Placed, noise_m3: float) -> NDArray[np.bool_]:
@@ -82,18 +88,22 @@ def clumping(placed: Placed, noise_m3: float) -> NDArray[np.float64]:
         returns, or few that are kept, or where there is no ground [1].
     """
     rows, columns = placed.shape
-    parts = quanta(SQUARE_M) // quanta(CELL_M)
-    size = rows * columns * TOP
+    small = quanta(SQUARE_M) // quanta(CELL_M)
+    parts = small // WIDE
+    size = rows * columns * TOP * _HALVES
     sums = np.zeros((3, size), np.int64)
-    for low in range(0, TOP, AT_ONCE):
-        inside = (placed.metre >= low) & (placed.metre < low + AT_ONCE)
-        number = placed.place[inside] * TOP + placed.metre[inside].astype(np.int64)
-        cell, count = np.unique(number * parts**2 + placed.within[inside], return_counts=True)
+    for low in range(0, TOP * _HALVES, AT_ONCE):
+        inside = (placed.half_metre >= low) & (placed.half_metre < low + AT_ONCE)
+        layer = placed.half_metre[inside].astype(np.int64)
+        number = placed.place[inside] * TOP * _HALVES + layer
+        row, column = np.divmod(placed.within[inside], small)
+        within = row // WIDE * parts + column // WIDE
+        cell, count = np.unique(number * parts**2 + within, return_counts=True)
         np.add.at(sums[1], cell // parts**2, count * (count - 1))
-        for row, some in ((0, number), (2, number[placed.kept[inside]])):
-            sums[row] += np.bincount(some, minlength=size)
-    returns, pairs, known = (_high(values.reshape(rows, columns, TOP)) for values in sums)
-    cells = BLOCK * parts**2
+        for k, some in ((0, number), (2, number[placed.kept[inside]])):
+            sums[k] += np.bincount(some, minlength=size)
+    returns, pairs, known = (_high(values.reshape(rows, columns, -1)) for values in sums)
+    cells = BLOCK * _HALVES * parts**2
     volume = BLOCK * SQUARE_M**2
     enough = returns >= volume * max(LEAST_PER_M3, TIMES_NOISE * noise_m3)
     enough &= known >= KEPT * returns
@@ -155,8 +165,8 @@ def mist(low: NDArray[np.bool_], core: Bounds) -> list[list[float]]:
 def _groups(
     marked: NDArray[np.bool_],
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Rows and columns of marked places that hang together, where they are enough."""
-    group, number = ndimage.label(marked)
+    """Rows and columns of marked places that touch, at corners too, where they are enough."""
+    group, number = ndimage.label(marked, np.ones((3, 3)))
     for k in range(1, number + 1):
         row, column = np.nonzero(group == k)
         if len(row) >= PLACES_LEAST:
@@ -172,6 +182,6 @@ def _middle(row: NDArray[np.intp], column: NDArray[np.intp], core: Bounds) -> tu
 
 
 def _high(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sums over the metres of each block."""
+    """Sums over the layers of each block."""
     total = np.cumsum(np.pad(values, ((0, 0), (0, 0), (1, 0))), axis=2)
-    return total[:, :, BLOCK:] - total[:, :, :-BLOCK]
+    return (total[:, :, BLOCK * _HALVES :] - total[:, :, : -BLOCK * _HALVES])[:, :, ::_HALVES]

@@ -77,10 +77,11 @@ def test_blocks_are_filled_as_counting_by_hand_says():
     for row, column, low in [(0, 0, 0), (4, 5, 3), (2, 3, 17), (1, 2, 38), (3, 1, 56)]:
         inside = (mm[:, 0] // 10 == column) & (mm[:, 1] // 10 == row)
         inside &= (metre >= low) & (metre < low + thin_haze.BLOCK)
-        cells = np.column_stack([np.floor(mm[inside, :2]), metre[inside]])
+        half = np.floor(2 * (mm[inside, 2] - near_ground.FLOOR_M))
+        cells = np.column_stack([np.floor(mm[inside, :2] / 2), half])
         n = np.unique(cells, axis=0, return_counts=True)[1]
         volume = 100 * thin_haze.BLOCK
-        even = volume * (n * (n - 1)).sum() <= thin_haze.EVEN * n.sum() ** 2
+        even = volume / 2 * (n * (n - 1)).sum() <= thin_haze.EVEN * n.sum() ** 2
         assert filled[row, column, low] == (n.sum() >= 0.2 * volume and even)
 
 
