@@ -5,7 +5,7 @@ Run ``python -m benchmarks.airborne.products.thin_layers [FOLDER]``.
 Scenes of 110 m with haze of 6 m in patches, at 10, 20 and 40 times the noise, and forests of
 several kinds without haze, each with several seeds; ``--half`` leaves out half of all returns. From
 the simulated returns and the true terrain come, by the rule of
-:mod:`spl_batch.airborne.products.thin_haze` (``--afterpulses``: with all afterpulses, else without),
+:mod:`spl_batch.airborne.products.thin_haze` (``--afterpulses``: with all afterpulses, else none),
 
 - the clumping of blocks that hold enough, its 5th, 25th and 50th percentile;
 - the share of them that are even enough, of all that hold enough [%];
