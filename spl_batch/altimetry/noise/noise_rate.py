@@ -102,12 +102,12 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         mist = np.where(mist[:, 2:] > 0.0, mist, find_mist(over, fog))
     clear = outside(cell, height, fog)
     if len(clear) < len(cell):
-        cell, height = cell[clear], height[clear]
+        cell, height, along = cell[clear], height[clear], along[clear]
         table = np.bincount(cell * width + (height // bin_q - base), minlength=table.size)
         table = table.reshape(len(index), width)
         peak = _surface(index, table)
         layers = find_layers(index, cell, height)
-    water = find_water(index, cell, height, layers, (low, high), settings.cell_m)
+    water = find_water(index, cell, height, layers, (low, high), settings.cell_m, along)
     wet = water.level != NO_WATER
     peak = np.where(wet, water.level // bin_q - base, peak)
     middle = (peak + base) * bin_q + bin_q // 2

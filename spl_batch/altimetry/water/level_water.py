@@ -25,6 +25,7 @@ from spl_batch.altimetry.water.column_noise import falling_density
 from spl_batch.altimetry.water.emptiest import Photons, emptiest, sums_around
 from spl_batch.altimetry.water.faint_surface import CLEAR, faint_surface
 from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre, fullest
+from spl_batch.altimetry.water.leaning_floor import confirmed, depths_of, leaning_layers
 from spl_batch.altimetry.water.levelness import is_water
 from spl_batch.altimetry.water.rolling_floor import emptier_boxes, standing_out
 from spl_batch.altimetry.water.rough_surface import rough_land, roughness, smooth_sums
@@ -121,6 +122,7 @@ def find_water(
     layers: tuple[NDArray[np.int64], NDArray[np.int64]],
     gate: tuple[NDArray[np.int32], NDArray[np.int32]],
     cell_m: float,
+    along: NDArray[np.int64],
 ) -> Water:
     """Level of the water surface and noise below it of each cell.
 
@@ -163,7 +165,7 @@ def find_water(
     water.level[:] = level
     wet = level != NO_WATER
     if wet.any():
-        column = _columns(index, cell, height, gate[0], level, cell_m)
+        column = _columns(index, cell, height, gate[0], level, cell_m, along)
         expected = _continued(column)
         water.top[:] = _top(cell, height, level, expected * cell_m)
         first = first_metre(index, cell, height, water.top, cell_m, column[:, 0], expected)
@@ -264,6 +266,7 @@ def _columns(
     low: NDArray[np.int32],
     level: NDArray[np.int32],
     cell_m: float,
+    along: NDArray[np.int64],
 ) -> NDArray[np.float64]:
     """Noise by depth of every cell, floors left out: (n, DEPTHS) float64 [1/m2]."""
     n = len(index)
@@ -298,10 +301,17 @@ def _columns(
     # A floor that slopes or rolls stands out of what the emptier boxes of a kilometre show.
     lowest = emptier_boxes(index, count, area > 0.99 * cell_m, REACH_CELLS)
     expected = np.minimum(out * area, lowest)
+    order = np.argsort(cell[below], kind="stable")
+    edges = np.searchsorted(cell[below][order], np.arange(n + 1))
+    inside_m = (along[below][order] / QUANTA_PER_M) - (index[cell[below][order]] + 0.5) * cell_m
+    deep_m = depth_q[below][order] / QUANTA_PER_M
+    layers = np.full((n, 3), np.nan)
     for _ in range(_TIMES):
         expected[:, : rough.shape[1]] += rough
         left = floor.copy()
         left[:, :-1] |= standing_out(count[:, :-1], expected[:, :-1], area[:, :-1] > 0.0)
+        leaning_layers(inside_m, deep_m, edges, expected[:, :-1], cell_m, layers)
+        left[:, :-1] |= depths_of(layers, confirmed(index, layers, cell_m), DEPTHS - 1, cell_m)
         out = _without(left, *own)
         expected = out * area
     return out
