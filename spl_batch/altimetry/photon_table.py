@@ -66,6 +66,8 @@ class Cells:
     fog: NDArray[np.float32]
     #: (n, 3): ends of what may be fog or woods [m], and its photons [count]; 0 where nothing is.
     mist: NDArray[np.float32]
+    #: (n, 2): height of a floor in the middle of the cell, and its slope [m, m/m]; NaN where none.
+    floor: NDArray[np.float32]
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays by name, for a file."""
@@ -100,6 +102,7 @@ class Scale:
     calm: NDArray[np.bool_]
     fog_low: NDArray[np.int32]
     fog: NDArray[np.float32]
+    bed: NDArray[np.float64]  #: (n, 2): heights that neighbourhoods below a surface follow [m].
     neighbours: NDArray[np.int64]  #: (n,): neighbours that count [count].
     #: (n,): noise over the beam's median, water or not, and the start of the cell on that axis [m].
     stretch: NDArray[np.float64]

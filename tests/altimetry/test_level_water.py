@@ -205,9 +205,9 @@ def test_scores_along_a_coast_do_not_depend_on_where_it_is_cut(seed: int, cut: i
     "depth_m",
     [
         lambda x: 8.0 + 3.0 * np.sin(x / 32.0),
-        lambda x: 15.0 + 13.0 * 2.0 / np.pi * np.arcsin(np.sin(x / 83.0)),
+        lambda x: 15.0 + 13.0 * 2.0 / np.pi * np.arcsin(np.sin(x / 28.0)),
     ],
-    ids=["waves of 200 m", "slope of 0.1"],
+    ids=["waves of 200 m", "slope of 0.3"],
 )
 def test_a_floor_that_rolls_or_slopes_is_no_noise_of_the_water(
     noise: float, depth_m: Callable[[np.ndarray], np.ndarray]

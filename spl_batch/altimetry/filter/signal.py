@@ -81,9 +81,12 @@ def placed(photons: Photons, plane: Plane, scale: Scale, rate: RateSettings) -> 
     cell, at, z = cell[rows], at[rows], height[rows]
     inside_m = (along[rows] - scale.index[cell] * size) / QUANTA_PER_M
     u = plane.start[at] + np.rint(inside_m * plane.per_m[at] * UNIT_QUANTA).astype(np.int64)
-    v = np.rint(z * (UNIT_QUANTA / (QUANTA_PER_M * plane.unit_m)))
+    below = below_surface(cell, z, scale)
+    start, end = scale.bed[cell].T
+    bed = start + (end - start) * inside_m / rate.cell_m
+    v = np.rint((z / QUANTA_PER_M - np.where(below, bed, 0.0)) * (UNIT_QUANTA / plane.unit_m))
     # A surface lends no photons to what lies below it: that is set off by the farthest neighbour.
-    v -= below_surface(cell, z, scale) * np.ceil((CAP_UNITS + 1.0) * UNIT_QUANTA)
+    v -= below * _ABOVE_ALL
     # A cloud lends none to what is around it, and is lent none: it lies above all else.
     cloud = in_fog(cell, z, scale)
     v += cloud * _ABOVE_ALL

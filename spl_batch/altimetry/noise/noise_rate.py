@@ -30,16 +30,17 @@ from spl_batch.altimetry.photon_table import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.water.emptiest import Photons, sums_around
 from spl_batch.altimetry.water.faint_surface import BLOCK_CELLS
+from spl_batch.altimetry.water.leaning_floor import bed
 from spl_batch.altimetry.water.level_water import (
     DEPTHS,
     NO_WATER,
     REACH_CELLS,
     SURFACE_M,
-    WOOD_CELLS,
     find_layers,
     find_water,
 )
 from spl_batch.altimetry.water.levelness import SWELL_CELLS
+from spl_batch.altimetry.water.trees_over import WOOD_CELLS
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
@@ -50,7 +51,7 @@ HALO_CELLS: Final = (
     + 2 * (PATCH_CELLS + REACH_CELLS + WOOD_CELLS)
     + 3 * STRETCH_CELLS
     + 2 * BLOCK_CELLS
-    + 3 * REACH_CELLS
+    + 3 * (REACH_CELLS + 1)
     + SWELL_CELLS
     + 1
 )
@@ -86,6 +87,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     table = np.bincount(cell * width + (bins - base), minlength=len(index) * width)
     table = table.reshape(len(index), width)
     peak = _surface(index, table)
+    inside_m = (along - index[cell] * size - size // 2) / QUANTA_PER_M
     layers = find_layers(index, cell, height)
     middle = (peak + base) * bin_q + bin_q // 2
     # A level floor may be brighter than the surface above it.
@@ -102,12 +104,12 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         mist = np.where(mist[:, 2:] > 0.0, mist, find_mist(over, fog))
     clear = outside(cell, height, fog)
     if len(clear) < len(cell):
-        cell, height, along = cell[clear], height[clear], along[clear]
+        cell, height, inside_m = cell[clear], height[clear], inside_m[clear]
         table = np.bincount(cell * width + (height // bin_q - base), minlength=table.size)
         table = table.reshape(len(index), width)
         peak = _surface(index, table)
         layers = find_layers(index, cell, height)
-    water = find_water(index, cell, height, layers, (low, high), settings.cell_m, along)
+    water = find_water(index, cell, height, layers, (low, high), settings.cell_m, inside_m)
     wet = water.level != NO_WATER
     peak = np.where(wet, water.level // bin_q - base, peak)
     middle = (peak + base) * bin_q + bin_q // 2
@@ -131,6 +133,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         fog_low=fog.low,
         fog=fog.density,
         mist=mist,
+        floor=water.floor,
     )
 
 
@@ -297,7 +300,8 @@ def scale(
     return Scale(
         cells.index, usual, aspects(cells, signal), noise, below, density,
         cells.level, column, first, cells.top, cells.calm, cells.fog_low, cells.fog,
-        neighbours(cells, density, rate, signal), *_mdbscan_axis(cells, density, rate, signal),
+        bed(cells.index, cells.floor, rate.cell_m), neighbours(cells, density, rate, signal),
+        *_mdbscan_axis(cells, density, rate, signal),
     )  # fmt: skip
 
 

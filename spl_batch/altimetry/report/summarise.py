@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.filter.chance import SHARE_QUANTA
+from spl_batch.altimetry.ground.lost_floor import LostFloor
 from spl_batch.altimetry.photon_table import LABELS
 from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, TrackReport
 from spl_batch.altimetry.report.page import render
@@ -78,8 +79,10 @@ kind are not worth a warning."""
 _MIST_SHARE: Final = 0.03
 _OVER_SHARE: Final = 0.02
 _ECHO_SHARE: Final = 0.1
+_LOST_SHARE: Final = 0.2
 """Photons of what may be fog over all of the signal, those over and under a surface over those of
-the surface, and those of an echo over those called floor, that are worth a warning."""
+the surface, those of an echo over those called floor, and profile cells without their floor over
+all of these, that are worth a warning."""
 
 
 def _warnings(done: Receipts, limit: float) -> list[str]:
@@ -99,6 +102,8 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
         found += [Said(beam, text) for text in _second_surface(chosen, kept, limit)]
         found += [Said(beam, text) for text in _like_noise(chosen, kept, floor)]
         found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
+        lost = LostFloor(*done["profile"][key].facts["lost_floor"])
+        found += [Said(beam, text) for text in _lost_floor(lost)]
         if kept and not noise:
             text = f"all {grouped(kept)} photons are signal; nothing is told apart"
             found.append(Said(beam, text))
@@ -174,6 +179,18 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
             f"the {grouped(photons)} photons called floor cannot be told from noise below the "
             f"surface ({grouped(noise / SHARE_QUANTA)} noise photons are expected among them): "
             "the floor is not to be relied on"
+        )
+
+
+def _lost_floor(floor: LostFloor) -> Iterator[str]:
+    """Water whose floor is seen close by and not there."""
+    every = floor.lost + floor.found
+    if floor.lost >= max(SAID_LEAST, _LOST_SHARE * every):
+        yield (
+            f"between {floor.from_m / 1000:g} and {floor.to_m / 1000:g} km the floor is lost in "
+            f"{grouped(floor.lost)} of {grouped(every)} profile cells of water that show it or lie "
+            "close between others that do: it is too steep, rough or faint for the noise there, "
+            "and an empty floor is no sign of deep water; look at the photons called 40 and 45"
         )
 
 

@@ -13,6 +13,7 @@ from spl_batch.altimetry.formats.terrain import sample_terrain
 from spl_batch.altimetry.formats.track_csv import read_profile
 from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground import profile as profiles
+from spl_batch.altimetry.ground.lost_floor import lost_floor
 from spl_batch.altimetry.photon_table import LABELS, Scale
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.tasks.context import Context, gather, place, rows_between
@@ -45,7 +46,7 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     settings = profiles.for_layout(context.workflow.profile, args["layout"])
     spread = profiles.spread_m(context.workflow.profile, args["layout"])
     size = quanta(settings.cell_m)
-    chosen, scale = Selection(beam, context), read_rate(beam, context)[1]
+    chosen, (cells, scale, _) = Selection(beam, context), read_rate(beam, context)
     pieces = []
     for _, low, high in args["segments"]:
         owned = (-(-low // size), -(-high // size))
@@ -64,11 +65,18 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     with writing(path, COLUMNS) as writer:
         writer.write(columns)
     ground = np.isfinite(columns["ground"])
+    rate_m = context.workflow.rate.cell_m
+    at_m = (cells.index[np.isfinite(cells.floor[:, 0])] + 0.5) * rate_m
+    shown = np.floor(at_m / settings.cell_m).astype(np.int64)
+    wet = columns["water"] == 1
+    floor = np.isfinite(columns["floor"])
+    lost = lost_floor(columns["cell"][wet], floor[wet], shown, settings.cell_m)
     facts = {
         "cells": len(ground),
         "ground_cells": int(np.count_nonzero(ground)),
         "water_cells": int(np.count_nonzero(columns["water"])),
-        "floor_cells": int(np.count_nonzero(np.isfinite(columns["floor"]))),
+        "floor_cells": int(np.count_nonzero(floor)),
+        "lost_floor": list(lost),
         "canopy_cells": int(np.count_nonzero(columns["canopy_photons"])),
     }
     return Produced([path], facts, args["points"])

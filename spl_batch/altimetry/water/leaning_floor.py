@@ -1,31 +1,67 @@
-"""Floors so steep that they lean within a cell.
+"""Floors that lean within a cell, and the line that they make along the track.
 
-A steep floor fills many depths of a cell with few photons each, so no level box holds more than
-noise does. Sheared by its slope it is one thin layer again. So the photons of a cell are sheared
-by slope after slope and counted by layers, as ground is sought
-(:mod:`spl_batch.altimetry.ground.cell_ground`); the layer that holds most beyond what noise lets
-expect is a floor, and the depths that it passes through are none of the noise's.
+A steep floor fills many depths of a cell with few photons each: no level box holds more than noise
+does, and neighbourhoods that are long and level hold few photons of it. Sheared by its slope it is
+one thin layer again. So the photons of a cell are sheared by slope after slope and counted by
+layers, as ground is sought (:mod:`spl_batch.altimetry.ground.cell_ground`). The layer that holds
+most beyond noise is a floor where it meets that of the cell beside it: the depths that it passes
+through are none of the noise's, and neighbourhoods below the surface follow its line. To take a
+line off heights changes no area, so noise is as dense as before.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
 
-_SLOPES: Final = 10
-"""Slopes tried to each side, a tenth apart: the ends of a cell move by a layer from one to the
-next [count]."""
-
-STEEP = -1
-MEET_M = 2.0
-LAYER_M: Final = 1.0
-_HALF_M: float = 0.5
+_SLOPES: int = 10  # to each side, a tenth apart: a cell's ends move by a layer from one to the next
+_HALF_M: float = 0.5  # half-thickness of a layer
 _SD: float = 4.0
-_LEAST: float = 2.0
-"""Thickness of a layer [m]; standard deviations, and photons beside them, that it is over
-noise."""
+_LEAST: float = 2.0  # standard deviations, and photons, that a layer is over the noise
+
+_MEET_M: Final = 1.0
+"""How far the layers of two cells are apart where they meet, at most [m]."""
+
+_STRONG: Final = 2.0
+"""Photons more than it needs that one of two layers that meet holds at least [count]."""
+
+_FAR_CELLS: Final = 500
+"""Cells from a floor beyond which nothing follows it [count]."""
+
+
+class Below(NamedTuple):
+    """Photons below the surface of cells."""
+
+    number: NDArray[np.int64]  #: (n,): cells, in order.
+    cell: NDArray[np.intp]  #: (p,): row of each photon's cell.
+    inside_m: NDArray[np.float64]  #: (p,): along the track, from the middle of the cell [m].
+    depth_m: NDArray[np.float64]  #: (p,): depth below the surface and its waves [m].
+
+
+def leaning_floor(photons: Below, noise: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
+    """Depth in the middle of each cell and slope of the floor seen there, (n, 2) [m, m/m].
+
+    NaN where none is, or where no cell beside it has one that meets it, either of them clear.
+
+    Parameters
+    ----------
+    noise : (n, d) float64
+        Photons of noise that each metre of depth lets expect [count].
+    """
+    index, cell, inside_m, depth_m = photons
+    order = np.argsort(cell, kind="stable")
+    edges = np.searchsorted(cell[order], np.arange(len(index) + 1))
+    layers = np.empty((len(index), 3))
+    leaning_layers(inside_m[order], depth_m[order], edges, noise, cell_m, layers)
+    first, last = (layers[:, 0] + side * layers[:, 1] * cell_m / 2.0 for side in (-1.0, 1.0))
+    strong = layers[:, 2] >= _STRONG
+    meet = (np.diff(index) == 1) & (strong[:-1] | strong[1:])
+    meet &= np.abs(last[:-1] - first[1:]) <= _MEET_M
+    alone = ~(np.append(meet, False) | np.append(False, meet))
+    layers[alone] = np.nan
+    return layers[:, :2]
 
 
 @njit()
@@ -37,80 +73,93 @@ def leaning_layers(
     cell_m: float,
     out: NDArray[np.float64],
 ) -> None:
-    """The leaning layer of each cell that stands out of noise most.
+    """The layer of each cell, level or leaning, that stands out of noise most.
 
     Parameters
     ----------
     inside_m, depth_m : (p,) float64
         Photons of cells one after the other: place from the middle of the cell, and depth [m].
     edges : (n + 1,) int64
-        First photon of each cell.
+        First photon of each cell, and the end.
     noise : (n, d) float64
         Photons of noise that each metre of depth lets expect [count].
     cell_m : float
         Length of a cell [m].
     out : (n, 3) float64
-        Receives depth in the middle of the cell [m], slope [m/m], and photons beyond the noise
-        expected [count]; NaN where no layer stands out.
+        Receives depth in the middle of the cell [m], slope [m/m], and photons beyond those that
+        a layer needs [count]; NaN where no layer stands out.
     """
     n, depths = noise.shape
-    bins = int(depths / _HALF_M) + 2 * int(cell_m)
-    count = np.zeros(bins, np.int64)
+    count = np.zeros(int((depths + cell_m) / _HALF_M) + 1, np.int64)
     total = np.zeros(depths + 1)
     for c in range(n):
         out[c] = np.nan
-        first, stop = edges[c], edges[c + 1]
-        if stop - first < _LEAST:
+        if edges[c + 1] - edges[c] <= _LEAST:
             continue
         for d in range(depths):
             total[d + 1] = total[d] + noise[c, d]
-        best = 0.0
+        most = 0.0
         for turn in range(2 * _SLOPES + 1):
             # 0, 1, -1, 2, -2, ...: the gentlest first.
             slope = ((turn + 1) // 2 if turn % 2 else -(turn // 2)) / _SLOPES
-            half = abs(slope) * cell_m / 2.0
             count[:] = 0
-            for i in range(first, stop):
+            for i in range(edges[c], edges[c + 1]):
                 b = int((depth_m[i] - slope * inside_m[i] + cell_m / 2.0) / _HALF_M)
-                if 0 <= b < bins:
+                if 0 <= b < len(count):
                     count[b] += 1
-            for b in range(bins - 1):
+            for b in range(len(count) - 1):
                 held = count[b] + count[b + 1]
-                if held < _LEAST:
+                if held <= _LEAST + most:
                     continue
-                # A layer of two bins; it passes through depths by its slope.
                 middle = (b + 1) * _HALF_M - cell_m / 2.0
-                low = max(int(np.floor(middle - _HALF_M - half)), 0)
-                high = min(int(np.ceil(middle + _HALF_M + half)), depths)
-                if high <= low:
-                    continue
-                expected = (total[high] - total[low]) / (high - low) * (2.0 * _HALF_M)
+                low, high = _passed(middle, slope, cell_m, depths)
+                expected = (total[high] - total[low]) / max(high - low, 1) * 2.0 * _HALF_M
                 more = held - expected - _SD * np.sqrt(expected) - _LEAST
-                if more > best:
-                    best = more
-                    out[c, 0], out[c, 1], out[c, 2] = middle, slope, held - expected
+                if high > low and more > most:
+                    most = more
+                    out[c, 0], out[c, 1], out[c, 2] = middle, slope, more
 
 
-def confirmed(
-    index: NDArray[np.int64], layers: NDArray[np.float64], cell_m: float
-) -> NDArray[np.bool_]:
-    """Cells whose layer meets that of a cell beside it where they join, (n,) bool."""
-    found = np.zeros(len(index), np.bool_)
-    beside = np.diff(index) == 1
-    ends = layers[:, :1] + layers[:, 1:2] * np.array([-0.5, 0.5]) * cell_m
-    meet = beside & (np.abs(ends[:-1, 1] - ends[1:, 0]) <= MEET_M)
-    found[:-1] |= meet
-    found[1:] |= meet
-    with np.errstate(invalid='ignore'):
-        return found & (np.abs(layers[:, 1]) >= STEEP)
+@njit()
+def _passed(middle, slope, cell_m, depths):  # type: ignore[no-untyped-def]
+    """First metre of depth that a layer passes through, and the one after its last."""
+    half = abs(slope) * cell_m / 2.0 + _HALF_M
+    return max(int(np.floor(middle - half)), 0), min(int(np.ceil(middle + half)), depths)
 
 
-def depths_of(
-    layers: NDArray[np.float64], some: NDArray[np.bool_], depths: int, cell_m: float
-) -> NDArray[np.bool_]:
-    """Metres of depth that the layers of some cells pass through, (n, depths) bool."""
-    half = np.abs(layers[:, 1]) * cell_m / 2.0 + _HALF_M
-    d = np.arange(depths)
-    with np.errstate(invalid="ignore"):
-        low, high = np.floor(layers[:, 0] - half), np.ceil(layers[:, 0] + half)
-        return some[:, None] & (d >= low[:, None]) & (d < high[:, None])
+def depths_of(line: NDArray[np.float64], depths: int, cell_m: float) -> NDArray[np.bool_]:
+    """Metres of depth that a floor passes through in each cell, (n, depths) bool."""
+    half = np.abs(line[:, 1]) * cell_m / 2.0 + _HALF_M
+    low, high = (np.nan_to_num(line[:, 0] + side * half) for side in (-1.0, 1.0))
+    metre = np.arange(depths)
+    found: NDArray[np.bool_] = (metre >= np.floor(low)[:, None]) & (metre < np.ceil(high)[:, None])
+    return found
+
+
+def bed(index: NDArray[np.int64], line: NDArray[np.float32], cell_m: float) -> NDArray[np.float64]:
+    """Height at both ends of each cell of what follows the floors around, (n, 2) [m].
+
+    Where two cells meet it is the mean of both; between floors it is straight, beyond them level,
+    and 0 where none is near.
+
+    Parameters
+    ----------
+    line : (n, 2) float32
+        Height of the floor in the middle of each cell, and its slope [m, m/m]; NaN without one.
+    """
+    out = np.zeros((len(index), 2))
+    known = np.flatnonzero(np.isfinite(line[:, 0]))
+    if not len(known):
+        return out
+    middle, rise = line[known, 0].astype(np.float64), line[known, 1] * (cell_m / 2.0)
+    at = np.concatenate([index[known], index[known] + 1])
+    place, row = np.unique(at, return_inverse=True)
+    height = np.bincount(row, np.concatenate([middle - rise, middle + rise])) / np.bincount(row)
+    after = np.searchsorted(place, index, side="right")
+    before, after = np.maximum(after - 1, 0), np.minimum(after, len(place) - 1)
+    near = [np.abs(place[one] - index) <= _FAR_CELLS for one in (before, after)]
+    for side in (0, 1):
+        along = np.interp(index + side, place, height)
+        one = np.where(near[0], height[before], height[after])
+        out[:, side] = np.where(near[0] & near[1], along, np.where(near[0] | near[1], one, 0.0))
+    return out

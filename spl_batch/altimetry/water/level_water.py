@@ -10,8 +10,9 @@ way. Nothing above the surface changes: canopies are not touched.
 
 What is a layer of its own below the surface, a floor, is no noise: boxes that hold more than the
 depths around them, with what is beside them along the track, are left out, and so are those of a
-floor that slopes or rolls (:mod:`spl_batch.altimetry.water.rolling_floor`). Of the rest the density
-by depth is taken that never grows (:mod:`spl_batch.altimetry.water.column_noise`).
+floor that slopes or rolls (:mod:`spl_batch.altimetry.water.rolling_floor`,
+:mod:`spl_batch.altimetry.water.leaning_floor`). Of the rest the density by depth is taken that
+never grows (:mod:`spl_batch.altimetry.water.column_noise`).
 """
 
 import math
@@ -22,14 +23,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.altimetry.water.column_noise import falling_density
-from spl_batch.altimetry.water.emptiest import Photons, emptiest, sums_around
+from spl_batch.altimetry.water.emptiest import Photons, sums_around
 from spl_batch.altimetry.water.faint_surface import CLEAR, faint_surface
 from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre, fullest
-from spl_batch.altimetry.water.leaning_floor import confirmed, depths_of, leaning_layers
+from spl_batch.altimetry.water.leaning_floor import Below, depths_of, leaning_floor
 from spl_batch.altimetry.water.levelness import is_water
 from spl_batch.altimetry.water.rolling_floor import emptier_boxes, standing_out
 from spl_batch.altimetry.water.rough_surface import rough_land, roughness, smooth_sums
 from spl_batch.altimetry.water.surface_height import heights_of
+from spl_batch.altimetry.water.trees_over import grown_over
 from spl_batch.constants import QUANTA_PER_M
 
 NO_WATER: Final = np.iinfo(np.int32).min
@@ -44,23 +46,11 @@ SURFACE_M: Final = 1.0
 REACH_CELLS: Final = 25
 """Cells to each side that a level and its noise are seen over [count]."""
 
-CANOPY_M: Final = 30
-"""Height above a level that trees stand in, at most; noise is seen above that [m]."""
-
-_GROWN: Final = 1.5
-"""Times the noise above them that trees hold at least."""
-
-_OVER_M: Final = 4.0
-"""Height above a level that a surface over a bright floor does not reach [m]."""
-
 _SEEN: Final = 2
 """Photons that show a surface in a cell of a brighter floor [count]."""
 
 _FLOOR_CELLS: Final = 2
 """Cells to each side that a floor is looked for with [count]."""
-
-WOOD_CELLS: Final = 10
-"""Cells to each side that trees are compared with what is emptiest over [count]."""
 
 _FLOOR_DEPTHS: Final = 9
 """Depths whose median a floor stands out of [count]."""
@@ -96,6 +86,8 @@ class Water(NamedTuple):
     slope: NDArray[np.float32]
     fullest: NDArray[np.int64]  #: (n,): middle of the densest metre [quanta].
     calm: NDArray[np.bool_]  #: (n,): whether the surface is too level for land.
+    #: (n, 2): height of a floor in the middle of the cell, and its slope [m, m/m]; NaN where none.
+    floor: NDArray[np.float32]
 
 
 def find_layers(
@@ -122,7 +114,7 @@ def find_water(
     layers: tuple[NDArray[np.int64], NDArray[np.int64]],
     gate: tuple[NDArray[np.int32], NDArray[np.int32]],
     cell_m: float,
-    along: NDArray[np.int64],
+    inside_m: NDArray[np.float64],
 ) -> Water:
     """Level of the water surface and noise below it of each cell.
 
@@ -138,6 +130,8 @@ def find_water(
         By :func:`find_layers`.
     gate : ((n,) int32, (n,) int32)
         Lower and upper end of each cell's gate [quanta].
+    inside_m : (p,) float64
+        Photons along the track, from the middle of their cells [m].
     """
     n = len(index)
     water = Water(
@@ -148,6 +142,7 @@ def find_water(
         np.ones(n, np.float32),
         np.zeros(n, np.int64),
         np.zeros(n, np.bool_),
+        np.full((n, 2), np.nan, np.float32),
     )
     if not n:
         return water
@@ -158,14 +153,16 @@ def find_water(
     water.slope[:] = _slope(index, mode, cell_m)
     half = round(SURFACE_M * QUANTA_PER_M)
     level = heights_of(index, cell, height, level, level != NO_WATER, half)
-    level[_grown_over(index, cell, height, gate, level)] = NO_WATER
+    grown = grown_over(Photons(index, cell, height), gate, level, level != NO_WATER, half)
+    level[grown] = NO_WATER
     over_m = (height - level[cell].astype(np.int64)) / QUANTA_PER_M
     edges_m = WAVE_M, SURFACE_M
     level[rough_land(index, cell, over_m, level != NO_WATER, edges_m, REACH_CELLS)] = NO_WATER
     water.level[:] = level
     wet = level != NO_WATER
     if wet.any():
-        column = _columns(index, cell, height, gate[0], level, cell_m, along)
+        column, floor = _columns(index, cell, height, gate[0], level, cell_m, inside_m)
+        water.floor[:] = floor
         expected = _continued(column)
         water.top[:] = _top(cell, height, level, expected * cell_m)
         first = first_metre(index, cell, height, water.top, cell_m, column[:, 0], expected)
@@ -209,56 +206,6 @@ def _slope(index: NDArray[np.int64], mode: NDArray[np.int64], cell_m: float) -> 
     return slope
 
 
-def _grown_over(
-    index: NDArray[np.int64],
-    cell: NDArray[np.intp],
-    height: NDArray[np.int32],
-    gate: tuple[NDArray[np.int32], NDArray[np.int32]],
-    level: NDArray[np.int32],
-) -> NDArray[np.bool_]:
-    """Cells where more stands above the level than noise can be: plains with trees, (n,) bool.
-
-    Noise is seen above trees; in low gates, which trees may fill, in the emptiest quarter of what
-    reaches as high as trees. Below water there is as much noise or more. What stands a little above
-    a level may be the surface over a bright floor, and is no wood.
-    """
-    low, high = (end.astype(np.int64) for end in gate)
-    foot = level.astype(np.int64) + round(SURFACE_M * QUANTA_PER_M)
-    canopy = CANOPY_M * QUANTA_PER_M
-    # Where the gate ends low above the water, noise is seen in the upper half of what there is.
-    middle = foot + np.minimum(canopy, np.maximum(high - foot, 0) // 2)
-    over = level.astype(np.int64) + round(_OVER_M * QUANTA_PER_M)
-    highest = np.minimum(high, foot + canopy)
-    photons, some = Photons(index, cell, height), level != NO_WATER
-    bands = (foot, np.minimum(high, middle)), (middle, high), (over, highest)
-    trees, sky, tall = (_within(photons, *band) for band in bands)
-    empty = emptiest(photons, (low, highest), level.astype(np.int64), some, WOOD_CELLS)
-    grown = _more(index, trees, sky, _FLOOR_CELLS) | _more(index, tall, empty, WOOD_CELLS)
-    found: NDArray[np.bool_] = grown & some
-    return found
-
-
-_Band = tuple[NDArray[np.int64], NDArray[np.int64]]
-
-
-def _within(photons: Photons, bottom: NDArray[np.int64], top: NDArray[np.int64]) -> _Band:
-    """Photons in a band of heights of each cell, and its length: (n,) int64 [count, quanta]."""
-    inside = (photons.height > bottom[photons.cell]) & (photons.height <= top[photons.cell])
-    count = np.bincount(photons.cell[inside], minlength=len(photons.number))
-    return count, np.clip(top - bottom, 0, None)
-
-
-def _more(index: NDArray[np.int64], band: _Band, empty: _Band, reach: int) -> NDArray[np.bool_]:
-    """Cells around which a band holds more than the noise of another can be, (n,) bool."""
-    counts, lengths = (np.stack(both, axis=1) for both in zip(band, empty, strict=True))
-    near, noise = sums_around(index, counts, reach).T
-    near_m, noise_m = sums_around(index, lengths / QUANTA_PER_M, reach).T
-    ratio = near_m / np.maximum(noise_m, 1.0)
-    chance = _FLOOR_SD * np.sqrt(near + (noise + 1.0) * ratio**2)
-    found: NDArray[np.bool_] = (noise_m > 0) & (near > _GROWN * noise * ratio + chance)
-    return found
-
-
 def _columns(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
@@ -266,9 +213,12 @@ def _columns(
     low: NDArray[np.int32],
     level: NDArray[np.int32],
     cell_m: float,
-    along: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Noise by depth of every cell, floors left out: (n, DEPTHS) float64 [1/m2]."""
+    inside_m: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Noise by depth of every cell, floors left out: (n, DEPTHS) float64 [1/m2].
+
+    And the line of a floor in each: height in the middle and slope, (n, 2) [m, m/m].
+    """
     n = len(index)
     wet = level != NO_WATER
     depth_q = level[cell].astype(np.int64) - height - round(SURFACE_M * QUANTA_PER_M)
@@ -301,20 +251,18 @@ def _columns(
     # A floor that slopes or rolls stands out of what the emptier boxes of a kilometre show.
     lowest = emptier_boxes(index, count, area > 0.99 * cell_m, REACH_CELLS)
     expected = np.minimum(out * area, lowest)
-    order = np.argsort(cell[below], kind="stable")
-    edges = np.searchsorted(cell[below][order], np.arange(n + 1))
-    inside_m = (along[below][order] / QUANTA_PER_M) - (index[cell[below][order]] + 0.5) * cell_m
-    deep_m = depth_q[below][order] / QUANTA_PER_M
-    layers = np.full((n, 3), np.nan)
+    photons = Below(index, cell[below], inside_m[below], depth_q[below] / QUANTA_PER_M)
+    line = np.full((n, 2), np.nan)
     for _ in range(_TIMES):
         expected[:, : rough.shape[1]] += rough
         left = floor.copy()
         left[:, :-1] |= standing_out(count[:, :-1], expected[:, :-1], area[:, :-1] > 0.0)
-        leaning_layers(inside_m, deep_m, edges, expected[:, :-1], cell_m, layers)
-        left[:, :-1] |= depths_of(layers, confirmed(index, layers, cell_m), DEPTHS - 1, cell_m)
+        line = leaning_floor(photons, expected[:, :-1], cell_m)
+        left[:, :-1] |= depths_of(line, DEPTHS - 1, cell_m)
         out = _without(left, *own)
         expected = out * area
-    return out
+    top_m = level / QUANTA_PER_M - SURFACE_M
+    return out, np.stack([top_m - line[:, 0], -line[:, 1]], axis=1)
 
 
 def _without(
