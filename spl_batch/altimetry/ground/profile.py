@@ -19,8 +19,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers
+from spl_batch.altimetry.ground.cell_ground import clear_layers, fit_ground, lowest_layers
 from spl_batch.altimetry.ground.own_layers import held, not_beside, overruled_by_none
+from spl_batch.altimetry.ground.under_crowns import deeper, doubt_m
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
@@ -43,8 +44,10 @@ COLUMNS: Final = {
     "canopy_top": np.float64,
     "canopy_height": np.float64,
     "canopy_photons": np.int64,
+    "doubt": np.float64,
 }
-"""Columns of a profile: cell number, its middle, heights [m], counts; NaN where unknown."""
+"""Columns of a profile: cell number, its middle, heights [m], counts; how far the ground may lie
+too high [m]; NaN where unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +104,7 @@ def spread_m(settings: ProfileSettings, layout: str) -> float:
 
 def reach_cells(settings: ProfileSettings, spread: float = 0.0) -> int:
     """Cells to each side that decide a cell's heights [count]; ``spread`` as of :func:`profile`."""
-    return 2 * settings.reach_cells + 1 + (STRETCH_CELLS if spread else 0)
+    return 3 * settings.reach_cells + 1 + (STRETCH_CELLS if spread else 0)
 
 
 def profile(
@@ -142,6 +145,7 @@ def profile(
         steep = np.flatnonzero(thick > thickness_m(settings))
         some = along, z, first[steep], stop[steep], centre[steep]
         found[steep] = _lowest(some, thick[steep], settings)
+    found = _under_crowns(photons, index, found, thick, settings)
     agreed, asked = _settled(photons, index, found, thick, settings)
     # A clump of noise reaches into the cells beside it, which then confirm it: photons that are
     # labelled signal have to vouch for a layer, more of them where no neighbour does.
@@ -156,17 +160,22 @@ def profile(
     top, leaves = _canopy(along, z, sure, index, centre, fit, mine, settings)
     ground = fit[mine, 0]
     bare = np.where(np.isfinite(ground), 0.0, np.nan)
+    row = np.searchsorted(index, along // size)
+    over_m = z - fit[row, 0] - fit[row, 1] * ((along - centre[row]) / QUANTA_PER_M)
+    doubt = np.where(np.isfinite(fit[:, 0]), doubt_m(index, row, over_m, settings.reach_cells), 0.0)
+    error2 = fit[:, 2] ** 2 + _misfit2(index, fit[:, 4], settings) + doubt**2
     return Profile(
         {
             "cell": index[mine],
             "along_track": (index[mine] * size + size // 2) / QUANTA_PER_M,
             "ground": ground,
             "slope": fit[mine, 1],
-            "ground_error": np.sqrt(fit[:, 2] ** 2 + _misfit2(index, fit[:, 4], settings))[mine],
+            "ground_error": np.sqrt(error2)[mine],
             "ground_photons": np.nan_to_num(fit[mine, 3]).astype(np.int64),
             "canopy_top": np.where(leaves > 0, top, ground),
             "canopy_height": np.where(leaves > 0, top - ground, bare),
             "canopy_photons": leaves,
+            "doubt": doubt[mine],
         }
     )
 
@@ -194,9 +203,9 @@ _Photons = tuple[
 
 
 def _lowest(
-    photons: _Photons, thick: NDArray[np.float64], settings: ProfileSettings
+    photons: _Photons, thick: NDArray[np.float64], settings: ProfileSettings, *, clear: bool = False
 ) -> NDArray[np.float64]:
-    """Layers of cells, those of one thickness together: (c, 2) float64."""
+    """Layers of cells, those of one thickness together: (c, 2) float64; or those that are clear."""
     along, z, first, stop, centre = photons
     out = np.empty((len(thick), 2))
     for layer_m in np.unique(thick):
@@ -204,12 +213,36 @@ def _lowest(
         # A step of slope moves the ends of three cells by a layer at most.
         steps = max(math.ceil(1.5 * settings.cell_m * settings.slope_max / layer_m), 1)
         part = np.empty((np.count_nonzero(own), 2))
-        lowest_layers(
-            along, z, first[own], stop[own], centre[own], float(layer_m), settings.slope_max, steps,
-            dense_share(layer_m), settings.photons_min, part,
-        )  # fmt: skip
+        cells = along, z, first[own], stop[own], centre[own]
+        slopes = float(layer_m), settings.slope_max, steps
+        if clear:
+            clear_layers(*cells, *slopes, settings.photons_min, part)
+        else:
+            lowest_layers(*cells, *slopes, dense_share(layer_m), settings.photons_min, part)
         out[own] = part
     return out
+
+
+def _under_crowns(
+    photons: _Photons,
+    index: NDArray[np.int64],
+    found: NDArray[np.float64],
+    thick: NDArray[np.float64],
+    settings: ProfileSettings,
+) -> NDArray[np.float64]:
+    """The layers, but where a faint one well below goes on from cell to cell: (c, 2) float64."""
+    *_, first, stop, _ = photons
+    clear = _lowest(photons, thick, settings, clear=True)
+
+    def inside(layers: NDArray[np.float64], reach_m: NDArray[np.float64]) -> NDArray[np.int64]:
+        out = np.empty(len(index), np.int64)
+        held(*photons, layers, reach_m, out)
+        return out
+
+    counts = inside(found, thick / 2.0), inside(clear, thick / 2.0), inside(found, thick)
+    layers, reach = (found, clear), settings.reach_cells
+    lower = deeper(index, layers, (*counts, stop - first), thick, reach, settings.cell_m)
+    return np.where(lower[:, None], clear, found)
 
 
 def _settled(

@@ -80,9 +80,10 @@ _MIST_SHARE: Final = 0.03
 _OVER_SHARE: Final = 0.02
 _ECHO_SHARE: Final = 0.1
 _LOST_SHARE: Final = 0.2
+_DOUBT_SHARE: Final = 0.02
 """Photons of what may be fog over all of the signal, those over and under a surface over those of
 the surface, those of an echo over those called floor, and profile cells without their floor over
-all of these, that are worth a warning."""
+all of these, and those with a ground in doubt over those with one, that are worth a warning."""
 
 
 def _warnings(done: Receipts, limit: float) -> list[str]:
@@ -102,6 +103,7 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
         found += [Said(beam, text) for text in _second_surface(chosen, kept, limit)]
         found += [Said(beam, text) for text in _like_noise(chosen, kept, floor)]
         found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
+        found += [Said(beam, text) for text in _doubt(done["profile"][key].facts)]
         lost = LostFloor(*done["profile"][key].facts["lost_floor"])
         found += [Said(beam, text) for text in _lost_floor(lost)]
         if kept and not noise:
@@ -179,6 +181,19 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
             f"the {grouped(photons)} photons called floor cannot be told from noise below the "
             f"surface ({grouped(noise / SHARE_QUANTA)} noise photons are expected among them): "
             "the floor is not to be relied on"
+        )
+
+
+def _doubt(profile: Mapping[str, Any]) -> Iterator[str]:
+    """Ground that may lie in the crowns of closed woods."""
+    at, cells = profile["doubt"], profile["ground_cells"]
+    if at["cells"] >= max(SAID_LEAST, _DOUBT_SHARE * cells):
+        yield (
+            f"{grouped(at['cells'])} of {grouped(cells)} ground heights, between "
+            f"{at['from_m'] / 1000:g} and {at['to_m'] / 1000:g} km, have photons well below them, "
+            "as where closed woods let little light through: ground may lie in the crowns there, "
+            f"too high by some {at['depth_m']:.0f} m, canopies too low by as much, and "
+            "`ground_error` says so"
         )
 
 

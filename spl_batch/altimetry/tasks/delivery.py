@@ -47,7 +47,8 @@ _DEPTH: Final = "depth"
 SURFACE, FLOOR, COLUMN = 41, 40, 45
 """Where water is seen: signal at its surface, signal below it, and what else lies below it."""
 
-_PROFILE: Final = tuple(n for n in COLUMNS if n not in {"baseline_ground", "floor_refracted"})
+_KEPT: Final = {"baseline_ground", "doubt", "floor_refracted"}
+_PROFILE: Final = tuple(n for n in COLUMNS if n not in _KEPT)
 _DATASETS: Final[Mapping[str, tuple[type, float, str]]] = {
     "spl_signal": (np.uint8, NOT_ASSESSED, "0 noise, 1 signal, 255 not assessed"),
     "spl_confidence": (np.float32, math.nan, "confidence that the photon is signal, 0..1"),

@@ -14,6 +14,7 @@ from spl_batch.altimetry.formats.track_csv import read_profile
 from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground import profile as profiles
 from spl_batch.altimetry.ground.lost_floor import lost_floor
+from spl_batch.altimetry.ground.under_crowns import doubt_told
 from spl_batch.altimetry.photon_table import LABELS, Scale
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.tasks.context import Context, gather, place, rows_between
@@ -77,6 +78,7 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
         "water_cells": int(np.count_nonzero(columns["water"])),
         "floor_cells": int(np.count_nonzero(floor)),
         "lost_floor": list(lost),
+        "doubt": doubt_told(columns, settings.cell_m),
         "canopy_cells": int(np.count_nonzero(columns["canopy_photons"])),
     }
     return Produced([path], facts, args["points"])

@@ -136,11 +136,13 @@ def depths_of(line: NDArray[np.float64], depths: int, cell_m: float) -> NDArray[
     return found
 
 
-def bed(index: NDArray[np.int64], line: NDArray[np.float32], cell_m: float) -> NDArray[np.float64]:
+def bed(
+    index: NDArray[np.int64], line: NDArray[np.float32], cell_m: float
+) -> NDArray[np.float64]:
     """Height at both ends of each cell of what follows the floors around, (n, 2) [m].
 
-    Where two cells meet it is the mean of both; between floors it is straight, beyond them level,
-    and 0 where none is near.
+    Where the lines of two cells meet it is the mean of both, and where a floor has a step so has
+    it. Between floors it is straight, beyond them level, and 0 where none is near.
 
     Parameters
     ----------
@@ -151,15 +153,22 @@ def bed(index: NDArray[np.int64], line: NDArray[np.float32], cell_m: float) -> N
     known = np.flatnonzero(np.isfinite(line[:, 0]))
     if not len(known):
         return out
-    middle, rise = line[known, 0].astype(np.float64), line[known, 1] * (cell_m / 2.0)
-    at = np.concatenate([index[known], index[known] + 1])
-    place, row = np.unique(at, return_inverse=True)
-    height = np.bincount(row, np.concatenate([middle - rise, middle + rise])) / np.bincount(row)
-    after = np.searchsorted(place, index, side="right")
-    before, after = np.maximum(after - 1, 0), np.minimum(after, len(place) - 1)
-    near = [np.abs(place[one] - index) <= _FAR_CELLS for one in (before, after)]
+    own, rise = index[known], line[known, 1].astype(np.float64) * cell_m / 2.0
+    start, end = (line[known, 0] + side * rise for side in (-1.0, 1.0))
+    meet = np.flatnonzero((np.diff(own) == 1) & (np.abs(start[1:] - end[:-1]) <= _MEET_M))
+    start[meet + 1] = end[meet] = (start[meet + 1] + end[meet]) / 2.0
+    out[known] = np.stack([start, end], axis=1)
+    other = np.flatnonzero(np.isnan(line[:, 0]))
+    after = np.searchsorted(own, index[other])
+    before, after = np.maximum(after - 1, 0), np.minimum(after, len(own) - 1)
+    near = [np.abs(own[one] - index[other]) <= _FAR_CELLS for one in (before, after)]
+    # Beyond the first and the last floor both are the same.
+    ends = np.where(own[after] > index[other], start[after], end[after])
+    gap = np.maximum(own[after] - own[before] - 1, 1)
     for side in (0, 1):
-        along = np.interp(index + side, place, height)
-        one = np.where(near[0], height[before], height[after])
-        out[:, side] = np.where(near[0] & near[1], along, np.where(near[0] | near[1], one, 0.0))
+        part = (index[other] + side - own[before] - 1) / gap
+        along = end[before] + (start[after] - end[before]) * part
+        one = np.where(near[0] & (own[before] < index[other]), end[before], ends)
+        within = near[0] & near[1] & (own[before] < index[other]) & (own[after] > index[other])
+        out[other, side] = np.where(within, along, np.where(near[0] | near[1], one, 0.0))
     return out
