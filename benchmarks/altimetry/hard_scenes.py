@@ -1,13 +1,20 @@
 """Scenes that are easily taken for something else: lagoons, dry hills, fog over rolling ground.
 
-Run ``python -m benchmarks.altimetry.hard_scenes [lagoons|hills|fog|errors]``; all by default.
+Run ``python -m benchmarks.altimetry.hard_scenes [lagoons|floors|hills|woods|fog|errors]``; by
+default all of them.
 
 lagoons  a faint surface over a bright floor, by night and by day: balanced accuracy and F1 of ours
          and of DBSCAN as published, how much of the surface is kept, how much of what is kept is
          called surface (41), and how much of the floor that is kept and lies deeper than a metre is
          called floor (40).
+floors   between 2 and 28 m with slopes of 0.06 to 0.5, and sand waves of 2 m in 60 m: balanced
+         accuracy, share of the floor that is kept, the same of DBSCAN, profile cells that show the
+         floor, and whether a run says that it is lost.
 hills    dry land of 3 to 80 m relief over 4 km, six draws each by night and by day: the share of
          its signal that is called water.
+woods    closed ones of even and uneven height over rolling ground: photons of a shot that reach the
+         ground, cells whose ground is off by more than 2 m, RMSE, the median error that is told,
+         and cells within twice that.
 fog      from 5 to 25 m above rolling ground, or above its mean, along half of a track or all of it:
          draws in which a run names at least 3 % of the signal as what may be fog, and the share of
          fog in the signal where it does not.
@@ -35,7 +42,9 @@ from benchmarks.altimetry.labelled_tracks import (
 from benchmarks.altimetry.odd_tracks import DAY, NIGHT, SHOT_M, Scene, always, make
 from benchmarks.altimetry.photon_beams import PROFILE, RATE, Beam, lattice
 from spl_batch.altimetry.ground import over_water
+from spl_batch.altimetry.ground.lost_floor import lost_floor
 from spl_batch.altimetry.noise.mist import in_mist
+from spl_batch.altimetry.report.summarise import floor_said
 from spl_batch.altimetry.water.level_water import NO_WATER, SURFACE_M
 from spl_batch.constants import QUANTA_PER_M
 
@@ -94,6 +103,90 @@ def lagoons() -> None:
                 )
                 text = f"{name}, {surface:g}, {floor:g}, {sky}"
                 print(f"{text:42}" + "".join(f"{v:9.3f}" for v in values), flush=True)
+
+
+def zigzag(slope: float) -> Along:
+    """A floor between 2 and 28 m."""
+    return lambda x: 15.0 + 26.0 / np.pi * np.arcsin(np.sin(np.pi * slope * x / 26.0))
+
+
+STEEP: dict[str, Along] = {
+    **{f"slope of {slope:g}": zigzag(slope) for slope in (0.06, 0.1, 0.2, 0.3, 0.5)},
+    "sand waves of 60 m": lambda x: 6.0 + 2.0 * np.sin(2.0 * np.pi * x / 60.0),
+}
+
+
+def floors() -> None:
+    """The table of steep floors."""
+    heads = ("ours", "floor", "DBSCAN", "floor", "cells", "of", "said")
+    print(f"{'steep floor':32}" + "".join(f"{h:>9}" for h in heads))
+    for name, depth_m in STEEP.items():
+        for sky, noise in SKIES.items():
+            track = make("floor", Scene(noise, floor=always(0.3), depth_m=depth_m), 1)
+            found, theirs = ours(track), peer("dbscan")(track)
+            assert found.beam is not None
+            columns, cells = columns_of(track), found.beam.cells
+            wet, seen = columns["water"] == 1, np.isfinite(columns["floor"])
+            shown = cells.index[np.isfinite(cells.floor[:, 0])]
+            lost = lost_floor(columns["cell"][wet], seen[wet], shown, PROFILE.cell_m)
+            rates = [
+                value for one in (found, theirs) for value in measured(one.kept, track.label)[::2]
+            ]
+            said = "yes" if any(floor_said(lost)) else ""
+            text = "".join(f"{v:9.3f}" for v in rates)
+            text += f"{np.count_nonzero(wet & seen):9}{np.count_nonzero(wet):9}{said:>9}"
+            print(f"{f'{name}, {sky}':32}{text}", flush=True)
+
+
+def wood(ground: float, noise: float, seed: int, *, even: bool) -> Labelled:
+    """Closed woods, 30 m high or 10 to 30 m, with so many photons of a shot from the ground."""
+    rng = np.random.default_rng(seed)
+    shot = np.arange(0.0, 4000.0, SHOT_M)
+    high = 30.0 if even else 20.0 + 10.0 * np.sin(shot / 17.0) * np.sin(shot / 61.0)
+    at = [np.repeat(np.arange(len(shot)), rng.poisson(r, len(shot))) for r in (ground, 1.4)]
+    sky = rng.uniform((0.0, -60.0), (4000.0, 90.0), (round(noise * 150.0 * 4000.0), 2))
+    crowns = rolling(shot[at[1]]) + np.broadcast_to(high, shot.shape)[at[1]] * rng.beta(
+        3.0, 1.6, len(at[1])
+    )
+    z = np.concatenate([rolling(shot[at[0]]) + rng.normal(0.0, 0.2, len(at[0])), crowns, sky[:, 1]])
+    x = np.concatenate([shot[at[0]], shot[at[1]], sky[:, 0]])
+    order = np.lexsort((z, x))
+    label = np.repeat([LAND, LAND, NOISE], [len(at[0]), len(at[1]), len(sky)])
+    return Labelled("wood", lattice(x[order], z[order]), label[order])
+
+
+def rolling(x: Numbers) -> Numbers:
+    """Ground of the woods."""
+    return 5.0 * np.sin(x / 300.0)
+
+
+def woods() -> None:
+    """The table of closed woods."""
+    heads = ("cells", "off 2 m", "RMSE [m]", "told", "within 2")
+    print(f"{'closed woods':32}" + "".join(f"{h:>10}" for h in heads))
+    for even in (True, False):
+        for ground in (0.05, 0.1, 0.15, 0.3):
+            for sky, noise in SKIES.items():
+                parts = [columns_of(wood(ground, noise, seed, even=even)) for seed in range(2)]
+                off, told = (
+                    np.concatenate(values)
+                    for values in zip(
+                        *(
+                            (one["ground"] - rolling(one["along_track"]), one["ground_error"])
+                            for one in parts
+                        ),
+                        strict=True,
+                    )
+                )
+                known = np.isfinite(off)
+                off, told = off[known], told[known]
+                values = (
+                    f"{len(off):10}{np.mean(np.abs(off) > 2.0):10.2f}"
+                    f"{np.sqrt(np.mean(off**2)):10.2f}{np.median(told):10.2f}"
+                    f"{np.mean(np.abs(off) < 2.0 * told):10.2f}"
+                )
+                name = f"{'even' if even else 'uneven'}, {ground:g}, {sky}"
+                print(f"{name:32}{values}", flush=True)
 
 
 def terrain(seed: int, relief_m: float, falls: float) -> Along:
@@ -242,7 +335,14 @@ def errors() -> None:
         print(f"{name:38}{known.sum():8}{one:10.2f}{two:8.2f}{rmse:10.3f}{size:8.3f}", flush=True)
 
 
-TABLES = {"lagoons": lagoons, "hills": hills, "fog": fog, "errors": errors}
+TABLES = {
+    "lagoons": lagoons,
+    "floors": floors,
+    "hills": hills,
+    "woods": woods,
+    "fog": fog,
+    "errors": errors,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.altimetry.ground.lost_floor import LostFloor, lost_floor
-from spl_batch.altimetry.report.summarise import _lost_floor
+from spl_batch.altimetry.report.summarise import floor_said
 from spl_batch.altimetry.water.leaning_floor import (
     Below,
     bed,
@@ -117,8 +117,8 @@ GAPS = ((120, 150), (150, 180))
 @pytest.mark.parametrize(
     ("lost", "found", "said"), [(9, 1, False), (10, 39, True), (10, 50, False)]
 )
-def test_a_lost_floor_is_said_with_its_place(lost: int, found: int, *, said: bool) -> None:
-    sentences = list(_lost_floor(LostFloor(lost, found, 1200.0, 3400.0)))
+def test_afloor_said_is_said_with_its_place(lost: int, found: int, *, said: bool) -> None:
+    sentences = list(floor_said(LostFloor(lost, found, 1200.0, 3400.0)))
     assert bool(sentences) == said
     if said:
         assert "between 1.2 and 3.4 km the floor is lost in 10 of 49" in sentences[0]

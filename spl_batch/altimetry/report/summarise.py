@@ -105,7 +105,7 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
         found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
         found += [Said(beam, text) for text in _doubt(done["profile"][key].facts)]
         lost = LostFloor(*done["profile"][key].facts["lost_floor"])
-        found += [Said(beam, text) for text in _lost_floor(lost)]
+        found += [Said(beam, text) for text in floor_said(lost)]
         if kept and not noise:
             text = f"all {grouped(kept)} photons are signal; nothing is told apart"
             found.append(Said(beam, text))
@@ -197,7 +197,7 @@ def _doubt(profile: Mapping[str, Any]) -> Iterator[str]:
         )
 
 
-def _lost_floor(floor: LostFloor) -> Iterator[str]:
+def floor_said(floor: LostFloor) -> Iterator[str]:
     """Water whose floor is seen close by and not there."""
     every = floor.lost + floor.found
     if floor.lost >= max(SAID_LEAST, _LOST_SHARE * every):

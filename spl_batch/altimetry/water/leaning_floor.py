@@ -136,9 +136,7 @@ def depths_of(line: NDArray[np.float64], depths: int, cell_m: float) -> NDArray[
     return found
 
 
-def bed(
-    index: NDArray[np.int64], line: NDArray[np.float32], cell_m: float
-) -> NDArray[np.float64]:
+def bed(index: NDArray[np.int64], line: NDArray[np.float32], cell_m: float) -> NDArray[np.float64]:
     """Height at both ends of each cell of what follows the floors around, (n, 2) [m].
 
     Where the lines of two cells meet it is the mean of both, and where a floor has a step so has
