@@ -16,7 +16,8 @@ The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. In a second roun
 A surface is hard where returns without a parent make a plane, and next to nothing lies at the
 candidate's depth. Behind it a candidate is an afterpulse, unless other beamlets' returns fill a
 flat ellipsoid parallel to the plane: then there is a surface, such as the bottom of water. Within
-water polygons fewer of them do.
+water polygons fewer of them do. Where the own flightline lacks its share of them, it is the surface
+of one that lies lower (:mod:`~spl_batch.airborne.afterpulse.own_flightline`).
 
 A budget :math:`B` is the share of true returns that may go. At constant rates, odds of at least
 :math:`\theta` mean lags up to :math:`s \ln(p / (s \theta \lambda_t))`. The share of true returns
@@ -35,7 +36,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse import foliage
+from spl_batch.airborne.afterpulse import foliage, own_flightline
 from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane
 from spl_batch.airborne.afterpulse.weighted_counts import UNIT, columns, weigh_around
 from spl_batch.airborne.beams.dependent_returns import LAG_M, dependents
@@ -238,10 +239,10 @@ def _within(table: PointTable, density: NDArray[np.float64], start: int, end: in
             for spread, own in _alike(sigma, hard):
                 flat_m = (FLAT_M[0], max(FLAT_M[1], SPREADS[0] * spread))
                 flat = places.around(at[own], true, (flat_m,), tilt[own])[:, 0] / UNIT**2
-                others = flat / foliage.volume_m3(*flat_m) * per_metre[own]
-                least = LEAST / foliage.volume_m3(*flat_m) * per_metre[own]
-                others += np.minimum(least, LEAST_ODDS * rate[own])
-                chance[own] = rate[own] / (rate[own] + others)
+                chance[own] = _behind_hard(flat, flat_m, rate[own], per_metre[own])
+                held = own[chance[own] < WATER_MAX]
+                flat = places.supported(at[held], true, flat_m, tilt[held]) / UNIT**2
+                chance[held] = _behind_hard(flat, flat_m, rate[held], per_metre[held])
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
         for first in range(0, len(open_), BATCH):
             some = open_[first : first + BATCH]
@@ -251,6 +252,17 @@ def _within(table: PointTable, density: NDArray[np.float64], start: int, end: in
         # All at once: no result may depend on which candidates came before.
         true[at[open_]] = _weights(1.0 - chance[open_])
     return Chances(rows, chance, hard, foliage.clumped(clumping), parents < 0)
+
+
+def _behind_hard(
+    flat: NDArray[np.float64], flat_m: tuple[float, float], rate: NDArray[np.float64],
+    per_metre: NDArray[np.float64],
+) -> NDArray[np.float64]:  # fmt: skip
+    """Chance of candidates behind hard surfaces, by the returns in a flat ellipsoid."""
+    others = flat / foliage.volume_m3(*flat_m) * per_metre
+    least = LEAST / foliage.volume_m3(*flat_m) * per_metre
+    others += np.minimum(least, LEAST_ODDS * rate)
+    return rate / (rate + others)
 
 
 def _spreads(table: PointTable, rows: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -327,6 +339,17 @@ class _Places:
             np.zeros((len(places), 2)) if tilt is None else tilt, round(own * UNIT), sums,
         )  # fmt: skip
         return sums
+
+    def supported(
+        self, places: NDArray[np.int32], true: NDArray[np.int16], flat_m: tuple[float, float],
+        tilt: NDArray[np.float64],
+    ) -> NDArray[np.float64]:  # fmt: skip
+        """True returns in a flat ellipsoid, as far as the own flightline has its share of them.
+
+        In the units of :meth:`around`; the ball around the ellipsoid tells the share.
+        """
+        points = self._xyz, self._time, self._channel, true
+        return own_flightline.supported(points, self._listed, places, flat_m, tilt)
 
     def clumping(
         self, rows: NDArray[np.intp], parents: NDArray[np.int32], true: NDArray[np.int16]

@@ -32,7 +32,7 @@ def survey(
     parent = second[:, 0].astype(np.int64)
     table = as_table(
         xyz,
-        gps_time=np.concatenate([np.arange(n), parent]).astype(np.float64),
+        gps_time=np.concatenate([np.arange(n), parent]) * 1e-3,
         afterpulse=np.concatenate([np.zeros(n), np.full(m, afterpulse)]).astype(np.float32),
     ).with_columns(
         afterpulse_rate=np.concatenate([np.zeros(n), np.full(m, rate)]),
