@@ -349,7 +349,8 @@ class _Places:
         In the units of :meth:`around`; the ball around the ellipsoid tells the share.
         """
         points = self._xyz, self._time, self._channel, true
-        return own_flightline.supported(points, self._listed, places, flat_m, tilt)
+        flat = quanta(flat_m[0]), quanta(flat_m[1])
+        return own_flightline.supported(points, self._listed, places, flat, tilt)
 
     def clumping(
         self, rows: NDArray[np.intp], parents: NDArray[np.int32], true: NDArray[np.int16]

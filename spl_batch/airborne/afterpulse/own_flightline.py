@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.weighted_counts import UNIT, Columns
-from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
 from spl_batch.numerics.neighbours.lattice_columns import first_above
@@ -71,7 +70,7 @@ def weigh_own(
 
 def supported(
     points: tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]], listed: Columns,
-    places: NDArray[np.int32], flat_m: tuple[float, float], tilt: NDArray[np.float64],
+    places: NDArray[np.int32], flat: tuple[int, int], tilt: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # fmt: skip
     """Returns in flat ellipsoids, as far as the own flightline has its share of them.
 
@@ -81,15 +80,15 @@ def supported(
         ``xyz``, ``time``, ``channel`` and ``weight`` of :func:`weigh_own`.
     listed, places, tilt
         Columns, and the points to count around, as there.
-    flat_m : (float, float)
-        Horizontal and vertical radius [m]; the ball around the ellipsoid tells the share.
+    flat : (int, int)
+        Horizontal and vertical radius [quanta]; the ball around the ellipsoid tells the share.
 
     Returns
     -------
     (m,) float64
         [returns x :data:`UNIT` ** 2].
     """
-    radii = np.array([[quanta(flat_m[0])] * 2, [quanta(r) for r in flat_m]], dtype=np.int64)
+    radii = np.array([[flat[0], flat[0]], flat], dtype=np.int64)
     sums = np.empty((len(places), 2, 2), dtype=np.int64)
     weigh_own(*points, listed.starts, listed.shape, listed.edge, places, radii, tilt, PASS_S, sums)
     return bounded(sums)
