@@ -17,7 +17,10 @@ def _keys(draw):
     keys = []
     for _ in range(draw(st.integers(1, 4))):
         if draw(st.booleans()):
-            keys.append(rng.choice([-1.5, 0.0, -0.0, 2.0, np.nan], n))
+            start = draw(st.sampled_from([-3e-320, -1.5, 0.0, 3e8]))
+            near = start + np.spacing(start) * rng.integers(-9, 9, n)
+            odd = rng.choice([-1.5, 0.0, -0.0, np.inf, np.nan], n)
+            keys.append(near if draw(st.booleans()) else odd)
             continue
         info = np.iinfo(draw(st.sampled_from(INTEGERS)))
         few = rng.integers(max(info.min, -2), 3, n, dtype=info.dtype)

@@ -23,8 +23,8 @@ COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "return_number")
 _PULSE: Final = ("gps_time", "channel")
 """Columns that a pulse's returns share."""
 
-_SLOTS: Final = 2**16
-"""Counts of returns by time and beamlet, of which crowds stand out [count]."""
+_SLOTS: Final = 2**16, 2**24
+"""Fewest and most counts of returns by time and beamlet, of which crowds stand out [count]."""
 
 _MIX: Final = np.uint64(0x9E37_79B9_7F4A_7C15)
 """Odd number that spreads the bits of a time (Knuth's multiplicative hashing)."""
@@ -104,9 +104,11 @@ def _share(
     mixed *= _MIX
     mixed >>= np.uint64(32)
     rows = np.flatnonzero(timed & (mixed % np.uint64(shares) == share))
-    slot = (mixed[rows] // np.uint64(shares) % np.uint64(_SLOTS)).astype(np.uint16)
+    # With a slot for each return few slots but those of crowds are full.
+    slots = min(max(1 << len(rows).bit_length(), _SLOTS[0]), _SLOTS[1])
+    slot = (mixed[rows] // np.uint64(shares) % np.uint64(slots)).astype(np.uint32)
     del mixed
-    full = np.bincount(slot, minlength=_SLOTS) > MOST_RETURNS
+    full = np.bincount(slot, minlength=slots) > MOST_RETURNS
     some = rows[full[slot]]
     del slot
     pulse, place, count = np.unique(

@@ -146,9 +146,10 @@ def _sums(xyz: NDArray[np.int64], line: NDArray[np.int64], whole: Bounds) -> dic
 
 def _held_by(at: NDArray[np.int64], fewest: int) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
     """Returns whose place holds at least so many, and the numbers of their places from 0."""
-    _, place, count = np.unique(at, return_inverse=True, return_counts=True)
-    enough: NDArray[np.bool_] = (count >= fewest)[place]
-    return enough, np.unique(place[enough], return_inverse=True)[1]
+    full = np.bincount(at) >= fewest
+    enough: NDArray[np.bool_] = full[at]
+    number: NDArray[np.intp] = np.cumsum(full) - 1
+    return enough, number[at[enough]]
 
 
 class _Heights(NamedTuple):
