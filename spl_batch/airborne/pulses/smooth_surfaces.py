@@ -146,6 +146,8 @@ def _sums(xyz: NDArray[np.int64], line: NDArray[np.int64], whole: Bounds) -> dic
 
 def _held_by(at: NDArray[np.int64], fewest: int) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
     """Returns whose place holds at least so many, and the numbers of their places from 0."""
+    if at.max(initial=0) > len(at):  # flightlines beyond number must not need memory for squares
+        at = np.unique(at, return_inverse=True)[1]
     full = np.bincount(at) >= fewest
     enough: NDArray[np.bool_] = full[at]
     number: NDArray[np.intp] = np.cumsum(full) - 1
