@@ -125,14 +125,18 @@ def shared(told: Iterable[Said], nouns: str = "", noun: str = "") -> Iterator[st
         if len(ordered) == 1:
             yield f"{noun} {worst.name}: {worst.text}".lstrip()
             continue
-        names = named([one.name for one in ordered], 3)
-        count = [f"{len(ordered)} {nouns}"] if nouns else []
-        if all(one.text == worst.text for one in ordered):
-            each = ", each" if count and graded and _NUMBER.search(worst.text) else ""
-            yield ": ".join([*(one + each for one in count), names, worst.text])
-            continue
-        listed = ", ".join([*count, "worst first"])
-        yield f"{listed}: {names}: {worst.text} (the numbers of {worst.name})"
+        yield _together(ordered, f"{len(ordered)} {nouns}" if nouns else "")
+
+
+def _together(ordered: list[Said], count: str) -> str:
+    """What is said of several, the worst of them first; ``count`` of them, or nothing."""
+    names, worst = named([one.name for one in ordered], 3), ordered[0]
+    if any(one.text != worst.text for one in ordered):
+        listed = f"{count} ({names})" if count else names
+        return f"{listed}; of {worst.name}, the worst: {worst.text}"
+    if count and worst.badness is not None and _NUMBER.search(worst.text):
+        return f"each of {count} ({names}): {worst.text}"
+    return ": ".join(part for part in (count, names, worst.text) if part)
 
 
 class SplBatchError(Exception):

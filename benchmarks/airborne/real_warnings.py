@@ -23,7 +23,7 @@ CRS: Final = "EPSG:32612"
 """UTM zone of the cloud of the samples whose own CRS is wrong."""
 
 OF_FIT: Final = re.compile(
-    r"haze|cloud:|fog|cross|bloom|one range|afterpulse|law|ranging noise|noise is dense|"
+    r"haze|cloud:|fog|cross|bloom|one and the same range|afterpulse|law|noise is dense|is double|"
     r"what its model expects|filter\.alpha|p-value|floats|on one beam"
 )
 """Words of warnings that the model of noise, instrument or flightlines does not fit."""

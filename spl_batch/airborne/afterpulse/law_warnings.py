@@ -96,9 +96,9 @@ def _late(law: AfterpulseLaw, sensor: Sensor) -> tuple[Remark, ...]:
     ends = "" if law.longest_m < LAG_EDGES_M[-1] else " and farther, which is not looked for"
     text = (
         f"{100 * late:.0f} % of the afterpulses lie more than {stated:g} m behind the return that "
-        f"started them, up to {law.longest_m:.0f} m{ends}, and the sensor states {stated:g} m; so "
-        f"says what follows {grouped(law.parents)} returns of hard surfaces. Behind hard surfaces "
-        "they are taken away as deep; among leaves more of them stay than usual"
+        f"started them, up to {law.longest_m:.0f} m{ends}, and the sensor states {stated:g} m "
+        f"({grouped(law.parents)} returns of hard surfaces show it). Behind hard surfaces they are "
+        "taken away as deep; among leaves more of them stay than usual"
     )
     return (Remark(text, late),)
 
@@ -109,8 +109,8 @@ def _spread(law: AfterpulseLaw, sensor: Sensor) -> tuple[Remark, ...]:
         return ()
     text = (
         f"returns of hard surfaces spread by {100 * law.sigma_m:.0f} cm along the beam, and the "
-        f"sensor states {100 * stated:.0f} cm; surfaces are taken as thick as that, so afterpulses "
-        f"within {250 * law.sigma_m:.0f} cm of them stay, and heights of single returns are as "
+        f"sensor states {100 * stated:.0f} cm: so thick are surfaces taken, afterpulses within "
+        f"{250 * law.sigma_m:.0f} cm behind them stay, and heights of single returns are as "
         "uncertain"
     )
     return (Remark(text, law.sigma_m),)

@@ -136,11 +136,11 @@ def told(found: float) -> tuple[Remark, ...]:
     if not found:
         return ()
     text = (
-        "far from the surface a return sets off each channel beside its own with a chance of at "
+        "away from the surface a return sets off each channel beside its own with a chance of at "
         f"least {100 * found:.1f} %, at the same range: crosstalk, about "
-        f"{100 * share_of_returns(found):.0f} % of all returns; those that stand alone with such "
-        "neighbours count as one and share its label, beside surfaces they stay, so that edges "
-        "are blurred by a beamlet"
+        f"{100 * share_of_returns(found):.0f} % of all returns. Those that stand alone with such "
+        "neighbours count as one and share its label; beside surfaces they stay and blur edges by "
+        "a beamlet"
     )
     return (Remark(text, found),)
 

@@ -10,42 +10,43 @@ from spl_batch.airborne.strips.pair_table import TILT_PER_M, PairDifference
 from spl_batch.airborne.strips.strip_patches import MOST_PASSES
 from spl_batch.errors import counted, grouped
 
-TOLD: Final = 3
-"""Pairs that get a sentence of their own, the worst first [count]."""
-
+NEXT_TO: Final = 0.1
+"""Part of the larger of two horizontal differences below which the smaller is not told."""
 
 REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "none": "adjust the strips and run again: strip_shifts in report.json says by how much; or "
-        "let survey.align: rigid shift them",
+        "none": "adjust the strips by strip_shifts of report.json and run again, or set "
+        "survey.align: rigid",
         "vertical": "survey.align: rigid shifts places as well",
-        "rigid": "one shift for each flightline does not mend it: look for rotations, drifts or "
-        "another datum",
+        "rigid": "no shift of whole flightlines mends it: look for a wrong mounting angle, a "
+        "drift or another datum",
     }
 )
 """What helps against differences, by what ``survey.align`` is."""
 
 
 def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Iterator[str]:
-    """Sentences on pairs whose flightlines differ by more than a single range does.
+    """A sentence on pairs whose flightlines differ by more than a single range does.
 
-    ``align``: how flightlines were shifted before they were compared.
+    ``align``: how flightlines were shifted before they were compared. The worst pair is told, as
+    one flightline that lies off is off from all others; the report has all pairs.
     """
     off = [(away, pair) for pair in pairs if (away := _away(pair)) > 0]
-    off.sort(key=lambda found: (-found[0], found[1].first, found[1].second))
-    for _, pair in off[:TOLD]:
-        yield (
-            f"{pair.second} lies {' and '.join(_parts(pair))} of {pair.first}, around "
-            f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar "
-            f"patches), more than the ranging noise of {100 * pair.noise_m:.1f} cm: surfaces that "
-            f"both have seen are double, and rasters lie between them{_tilt(pair)}; "
-            f"{REMEDIES[align]}"
-        )
-    if len(off) > TOLD:
-        yield (
-            f"{counted(len(off) - TOLD, 'more pairs')} of flightlines: off by more than their "
-            "ranging noise; report.json lists all under strips"
-        )
+    if not off:
+        return
+    _, pair = min(off, key=lambda found: (-found[0], found[1].first, found[1].second))
+    of = (
+        f"{len(off)} of {len(pairs)} pairs of flightlines do not fit together (strips in "
+        f"report.json), worst "
+        if len(off) > 1
+        else "flightline "
+    )
+    yield (
+        f"{of}{pair.second}: it lies {' and '.join(_parts(pair))} than {pair.first} around "
+        f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar patches; "
+        f"single ranges scatter by {100 * pair.noise_m:.1f} cm){_tilt(pair)}. What both have seen "
+        f"is double, and the terrain follows the lower one: {REMEDIES[align]}"
+    )
 
 
 def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[str]:
@@ -83,18 +84,17 @@ def _tilt(pair: PairDifference) -> str:
     rise = float(np.hypot(east, north))
     angle = np.degrees(np.arctan(rise / TILT_PER_M))
     return (
-        f". The height between them is not the same everywhere: it changes by {100 * rise:.1f} cm "
-        f"on {TILT_PER_M:.0f} m and by {100 * change:.1f} cm over these patches, as where a "
-        f"flightline is turned by {angle:.3f} degrees; a shift takes away only what is the "
-        "same everywhere"
+        f", {100 * rise:.1f} cm more or less at {TILT_PER_M:.0f} m from there, as if turned by "
+        f"{angle:.3f} degrees, which no shift mends"
     )
 
 
 def _parts(pair: PairDifference) -> Iterator[str]:
     if pair.is_off_vertically or (pair.is_tilted and not pair.is_off_horizontally):
-        yield f"{100 * abs(pair.up_m):.1f} cm {'above' if pair.up_m > 0 else 'below'}"
+        yield f"{100 * abs(pair.up_m):.1f} cm {'higher' if pair.up_m > 0 else 'lower'}"
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
-        yield (
-            f"{100 * abs(pair.east_m):.0f} cm {'east' if pair.east_m > 0 else 'west'} and "
-            f"{100 * abs(pair.north_m):.0f} cm {'north' if pair.north_m > 0 else 'south'}"
-        )
+        ways = ((pair.east_m, "east", "west"), (pair.north_m, "north", "south"))
+        least = NEXT_TO * max(abs(pair.east_m), abs(pair.north_m))
+        for way_m, ahead, back in ways:
+            if abs(way_m) >= least:
+                yield f"{100 * abs(way_m):.0f} cm farther {ahead if way_m > 0 else back}"

@@ -135,7 +135,7 @@ def test_points_in_order_of_their_channel_are_not_refused(tmp_path: Path) -> Non
         patch.setattr(first_look, "WHOLE_POINTS", 0)
         plan = api.plan(survey)
     (said,) = [text for text in plan.warnings if "holds only" in text]
-    assert said.startswith("2 files, each: lines/line_1.laz, lines/line_2.laz: survey.channel_")
+    assert said.startswith("each of 2 files (lines/line_1.laz, lines/line_2.laz): survey.channel_")
 
 
 def test_a_trajectory_of_another_day_is_refused(survey: Path) -> None:

@@ -43,7 +43,7 @@ def test_warnings_that_differ_in_numbers_are_given_once_the_worst_first() -> Non
     ]
     said = shared([*told, Said("f", "7 of 1 000 are found", 7)], "files")
     assert [*said] == [
-        "5 files, worst first: b, d, a and 2 more: 9 of 1 000 are lost (the numbers of b)",
+        "5 files (b, d, a and 2 more); of b, the worst: 9 of 1 000 are lost",
         "f: 7 of 1 000 are found",
     ]
 
@@ -118,7 +118,8 @@ def test_intervals_with_few_returns_are_told_where_no_beamlets_explain_it(tmp_pa
         las.write(path)
     told = [text for text in notes_of(survey) if "raise noise.interval_shots" in text]
     assert len(told) == 1, "two flightlines, one warning"
-    assert told[0].startswith("2 flightlines, worst first: ")
+    assert told[0].startswith("2 flightlines (")
+    assert ", the worst: an interval holds only" in told[0]
 
 
 def test_extra_bytes_may_hold_beamlet_numbers(small: Path) -> None:

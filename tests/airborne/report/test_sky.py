@@ -20,6 +20,7 @@ from spl_batch.airborne.report.fit.sky import (
     thin_haze_warning,
 )
 from spl_batch.airborne.settings import FilterSettings
+from spl_batch.airborne.strips.pair_table import PairDifference
 from spl_batch.formats.rasters.parts import read_overview
 
 
@@ -130,6 +131,16 @@ def test_fog_is_told_where_most_places_are_filled_with_the_height_that_it_reache
     assert list(fog_warning({"surface": {"a": receipt(filled=[10] * 9)}})) == []
 
 
+def test_what_flightlines_that_lie_apart_fill_is_no_fog():
+    filled = {"a": receipt(filled=[100, 90, 0, 0, 0, 0, 0, 0, 0])}
+    mist = {"a": receipt(filled=[100, 9, 0, 0, 0, 0, 0, 0, 0], mist=[[12.0, 0.0, 0.0]])}
+    for up_m, told in ((0.2, 1), (1.2, 0)):
+        numbers = dict.fromkeys(PairDifference._fields, 0.0) | {"up_m": up_m, "noise_m": 0.05}
+        pairs = {"all": receipt(pairs=[list(numbers.values())])}
+        for cells in (filled, mist):
+            assert len(list(fog_warning({"surface": cells, "strip_pairs": pairs}))) == told
+
+
 def test_mist_in_patches_is_told_where_most_ground_is_clear():
     clear = [100, 20, 20, 0, 0, 0, 0, 0, 0]
     cell = receipt(filled=clear, mist=[[12.0, 45_000.0, 55_000.0], [7.0, 0.0, 0.0]])
@@ -207,8 +218,11 @@ def test_p_values_that_are_not_uniform_are_told_with_place_and_consequence():
     fits, dense = [50, 50, 150, 250, 500, 4000], [150, 100, 300, 350, 600, 4000]
     cells = {"a": ground_cell(0, fits, [0, 900, 0]), "b": ground_cell(200, dense, [0, 900, 0])}
     (text,) = uniform_warning({"ground": cells})
-    assert "2.00 times as many of the 5 500 returns within x 200 to 400 and y 0 to 200" in text
-    assert "up to 0.05" in text
+    assert "2.00 times as many of 5 500 returns as the model" in text
+    assert "up to 0.05, in 1 of 2 ground cells, within x 200 to 400 and y 0 to 200: " in text
+    points = {"f": receipt(bounds=[20_000, 30_000, 0, 350_000, 90_000, 9])}
+    (text,) = uniform_warning({"ground": cells, "index_file": points})
+    assert "within x 200 to 350 and y 30 to 90: " in text
     assert "denser than expected" in text
     assert noise_fit({"ground": cells}).p_value_times == pytest.approx(1.67, abs=0.01)
     thin = {"a": ground_cell(0, [20, 20, 60, 100, 100, 4700], [0, 900, 0])}

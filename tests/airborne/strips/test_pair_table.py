@@ -89,7 +89,7 @@ def test_a_flightline_that_is_turned_is_found_with_its_shift_and_tilt(heights: H
         assert found.north_m == pytest.approx(0.0, abs=0.05)
     (said,) = offset_warnings([found])
     assert "turned by 0.11" in said or "turned by 0.12" in said
-    assert "only what is the same everywhere" in said
+    assert "no shift mends" in said
 
 
 def test_level_ground_tells_the_height_alone() -> None:
@@ -187,17 +187,17 @@ def test_squares_of_a_pair_are_counted() -> None:
 def test_what_is_off_is_told_with_number_place_and_consequence() -> None:
     found = pair(Shift(0.3, -0.2, 0.2))
     (said,) = offset_warnings([found])
-    assert "survey.align: rigid shift" in said
-    assert "rotations" in next(offset_warnings([found], "rigid"))
-    for word in ("two lies 20.", "cm above", "cm east", "cm south", "of one", "10 040 E"):
+    assert "set survey.align: rigid" in said
+    assert "mounting angle" in next(offset_warnings([found], "rigid"))
+    for word in ("two: it lies 20.", "cm higher", "farther east", "farther south", "than one"):
         assert word in said
-    assert "ranging noise of" in said
-    assert "double" in said
+    for word in ("10 040 E", "single ranges scatter by", "is double"):
+        assert word in said
     many = [pair(Shift(up=0.2))._replace(second=f"s{k}") for k in range(6)]
-    told = list(offset_warnings(many))
-    assert len(told) == 4
-    assert told[-1].startswith("3 more pairs")
-    assert "east" not in told[0]
+    (told,) = offset_warnings([*many, pair(Shift())])
+    assert told.startswith("6 of 7 pairs of flightlines do not fit together")
+    assert "worst s0: it lies 20." in told
+    assert "east" not in told
 
 
 def test_passes_that_are_not_compared_are_told() -> None:

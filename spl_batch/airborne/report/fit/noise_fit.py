@@ -16,7 +16,7 @@ from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
-from spl_batch.errors import grouped
+from spl_batch.errors import counted, grouped
 from spl_batch.lattice.tiles import quanta
 
 TIMES_TOLD: Final = (0.5, 1.5)
@@ -56,10 +56,13 @@ def noise_fit(done: Receipts) -> NoiseFit | None:
 def uniform_warning(done: Receipts) -> Iterator[str]:
     """Sentence on p-values that are not uniform where noise lies alone."""
     facts = [r.facts for r in done.get("ground", {}).values() if "p_values" in r.facts]
-    off = [some for some in facts if _is_off([some])] or (facts if _is_off(facts) else [])
-    found = uniformity(_p_values(off))
+    alone = [some for some in facts if _is_off([some])]
+    more = [some for some in alone if _more([some])]
+    off = more if 2 * len(more) >= len(alone) else [some for some in alone if not _more([some])]
+    found = uniformity(_p_values(off or (facts if _is_off(facts) else [])))
     if found is None:
         return
+    where = f"in {len(off)} of {counted(len(facts), 'ground cells')}" if off else "of all together"
     means = (
         "it is denser than expected or comes in clusters, and more of it is kept than filter.alpha "
         "says, above surfaces as well"
@@ -67,9 +70,9 @@ def uniform_warning(done: Receipts) -> Iterator[str]:
         else "it is thinner than expected, and weak signals are lost"
     )
     yield as_ascii(
-        f"below all surfaces, where only noise lies, {found.times:.2f} times as many of the "
-        f"{grouped(found.returns)} returns {_where(off, 'core')} have a p-value up to {found.at:g} "
-        f"as noise has by its model: {means}"
+        f"below all surfaces, where only noise lies, {found.times:.2f} times as many of "
+        f"{grouped(found.returns)} returns as the model of the noise says have a p-value up to "
+        f"{found.at:g}, {where}, {_where(off or facts, 'core', _extent(done))}: {means}"
     )
 
 
@@ -101,14 +104,29 @@ def _p_values(facts: Facts) -> NDArray[np.int64]:
     return counts
 
 
+def _more(facts: Facts) -> bool:
+    """Whether small p-values are too many rather than too few."""
+    found = uniformity(_p_values(facts))
+    return found is not None and found.times > 1
+
+
+def _extent(done: Receipts) -> NDArray[np.int64] | None:
+    """West, south, east and north of the points [quanta]; None where they are not known."""
+    boxes = [r.facts["bounds"] for r in done.get("index_file", {}).values() if r.facts["bounds"]]
+    if not boxes:
+        return None
+    box = np.array(boxes, np.int64)
+    return np.concatenate([box[:, :2].min(axis=0), box[:, 3:5].max(axis=0)])
+
+
 def _is_off(facts: Facts) -> bool:
     """Whether enough returns have too many small p-values, or too few."""
     found = uniformity(_p_values(facts))
     return found is not None and not TIMES_TOLD[0] < found.times < TIMES_TOLD[1]
 
 
-def _where(facts: Facts, key: str) -> str:
-    """Box around some ground cells, or around what floats in them."""
+def _where(facts: Facts, key: str, extent: NDArray[np.int64] | None = None) -> str:
+    """Box around some ground cells, as far as there are points, or around what floats in them."""
     if key == "core":
         boxes = [some["core"] for some in facts]
     else:
@@ -118,4 +136,8 @@ def _where(facts: Facts, key: str) -> str:
     box = np.array(boxes) * QUANTUM_M
     west, south = box[:, :2].min(axis=0)
     east, north = box[:, 2:].max(axis=0)
+    if extent is not None:
+        low_x, low_y, high_x, high_y = (extent * QUANTUM_M).tolist()
+        west, south = max(west, low_x), max(south, low_y)
+        east, north = min(east, high_x), min(north, high_y)
     return f"within x {west:.0f} to {east:.0f} and y {south:.0f} to {north:.0f}"

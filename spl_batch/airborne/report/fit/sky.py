@@ -13,6 +13,7 @@ from spl_batch.airborne.products import near_ground
 from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.airborne.report.model import Haze
 from spl_batch.airborne.settings import FilterSettings
+from spl_batch.airborne.strips.strip_comparison import pairs_of
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
@@ -179,17 +180,29 @@ def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
 
 
 def fog_warning(done: Receipts) -> Iterator[str]:
-    """Sentence on returns that fill the air just above the ground, everywhere or in patches."""
+    """Sentence on returns that fill the air just above the ground, everywhere or in patches.
+
+    Not where flightlines lie so far apart, which is told: the upper one's ground fills it then.
+    """
     found = _fog(done)
+    low_m = near_ground.FLOOR_M if found is None else found.high_m - near_ground.STEP_M
+    if low_m <= _apart_m(done):
+        return
     if found is None:
         yield from _mist_warning(done)
         return
     yield as_ascii(
         f"returns fill the air up to {found.high_m:.1f} m above the ground evenly in "
         f"{100 * found.share:.0f} % of {significant(found.area_m2 * 1e-6, 2)} km2: ground fog, or "
-        f"low plants without gaps; below {found.high_m:.1f} m above the ground neither the DSM nor "
-        "the signal points can be trusted"
+        f"low plants without gaps. Up to there neither the DSM nor the signal points can be "
+        "trusted"
     )
+
+
+def _apart_m(done: Receipts) -> float:
+    """Largest height between two flightlines that do not fit [m]."""
+    pairs = [p for r in done.get("strip_pairs", {}).values() for p in pairs_of(r.facts)]
+    return max((abs(pair.up_m) for pair in pairs if pair.is_off_vertically), default=0.0)
 
 
 def _fog(done: Receipts) -> Fog | None:
