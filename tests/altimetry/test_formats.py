@@ -13,8 +13,9 @@ from spl_batch.altimetry.formats import atl08 as atl08_io
 from spl_batch.altimetry.formats.atl08 import find_labels
 from spl_batch.altimetry.formats.photons import Photons, inspect, iter_photons, read_background
 from spl_batch.altimetry.formats.terrain import sample_terrain
-from spl_batch.altimetry.formats.track_csv import read_profile
+from spl_batch.altimetry.formats.track_csv import check_unit, read_profile
 from spl_batch.altimetry.simulate import SceneFile, TrackScene, simulate
+from spl_batch.altimetry.tasks.index import _Cells
 from spl_batch.errors import InputError
 from tests.altimetry.tracks import (
     ORIGIN_M,
@@ -233,6 +234,30 @@ def test_a_wrong_hdf5_file_is_named_in_one_line(
         inspect(path, None)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("photons", "length_m", "refused"),
+    [(6000, 3.0, True), (6000, 0.0, True), (6000, 15.0, False), (900, 0.01, False)],
+)
+def test_a_track_in_kilometres_or_degrees_is_refused(
+    photons: int, length_m: float, *, refused: bool
+) -> None:
+    path = Path("track.csv")
+    if not refused:
+        check_unit(path, photons, length_m)
+        return
+    with pytest.raises(InputError, match="along_track has 6000 photons on .*not in metres"):
+        check_unit(path, photons, length_m)
+
+
+def test_the_length_of_a_track_is_that_of_the_cells_that_hold_photons() -> None:
+    cells = _Cells(20_000)
+    assert cells.length_m() == 0.0
+    for along in (np.array([100, 2_900]), np.array([500, 900_000_000])):
+        unknown = np.full(2, np.nan)
+        cells.add(Photons(np.arange(2), along, along.astype(np.int32), unknown, unknown, read=2))
+    assert cells.length_m() == 40.0
 
 
 @pytest.mark.parametrize(

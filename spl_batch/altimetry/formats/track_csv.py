@@ -18,6 +18,10 @@ NEEDED: Final = ("along_track", "height")
 _PLACE: Final = ("latitude", "longitude")
 _HEAD_BYTES: Final = 1 << 16
 
+_MOST_PER_M: Final = 500.0
+_MANY: Final = 1000
+"""Photons of a metre of track that no instrument gives, and photons that show it [1/m, count]."""
+
 
 def estimate(path: Path, size_bytes: int) -> int:
     """Photons of a file by the length of its first lines [count]; checks its header.
@@ -31,6 +35,26 @@ def estimate(path: Path, size_bytes: int) -> int:
         head = stream.read(_HEAD_BYTES)
     _names(path, head)
     return max(int(size_bytes / len(head) * max(head.count(b"\n") - 1, 1)), 1)
+
+
+def check_unit(path: Path, photons: int, length_m: float) -> None:
+    """Refuse a track whose distances can be no metres: more photons lie on one than are possible.
+
+    In kilometres or degrees a track has a thousand times as many on each and more.
+
+    Raises
+    ------
+    InputError
+        Where more than 500 photons lie on a metre, of 1000 and more.
+    """
+    if photons < _MANY or photons <= _MOST_PER_M * length_m:
+        return
+    raise InputError(
+        str(path),
+        f"column along_track has {photons} photons on {length_m:.4g} of track, which would be "
+        f"{photons / max(length_m, 1e-3):.0f} a metre: it is not in metres; give the distance "
+        "along the track in metres (kilometres times 1000, no degrees), heights in metres too",
+    )
 
 
 def _names(path: Path, head: bytes) -> dict[str, str]:

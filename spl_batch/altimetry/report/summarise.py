@@ -105,7 +105,9 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
         found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
         found += [Said(beam, text) for text in _doubt(done["profile"][key].facts)]
         lost = LostFloor(*done["profile"][key].facts["lost_floor"])
-        found += [Said(beam, text) for text in floor_said(lost)]
+        # A floor that is noise itself is lost nowhere.
+        if not chosen["doubtful_floor"][0]:
+            found += [Said(beam, text) for text in floor_said(lost)]
         if kept and not noise:
             text = f"all {grouped(kept)} photons are signal; nothing is told apart"
             found.append(Said(beam, text))

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.formats.photons import Photons, iter_photons, read_background
+from spl_batch.altimetry.formats.track_csv import check_unit
 from spl_batch.altimetry.photon_table import PHOTONS
 from spl_batch.altimetry.tasks.context import CHUNK_PHOTONS, GROUP_PHOTONS, Context, place
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.formats.files.atomic import checksum
@@ -34,6 +36,7 @@ class _Cells:
         self.size = size
         self.parts: list[tuple[NDArray[np.int64], ...]] = []
         self.places: list[NDArray[np.float64]] = []
+        self.ends: list[int] = []
 
     def add(self, photons: Photons) -> None:
         """Count a chunk in."""
@@ -41,7 +44,16 @@ class _Cells:
             photons.along // self.size, return_index=True, return_counts=True
         )
         self.parts.append((cell, count.astype(np.int64)))
+        self.ends += [int(photons.along.min()), int(photons.along.max())]
         self.places.append(np.stack([photons.latitude[first], photons.longitude[first]]))
+
+    def length_m(self) -> float:
+        """Length of track that holds photons [m]: that of all, or of the cells that hold some."""
+        if not self.ends:
+            return 0.0
+        cells = np.unique(np.concatenate([p[0] for p in self.parts]))
+        span = max(self.ends) - min(self.ends)
+        return float(min(span, len(cells) * self.size) / QUANTA_PER_M)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Cells in order."""
@@ -81,5 +93,7 @@ def take_in(args: Mapping[str, Any], context: Context) -> Produced:
     if stated is not None:
         outputs.append(place(context, "background", args["key"], ".npz"))
         write_arrays(outputs[2], {"along_m": stated.along_m, "per_m2": stated.per_m2})
+    if args["layout"] == "csv":
+        check_unit(path, placed, cells.length_m())
     facts = {"points": read, "placed": placed, "background": stated is not None}
     return Produced(outputs, facts, read)
