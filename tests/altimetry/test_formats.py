@@ -247,7 +247,7 @@ def test_a_track_in_kilometres_or_degrees_is_refused(
     if not refused:
         check_unit(path, photons, length_m)
         return
-    with pytest.raises(InputError, match="along_track has 6000 photons on .*not in metres"):
+    with pytest.raises(InputError, match=r"along_track has 6000 photons on .*not in metres"):
         check_unit(path, photons, length_m)
 
 
