@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.altimetry.ground import over_water
+from spl_batch.altimetry.ground.bends import with_bends
 from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers
 from spl_batch.altimetry.ground.own_layers import held, not_beside
 from spl_batch.altimetry.ground.profile import agree, for_layout, profile, reach_cells, spread_m
@@ -159,22 +160,37 @@ def test_the_layer_is_what_counting_by_hand_gives(seed: int, n: int) -> None:
 
 @pytest.mark.parametrize("bend", [0.0, 0.001])
 def test_it_is_fitted_as_by_least_squares_where_nothing_strays(bend: float) -> None:
-    """A line, or a parabola where the ground is curved."""
+    """A line, and a parabola; that one is taken where the ground is curved."""
     rng = np.random.default_rng(2)
     x = np.sort(rng.uniform(-20.0, 30.0, 300))
     z = 3.0 + 0.2 * x + bend * x**2 + rng.normal(0.0, 0.1, 300)
-    out = np.empty((1, 5))
+    out = np.empty((1, 9))
     bounds = np.array([0]), np.array([300])
     along = np.rint(x * 1000).astype(np.int64)
     fit_ground(along, z, *bounds, np.zeros(1, np.int64), 1.5, 100.0, 3, np.array([[3.2, 0.2]]), out)
-    degree = 2 if bend else 1
-    *_, slope, level = np.polyfit(x, z, degree)
-    assert out[0, 0] == pytest.approx(level, abs=0.01)
-    assert out[0, 1] == pytest.approx(slope, abs=0.001)
-    design = np.vander(x, degree + 1)
-    error = 0.1 * np.sqrt(np.linalg.inv(design.T @ design)[-1, -1])
-    assert out[0, 2] == pytest.approx(error, rel=0.3)
+    for degree, fit in ((1, out[0, :3]), (2, out[0, 4:7])):
+        *_, slope, level = np.polyfit(x, z, degree)
+        assert fit[0] == pytest.approx(level, abs=0.02)
+        assert fit[1] == pytest.approx(slope, abs=0.002)
+        if degree == 2 or not bend:
+            design = np.vander(x, degree + 1)
+            error = 0.1 * np.sqrt(np.linalg.inv(design.T @ design)[-1, -1])
+            assert fit[2] == pytest.approx(error, rel=0.3)
     assert out[0, 3] == 300
+    chosen = with_bends(np.zeros(1, np.int64), out, 3)
+    np.testing.assert_array_equal(chosen[0, :3], out[0, 4:7] if bend else out[0, :3])
+
+
+def test_ground_bends_where_the_cells_around_do() -> None:
+    """A parabola that contradicts the line by three errors is chance in one cell, not in seven."""
+    fits = np.tile([0.0, 0.0, 0.03, 90.0, 0.05, 0.0, 0.05, np.nan, np.nan], (40, 1))
+    bent = 0.04 * 3.0
+    fits[5, 4] = fits[20:27, 4] = bent
+    fits[33, 4] = 0.04 * 6.0
+    ground = with_bends(np.arange(40), fits, 3)[:, 0]
+    assert ground[5] == 0.0
+    assert (ground[21:26] == bent).all()
+    assert ground[33] == 0.04 * 6.0
 
 
 def test_curved_ground_is_followed_and_its_error_is_told() -> None:

@@ -21,8 +21,6 @@ from spl_batch.numerics.compiled import njit
 _ROUNDS: int = 6
 _TUKEY: float = 4.685
 _MAD: float = 1.4826
-_CONTRADICTS: float = 2.5  # standard errors
-_TWICE: float = 2.0  # spread evenly, photons make it 1.5
 _LEAST_SPREAD_M: float = 0.05
 _BELOW: int = 18  # bins: six layers
 _CLEAR: float = 3.0
@@ -212,11 +210,7 @@ def fit_ground(
     layers: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """Line through the photons of each cell's layer, or a parabola: bisquare weights, six rounds.
-
-    A line is less noisy, a parabola follows curved ground. The line is taken unless the parabola
-    contradicts it: their difference has, by chance, the difference of their variances (J. Hausman,
-    Econometrica 46, 1978, 2.1).
+    """Line and parabola through the photons of each cell's layer: bisquare weights, six rounds.
 
     Parameters
     ----------
@@ -226,10 +220,10 @@ def fit_ground(
         Half the length of what is compared with the line in the middle [m].
     layers : (c, 2) float64
         Height at the middle [m] and slope [m/m] of the layer.
-    out : (c, 5) float64
-        Receives height at the middle [m], slope [m/m], standard error of the height [m], photons in
-        the layer [count], and by how much more than chance the cell's own photons are off it,
-        squared [m2], of either sign; NaN where photons are too few.
+    out : (c, 9) float64
+        Receives of the line height at the middle [m], slope [m/m], standard error of the height
+        [m]; photons in the layer [count]; the same three of the parabola; height of a line through
+        the cell's own photons, and its error [m]. NaN where photons are too few.
     """
     for c in range(len(first)):
         out[c] = np.nan
@@ -246,24 +240,12 @@ def fit_ground(
             _fit(x[:n], z[:n], layers[c, 0], layers[c, 1], 1, out[c])
             out[c, 3] = n
             if n >= 3 * photons_min:
-                _bend(x[:n], z[:n], out[c])
+                _fit(x[:n], z[:n], out[c, 0], out[c, 1], 2, out[c, 4:7])
             own = np.abs(x[:n]) <= half_m
             if 2 * photons_min <= np.count_nonzero(own) < n:
                 near = np.empty(3)
                 _fit(x[:n][own], z[:n][own], out[c, 0], out[c, 1], 1, near)
-                chance2 = max(near[2] ** 2 - out[c, 2] ** 2, 0.0)
-                out[c, 4] = (near[0] - out[c, 0]) ** 2 - chance2
-
-
-@njit()
-def _bend(x, z, out):  # type: ignore[no-untyped-def]
-    """The parabola where it contradicts the line."""
-    bent = np.empty(3)
-    _fit(x, z, out[0], out[1], 2, bent)
-    chance2 = max(bent[2] ** 2 - out[2] ** 2, 0.0)
-    # Where few photons lie near the middle a parabola swings: twice the error is not worth it.
-    if bent[2] < _TWICE * out[2] and (bent[0] - out[0]) ** 2 > _CONTRADICTS**2 * chance2:
-        out[:3] = bent
+                out[c, 7], out[c, 8] = near[0], near[2]
 
 
 @njit()

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.altimetry.ground.bends import with_bends
 from spl_batch.altimetry.ground.cell_ground import clear_layers, fit_ground, lowest_layers
 from spl_batch.altimetry.ground.own_layers import held, not_beside, overruled_by_none
 from spl_batch.altimetry.ground.under_crowns import deeper, doubt_m
@@ -104,7 +105,7 @@ def spread_m(settings: ProfileSettings, layout: str) -> float:
 
 def reach_cells(settings: ProfileSettings, spread: float = 0.0) -> int:
     """Cells to each side that decide a cell's heights [count]; ``spread`` as of :func:`profile`."""
-    return 3 * settings.reach_cells + 1 + (STRETCH_CELLS if spread else 0)
+    return 4 * settings.reach_cells + 1 + (STRETCH_CELLS if spread else 0)
 
 
 def profile(
@@ -155,7 +156,7 @@ def profile(
         inside = sure[rows] & (np.abs(z[rows] - line) <= thick[c])
         if np.count_nonzero(inside) < (1 if asked[c] >= 2 else _ALONE * settings.photons_min):
             agreed[c] = np.nan
-    fit = _fitted(photons, thick, agreed, settings)
+    fit = with_bends(index, _fitted(photons, thick, agreed, settings), settings.reach_cells)
     mine = np.flatnonzero((index >= owned[0]) & (index < owned[1]))
     top, leaves = _canopy(along, z, sure, index, centre, fit, mine, settings)
     ground = fit[mine, 0]
@@ -279,12 +280,12 @@ def _fitted(
     layers: NDArray[np.float64],
     settings: ProfileSettings,
 ) -> NDArray[np.float64]:
-    """Ground fitted to layers of cells, those of one thickness together: (c, 5) float64."""
+    """Ground fitted to layers of cells, those of one thickness together: (c, 9) float64."""
     along, z, first, stop, centre = photons
-    out = np.empty((len(thick), 5))
+    out = np.empty((len(thick), 9))
     for layer_m in np.unique(thick):
         own = thick == layer_m
-        part = np.empty((np.count_nonzero(own), 5))
+        part = np.empty((np.count_nonzero(own), 9))
         fit_ground(
             along, z, first[own], stop[own], centre[own], float(layer_m), settings.cell_m / 4.0,
             settings.photons_min, layers[own], part,
