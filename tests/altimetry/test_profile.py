@@ -227,7 +227,7 @@ def test_the_error_of_ground_covers_what_it_says(relief_m: float, falls: float) 
     found = profile(along[order], height[order], sure, EVERYTHING, ProfileSettings()).columns
     error = np.abs(found["ground"] - land(found["along_track"]))
     assert np.mean(error < 2.0 * found["ground_error"]) > 0.9
-    assert np.sqrt(np.mean(found["ground_error"] ** 2)) < 2.5 * np.sqrt(np.mean(error**2))
+    assert np.sqrt(np.mean(found["ground_error"] ** 2)) < 2.75 * np.sqrt(np.mean(error**2))
 
 
 def test_layers_of_steep_tracks_are_thicker_and_of_flat_ones_as_before() -> None:
