@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from benchmarks.altimetry.hard_scenes import dry
 from benchmarks.altimetry.labelled_tracks import LAND
 from benchmarks.altimetry.odd_tracks import Scene, make
 from benchmarks.altimetry.photon_beams import RATE, Beam
@@ -101,12 +102,16 @@ def test_swell_averages_out_along_the_track_and_ground_does_not() -> None:
     swell = 0.3 * np.sin(2.0 * np.pi * index / 9.0)
     slow = 0.3 * np.sin(2.0 * np.pi * index / 60.0)
     none = np.zeros(200, np.bool_)
-    assert is_water(index, swell, none, 20.0, 25)[5:-5].all()
-    assert not is_water(index, slow, none, 20.0, 25).any()
-    assert not is_water(index, 0.003 * 20.0 * index, none, 20.0, 25).any()
+    assert is_water(index, swell, none, none, 20.0, 25)[5:-5].all()
+    assert not is_water(index, slow, none, ~none, 20.0, 25).any()
+    assert not is_water(index, 0.003 * 20.0 * index, none, ~none, 20.0, 25).any()
     # A layer below a surface is a floor, however the surface runs.
-    assert is_water(index, slow, ~none, 20.0, 25).all()
-    assert not is_water(index, np.full(200, np.nan), ~none, 20.0, 25).any()
+    assert is_water(index, slow, ~none, none, 20.0, 25).all()
+    assert not is_water(index, np.full(200, np.nan), ~none, none, 20.0, 25).any()
+    # Without light from below it has to be twice as level.
+    tilted = 0.0008 * 20.0 * index
+    assert is_water(index, tilted, none, ~none, 20.0, 25).all()
+    assert not is_water(index, tilted, none, none, 20.0, 25).any()
 
 
 def test_where_two_floors_meet_the_water_is_no_denser() -> None:
@@ -122,3 +127,10 @@ def test_where_two_floors_meet_the_water_is_no_denser() -> None:
 def test_a_lagoon_does_not_depend_on_where_the_track_is_cut(cut: int) -> None:
     track = water_track(NIGHT, length_m=13_000.0, surface_per_m=0.2, depth_m=lagoon)
     assert_cut_matters_nowhere(*photons(track), cut)
+
+
+def test_a_dry_flat_is_no_water() -> None:
+    """Relief of 3 m along 4 km: a third of it had been called water."""
+    cells = rates.observe(*dry(3.0, 1.5, DAY, 5).photons, RATE)
+    assert (cells.level != NO_WATER).mean() > 0.9
+    assert not cells.calm.any()

@@ -29,7 +29,7 @@ from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, commo
 from spl_batch.altimetry.water.leaning_floor import Below, depths_of, leaning_floor
 from spl_batch.altimetry.water.levelness import is_water
 from spl_batch.altimetry.water.rolling_floor import emptier_boxes, standing_out
-from spl_batch.altimetry.water.rough_surface import rough_land, roughness, smooth_sums
+from spl_batch.altimetry.water.rough_surface import lit_below, rough_land, roughness, smooth_sums
 from spl_batch.altimetry.water.surface_height import heights_of
 from spl_batch.altimetry.water.trees_over import grown_over
 from spl_batch.constants import QUANTA_PER_M
@@ -169,7 +169,8 @@ def find_water(
         water.column[wet], water.first[wet] = column[wet], first[wet]
         level_m = np.where(wet, level / QUANTA_PER_M, np.nan)
         below = chosen >= mode + CLEAR
-        water.calm[:] = is_water(index, level_m, below, cell_m, REACH_CELLS)
+        lit = lit_below(index, cell, over_m, wet, SURFACE_M, REACH_CELLS)
+        water.calm[:] = is_water(index, level_m, below, lit, cell_m, REACH_CELLS)
     return water
 
 

@@ -31,6 +31,10 @@ _SLOPE: Final = 1e-3
 _OFF_M: Final = 0.1
 """Slope of water, and standard deviation of means about their line, at most [m/m, m]."""
 
+_DARK_SLOPE: Final = 5e-4
+_DARK_OFF_M: Final = 0.08
+"""The same of a surface without light from below: dry flats are hardly as level [m/m, m]."""
+
 
 def beside(index: NDArray[np.int64], values: NDArray[Any], reach: int) -> NDArray[np.float64]:
     """Values of the cells from -reach to reach of each, (n, 2 reach + 1); NaN where none is."""
@@ -46,6 +50,7 @@ def is_water(
     index: NDArray[np.int64],
     level_m: NDArray[np.float64],
     below: NDArray[np.bool_],
+    lit: NDArray[np.bool_],
     cell_m: float,
     reach: int,
 ) -> NDArray[np.bool_]:
@@ -59,18 +64,24 @@ def is_water(
         Surface of each cell; NaN where there is none [m].
     below : (n,) bool
         Cells whose fullest layer lies below their surface: it is a floor.
+    lit : (n,) bool
+        Cells with light from below their surface.
     reach : int
         Cells to each side [count].
     """
     wet = np.isfinite(level_m)
-    shown = wet & (below | _level_lines(index, level_m, cell_m, reach))
+    shown = wet & (below | _level_lines(index, level_m, lit, cell_m, reach))
     many, every = sums_around(index, np.stack([shown, wet], axis=1), reach).T
     water: NDArray[np.bool_] = wet & (2 * many >= every)
     return water
 
 
 def _level_lines(
-    index: NDArray[np.int64], level_m: NDArray[np.float64], cell_m: float, reach: int
+    index: NDArray[np.int64],
+    level_m: NDArray[np.float64],
+    lit: NDArray[np.bool_],
+    cell_m: float,
+    reach: int,
 ) -> NDArray[np.bool_]:
     """Cells around which means along the track follow a level line, (n,) bool.
 
@@ -87,6 +98,7 @@ def _level_lines(
         for cells in (MEAN_CELLS, SWELL_CELLS, 0)
     )
     calm = (n >= _FEWEST) & (slope <= _SLOPE) & (still <= _OFF_M * np.minimum(n / _MANY, 1.0))
+    calm &= lit[wet] | ((slope <= _DARK_SLOPE) & (still <= _DARK_OFF_M))
     swell = (n >= _NEARLY_ALL * (2 * reach + 1)) & (slow <= _SLOPE) & (long <= _OFF_M)
     found[np.flatnonzero(wet)] = calm | (swell & (long <= _SWELL * every))
     return found

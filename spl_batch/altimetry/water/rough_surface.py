@@ -79,9 +79,33 @@ def rough_land(
     bands = ((-edges_m[1], edges_m[1]), (-_DEEP_M[1], -_DEEP_M[0]), _DEEP_M)
     surface, below, above, cells = _sums_by_band(index, cell, over_m, wet, bands, reach).T
     rough = roughness(index, cell, over_m, wet, edges_m, reach).sum(axis=1) * cells
-    watery = below > _EVEN * above + _WATERY_SD * np.sqrt(2.0 * (above + 1.0))
-    found: NDArray[np.bool_] = wet & (rough > _ROUGH_SHARE * surface) & ~watery
+    found: NDArray[np.bool_] = wet & (rough > _ROUGH_SHARE * surface) & ~_more(below, above)
     return found
+
+
+def lit_below(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    over_m: NDArray[np.float64],
+    wet: NDArray[np.bool_],
+    half_m: float,
+    reach: int,
+) -> NDArray[np.bool_]:
+    """Cells with light from below their surface: more photons there than as far above, (n,) bool.
+
+    Water scatters it, or a floor gives it back; of land there is none. Parameters are those of
+    :func:`roughness`, and the half-thickness of a surface [m].
+    """
+    bands = ((-_DEEP_M[1], -half_m), (half_m, _DEEP_M[1]))
+    below, above, _ = _sums_by_band(index, cell, over_m, wet, bands, reach).T
+    found: NDArray[np.bool_] = wet & _more(below, above)
+    return found
+
+
+def _more(below: NDArray[np.float64], above: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Where photons below a surface are more than chance makes of those above it."""
+    more: NDArray[np.bool_] = below > _EVEN * above + _WATERY_SD * np.sqrt(2.0 * (above + 1.0))
+    return more
 
 
 def _sums_by_band(
