@@ -97,9 +97,12 @@ def _level_lines(
         _line(some, _mean(some, level, cells), cell_m, reach)
         for cells in (MEAN_CELLS, SWELL_CELLS, 0)
     )
-    calm = (n >= _FEWEST) & (slope <= _SLOPE) & (still <= _OFF_M * np.minimum(n / _MANY, 1.0))
-    calm &= lit[wet] | ((slope <= _DARK_SLOPE) & (still <= _DARK_OFF_M))
-    swell = (n >= _NEARLY_ALL * (2 * reach + 1)) & (slow <= _SLOPE) & (long <= _OFF_M)
+    steepest, off_m = (
+        np.where(lit[wet], *both) for both in ((_SLOPE, _DARK_SLOPE), (_OFF_M, _DARK_OFF_M))
+    )
+    few = _OFF_M * np.minimum(n / _MANY, 1.0)
+    calm = (n >= _FEWEST) & (slope <= steepest) & (still <= np.minimum(off_m, few))
+    swell = (n >= _NEARLY_ALL * (2 * reach + 1)) & (slow <= steepest) & (long <= off_m)
     found[np.flatnonzero(wet)] = calm | (swell & (long <= _SWELL * every))
     return found
 
