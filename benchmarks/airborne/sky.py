@@ -154,6 +154,7 @@ EFFECTS: dict[str, Any] = {
     "afterpulses, two exponentials": two_exponentials,
     "ranging noise 15 cm": lambda t: {"detector": {"range_sigma_m": 0.15 * t}},
     "strips 0.3 m east, 0.2 m up": apart,
+    "the same strips, aligned": apart,
     "lake, 0.2 % reflected": dark_lake,
     "noise 0.3 per m3": lambda t: {"sky": {"background_per_m3": 0.3 * t}},
     "times rounded to 100 us": lambda t: {"delivery": {"time_step_us": 100 * t}},
@@ -187,7 +188,8 @@ SAYS: dict[str, tuple[str, ...]] = {
     "12 reflectors, 1 electron": ("bloom",), "60 reflectors, 3 electrons": ("bloom",),
     "crosstalk 5 %": ("crosstalk",), "afterpulses, tail of 40 %": ("late afterpulses",),
     "afterpulses, two exponentials": ("late afterpulses",), "ranging noise 15 cm": ("ranges",),
-    "strips 0.3 m east, 0.2 m up": ("flightlines",), "lake, 0.2 % reflected": ("gaps", "unsure"),
+    "strips 0.3 m east, 0.2 m up": ("flightlines",), "the same strips, aligned": ("flightlines",),
+    "lake, 0.2 % reflected": ("gaps", "unsure"),
     "noise 0.3 per m3": ("dense noise", "drowned"), "times rounded to 100 us": ("beams",),
     "haze 30-50 m, 50 x": _AIR, "thin haze 20-30 m, 30 x": _AIR,
     "thinner haze 8-14 m, 20 x": _AIR, "two clouds": _AIR, "long lags": ("late afterpulses",),
@@ -205,7 +207,10 @@ ONCE: tuple[str, ...] = (
 )  # fmt: skip
 """Those that have no strength."""
 
-SETTINGS: dict[str, list[str]] = {"no channel numbers": ["survey.channel_dimension=null"]}
+SETTINGS: dict[str, list[str]] = {
+    "no channel numbers": ["survey.channel_dimension=null"],
+    "the same strips, aligned": ["survey.align=rigid"],
+}
 """Settings that an effect is run with."""
 
 HELD: dict[str, float] = {
