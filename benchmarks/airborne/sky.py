@@ -271,7 +271,9 @@ def main() -> None:
             title = f"{name:30s}{times:4g}" if out == versions[0] else ""
             _print(name, title, figures, said, usual[out], say=given.say)
         if name.startswith("crosstalk"):
-            print(f"    {crosstalk(survey)}")
+            print(f"    {stray(survey, 'crosstalk')}")
+        elif "reflectors" in name:
+            print(f"    {stray(survey, 'bloom')}")
 
 
 def simulated(folder: Path, name: str, times: float) -> Path:
@@ -303,14 +305,15 @@ def _print(
         print(f"    {text}")
 
 
-def crosstalk(survey: Path) -> str:
-    """Returns that others set off: in truth, and in the report [count]."""
+def stray(survey: Path, of: str) -> str:
+    """Returns of crosstalk or bloom: in truth, and in the report [count]."""
     noise = json.loads((survey / "out" / "report.json").read_text())["noise"]
     true = 0
     for path in sorted((survey / "out" / "laz").rglob("*.laz")):
         kind = pq.read_table(survey / "truth" / f"{path.stem}.parquet")["kind"].to_numpy()
-        true += int(np.count_nonzero(kind == ALL_KINDS.index("crosstalk")))
-    return f"{true} set off, {noise['crosstalk']} counted, {noise['crosstalk_expected']} reckoned"
+        true += int(np.count_nonzero(kind == ALL_KINDS.index(of)))
+    reckoned = noise.get(f"{of}_expected")
+    return f"{true} are {of}, {noise[of]} counted" + (f", {reckoned} reckoned" if reckoned else "")
 
 
 def verdict(

@@ -35,14 +35,14 @@ def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Ite
     if not off:
         return
     _, pair = min(off, key=lambda found: (-found[0], found[1].first, found[1].second))
-    of = (
-        f"{len(off)} of {len(pairs)} pairs of flightlines do not fit together (strips in "
-        f"report.json), worst "
-        if len(off) > 1
-        else "flightline "
-    )
+    which = "flightline "
+    if len(off) > 1:
+        which = (
+            f"{len(off)} of {len(pairs)} pairs of flightlines do not fit together (strips in "
+            "report.json): at worst "
+        )
     yield (
-        f"{of}{pair.second}: it lies {' and '.join(_parts(pair))} than {pair.first} around "
+        f"{which}{pair.second} lies {' and '.join(_parts(pair))} than {pair.first}, around "
         f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar patches; "
         f"single ranges scatter by {100 * pair.noise_m:.1f} cm){_tilt(pair)}. What both have seen "
         f"is double, and the terrain follows the lower one: {REMEDIES[align]}"
@@ -84,7 +84,7 @@ def _tilt(pair: PairDifference) -> str:
     rise = float(np.hypot(east, north))
     angle = np.degrees(np.arctan(rise / TILT_PER_M))
     return (
-        f", {100 * rise:.1f} cm more or less at {TILT_PER_M:.0f} m from there, as if turned by "
+        f", and {100 * rise:.1f} cm more or less {TILT_PER_M:.0f} m from there, as if turned by "
         f"{angle:.3f} degrees, which no shift mends"
     )
 

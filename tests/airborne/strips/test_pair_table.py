@@ -189,14 +189,20 @@ def test_what_is_off_is_told_with_number_place_and_consequence() -> None:
     (said,) = offset_warnings([found])
     assert "set survey.align: rigid" in said
     assert "mounting angle" in next(offset_warnings([found], "rigid"))
-    for word in ("two: it lies 20.", "cm higher", "farther east", "farther south", "than one"):
+    for word in (
+        "flightline two lies 20.",
+        "cm higher",
+        "farther east",
+        "farther south",
+        "than one",
+    ):
         assert word in said
     for word in ("10 040 E", "single ranges scatter by", "is double"):
         assert word in said
     many = [pair(Shift(up=0.2))._replace(second=f"s{k}") for k in range(6)]
     (told,) = offset_warnings([*many, pair(Shift())])
     assert told.startswith("6 of 7 pairs of flightlines do not fit together")
-    assert "worst s0: it lies 20." in told
+    assert "at worst s0 lies 20." in told
     assert "east" not in told
 
 
