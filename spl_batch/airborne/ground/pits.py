@@ -20,7 +20,8 @@ they agree:
 Below a closed crown none of this speaks: few returns reach the ground, and the neighbours of what
 noise has left there are leaves. It takes the place of the ground among the lowest nodes, and true
 returns above it are lost. Once the ground has been told from what stands on it, its own nodes are
-the neighbours, in cells as wide as they need to be (:func:`under_ground`).
+the neighbours, and most of them are of one surface: a node far below their plane, for what they
+scatter about it, is none of theirs (:func:`under_ground`).
 
 After the low-point tests of ground filters (isolated points below all neighbours
 [Axelsson 2000 uses them before the seeds]); the comparison of opposite pairs is our own.
@@ -42,7 +43,7 @@ _AGREE_M = 0.4
 """Heights of pairs agree within this: ranging spread and roughness of a meadow [m]."""
 
 _DEPTH_M = 0.25
-"""A pit is deeper than this below the lowest of the agreeing heights [m]."""
+"""A pit is deeper than this below the lowest of the agreeing heights, or below the plane [m]."""
 
 _OWN_M = 0.2
 """Pairs within this of the node's height speak for it [m]."""
@@ -57,16 +58,30 @@ _LEAVES_M = 2.0
 """Leaves of a crown are seldom this near to the ground below them [m]."""
 
 _CELLS_M: Final = (1.0, 2.0, 4.0)
-"""Cells whose lowest ground nodes are compared, one size after the other [m]."""
+"""Cells whose lowest ground nodes make a plane, one size after the other [m]."""
 
 _NEXT: Final = 2
-"""How many of these cells off, on each side, neighbours are [count]."""
+"""How many of these cells off, on each side, they are [count]."""
+
+_FEWEST: Final = 6
+"""Fewer nodes tell no plane [count]."""
+
+_FLAT: Final = 0.02
+"""Nor do places that lie nearer to one line than this: product of their variances along and across
+over the square of their sum."""
+
+_SCATTERS: Final = 3.0
+"""A pit is deeper than so many standard deviations of the nodes about the plane."""
+
+_ROUNDS: Final = 3
+"""So often the planes are made anew, without what was found: of two pits side by side each hides
+the other [count]."""
 
 
 def under_ground(
     xyz: NDArray[np.float64], ground: NDArray[np.bool_], doubtful: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Ground nodes in pits of the ground around them: (n,) bool.
+    """Ground nodes far below the plane of the ground around them: (n,) bool.
 
     Where single returns are all that there is, as in sparse surveys, none is doubtful, and no pit
     is looked for.
@@ -81,18 +96,53 @@ def under_ground(
         Nodes of one or two returns below many others in the same cell: those that are judged.
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
-    if not (ground & doubtful).any():
-        return found
-    for cell_m in _CELLS_M:
-        grid = lowest_nodes(xyz, ground & ~found, cell_m)
-        cell = np.flatnonzero(grid >= 0)
-        nodes = grid.ravel()[cell]
-        pit = np.empty(len(nodes), dtype=np.bool_)
-        firm = np.zeros(len(nodes), dtype=np.bool_)
-        rows, columns = grid.shape
-        in_pits(xyz[nodes], cell, doubtful[nodes], firm, rows, columns, _NEXT, pit)
-        found[nodes[pit]] = True
+    for cell_m in np.repeat(_CELLS_M, _ROUNDS).tolist():
+        asked = np.flatnonzero(ground & doubtful & ~found)
+        if not len(asked):
+            break
+        column, row = np.floor(xyz[:, :2] / cell_m).astype(np.int64).T
+        at = np.column_stack([row - row.min(), column - column.min()])[asked]
+        below = np.empty(len(asked), dtype=np.bool_)
+        _below_planes(xyz, asked, at, lowest_nodes(xyz, ground & ~found, cell_m), below)
+        found[asked[below]] = True
     return found
+
+
+@njit()
+def _below_planes(
+    xyz: NDArray[np.float64],
+    asked: NDArray[np.int64],
+    at: NDArray[np.int64],
+    grid: NDArray[np.int64],
+    out: NDArray[np.bool_],
+) -> None:
+    """Fill with nodes below the plane of the grid's others around; ``at``: their row, column."""
+    for k in range(len(asked)):
+        i, (row, column) = asked[k], at[k]
+        n, x, y, z = 0, 0.0, 0.0, 0.0
+        xx, xy, yy, xz, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for r in range(max(row - _NEXT, 0), min(row + _NEXT + 1, grid.shape[0])):
+            for c in range(max(column - _NEXT, 0), min(column + _NEXT + 1, grid.shape[1])):
+                j = grid[r, c]
+                if j < 0 or j == i:
+                    continue
+                dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
+                n, x, y, z = n + 1, x + dx, y + dy, z + dz
+                xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+                xz, yz, zz = xz + dx * dz, yz + dy * dz, zz + dz * dz
+        out[k] = False
+        if n < _FEWEST:
+            continue
+        x, y, z = x / n, y / n, z / n
+        xx, yy, xy = xx / n - x * x, yy / n - y * y, xy / n - x * y
+        xz, yz, zz = xz / n - x * z, yz / n - y * z, zz / n - z * z
+        scale = xx * yy - xy * xy
+        if scale < _FLAT * (xx + yy) ** 2:
+            continue
+        east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
+        # Of n residuals a plane leaves n - 3 free.
+        rough = np.sqrt(max(zz - east * xz - north * yz, 0.0) * n / (n - 3))
+        out[k] = z - east * x - north * y > max(_DEPTH_M, _SCATTERS * rough)
 
 
 @njit()

@@ -263,9 +263,11 @@ def interpolate(tin: Tin, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
 
 
 def vertex_slopes(tin: Tin) -> NDArray[np.float64]:
-    """Slopes of a surface at its vertices: mean of the triangles around, by their areas.
+    """Slopes of a surface at its vertices: mean of the triangles around.
 
-    A single triangle is as steep as the noise of its corners makes it.
+    A single triangle is as steep as the noise of its corners makes it, and a sliver at the rim of a
+    triangulation any steepness, however large it is. Each counts as the square of its least height
+    does: of equal shapes as their areas.
 
     Returns
     -------
@@ -285,11 +287,16 @@ def _add_slopes(
     planes: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """Areas, and slopes times areas, of the triangles around each vertex."""
+    """Weights, and slopes times weights, of the triangles around each vertex."""
     for t in range(len(facets)):
         a, b, c = facets[t]
         area = _side(xyz[a, 0], xyz[a, 1], xyz[b, 0], xyz[b, 1], xyz[c, 0], xyz[c, 1])
+        longest2 = 0.0
+        for one, other in ((a, b), (b, c), (c, a)):
+            east, north = xyz[one, 0] - xyz[other, 0], xyz[one, 1] - xyz[other, 1]
+            longest2 = max(longest2, east * east + north * north)
+        weight = area * area / longest2
         for v in (a, b, c):
-            out[v, 0] += area
-            out[v, 1] += area * planes[t, 0]
-            out[v, 2] += area * planes[t, 1]
+            out[v, 0] += weight
+            out[v, 1] += weight * planes[t, 0]
+            out[v, 2] += weight * planes[t, 1]

@@ -131,18 +131,29 @@ def test_a_pit_at_the_edge_of_a_crown_is_one() -> None:
 
 
 def plain_under_ground(xyz: np.ndarray, ground: np.ndarray, doubtful: np.ndarray) -> np.ndarray:
-    """Pits of the lowest ground of cells, size by size, by the plain rule."""
+    """Nodes below the planes of the lowest ground of cells, size by size, by least squares."""
     left = ground.copy()
-    for edge in (1, 2, 4):
-        column, row = (np.floor(xyz[:, axis] / edge).astype(int) for axis in (0, 1))
-        column, row = column - column.min(), row - row.min()
-        shape = int(row.max()) + 1, int(column.max()) + 1
-        cell = row * shape[1] + column
-        by_height = sorted(np.flatnonzero(left), key=lambda i: (cell[i], xyz[i, 2]))
-        kept = [i for k, i in enumerate(by_height) if k == 0 or cell[i] != cell[by_height[k - 1]]]
-        firm = np.zeros(len(kept), bool)
-        told = [plain_pit(xyz[kept], cell[kept], shape, firm, k) for k in range(len(kept))]
-        left[[i for i, pit in zip(kept, told, strict=True) if pit and doubtful[i]]] = False
+    for edge in (1, 1, 1, 2, 2, 2, 4, 4, 4):
+        cell = np.floor(xyz[:, :2] / edge).astype(int)
+        lowest: dict[tuple[int, int], int] = {}
+        for i in sorted(np.flatnonzero(left), key=lambda i: -xyz[i, 2]):
+            lowest[cell[i, 0], cell[i, 1]] = int(i)
+        pits = []
+        for i in np.flatnonzero(left & doubtful):
+            near = [lowest.get((cell[i, 0] + k % 5 - 2, cell[i, 1] + k // 5 - 2)) for k in range(25)]
+            others = np.array([j for j in near if j not in (None, i)], dtype=int)
+            if len(others) < 6:
+                continue
+            off = xyz[others] - xyz[i]
+            spread = np.cov(off[:, :2].T, bias=True)
+            if np.linalg.det(spread) < 0.02 * np.trace(spread) ** 2:
+                continue
+            design = np.column_stack([np.ones(len(off)), off[:, :2]])
+            plane = np.linalg.lstsq(design, off[:, 2], rcond=None)[0]
+            rough = np.linalg.norm(off[:, 2] - design @ plane) / np.sqrt(len(off) - 3)
+            if plane[0] > max(0.25, 3 * rough):
+                pits.append(i)
+        left[pits] = False
     return ground & ~left
 
 
@@ -163,12 +174,25 @@ def test_pits_of_sparse_ground_are_those_of_a_slow_twin(seed: int) -> None:
     assert not under_ground(xyz, ground, np.zeros(n, dtype=np.bool_)).any()
 
 
+@pytest.mark.parametrize("slope", [0.0, 1.7])
+def test_noise_below_ground_is_told_on_steep_slopes_and_beside_more_of_it(slope: float) -> None:
+    rng = np.random.default_rng(8)
+    xyz = np.column_stack([*rng.uniform(0, 20, (2, 300)), rng.normal(0, 0.05, 300)])
+    xyz[:, 2] += slope * xyz[:, 0]
+    pair = np.argsort(np.hypot(xyz[:, 0] - 10, xyz[:, 1] - 10))[:2]
+    xyz[pair, 2] -= 0.8, 1.2
+    found = under_ground(xyz, np.ones(300, bool), np.ones(300, bool))
+    assert np.flatnonzero(found).tolist() == sorted(pair)
+
+
 def test_the_bottom_of_a_ditch_is_no_pit() -> None:
     x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
     z = np.where(np.abs(x - 4.5) < 0.6, -1.0, 0.0)
     bottom = np.abs(x - 4.5) < 0.6
     inner = (y > 2) & (y < 7)
-    assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))[bottom & inner].any()
+    xyz, every = np.column_stack([x, y, z]), np.ones(81, bool)
+    assert not pits(xyz, np.arange(81), (9, 9))[bottom & inner].any()
+    assert not under_ground(xyz, every, every)[bottom & inner].any()
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.decks import on_decks
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
-from spl_batch.airborne.ground.level_ground import levelled
+from spl_batch.airborne.ground.level_ground import high_islands, levelled
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED, Nodes, lowest_layers
 from spl_batch.airborne.ground.multiscale.near_surface import (
     Near,
@@ -218,6 +218,7 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground = _joined(xyz, chosen & hard, ground)
     ground &= ~decks
     ground &= ~on_houses(xyz, ground)
+    ground &= ~high_islands(xyz, ground, CELL_M)
     ground &= ~under_ground(xyz, ground, doubtful)
     return surface_of(xyz[ground])
 
