@@ -17,8 +17,8 @@ the nodes as a plane takes. Three things look alike and are kept out:
   island, a few nodes that hang together without a step.
 
 Islands that stand as high as a house above all land around are no ground at the end
-(:func:`high_islands`): low roofs between higher ones, what stands in a court. Nodes on the wall of a
-cliff have land above them.
+(:func:`high_islands`): low roofs between higher ones, what stands in a court. Nodes on the wall of
+a cliff have land above them.
 """
 
 from typing import Final

@@ -140,7 +140,9 @@ def plain_under_ground(xyz: np.ndarray, ground: np.ndarray, doubtful: np.ndarray
             lowest[cell[i, 0], cell[i, 1]] = int(i)
         pits = []
         for i in np.flatnonzero(left & doubtful):
-            near = [lowest.get((cell[i, 0] + k % 5 - 2, cell[i, 1] + k // 5 - 2)) for k in range(25)]
+            near = [
+                lowest.get((cell[i, 0] + k % 5 - 2, cell[i, 1] + k // 5 - 2)) for k in range(25)
+            ]
             others = np.array([j for j in near if j not in (None, i)], dtype=int)
             if len(others) < 6:
                 continue

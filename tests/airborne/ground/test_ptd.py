@@ -75,7 +75,9 @@ def test_slopes_are_means_of_the_triangles_around_by_their_least_heights() -> No
     for v in range(len(xyz)):
         around = [t for t in tin.facets if v in t]
         normals = np.array([np.cross(xyz[b] - xyz[a], xyz[c] - xyz[a]) for a, b, c in around])
-        longest = [np.linalg.norm(xyz[t, :2] - xyz[np.roll(t, 1), :2], axis=1).max() for t in around]
+        longest = [
+            np.linalg.norm(xyz[t, :2] - xyz[np.roll(t, 1), :2], axis=1).max() for t in around
+        ]
         weight = (normals[:, 2] / longest) ** 2
         expected = np.average(-normals[:, :2] / normals[:, 2:], axis=0, weights=weight)
         np.testing.assert_allclose(slopes[v], expected, atol=1e-9)
