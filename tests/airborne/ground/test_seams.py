@@ -21,10 +21,10 @@ FEW = 2e-4
 CLEAR_M, MOST_M = 0.01, 0.08
 BESIDE_M, SEAM_M = 10.0, 5e-4
 """Share of the points whose label may differ, and of the terrain's cells that may by more than a
-centimetre, and the most; and the mean beside cuts, where a seam would be. At the edges of the data, which are left out, a triangulation ends in
-slivers that reach beyond any buffer; what lies below them counts within 48 m. Of the forest each
-label is of a few ground returns, and moves its cell by decimetres: it is wider, and how much single
-cells differ is not asked."""
+centimetre, and the most; and the mean beside cuts, where a seam would be. At the edges of the data,
+which are left out, a triangulation ends in slivers that reach beyond any buffer; what lies below
+them counts within 48 m. Of the forest each label is of a few ground returns, and moves its cell by
+decimetres: it is wider, and how much single cells differ is not asked."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
