@@ -80,6 +80,10 @@ def profile(
     for name in ("canopy_top", "canopy_height"):
         columns[name][water] = np.nan
     columns["canopy_photons"][water] = 0
+    # What lies below a water surface is its floor, and puts it in no doubt.
+    error2 = columns["ground_error"] ** 2 - columns["doubt"] ** 2
+    columns["ground_error"][water] = np.sqrt(np.maximum(error2, 0.0))[water]
+    columns["doubt"][water] = 0.0
     for name, source in zip(FLOOR, ("ground", "ground_error", "ground_photons"), strict=False):
         values = _spread(floor, source, cells)
         values[~water] = 0 if values.dtype == np.int64 else np.nan

@@ -18,7 +18,7 @@ _DROP_M: Final = 3.0
 """How far the layer lies below what else is the ground, at least [m]."""
 
 _CROWNS: Final = 0.3
-"""Share of the photons that lie in that, at most: bare land has most of them there."""
+"""Share of the photons that lie in what else is the ground, at most: bare land has most there."""
 
 _SHARE: Final = 0.3
 """Photons of the layer over those of that, at least."""
@@ -80,7 +80,8 @@ def doubt_m(
 ) -> NDArray[np.float64]:
     """How far the ground may lie too high, (c,) float64 [m]; 0 where nothing tells of it.
 
-    That is the mean depth of the photons below it, over the cells around.
+    That is the mean depth of the photons below it, over the cells around. Bare land holds most of
+    the photons, and noise by day or crevasses below it put it in no doubt.
 
     Parameters
     ----------
@@ -93,16 +94,19 @@ def doubt_m(
     """
     known = np.isfinite(over_m)
     row, over_m = row[known], over_m[known]
-    under = (over_m < -_UNDER_M) & (over_m > -_DEEPEST_M)
+    near = np.abs(over_m) < _DEEPEST_M
+    under = near & (over_m < -_UNDER_M)
     at = np.abs(over_m) <= _UNDER_M / 2.0
     n = len(index)
     counted = (
         np.bincount(row[under], minlength=n),
         np.bincount(row[at], minlength=n),
+        np.bincount(row[near], minlength=n),
         np.bincount(row[under], -over_m[under], n),
     )
-    many, ground, depth = sums_around(index, np.stack(counted, axis=1), reach).T
-    return np.where(many > _DOUBT * ground, depth / np.maximum(many, 1.0), 0.0)
+    many, ground, every, depth = sums_around(index, np.stack(counted, axis=1), reach).T
+    doubted = (many > _DOUBT * ground) & (ground < _CROWNS * every)
+    return np.where(doubted, depth / np.maximum(many, 1.0), 0.0)
 
 
 def doubt_told(columns: Mapping[str, NDArray[Any]], cell_m: float) -> dict[str, float]:
