@@ -206,8 +206,8 @@ def floor_said(floor: LostFloor) -> Iterator[str]:
         yield (
             f"between {floor.from_m / 1000:g} and {floor.to_m / 1000:g} km the floor is lost in "
             f"{grouped(floor.lost)} of {grouped(every)} profile cells of water that show it or lie "
-            "close between others that do: it is too steep, rough, faint or deep for the noise there, "
-            "and an empty floor is no sure sign of deep water; look at the photons called 40 and 45"
+            "close between others that do: it is too steep, rough, faint or deep there, "
+            "and an empty floor alone is no sign of it; look at the photons called 40 and 45"
         )
 
 
