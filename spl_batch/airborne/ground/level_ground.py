@@ -137,6 +137,8 @@ def _spacing(xyz: Float, grid: Index) -> Float:
 def high_islands(xyz: Float, ground: Mask, cell_m: float) -> Mask:
     """Ground nodes of islands that stand as high as a house above all land around: (n,) bool.
 
+    They are islands among all nodes too: what is left of a plateau that was cut off is none.
+
     Parameters
     ----------
     xyz : (n, 3) float64
@@ -147,9 +149,8 @@ def high_islands(xyz: Float, ground: Mask, cell_m: float) -> Mask:
         Edge of a cell [m].
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
-    grid = lowest_nodes(xyz, ground, cell_m)
-    near = np.maximum(NEXT * _spacing(xyz, grid), EDGE_M)
-    alone = grid[islands(xyz, grid, grid >= 0, near, cell_m)]
+    alone = _islands_of(xyz, ground, cell_m)
+    alone = np.intersect1d(alone, _islands_of(xyz, np.ones_like(ground), cell_m))
     land = ground.copy()
     land[alone] = False
     above = np.full(len(alone), np.inf)
@@ -157,6 +158,14 @@ def high_islands(xyz: Float, ground: Mask, cell_m: float) -> Mask:
         above = np.where(np.isinf(above), _above_all(xyz, alone, land, edge_m), above)
     found[alone] = (HOUSE_M[0] <= above) & (above < HOUSE_M[1])
     return found
+
+
+def _islands_of(xyz: Float, chosen: Mask, cell_m: float) -> Index:
+    """Lowest nodes of cells, among those chosen, that are islands: (m,) int64."""
+    grid = lowest_nodes(xyz, chosen, cell_m)
+    near = np.maximum(NEXT * _spacing(xyz, grid), EDGE_M)
+    alone: Index = grid[islands(xyz, grid, grid >= 0, near, cell_m)]
+    return alone
 
 
 def _above_all(xyz: Float, asked: Index, land: Mask, edge_m: float) -> Float:

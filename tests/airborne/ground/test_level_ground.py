@@ -109,6 +109,16 @@ def test_a_few_nodes_as_high_as_a_house_above_a_slope_are_no_ground(
     assert high_islands(xyz, ground, 1.0).tolist() == (few & off).tolist()
 
 
+def test_what_is_left_of_a_plateau_that_was_cut_off_stays() -> None:
+    rng = np.random.default_rng(7)
+    x, y = np.meshgrid(np.arange(80), np.arange(80)) + rng.uniform(0.2, 0.8, (2, 80, 80))
+    xyz = np.column_stack([x.ravel(), y.ravel(), rng.normal(0, 0.05, 6400)])
+    off = np.abs(xyz[:, :2] - 40).max(axis=1)
+    xyz[:, 2] += 3.0 * (off < 15)
+    left = (off < 15) & (np.hypot(xyz[:, 0] - 27, xyz[:, 1] - 27) < 2.5)
+    assert not high_islands(xyz, left | (off >= 15), 1.0).any()
+
+
 def test_a_rim_is_an_edge_and_neither_a_deck_nor_a_plain_is() -> None:
     height = np.zeros((60, 110))
     height[:, 30:] = 8.0
