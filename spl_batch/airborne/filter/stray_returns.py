@@ -8,7 +8,8 @@ refused ones. Our own rule asks twice:
 - of boxes around the return: does anything stand at this height? A cluster a hundred metres below a
   surface rests on nothing. A floor of a quarry or canyon fills its own box; ground that is seen
   through gaps of a canopy continues, and fills a wider one. At the rim of a swath little was
-  refused, so deep below a surface a box must hold :data:`FEW` returns in any case.
+  refused, so deep below a surface a box must hold :data:`FEW` returns in any case. As the gate
+  widens downwards, that rim may lie :data:`BESIDE_M` outside of all ground.
 
 Where clusters of dense noise reach any such number, the ground has to fill the place too
 (:mod:`~spl_batch.airborne.filter.drowned_surfaces`).
@@ -53,8 +54,12 @@ KEPT_SHARE: Final = 0.002
 
 FEW: Final = 10
 DEEP: Final = 4
-"""So few returns of the widest box are no surface, where one stands within the width of that box
-and so many layers higher: two returns of noise and their afterpulses are [count, cells]."""
+"""So few returns of the widest box are no surface, where one stands near and so many layers higher:
+two returns of noise and their afterpulses are [count, cells]."""
+
+BESIDE_M: Final = 55.0
+"""How far beside it that surface may stand, in whole cells: a beam 20 degrees off nadir goes so far
+aside on 150 m below the ground. What a ground cell reads around itself holds it [m]."""
 
 NOISE_QUANTILE: Final = 0.1
 NOISE_RETURNS: Final = 100
@@ -83,6 +88,9 @@ BOXES: Final = (Box(1, 30, 0.2), Box(3, 60, 0.06))
 Count = NDArray[np.int64]
 
 _KINDS: Final = (NOISE_SIGNAL, NOISE_BACKGROUND)
+
+_BESIDE: Final = round(BESIDE_M / CELL_M)
+"""The same in cells on each side; no box reaches farther [count]."""
 
 
 class Bare(NamedTuple):
@@ -233,7 +241,7 @@ def bare_cells(
     x, y, z = (np.zeros(count, np.bool_) for count in last - first + 1)
     for _ in map(partial(_mark, corner, (x, y, z)), tables()):
         pass
-    place = _close_gaps(x), _close_gaps(y), _close_gaps(z)
+    place = _close_gaps(x, _BESIDE), _close_gaps(y, _BESIDE), _close_gaps(z, DEEP - 1)
     kept, gone = (np.zeros([int(along[-1]) + 1 for along in place], np.int64) for _ in _KINDS)
     for _ in map(partial(_count, corner, place, (kept, gone)), tables()):
         pass
@@ -282,10 +290,10 @@ def _count(
     return number
 
 
-def _close_gaps(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Number of each cell along one axis; gaps wider than any box are shortened to just that."""
+def _close_gaps(occupied: NDArray[np.bool_], reach: int) -> NDArray[np.int64]:
+    """Number of each cell along one axis; wider gaps are shortened to what lies beyond reach."""
     held = np.flatnonzero(occupied)
-    step = np.minimum(np.diff(held, prepend=held[0]), max(box.reach for box in BOXES) + 1)
+    step = np.minimum(np.diff(held, prepend=held[0]), reach + 1)
     place = np.zeros(len(occupied), np.int64)
     place[held] = np.cumsum(step)
     return place
@@ -315,7 +323,8 @@ def _bare_boxes(held: Sequence[tuple[Count, Count]], odds: float) -> NDArray[np.
 
 def _deep_below(standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cells deep below something that stands near, by the number of layers that hold points."""
-    wide = _around(standing.astype(np.int64), BOXES[-1].reach, (0, 1)) > 0
+    width = 2 * _BESIDE + 1
+    wide: NDArray[np.bool_] = ndimage.maximum_filter(standing, (width, width, 1), mode="constant")
     below = np.zeros(standing.shape, np.bool_)
     if standing.shape[2] > DEEP:
         higher = np.logical_or.accumulate(wide[:, :, ::-1], axis=2)[:, :, ::-1]

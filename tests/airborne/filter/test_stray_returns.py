@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.stray_returns import BOXES, COLUMN, DEEP, FEW, Box, stray
+from spl_batch.airborne.filter.stray_returns import (
+    BESIDE_M,
+    BOXES,
+    COLUMN,
+    DEEP,
+    FEW,
+    Box,
+    stray,
+)
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
@@ -99,20 +107,26 @@ def test_deep_surfaces_stay(low: Corner, high: Corner, per_m2: float) -> None:
     assert not found[len(deep) :].any()
 
 
-def test_two_returns_and_their_followers_deep_below_the_rim_of_a_swath_are_stray() -> None:
+@pytest.mark.parametrize("aside", [0, 40])
+def test_two_returns_and_their_followers_deep_below_the_rim_of_a_swath_are_stray(
+    aside: float,
+) -> None:
     rng = np.random.default_rng(3)
-    pit = rng.uniform((81, 40, -68), (82, 41, -66), (5, 3))
-    rim = rng.uniform((80, 0, -80), (95, 80, 30), (60, 3))
+    pit = rng.uniform((81, 40, -68), (82, 41, -66), (5, 3)) + np.array([aside, 0, 0])
+    rim = rng.uniform((80, 0, -80), (95 + aside, 80, 30), (60, 3))
     points = table({KEPT: [plate(rng, (0, 0, 40), (80, 80, 40), 5.0), pit], REFUSED: [rim]})
     found = stray(points)
     deep = (points["z"] < 0) & (points["noise_class"] == KEPT)
     assert found[deep].all()
     assert not found[~deep].any()
     # Alone, and where no surface is near, they may be one.
-    far = np.array([40, 0, 0])
+    far = np.array([60, 0, 0])
     land = plate(rng, (0, 0, 40), (80, 80, 40), 5.0)
     alone = table({KEPT: [pit + far, land], REFUSED: [rim + far]})
     assert not stray(alone)[(alone["z"] < 0) & (alone["noise_class"] == KEPT)].any()
+    # So may ten of them beside land.
+    many = table({KEPT: [pit, pit + 0.5, land], REFUSED: [rim]})
+    assert not stray(many)[(many["z"] < 0) & (many["noise_class"] == KEPT)].any()
 
 
 def test_cliff_stays_with_its_foot() -> None:
@@ -205,7 +219,8 @@ def slow_twin(points: PointTable) -> NDArray[np.bool_]:
         nowhere &= bare((away <= (box.reach, box.reach, 1)).all(axis=2), box)
     around = (away[:, :, :2] <= BOXES[-1].reach).all(axis=2)
     few = (around & (away[:, :, 2] <= 1))[:, signal].sum(axis=1) < FEW
-    under = around & (cells[None, :, 2] - cells[:, None, 2] >= DEEP)
+    beside = (away[:, :, :2] <= BESIDE_M / 5).all(axis=2)
+    under = beside & (cells[None, :, 2] - cells[:, None, 2] >= DEEP)
     nowhere |= few & under[:, signal & ~nowhere].any(axis=1)
     nowhere |= bare((away[:, :, :2] <= COLUMN.reach).all(axis=2), COLUMN)
     stray_ones: NDArray[np.bool_] = signal & nowhere
