@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.altimetry.hard_scenes import dry
 from benchmarks.altimetry.labelled_tracks import LAND
-from benchmarks.altimetry.odd_tracks import Scene, make
+from benchmarks.altimetry.odd_tracks import SCENES, Scene, make
 from benchmarks.altimetry.photon_beams import RATE, Beam
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.water.level_water import NO_WATER
@@ -50,6 +50,14 @@ def test_a_faint_surface_over_a_bright_floor_is_seen(noise: float, surface_per_m
     assert kept[track.kind == SURFACE].mean() > (0.9 if noise == NIGHT else 0.6)
     assert kept[track.kind == FLOOR].mean() > 0.97
     assert kept[signal].mean() + 1.0 - kept[~signal].mean() > (1.6 if noise == NIGHT else 1.9)
+
+
+def test_water_below_a_thin_cloud_is_no_plain_with_trees() -> None:
+    track = make("cloud", SCENES["cloud in the gate"], 1)
+    cells = rates.observe(*track.photons, RATE)
+    x = (cells.index + 0.5) * RATE.cell_m
+    # The cloud hides the water along 450 of 1500 m; elsewhere it is thin.
+    assert (cells.level[x % 1500.0 > 470.0] != NO_WATER).mean() > 0.95
 
 
 @pytest.mark.parametrize("depth_m", [lagoon, reef])

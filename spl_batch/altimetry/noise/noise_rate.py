@@ -47,7 +47,7 @@ from spl_batch.lattice.tiles import quanta
 HALO_CELLS: Final = (
     JOINED_CELLS
     + GROUND_CELLS
-    + 2 * REACH_CELLS
+    + 3 * REACH_CELLS
     + 2 * (PATCH_CELLS + REACH_CELLS + WOOD_CELLS)
     + 3 * STRETCH_CELLS
     + 2 * BLOCK_CELLS

@@ -153,9 +153,11 @@ def find_water(
     water.slope[:] = _slope(index, mode, cell_m)
     half = round(SURFACE_M * QUANTA_PER_M)
     level = heights_of(index, cell, height, level, level != NO_WATER, half)
-    grown = grown_over(Photons(index, cell, height), gate, level, level != NO_WATER, half)
-    level[grown] = NO_WATER
     over_m = (height - level[cell].astype(np.int64)) / QUANTA_PER_M
+    wet = level != NO_WATER
+    lit = lit_below(index, cell, over_m, wet, SURFACE_M, REACH_CELLS)
+    grown = grown_over(Photons(index, cell, height), gate, level, (wet, lit), half)
+    level[grown] = NO_WATER
     edges_m = WAVE_M, SURFACE_M
     level[rough_land(index, cell, over_m, level != NO_WATER, edges_m, REACH_CELLS)] = NO_WATER
     water.level[:] = level

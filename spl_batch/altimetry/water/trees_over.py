@@ -31,7 +31,7 @@ def grown_over(
     photons: Photons,
     gate: tuple[NDArray[np.int32], NDArray[np.int32]],
     level: NDArray[np.int32],
-    some: NDArray[np.bool_],
+    shown: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     half: int,
 ) -> NDArray[np.bool_]:
     """Cells where more stands above the level than noise can be: plains with trees, (n,) bool.
@@ -40,16 +40,21 @@ def grown_over(
     reaches as high as trees. Below water there is as much noise or more. What stands a little above
     a level may be the surface over a bright floor, and is no wood.
 
+    Light comes from below water alone: where it does, what stands there is mist or a cloud. But what
+    begins right above the level may be the surface itself, over a floor that was taken for it.
+
     Parameters
     ----------
     gate : ((n,) int32, (n,) int32)
         Lower and upper end of each cell's gate [quanta].
-    level, some : (n,) int32, (n,) bool
-        Level surface of each cell [quanta]; whether there is one.
+    level : (n,) int32
+        Level surface of each cell [quanta].
+    shown : ((n,) bool, (n,) bool)
+        Whether there is one, and whether light comes from below it.
     half : int
         Half-thickness of a surface [quanta].
     """
-    index = photons.number
+    index, (some, lit) = photons.number, shown
     low, high = (end.astype(np.int64) for end in gate)
     foot = level.astype(np.int64) + half
     canopy = CANOPY_M * QUANTA_PER_M
@@ -57,11 +62,11 @@ def grown_over(
     middle = foot + np.minimum(canopy, np.maximum(high - foot, 0) // 2)
     over = level.astype(np.int64) + round(_OVER_M * QUANTA_PER_M)
     highest = np.minimum(high, foot + canopy)
-    bands = (foot, np.minimum(high, middle)), (middle, high), (over, highest)
-    trees, sky, tall = (_within(photons, *band) for band in bands)
+    bands = (foot, np.minimum(high, middle)), (middle, high), (over, highest), (foot, over)
+    trees, sky, tall, low_down = (_within(photons, *band) for band in bands)
     empty = emptiest(photons, (low, highest), level.astype(np.int64), some, WOOD_CELLS)
     grown = _more(index, trees, sky, _NEAR_CELLS) | _more(index, tall, empty, WOOD_CELLS)
-    found: NDArray[np.bool_] = grown & some
+    found: NDArray[np.bool_] = grown & some & (~lit | _more(index, low_down, sky, _NEAR_CELLS))
     return found
 
 
