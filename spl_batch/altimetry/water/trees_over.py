@@ -40,8 +40,8 @@ def grown_over(
     reaches as high as trees. Below water there is as much noise or more. What stands a little above
     a level may be the surface over a bright floor, and is no wood.
 
-    Light comes from below water alone: where it does, what stands there is mist or a cloud. But what
-    begins right above the level may be the surface itself, over a floor that was taken for it.
+    Light comes from below water alone: where it does, what stands there is mist or a cloud. But
+    what begins right above the level is a shore, or the surface over a floor taken for it.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def grown_over(
     trees, sky, tall, low_down = (_within(photons, *band) for band in bands)
     empty = emptiest(photons, (low, highest), level.astype(np.int64), some, WOOD_CELLS)
     grown = _more(index, trees, sky, _NEAR_CELLS) | _more(index, tall, empty, WOOD_CELLS)
-    found: NDArray[np.bool_] = grown & some & (~lit | _more(index, low_down, sky, _NEAR_CELLS))
+    found: NDArray[np.bool_] = grown & some & (~lit | _more(index, low_down, sky, WOOD_CELLS))
     return found
 
 
