@@ -150,6 +150,8 @@ def high_islands(xyz: Float, ground: Mask, cell_m: float) -> Mask:
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
     alone = _islands_of(xyz, ground, cell_m)
+    if not len(alone):
+        return found
     alone = np.intersect1d(alone, _islands_of(xyz, np.ones_like(ground), cell_m))
     land = ground.copy()
     land[alone] = False

@@ -136,16 +136,10 @@ def terrain_doubts(done: Receipts) -> TerrainDoubts:
         ),
         raised=len(raised),
         raised_m2=sum(patch[0] for patch in raised),
-        largest_raised=tuple(
-            RaisedPatch(area_m2=area, at_m=_metres(at), height_m=height)
-            for area, *at, height in raised[:LISTED]
-        ),
+        largest_raised=_raised(raised),
         decks=len(decks),
         decks_m2=sum(strip[0] for strip in decks),
-        largest_decks=tuple(
-            RaisedPatch(area_m2=area, at_m=_metres(at), height_m=height)
-            for area, *at, height in decks[:LISTED]
-        ),
+        largest_decks=_raised(decks),
         steep=len(climbs),
         steep_m2=sum(patch[0] for patch in climbs),
         largest_steep=tuple(
@@ -158,6 +152,14 @@ def terrain_doubts(done: Receipts) -> TerrainDoubts:
             CutOffBlock(area_m2=area, at_m=_metres(at), height_m=height)
             for area, *at, height in blocks[:LISTED]
         ),
+    )
+
+
+def _raised(found: Sequence[Sequence[float]]) -> tuple[RaisedPatch, ...]:
+    """The largest of some raised patches or strips."""
+    return tuple(
+        RaisedPatch(area_m2=area, at_m=_metres(at), height_m=height)
+        for area, *at, height in found[:LISTED]
     )
 
 

@@ -98,14 +98,24 @@ def raised_patches(ground: Grid, cell_m: float) -> list[Patch]:
     step = max(1, round(SQUARE_M / cell_m))
     found = []
     for near, mine, fall in _buildings(lowest_of_squares(ground, step), step * cell_m):
-        depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
-        middle = np.unravel_index(depth.argmax(), mine.shape)
-        row, column = (
-            int(of + side.start) * step + step // 2 for of, side in zip(middle, near, strict=True)
-        )
         height = float(np.median(fall[fall > RIM_M]))
-        found.append(Patch(float(mine.sum() * (step * cell_m) ** 2), row, column, height))
+        found.append(patch_of(mine, near, step, cell_m, height))
     return found
+
+
+def patch_of(
+    mine: Mask, near: tuple[slice, ...], step: int, cell_m: float, height_m: float
+) -> Patch:
+    """Patch of some squares, of so many cells each; it lies where they are widest.
+
+    ``mine``: which squares of the part ``near`` of the grid.
+    """
+    depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
+    middle = np.unravel_index(depth.argmax(), mine.shape)
+    row, column = (
+        int(of + side.start) * step + step // 2 for of, side in zip(middle, near, strict=True)
+    )
+    return Patch(float(mine.sum() * (step * cell_m) ** 2), row, column, height_m)
 
 
 def on_houses(xyz: Grid, ground: Mask) -> Mask:

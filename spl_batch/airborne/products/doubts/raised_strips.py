@@ -23,6 +23,7 @@ from spl_batch.airborne.ground.multiscale.raised_patches import (
     Patch,
     is_flat,
     lowest_of_squares,
+    patch_of,
 )
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import nearest_cells
@@ -75,13 +76,7 @@ def raised_strips(ground: Grid, cell_m: float) -> Iterator[Patch]:
             continue
         if not is_flat(lowest[box], mine & held[box], edge_m):
             continue
-        depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
-        middle = np.unravel_index(depth.argmax(), mine.shape)
-        row, column = (
-            int(of + side.start) * step + step // 2 for of, side in zip(middle, box, strict=True)
-        )
-        height = float(np.median(above[box][mine]))
-        yield Patch(float(mine.sum() * edge_m**2), row, column, height)
+        yield patch_of(mine, box, step, cell_m, float(np.median(above[box][mine])))
 
 
 def between_walls(surface: Grid, edge_m: float) -> Grid:

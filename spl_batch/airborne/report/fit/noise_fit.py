@@ -133,6 +133,14 @@ def _where(facts: Facts, key: str, extent: NDArray[np.int64] | None = None) -> s
         cell = quanta(CELL_M)
         ends = [some[key][3:] for some in facts if len(some[key]) > 3]
         boxes = [[west, south, east + cell, north + cell] for west, east, south, north in ends]
+    return within(boxes, extent)
+
+
+def within(boxes: Sequence[Sequence[int]], extent: NDArray[np.int64] | None = None) -> str:
+    """Text of the box around some; each is west, south, east and north, as ``extent`` [quanta].
+
+    ``extent``: beyond it there are no points.
+    """
     box = np.array(boxes) * QUANTUM_M
     west, south = box[:, :2].min(axis=0)
     east, north = box[:, 2:].max(axis=0)

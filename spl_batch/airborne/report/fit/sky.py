@@ -11,6 +11,7 @@ from spl_batch.airborne.filter.stray_returns import CELL_M
 from spl_batch.airborne.noise.haze import CUBE_M
 from spl_batch.airborne.products import near_ground
 from spl_batch.airborne.products.product_table import is_piece
+from spl_batch.airborne.report.fit.noise_fit import within
 from spl_batch.airborne.report.model import Haze
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.strips.strip_comparison import pairs_of
@@ -163,18 +164,15 @@ def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
     shots, returns = bloom(done)
     if not shots:
         return
-    box = np.array([one[2:] for one in _bloom(done)]) * QUANTUM_M
-    west, south = box[:, :2].min(axis=0)
-    east, north = box[:, 2:].max(axis=0)
     fate = (
         "are noise, class 18 or 7"
         if removed
         else "stay signal and may raise the DSM: set noise.bloom: true to make them noise"
     )
     yield as_ascii(
-        f"{counted(shots, 'shots')} within x {west:.0f} to {east:.0f} and y {south:.0f} to "
-        f"{north:.0f}: many channels have a return at one and the same range, and others behind "
-        "it. Bright points such as retro-reflectors light the whole array so, or a small surface "
+        f"{counted(shots, 'shots')} {within([one[2:] for one in _bloom(done)])}: many channels "
+        "have a return at one and the same range, and others behind it. Bright points such as "
+        "retro-reflectors light the whole array so, or a small surface "
         f"that lets light pass; the {grouped(returns)} returns at that range {fate}"
     )
 
