@@ -32,12 +32,16 @@ from spl_batch.airborne.ground.multiscale_surface import WINDOW_M
 from spl_batch.airborne.ground.node_grids import lowest_nodes
 from spl_batch.airborne.ground.point_spacing import in_squares, spacing_at_m
 from spl_batch.airborne.ground.steep_ground import (
+    AROUND,
     BARRED,
     EDGE_M,
+    FEWEST,
     GROUND,
     GROWN,
     OTHER,
     STEEP,
+    beside,
+    ground_around,
     plane_beside,
 )
 from spl_batch.numerics.compiled import njit
@@ -118,7 +122,8 @@ def levelled(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: floa
     near = np.maximum(NEXT * spacing, EDGE_M)
     other = state == OTHER
     state[other & ~edges(xyz[nearest, 2], other, cell_m)] = BARRED
-    state[islands(xyz, grid, state == GROUND, near, cell_m)] = BARRED
+    on_ground = state == GROUND
+    state[islands(xyz, grid, on_ground, on_ground, near, cell_m)] = BARRED
     _grow(xyz, grid, np.clip(REACH * spacing, *REACH_M), cell_m, state)
     out = ground.copy()
     out[grid[state == GROWN]] = True
@@ -149,10 +154,11 @@ def high_islands(xyz: Float, ground: Mask, cell_m: float) -> Mask:
         Edge of a cell [m].
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
-    alone = _islands_of(xyz, ground, cell_m)
-    if not len(alone):
+    everywhere = np.ones_like(ground)
+    alone = _islands_of(xyz, ground, everywhere, cell_m)
+    if not alone.any():
         return found
-    alone = np.intersect1d(alone, _islands_of(xyz, np.ones_like(ground), cell_m))
+    alone = np.flatnonzero(_islands_of(xyz, everywhere, alone, cell_m))
     land = ground.copy()
     land[alone] = False
     above = np.full(len(alone), np.inf)
@@ -162,12 +168,14 @@ def high_islands(xyz: Float, ground: Mask, cell_m: float) -> Mask:
     return found
 
 
-def _islands_of(xyz: Float, chosen: Mask, cell_m: float) -> Index:
-    """Lowest nodes of cells, among those chosen, that are islands: (m,) int64."""
+def _islands_of(xyz: Float, chosen: Mask, asked: Mask, cell_m: float) -> Mask:
+    """Lowest nodes of cells, among those chosen, that are islands, as far as asked: (n,) bool."""
     grid = lowest_nodes(xyz, chosen, cell_m)
     near = np.maximum(NEXT * _spacing(xyz, grid), EDGE_M)
-    alone: Index = grid[islands(xyz, grid, grid >= 0, near, cell_m)]
-    return alone
+    held = grid >= 0
+    found = np.zeros(len(xyz), dtype=np.bool_)
+    found[grid[islands(xyz, grid, held, held & asked[grid], near, cell_m)]] = True
+    return found
 
 
 def _above_all(xyz: Float, asked: Index, land: Mask, edge_m: float) -> Float:
@@ -269,35 +277,38 @@ def _drops(
     return 0
 
 
-def islands(xyz: Float, grid: Index, ground: Mask, near: Float, cell_m: float) -> Mask:
+def islands(
+    xyz: Float, grid: Index, ground: Mask, asked: Mask, near: Float, cell_m: float
+) -> Mask:  # fmt: skip
     """Cells whose ground hangs together with too little: (rows, columns) bool.
 
     Parameters
     ----------
     xyz, grid, cell_m
         As :func:`levelled` has them.
-    ground : (rows, columns) bool
-        Cells with ground.
+    ground, asked : (rows, columns) bool
+        Cells with ground; those of them to be told.
     near : (rows, columns) float64
         How far off a node may hang together with that of each cell [m]; the less of both counts.
     """
     kind = np.where(ground, _UNKNOWN, _NONE).astype(np.uint8)
-    _tell_islands(xyz, grid, near, np.ceil(near / cell_m).astype(np.int64), kind)
-    found: Mask = kind == _SMALL
+    _tell_islands(xyz, grid, near, np.ceil(near / cell_m).astype(np.int64), asked, kind)
+    found: Mask = asked & (kind == _SMALL)
     return found
 
 
 @njit()
 def _tell_islands(
-    xyz: Float, grid: Index, near: Float, reach: Index, kind: NDArray[np.uint8]
+    xyz: Float, grid: Index, near: Float, reach: Index, asked: Mask, kind: NDArray[np.uint8]
 ) -> None:
     """Tell ground of islands from that of the rest, each as soon as enough of it is known."""
     rows, columns = kind.shape
     queue = np.empty(ISLAND, dtype=np.int64)
     for first in range(rows * columns):
-        if kind[first // columns, first % columns] != _UNKNOWN:
+        row, column = first // columns, first % columns
+        if not asked[row, column] or kind[row, column] != _UNKNOWN:
             continue
-        kind[first // columns, first % columns] = _QUEUED
+        kind[row, column] = _QUEUED
         queue[0], held, done, land = first, 1, 0, False
         while done < held and not land:
             held, land = _look_around(xyz, grid, near, reach, kind, queue, held, queue[done])
@@ -325,7 +336,11 @@ def _look_around(
     rows, columns = kind.shape
     row, column = at // columns, at % columns
     i, far = grid[row, column], reach[row, column]
-    for r in range(max(row - far, 0), min(row + far + 1, rows)):
+    # From near to far, as land beside a cell ends the search.
+    for k in range(2 * far + 1):
+        r = row + (k // 2 if k % 2 == 0 else -(k + 1) // 2)
+        if not 0 <= r < rows:
+            continue
         for c in range(max(column - far, 0), min(column + far + 1, columns)):
             if kind[r, c] != _UNKNOWN and kind[r, c] != _LARGE:
                 continue
@@ -350,13 +365,18 @@ def _grow(xyz: Float, grid: Index, reach_m: Float, cell_m: float, state: NDArray
     """Let ground grow round by round, each from what the last one left."""
     rows, columns = grid.shape
     fresh = state == GROUND
+    room = np.empty(((2 * int(np.ceil(reach_m.max() / cell_m)) + 1) ** 2, AROUND))
     for _ in range(ROUNDS):
         joins = np.zeros(grid.shape, dtype=np.bool_)
         grew = False
         for r in range(rows):
             for c in range(columns):
-                if state[r, c] == OTHER:
-                    joins[r, c] = _goes_on(xyz, grid, state, fresh, reach_m[r, c], cell_m, r, c)
+                if state[r, c] != OTHER:
+                    continue
+                reach = int(np.ceil(reach_m[r, c] / cell_m))
+                if beside(fresh, r, c, reach):
+                    held = ground_around(xyz, grid, state, reach, reach_m[r, c], r, c, room)
+                    joins[r, c] = _goes_on(room[:held], reach_m[r, c])
                     grew |= joins[r, c]
         if not grew:
             break
@@ -368,24 +388,12 @@ def _grow(xyz: Float, grid: Index, reach_m: Float, cell_m: float, state: NDArray
 
 
 @njit()
-def _goes_on(
-    xyz: Float,
-    grid: Index,
-    state: NDArray[np.uint8],
-    fresh: Mask,
-    reach_m: float,
-    cell_m: float,
-    row: int,
-    column: int,
-) -> bool:
-    """Whether a node lies on the plane of the ground on one side, with fresh ground around."""
-    reach = int(np.ceil(reach_m / cell_m))
-    top, bottom = max(row - reach, 0), min(row + reach + 1, len(grid))
-    left, right = max(column - reach, 0), min(column + reach + 1, grid.shape[1])
-    if not fresh[top:bottom, left:right].any():
+def _goes_on(around: Float, reach_m: float) -> bool:
+    """Whether a node lies on the plane of the ground on one side of it."""
+    if len(around) < FEWEST:
         return False
     for east, north in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        side = plane_beside(xyz, grid, state, reach, reach_m, row, column, east, north)
+        side = plane_beside(around, east, north)
         if not side.grown >= 0.0 or side.slope > STEEP:
             continue
         if side.rough_m > ROUGH_M or side.away_m > GAP * reach_m:

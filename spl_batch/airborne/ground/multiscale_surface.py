@@ -132,7 +132,8 @@ def _far_below(xyz: Float, lowest: Index, rank: int, slope: float) -> Mask:
     """Nodes lower by a slope than the lowest of so many cells around; ``lowest``: of each cell."""
     column, row, _ = _places(xyz, PIT_CELL_M)
     height = _heights(lowest, xyz[:, 2])
-    around = np.sort(_neighbours(np.where(np.isnan(height), np.inf, height)), axis=0)
+    around = _neighbours(np.where(np.isnan(height), np.inf, height))
+    around.partition(rank - 1, axis=0)
     floor = around[rank - 1] - slope * PIT_CELL_M
     floor[np.isinf(floor)] = -np.inf
     found: Mask = xyz[:, 2] < floor[row, column]

@@ -96,15 +96,18 @@ def under_ground(
         Nodes of one or two returns below many others in the same cell: those that are judged.
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
-    for cell_m in np.repeat(_CELLS_M, _ROUNDS).tolist():
-        asked = np.flatnonzero(ground & doubtful & ~found)
-        if not len(asked):
-            break
-        column, row = np.floor(xyz[:, :2] / cell_m).astype(np.int64).T
-        at = np.column_stack([row - row.min(), column - column.min()])[asked]
-        below = np.empty(len(asked), dtype=np.bool_)
-        _below_planes(xyz, asked, at, lowest_nodes(xyz, ground & ~found, cell_m), below)
-        found[asked[below]] = True
+    low = xyz[:, 1::-1].min(axis=0)
+    for cell_m in _CELLS_M:
+        for _ in range(_ROUNDS):
+            asked = np.flatnonzero(ground & doubtful & ~found)
+            below = np.zeros(len(asked), dtype=np.bool_)
+            if len(asked):
+                at = np.floor(xyz[asked, 1::-1] / cell_m) - np.floor(low / cell_m)
+                grid = lowest_nodes(xyz, ground & ~found, cell_m)
+                _below_planes(xyz, asked, at.astype(np.int64), grid, below)
+            if not below.any():
+                break
+            found[asked[below]] = True
     return found
 
 

@@ -196,12 +196,14 @@ def _grow(xyz: Float, grid: Index, reach: int, state: NDArray[np.uint8]) -> None
     """Let ground grow round by round, each from what the last one left."""
     rows, columns = grid.shape
     fresh = state == GROUND
+    room = np.empty(((2 * reach + 1) ** 2, AROUND))
     for _ in range(ROUNDS):
         joins = np.zeros(grid.shape, dtype=np.bool_)
         for r in range(rows):
             for c in range(columns):
-                if state[r, c] == OTHER and _beside(fresh, r, c, 2):
-                    joins[r, c] = _goes_on(xyz, grid, state, reach, r, c)
+                if state[r, c] == OTHER and beside(fresh, r, c, 2):
+                    held = ground_around(xyz, grid, state, reach, REACH_M, r, c, room)
+                    joins[r, c] = _goes_on(room[:held])
         if not joins.any():
             break
         for r in range(rows):
@@ -212,7 +214,7 @@ def _grow(xyz: Float, grid: Index, reach: int, state: NDArray[np.uint8]) -> None
 
 
 @njit()
-def _beside(fresh: Mask, row: int, column: int, far: int) -> bool:
+def beside(fresh: Mask, row: int, column: int, far: int) -> bool:
     """Whether a cell that has just become ground is near."""
     rows, columns = fresh.shape
     for r in range(max(row - far, 0), min(row + far + 1, rows)):
@@ -223,34 +225,71 @@ def _beside(fresh: Mask, row: int, column: int, far: int) -> bool:
 
 
 @njit()
-def _goes_on(
-    xyz: Float, grid: Index, state: NDArray[np.uint8], reach: int, row: int, column: int
-) -> bool:
+def _goes_on(around: Float) -> bool:
     """Whether a node lies where the ground on one side of it goes on."""
+    if len(around) < FEWEST:
+        return False
     for east, north in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        if _on_plane(xyz, grid, state, reach, row, column, east, north):
+        side = plane_beside(around, east, north)
+        if not side.grown >= 0.0 or side.rough_m > ROUGH_M:
+            continue
+        if side.slope < STEEP and side.grown < 0.5:
+            continue
+        if -NEAR_M <= side.plane_m <= side.slope * side.away_m + NEAR_M:
             return True
     return False
 
 
+AROUND: Final = 7
+"""What is known of ground around a node: how far it is to east and north and higher [m], the square
+of its distance [m2], columns and rows to it, and whether it has grown."""
+
+
 @njit()
-def _on_plane(
+def ground_around(
     xyz: Float,
     grid: Index,
     state: NDArray[np.uint8],
     reach: int,
+    reach_m: float,
     row: int,
     column: int,
-    to_east: int,
-    to_north: int,
-) -> bool:
-    """Whether a node lies on the plane through the ground on its side towards east or north."""
-    side = plane_beside(xyz, grid, state, reach, REACH_M, row, column, to_east, to_north)
-    if not side.grown >= 0.0 or side.rough_m > ROUGH_M:
-        return False
-    if side.slope < STEEP and side.grown < 0.5:
-        return False
-    return bool(-NEAR_M <= side.plane_m <= side.slope * side.away_m + NEAR_M)
+    out: Float,
+) -> int:
+    """Ground around a node, row by row; how much of it.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    grid : (rows, columns) int64
+        A node for each cell, or -1.
+    state : (rows, columns) uint8
+        What each cell is: ground from 2 on, 3 where it has grown.
+    reach : int
+        Cells to look at on each side [count].
+    reach_m : float
+        Farthest ground that counts [m].
+    row, column : int
+        Cell of the node.
+    out : (m, AROUND) float64
+        Filled, as far as there is ground.
+    """
+    rows, columns = grid.shape
+    i, held = grid[row, column], 0
+    for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+        for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
+            if state[r, c] < GROUND:
+                continue
+            j = grid[r, c]
+            dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
+            away = dx * dx + dy * dy
+            if away <= reach_m**2:
+                found = out[held]
+                found[0], found[1], found[2], found[3] = dx, dy, dz, away
+                found[4], found[5], found[6] = c - column, r - row, state[r, c] == GROWN
+                held += 1
+    return held
 
 
 class Side(NamedTuple):
@@ -279,56 +318,30 @@ class Side(NamedTuple):
 
 
 @njit()
-def plane_beside(
-    xyz: Float,
-    grid: Index,
-    state: NDArray[np.uint8],
-    reach: int,
-    reach_m: float,
-    row: int,
-    column: int,
-    to_east: int,
-    to_north: int,
-) -> Side:
+def plane_beside(around: Float, to_east: int, to_north: int) -> Side:
     """Plane through the ground on the side of a node towards east or north.
 
     Parameters
     ----------
-    xyz : (n, 3) float64
-        Nodes [m].
-    grid : (rows, columns) int64
-        A node for each cell, or -1.
-    state : (rows, columns) uint8
-        What each cell is: ground from 2 on, 3 where it has grown.
-    reach : int
-        Cells to look at on each side [count].
-    reach_m : float
-        Farthest ground that counts [m].
-    row, column : int
-        Cell of the node.
+    around : (m, AROUND) float64
+        Ground around it, by :func:`ground_around`.
     to_east, to_north : int
         The side.
     """
-    rows, columns = grid.shape
-    i = grid[row, column]
     n, grown, nearest, up = 0, 0, np.inf, 0.0
     x, y, z, xx, xy, yy, xz, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
-        for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
-            if state[r, c] < GROUND or (c - column) * to_east + (r - row) * to_north < 0:
-                continue
-            j = grid[r, c]
-            dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
-            away = dx * dx + dy * dy
-            if away > reach_m**2:
-                continue
-            n += 1
-            grown += state[r, c] == GROWN
-            if away < nearest:
-                nearest, up = away, dz
-            x, y, z = x + dx, y + dy, z + dz
-            xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
-            xz, yz, zz = xz + dx * dz, yz + dy * dz, zz + dz * dz
+    for k in range(len(around)):
+        here = around[k]
+        if here[4] * to_east + here[5] * to_north < 0.0:
+            continue
+        dx, dy, dz, away = here[0], here[1], here[2], here[3]
+        n += 1
+        grown += int(here[6])
+        if away < nearest:
+            nearest, up = away, dz
+        x, y, z = x + dx, y + dy, z + dz
+        xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+        xz, yz, zz = xz + dx * dz, yz + dy * dz, zz + dz * dz
     if n < FEWEST:
         return Side(0.0, 0.0, 0.0, 0.0, 0.0, np.nan)
     x, y, z = x / n, y / n, z / n
