@@ -155,10 +155,10 @@ def high_islands(xyz: Float, ground: Mask, cell_m: float) -> Mask:
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
     everywhere = np.ones_like(ground)
-    alone = _islands_of(xyz, ground, everywhere, cell_m)
-    if not alone.any():
+    of_ground = _islands_of(xyz, ground, everywhere, cell_m)
+    if not of_ground.any():
         return found
-    alone = np.flatnonzero(_islands_of(xyz, everywhere, alone, cell_m))
+    alone = np.flatnonzero(_islands_of(xyz, everywhere, of_ground, cell_m))
     land = ground.copy()
     land[alone] = False
     above = np.full(len(alone), np.inf)
