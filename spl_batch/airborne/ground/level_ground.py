@@ -114,11 +114,9 @@ def levelled(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: floa
     cell_m : float
         Edge of a cell [m].
     """
-    held = grid >= 0
-    nodes = grid[held]
-    spacing = _spacing(xyz, grid)
+    held, spacing = grid >= 0, _spacing(xyz, grid)
     state = np.full(grid.shape, BARRED, dtype=np.uint8)
-    state[held] = np.where(ground[nodes], GROUND, OTHER)
+    state[held] = np.where(ground[grid[held]], GROUND, OTHER)
     near = np.maximum(NEXT * spacing, EDGE_M)
     other = state == OTHER
     state[other & ~edges(xyz[nearest, 2], other, cell_m)] = BARRED
@@ -171,8 +169,7 @@ def high_islands(xyz: Float, ground: Mask, cell_m: float) -> Mask:
 def _islands_of(xyz: Float, chosen: Mask, asked: Mask, cell_m: float) -> Mask:
     """Lowest nodes of cells, among those chosen, that are islands, as far as asked: (n,) bool."""
     grid = lowest_nodes(xyz, chosen, cell_m)
-    near = np.maximum(NEXT * _spacing(xyz, grid), EDGE_M)
-    held = grid >= 0
+    near, held = np.maximum(NEXT * _spacing(xyz, grid), EDGE_M), grid >= 0
     found = np.zeros(len(xyz), dtype=np.bool_)
     found[grid[islands(xyz, grid, held, held & asked[grid], near, cell_m)]] = True
     return found
@@ -180,7 +177,7 @@ def _islands_of(xyz: Float, chosen: Mask, asked: Mask, cell_m: float) -> Mask:
 
 def _above_all(xyz: Float, asked: Index, land: Mask, edge_m: float) -> Float:
     """How far nodes lie above all land in nine cells; infinite where these hold none (m,) [m]."""
-    column, row = np.floor(xyz[:, :2] / edge_m).astype(np.int64).T
+    column, row = (np.floor(v / edge_m).astype(np.int64) for v in xyz[:, :2].T)
     column, row = column - column.min(), row - row.min()
     highest = np.full((int(row.max()) + 1, int(column.max()) + 1), -np.inf)
     np.maximum.at(highest, (row[land], column[land]), xyz[land, 2])
@@ -320,15 +317,9 @@ def _tell_islands(
 
 @njit()
 def _look_around(
-    xyz: Float,
-    grid: Index,
-    near: Float,
-    reach: Index,
-    kind: NDArray[np.uint8],
-    queue: Index,
-    held: int,
-    at: int,
-) -> tuple[int, bool]:
+    xyz: Float, grid: Index, near: Float, reach: Index, kind: NDArray[np.uint8], queue: Index,
+    held: int, at: int,
+) -> tuple[int, bool]:  # fmt: skip
     """Put what hangs together with a cell into the queue, until that is no island.
 
     Returns how many are in the queue then, and whether it is land.
@@ -338,7 +329,7 @@ def _look_around(
     i, far = grid[row, column], reach[row, column]
     # From near to far, as land beside a cell ends the search.
     for k in range(2 * far + 1):
-        r = row + (k // 2 if k % 2 == 0 else -(k + 1) // 2)
+        r = row + (k + 1) // 2 * (1 - 2 * (k % 2))
         if not 0 <= r < rows:
             continue
         for c in range(max(column - far, 0), min(column + far + 1, columns)):
