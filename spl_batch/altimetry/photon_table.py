@@ -59,7 +59,8 @@ class Cells:
     first: NDArray[np.float32]  #: (n,): noise of the first metre below it [1/m2].
     top: NDArray[np.int32]  #: (n,): water surface, not lowered by what lies below it [quanta].
     calm: NDArray[np.bool_]  #: (n,): whether the surface is water: it is too level for land.
-    #: (n,): steps between the densest layers of cells next to each other, their median [m/m].
+    #: (n,): steps between the densest layers of cells next to each other, their median, or what
+    #: photons show that crowd in long boxes where that is less [m/m].
     slope: NDArray[np.float32]
     fog_low: NDArray[np.int32]  #: (n,): lower end of a cloud [quanta].
     #: (n, b): photons by height above that; 0 where there is no cloud [1/m2].

@@ -139,8 +139,14 @@ def test_the_threshold_is_that_of_the_largest_f1(
         away, chanced = far[i, free:].sum(), strays[i, free:].sum()
         each = 8.0 * noise[i].sum() / max(counts[i].sum(), 1)
         layered = away > chanced + each + 3.0 * ((1.0 + each) * chanced) ** 0.5
-        fewest = next(b for b in f1 if f1[b] >= 0.95 * f1[free])
-        best = free if costly and layered else fewest if costly else held
+        near = {}
+        for b in f1:
+            above = counts[i, b:].sum() - far[i, b:].sum()
+            below = noise[i, b:].sum() - strays[i, b:].sum()
+            near[b] = 2.0 * np.clip(above - below, 0.0, wanted) / max(above + wanted, 1.0)
+        if costly and not layered:
+            f1 = near
+        best = max(f1, key=lambda b: f1[b]) if costly else held
         gained = f1[best] if costly else gained
         assert least[i] == (max(best, 1) if gained > 0.0 else counts.shape[1])
 

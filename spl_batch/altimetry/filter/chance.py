@@ -232,10 +232,11 @@ def best_thresholds(
     Of ``above`` photons taken, those are signal that are not expected to be noise, so F1, the
     harmonic mean of precision and recall, is 2 (above - noise) / (above + n_s).
 
-    The limit on far photons may cost a twentieth of that F1: where it would cost more, the fewest
-    photons are taken that keep the rest. A cliff, a cloud or a surface that was not followed puts
-    signal far from where the surface is looked for. So where noise does not explain the far
-    photons, the limit does not count at all.
+    The limit on far photons may cost a twentieth of that F1: where it would cost more, as under a
+    bright sky, it does not count. Far photons that noise explains are no signal anyway, and the F1
+    is that of the others. A cliff, a cloud or a surface that was not followed puts signal far from
+    where the surface is looked for: where noise does not explain the far photons, all of them
+    count.
 
     Parameters
     ----------
@@ -250,21 +251,27 @@ def best_thresholds(
         From 1 to the number of bins, which takes none.
     """
     tables = (counts, noise, far, far_noise)
-    above, below, away = (np.cumsum(table[:, ::-1], axis=1) for table in tables[:3])
-    signal = np.clip(above - below, 0.0, wanted[:, None])
-    every = 2.0 * signal / np.maximum(above + wanted[:, None], 1.0)
+    above, below, away, strays = (np.cumsum(table[:, ::-1], axis=1) for table in tables)
+    every = _expected_f1(above, below, wanted)
     sure = is_sure(counts, wanted)
     gain = np.where(few_strays(away, above, sure, false_share), every, 0.0)
-    least_f1 = (1.0 - _MOST_LOST) * every.max(axis=1)
-    costly = sure & (gain.max(axis=1) < least_f1)
-    best = np.arange(len(every)), every.argmax(axis=1)
-    layered = costly & more_far_than_noise(*tables, counts.shape[1] - 1 - best[1])
-    gain[layered] = every[layered]
+    costly = sure & (gain.max(axis=1) < (1.0 - _MOST_LOST) * every.max(axis=1))
+    best = counts.shape[1] - 1 - every.argmax(axis=1)
+    layered = more_far_than_noise(*tables, best)[:, None]
+    free = np.where(layered, every, _expected_f1(above - away, below - strays, wanted))
+    gain = np.where(costly[:, None], free, gain)
     taken = np.where(gain.max(axis=1) > 0.0, gain.argmax(axis=1) + 1, 0)
-    fewest = np.argmax(every >= least_f1[:, None], axis=1) + 1
-    taken = np.where(costly & ~layered, fewest, taken)
     least: NDArray[np.int64] = np.maximum(counts.shape[1] - taken, 1)
     return least
+
+
+def _expected_f1(
+    above: NDArray[np.float64], noise: NDArray[np.float64], wanted: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """F1 to be expected of so many photons taken, and so much noise among them: (w, bins)."""
+    signal = np.clip(above - noise, 0.0, wanted[:, None])
+    found: NDArray[np.float64] = 2.0 * signal / np.maximum(above + wanted[:, None], 1.0)
+    return found
 
 
 def more_far_than_noise(

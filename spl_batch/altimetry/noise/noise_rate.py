@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.altimetry.noise.crowding import CROWD_CELLS, LONGEST_CELLS, crowded_slope
 from spl_batch.altimetry.noise.empty_window import empty_window
 from spl_batch.altimetry.noise.fog import BINS, JOINED_CELLS, find_fog, fog_at, outside
 from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, stretches
@@ -45,7 +46,9 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
 HALO_CELLS: Final = (
-    JOINED_CELLS
+    CROWD_CELLS
+    + LONGEST_CELLS
+    + JOINED_CELLS
     + GROUND_CELLS
     + 3 * REACH_CELLS
     + 2 * (PATCH_CELLS + REACH_CELLS + WOOD_CELLS)
@@ -105,6 +108,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     clear = outside(cell, height, fog)
     if len(clear) < len(cell):
         cell, height, inside_m = cell[clear], height[clear], inside_m[clear]
+        along = along[clear]
         table = np.bincount(cell * width + (height // bin_q - base), minlength=table.size)
         table = table.reshape(len(index), width)
         peak = _surface(index, table)
@@ -116,6 +120,9 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     surface = np.where(wet, water.level, middle)
     window = Photons(index, cell, height), (low, high), surface, wet, fog, settings
     empty_count, empty_length = empty_window(*window)
+    empty = empty_count, empty_length / QUANTA_PER_M * cell_m
+    gate_m2 = (high.astype(np.int64) - low) / QUANTA_PER_M * cell_m
+    crowded = crowded_slope(index, (along, cell, height), empty, gate_m2, cell_m)
     return Cells(
         index=index,
         count=count.astype(np.int64),
@@ -129,7 +136,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         first=water.first,
         top=water.top,
         calm=water.calm,
-        slope=water.slope,
+        slope=np.minimum(water.slope, crowded),
         fog_low=fog.low,
         fog=fog.density,
         mist=mist,
