@@ -58,6 +58,17 @@ def haze(times: float, base_m: float, top_m: float, cover: float = 0.5) -> dict[
     return {"sky": {"haze": [layer]}}
 
 
+def sheet(times: float, base_m: float, thick_m: float) -> dict[str, Any]:
+    """A layer thinner than those that are told by how they fill blocks."""
+    (layer,) = haze(times, base_m, base_m + thick_m, 0.7)["sky"]["haze"]
+    return {"sky": {"haze": [{**layer, "edge_m": 0.2}]}}
+
+
+def swinging(times: float) -> dict[str, Any]:
+    """Recorded positions swing within half a second."""
+    return {"flights": [{**flight, "jitter_m": 0.2 * times} for flight in BASE["flights"]]}
+
+
 def small_patches(times: float) -> dict[str, Any]:
     """The same in patches half as large that drift faster."""
     (layer,) = haze(50 * times, 30, 50, 0.4)["sky"]["haze"]
@@ -130,6 +141,15 @@ def unlike(**second: Any) -> dict[str, Any]:
     return {"flights": [first, {**usual, **second}]}
 
 
+def all_from(altitude_m: float, nearer: float = 1.0) -> dict[str, Any]:
+    """Both flightlines at another height, and nearer to the scene."""
+    flights = [
+        {**flight, "altitude_agl_m": altitude_m, "offset_m": nearer * flight["offset_m"]}
+        for flight in BASE["flights"]
+    ]
+    return {"flights": flights}
+
+
 def snow(_: float) -> dict[str, Any]:
     """Bright ground, and a lake with waves."""
     ring = [[20, 15], [80, 15], [80, 60], [20, 60]]
@@ -161,17 +181,21 @@ EFFECTS: dict[str, Any] = {
     "haze 30-50 m, 50 x": small_patches,
     "thin haze 20-30 m, 30 x": lambda t: haze(30 * t, 20, 30, 0.7),
     "thinner haze 8-14 m, 20 x": lambda t: haze(20 * t, 8, 14),
+    "sheet of 2 m at 30 m, 40 x": lambda t: sheet(40 * t, 30, 2),
+    "sheet of 1 m at 15 m, 40 x": lambda t: sheet(40 * t, 15, 1),
+    "sheet of 2 m at 55 m, 20 x": lambda t: sheet(20 * t, 55, 2),
     "two clouds": two_clouds,
     "long lags": long_lags,
     "boresight roll 0.02 deg": lambda t: unlike(boresight_roll_deg=0.02 * t),
     "range walk 0.3 m": lambda t: {"detector": {"range_walk_m": 0.3 * t}},
+    "range walk 0.6 m": lambda t: {"detector": {"range_walk_m": 0.6 * t}},
+    "positions swing by 0.2 m": swinging,
     "city in fog": city,
     "second gate 350 m": lambda _: unlike(gate_m=350),
     "second file in another CRS": lambda _: unlike(crs="EPSG:32616"),
     "second line from 1800 m": lambda _: unlike(altitude_agl_m=1800),
-    "both lines from 1800 m": lambda _: {
-        "flights": [{**flight, "altitude_agl_m": 1800} for flight in BASE["flights"]]
-    },
+    "both lines from 1800 m": lambda _: all_from(1800),
+    "both lines from 600 m": lambda t: all_from(600 / t, 0.25 / t),
     "snow, waves": snow,
     "cm, us, user_data": lambda _: {
         "delivery": {"channel_dimension": "user_data", "scale_m": 0.01, "time_step_us": 1}
@@ -194,9 +218,13 @@ SAYS: dict[str, tuple[str, ...]] = {
     "haze 30-50 m, 50 x": _AIR, "thin haze 20-30 m, 30 x": _AIR,
     "thinner haze 8-14 m, 20 x": _AIR, "two clouds": _AIR, "long lags": ("late afterpulses",),
     "boresight roll 0.02 deg": ("flightlines",), "range walk 0.3 m": ("ranges",),
+    "sheet of 2 m at 30 m, 40 x": _AIR, "sheet of 1 m at 15 m, 40 x": _AIR,
+    "sheet of 2 m at 55 m, 20 x": _AIR, "range walk 0.6 m": ("ranges",),
+    "positions swing by 0.2 m": ("ranges",), "both lines from 600 m": ("ranges",),
     "city in fog": ("fog", "mist"), "second gate 350 m": (),
     "second file in another CRS": ("crs",), "second line from 1800 m": (),
-    "both lines from 1800 m": (), "snow, waves": (), "cm, us, user_data": (),
+    "both lines from 1800 m": (),
+    "snow, waves": (), "cm, us, user_data": (),
 }  # fmt: skip
 """Kinds of warnings that say what is off, by effect."""
 

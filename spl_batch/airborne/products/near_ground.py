@@ -63,6 +63,9 @@ class Placed(NamedTuple):
     within: NDArray[np.int64]  #: (n,): number of its cell within the place.
     #: (n,): half metres above the floor, rounded down; NaN where the DTM is void.
     half_metre: NDArray[np.float64]
+    #: (n,): the same above the lowest ground of its place.
+    level: NDArray[np.float64]
+    z: NDArray[np.int32]  #: (n,): heights [quanta].
     kept: NDArray[np.bool_]  #: (n,): whether it is signal.
     grounded: NDArray[np.bool_]  #: (places,): whether points lie on the DTM there.
 
@@ -89,14 +92,21 @@ def placed(table: PointTable, core: Bounds, dtm: NDArray[np.float32]) -> Placed 
     chosen = (x >= 0) & (x < columns * edge) & (y >= 0) & (y < rows * edge)
     chosen &= (kind != NOISE_AFTERPULSE) & (kind != NOISE_NOT_ASSESSED)
     x, y = x[chosen], y[chosen]
-    height, near = _heights(table, chosen, core, dtm)
+    surface = _surface(table, chosen, core, dtm)
+    z = table["z"][chosen]
+    height = z * QUANTUM_M - surface
     place = (y // edge) * columns + x // edge
+    lowest = np.full(int(rows * columns), np.inf)
+    np.fmin.at(lowest, place, surface)
     parts = edge // cell
     within = (y % edge // cell) * parts + x % edge // cell
+    near = np.abs(height) < FLOOR_M / 2
     grounded = np.bincount(place[near], minlength=int(rows * columns)) > 0
     kept = kind[chosen] == NOISE_SIGNAL
-    half_metre = np.floor((height - FLOOR_M) / HALF_M)
-    return Placed((int(rows), int(columns)), place, within, half_metre, kept, grounded)
+    half_metre, level = (
+        np.floor((over - FLOOR_M) / HALF_M) for over in (height, z * QUANTUM_M - lowest[place])
+    )
+    return Placed((int(rows), int(columns)), place, within, half_metre, level, z, kept, grounded)
 
 
 def low_places(points: Placed, noise_m3: float) -> NDArray[np.bool_]:
@@ -162,15 +172,14 @@ def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
     return out
 
 
-def _heights(
+def _surface(
     table: PointTable, chosen: NDArray[np.bool_], core: Bounds, dtm: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Heights above the DTM, NaN where it is void [m]; which points lie on it."""
+) -> NDArray[np.float64]:
+    """Heights of the DTM below points, NaN where it is void [m]."""
     rows, cols = dtm.shape
     size = (core.xmax - core.xmin) // cols
     row = rows - 1 - (table["y"][chosen] - core.ymin) // size
     col = (table["x"][chosen] - core.xmin) // size
-    surface = dtm[row, col].astype(np.float64)
+    surface: NDArray[np.float64] = dtm[row, col].astype(np.float64)
     surface[surface == np.float32(NODATA)] = np.nan
-    height = table["z"][chosen] * QUANTUM_M - surface
-    return height, np.abs(height) < FLOOR_M / 2
+    return surface

@@ -296,7 +296,7 @@ def _columns(
     angle = np.degrees(np.arctan2(starboard, -beam[:, 2]))
     # a silicon photomultiplier's pulse grows with the cells that fire [W17 2.2.1]
     pulse = 8000.0 + 1500.0 * (points.electrons - 1) + 600.0 * rng.standard_normal(len(time_s))
-    place = points.xyz + run.flight.strip_offset_m
+    place = points.xyz + run.flight.strip_offset_m + run.jitter(time_s)
     place[:, :2] += rig.scene.origin_m[:2]
     if run.flight.boresight_roll_deg:
         turned = math.radians(run.flight.boresight_roll_deg)

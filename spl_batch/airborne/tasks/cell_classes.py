@@ -12,7 +12,7 @@ from spl_batch.airborne.classes import point_classes
 from spl_batch.airborne.classes.buildings import CELLS_M, REACH_M, Floor, buildings
 from spl_batch.airborne.classes.overlap import overlapping
 from spl_batch.airborne.filter import kept_noise
-from spl_batch.airborne.products import near_ground, thin_haze
+from spl_batch.airborne.products import near_ground, thin_haze, thin_sheets
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of
 from spl_batch.airborne.settings import ClassSettings
@@ -218,7 +218,7 @@ def _tell(
         filled = near_ground.filled_places(placed, known.noise_m3)
         if placed is not None:
             air = (
-                thin_haze.filled_blocks(placed, known.noise_m3),
+                thin_haze.filled_blocks(placed, known.noise_m3) | thin_sheets.sheets(placed),
                 near_ground.low_places(placed, known.noise_m3),
             )
     return _Told((origin.of(owned), labels), filled, air)

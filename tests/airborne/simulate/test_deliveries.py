@@ -142,6 +142,24 @@ def test_flightlines_may_be_recorded_each_in_its_own_way(tmp_path):
     assert gates == [120, None]
 
 
+def test_recorded_positions_may_swing(tmp_path):
+    flight = {"heading_deg": 0, "offset_m": 300, "speed_m_s": 110}
+    calm = {"extent_m": [20, 20], "terrain": {"relief_m": 0}, "sky": {"background_per_m3": 0.02},
+            "acquisition": {"prf_hz": 20_000, "gate_m": 120}}  # fmt: skip
+    found = {}
+    for name, jitter_m in (("steady", 0.0), ("swings", 0.2)):
+        own = [{**flight, "jitter_m": jitter_m, "jitter_period_s": 0.4}]
+        simulate(parse_scene({**calm, "flights": own}, "here"), tmp_path / name)
+        found[name] = read(tmp_path / name, "flightlines")["line_01"][0]
+    off = [found["swings"][axis] - found["steady"][axis] for axis in "xyz"]
+    phase = 2 * np.pi * (found["steady"].gps_time % 0.4) / 0.4
+    for axis in off:
+        waves = np.column_stack([np.sin(phase), np.cos(phase)])
+        swing, *_ = np.linalg.lstsq(waves, axis, rcond=None)
+        assert np.hypot(*swing) == pytest.approx(0.2, abs=0.005)
+        np.testing.assert_allclose(waves @ swing, axis, atol=0.005)
+
+
 def test_a_crs_of_one_file_and_tiles_exclude_each_other():
     flights = [{**SCENE["flights"][0], "crs": "EPSG:32616"}]
     with pytest.raises(WorkflowError, match=r"crs is that of a file, which tile_m shares"):

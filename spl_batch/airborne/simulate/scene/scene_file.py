@@ -180,6 +180,10 @@ class Flight(Section):
         le=5,
         description="By which its recorded beams are turned about the way, starboard down [deg].",
     )
+    jitter_m: NotNegative = Field(
+        0.0, description="Largest error of its recorded positions along each axis, a swing [m]."
+    )
+    jitter_period_s: Positive = Field(0.5, description="Of that swing [s].")
     gate_m: Positive | None = Field(None, description="Of its gate; the acquisition's without [m].")
     crs: Projected | None = Field(None, description="CRS of its file, where not the scene's.")
 

@@ -1,0 +1,127 @@
+r"""Sheets of haze thinner than the blocks of :mod:`~spl_batch.airborne.products.thin_haze`.
+
+Domain: space. A sheet of a metre or two is a thin part of a block, and thickens no layer of noise:
+it stays signal and becomes the surface. Of each place of 10 m the fullest :data:`WINDOW_M` of
+height are looked at. They hold a *sheet* if
+
+- nothing hangs near above and below: crowns are deeper;
+- returns lie there by chance over cells of 1 m, as in air: wires lie in lines;
+- within such cells they spread in height: roofs, of glass too, and decks do not;
+- nearly everywhere something lies below them: halls, decks and closed crowns hide it.
+
+Heights are level ones, or those above the ground where that fits better. A sheet counts for all
+blocks that hold it, is told with them, and nothing is removed. Our own rule: no source has one.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.products.near_ground import CELL_M, HALF_M, SQUARE_M, Placed
+from spl_batch.airborne.products.thin_haze import BLOCK, BLOCKS, TOP
+from spl_batch.constants import QUANTUM_M
+from spl_batch.lattice.tiles import quanta
+
+DOMAIN: Final = "space"
+
+LOWEST_M: Final = 8.0
+"""Height above the floor from which on sheets are looked for [m]."""
+
+WINDOW_M: Final = 3.0
+"""Height that holds a sheet, and what is empty above and below it [m]."""
+
+LEAST: Final = 30
+"""Returns of a sheet in a place [count]."""
+
+BESIDE: Final = 0.1
+"""Most returns just above and below a sheet, over its own."""
+
+CLUMPED: Final = 1.5
+"""Largest clumping over cells of 1 m; conductors 2 m apart have 2."""
+
+THICK_M: Final = 0.22
+"""Least standard deviation of heights in a cell of 1 m: a metre of air has 0.29 [m]."""
+
+SEEN: Final = 0.9
+"""Least share of a sheet's cells of 2 m with something below."""
+
+CLEAR: Final = 1.25
+"""Least number of returns below, over the sheet's own: crowns that close leave fewer."""
+
+
+def sheets(points: Placed) -> NDArray[np.bool_]:
+    """Blocks of each place that hold a sheet: (rows, columns, BLOCKS) bool, as filled blocks."""
+    found = np.zeros((*points.shape, BLOCKS), np.bool_)
+    block = np.arange(BLOCKS)
+    for heights in (points.level, points.half_metre):
+        low = _windows(points, heights)
+        low[~_holds_air(points, heights, low)] = -1
+        first, top = (low * HALF_M).reshape(-1, 1), np.ceil((low + _HIGH) * HALF_M).reshape(-1, 1)
+        held = (low >= 0).reshape(-1, 1) & (block <= first) & (block >= top - BLOCK)
+        found |= held.reshape(found.shape)
+    return found
+
+
+_HIGH: Final = round(WINDOW_M / HALF_M)
+_FIRST: Final = round(LOWEST_M / HALF_M)
+_LAYERS: Final = round(TOP / HALF_M)
+
+
+def _windows(points: Placed, heights: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Lowest half metre of the fullest window of each place: (places,) int64.
+
+    -1 where it holds few returns, or others lie near above or below.
+    """
+    places = len(points.grounded)
+    aloft = points.kept & (heights >= _FIRST - _HIGH) & (heights < _LAYERS)
+    number = points.place[aloft] * _LAYERS + heights[aloft].astype(np.int64)
+    count = np.bincount(number, minlength=places * _LAYERS).reshape(places, _LAYERS)
+    total = np.cumsum(np.pad(count, ((0, 0), (1, 2 * _HIGH))), axis=1)
+    window = total[:, _HIGH:] - total[:, :-_HIGH]
+    low = window[:, _FIRST : _LAYERS - _HIGH + 1].argmax(axis=1) + _FIRST
+    own, below, above = (
+        np.take_along_axis(window, (low + off).reshape(-1, 1), axis=1)[:, 0]
+        for off in (0, -_HIGH, _HIGH)
+    )
+    alone = points.grounded & (own >= LEAST) & (below + above <= BESIDE * own)
+    return np.where(alone, low, -1)
+
+
+def _holds_air(
+    points: Placed, heights: NDArray[np.float64], low: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Whether what lies in a window is spread as in air, and the ground is seen: (places,) bool."""
+    places, parts = len(low), quanta(SQUARE_M) // quanta(CELL_M)
+    mine = np.flatnonzero(points.kept & (low[points.place] >= 0))
+    place, height = points.place[mine], heights[mine] - low[points.place[mine]]
+    cell = place * parts**2 + points.within[mine]
+    wide = (cell // parts // 2 * parts + cell % parts) // 2
+    there, below = (height >= 0) & (height < _HIGH), height < -_HIGH
+    count = np.bincount(cell[there], minlength=places * parts**2)
+    pairs, own = (some.reshape(places, -1).sum(axis=1) for some in (count * (count - 1), count))
+    held, seen = (np.bincount(wide[some], minlength=places * parts**2 // 4) > 0
+                  for some in (there, below))  # fmt: skip
+    covered, also = (some.reshape(places, -1).sum(axis=1) for some in (held, held & seen))
+    good: NDArray[np.bool_] = parts**2 * pairs <= CLUMPED * own.astype(np.float64) ** 2
+    good &= also >= SEEN * covered
+    good &= np.bincount(place[below], minlength=places) >= CLEAR * own
+    return good & (_spread_m(points.z[mine][there], cell[there], count) >= THICK_M)
+
+
+def _spread_m(
+    z: NDArray[np.int32], cell: NDArray[np.int64], count: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Standard deviation of the heights in cells about the cells' means: (places,) [m].
+
+    Sums are of whole numbers below 2**53, exact in any order.
+    """
+    low = z.min(initial=np.iinfo(np.int32).max).astype(np.int64)
+    one, two = (np.bincount(cell, (z - low) ** k, len(count)) for k in (1, 2))
+    squares = np.where(count > 1, two - one**2 / np.maximum(count, 1), 0.0)
+    parts = (quanta(SQUARE_M) // quanta(CELL_M)) ** 2
+    squares, free = (
+        some.reshape(-1, parts).sum(axis=1) for some in (squares, np.maximum(count - 1, 0))
+    )
+    found: NDArray[np.float64] = np.sqrt(squares / np.maximum(free, 1)) * QUANTUM_M
+    return found
