@@ -26,6 +26,8 @@ KINDS: Final[Mapping[str, str]] = MappingProxyType({
     "late afterpulses": "m behind the return that",
     "uneven afterpulses": "less often than the law of the flightline says",
     "ranges": "returns of hard surfaces spread by",
+    "swing": "recorded positions or angles swing",
+    "walk": "ranges walk with the strength",
     "flightlines": "is double, and the terrain follows the lower one",
     "beams": "do not lie on one beam",
     "channels": "survey.channel_dimension is not set",

@@ -6,7 +6,7 @@ height are looked at. They hold a *sheet* if
 
 - nothing hangs near above and below: crowns are deeper;
 - returns lie there by chance over cells of 1 m, as in air: wires lie in lines;
-- within such cells they spread in height: roofs, of glass too, and decks do not;
+- within such cells they lie at unlike heights: roofs, of glass too, decks and wires do not;
 - nearly everywhere something lies below them: halls, decks and closed crowns hide it.
 
 Heights are level ones, or those above the ground where that fits better. A sheet counts for all
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.products.near_ground import CELL_M, HALF_M, SQUARE_M, Placed
 from spl_batch.airborne.products.thin_haze import BLOCK, BLOCKS, TOP
-from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tiles import quanta
 
 DOMAIN: Final = "space"
@@ -40,8 +39,10 @@ BESIDE: Final = 0.1
 CLUMPED: Final = 1.5
 """Largest clumping over cells of 1 m; conductors 2 m apart have 2."""
 
-THICK_M: Final = 0.22
-"""Least standard deviation of heights in a cell of 1 m: a metre of air has 0.29 [m]."""
+STEP_M: Final = 0.25
+FLAT: Final = 0.4
+"""Most pairs of returns in a cell of 1 m that lie in the same step of height, over all of its
+pairs: in a metre of air a quarter, on a roof, a deck or a wire most [m, 1]."""
 
 SEEN: Final = 0.9
 """Least share of a sheet's cells of 2 m with something below."""
@@ -106,22 +107,16 @@ def _holds_air(
     good: NDArray[np.bool_] = parts**2 * pairs <= CLUMPED * own.astype(np.float64) ** 2
     good &= also >= SEEN * covered
     good &= np.bincount(place[below], minlength=places) >= CLEAR * own
-    return good & (_spread_m(points.z[mine][there], cell[there], count) >= THICK_M)
+    return good & (_together(points.z[mine][there], cell[there], places) <= FLAT * pairs)
 
 
-def _spread_m(
-    z: NDArray[np.int32], cell: NDArray[np.int64], count: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Standard deviation of the heights in cells about the cells' means: (places,) [m].
-
-    Sums are of whole numbers below 2**53, exact in any order.
-    """
-    low = z.min(initial=np.iinfo(np.int32).max).astype(np.int64)
-    one, two = (np.bincount(cell, (z - low) ** k, len(count)) for k in (1, 2))
-    squares = np.where(count > 1, two - one**2 / np.maximum(count, 1), 0.0)
+def _together(z: NDArray[np.int32], cell: NDArray[np.int64], places: int) -> NDArray[np.int64]:
+    """Pairs of returns of a cell in the same :data:`STEP_M` of height: (places,) [count]."""
     parts = (quanta(SQUARE_M) // quanta(CELL_M)) ** 2
-    squares, free = (
-        some.reshape(-1, parts).sum(axis=1) for some in (squares, np.maximum(count - 1, 0))
-    )
-    found: NDArray[np.float64] = np.sqrt(squares / np.maximum(free, 1)) * QUANTUM_M
+    step = z.astype(np.int64) // quanta(STEP_M)
+    low = int(step.min(initial=0))
+    layers = int(step.max(initial=0)) - low + 1
+    number, count = np.unique(cell * layers + step - low, return_counts=True)
+    found = np.zeros(places, np.int64)
+    np.add.at(found, number // (layers * parts), count * (count - 1))
     return found

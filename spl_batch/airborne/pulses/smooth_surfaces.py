@@ -82,23 +82,22 @@ def smooth_sums(first: NDArray[np.int64], line: NDArray[np.int64], core: Bounds)
     core : Bounds
         The region: places that lie in it as a whole count [quanta].
     """
-    square = quanta(SQUARE_M)
-    west, south = -(-core.xmin // square), -(-core.ymin // square)
-    columns, rows = core.xmax // square - west, core.ymax // square - south
     sums = {name: np.zeros((STEPS, 3), np.int64) for name in CELLS}
-    if columns < 1 or rows < 1:
-        return sums
-    whole = Bounds(*(k * square for k in (west, south, west + columns, south + rows)))
-    for part in _slabs(first[:, 0], whole):
+    for part in slabs(first[:, 0], core):
         mine = inside(first[:, 0], first[:, 1], part)
         for name, found in _sums(first[mine], line[mine], part).items():
             sums[name] += found
     return sums
 
 
-def _slabs(x: NDArray[np.int64], whole: Bounds) -> Iterator[Bounds]:
-    """Whole columns of places, so many that they hold about :data:`AT_ONCE` returns at most."""
+def slabs(x: NDArray[np.int64], core: Bounds) -> Iterator[Bounds]:
+    """Whole columns of places of a region, so many that they hold about :data:`AT_ONCE` returns."""
     square = quanta(SQUARE_M)
+    west, south = -(-core.xmin // square), -(-core.ymin // square)
+    columns, rows = core.xmax // square - west, core.ymax // square - south
+    if columns < 1 or rows < 1:
+        return
+    whole = Bounds(*(k * square for k in (west, south, west + columns, south + rows)))
     known = x[(x >= whole.xmin) & (x < whole.xmax)]
     held = np.bincount((known - whole.xmin) // square)
     west, count = whole.xmin, 0
@@ -134,7 +133,8 @@ def _sums(xyz: NDArray[np.int64], line: NDArray[np.int64], whole: Bounds) -> dic
     np.maximum.at(highest, number, z)
     np.minimum.at(lowest, number, z)
     count = np.bincount(number, minlength=len(highest)).reshape(shape)
-    slope, thickness = _planes(x % square, y % square, z, place, shape[0])
+    east, north, thickness = planes(x % square, y % square, z, place, shape[0])
+    slope = np.hypot(east, north)
     step = np.floor(thickness / quanta(STEP_M))
     good = (slope <= LEVEL) & (step < STEPS) & (count.min(axis=(1, 2)) >= FEWEST)
     heights = _Heights(highest.reshape(shape)[good], lowest.reshape(shape)[good], slope[good])
@@ -180,14 +180,14 @@ def _by_thickness(heights: _Heights, times: int, step: NDArray[np.int64]) -> Sum
     return sums
 
 
-def _planes(
+def planes(
     x: NDArray[np.int64],
     y: NDArray[np.int64],
     z: NDArray[np.int64],
     place: NDArray[np.intp],
     places: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Slope [rise/run] and standard deviation [quanta] of the plane of each place.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Slopes to the east and north [rise/run], and standard deviation [quanta], by place.
 
     Moments are sums of whole numbers below 2**53, exact in any order.
     """
@@ -204,9 +204,9 @@ def _planes(
         determinant = xx * yy - xy * xy
         east, north = (yy * xz - xy * yz) / determinant, (xx * yz - xy * xz) / determinant
         spread = np.sqrt(np.maximum(zz - east * xz - north * yz, 0.0) / (n - 3))
-    slope = np.hypot(east, north)
     lost = ~(determinant > 0) | (n <= 3)
-    return np.where(lost, np.inf, slope), np.where(lost, np.inf, spread)
+    east, north, spread = (np.where(lost, np.inf, values) for values in (east, north, spread))
+    return east, north, spread
 
 
 def repeatability(sums: NDArray[Any]) -> Repeatability | None:

@@ -16,6 +16,13 @@ from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, EmptySquares, not
 from spl_batch.airborne.pulses.pulse_maps import PulseMaps, flightline_of
 from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, Ends
 from spl_batch.airborne.pulses.smooth_surfaces import SQUARE_M, STEPS, smooth_sums
+from spl_batch.airborne.pulses.steady_heights import (
+    Counts,
+    Returns,
+    add_counts,
+    as_facts,
+    unsteady_places,
+)
 from spl_batch.airborne.pulses.swath_coverage import Swaths, at_places, pass_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -67,7 +74,11 @@ STEP_Q: Final = quanta(SQUARE_M)
 """Parts of a cell are cut at multiples of this: a place of smooth ground is judged as one
 [quanta]."""
 
-COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id")
+STEADY: Final = "steady"
+"""Fact of a ground cell: hard places by how steady their heights are, by point source id
+(:mod:`~spl_batch.airborne.pulses.steady_heights`)."""
+
+COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id", "intensity")
 """What is looked at, and ``noise_class, flags``."""
 
 
@@ -111,6 +122,7 @@ class PulseReturns(NamedTuple):
     last: NDArray[np.int64]  #: (n, 2): where the last ones are [quanta].
     time_s: NDArray[np.float64]  #: (n,): times of the first ones [s].
     point_source_id: NDArray[np.uint16]  #: (n,): theirs.
+    intensity: NDArray[np.uint16]  #: (n,): theirs, as delivered.
 
 
 def usable(table: PointTable) -> NDArray[np.bool_]:
@@ -141,7 +153,7 @@ def returns_of(table: PointTable, ends: Ends) -> PulseReturns:
     first, last = ends
     xyz = np.column_stack([table[axis][first] for axis in "xyz"]).astype(np.int64)
     xy = np.column_stack([table[axis][last] for axis in "xy"])
-    of_first = (table[name][first] for name in ("gps_time", "point_source_id"))
+    of_first = (table[name][first] for name in ("gps_time", "point_source_id", "intensity"))
     return PulseReturns(xyz, xy, *of_first)
 
 
@@ -176,6 +188,7 @@ class Pulses:
         self._signal, self._empty = Covered(core, workflow.products), EmptySquares(self._region)
         self._count = np.zeros(self._signal.squares().shape, np.int64)
         self._smooth = {level: np.zeros((STEPS, 3), np.int64) for level in SPACINGS}
+        self._steady: dict[int, Counts] = {}
         self._swaths = Swaths(core, reach(workflow.products))
         size = quanta(workflow.products.cell_m)
         self._maps = PulseMaps(core, size) if workflow.products.maps else None
@@ -187,17 +200,21 @@ class Pulses:
         x, y, _ = returns.first.T
         self._signal.add(x, y)
         self._empty.add(x, y)
-        own, region = inside(x, y, self._region), self._region
+        held, region = inside(x, y, self._region), self._region
         np.add.at(
             self._count,
-            ((y[own] - region.ymin) // SQUARE_Q, (x[own] - region.xmin) // SQUARE_Q),
+            ((y[held] - region.ymin) // SQUARE_Q, (x[held] - region.xmin) // SQUARE_Q),
             1,
         )
         number = pass_of(returns.time_s, returns.point_source_id)
         self._swaths.add(x, y, number)
-        sums = smooth_sums(returns.first, number, shared(part, self._core))
-        for level, found in sums.items():
-            self._smooth[level] += found
+        own = shared(part, self._core)
+        for level, sums in smooth_sums(returns.first, number, own).items():
+            self._smooth[level] += sums
+        timed = Returns(returns.first, number, returns.time_s, returns.intensity)
+        found = unsteady_places(timed, own, self._context.workflow.sensor.range_sigma_m)
+        for pass_number, counts in found.items():
+            add_counts(self._steady, pass_number % 2**16, counts)
         if self._maps is None and not self._overlap:
             return
         line = flightline_of(returns.point_source_id, returns.time_s, self._passes)
@@ -235,6 +252,7 @@ class Pulses:
                 level: list(self._empty.coverage(flown, spacing)[0])
                 for level, spacing in SPACINGS.items()
             },
+            STEADY: as_facts(self._steady),
             SWATHS: self._swaths.facts(dry, self._region),
             OUTLINES: self._swaths.outlines(),
             SMOOTH: {

@@ -18,6 +18,7 @@ from spl_batch.airborne.products import hillshade
 from spl_batch.airborne.products.product_table import SWATHS
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage
 from spl_batch.airborne.pulses.pulse_maps import NAMES, PulseMaps, flightline_of
+from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.airborne.tasks import pulses
 from spl_batch.constants import NODATA
@@ -70,7 +71,7 @@ def test_the_map_of_voids_is_what_the_table_of_requirements_counts(tmp_path: Pat
     pyogrio.raw.write(tmp_path / "w.gpkg", water, [], [], geometry_type="Polygon", crs="EPSG:32615")
     products = ProductSettings(maps=True)
     workflow = SimpleNamespace(
-        products=products, classes=SimpleNamespace(overlap=False), water="w.gpkg"
+        products=products, classes=SimpleNamespace(overlap=False), water="w.gpkg", sensor=Sensor()
     )
     context = SimpleNamespace(
         workflow=workflow, crs=CRS.from_epsg(32615), resolve=lambda name: tmp_path / name
@@ -79,7 +80,7 @@ def test_the_map_of_voids_is_what_the_table_of_requirements_counts(tmp_path: Pat
     made = pulses.Pulses(core, [], cast("Context", context))
     xyz = np.column_stack([x, y, np.zeros(len(x), np.int64)])[kept]
     times, ids = np.zeros(len(xyz)), np.ones(len(xyz), np.uint16)
-    made.add(pulses.PulseReturns(xyz, xyz[:, :2], times, ids), core)
+    made.add(pulses.PulseReturns(xyz, xyz[:, :2], times, ids, ids), core)
     judged = made.judged(np.ones((240, 240), np.bool_))
     voids = made.rasters(np.zeros((60, 60), np.float32), judged)["voids"][::-1]
     for level, edge_m in (("QL1", 1.4), ("QL2", 2.84)):

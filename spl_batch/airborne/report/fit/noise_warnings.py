@@ -1,4 +1,4 @@
-"""All sentences of a report on noise that does not fit its model, in their order."""
+"""All sentences of a report on noise, ranges and places that do not fit their model, in order."""
 
 from collections.abc import Iterator
 
@@ -13,6 +13,7 @@ from spl_batch.airborne.report.fit.sky import (
     misfit_warning,
     thin_haze_warning,
 )
+from spl_batch.airborne.report.fit.steady import steady_warnings
 from spl_batch.airborne.report.model import Haze
 from spl_batch.engine.report.run_record import Receipts
 
@@ -33,3 +34,4 @@ def noise_warnings(done: Receipts, context: Context, haze: Haze | None) -> Itera
     yield from kept_warning(done, workflow.filter)
     yield from uniform_warning(done)
     yield from float_warning(done, workflow.filter)
+    yield from steady_warnings(done, workflow.sensor.range_sigma_m)

@@ -1,0 +1,214 @@
+r"""Whether one flightline gives a hard place one height: at all times, and bright or weak.
+
+Domain: space, on first signal returns. Where recorded positions swing within seconds, looks at a
+place that are moments apart lie at unlike heights. Where a detector's ranges walk, bright returns
+lie above weak ones. Both make surfaces thicker than one shot shows them, and ground is lost.
+
+Places are level squares of :data:`~spl_batch.airborne.pulses.smooth_surfaces.SQUARE_M` of one
+flightline; heights are taken off their plane. A *look* is what lies in a cell of
+:data:`~spl_batch.airborne.pulses.smooth_surfaces.EDGE_M` within :data:`LOOK_S`. By the analysis of
+variance, with sums of squares between and within the looks of a cell,
+
+.. math:: \sigma^2 = \frac{SS_b - (g - 1) s^2}{N - \sum n^2 / N}, \quad s^2 = SS_w / (N - g)
+
+for g looks of n returns, N in all; sums are over the cells of a place. It is hard, and counts,
+where s is no more than :data:`HARD` ranging spreads. Brightness is told by the weaker half of the
+returns of a place and the rest; there the weaker half alone must be hard. What half of the places
+exceed is told: crowns may look hard to a narrow array, but not most places. Our own rules: no
+source has one.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.pulses.smooth_surfaces import EDGE_M, LEVEL, SQUARE_M, planes, slabs
+from spl_batch.lattice.tiles import Bounds, inside, quanta
+
+DOMAIN: Final = "space"
+
+LOOK_S: Final = 0.005
+"""Pause that parts two looks: less than a turn of a scanner, more than it takes over a cell [s]."""
+
+HARD: Final = 2.0
+"""Most that returns of a hard place spread [ranging spreads]."""
+
+THICKEST_M: Final = 0.8
+"""Places whose returns spread by more about their plane are not looked at [m]."""
+
+FEWEST: Final = 3
+"""Returns of a look, at least [count]."""
+
+RETURNS: Final = 24
+"""Returns of a place, and a quarter of them those of a bright part, at least [count]."""
+
+STEP_M: Final = 0.01
+"""Steps in which places are counted [m]."""
+
+Counts = dict[str, Counter[int]]
+"""Places of a flightline by how they differ [:data:`STEP_M`]: ``looks``, the standard deviation of
+their heights beyond ranging noise, and ``bright``, by how much bright returns lie above others."""
+
+KINDS: Final = ("looks", "bright")
+
+PLACES: Final = 20
+"""Places that tell something, at least [count]."""
+
+
+def typical_m(places: Mapping[int, int]) -> float | None:
+    """Median of counted places [m]; None for few."""
+    steps, counts = np.array(sorted(places.items()), np.int64).reshape(-1, 2).T
+    total = counts.sum()
+    if total < PLACES:
+        return None
+    return float(steps[np.searchsorted(counts.cumsum(), total / 2)]) * STEP_M
+
+
+class Returns(NamedTuple):
+    """First signal returns in any order."""
+
+    xyz: NDArray[np.int64]  #: (n, 3): places [quanta].
+    line: NDArray[np.int64]  #: (n,): flightline.
+    time_s: NDArray[np.float64]  #: (n,): times [s].
+    brightness: NDArray[np.uint16]  #: (n,): recorded intensity.
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Returns":
+        """Some of them."""
+        return Returns(
+            self.xyz[chosen], self.line[chosen], self.time_s[chosen], self.brightness[chosen]
+        )
+
+
+def unsteady_places(returns: Returns, core: Bounds, sigma_m: float) -> dict[int, Counts]:
+    """Places of a region by flightline; those of several regions add up.
+
+    Parameters
+    ----------
+    returns : Returns
+        In the region and around it.
+    core : Bounds
+        The region: places that lie in it as a whole count [quanta].
+    sigma_m : float
+        Ranging spread that the sensor states [m].
+    """
+    found: dict[int, Counts] = {}
+    for part in slabs(returns.xyz[:, 0], core):
+        mine = inside(returns.xyz[:, 0], returns.xyz[:, 1], part)
+        for line, counts in _counts(returns.take(mine), part, HARD * quanta(sigma_m)):
+            add_counts(found, line, counts)
+    return found
+
+
+def add_counts(found: dict[int, Counts], line: int, more: Mapping[str, Mapping[int, int]]) -> None:
+    """Add places of a flightline to those that are known."""
+    known = found.setdefault(line, {kind: Counter() for kind in KINDS})
+    for kind in KINDS:
+        known[kind].update(more[kind])
+
+
+def _counts(returns: Returns, whole: Bounds, hard: float) -> Iterator[tuple[int, Counts]]:
+    """Whole places, by flightline."""
+    xyz, line = returns.xyz, returns.line
+    square = quanta(SQUARE_M)
+    column, row = (xyz[:, 0] - whole.xmin) // square, (xyz[:, 1] - whole.ymin) // square
+    lines, number = np.unique(line, return_inverse=True)
+    rows, columns = (whole.ymax - whole.ymin) // square, (whole.xmax - whole.xmin) // square
+    at = (number * rows + row) * columns + column
+    full = np.bincount(at, minlength=1) >= RETURNS
+    chosen = full[at]
+    if not chosen.any():
+        return
+    returns = returns.take(chosen)
+    place = (np.cumsum(full) - 1)[at[chosen]]
+    owner = np.flatnonzero(full) // (rows * columns)
+    places = len(owner)
+    x, y = ((returns.xyz[:, k] - low) % square for k, low in ((0, whole.xmin), (1, whole.ymin)))
+    low = np.full(places, np.iinfo(np.int64).max)
+    np.minimum.at(low, place, returns.xyz[:, 2])
+    z = returns.xyz[:, 2] - low[place]
+    east, north, thickness = planes(x, y, z, place, places)
+    good = (np.hypot(east, north) <= LEVEL) & (thickness <= quanta(THICKEST_M))
+    mine = good[place]
+    if not mine.any():
+        return
+    x, y, z, place = x[mine], y[mine], z[mine], place[mine]
+    height = np.rint(z - east[place] * x - north[place] * y).astype(np.int64)
+    parts = square // quanta(EDGE_M)
+    cell = (place * parts + y // quanta(EDGE_M)) * parts + x // quanta(EDGE_M)
+    of_places = (
+        _looks(height, cell, returns.time_s[mine], parts**2, places, hard),
+        _rises(height, place, returns.brightness[mine], places, hard),
+    )
+    for k, one in enumerate(lines.tolist()):
+        steps = [np.rint(values[owner == k] / quanta(STEP_M)) for values in of_places]
+        known = [some[np.isfinite(some)].astype(np.int64).tolist() for some in steps]
+        yield one, dict(zip(KINDS, map(Counter, known), strict=True))
+
+
+def _looks(
+    height: NDArray[np.int64], cell: NDArray[np.int64], time_s: NDArray[np.float64],
+    cells: int, places: int, hard: float,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Standard deviation of the heights of looks, by place; NaN where none is hard: (places,)."""
+    order = np.lexsort((time_s, cell))
+    height, cell, time_s = height[order], cell[order], time_s[order]
+    opens = np.diff(cell, prepend=-1) != 0
+    opens |= np.diff(time_s, prepend=-np.inf) > LOOK_S
+    begin = np.flatnonzero(opens)
+    n, cell = np.diff(begin, append=len(height)), cell[begin]
+    one, two = (np.add.reduceat(height**k, begin) for k in (1, 2))
+    many = n >= FEWEST
+    n, one, two, cell = n[many], one[many], two[many], cell[many]
+
+    def added(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.bincount(cell, values, places * cells).astype(np.float64)
+
+    total, looks, squares = added(n), added(np.ones(len(n))), added(n * n)
+    within = added(two - one**2 / n)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = added(one**2 / n) - added(one) ** 2 / total
+        reduced = total - squares / total
+    several = looks > 1
+    between, within, free, own, reduced = (
+        np.where(several, values, 0.0).reshape(places, cells).sum(axis=1)
+        for values in (between, within, looks - 1, total - looks, reduced)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = (between - free * within / own) / reduced
+        good = (own > 0) & (within <= hard**2 * own)
+    return np.where(good, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+
+
+def _rises(
+    height: NDArray[np.int64], place: NDArray[np.int64], brightness: NDArray[np.uint16],
+    places: int, hard: float,
+) -> NDArray[np.float64]:  # fmt: skip
+    """By how much bright returns lie above others, by place; NaN where not hard: (places,)."""
+    order = np.lexsort((brightness, place))
+    height, place, brightness = height[order], place[order], brightness[order]
+    count = np.bincount(place, minlength=places)
+    begin = np.cumsum(count) - count
+    middle = brightness[np.minimum(begin + (count - 1) // 2, len(brightness) - 1)]
+    bright = brightness > middle[place]
+
+    def added(values: NDArray[np.int64], chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+        return np.bincount(place[chosen], values[chosen], places).astype(np.float64)
+
+    n, one, two = (added(height**k, ~bright) for k in (0, 1, 2))
+    more, sum_more = (added(height**k, bright) for k in (0, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = (two - one**2 / n) / (n - 1)
+        rise = sum_more / more - one / n
+    good = (n > 1) & (4 * more >= RETURNS) & (spread <= hard**2)
+    return np.where(good, rise, np.nan)
+
+
+def as_facts(found: Mapping[int, Counts]) -> dict[str, dict[str, list[tuple[int, int]]]]:
+    """Places as a receipt has them: by point source id and kind, steps and counts."""
+    return {
+        str(line): {kind: sorted(found[line][kind].items()) for kind in KINDS}
+        for line in sorted(found)
+    }
