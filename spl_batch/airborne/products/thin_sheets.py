@@ -107,7 +107,8 @@ def _holds_air(
     good: NDArray[np.bool_] = parts**2 * pairs <= CLUMPED * own.astype(np.float64) ** 2
     good &= also >= SEEN * covered
     good &= np.bincount(place[below], minlength=places) >= CLEAR * own
-    return good & (_together(points.z[mine][there], cell[there], places) <= FLAT * pairs)
+    good &= _together(points.z[mine][there], cell[there], places) <= FLAT * pairs
+    return good
 
 
 def _together(z: NDArray[np.int32], cell: NDArray[np.int64], places: int) -> NDArray[np.int64]:
