@@ -4,14 +4,14 @@ Run ``python -m benchmarks.airborne.products.thin_layers [FOLDER]``.
 
 Scenes of 110 m with haze of 6 m in patches, at 10, 20 and 40 times the noise, and forests of
 several kinds without haze, each with several seeds; ``--half`` leaves out half of all returns. From
-the simulated returns and the true terrain come, by the rule of
-:mod:`spl_batch.airborne.products.thin_haze` (``--afterpulses``: with all afterpulses, else none),
+the simulated returns and the true terrain come (``--afterpulses``: with all afterpulses, else
+none), by the rule of :mod:`spl_batch.airborne.products.air.thin_haze`,
 
 - the clumping of blocks that hold enough, its 5th, 25th and 50th percentile;
 - the share of them that are even enough, of all that hold enough [%];
 - places of the largest layer [count], and whether it is told;
 - of scenes without haze, places that hold a thin sheet by the rule of
-  :mod:`spl_batch.airborne.products.thin_sheets`, from all returns but noise [count].
+  :mod:`spl_batch.airborne.products.air.thin_sheets`, from all returns but noise [count].
 """
 
 import argparse
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from benchmarks.airborne.filter.methods import KINDS
 from benchmarks.airborne.sky import BASE, haze
-from spl_batch.airborne.products import near_ground, thin_haze, thin_sheets
+from spl_batch.airborne.products.air import near_ground, thin_haze, thin_sheets
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.constants import NODATA, QUANTUM_M

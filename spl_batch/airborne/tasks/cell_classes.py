@@ -12,7 +12,7 @@ from spl_batch.airborne.classes import point_classes
 from spl_batch.airborne.classes.buildings import CELLS_M, REACH_M, Floor, buildings
 from spl_batch.airborne.classes.overlap import overlapping
 from spl_batch.airborne.filter import kept_noise
-from spl_batch.airborne.products import near_ground, thin_haze, thin_sheets
+from spl_batch.airborne.products.air import near_ground, thin_haze, thin_sheets
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of
 from spl_batch.airborne.settings import ClassSettings

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spl_batch.airborne.products import near_ground
+from spl_batch.airborne.products.air import near_ground
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spl_batch.airborne.products import near_ground, thin_haze, thin_sheets
+from spl_batch.airborne.products.air import near_ground, thin_haze, thin_sheets
 from tests.airborne.products.test_thin_haze import CORE, FLAT, ground, scatter, table
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.stray_returns import CELL_M
 from spl_batch.airborne.noise.haze import CUBE_M
-from spl_batch.airborne.products import near_ground
+from spl_batch.airborne.products.air import near_ground
 from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.airborne.report.fit.noise_fit import within
 from spl_batch.airborne.report.model import Haze

@@ -180,9 +180,7 @@ class Flight(Section):
         le=5,
         description="By which its recorded beams are turned about the way, starboard down [deg].",
     )
-    jitter_m: NotNegative = Field(
-        0.0, description="Largest error of its recorded positions along each axis, a swing [m]."
-    )
+    jitter_m: NotNegative = Field(0.0, description="Swing of its recorded positions [m].")
     jitter_period_s: Positive = Field(0.5, description="Of that swing [s].")
     gate_m: Positive | None = Field(None, description="Of its gate; the acquisition's without [m].")
     crs: Projected | None = Field(None, description="CRS of its file, where not the scene's.")
@@ -230,10 +228,7 @@ class Sky(Section):
     variation: float = Field(0.3, ge=0, lt=1, description="Relative swing along a flightline.")
     period_s: Positive = Field(5.0, description="Of the swing [s].")
     gate_fall: float = Field(
-        0.0,
-        ge=-1,
-        le=1,
-        description="Background at the gate's start less that at its end, over their sum.",
+        0.0, ge=-1, le=1, description="Background at the gate's start less end, over their sum."
     )
     haze: tuple[Haze, ...] = Field((), description="Layers of haze or cloud.")
     fog: tuple[Fog, ...] = Field((), description="Fog on the ground.")

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.products.near_ground import CELL_M, FLOOR_M, HALF_M, SQUARE_M, Placed
+from spl_batch.airborne.products.air.near_ground import CELL_M, FLOOR_M, HALF_M, SQUARE_M, Placed
 from spl_batch.lattice.tiles import Bounds, quanta
 
 DOMAIN: Final = "space"
@@ -32,7 +32,8 @@ BLOCK: Final = 4
 """Metres that a block is high."""
 
 WIDE: Final = 2
-"""Cells of :data:`~spl_batch.airborne.products.near_ground.CELL_M` that are one here, each way."""
+"""Cells that are one here, each way
+[:data:`~spl_batch.airborne.products.air.near_ground.CELL_M`]."""
 
 LOWEST: Final = 2
 """Metre above the floor from which on a block does not reach down to the ground."""

@@ -1,4 +1,4 @@
-r"""Sheets of haze thinner than the blocks of :mod:`~spl_batch.airborne.products.thin_haze`.
+r"""Sheets of haze thinner than the blocks of :mod:`~spl_batch.airborne.products.air.thin_haze`.
 
 Domain: space. A sheet of a metre or two is a thin part of a block, and thickens no layer of noise:
 it stays signal and becomes the surface. Of each place of 10 m the fullest :data:`WINDOW_M` of
@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.products.near_ground import CELL_M, HALF_M, SQUARE_M, Placed
-from spl_batch.airborne.products.thin_haze import BLOCK, BLOCKS, TOP
+from spl_batch.airborne.products.air.near_ground import CELL_M, HALF_M, SQUARE_M, Placed
+from spl_batch.airborne.products.air.thin_haze import BLOCK, BLOCKS, TOP
 from spl_batch.lattice.tiles import quanta
 
 DOMAIN: Final = "space"
