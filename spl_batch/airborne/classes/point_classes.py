@@ -100,7 +100,7 @@ def classify(
     without any signal, all noise is above it.
     """
     noise_class, given = table["noise_class"], table["input_class"]
-    ground, assessed = table["ground"] == 1, noise_class != NOISE_NOT_ASSESSED
+    ground, assessed = table["ground"] > 0, noise_class != NOISE_NOT_ASSESSED
     surface, void = _surface_below(table, cell, dtm, level_m)
     height = table["z"] * QUANTUM_M - surface
     at_surface = np.abs(height) <= NEAR_M + np.where(ground, APART_M, 0.0)

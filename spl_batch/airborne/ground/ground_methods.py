@@ -5,8 +5,8 @@ it runs on squares of ``ground.cell_m`` on the absolute grid with ``ground.buffe
 points around them, always the same ones, and its caller keeps what the square owns.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,8 @@ from spl_batch.airborne.ground.ground_seeds import (
     supported,
 )
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.multiscale.masks import Strip, multiscale_mask, multiscale_masks
+from spl_batch.airborne.ground.multiscale.lines_apart import Lines
+from spl_batch.airborne.ground.multiscale.masks import GROUND, multiscale_mask
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
     EVERYWHERE,
     SIGMA_M,
@@ -32,7 +33,6 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import (
 )
 from spl_batch.airborne.ground.point_spacing import (
     Squares,
-    added_up,
     in_squares,
     spacing_around_m,
     spacing_at_m,
@@ -62,6 +62,7 @@ _GAP_SPACINGS = 10.0
 [count]."""
 
 Float = NDArray[np.float64]
+Found = NDArray[np.bool_] | NDArray[np.uint8]
 
 
 class Points(NamedTuple):
@@ -83,12 +84,15 @@ class Cloud(NamedTuple):
         Which are evidence, and which are to be told.
     told_m : (n,) floating or None
         Ranging spread that their flightlines tell [m], where these do.
+    lines : Lines or None
+        Their flightlines, where there are several.
     """
 
     points: Points
     own: NDArray[np.bool_]
     asked: NDArray[np.bool_]
     told_m: NDArray[np.floating] | None
+    lines: Lines | None = None
 
     def some(self, chosen: NDArray[np.bool_]) -> Points:
         """Chosen points; no copy where all are."""
@@ -123,92 +127,44 @@ def ground_mask(
     (n,) bool
         True for ground; False wherever a point is not usable or not asked for.
     """
-    mask = np.zeros(len(table), dtype=np.bool_)
+    found: NDArray[np.bool_] = ground_labels(table, usable, settings, asked) == GROUND
+    return found
+
+
+def ground_labels(
+    table: PointTable,
+    usable: NDArray[np.bool_],
+    settings: GroundSettings,
+    asked: NDArray[np.bool_] | None = None,
+    lines: Lines | None = None,
+) -> NDArray[np.uint8]:
+    """Which points are ground, and which are that of a flightline that lies apart from it.
+
+    Parameters
+    ----------
+    table, usable, settings, asked
+        As :func:`ground_mask` has them.
+    lines : Lines, optional
+        Flightlines of the points, where there are several.
+
+    Returns
+    -------
+    (n,) uint8
+        1 for ground; 2 for that of a flightline that lies above or below it; else 0.
+    """
+    mask = np.zeros(len(table), dtype=np.uint8)
     own = usable & ~dependents(table)
     told = usable if asked is None else usable & asked
     if own.any() and told.any():
         used = own | told
         spreads = table["range_sigma"][used] if "range_sigma" in table else None
-        cloud = Cloud(_metres(table, used), own[used], told[used], spreads)
+        of = None if lines is None else lines.some(used)
+        cloud = Cloud(metres(table, used), own[used], told[used], spreads, of)
         mask[told] = METHODS[settings.method](cloud, settings)
     return mask
 
 
-class Band(NamedTuple):
-    """Some of the points of a ground cell: those of whole blocks.
-
-    Parameters
-    ----------
-    table : PointTable
-        The points.
-    usable, asked : (n,) bool
-        As :func:`ground_mask` has them.
-    origin : object
-        Where the caller found them.
-    """
-
-    table: PointTable
-    usable: NDArray[np.bool_]
-    asked: NDArray[np.bool_]
-    origin: Any = None
-
-
-def ground_in_bands(
-    bands: Callable[[], Iterable[Band]],
-) -> Iterator[tuple[Band, NDArray[np.bool_]]]:
-    """What :func:`ground_mask` finds by the method that follows the data, band by band.
-
-    Parameters
-    ----------
-    bands : callable
-        Gives the bands of a ground cell and its buffer; it is called several times, and no band is
-        held while the next is made.
-
-    Returns
-    -------
-    iterator of (Band, (n,) bool)
-        Each band, and which of its points are ground.
-    """
-    if not any(map(_has_evidence, bands())):
-        return ((band, np.zeros(len(band.table), np.bool_)) for band in bands())
-    shown = [some for some in map(_shown, bands()) if some is not None]
-    sigma = reckoned(added_up(shown)) if shown else EVERYWHERE
-    return map(_of_table, multiscale_masks(lambda: map(_strip, bands()), sigma))
-
-
-def _has_evidence(band: Band) -> bool:
-    return bool(_evidence(band).any())
-
-
-def _shown(band: Band) -> Squares | None:
-    """What a band shows of its ranges; None where no flightline tells of these."""
-    own = _evidence(band)
-    if "range_sigma" not in band.table or not own.any():
-        return None
-    return evidence(*_metres(band.table, own), band.table["range_sigma"][own])
-
-
-def _strip(band: Band) -> Strip:
-    """Places of a band's points; it remembers the band, and which points are asked."""
-    told = band.usable & band.asked
-    return Strip(
-        _metres(band.table, _evidence(band)), _metres(band.table, told), (band, told)
-    )  # fmt: skip
-
-
-def _evidence(band: Band) -> NDArray[np.bool_]:
-    return band.usable & ~dependents(band.table)
-
-
-def _of_table(told: tuple[Strip, NDArray[np.bool_]]) -> tuple[Band, NDArray[np.bool_]]:
-    """What was found of a strip, for all points of its band."""
-    (_, _, (band, asked)), found = told
-    mask = np.zeros(len(band.table), np.bool_)
-    mask[asked] = found
-    return band, mask
-
-
-def _metres(table: PointTable, chosen: NDArray[np.bool_]) -> Points:
+def metres(table: PointTable, chosen: NDArray[np.bool_]) -> Points:
     """Some points [m], on the absolute lattice."""
     found = np.empty((3, int(np.count_nonzero(chosen)) + 1))
     chosen_places((table["x"], table["y"], table["z"]), chosen, QUANTUM_M, *found)
@@ -347,28 +303,28 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
     return np.sqrt(squared)
 
 
-def _multiscale(cloud: Cloud, _: GroundSettings) -> NDArray[np.bool_]:
+def _multiscale(cloud: Cloud, _: GroundSettings) -> Found:
     """By a surface whose scale follows the data."""
-    points, own, asked, told_m = cloud
+    points, own, asked, told_m, lines = cloud
     sigma = EVERYWHERE
     if told_m is not None and told_m[own].max() > SIGMA_M:
         sigma = reckoned(evidence(*cloud.some(own), told_m[own]))
-    return multiscale_mask(points, own, asked, sigma)
+    return multiscale_mask(points, own, asked, sigma, lines)
 
 
-def _by_ptd(cloud: Cloud, settings: GroundSettings) -> NDArray[np.bool_]:
+def _by_ptd(cloud: Cloud, settings: GroundSettings) -> Found:
     return ptd_mask(cloud.some(cloud.own), cloud.some(cloud.asked), settings.ptd)
 
 
-def _by_smrf(cloud: Cloud, settings: GroundSettings) -> NDArray[np.bool_]:
+def _by_smrf(cloud: Cloud, settings: GroundSettings) -> Found:
     return smrf_mask(cloud.some(cloud.own), cloud.some(cloud.asked), settings.smrf)
 
 
-Method = Callable[[Cloud, GroundSettings], NDArray[np.bool_]]
+Method = Callable[[Cloud, GroundSettings], Found]
 
 METHODS: Final[Mapping[str, Method]] = {
     "multiscale": _multiscale,
     "ptd": _by_ptd,
     "smrf": _by_smrf,
 }
-"""Methods by their names in the settings: points, settings -> which of those asked are ground."""
+"""Methods by their names in the settings: points, settings -> labels of those asked."""

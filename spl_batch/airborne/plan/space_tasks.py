@@ -122,9 +122,13 @@ def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
     halo = quanta(survey.workflow.ground.buffer_m)
     holders, (moved, first) = survey.holders(), aligned(survey)
+    several = survey.workflow.ground.method == "multiscale"
+    told_by = survey.line_columns if several else ()
+    lines = {"columns": list(told_by), "span_s": survey.workflow.survey.gap_s}
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
         args = {**cell_args(cell), **moved, "halo": halo, "noise": named_units("noise", noise)}
+        args["lines"] = lines
         needs = (*tile_needs(cell), *label_needs("denoise", noise), *first)
         refused, how = cell_in_memory("ground", cell, survey)
         yield Task("ground", cell.name, args, needs, cell.points, refused, how)

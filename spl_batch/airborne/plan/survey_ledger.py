@@ -77,6 +77,18 @@ class Survey(Ledger[Inputs, Workflow]):
         """Flightlines with times, also of a survey that is not filtered; complete likewise."""
         return find_flightlines(self.of("index_file"), self.workflow, self.stretch_points)
 
+    @cached_property
+    def line_columns(self) -> tuple[str, ...]:
+        """Columns that tell the flightlines of points; none where all are of one."""
+        ids = [line.psid for line in self.flown]
+        files = self.of("index_file").values()
+        timed = not any(is_timeless(receipt, self.workflow) for receipt in files)
+        if len(ids) < 2 and timed:
+            return ()
+        if len(set(ids)) == len(ids) and timed:
+            return ("point_source_id",)
+        return ("point_source_id", "gps_time")
+
     @property
     def stretch_points(self) -> int:
         """Points of a stretch on average: as memory allows, and no more than in earlier runs."""

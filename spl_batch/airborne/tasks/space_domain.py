@@ -15,7 +15,10 @@ from spl_batch.airborne.filter.drowned_surfaces import NEAR_M
 from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.filter.judged_fit import P_VALUES
 from spl_batch.airborne.filter.stray_returns import Bare, bare_cells
+from spl_batch.airborne.ground import ground_bands as bands
 from spl_batch.airborne.ground import ground_methods as grounding
+from spl_batch.airborne.ground.multiscale.lines_apart import Lines, lines_of
+from spl_batch.airborne.ground.multiscale.masks import APART
 from spl_batch.airborne.ground.water.off_water import OffWater
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.settings import FilterSettings
@@ -117,7 +120,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     """Find the ground of a cell, strip by strip where not all of it fits in memory."""
     core, cells = Bounds(*args["core"]), tile_cells(args["tiles"])
     units, moves = label_units(args["noise"]), read_moves(args, context.store)
-    chances = _Chances(context.workflow.filter)
+    chances = _Chances(context.workflow.filter, args["lines"]["columns"])
 
     def read(part: Bounds, columns: Sequence[str]) -> tuple[PointTable, Origin]:
         labels = {name: units for name in ("noise_class", *columns) if name in _LABELS}
@@ -129,13 +132,14 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     region = grow(core, args["halo"])
     parts = strips_between(region, args.get("cuts", {}).get("ground", ()))
 
-    def points(part: Bounds, bare: Bare | None, off: Marks) -> grounding.Band:
+    def points(part: Bounds, bare: Bare | None, off: Marks) -> bands.Band:
         table, usable, origin = _standing(part, region, read, bare, chances.with_them(part))
         usable &= ~off.holds(origin)
         if bare is not None:
             bare.mark_columns(table, usable, standing)
         mine = inside(table["x"], table["y"], shared(core, part))
-        return grounding.Band(chances.counted(table, mine, bare, part), usable, mine, origin)
+        lines, table = _lines(chances.counted(table, mine, bare, part), args)
+        return bands.Band(table, usable, mine, origin, lines)
 
     if len(parts) == 1:
         table, origin = read(region, chances.with_them(region))
@@ -146,8 +150,9 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
             bare.mark_columns(table, usable, standing)
         owned = inside(table["x"], table["y"], core)
         table = chances.counted(table, owned, bare, region)
-        mask = grounding.ground_mask(table, usable, context.workflow.ground, owned)
-        found = [_owned((grounding.Band(table, usable, owned, origin), mask))]
+        lines, table = _lines(table, args)
+        mask = grounding.ground_labels(table, usable, context.workflow.ground, owned, lines)
+        found = [_owned((bands.Band(table, usable, owned, origin), mask))]
     else:
         bare = bare_cells(lambda: (read(part, ("x", "y", "z"))[0] for part in parts))
         standing = _no_column(bare)
@@ -155,11 +160,12 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         off = Marks() if context.workflow.water is None else _off_water(wet, region, read, bare)
         given = partial(points, bare=bare, off=off)
         give_back()
-        found = list(map(_owned, grounding.ground_in_bands(lambda: map(given, parts))))
+        found = list(map(_owned, bands.ground_in_bands(lambda: map(given, parts))))
     path = context.store.labels("ground", args["cell"])
     write_labels(path, found)
     labels = [part["ground"] for _, part in found]
     facts = {"ground": int(sum(map(np.count_nonzero, labels))), "core": list(core)}
+    facts["apart"] = int(sum(np.count_nonzero(part == APART) for part in labels))
     facts |= chances.facts() | ({} if bare is None else bare.facts(core, standing))
     return Produced([path], facts, sum(map(len, labels)))
 
@@ -167,7 +173,8 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
 class _Chances:
     """P-values of noise below all surfaces, counted as points pass: nothing else needs them."""
 
-    def __init__(self, settings: FilterSettings) -> None:
+    def __init__(self, settings: FilterSettings, further: Sequence[str]) -> None:
+        self._columns = (*_GROUND_COLUMNS, *further)
         self._asked = settings.method == "vsaes" and settings.test == "calibrated"
         self._counts = np.zeros(len(P_VALUES) + 1, np.int64)
         self._seen: set[Bounds] = set()
@@ -175,7 +182,7 @@ class _Chances:
     def with_them(self, part: Bounds) -> tuple[str, ...]:
         """Columns of the ground, and what is to be counted of a part: each is read again."""
         wanted = self._asked and part not in self._seen
-        return (*_GROUND_COLUMNS, "p_value") if wanted else _GROUND_COLUMNS
+        return (*self._columns, "p_value") if wanted else self._columns
 
     def counted(
         self, table: PointTable, mine: NDArray[np.bool_], bare: Bare | None, part: Bounds
@@ -189,6 +196,15 @@ class _Chances:
     def facts(self) -> dict[str, list[int]]:
         """``p_values``: returns by p-value; nothing where there are none."""
         return {"p_values": self._counts.tolist()} if self._counts.any() else {}
+
+
+def _lines(table: PointTable, args: Mapping[str, Any]) -> tuple[Lines | None, PointTable]:
+    """Flightlines of the points of a table, where there are several, and it without them."""
+    told_by, lines = args["lines"]["columns"], None
+    if told_by:
+        time_s = table["gps_time"] if "gps_time" in told_by else None
+        lines = lines_of(table["point_source_id"], time_s, args["lines"]["span_s"])
+    return lines, table.select([name for name in table.columns if name not in told_by])
 
 
 def _standing(
@@ -227,8 +243,8 @@ def _no_column(bare: Bare | None) -> NDArray[np.bool_]:
 
 
 def _owned(
-    found: tuple[grounding.Band, NDArray[np.bool_]],
-) -> tuple[Origin, dict[str, NDArray[np.bool_]]]:
+    found: tuple[bands.Band, NDArray[np.uint8]],
+) -> tuple[Origin, dict[str, NDArray[np.uint8]]]:
     """Where the points of a band lie that its cell owns, and their labels."""
     band, mask = found
     return band.origin.of(band.asked), {"ground": mask[band.asked]}

@@ -47,6 +47,7 @@ def test_a_task_reads_as_far_as_its_plan_says(
     args = {
         "core": list(CORE), "tiles": [], "halo": halo, "block": "b", "cell": "0_0", "noise": {},
         "ground": {}, "fired": None, "voxels": [], "beamlets": 1,
+        "lines": {"columns": [], "span_s": 60.0},
     }  # fmt: skip
     with pytest.raises(ReadError):
         getattr(tasks, kind)(args, context)

@@ -17,7 +17,16 @@ from spl_batch.airborne.ground.decks import on_decks
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
 from spl_batch.airborne.ground.level_ground import high_islands, levelled
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED, Nodes, lowest_layers
+from spl_batch.airborne.ground.multiscale.lines_apart import (
+    FAR_M,
+    Apart,
+    Lines,
+    at_own_height,
+    lines_apart,
+    seen_lines,
+)
 from spl_batch.airborne.ground.multiscale.near_surface import (
+    BAND_M,
     Near,
     Surface,
     near_surface,
@@ -84,9 +93,14 @@ _HARD_SIGMA = 1.6
 """Cells of so many points that lie on a plane by less than so many standard deviations of a range
 are hard."""
 
+GROUND: Final = 1
+APART: Final = 2
+"""Labels: on the surface, and on that of a flightline which lies apart from it."""
+
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+Labels = NDArray[np.uint8]
 Place = tuple[Float, Float, Float]
 
 
@@ -115,16 +129,20 @@ class Strip(NamedTuple):
         Points to be told [m].
     known_as : object
         What its maker knows it by.
+    own_lines, asked_lines : Lines, optional
+        Their flightlines, where there are several.
     """
 
     own: Place
     asked: Place
     known_as: Any = None
+    own_lines: Lines | None = None
+    asked_lines: Lines | None = None
 
 
 def multiscale_masks(
     strips: Callable[[], Iterable[Strip]], sigma: Spread = EVERYWHERE
-) -> Iterator[tuple[Strip, Mask]]:
+) -> Iterator[tuple[Strip, Labels]]:
     """Ground points by a surface whose scale follows the data, strip by strip.
 
     However points are divided into strips, the same ones are ground: nodes belong to cells, spreads
@@ -142,21 +160,24 @@ def multiscale_masks(
     ------
     strip : Strip
         One of them.
-    mask : (m,) bool
-        Which of those asked in it are ground.
+    labels : (m,) uint8
+        Of those asked in it: :data:`GROUND`, :data:`APART` or 0.
     """
     surface = _ground_surface(map(_evidence, strips()), sigma)
     if surface is None:
-        yield from ((strip, np.zeros(len(strip.asked[0]), np.bool_)) for strip in strips())
+        yield from ((strip, np.zeros(len(strip.asked[0]), np.uint8)) for strip in strips())
         return
-    looked = filter(None, map(partial(_look, surface), strips()))
-    depths, points = (added_up(some) for some in zip(*looked, strict=True))
-    known = _known(points, depths, sigma)
+    looked = filter(None, map(partial(_look, surface, sigma), strips()))
+    below, counted, lines = zip(*looked, strict=True)
+    apart = lines_apart(lines, sigma)
+    known = _known(added_up(counted), added_up(below), sigma, apart)
     # A strip is held by nothing while the next one is read.
     yield from map(partial(_told, surface, known), strips())
 
 
-def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERYWHERE) -> Mask:
+def multiscale_mask(
+    places: Place, own: Mask, asked: Mask, sigma: Spread = EVERYWHERE, lines: Lines | None = None
+) -> Labels:
     """The same where all points are at hand: how high the surface is, is asked once.
 
     Parameters
@@ -167,31 +188,47 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERY
         Evidence, at least one; points to be told.
     sigma : Spread
         Standard deviation of a range.
+    lines : Lines, optional
+        Flightlines of the points, where there are several.
 
     Returns
     -------
-    (m,) bool
-        Which of those asked are ground.
+    (m,) uint8
+        Of those asked: :data:`GROUND`, :data:`APART` or 0.
     """
     # One cell after the other: neighbours follow each other wherever points are looked at.
     order = group_by_cell(*places[:2], CELL_M).order
     x, y, z = (v[order] for v in places)
     own, asked = own[order], asked[order]
+    lines = None if lines is None else lines.some(order)
     evidence = _of((x, y, z), own)
     surface = _ground_surface((evidence,), sigma)
-    found = np.zeros(len(x), np.bool_)
+    found = np.zeros(len(x), np.uint8)
     if surface is None:
         return found[: int(asked.sum())]
     depths = no_depths(*evidence[:2])
-    near = near_surface(surface, (x, y, z), needed(x, y, own, asked, depths))
+    near = near_surface(
+        _reaching(surface, lines), (x, y, z), needed(x, y, own, asked, depths)
+    )  # fmt: skip
     counted = own[near.at]
-    which = near.at[counted]
-    depths_below(near.off[counted], x[which], y[which], depths)
-    known = _known(in_squares(*evidence[:2]), noise_below(depths), sigma)
-    _mark(known, near, (x, y), found)
-    told, by_place = np.empty((2, len(x)), np.bool_)
+    shown = Near(near.at[counted], near.off[counted], near.slope[counted])
+    depths_below(shown.off, x[shown.at], y[shown.at], depths)
+    seen = {} if lines is None else seen_lines(shown, (x, y), lines, sigma)
+    known = _known(
+        in_squares(*evidence[:2]), noise_below(depths), sigma, lines_apart([seen], sigma)
+    )
+    _mark(known, near, (x, y), lines, found)
+    told, by_place = np.empty_like(found), np.empty_like(asked)
     told[order], by_place[order] = found, asked
     return told[by_place]
+
+
+def _reaching(surface: Surface, lines: Lines | None) -> Surface:
+    """A surface that is asked for points farther above it where flightlines may be apart."""
+    if lines is None:
+        return surface
+    tops = surface.tops
+    return surface._replace(tops=tops._replace(top_m=tops.top_m + (FAR_M - BAND_M)))
 
 
 def _of(places: Place, chosen: Mask) -> Place:
@@ -234,48 +271,64 @@ class _Known(NamedTuple):
     above: Float
     below: Float
     first: tuple[int, int]
+    apart: Apart | None
 
 
-def _known(points: Squares, depths: Squares, sigma: Spread) -> _Known:
+def _known(points: Squares, depths: Squares, sigma: Spread, apart: Apart | None) -> _Known:
     """How far ground reaches above and below a surface, by what lies below it."""
     sigma_m = sigma.over(depths.first, depths.sums.shape[:2])
     above, below = (
         many * np.maximum(spread_below(depths, share), sigma_m)
         for many, share in ((ABOVE_SIGMA, MOST), (_BELOW_SIGMA, _TAIL))
     )
-    return _Known(spacings(points), above, below, depths.first)
+    return _Known(spacings(points), above, below, depths.first, apart)
 
 
-def _look(surface: Surface, strip: Strip) -> tuple[Squares, Squares] | None:
-    """Points below the surface by depth, and all, by blocks; None without any."""
+def _look(
+    surface: Surface, sigma: Spread, strip: Strip
+) -> tuple[Squares, Squares, dict[int, Squares]] | None:
+    """Points below the surface by depth, and all, by blocks, and flightlines; None without any."""
     x, y, z = strip.own
     if not len(x):
         return None
     order = group_by_cell(x, y, CELL_M).order
     places = x[order], y[order], z[order]
-    near = near_surface(surface, places, np.ones(len(x), np.bool_))
+    lines = strip.own_lines
+    near = near_surface(_reaching(surface, lines), places, np.ones(len(x), np.bool_))
     east, north = (v[near.at] for v in places[:2])
     depths = depths_below(near.off, east, north, no_depths(x, y))
-    return noise_below(depths), in_squares(x, y)
+    seen = {} if lines is None else seen_lines(near, places[:2], lines.some(order), sigma)
+    return noise_below(depths), in_squares(x, y), seen
 
 
-def _told(surface: Surface, known: _Known, strip: Strip) -> tuple[Strip, Mask]:
-    """A strip, and which of the points that are asked are ground."""
+def _told(surface: Surface, known: _Known, strip: Strip) -> tuple[Strip, Labels]:
+    """A strip, and labels of the points that are asked."""
     x, y, z = strip.asked
-    found = np.zeros(len(x), np.bool_)
+    found = np.zeros(len(x), np.uint8)
     if len(x):
         order = group_by_cell(x, y, CELL_M).order
         places = x[order], y[order], z[order]
-        near = near_surface(surface, places, np.ones(len(x), np.bool_))
-        _mark(known, near._replace(at=order[near.at]), (x, y), found)
+        wide = _reaching(surface, None if known.apart is None else strip.asked_lines)
+        near = near_surface(wide, places, np.ones(len(x), np.bool_))
+        _mark(known, near._replace(at=order[near.at]), (x, y), strip.asked_lines, found)
     return strip, found
 
 
-def _mark(known: _Known, near: Near, place: tuple[Float, Float], out: Mask) -> None:
-    """Mark the points that lie on a surface."""
-    within(
-        near, place, *known.spacings, (known.above, known.below), known.first, _BAND_SPACINGS, out
-    )  # fmt: skip
+def _mark(
+    known: _Known, near: Near, place: tuple[Float, Float], lines: Lines | None, out: Labels
+) -> None:
+    """Fill the labels of the points that lie on the surface, or on that of their flightline."""
+    if known.apart is not None and lines is not None:
+        out[_on(known, at_own_height(near, place, lines, known.apart), place)] = APART
+    out[_on(known, near, place)] = GROUND
+
+
+def _on(known: _Known, near: Near, place: tuple[Float, Float]) -> Mask:
+    """Points that lie on a surface: (n,) bool."""
+    found = np.zeros(len(place[0]), np.bool_)
+    reach = known.above, known.below
+    within(near, place, *known.spacings, reach, known.first, _BAND_SPACINGS, found)
+    return found
 
 
 class _Layers(NamedTuple):
