@@ -359,5 +359,7 @@ def _strip_sentences(phase: Phase, survey: Survey) -> Iterator[str]:
         cells = survey.of("strip_patches").items()
         yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
     if phase.kind == "strip_pairs":
+        apart = sum(r.facts.get("apart", 0) for r in survey.of("ground").values())
         for receipt in survey.of("strip_pairs").values():
-            yield from offset_warnings(pairs_of(receipt.facts), survey.workflow.survey.align)
+            align = survey.workflow.survey.align
+            yield from offset_warnings(pairs_of(receipt.facts), align, apart)

@@ -25,10 +25,13 @@ REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
 """What helps against differences, by what ``survey.align`` is."""
 
 
-def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Iterator[str]:
+def offset_warnings(
+    pairs: Sequence[PairDifference], align: str = "none", apart: int = 0
+) -> Iterator[str]:
     """A sentence on pairs whose flightlines differ by more than a single range does.
 
-    ``align``: how flightlines were shifted before they were compared. The worst pair is told, as
+    ``align``: how flightlines were shifted before they were compared. ``apart``: returns of the
+    ground of flightlines that lie apart from the terrain [count]. The worst pair is told, as
     one flightline that lies off is off from all others; the report has all pairs.
     """
     off = [(away, pair) for pair in pairs if (away := _away(pair)) > 0]
@@ -45,7 +48,7 @@ def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Ite
         f"{which}{pair.second} lies {' and '.join(_parts(pair))} than {pair.first}, around "
         f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar patches; "
         f"single ranges scatter by {100 * pair.noise_m:.1f} cm){_tilt(pair)}. What both have seen "
-        f"is double, and the terrain follows the lower one: {REMEDIES[align]}"
+        f"is double, and the terrain follows the lower one{_ground(apart)}: {REMEDIES[align]}"
     )
 
 
@@ -74,6 +77,11 @@ def _away(pair: PairDifference) -> float:
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
         horizontal = float(np.hypot(pair.east_m, pair.north_m))
     return max(vertical, horizontal) / max(pair.noise_m, 1e-3)
+
+
+def _ground(apart: int) -> str:
+    """What is told of the ground of the others."""
+    return f"; class 2 has the ground of each, {grouped(apart)} returns off it" if apart else ""
 
 
 def _tilt(pair: PairDifference) -> str:

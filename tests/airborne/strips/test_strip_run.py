@@ -51,6 +51,7 @@ def test_an_offset_is_in_warnings_report_and_page(
     assert sorted(told) == sorted(result.report.warnings)
     assert set(whole) < set(told)
     assert said.startswith(f"flightline {pair['second']} lies ")
+    assert "class 2 has the ground of each" in said
     page = (result.output / "report.html").read_text()
     assert "Between flightlines" in page
     assert f"<td>{100 * pair['up_m']:.1f}</td>" in page
