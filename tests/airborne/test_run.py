@@ -478,7 +478,7 @@ def raising(function: Callable[..., Any], on_call: int) -> Callable[..., Any]:
 
 BREAKS = [
     (denoise_stage, "judge", "denoise"),
-    (ground_stage, "ground_mask", "ground"),
+    (ground_stage, "ground_labels", "ground"),
     (line_noise_stage, "observe", "observe"),
 ]
 
