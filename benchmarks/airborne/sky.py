@@ -220,7 +220,7 @@ SAYS: dict[str, tuple[str, ...]] = {
     "boresight roll 0.02 deg": ("flightlines",), "range walk 0.3 m": ("ranges", "walk"),
     "sheet of 2 m at 30 m, 40 x": _AIR, "sheet of 1 m at 15 m, 40 x": _AIR,
     "sheet of 2 m at 55 m, 20 x": _AIR, "range walk 0.6 m": ("walk",),
-    "positions swing by 0.2 m": ("swing",), "both lines from 600 m": ("ranges",),
+    "positions swing by 0.2 m": ("swing",), "both lines from 600 m": ("light",),
     "city in fog": ("fog", "mist"), "second gate 350 m": (),
     "second file in another CRS": ("crs",), "second line from 1800 m": (),
     "both lines from 1800 m": (),

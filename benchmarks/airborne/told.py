@@ -28,6 +28,7 @@ KINDS: Final[Mapping[str, str]] = MappingProxyType({
     "ranges": "returns of hard surfaces spread by",
     "swing": "recorded positions or angles swing",
     "walk": "ranges walk with the strength",
+    "light": "so strong a light",
     "flightlines": "is double, and the terrain follows the lower one",
     "beams": "do not lie on one beam",
     "channels": "survey.channel_dimension is not set",

@@ -23,12 +23,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse.hard_surfaces import SHARP, Rules
+from spl_batch.airborne.afterpulse.hard_surfaces import SHARP, STEP_M, Rules
 from spl_batch.airborne.afterpulse.lag_counts import (
     LAG_EDGES_M,
     SPREAD_STEP_M,
     SPREADS,
-    STEP_M,
     Counts,
     no_counts,
     observe_lags,
@@ -90,7 +89,7 @@ class AfterpulseLaw(NamedTuple):
     parents: float
     seen: float
     #: (k,): afterpulses per detection and metre, from the dead time on, every
-    #: :data:`~spl_batch.airborne.afterpulse.lag_counts.STEP_M` [1/m].
+    #: :data:`~spl_batch.airborne.afterpulse.hard_surfaces.STEP_M` [1/m].
     density: NDArray[np.float64]
 
     @property

@@ -14,6 +14,9 @@ from spl_batch.numerics.planes.robust_planes_simd import U0, fit_planes
 from spl_batch.numerics.simd import LANES, UL, load, store, where
 from spl_batch.numerics.simd import spread as everywhere
 
+STEP_M = 0.05
+"""Steps in which a law is tabled [m]."""
+
 SURFACES_MAX = 3
 """Hard surfaces looked for in a shot: a roof, the ground beside it, one between."""
 
@@ -26,6 +29,9 @@ SHARP = 3.0
 PASSED_MIN = 2.0
 PASSED_SHARE = 0.1
 """A surface is penetrable if more scattered first returns lie behind it [count, share]."""
+
+FOLLOWED = 2.0
+"""And so is one that more returns follow than so many times the afterpulses that are due."""
 
 NEAR_M = 1.6
 """How far across the beam returns are looked at to tell whether a place is hard [m]."""
@@ -53,8 +59,7 @@ class Rules(NamedTuple):
     apart: float
     longest_m: float  #: The longest lag of an afterpulse.
     beamlets: float
-    #: (k,): afterpulses per detection and metre, from the dead time on, every
-    #: :data:`~spl_batch.airborne.afterpulse.lag_counts.STEP_M` [1/m].
+    #: (k,): afterpulses per detection and metre, from the dead time on, every :data:`STEP_M` [1/m].
     law: NDArray[np.float64]
 
 
@@ -108,6 +113,19 @@ def fit_surfaces(
 
 
 @njit()
+def is_behind(distance: float, rules: Rules) -> bool:
+    """Whether a later return of a beamlet that hit a surface counts as one behind it."""
+    return 0.5 * rules.dead_m < distance <= rules.lag_max_m
+
+
+@njit()
+def too_many(followers: int, on: int, rules: Rules) -> bool:
+    """Whether more returns follow those on a surface than afterpulses, and theirs, can be."""
+    started = min(np.sum(rules.law) * STEP_M, 0.8)
+    return followers > PASSED_MIN + FOLLOWED * on * started / (1.0 - started)
+
+
+@njit()
 def densest(w, low, high, width):  # type: ignore[no-untyped-def]
     """Start of the fullest range window [m], and its count; the nearest of equals.
 
@@ -140,11 +158,13 @@ def returns_behind(
     s: int, rows: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
     first: NDArray[np.bool_], rules: Rules,
 ) -> tuple[bool, float]:  # fmt: skip
-    """What lies behind a surface, of beamlets that miss it.
+    """What lies behind a surface.
 
-    Few and scattered returns are background; many at one depth are the ground beside a roof. Many
-    and scattered ones mean that the surface is penetrable: a crown, water. ``rows``: first row of
-    the shot, and the one after its last.
+    Of beamlets that miss it few and scattered returns are background; many at one depth are the
+    ground beside a roof. Many and scattered ones mean that the surface is penetrable: a crown,
+    water. So do later returns of beamlets, where they are many more than afterpulses: all channels
+    see the top of a crown in strong light. ``rows``: first row of the shot, and the one after its
+    last.
 
     Returns
     -------
@@ -153,12 +173,14 @@ def returns_behind(
     depth : float
         Start of the depths, ``2 below_m`` wide, that most of them share; inf for none [m].
     """
-    on, passed = 0, 0
+    on, passed, followers, follows = 0, 0, 0, False
     depths = np.empty(rows[1] - rows[0] + LANES)
     for i in range(rows[0], rows[1]):
         if not first[i]:
+            followers += follows and is_behind(behind[s, i], rules)
             continue
-        if on_surface(behind[s, i], spreads[s], rules):
+        follows = on_surface(behind[s, i], spreads[s], rules)
+        if follows:
             on += 1
         elif 0.0 < behind[s, i] <= rules.lag_max_m:
             other = False
@@ -167,6 +189,8 @@ def returns_behind(
             if not other:
                 depths[passed] = behind[s, i]
                 passed += 1
+    if too_many(followers, on, rules):
+        return False, np.inf
     if passed == 0:
         return True, np.inf
     depth, together = densest(depths, 0, passed, 2.0 * rules.below_m)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.hard_surfaces import (
     RETURNS_MIN,
+    STEP_M,
     Rules,
     fit_surfaces,
     on_surface,
@@ -37,9 +38,6 @@ BEHIND = 2.5
 SPREAD_STEP_M = 0.01
 SPREADS = 64
 """Steps in which the spread of planes is counted [m], and how many there are."""
-
-STEP_M = 0.05
-"""Steps in which a law is tabled [m]."""
 
 LAG_EDGES_M: Final = np.concatenate([np.arange(81) * STEP_M, np.geomspace(4.0, 60.0, 56)[1:]])
 """Edges of the bins of lags [m]: as fine as the law near the return, far behind it a twentieth of

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw, added, of_hard_planes
-from spl_batch.airborne.afterpulse.lag_counts import LAG_EDGES_M, STEP_M
+from spl_batch.airborne.afterpulse.hard_surfaces import STEP_M
+from spl_batch.airborne.afterpulse.lag_counts import LAG_EDGES_M
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.errors import Remark, grouped
 

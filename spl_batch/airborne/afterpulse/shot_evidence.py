@@ -14,8 +14,10 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
     SURFACES_MAX,
     Rules,
     hit_beside,
+    is_behind,
     on_surface,
     returns_behind,
+    too_many,
 )
 from spl_batch.airborne.afterpulse.lag_counts import across_beams, law_at
 from spl_batch.airborne.beams.differential_cell_count import dcc_keep
@@ -162,12 +164,12 @@ def neighbours(at, rows, u, v, w, first, reach_m, out, begin):  # type: ignore[n
 @njit()
 def in_hard_place(
     i: int, parent: int, which: int, sets: Sets, u: NDArray[np.float64], v: NDArray[np.float64],
-    w: NDArray[np.float64], rules: Rules,
+    w: NDArray[np.float64], first: NDArray[np.bool_], end: int, rules: Rules,
 ) -> bool:  # fmt: skip
     """Whether a return lies behind a parent whose neighbourhood is a piece of hard surface.
 
     For places that no plane of the whole shot fits: ridges, steps, rough ground. ``sets`` holds the
-    neighbours and their plane at ``which``.
+    neighbours and their plane at ``which``; ``end`` is that of the shot's rows.
     """
     a, b, c = sets.plane[which, 0], sets.plane[which, 1], sets.plane[which, 2]
     own = w[parent] - (a + b * u[parent] + c * v[parent])
@@ -175,14 +177,19 @@ def in_hard_place(
     if abs(own) > rules.below_m or depth <= max(0.5 * rules.dead_m, rules.apart * rules.sigma_m):
         return False
     low, high = sets.first[which], sets.first[which + 1]
-    hard = beside = 0
+    hard = beside = followers = 0
     for k in range(low, high):
-        row = sets.member[k]
+        row = np.int64(sets.member[k])
         distance = w[row] - (a + b * u[row] + c * v[row])
         hard += abs(distance) <= SHARP * rules.sigma_m
         # Another first return at the same depth speaks for something real down there.
         beside += abs(distance - depth) <= rules.below_m
-    return hard >= max(RETURNS_MIN, HARD_SHARE * (high - low)) and beside == 0
+        later = row + 1
+        while later < end and not first[later]:
+            followers += is_behind(w[later] - (a + b * u[later] + c * v[later]), rules)
+            later += 1
+    sure = hard >= max(RETURNS_MIN, HARD_SHARE * (high - low)) and beside == 0
+    return sure and not too_many(followers, hard, rules)
 
 
 @njit()
@@ -336,7 +343,7 @@ def _look_around(asked, askers, u, v, w, first, rules, out):  # type: ignore[no-
         parent, rows = asked[k, 1], (asked[k, 2], asked[k, 3])
         low = sets.first[count]
         if low + rows[1] - rows[0] > room:
-            _raise(begin, k, asked, which, count, sets, u, v, w, rules, out)
+            _raise(begin, k, asked, which, count, sets, u, v, w, first, rules, out)
             begin, count, low = k, 0, 0
         end = neighbours(parent, rows, u, v, w, first, rules.lag_max_m, sets.member, low)
         which[k] = -1
@@ -344,7 +351,7 @@ def _look_around(asked, askers, u, v, w, first, rules, out):  # type: ignore[no-
             sets.first[count + 1] = end
             which[k] = _same(count, rows[0], sets)
             count += which[k] == count
-    _raise(begin, askers, asked, which, count, sets, u, v, w, rules, out)
+    _raise(begin, askers, asked, which, count, sets, u, v, w, first, rules, out)
 
 
 @njit()
@@ -364,7 +371,7 @@ def _same(last: int, begin: int, sets: Sets) -> int:
 
 
 @njit()
-def _raise(begin, end, asked, which, count, sets, u, v, w, rules, out):  # type: ignore[no-untyped-def]
+def _raise(begin, end, asked, which, count, sets, u, v, w, first, rules, out):  # type: ignore[no-untyped-def]
     """Fit the places around parents, and raise the probability of what follows hard ones."""
     weight = np.empty(sets.first[count])
     fit_planes(
@@ -372,5 +379,7 @@ def _raise(begin, end, asked, which, count, sets, u, v, w, rules, out):  # type:
     )
     for k in range(begin, end):
         i, parent, one = asked[k, 0], asked[k, 1], which[k]
-        if one >= 0 and sets.trusted[one] and in_hard_place(i, parent, one, sets, u, v, w, rules):
+        if one < 0 or not sets.trusted[one]:
+            continue
+        if in_hard_place(i, parent, one, sets, u, v, w, first, asked[k, 3], rules):
             out[i] = HARD

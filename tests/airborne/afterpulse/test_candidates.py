@@ -48,12 +48,14 @@ def shots(
     second: Height | None = None,
     noise_per_m: float = 1e-3,
     channels: bool = True,
+    leaves: int = 0,
     seed: int = 0,
 ) -> tuple[PointTable, Trajectory, NDArray[np.int64]]:
     """Shots 14 degrees off nadir over a height field; kind 0 signal, 1 its afterpulse,
     2 background, 3 its afterpulse.
 
-    ``second`` is a surface behind the first, hit by other beamlets a third of the time.
+    ``second`` is a surface behind the first, hit by other beamlets a third of the time; ``leaves``
+    further returns of a beamlet lie up to 4 m behind its first one.
     """
     rng = np.random.default_rng(seed)
     origin = np.array([0.0, -620.0, 2500.0])
@@ -69,7 +71,8 @@ def shots(
             if rng.random() < detection:
                 field = second if deep and second is not None else height
                 z = float(field(np.array([x]), np.array([y]))[0])
-                found.append(((z - 2500) / line[2] + rng.normal(0, 0.04), 0))
+                first = (z - 2500) / line[2] + rng.normal(0, 0.04)
+                found += [(first + lag, 0) for lag in [0, *rng.uniform(0.3, 4, leaves)]]
             for r, of in list(found):
                 if rng.random() < afterpulses:
                     lag = 0.24 + rng.exponential(0.7) + rng.normal(0, 0.03)
@@ -145,6 +148,13 @@ def test_vegetation_is_left_to_the_space_domain() -> None:
     followers = p[(kind == 1) & (p > 0)]
     assert followers.max() < 0.5
     assert followers.mean() > p[kind == 0].mean()
+
+
+def test_crown_tops_that_all_beamlets_see_are_no_hard_surfaces() -> None:
+    table, track, kind = shots(level, detection=1.0, leaves=2, number=10)
+    assert (found(table, track)[kind == 0] >= 0.5).mean() <= 0.001
+    table, track, kind = shots(level, detection=1.0, afterpulses=0.2, number=10)
+    assert (found(table, track)[kind == 1] >= 0.5).mean() >= 0.85
 
 
 @pytest.mark.parametrize("longest", [0.8, 3.0])

@@ -8,6 +8,7 @@ import rasterio
 from affine import Affine
 
 from spl_batch.airborne.report.fit import sky
+from spl_batch.airborne.report.fit.light import strong_light_warning
 from spl_batch.airborne.report.fit.noise_fit import float_warning, noise_fit, uniform_warning
 from spl_batch.airborne.report.fit.sky import (
     bloom_warning,
@@ -245,3 +246,16 @@ def test_signal_that_floats_over_an_area_is_told_with_its_share_and_place():
     assert list(float_warning({"ground": cells}, FilterSettings(alpha=0.01))) == []
     assert list(float_warning({}, settings)) == []
     assert noise_fit({"ground": {"c": cells["c"]}}) is None
+
+
+def test_light_is_told_where_it_is_strong_and_not_where_noise_fills_the_beamlets():
+    def said(seen, noise_per_m):
+        facts = {"seen_fraction": seen, "noise_per_m": noise_per_m, "gate_m": 250.0}
+        return list(strong_light_warning({"fit_line": {"00001_5": receipt(**facts)}}))
+
+    (text,) = said(0.998, 0.001)
+    assert text.startswith("flightline 00001_5: 99.8 % of the beamlets have a return, by a signal")
+    assert "some 6.0 photo-electrons" in text
+    assert said(1.0, 0.001)
+    assert not said(0.65, 0.002)
+    assert not said(0.96, 0.01)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.report.fit.light import strong_light_warning
 from spl_batch.airborne.report.fit.noise_fit import float_warning, uniform_warning
 from spl_batch.airborne.report.fit.sky import (
     bloom_warning,
@@ -34,4 +35,5 @@ def noise_warnings(done: Receipts, context: Context, haze: Haze | None) -> Itera
     yield from kept_warning(done, workflow.filter)
     yield from uniform_warning(done)
     yield from float_warning(done, workflow.filter)
+    yield from strong_light_warning(done)
     yield from steady_warnings(done, workflow.sensor.range_sigma_m)
