@@ -35,6 +35,10 @@ number, and least share of those on the plane."""
 BEHIND = 2.5
 """A follower so far behind the plane does not belong to the surface itself [spreads]."""
 
+TILTED = 0.9
+"""Cosine of the angle between a beam and the normal of a plane up to which the plane is taken as it
+is: 26 degrees, level ground and usual roofs."""
+
 SPREAD_STEP_M = 0.01
 SPREADS = 64
 """Steps in which the spread of planes is counted [m], and how many there are."""
@@ -145,8 +149,8 @@ def observe_lags(
             rows = slice(starts[owner[one]], starts[owner[one] + 1])
             distance = residual(plane[one], u[rows], v[rows], range_m[rows])
             _observe(
-                range_m[rows], channel[rows], lag[rows], distance, spreads[one], rules, edges,
-                counts,
+                range_m[rows], channel[rows], lag[rows], distance, spreads[one],
+                _square(plane[one]), rules, edges, counts,
             )  # fmt: skip
 
 
@@ -172,7 +176,7 @@ def _candidates(starts, chosen, range_m, lag, rules, member, first, owner):  # t
 
 
 @njit()
-def _observe(w, channel, lag, distance, spread, rules, edges, counts):  # type: ignore[no-untyped-def]
+def _observe(w, channel, lag, distance, spread, square, rules, edges, counts):  # type: ignore[no-untyped-def]
     """Count what follows the first returns on a plane that is alone in its shot."""
     first = lag == 0
     if not _alone(distance, first, spread, rules):
@@ -181,7 +185,7 @@ def _observe(w, channel, lag, distance, spread, rules, edges, counts):  # type: 
     for i in range(len(w)):
         on[i] = first[i] and on_surface(distance[i], spread, rules)
     scale = _scale(distance, on)
-    k = min(int(scale / SPREAD_STEP_M), len(counts.planes) - 1)
+    k = min(int(scale * square / SPREAD_STEP_M), len(counts.planes) - 1)
     counts.planes[k] += 1
     for i in range(len(w)):
         if on[i]:
@@ -195,6 +199,17 @@ def _observe(w, channel, lag, distance, spread, rules, edges, counts):  # type: 
                 counts.entries[k, begin] += 1
                 if at < len(edges) - 1:
                     counts.followers[k, at] += 1
+
+
+@njit()
+def _square(plane):  # type: ignore[no-untyped-def]
+    """Factor to the spread of a plane along the beam that leaves what ranging noise does.
+
+    A plane that is tilted off the beam also spreads by the beam's width, which is about as much as
+    the noise: beyond :data:`TILTED` its spread square to itself is taken.
+    """
+    upright = 1.0 / math.sqrt(1.0 + plane[1] ** 2 + plane[2] ** 2)
+    return min(upright / TILTED, 1.0)
 
 
 @njit()

@@ -258,7 +258,7 @@ def test_what_follows_a_plane_is_counted_as_by_hand(seed: int) -> None:
     channel, w, lag = channel[order], w[order], lag[order]
     rules = candidates.hard_rules(AfterpulseSettings(), SENSOR, sensor_law(SENSOR))
     counts = no_counts()
-    lag_counts._observe(w, channel, lag, w.copy(), spread, rules, LAG_EDGES_M, counts)
+    lag_counts._observe(w, channel, lag, w.copy(), spread, 0.7, rules, LAG_EDGES_M, counts)
     entries, followers = np.zeros((2, len(LAG_EDGES_M) - 1), np.int64)
     near = [i for i in range(len(w)) if lag[i] == 0 and abs(w[i]) <= 0.3]
     scale = np.sqrt(sum(w[i] ** 2 for i in near) / (len(near) - 3))
@@ -269,7 +269,7 @@ def test_what_follows_a_plane_is_counted_as_by_hand(seed: int) -> None:
         entries[begin] += at >= begin
         if begin <= at < len(followers):
             followers[at] += 1
-    k = int(scale / SPREAD_STEP_M)
+    k = int(0.7 * scale / SPREAD_STEP_M)
     assert counts.planes.sum() == counts.planes[k] == 1
     np.testing.assert_array_equal(counts.entries[k], entries)
     np.testing.assert_array_equal(counts.followers[k], followers)
@@ -284,9 +284,17 @@ def test_other_beamlets_at_one_depth_far_behind_tell_that_a_plane_is_not_alone()
     for few in (False, True):
         counts, some = no_counts(), slice(0, n + 2 if few else n + 6)
         lag_counts._observe(
-            w[some], channel[some], lag[some], w[some], 0.05, rules, LAG_EDGES_M, counts
+            w[some], channel[some], lag[some], w[some], 0.05, 1.0, rules, LAG_EDGES_M, counts
         )
         assert counts.planes.sum() == few
+
+
+def test_tilted_planes_spread_by_the_width_of_the_beam_too() -> None:
+    sigma_m = width_m = 0.05
+    for tilt in (0.0, 0.4, 1.0, 1.7):
+        along = np.hypot(sigma_m, width_m * tilt)
+        found = along * lag_counts._square(np.array([3.0, 0.6 * tilt, 0.8 * tilt]))
+        assert sigma_m <= found <= 1.15 * sigma_m
 
 
 def test_a_longest_lag_within_the_dead_time_is_refused() -> None:
