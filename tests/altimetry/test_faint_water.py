@@ -10,7 +10,9 @@ from benchmarks.altimetry.labelled_tracks import LAND
 from benchmarks.altimetry.odd_tracks import SCENES, Scene, make
 from benchmarks.altimetry.photon_beams import RATE, Beam
 from spl_batch.altimetry.noise import noise_rate as rates
-from spl_batch.altimetry.water.level_water import NO_WATER
+from spl_batch.altimetry.report.summarise import _maybe_river
+from spl_batch.altimetry.water.between_banks import above_rivers, between_banks
+from spl_batch.altimetry.water.level_water import NO_WATER, find_layers
 from spl_batch.altimetry.water.levelness import is_water
 from tests.altimetry.test_level_water import (
     DAY,
@@ -18,6 +20,7 @@ from tests.altimetry.test_level_water import (
     NIGHT,
     NOISE,
     SURFACE,
+    WaterTrack,
     photons,
     water_track,
 )
@@ -142,3 +145,81 @@ def test_a_dry_flat_is_no_water() -> None:
     cells = rates.observe(*dry(3.0, 1.5, DAY, 5).photons, RATE)
     assert (cells.level != NO_WATER).mean() > 0.9
     assert not cells.calm.any()
+
+
+def river(
+    wide_m: float, noise: float, seed: int = 1, under: float = 0.35
+) -> tuple[WaterTrack, np.ndarray]:
+    """Water between banks of 4 m that roll, with a floor 3 m deep; and where it is (n,) bool."""
+    rng = np.random.default_rng(seed)
+    shot = np.arange(0.0, 3000.0, 0.7)
+    off = np.abs(shot - 1500.0) - wide_m / 2.0
+    land = np.clip(0.3 * off, 0.0, 4.0) + np.clip(off / 40.0, 0.0, 1.0) * np.sin(shot / 37.0)
+    layers = (
+        (1.0 * (off >= 0.0), land, 0.15, 4), (1.0 * (off < 0.0), 0.0, 0.1, SURFACE),
+        (under * (off < 0.0), -3.0, 0.2, FLOOR),
+    )  # fmt: skip
+    parts = []
+    for rate, height, spread, kind in layers:
+        at = np.repeat(np.arange(len(shot)), rng.poisson(np.broadcast_to(rate, shot.shape)))
+        z = np.broadcast_to(height, shot.shape)[at] + rng.normal(0.0, spread, len(at))
+        parts.append(np.stack([shot[at], z, np.full(len(at), kind)]))
+    sky = rng.uniform((0.0, -50.0), (3000.0, 50.0), (rng.poisson(noise * 3e5), 2)).T
+    x, z, kind = np.concatenate([*parts, [*sky, np.full(sky.shape[1], NOISE)]], axis=1)
+    order = np.argsort(x, kind="stable")
+    return WaterTrack(x[order], z[order], kind[order]), np.abs(x[order] - 1500.0) < wide_m / 2.0
+
+
+@pytest.mark.parametrize("noise", [NIGHT, DAY])
+@pytest.mark.parametrize("wide_m", [160.0, 500.0])
+def test_a_river_between_banks_has_a_surface_and_a_floor(wide_m: float, noise: float) -> None:
+    track, inside = river(wide_m, noise)
+    along, height = photons(track)
+    cells = rates.observe(along, height, RATE)
+    calm = cells.calm[np.searchsorted(cells.index, along // 20_000)]
+    assert calm[inside].mean() > 0.9
+    assert calm[~inside].mean() < 0.02
+    level = cells.level[cells.calm] / 1000.0
+    assert np.abs(level).max() < 0.2
+
+
+def test_dark_level_cells_between_banks_are_land_that_may_be_a_river() -> None:
+    track, inside = river(300.0, DAY, under=0.0)
+    along, height = photons(track)
+    cells = rates.observe(along, height, RATE)
+    at = np.searchsorted(cells.index, along // 20_000)
+    assert not cells.calm.any()
+    assert cells.maybe[at][inside].mean() > 0.9
+    assert cells.maybe[at][~inside].mean() < 0.05
+    (text,) = _maybe_river({"length_m": 300.0, "from_m": 1340.0, "to_m": 1640.0})
+    assert "0.3 km of track between 1.34 and 1.64 km are level between higher banks" in text
+    assert not list(_maybe_river({}))
+
+
+def test_a_level_bank_is_no_water_of_its_river() -> None:
+    index = np.arange(60)
+    river_m = np.where(index < 20, 5.0, np.nan)
+    level_m = np.where(index < 20, 5.0, 6.5)
+    found = above_rivers(index, level_m, river_m, 25)
+    np.testing.assert_array_equal(found, (index >= 20) & (index < 45))
+
+
+@pytest.mark.parametrize("layer", ["hedge tops", "crowns"])
+def test_what_stands_level_above_land_is_no_river(layer: str) -> None:
+    rng = np.random.default_rng(3)
+    x = np.sort(rng.uniform(0.0, 3000.0, 4000))
+    ground = np.where(x % 600.0 < 200.0, 0.0, 3.0)
+    high = rng.uniform(1.0, 2.4, 2000) if layer == "hedge tops" else 18.0 * rng.beta(4, 2, 2000)
+    top = np.where(x[::2] % 600.0 < 200.0, high, 0.0)
+    height = np.concatenate([ground + rng.normal(0.0, 0.05, 4000), ground[::2] + top])
+    place = np.concatenate([x, x[::2]])
+    order = np.argsort(place, kind="stable")
+    along, z = quanta(np.stack([place[order], height[order]], axis=1))
+    index, cell = np.unique(along // 20_000, return_inverse=True)
+    found = between_banks(index, cell, z, find_layers(index, cell, z)[2], 20.0)
+    assert not np.isfinite(found.level_m).any()
+
+
+@pytest.mark.parametrize("cut", [70, 78])
+def test_a_river_does_not_depend_on_where_the_track_is_cut(cut: int) -> None:
+    assert_cut_matters_nowhere(*photons(river(500.0, DAY)[0]), cut)

@@ -29,6 +29,8 @@ from spl_batch.altimetry.noise.planes import CAP_UNITS, UNIT_M, median_noise, us
 from spl_batch.altimetry.noise.windows import of_window
 from spl_batch.altimetry.photon_table import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
+from spl_batch.altimetry.water.between_banks import BANK_CELLS
+from spl_batch.altimetry.water.between_banks import MOST_CELLS as MOST_RIVER_CELLS
 from spl_batch.altimetry.water.emptiest import Photons, sums_around
 from spl_batch.altimetry.water.faint_surface import BLOCK_CELLS
 from spl_batch.altimetry.water.leaning_floor import bed
@@ -56,6 +58,9 @@ HALO_CELLS: Final = (
     + 2 * BLOCK_CELLS
     + 3 * (REACH_CELLS + 1)
     + SWELL_CELLS
+    + MOST_RIVER_CELLS
+    + 2 * (BANK_CELLS + 1)
+    + REACH_CELLS
     + 1
 )
 """Cells to each side that :func:`observe` looks at [count]."""
@@ -136,6 +141,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         first=water.first,
         top=water.top,
         calm=water.calm,
+        maybe=water.maybe,
         slope=np.minimum(water.slope, crowded),
         fog_low=fog.low,
         fog=fog.density,

@@ -100,6 +100,7 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
             found.append(Said(beam, f"{text}is an upper bound"))
         found += [Said(beam, text) for text in _cloud(rate["fog"])]
         found += [Said(beam, text) for text in _mist(rate["mist"], delivered.facts["mist"], kept)]
+        found += [Said(beam, text) for text in _maybe_river(rate["maybe_river"])]
         found += [Said(beam, text) for text in _second_surface(chosen, kept, limit)]
         found += [Said(beam, text) for text in _like_noise(chosen, kept, floor)]
         found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
@@ -145,6 +146,16 @@ def _cloud(fog: Mapping[str, float]) -> Iterator[str]:
             f"{grouped(fog['photons'])} photons count as noise of that height, and less light "
             "reaches what is below; thin parts of a cloud may stay signal, and dense woods on a "
             "steep slope may look like one"
+        )
+
+
+def _maybe_river(at: Mapping[str, float]) -> Iterator[str]:
+    """Level cells between banks with nothing below."""
+    if at:
+        yield (
+            f"{at['length_m'] / 1000:g} km of track between {at['from_m'] / 1000:g} and "
+            f"{at['to_m'] / 1000:g} km are level between higher banks, with nothing seen below: a "
+            "river, a pond, or land as level; called land, its ground is the surface"
         )
 
 

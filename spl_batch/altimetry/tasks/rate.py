@@ -59,6 +59,7 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_m": float(np.median(cells.gate_m)) if len(cells.index) else None,
         "unseen": rates.unseen(cells, workflow.rate),
         "water": float(np.mean(cells.calm)) if len(cells.index) else 0.0,
+        "maybe_river": _stretch(cells.index[cells.maybe], workflow.rate.cell_m),
         "fog": fog_told(cells.index, Fog(cells.fog_low, cells.fog), workflow.rate.cell_m),
         "mist": told(cells.index, cells.mist.T.astype(np.float64), workflow.rate.cell_m),
         "length_m": len(cells.index) * workflow.rate.cell_m,
@@ -86,6 +87,14 @@ def runs(
         total += n
     if total:
         yield start, len(count)
+
+
+def _stretch(index: NDArray[np.int64], cell_m: float) -> dict[str, float]:
+    """How long some cells are together, and where they lie [m]; empty where none is."""
+    if not len(index):
+        return {}
+    low, high = int(index[0]), int(index[-1]) + 1
+    return {"length_m": len(index) * cell_m, "from_m": low * cell_m, "to_m": high * cell_m}
 
 
 def _nothing() -> tuple[NDArray[np.int64], NDArray[np.int32]]:

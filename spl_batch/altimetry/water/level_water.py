@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.altimetry.water.between_banks import above_rivers, between_banks
 from spl_batch.altimetry.water.column_noise import falling_density
 from spl_batch.altimetry.water.emptiest import Photons, sums_around
 from spl_batch.altimetry.water.faint_surface import CLEAR, faint_surface
@@ -86,32 +87,33 @@ class Water(NamedTuple):
     slope: NDArray[np.float32]
     fullest: NDArray[np.int64]  #: (n,): middle of the densest metre [quanta].
     calm: NDArray[np.bool_]  #: (n,): whether the surface is too level for land.
+    maybe: NDArray[np.bool_]  #: (n,): whether level cells between banks may be a river.
     #: (n, 2): height of a floor in the middle of the cell, and its slope [m, m/m]; NaN where none.
     floor: NDArray[np.float32]
 
 
 def find_layers(
     index: NDArray[np.int64], cell: NDArray[np.intp], height: NDArray[np.int32]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Half-metre of each cell's fullest metre, and of what may be a surface: (n,) int64 each.
 
     That is a layer above it where half of the cells around have one at that height, or where the
     stretch around has, though each cell hardly shows it. Where they have one deeper than any floor,
-    that counts in place of the fullest.
+    that counts in place of the fullest. The third is the highest layer that the cell itself shows.
     """
-    mode, upper, lower = fullest(cell, height, len(index))
+    mode, highest, lower = fullest(cell, height, len(index))
     ground = agreed(index, mode, lower, REACH_CELLS, level=False)
-    upper = agreed(index, mode, upper, REACH_CELLS, level=True)
+    upper = agreed(index, mode, highest, REACH_CELLS, level=True)
     upper = np.maximum(upper, faint_surface(index, cell, height, mode, LEAST_CELLS))
     upper = np.where(ground < mode, ground, upper)
-    return ground, upper
+    return ground, upper, highest
 
 
 def find_water(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
     height: NDArray[np.int32],
-    layers: tuple[NDArray[np.int64], NDArray[np.int64]],
+    layers: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
     gate: tuple[NDArray[np.int32], NDArray[np.int32]],
     cell_m: float,
     inside_m: NDArray[np.float64],
@@ -126,7 +128,7 @@ def find_water(
         Row of each photon's cell.
     height : (p,) int32
         Photons [quanta].
-    layers : ((n,) int64, (n,) int64)
+    layers : ((n,) int64, (n,) int64, (n,) int64)
         By :func:`find_layers`.
     gate : ((n,) int32, (n,) int32)
         Lower and upper end of each cell's gate [quanta].
@@ -142,11 +144,12 @@ def find_water(
         np.ones(n, np.float32),
         np.zeros(n, np.int64),
         np.zeros(n, np.bool_),
+        np.zeros(n, np.bool_),
         np.full((n, 2), np.nan, np.float32),
     )
     if not n:
         return water
-    mode, chosen = layers
+    mode, chosen, highest = layers
     level = _level(index, chosen, cell, height)
     half_m = QUANTA_PER_M // 2
     water.fullest[:] = mode * half_m + half_m // 2
@@ -160,7 +163,13 @@ def find_water(
     level[grown] = NO_WATER
     edges_m = WAVE_M, SURFACE_M
     level[rough_land(index, cell, over_m, level != NO_WATER, edges_m, REACH_CELLS)] = NO_WATER
+    river_m, maybe = between_banks(index, cell, height, highest, cell_m)
+    river = np.isfinite(river_m)
+    # Where the metre that cells share is another one, it is none of the river.
+    other = river & ~(np.abs(level / QUANTA_PER_M - river_m) <= WAVE_M)
+    level[other] = np.rint(river_m[other] * QUANTA_PER_M)
     water.level[:] = level
+    water.maybe[:] = maybe
     wet = level != NO_WATER
     if wet.any():
         column, floor = _columns(index, cell, height, gate[0], level, cell_m, inside_m)
@@ -172,7 +181,9 @@ def find_water(
         level_m = np.where(wet, level / QUANTA_PER_M, np.nan)
         below = chosen >= mode + CLEAR
         lit = lit_below(index, cell, over_m, wet, SURFACE_M, REACH_CELLS)
-        water.calm[:] = is_water(index, level_m, below, lit, cell_m, REACH_CELLS)
+        calm = is_water(index, level_m, below, lit, cell_m, REACH_CELLS)
+        water.calm[:] = river | (calm & ~above_rivers(index, level_m, river_m, REACH_CELLS))
+        water.maybe[water.calm] = False
     return water
 
 

@@ -10,8 +10,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.water.emptiest import sums_around
-
 MEAN_CELLS: Final = 2
 """Cells to each side that waves are averaged over [count]."""
 
@@ -26,6 +24,9 @@ SWELL_CELLS: Final = 7
 _NEARLY_ALL: Final = 0.8
 _SWELL: Final = 0.4
 """Share of cells with a surface that show swell, and part of its height that such means keep."""
+
+_ALIKE_M: Final = 1.0
+"""Surfaces of cells that differ by more are not of the same water [m]."""
 
 _SLOPE: Final = 1e-3
 _OFF_M: Final = 0.1
@@ -54,7 +55,7 @@ def is_water(
     cell_m: float,
     reach: int,
 ) -> NDArray[np.bool_]:
-    """Cells whose surface is water, as half of those around show, (n,) bool.
+    """Cells whose surface is water, as half of those around at its height show, (n,) bool.
 
     A surface shows it that is as level as water, or that lies above a fuller layer.
 
@@ -71,8 +72,11 @@ def is_water(
     """
     wet = np.isfinite(level_m)
     shown = wet & (below | _level_lines(index, level_m, lit, cell_m, reach))
-    many, every = sums_around(index, np.stack([shown, wet], axis=1), reach).T
-    water: NDArray[np.bool_] = wet & (2 * many >= every)
+    around = beside(index[wet], level_m[wet], reach) - level_m[wet, None]
+    alike = np.abs(around) <= _ALIKE_M
+    many = (alike & (beside(index[wet], shown[wet], reach) > 0.0)).sum(axis=1)
+    water = np.zeros(len(index), np.bool_)
+    water[wet] = 2 * many >= alike.sum(axis=1)
     return water
 
 
