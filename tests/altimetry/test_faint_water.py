@@ -8,7 +8,8 @@ import pytest
 from benchmarks.altimetry.hard_scenes import dry
 from benchmarks.altimetry.labelled_tracks import LAND
 from benchmarks.altimetry.odd_tracks import SCENES, Scene, make
-from benchmarks.altimetry.photon_beams import RATE, Beam
+from benchmarks.altimetry.photon_beams import RATE, Beam, Photons
+from benchmarks.altimetry.unseen_tracks import Country, taiga
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.report.summarise import _maybe_river
 from spl_batch.altimetry.water.between_banks import above_rivers, between_banks
@@ -204,19 +205,29 @@ def test_a_level_bank_is_no_water_of_its_river() -> None:
     np.testing.assert_array_equal(found, (index >= 20) & (index < 45))
 
 
-@pytest.mark.parametrize("layer", ["hedge tops", "crowns"])
-def test_what_stands_level_above_land_is_no_river(layer: str) -> None:
+def hedges() -> tuple[np.ndarray, np.ndarray]:
+    """Level fields of 200 m, 3 m below others, full of hedges of 1 to 2.4 m."""
     rng = np.random.default_rng(3)
     x = np.sort(rng.uniform(0.0, 3000.0, 4000))
-    ground = np.where(x % 600.0 < 200.0, 0.0, 3.0)
-    high = rng.uniform(1.0, 2.4, 2000) if layer == "hedge tops" else 18.0 * rng.beta(4, 2, 2000)
-    top = np.where(x[::2] % 600.0 < 200.0, high, 0.0)
-    height = np.concatenate([ground + rng.normal(0.0, 0.05, 4000), ground[::2] + top])
-    place = np.concatenate([x, x[::2]])
-    order = np.argsort(place, kind="stable")
-    along, z = quanta(np.stack([place[order], height[order]], axis=1))
+    low = x % 600.0 < 200.0
+    z = np.where(low, 0.0, 3.0) + rng.normal(0.0, 0.05, 4000)
+    tops = np.where(low, rng.uniform(1.0, 2.4, 4000), z)[::2]
+    track = np.stack([np.r_[x, x[::2]], np.r_[z, tops]], axis=1)
+    return quanta(track[np.argsort(track[:, 0], kind="stable")])
+
+
+def spruces() -> tuple[np.ndarray, np.ndarray]:
+    """Sparse spruces on hills, by night."""
+    country = Country(0)
+    taiga(country)
+    return country.labelled("taiga").photons
+
+
+@pytest.mark.parametrize("land", [hedges, spruces])
+def test_what_stands_level_above_land_by_chance_is_no_river(land: Callable[[], Photons]) -> None:
+    along, height = land()
     index, cell = np.unique(along // 20_000, return_inverse=True)
-    found = between_banks(index, cell, z, find_layers(index, cell, z)[2], 20.0)
+    found = between_banks(index, cell, height, find_layers(index, cell, height)[2], 20.0)
     assert not np.isfinite(found.level_m).any()
 
 

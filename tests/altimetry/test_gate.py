@@ -149,8 +149,8 @@ def test_pairs_are_counted_in_boxes_of_an_absolute_lattice() -> None:
     along = np.sort(rng.integers(-90_000, 90_000, 300))
     along[200:] += 500_000
     height = rng.integers(-9_000, 30_000, 300).astype(np.int32)
-    cell = np.unique(along // 20_000, return_inverse=True)[1]
-    found = _pairs(along, cell, height, cell.max() + 1, 600.0, 6.0)
+    index, cell = np.unique(along // 20_000, return_inverse=True)
+    found = _pairs(index, along, cell, height, 20.0, (600.0, 6.0))
     expected = np.zeros(cell.max() + 1)
     for i in range(300):
         for shift in (0, 5_000):

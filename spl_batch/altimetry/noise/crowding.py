@@ -68,7 +68,7 @@ def crowded_slope(
     slopes = np.array([1.0, *(1.0 / shape for shape in SHAPES[1:])])
     for level in np.unique(chosen).tolist():
         mine = chosen == level
-        pairs = [_pairs(*places, len(index), float(areas[level]), s) for s in SHAPES]
+        pairs = [_pairs(index, *places, cell_m, (float(areas[level]), s)) for s in SHAPES]
         total = sums_around(index, np.stack(pairs, axis=1), CROWD_CELLS)[mine]
         by_chance = (2.0 * photons - noise) * density * areas[level]
         more = total - by_chance[mine, None]
@@ -79,20 +79,27 @@ def crowded_slope(
 
 
 def _pairs(
+    index: NDArray[np.int64],
     along: NDArray[np.int64],
     cell: NDArray[np.intp],
     height: NDArray[np.int32],
-    cells: int,
-    area_m2: float,
-    shape: float,
+    cell_m: float,
+    box: tuple[float, float],
 ) -> NDArray[np.float64]:
-    """Others in the boxes of each cell's photons, two lattices meaned: (cells,) float64 [count]."""
+    """Others in the boxes of each cell's photons, two lattices meaned: (cells,) float64 [count].
+
+    ``box`` is the area of one [m2], and its length over its height.
+    """
+    area_m2, shape = box
     length = round(float(np.sqrt(area_m2 * shape)) * QUANTA_PER_M)
     step = round(float(np.sqrt(area_m2 / shape)) * QUANTA_PER_M)
-    at = along // length
-    at -= at.min(initial=0)
+    size = round(cell_m * QUANTA_PER_M)
+    first, last = index * size // length, ((index + 1) * size - 1) // length
+    # Boxes are numbered without those that no cell reaches into.
+    gaps = np.cumsum(np.maximum(first - np.concatenate([first[:1], last[:-1]]) - 1, 0))
+    at = along // length - (first[:1] + gaps)[cell]
     groups = int(at.max(initial=-1)) + 1
-    total = np.zeros(cells)
+    total = np.zeros(len(index))
     for shift in (0, step // 2):
         row = (height + shift) // step
         lowest = np.full(groups, np.iinfo(np.int32).max, np.int32)
@@ -100,7 +107,7 @@ def _pairs(
         np.minimum.at(lowest, at, row)
         np.maximum.at(highest, at, row)
         rows = np.maximum(highest.astype(np.int64) - lowest + 1, 0)
-        box = (np.cumsum(rows) - rows - lowest)[at] + row
-        others = np.bincount(box)[box] - 1
-        total += np.bincount(cell, others, cells) / 2.0
+        number = (np.cumsum(rows) - rows - lowest)[at] + row
+        others = np.bincount(number)[number] - 1
+        total += np.bincount(cell, others, len(index)) / 2.0
     return total
