@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta
+from spl_batch.numerics.within_discs import within_discs
 
 Heights = tuple[int, int]
 """Lowest and highest [quanta]."""
@@ -79,8 +79,8 @@ def close(held: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """
     if not held.any():
         return held
-    near = distance_transform_edt(~held) <= reach
+    near = within_discs(held, reach)
     if near.all():
         return np.ones_like(held)
-    closed: NDArray[np.bool_] = held | (distance_transform_edt(near) > reach)
+    closed: NDArray[np.bool_] = held | ~within_discs(~near, reach)
     return closed

@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from spl_batch.airborne.products.flown_cells import (
     Heights,
@@ -25,6 +24,7 @@ from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta, shared
+from spl_batch.numerics.within_discs import within_discs
 
 DOMAIN: Final = "space"
 """Needs every flightline of a place."""
@@ -112,7 +112,7 @@ class Covered:
         whole = np.pad(self._held, ((south, after[0]), (west, after[1])))
         blocks = whole.reshape(len(whole) // COARSE, COARSE, -1, COARSE)
         held: NDArray[np.bool_] = np.any(blocks, axis=(1, 3))
-        return bool((distance_transform_edt(~held) <= reach).all())
+        return bool(within_discs(held, reach).all())
 
 
 class Footprint:
@@ -186,8 +186,7 @@ def _with_rim(closed: NDArray[np.bool_], points: int) -> NDArray[np.bool_]:
     rim = min(spacing / 2 - 0.5, WIDEST_RIM)
     if rim < 1:
         return closed
-    near: NDArray[np.bool_] = distance_transform_edt(~closed) <= rim
-    return near
+    return within_discs(closed, rim)
 
 
 def _place(part: Bounds, frame: Bounds) -> tuple[slice, slice]:

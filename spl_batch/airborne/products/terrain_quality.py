@@ -27,6 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.numerics.compiled import njit
+
 RINGS: Final = (1, 2, 4, 8)
 """Inner radii of the rings [cells]; the outer one is twice the inner."""
 
@@ -193,10 +195,30 @@ def _integrals(fields: Grid, reach: int) -> Grid:
     integrals: Grid = np.zeros((count, *(size + 2 * reach + 1 for size in shape)))
     inside = [slice(reach + 1, reach + 1 + size) for size in shape]
     integrals[:, inside[0], inside[1]] = fields
-    # Row by row: a sum along columns jumps through memory, and takes five times as long.
-    for row in range(reach + 2, integrals.shape[1]):
-        integrals[:, row] += integrals[:, row - 1]
-    return np.cumsum(integrals, axis=2, out=integrals)
+    _add_up(integrals)
+    return integrals
+
+
+@njit()
+def _add_up(fields: Grid) -> None:
+    """Sums from the first corner on, in place: along rows of sums along columns."""
+    count, rows, columns = fields.shape
+    for k in range(count):
+        for r in range(1, rows):
+            for c in range(columns):
+                fields[k, r, c] += fields[k, r - 1, c]
+        for r in range(rows):
+            for c in range(1, columns):
+                fields[k, r, c] += fields[k, r, c - 1]
+
+
+@njit()
+def _box(integrals: Grid, k: int, r: int, c: int, low: int, high: int) -> float:
+    """Sum of a field over a square, by its corners from a cell on."""
+    summed = integrals[k, r + high, c + high] - integrals[k, r + low, c + high]
+    summed -= integrals[k, r + high, c + low]
+    summed += integrals[k, r + low, c + low]
+    return float(summed)
 
 
 def _boxes(integrals: Grid, widest: int, reach: int) -> Grid:
@@ -204,15 +226,19 @@ def _boxes(integrals: Grid, widest: int, reach: int) -> Grid:
 
     ``integrals``: of :func:`_integrals` with the reach ``widest``, which is no less than ``reach``.
     """
-    ends = []
-    for size in integrals.shape[1:]:
-        last = size - 2 * widest - 1
-        ends.append([slice(k, k + last) for k in (widest - reach, widest + 1 + reach)])
-    (low, high), (left, right) = ends
-    summed: Grid = integrals[:, high, right] - integrals[:, low, right]
-    summed -= integrals[:, high, left]
-    summed += integrals[:, low, left]
+    count, *shape = integrals.shape
+    summed = np.empty((count, *(size - 2 * widest - 1 for size in shape)))
+    _add_boxes(integrals, widest - reach, widest + 1 + reach, summed)
     return summed
+
+
+@njit()
+def _add_boxes(integrals: Grid, low: int, high: int, out: Grid) -> None:
+    count, rows, columns = out.shape
+    for k in range(count):
+        for r in range(rows):
+            for c in range(columns):
+                out[k, r, c] = _box(integrals, k, r, c, low, high)
 
 
 def _off_ring(
@@ -220,13 +246,36 @@ def _off_ring(
 ) -> tuple[Grid, NDArray[np.bool_]]:
     """Height above the plane of a ring around each cell [m], and where there is one."""
     widest = 2 * max(RINGS)
-    sums = _boxes(integrals, widest, 2 * ring) - _boxes(integrals, widest, ring - 1)
-    known = held & (sums[0] > _ENOUGH - 0.5)
-    x, y, z, east, north = _plane(sums[:, known])
-    own = moments[1:4, known]
-    off = np.zeros(held.shape)
-    off[known] = own[2] - (z + east * (own[0] - x) + north * (own[1] - y))
+    outer, inner = (
+        (widest - reach, widest + 1 + reach) for reach in (2 * ring, ring - 1)
+    )  # fmt: skip
+    off, known = np.zeros(held.shape), np.zeros(held.shape, np.bool_)
+    _fit_rings(held, moments, integrals, outer, inner, off, known)
     return off, known
+
+
+@njit()
+def _fit_rings(
+    held: NDArray[np.bool_], moments: Grid, integrals: Grid,
+    outer: tuple[int, int], inner: tuple[int, int], off: Grid, known: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Fill for cells with ground whose ring holds enough of it."""
+    rows, columns = held.shape
+    sums = np.empty(9)
+    for r in range(rows):
+        for c in range(columns):
+            if not held[r, c]:
+                continue
+            for k in range(9):
+                sums[k] = _box(integrals, k, r, c, *outer) - _box(integrals, k, r, c, *inner)
+                if k == 0 and not sums[0] > _ENOUGH - 0.5:
+                    break
+            else:
+                x, y, z, east, north = _plane_of(
+                    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7], sums[8]
+                )
+                above = east * (moments[1, r, c] - x) + north * (moments[2, r, c] - y)
+                off[r, c], known[r, c] = moments[3, r, c] - (z + above), True
 
 
 def _plane(sums: Grid) -> tuple[Grid, Grid, Grid, Grid, Grid]:
@@ -234,12 +283,21 @@ def _plane(sums: Grid) -> tuple[Grid, Grid, Grid, Grid, Grid]:
 
     ``sums``: (9, n), those of :func:`_moments`; each of one cell at least.
     """
-    n, x, y, z, xx, xy, yy, xz, yz = sums
+    return _fit(*sums)
+
+
+def _fit(
+    n: Grid, x: Grid, y: Grid, z: Grid, xx: Grid, xy: Grid, yy: Grid, xz: Grid, yz: Grid
+) -> tuple[Grid, Grid, Grid, Grid, Grid]:
+    """The same of one cell or many."""
     x, y, z = x / n, y / n, z / n
     xx, yy, xy = xx / n - x * x + _DAMPING, yy / n - y * y + _DAMPING, xy / n - x * y
     xz, yz = xz / n - x * z, yz / n - y * z
     scale = xx * yy - xy * xy
     return x, y, z, (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
+
+
+_plane_of = njit()(_fit)
 
 
 def _at_distance(levels: Grid, away: Grid) -> Grid:
