@@ -110,8 +110,9 @@ class Covered:
         rows, cols = self._held.shape
         after = -(south + rows) % COARSE, -(west + cols) % COARSE
         whole = np.pad(self._held, ((south, after[0]), (west, after[1])))
-        blocks = whole.reshape(len(whole) // COARSE, COARSE, -1, COARSE)
-        held: NDArray[np.bool_] = np.any(blocks, axis=(1, 3))
+        # Squares that lie side by side are read as one number.
+        blocks = whole.view(f"u{COARSE}").reshape(len(whole) // COARSE, COARSE, -1)
+        held: NDArray[np.bool_] = np.any(blocks, axis=1)
         return bool(within_discs(held, reach).all())
 
 

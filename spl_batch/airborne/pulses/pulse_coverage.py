@@ -109,7 +109,8 @@ class EmptySquares:
         pairs = empty[j % 2 :, i % 2 :]
         rows, cols = (side // 2 * 2 for side in pairs.shape)
         quarters = pairs[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2)
-        bare: NDArray[np.bool_] = np.all(quarters, axis=(1, 3))
+        bare: NDArray[np.bool_] = quarters[:, 0, :, 0] & quarters[:, 0, :, 1]
+        bare &= quarters[:, 1, :, 0] & quarters[:, 1, :, 1]
         west, south = (i + i % 2) // 2, (j + j % 2) // 2
         squares, unfilled = _counted(bare, west, south, 2 * spacing, core, flown, size)
         col = (np.arange(core.xmin + size // 2, core.xmax, size) // spacing) - i

@@ -21,6 +21,7 @@ from spl_batch.constants import (
 )
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
+from spl_batch.numerics.compiled import njit
 
 DOMAIN: Final = "space"
 
@@ -55,6 +56,9 @@ UNEVEN: Final = 0.5
 """Largest variance of the cells' counts beyond chance, over their squared mean."""
 
 
+Index = NDArray[np.int64]
+
+
 class Placed(NamedTuple):
     """Points over places: those that lie in whole ones, afterpulses left out."""
 
@@ -87,26 +91,54 @@ def placed(table: PointTable, core: Bounds, dtm: NDArray[np.float32]) -> Placed 
     columns, rows = core.xmax // edge - west, core.ymax // edge - south
     if columns < 1 or rows < 1:
         return None
-    x, y = table["x"] - west * edge, table["y"] - south * edge
+    frame = (west * edge, south * edge, int(columns), int(rows))
     kind = table["noise_class"]
-    chosen = (x >= 0) & (x < columns * edge) & (y >= 0) & (y < rows * edge)
-    chosen &= (kind != NOISE_AFTERPULSE) & (kind != NOISE_NOT_ASSESSED)
-    x, y = x[chosen], y[chosen]
+    chosen, place, within = _in_places(table["x"], table["y"], kind, frame, edge, cell)
     surface = _surface(table, chosen, core, dtm)
-    z = table["z"][chosen]
-    height = z * QUANTUM_M - surface
-    place = (y // edge) * columns + x // edge
-    lowest = np.full(int(rows * columns), np.inf)
-    np.fmin.at(lowest, place, surface)
-    parts = edge // cell
-    within = (y % edge // cell) * parts + x % edge // cell
-    near = np.abs(height) < FLOOR_M / 2
-    grounded = np.bincount(place[near], minlength=int(rows * columns)) > 0
-    kept = kind[chosen] == NOISE_SIGNAL
-    half_metre, level = (
-        np.floor((over - FLOOR_M) / HALF_M) for over in (height, z * QUANTUM_M - lowest[place])
-    )
+    z, kept = table["z"][chosen], kind[chosen] == NOISE_SIGNAL
+    half_metre, level, grounded = _heights(z, surface, place, int(rows * columns))
     return Placed((int(rows), int(columns)), place, within, half_metre, level, z, kept, grounded)
+
+
+@njit()
+def _in_places(
+    x: Index, y: Index, kind: NDArray[np.uint8], frame: tuple[int, int, int, int],
+    edge: int, cell: int,
+) -> tuple[Index, Index, Index]:  # fmt: skip
+    """Points that count and lie in places, and the place and cell of each.
+
+    ``frame``: west and south [quanta], columns and rows.
+    """
+    west, south, columns, rows = frame
+    chosen, place, within = np.empty((3, len(x)), np.int64)
+    parts, held = edge // cell, 0
+    for i in range(len(x)):
+        east, north = x[i] - west, y[i] - south
+        column, row = east // edge, north // edge
+        if kind[i] == NOISE_AFTERPULSE or kind[i] == NOISE_NOT_ASSESSED:
+            continue
+        if 0 <= column < columns and 0 <= row < rows:
+            chosen[held], place[held] = i, row * columns + column
+            within[held] = north % edge // cell * parts + east % edge // cell
+            held += 1
+    return chosen[:held], place[:held], within[:held]
+
+
+@njit()
+def _heights(
+    z: NDArray[np.int32], surface: NDArray[np.float64], place: Index, places: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Half metres above the surface, and above its lowest of a place; where points lie on it."""
+    lowest, grounded = np.full(places, np.inf), np.zeros(places, np.bool_)
+    half_metre, level = np.empty((2, len(z)))
+    for i in range(len(z)):
+        height = z[i] * QUANTUM_M - surface[i]
+        half_metre[i] = np.floor((height - FLOOR_M) / HALF_M)
+        grounded[place[i]] |= abs(height) < FLOOR_M / 2
+        lowest[place[i]] = np.fmin(lowest[place[i]], surface[i])
+    for i in range(len(z)):
+        level[i] = np.floor((z[i] * QUANTUM_M - lowest[place[i]] - FLOOR_M) / HALF_M)
+    return half_metre, level, grounded
 
 
 def low_places(points: Placed, noise_m3: float) -> NDArray[np.bool_]:
@@ -126,21 +158,22 @@ def low_places(points: Placed, noise_m3: float) -> NDArray[np.bool_]:
     """
     full = points.grounded.copy()
     least = SQUARE_M**2 * STEP_M * max(LOW_PER_M3, TIMES_NOISE * noise_m3)
-    for k in range(LOW_STEPS):
-        count = _by_cell(points, k)
+    for count in _by_cell(points, LOW_STEPS):
         mean = count.mean(axis=1)
         full &= count.sum(axis=1) >= least
         full &= count.var(axis=1) - mean <= UNEVEN * mean**2
     return full.reshape(points.shape)
 
 
-def _by_cell(points: Placed, step: int) -> NDArray[np.int64]:
-    """Returns of a step by place and cell: (places, cells)."""
+def _by_cell(points: Placed, steps: int) -> NDArray[np.int64]:
+    """Returns by step, place and cell: (steps, places, cells)."""
     places, parts = len(points.grounded), quanta(SQUARE_M) // quanta(CELL_M)
     half = round(STEP_M / HALF_M)
-    inside = (points.half_metre >= half * step) & (points.half_metre < half * (step + 1))
-    number = points.place[inside] * parts**2 + points.within[inside]
-    return np.bincount(number, minlength=places * parts**2).reshape(places, parts**2)
+    inside = (points.half_metre >= 0) & (points.half_metre < half * steps)
+    step = points.half_metre[inside].astype(np.int64) // half
+    number = (step * places + points.place[inside]) * parts**2 + points.within[inside]
+    size = steps * places * parts**2
+    return np.bincount(number, minlength=size).reshape(steps, places, parts**2)
 
 
 def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
@@ -161,8 +194,7 @@ def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
     if points is None:
         return [0] * (STEPS + 1)
     out = [int(np.count_nonzero(points.grounded))]
-    for k in range(STEPS):
-        count = _by_cell(points, k)
+    for count in _by_cell(points, STEPS):
         mean = count.mean(axis=1)
         excess = count.var(axis=1) - mean
         noise = noise_m3 * SQUARE_M**2 * STEP_M
@@ -173,7 +205,7 @@ def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
 
 
 def _surface(
-    table: PointTable, chosen: NDArray[np.bool_], core: Bounds, dtm: NDArray[np.float32]
+    table: PointTable, chosen: Index, core: Bounds, dtm: NDArray[np.float32]
 ) -> NDArray[np.float64]:
     """Heights of the DTM below points, NaN where it is void [m]."""
     rows, cols = dtm.shape
