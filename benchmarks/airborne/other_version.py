@@ -32,7 +32,7 @@ def run_by(checkout: Path, wanted: Sequence[tuple[Path, Sequence[str]]]) -> None
     wanted : sequence of (Path, sequence of str)
         Workflow files, and settings that replace theirs. Results lie in :data:`OUT` beside each.
     """
-    asked = [(str(_without_checkpoints(path.resolve())), [*given]) for path, given in wanted]
+    asked = [(str(without_checkpoints(path.resolve())), [*given]) for path, given in wanted]
     subprocess.run(  # noqa: S603
         [sys.executable, "-c", _PROGRAM],
         cwd=checkout,
@@ -44,7 +44,7 @@ def run_by(checkout: Path, wanted: Sequence[tuple[Path, Sequence[str]]]) -> None
     )
 
 
-def _without_checkpoints(path: Path) -> Path:
+def without_checkpoints(path: Path) -> Path:
     """The same workflow with another output, and no check points: older versions know none."""
     content = yaml.safe_load(path.read_text()) | {"output": OUT}
     content.get("reference", {}).pop("checkpoints", None)

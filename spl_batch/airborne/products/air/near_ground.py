@@ -12,16 +12,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.constants import (
-    NODATA,
-    NOISE_AFTERPULSE,
-    NOISE_NOT_ASSESSED,
-    NOISE_SIGNAL,
-    QUANTUM_M,
-)
+from spl_batch.airborne.products.air.place_kernels import heights, in_places
+from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
-from spl_batch.numerics.compiled import njit
 
 DOMAIN: Final = "space"
 
@@ -93,52 +87,13 @@ def placed(table: PointTable, core: Bounds, dtm: NDArray[np.float32]) -> Placed 
         return None
     frame = (west * edge, south * edge, int(columns), int(rows))
     kind = table["noise_class"]
-    chosen, place, within = _in_places(table["x"], table["y"], kind, frame, edge, cell)
+    chosen, place, within = in_places(table["x"], table["y"], kind, frame, edge, cell)
     surface = _surface(table, chosen, core, dtm)
     z, kept = table["z"][chosen], kind[chosen] == NOISE_SIGNAL
-    half_metre, level, grounded = _heights(z, surface, place, int(rows * columns))
+    half_metre, level, grounded = heights(
+        z, surface, place, int(rows * columns), FLOOR_M, HALF_M
+    )  # fmt: skip
     return Placed((int(rows), int(columns)), place, within, half_metre, level, z, kept, grounded)
-
-
-@njit()
-def _in_places(
-    x: Index, y: Index, kind: NDArray[np.uint8], frame: tuple[int, int, int, int],
-    edge: int, cell: int,
-) -> tuple[Index, Index, Index]:  # fmt: skip
-    """Points that count and lie in places, and the place and cell of each.
-
-    ``frame``: west and south [quanta], columns and rows.
-    """
-    west, south, columns, rows = frame
-    chosen, place, within = np.empty((3, len(x)), np.int64)
-    parts, held = edge // cell, 0
-    for i in range(len(x)):
-        east, north = x[i] - west, y[i] - south
-        column, row = east // edge, north // edge
-        if kind[i] == NOISE_AFTERPULSE or kind[i] == NOISE_NOT_ASSESSED:
-            continue
-        if 0 <= column < columns and 0 <= row < rows:
-            chosen[held], place[held] = i, row * columns + column
-            within[held] = north % edge // cell * parts + east % edge // cell
-            held += 1
-    return chosen[:held], place[:held], within[:held]
-
-
-@njit()
-def _heights(
-    z: NDArray[np.int32], surface: NDArray[np.float64], place: Index, places: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Half metres above the surface, and above its lowest of a place; where points lie on it."""
-    lowest, grounded = np.full(places, np.inf), np.zeros(places, np.bool_)
-    half_metre, level = np.empty((2, len(z)))
-    for i in range(len(z)):
-        height = z[i] * QUANTUM_M - surface[i]
-        half_metre[i] = np.floor((height - FLOOR_M) / HALF_M)
-        grounded[place[i]] |= abs(height) < FLOOR_M / 2
-        lowest[place[i]] = np.fmin(lowest[place[i]], surface[i])
-    for i in range(len(z)):
-        level[i] = np.floor((z[i] * QUANTUM_M - lowest[place[i]] - FLOOR_M) / HALF_M)
-    return half_metre, level, grounded
 
 
 def low_places(points: Placed, noise_m3: float) -> NDArray[np.bool_]:
