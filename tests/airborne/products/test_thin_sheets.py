@@ -30,7 +30,7 @@ def test_a_sheet_is_told_with_its_place_and_heights(low, thick, per_m3):
     (layer,) = found(ground(rng), scatter(rng, per_m3, low, low + thick))
     places, lower, upper, x, y, down = layer
     assert places >= 20
-    assert low - 3 <= lower <= low
+    assert low - 4 <= lower <= low
     assert low + thick <= upper <= low + thick + 4
     assert (x, y) == (pytest.approx(30_000, abs=5000), pytest.approx(25_000, abs=5000))
     assert down == 0.0
@@ -47,6 +47,14 @@ def test_a_level_sheet_over_a_slope_and_one_along_it_are_told():
     for sheet in (level, along):
         blocks = thin_sheets.sheets(placed(floor, sheet, terrain=slope))
         assert thin_haze.layers(blocks, CORE)
+
+
+def test_a_sheet_above_a_forest_is_told():
+    rng = np.random.default_rng(5)
+    crowns = scatter(rng, 3.0, 5, 16)
+    (layer,) = found(ground(rng), crowns, scatter(rng, 1.0, 30, 32))
+    assert layer[0] >= 20
+    assert layer[1] > 25
 
 
 def test_what_is_no_air_is_none():
@@ -90,6 +98,6 @@ def test_windows_are_judged_as_counting_by_hand_says():
         even = 100 * (n * (n - 1)).sum() <= thin_sheets.CLUMPED * n.sum() ** 2
         assert marked[place] == (n.sum() >= thin_sheets.LEAST and even and flat <= thin_sheets.FLAT)
         if marked[place]:
-            low, high = first / 2, first / 2 + 3
-            held = [k for k in range(thin_haze.BLOCKS) if k <= low and high <= k + thin_haze.BLOCK]
+            middle = first / 2 + 1.5
+            held = [k for k in range(thin_haze.BLOCKS) if abs(k + 2 - middle) <= 1]
             assert np.flatnonzero(blocks.reshape(30, -1)[place]).tolist() == held

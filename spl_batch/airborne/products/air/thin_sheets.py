@@ -2,15 +2,15 @@ r"""Sheets of haze thinner than the blocks of :mod:`~spl_batch.airborne.products
 
 Domain: space. A sheet of a metre or two is a thin part of a block, and thickens no layer of noise:
 it stays signal and becomes the surface. Of each place of 10 m the fullest :data:`WINDOW_M` of
-height are looked at. They hold a *sheet* if
+height are looked at near which little else hangs above and below: crowns are deeper. They hold a
+*sheet* if
 
-- nothing hangs near above and below: crowns are deeper;
 - returns lie there by chance over cells of 1 m, as in air: wires lie in lines;
 - within such cells they lie at unlike heights: roofs, of glass too, decks and wires do not;
 - nearly everywhere something lies below them: halls, decks and closed crowns hide it.
 
-Heights are level ones, or those above the ground where that fits better. A sheet counts for all
-blocks that hold it, is told with them, and nothing is removed. Our own rule: no source has one.
+Heights are level ones, or those above the ground where that fits better. A sheet counts for the
+blocks around it, is told with them, and nothing is removed. Our own rule: no source has one.
 """
 
 from typing import Final
@@ -33,7 +33,7 @@ WINDOW_M: Final = 3.0
 LEAST: Final = 30
 """Returns of a sheet in a place [count]."""
 
-BESIDE: Final = 0.1
+BESIDE: Final = 0.2
 """Most returns just above and below a sheet, over its own."""
 
 CLUMPED: Final = 1.5
@@ -43,6 +43,9 @@ STEP_M: Final = 0.25
 FLAT: Final = 0.4
 """Most pairs of returns in a cell of 1 m that lie in the same step of height, over all of its
 pairs: in a metre of air a quarter, on a roof, a deck or a wire most [m, 1]."""
+
+REACH: Final = 1.0
+"""How far the middle of a window lies from those of its blocks, at most [m]."""
 
 SEEN: Final = 0.9
 """Least share of a sheet's cells of 2 m with something below."""
@@ -58,9 +61,9 @@ def sheets(points: Placed) -> NDArray[np.bool_]:
     for heights in (points.level, points.half_metre):
         low = _windows(points, heights)
         low[~_holds_air(points, heights, low)] = -1
-        first, top = (low * HALF_M).reshape(-1, 1), np.ceil((low + _HIGH) * HALF_M).reshape(-1, 1)
-        held = (low >= 0).reshape(-1, 1) & (block <= first) & (block >= top - BLOCK)
-        found |= held.reshape(found.shape)
+        middle = ((low + 0.5 * _HIGH) * HALF_M).reshape(-1, 1)
+        near = np.abs(block + 0.5 * BLOCK - middle) <= REACH
+        found |= (near & (low >= 0).reshape(-1, 1)).reshape(found.shape)
     return found
 
 
@@ -70,9 +73,9 @@ _LAYERS: Final = round(TOP / HALF_M)
 
 
 def _windows(points: Placed, heights: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Lowest half metre of the fullest window of each place: (places,) int64.
+    """Lowest half metre of the fullest window of each place that is alone: (places,) int64.
 
-    -1 where it holds few returns, or others lie near above or below.
+    -1 where all windows hold few returns, or others lie near above or below.
     """
     places = len(points.grounded)
     aloft = points.kept & (heights >= _FIRST - _HIGH) & (heights < _LAYERS)
@@ -80,13 +83,12 @@ def _windows(points: Placed, heights: NDArray[np.float64]) -> NDArray[np.int64]:
     count = np.bincount(number, minlength=places * _LAYERS).reshape(places, _LAYERS)
     total = np.cumsum(np.pad(count, ((0, 0), (1, 2 * _HIGH))), axis=1)
     window = total[:, _HIGH:] - total[:, :-_HIGH]
-    low = window[:, _FIRST : _LAYERS - _HIGH + 1].argmax(axis=1) + _FIRST
-    own, below, above = (
-        np.take_along_axis(window, (low + off).reshape(-1, 1), axis=1)[:, 0]
-        for off in (0, -_HIGH, _HIGH)
-    )
-    alone = points.grounded & (own >= LEAST) & (below + above <= BESIDE * own)
-    return np.where(alone, low, -1)
+    end = _LAYERS - _HIGH + 1
+    own = window[:, _FIRST:end]
+    beside = window[:, _FIRST - _HIGH : end - _HIGH] + window[:, _FIRST + _HIGH : end + _HIGH]
+    alone = (own >= LEAST) & (beside <= BESIDE * own) & points.grounded.reshape(-1, 1)
+    best = np.where(alone, own, -1).argmax(axis=1)
+    return np.where(alone.any(axis=1), best + _FIRST, -1)
 
 
 def _holds_air(
