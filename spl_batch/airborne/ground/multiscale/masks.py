@@ -62,6 +62,7 @@ from spl_batch.airborne.ground.point_spacing import (
     spacings,
 )
 from spl_batch.airborne.ground.ptd import Limits, densify
+from spl_batch.airborne.ground.sloping_sides import with_sloping_sides
 from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 
@@ -253,6 +254,7 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground = continued(xyz, grid, ground, CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
     ground = _joined(xyz, chosen & hard, ground)
+    ground |= with_sloping_sides(xyz, grid, ground, CELL_M)
     ground &= ~decks
     ground &= ~on_houses(xyz, ground)
     ground &= ~high_islands(xyz, ground, CELL_M)

@@ -1,0 +1,145 @@
+"""Raised land with sloping sides: dams, heaps and rocks that an opening takes for houses.
+
+What an opening cuts off stands up steeply and is narrower than its window. A house does, a dam of
+ten metres does. But a house ends in walls, on which hardly a return lies, so that from one cell to
+the next its surface jumps. The sides of a dam hold returns at all heights, and neighbours there
+differ by no more than a slope that loose ground and most rock keep to.
+
+So what was cut off and hangs together by such slopes is looked at as a whole. It is land where
+nearly all of its outline goes down to the ground by them, too: decks and terraces have walls on two
+sides, a roof that a bush or a stair leads up to has them nearly all around, and so has a part of a
+roof that others stand above. Crowns do without walls; they are rough. Our own rule: no source has
+one.
+
+Where many cells are empty walls look like slopes: nothing is told there.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.ground.node_grids import plane_heights
+from spl_batch.numerics.compiled import njit
+
+SLOPE: Final = 2.0
+STEP_M: Final = 0.2
+"""Neighbours hang together whose heights differ by no more than this slope, and this
+[rise/run, m]."""
+
+GENTLE: Final = 0.9
+"""Share of the pairs of neighbours along the outline that hang together, at least; walls within a
+form count as well."""
+
+FILLED: Final = 0.7
+"""Share of the cells in and around a form that hold a node, at least."""
+
+HEIGHT_M: Final = 2.5
+"""Lower forms are plants and cars as well [m]."""
+
+LEAST: Final = 100
+"""Fewer cells are no form [count]."""
+
+SMOOTH_M: Final = 0.5
+SMOOTH: Final = 0.85
+"""A node of a smooth cell is so near to the plane through those around; of the cells of a form this
+share are smooth [m, 1]."""
+
+_NONE: Final = -1
+_GROUND: Final = -2
+_SMALL: Final = -3
+"""What a cell holds that is of no form: no node, ground, something small."""
+
+_HANGING, _PAIRS, _EMPTY, _CELLS, _TOP, _FOOT = range(6)
+"""What is known of a form: pairs of its cells and ground that hang together; these and all pairs
+that do not; the neighbours that are empty, in cells; its cells; the highest of its nodes; and the
+lowest ground beside it [m]."""
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+
+def with_sloping_sides(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
+    """Nodes of a grid on raised land that slopes down to the ground all around: (n,) bool.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    grid : (rows, columns) int64
+        A node for each cell, or -1.
+    ground : (n,) bool
+        Nodes of the ground.
+    cell_m : float
+        Edge of a cell [m].
+    """
+    found = np.zeros(len(xyz), dtype=np.bool_)
+    form = np.where(grid < 0, _NONE, np.where(ground[grid], _GROUND, 0))
+    facts = np.zeros((int((form == 0).sum()) // LEAST + 1, 6))
+    held = _forms(xyz, grid, form, facts)
+    for number, (gentle, pairs, empty, cells, top, foot) in enumerate(facts[:held], start=1):
+        if gentle < GENTLE * pairs or empty > (1.0 - FILLED) * cells or top - foot < HEIGHT_M:
+            continue
+        nodes = grid[form == number]
+        off = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
+        if np.mean(np.abs(off) <= SMOOTH_M) >= SMOOTH:
+            found[nodes] = True
+    return found
+
+
+@njit()
+def _forms(xyz: Float, grid: Index, form: Index, facts: Float) -> int:
+    """Number what hangs together of cells that are no ground, from 1 on; how many there are."""
+    rows, columns = grid.shape
+    queue = np.empty(grid.size, np.int64)
+    number = 0
+    for first in range(rows * columns):
+        if form[first // columns, first % columns] != 0:
+            continue
+        number += 1
+        queue[0], held, done = first, 1, 0
+        form[first // columns, first % columns] = number
+        known = facts[number - 1]
+        known[:] = 0.0
+        known[_TOP], known[_FOOT] = -np.inf, np.inf
+        while done < held:
+            held = _look_around(xyz, grid, form, queue, held, queue[done], known)
+            done += 1
+        known[_CELLS] = held
+        if held < LEAST:
+            for k in range(held):
+                form[queue[k] // columns, queue[k] % columns] = _SMALL
+            number -= 1
+    return number
+
+
+@njit()
+def _look_around(
+    xyz: Float, grid: Index, form: Index, queue: Index, held: int, at: int, facts: Float
+) -> int:
+    """Put what hangs together with a cell into the queue, and count its outline."""
+    rows, columns = grid.shape
+    row, column = at // columns, at % columns
+    i, number = grid[row, column], form[row, column]
+    facts[_TOP] = max(facts[_TOP], xyz[i, 2])
+    for r in range(max(row - 1, 0), min(row + 2, rows)):
+        for c in range(max(column - 1, 0), min(column + 2, columns)):
+            if form[r, c] == _NONE:
+                facts[_EMPTY] += 0.125
+                continue
+            j = grid[r, c]
+            east, north = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1]
+            most = STEP_M + SLOPE * np.sqrt(east * east + north * north)
+            hangs = abs(xyz[j, 2] - xyz[i, 2]) <= most
+            if form[r, c] == _GROUND:
+                facts[_HANGING] += hangs
+                facts[_FOOT] = min(facts[_FOOT], xyz[j, 2])
+            elif hangs:
+                if form[r, c] == 0:
+                    form[r, c] = number
+                    queue[held] = r * columns + c
+                    held += 1
+                continue
+            facts[_PAIRS] += 1.0
+    return held
