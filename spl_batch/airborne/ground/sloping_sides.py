@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from spl_batch.airborne.ground.node_grids import plane_heights
 from spl_batch.numerics.compiled import njit
@@ -27,21 +28,23 @@ STEP_M: Final = 0.2
 """Neighbours hang together whose heights differ by no more than this slope, and this
 [rise/run, m]."""
 
-GENTLE: Final = 0.9
-"""Share of the pairs of neighbours along the outline that hang together, at least; walls within a
-form count as well."""
+GENTLE: Final = 0.87
+"""Share of the pairs of neighbours along the outline that hang together, at least. Walls within a
+form count as well, but none that go up from it: a tree or a house may stand on land."""
 
 FILLED: Final = 0.7
 """Share of the cells in and around a form that hold a node, at least."""
 
-HEIGHT_M: Final = 2.5
-"""Lower forms are plants and cars as well [m]."""
+HEIGHT_M: Final = 3.5
+TOP: Final = 0.9
+"""So high above the ground next to them stand the nodes above this share of a form, at least: of
+sheds, hedges and lorries, which are lower, no slope tells the walls from a bank [m, 1]."""
 
 LEAST: Final = 100
 """Fewer cells are no form [count]."""
 
 SMOOTH_M: Final = 0.5
-SMOOTH: Final = 0.85
+SMOOTH: Final = 0.75
 """A node of a smooth cell is so near to the plane through those around; of the cells of a form this
 share are smooth [m, 1]."""
 
@@ -50,10 +53,9 @@ _GROUND: Final = -2
 _SMALL: Final = -3
 """What a cell holds that is of no form: no node, ground, something small."""
 
-_HANGING, _PAIRS, _EMPTY, _CELLS, _TOP, _FOOT = range(6)
+_HANGING, _PAIRS, _EMPTY, _CELLS = range(4)
 """What is known of a form: pairs of its cells and ground that hang together; these and all pairs
-that do not; the neighbours that are empty, in cells; its cells; the highest of its nodes; and the
-lowest ground beside it [m]."""
+that go down and do not; the neighbours that are empty, in cells; its cells."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -76,16 +78,23 @@ def with_sloping_sides(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> 
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
     form = np.where(grid < 0, _NONE, np.where(ground[grid], _GROUND, 0))
-    facts = np.zeros((int((form == 0).sum()) // LEAST + 1, 6))
+    facts = np.zeros((int((form == 0).sum()) // LEAST + 1, 4))
     held = _forms(xyz, grid, form, facts)
-    for number, (gentle, pairs, empty, cells, top, foot) in enumerate(facts[:held], start=1):
-        if gentle < GENTLE * pairs or empty > (1.0 - FILLED) * cells or top - foot < HEIGHT_M:
+    for number, (gentle, pairs, empty, cells) in enumerate(facts[:held], start=1):
+        if gentle < GENTLE * pairs or empty > (1.0 - FILLED) * cells:
             continue
         nodes = grid[form == number]
         off = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
-        if np.mean(np.abs(off) <= SMOOTH_M) >= SMOOTH:
+        if np.mean(np.abs(off) <= SMOOTH_M) >= SMOOTH and _stands(xyz, nodes, ground):
             found[nodes] = True
     return found
+
+
+def _stands(xyz: Float, nodes: Index, ground: Mask) -> bool:
+    """Whether the higher ones of some nodes stand above the ground that is next to each."""
+    land = xyz[ground]
+    nearest = cKDTree(land[:, :2]).query(xyz[nodes, :2])[1]
+    return bool(np.quantile(xyz[nodes, 2] - land[nearest, 2], TOP) >= HEIGHT_M)
 
 
 @njit()
@@ -102,7 +111,6 @@ def _forms(xyz: Float, grid: Index, form: Index, facts: Float) -> int:
         form[first // columns, first % columns] = number
         known = facts[number - 1]
         known[:] = 0.0
-        known[_TOP], known[_FOOT] = -np.inf, np.inf
         while done < held:
             held = _look_around(xyz, grid, form, queue, held, queue[done], known)
             done += 1
@@ -122,7 +130,6 @@ def _look_around(
     rows, columns = grid.shape
     row, column = at // columns, at % columns
     i, number = grid[row, column], form[row, column]
-    facts[_TOP] = max(facts[_TOP], xyz[i, 2])
     for r in range(max(row - 1, 0), min(row + 2, rows)):
         for c in range(max(column - 1, 0), min(column + 2, columns)):
             if form[r, c] == _NONE:
@@ -134,12 +141,11 @@ def _look_around(
             hangs = abs(xyz[j, 2] - xyz[i, 2]) <= most
             if form[r, c] == _GROUND:
                 facts[_HANGING] += hangs
-                facts[_FOOT] = min(facts[_FOOT], xyz[j, 2])
             elif hangs:
                 if form[r, c] == 0:
                     form[r, c] = number
                     queue[held] = r * columns + c
                     held += 1
                 continue
-            facts[_PAIRS] += 1.0
+            facts[_PAIRS] += hangs or xyz[j, 2] < xyz[i, 2]
     return held

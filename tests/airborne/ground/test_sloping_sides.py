@@ -84,7 +84,7 @@ def test_forms_are_those_of_a_slow_twin() -> None:
     xyz = np.column_stack([place, rng.normal(0, 1.2, 2000)])
     ground = rng.random(2000) < 0.15
     form = np.where(grid < 0, -1, np.where(ground[grid], -2, 0))
-    facts = np.zeros((2000 // LEAST + 1, 6))
+    facts = np.zeros((2000 // LEAST + 1, 4))
     count = _forms(xyz, grid, form, facts)
     expected = _slow_forms(xyz, grid, ground)
     assert count == len(expected) > 0
@@ -110,7 +110,8 @@ def _slow_forms(
             elif grid[r, c] >= 0:
                 apart = xyz[grid[r + i, c + j]] - xyz[grid[r, c]]
                 hangs = abs(apart[2]) <= STEP_M + SLOPE * np.hypot(*apart[:2])
-                pairs.append((at, (r + i) * columns + c + j, bool(hangs)))
+                if hangs or apart[2] < 0:
+                    pairs.append((at, (r + i) * columns + c + j, bool(hangs)))
     other = (grid >= 0).ravel() & ~ground[grid.ravel()]
     joined = [(a, b) for a, b, hangs in pairs if hangs and other[a] and other[b]]
     one, two = np.array(joined).T
@@ -124,16 +125,12 @@ def _slow_forms(
             continue
         mine = [(b, hangs) for a, b, hangs in pairs if a in cells]
         rim = [(b, hangs) for b, hangs in mine if not hangs or ground[grid.ravel()[b]]]
-        foot = [b for b, _ in rim if ground[grid.ravel()[b]]]
-        height = xyz[grid.ravel(), 2]
         inside = sorted(cells)
         known = [
             sum(hangs for _, hangs in rim),
             len(rim),
             empty[inside].sum(),
             len(cells),
-            height[inside].max(),
-            height[foot].min(),
         ]
         found.append((cells, [float(v) for v in known]))
     return found
