@@ -81,7 +81,7 @@ def with_sloping_sides(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> 
     facts = np.zeros((int((form == 0).sum()) // LEAST + 1, 4))
     held = _forms(xyz, grid, form, facts)
     for number, (gentle, pairs, empty, cells) in enumerate(facts[:held], start=1):
-        if gentle < GENTLE * pairs or empty > (1.0 - FILLED) * cells:
+        if not gentle or gentle < GENTLE * pairs or empty > (1.0 - FILLED) * cells:
             continue
         nodes = grid[form == number]
         off = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
