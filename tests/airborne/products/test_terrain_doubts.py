@@ -338,6 +338,23 @@ def test_warnings_tell_number_place_and_consequence() -> None:
     assert not list(doubt_warnings(terrain_doubts(receipts({GAPS: [], RAISED: []}))))
 
 
+@pytest.mark.parametrize("sides", ["all", "half"])
+@pytest.mark.parametrize(("held", "told"), [(1.0, True), (0.8, False)])
+def test_a_small_block_is_told_where_all_of_its_sides_are_no_walls(
+    sides: str, held: float, *, told: bool
+) -> None:
+    """A tree beside a house passes for a side."""
+    row, column = np.indices((60, 60)) - 30.0
+    rock = np.clip(10.0 - 3.7 * (np.hypot(row, column) - 5.5), 0.0, 10.0)
+    if sides == "half":
+        rock[(column > 0) & (rock < 10.0)] = 0.0
+    lowest = 20.0 + rock
+    lowest[np.random.default_rng(2).random(rock.shape) > held] = np.nan
+    found = list(cut_off_blocks(lowest, np.full(rock.shape, 20.0), rock == 0, 1.0))
+    assert len(found) == (told and sides == "all")
+    assert all(100 < block.area_m2 < 400 for block in found)
+
+
 @pytest.mark.parametrize("shape", ["mound", "hall", "wood", "hill with ground"])
 def test_a_block_whose_sides_are_no_walls_is_told_whole(shape: str) -> None:
     x, y, ground = plain()

@@ -21,12 +21,15 @@ DOMAIN: Final = "space"
 RAISED_M: Final = 2.0
 """Height of a block above the terrain model, at least: a low storey [m]."""
 
-LEAST_M2: Final = 400.0
-"""Area of a large house: trees beside smaller ones pass for sides. Smaller blocks are not told
-[m2]."""
+LEAST_M2: Final = 100.0
+LARGE_M2: Final = 400.0
+"""Smaller blocks are not told; area of a large house: trees beside smaller ones pass for sides, but
+not all around [m2]."""
 
 FILLED: Final = 0.7
-"""Share of a block's cells that hold a return: in sparser clouds no side is told from a wall."""
+SMALL_FILLED: Final = 0.9
+"""Share of the cells of a block, and of a smaller one, that hold a return: in sparser clouds no
+side is told from a wall."""
 
 SMOOTH_M: Final = 0.5
 SMOOTH: Final = 0.6
@@ -43,6 +46,10 @@ BESIDE: Final = np.ones((3, 3), np.bool_)
 
 SIDES: Final = 0.5
 """Cells half-way up over those along the edge of a block, from which on its sides are no walls."""
+
+ALL_AROUND: Final = 0.95
+"""Share of the cells along the edge of a smaller block that have one half-way up beside them, at
+least."""
 
 Grid = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -84,7 +91,10 @@ def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iter
     for number, box in enumerate(ndimage.find_objects(numbers), start=1):
         near = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
         mine = numbers[near] == number
-        if mine.sum() * cell_m**2 < LEAST_M2 or held[near][mine].mean() < FILLED:
+        small = mine.sum() * cell_m**2 < LARGE_M2
+        if mine.sum() * cell_m**2 < LEAST_M2:
+            continue
+        if held[near][mine].mean() < (SMALL_FILLED if small else FILLED):
             continue
         if not _is_smooth(np.where(held[near], above[near], np.nan), mine):
             continue
@@ -92,9 +102,8 @@ def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iter
         low = HALF_WAY[0] * height
         around = ndimage.maximum_filter(above[near], 2 * round(AROUND_M / cell_m) + 1)
         side = held[near] & (above[near] > low) & (above[near] < HALF_WAY[1] * around)
-        edge = mine & ~_worn(mine, 1)
         side &= ndimage.binary_dilation(mine, BESIDE, iterations=2) & ~_worn(mine, 3)
-        if side.sum() < SIDES * max(edge.sum(), 1):
+        if not _has_sides(mine, side, small=small):
             continue
         depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
         row, column = (int(k) for k in np.unravel_index(depth.argmax(), mine.shape))
@@ -102,6 +111,14 @@ def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iter
         cells[near] = mine | side
         area = float(cells.sum() * cell_m**2)
         yield Block(cells, area, row + near[0].start, column + near[1].start, height)
+
+
+def _has_sides(mine: Mask, side: Mask, *, small: bool) -> bool:
+    """Whether cells half-way up lie along most of a block's edge, or beside all of a small one's."""
+    edge = mine & ~_worn(mine, 1)
+    if side.sum() < SIDES * max(edge.sum(), 1):
+        return False
+    return not small or bool(ndimage.binary_dilation(side, BESIDE)[edge].mean() >= ALL_AROUND)
 
 
 def _worn(mine: Mask, cells: int) -> Mask:
