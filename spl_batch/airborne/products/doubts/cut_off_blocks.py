@@ -114,7 +114,7 @@ def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iter
 
 
 def _has_sides(mine: Mask, side: Mask, *, small: bool) -> bool:
-    """Whether cells half-way up lie along most of a block's edge, or beside all of a small one's."""
+    """Whether cells half-way up lie along most of a block's edge, or all of a small one's."""
     edge = mine & ~_worn(mine, 1)
     if side.sum() < SIDES * max(edge.sum(), 1):
         return False
