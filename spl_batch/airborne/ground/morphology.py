@@ -52,7 +52,9 @@ def opening(surface: Heights, radius: int) -> Heights:
     """
     heights = surface.astype(np.float32)
     opened = np.empty_like(heights)
-    _opened(heights, (0, 0), *octagon(radius), _room(surface.shape, radius), opened)
+    room, size = _room(surface.shape, radius), octagon(radius)
+    at = _eroded(heights, 2 * radius, *size, room)
+    _dilated(room, at, *size, opened)
     return opened
 
 
@@ -110,20 +112,45 @@ def _cut_off(
     room: Heights, out: Mask,
 ) -> None:  # fmt: skip
     """Fill ``out``; ``sizes`` are squares and diamonds of the octagons; the heights are opened."""
-    opened = np.empty_like(last)
+    opened, eroded = np.empty_like(last), np.empty(room.shape[1:], np.float32)
     for k in range(1, len(ends)):
-        square, diamond = sizes[ends[k]]
-        _opened(last, (0, 0), square, diamond, room, opened)
+        first, end = ends[k - 1] + 1, ends[k]
+        margin = 2 * end - first
+        rows, columns = last.shape[0] + 2 * margin, last.shape[1] + 2 * margin
+        at = _eroded(last, 2 * end, sizes[first, 0], sizes[first, 1], room)
+        for r in range(rows):
+            eroded[r, :columns] = room[at, r, :columns]
+        # What is eroded by an octagon and what the next one has more is eroded by the next one.
+        more = sizes[end] - sizes[first]
+        at = _widen(room, at, rows, columns, more[0], more[1])
+        _dilated(room, at, sizes[end, 0], sizes[end, 1], opened)
+        fall = falls[first - 1 : end].min()
         for top in range(0, last.shape[0], _PART):
             for left in range(0, last.shape[1], _PART):
-                part = _active(
-                    last, opened, falls[ends[k - 1] : ends[k]].min(), asked, top, left, out
-                )
+                part = _active(last, opened, fall, asked, top, left, out)
                 if part[0] < part[1]:
-                    _between(
-                        last, opened, part, ends[k - 1], ends[k], sizes, falls, asked, room, out
-                    )
+                    made = np.empty((part[1] - part[0], part[3] - part[2]), np.float32)
+                    corner = part[0] + margin - first, part[2] + margin - first
+                    for r in range(len(made) + 2 * first):
+                        for c in range(made.shape[1] + 2 * first):
+                            room[0, r, c] = eroded[corner[0] + r, corner[1] + c]
+                    _dilated(room, 0, sizes[first, 0], sizes[first, 1], made)
+                    _mark(last, made, opened, part, falls[first - 1], falls[end - 1], asked, out)
         last, opened = opened, last
+
+
+@njit()
+def _mark(
+    last: Heights, made: Heights, opened: Heights, part: tuple[int, int, int, int], first: float,
+    second: float, asked: Mask, out: Mask,
+) -> None:  # fmt: skip
+    """Mark cells of a part that fall by too much to the opening half-way, or from there."""
+    for r in range(len(made)):
+        for c in range(made.shape[1]):
+            i, j = part[0] + r, part[2] + c
+            half_way = made[r, c]
+            if asked[i, j] and not out[i, j]:
+                out[i, j] = last[i, j] - half_way > first or half_way - opened[i, j] > second
 
 
 @njit()
@@ -141,54 +168,20 @@ def _active(
 
 
 @njit()
-def _between(
-    last: Heights, opened: Heights, part: tuple[int, int, int, int], start: int, end: int,
-    sizes: NDArray[np.int64], falls: Heights, asked: Mask, room: Heights, out: Mask,
-) -> None:  # fmt: skip
-    """Mark cells of a part that fall by too much between two radii."""
-    top, bottom, left, right = part
-    made = np.empty((end - start + 1, bottom - top, right - left), np.float32)
-    for r in range(top, bottom):
-        for c in range(left, right):
-            made[0, r - top, c - left] = last[r, c]
-            made[end - start, r - top, c - left] = opened[r, c]
-    waiting, held = np.empty((end - start + 1, 2), np.int64), 1
-    waiting[0] = start, end
-    while held:
-        held -= 1
-        small, large = waiting[held]
-        fall = falls[small:large].min()
-        goes_on = False
-        for r in range(bottom - top):
-            for c in range(right - left):
-                fell = made[small - start, r, c] - made[large - start, r, c] > fall
-                if fell and asked[top + r, left + c] and not out[top + r, left + c]:
-                    goes_on = True
-                    out[top + r, left + c] = large == small + 1
-        if goes_on and large > small + 1:
-            middle = (small + large) // 2
-            square, diamond = sizes[middle]
-            _opened(last, (top, left), square, diamond, room, made[middle - start])
-            waiting[held] = small, middle
-            waiting[held + 1] = middle, large
-            held += 2
+def _eroded(heights: Heights, margin: int, square: int, diamond: int, room: Heights) -> int:
+    """Erode a grid that goes on level for a margin; which grid has the result, its sign turned."""
+    rows, columns = heights.shape[0] + 2 * margin, heights.shape[1] + 2 * margin
+    for r in range(rows):
+        from_row = min(max(r - margin, 0), len(heights) - 1)
+        _continue(heights[from_row], margin, room[0, r, :columns])
+    return _widen(room, 0, rows, columns, square, diamond)
 
 
 @njit()
-def _opened(
-    heights: Heights, first: tuple[int, int], square: int, diamond: int, room: Heights, out: Heights
-) -> None:
-    """Fill with the opening of a part of a grid, from its first row and column on.
-
-    ``room``: two grids with a margin, both are written to.
-    """
-    reach = 2 * (square + diamond)
+def _dilated(room: Heights, at: int, square: int, diamond: int, out: Heights) -> None:
+    """Fill with the dilation of what was eroded, which has a margin of the octagon's radius."""
+    reach = square + diamond
     rows, columns = out.shape[0] + 2 * reach, out.shape[1] + 2 * reach
-    for r in range(rows):
-        from_row = min(max(first[0] + r - reach, 0), len(heights) - 1)
-        _continue(heights[from_row], first[1] - reach, room[0, r, :columns])
-    at = _widen(room, 0, rows, columns, square, diamond)
-    rows, columns = rows - reach, columns - reach
     for r in range(rows):
         _turn_over(room[at, r, :columns])
     at = _widen(room, at, rows, columns, square, diamond)
@@ -197,16 +190,14 @@ def _opened(
 
 
 @njit()
-def _continue(heights: Heights, first: int, out: Heights) -> None:
-    """A row from a column on with the other sign, and level on both sides."""
-    before = min(max(-first, 0), len(out))
-    behind = max(min(len(heights) - first, len(out)), before)
-    for c in range(before):
+def _continue(heights: Heights, margin: int, out: Heights) -> None:
+    """A row with the other sign, and level on both sides."""
+    columns = len(heights)
+    for c in range(margin):
         out[c] = -heights[0]
-    for c in range(before, behind):
-        out[c] = -heights[first + c]
-    for c in range(behind, len(out)):
-        out[c] = -heights[-1]
+        out[margin + columns + c] = -heights[-1]
+    for c in range(columns):
+        out[margin + c] = -heights[c]
 
 
 @njit()
