@@ -41,6 +41,7 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import (
     Spread,
     off_planes,
 )
+from spl_batch.airborne.ground.multiscale.sloping_sides import with_sloping_sides
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
     CELL_M,
@@ -62,7 +63,6 @@ from spl_batch.airborne.ground.point_spacing import (
     spacings,
 )
 from spl_batch.airborne.ground.ptd import Limits, densify
-from spl_batch.airborne.ground.sloping_sides import with_sloping_sides
 from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 

@@ -7,14 +7,14 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.ground.node_grids import lowest_nodes
-from spl_batch.airborne.ground.sloping_sides import (
+from spl_batch.airborne.ground.multiscale.sloping_sides import (
     LEAST,
     SLOPE,
     STEP_M,
     _forms,
     with_sloping_sides,
 )
+from spl_batch.airborne.ground.node_grids import lowest_nodes
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
 
