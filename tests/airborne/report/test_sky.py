@@ -259,3 +259,4 @@ def test_light_is_told_where_it_is_strong_and_not_where_noise_fills_the_beamlets
     assert said(1.0, 0.001)
     assert not said(0.65, 0.002)
     assert not said(0.96, 0.01)
+    assert not said(None, None)

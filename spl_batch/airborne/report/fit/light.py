@@ -31,9 +31,12 @@ def strong_light_warning(done: Receipts) -> Iterator[str]:
 
 
 def _electrons(facts: Mapping[str, Any]) -> float:
-    """Mean signal of a beamlet [photo-electrons]."""
-    unseen = max(1.0 - float(facts["seen_fraction"]), UNSEEN)
-    return -math.log(unseen) - float(facts["noise_per_m"]) * float(facts["gate_m"] or 0.0)
+    """Mean signal of a beamlet, 0 where it is not known [photo-electrons]."""
+    seen, noise_per_m = facts["seen_fraction"], facts["noise_per_m"]
+    if seen is None or noise_per_m is None:  # nothing filters
+        return 0.0
+    noise = float(noise_per_m) * float(facts["gate_m"] or 0.0)
+    return -math.log(max(1.0 - float(seen), UNSEEN)) - noise
 
 
 def _sentence(electrons: float, seen: float) -> str:
