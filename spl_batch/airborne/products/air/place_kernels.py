@@ -1,4 +1,4 @@
-"""Kernels of :mod:`~spl_batch.airborne.products.air.near_ground`: points by places, and heights."""
+"""Kernels of fog and thin haze: points by places, their heights, and pairs of them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,3 +49,22 @@ def heights(
     for i in range(len(z)):
         level[i] = np.floor((z[i] * QUANTUM_M - lowest[place[i]] - floor_m) / half_m)
     return half_metre, level, grounded
+
+
+@njit()
+def count_layers(
+    place: Index, within: Index, half_metre: NDArray[np.float64], kept: NDArray[np.bool_],
+    layers: int, wide: Index, room: NDArray[np.int32], out: Index,
+) -> None:  # fmt: skip
+    """Add returns, their ordered pairs in wide cells, and those kept, by place and half metre.
+
+    ``wide``: wide cell of each cell of a place; ``room``: zeros, by layers and wide cells.
+    """
+    for i in range(len(place)):
+        if 0 <= half_metre[i] < layers:
+            number = place[i] * layers + int(half_metre[i])
+            cell = wide[within[i]]
+            out[0, number] += 1
+            out[1, number] += 2 * room[number, cell]
+            out[2, number] += kept[i]
+            room[number, cell] += 1

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.products.air.near_ground import CELL_M, FLOOR_M, HALF_M, SQUARE_M, Placed
+from spl_batch.airborne.products.air.place_kernels import count_layers
 from spl_batch.lattice.tiles import Bounds, quanta
 
 DOMAIN: Final = "space"
@@ -53,9 +54,6 @@ BESIDE: Final = 3
 
 PLACES_LEAST: Final = 6
 """Places of one layer, or of one patch of mist, that are told: 600 m2."""
-
-AT_ONCE: Final = 12
-"""Half metres whose points are counted at once: memory for few of them."""
 
 BLOCKS: Final = TOP - BLOCK + 1
 
@@ -93,16 +91,11 @@ def clumping(placed: Placed, noise_m3: float) -> NDArray[np.float64]:
     parts = small // WIDE
     size = rows * columns * TOP * _HALVES
     sums = np.zeros((3, size), np.int64)
-    for low in range(0, TOP * _HALVES, AT_ONCE):
-        inside = (placed.half_metre >= low) & (placed.half_metre < low + AT_ONCE)
-        layer = placed.half_metre[inside].astype(np.int64)
-        number = placed.place[inside] * TOP * _HALVES + layer
-        row, column = np.divmod(placed.within[inside], small)
-        within = row // WIDE * parts + column // WIDE
-        cell, count = np.unique(number * parts**2 + within, return_counts=True)
-        np.add.at(sums[1], cell // parts**2, count * (count - 1))
-        for k, some in ((0, number), (2, number[placed.kept[inside]])):
-            sums[k] += np.bincount(some, minlength=size)
+    row, column = np.divmod(np.arange(small**2), small)
+    count_layers(
+        placed.place, placed.within, placed.half_metre, placed.kept, TOP * _HALVES,
+        row // WIDE * parts + column // WIDE, np.zeros((size, parts**2), np.int32), sums,
+    )  # fmt: skip
     returns, pairs, known = (_high(values.reshape(rows, columns, -1)) for values in sums)
     cells = BLOCK * _HALVES * parts**2
     volume = BLOCK * SQUARE_M**2
