@@ -28,10 +28,6 @@ CUBES_MOST: Final = 2_000_000
 """Cubes that are counted at once [count], 60 bytes each: those of a wide block with few points take
 more than the points do."""
 
-STRIPS: Final = 4
-"""Least number of strips of a block that are no narrower than their margin [count]: counts of a
-strip take 32 bytes a point."""
-
 MARGIN: Final = round(REACH_M / CUBE_M)
 """What a strip reads on each side [cubes]."""
 
@@ -73,8 +69,7 @@ def _strips(xyz: Axes) -> Iterator[tuple[int, int]]:
         (int(axis.min()) // edge, int(axis.max()) // edge + 1) for axis in xyz
     )
     layers = int(np.count_nonzero(np.bincount(xyz[2] // edge - low)))
-    wide = min(CUBES_MOST // ((north - south) * layers) - 2 * MARGIN, (east - west) // STRIPS)
-    wide = max(wide, MARGIN)
+    wide = max(CUBES_MOST // ((north - south) * layers) - 2 * MARGIN, MARGIN)
     for first in range(west, east, wide):
         yield first * edge, min(first + wide, east) * edge
 

@@ -124,6 +124,7 @@ def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
     if not len(rows):
         return None
     x, y, z = (axis[rows].astype(np.int64, copy=False) for axis in xyz)
+    del rows
     return _count((x, y, z))
 
 
