@@ -13,8 +13,10 @@ from benchmarks.altimetry.unseen_tracks import Country, taiga
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.report.summarise import _maybe_river
 from spl_batch.altimetry.water.between_banks import above_rivers, between_banks
+from spl_batch.altimetry.water.emptiest import Photons as Cloud
 from spl_batch.altimetry.water.level_water import NO_WATER, find_layers
 from spl_batch.altimetry.water.levelness import is_water
+from spl_batch.altimetry.water.trees_over import grown_over
 from tests.altimetry.test_level_water import (
     DAY,
     FLOOR,
@@ -234,3 +236,13 @@ def test_what_stands_level_above_land_by_chance_is_no_river(land: Callable[[], P
 @pytest.mark.parametrize("cut", [70, 78])
 def test_a_river_does_not_depend_on_where_the_track_is_cut(cut: int) -> None:
     assert_cut_matters_nowhere(*photons(river(500.0, DAY)[0]), cut)
+
+
+def test_land_beside_water_is_no_empty_sky() -> None:
+    rng = np.random.default_rng(4)
+    cell = np.repeat(np.arange(40), 26)
+    height = rng.integers(-50_000, 60_000, len(cell)).astype(np.int32)
+    level = np.where(np.arange(40) % 10 < 6, 0, NO_WATER).astype(np.int32)
+    wet, gate = level != NO_WATER, (np.full(40, -50_000, np.int32), np.full(40, 60_000, np.int32))
+    shown = wet, np.zeros(40, np.bool_)
+    assert not grown_over(Cloud(np.arange(40), cell, height), gate, level, shown, 1000).any()

@@ -63,18 +63,24 @@ def grown_over(
     over = level.astype(np.int64) + round(_OVER_M * QUANTA_PER_M)
     highest = np.minimum(high, foot + canopy)
     bands = (foot, np.minimum(high, middle)), (middle, high), (over, highest), (foot, over)
-    trees, sky, tall, low_down = (_within(photons, *band) for band in bands)
+    trees, sky, tall, low_down = (_within(photons, some, *band) for band in bands)
     empty = emptiest(photons, (low, highest), level.astype(np.int64), some, WOOD_CELLS)
     grown = _more(index, trees, sky, _NEAR_CELLS) | _more(index, tall, empty, WOOD_CELLS)
     found: NDArray[np.bool_] = grown & some & (~lit | _more(index, low_down, sky, WOOD_CELLS))
     return found
 
 
-def _within(photons: Photons, bottom: NDArray[np.int64], top: NDArray[np.int64]) -> _Band:
-    """Photons in a band of heights of each cell, and its length: (n,) int64 [count, quanta]."""
+def _within(
+    photons: Photons,
+    some: NDArray[np.bool_],
+    bottom: NDArray[np.int64],
+    top: NDArray[np.int64],
+) -> _Band:
+    """Photons in a band of heights of each of some cells, and its length: (n,) [count, quanta]."""
     inside = (photons.height > bottom[photons.cell]) & (photons.height <= top[photons.cell])
+    inside &= some[photons.cell]
     count = np.bincount(photons.cell[inside], minlength=len(photons.number))
-    return count, np.clip(top - bottom, 0, None)
+    return count, np.where(some, np.clip(top - bottom, 0, None), 0)
 
 
 def _more(index: NDArray[np.int64], band: _Band, empty: _Band, reach: int) -> NDArray[np.bool_]:
