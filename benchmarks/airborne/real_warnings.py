@@ -24,7 +24,8 @@ CRS: Final = "EPSG:32612"
 
 OF_FIT: Final = re.compile(
     r"haze|cloud:|fog|cross|bloom|one and the same range|afterpulse|law|noise is dense|is double|"
-    r"what its model expects|filter\.alpha|p-value|floats|on one beam|swing|ranges walk|strong a light"
+    r"what its model expects|filter\.alpha|p-value|floats|on one beam|"
+    r"swing|ranges walk|so strong a light"
 )
 """Words of warnings that the model of noise, instrument or flightlines does not fit."""
 
