@@ -74,7 +74,8 @@ def made_up_survey(side: int, memory_bytes: int) -> Survey:
     sources = tuple(_source(k, side) for k in range(lines * FILES_PER_LINE))
     survey = Survey(Inputs(sources, (), (), (), None, ()), workflow, memory_bytes, 16)
     for source in sources:
-        facts = {"hash": _hash(source.name), "points": 1, "bounds": _bounds(side), "parts": []}
+        place = {"bounds": _bounds(side), "parts": []}
+        facts = {"hash": _hash(source.name), "points": 1, "spans": {}, **place}
         survey.of("index_file").put(_receipt("index_file", str(source.key), facts, 10**8))
     for line, k in itertools.product(range(lines), range(side)):
         survey.of("scatter").put(_scatter(f"{line:05d}_371000000/{k}", line, k, side))
