@@ -118,3 +118,17 @@ class Scale:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "Scale":
         """What :meth:`to_arrays` gave."""
         return cls(**{f.name: arrays[f.name] for f in fields(cls)})
+
+
+def along_track(index: NDArray[np.int64], cell_m: float) -> dict[str, float]:
+    """How long some cells are together, and where they lie [m]; empty where there is none.
+
+    ``index``: numbers of the cells, in order.
+    """
+    if not len(index):
+        return {}
+    return {
+        "length_m": len(index) * cell_m,
+        "from_m": float(index[0] * cell_m),
+        "to_m": float((index[-1] + 1) * cell_m),
+    }

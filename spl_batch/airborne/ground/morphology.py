@@ -18,7 +18,7 @@ Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _STEP = 2
-"""Step between the radii of openings that are made for all cells [cells]."""
+"""Step between the radii of openings that are made for all cells: one is left out [cells]."""
 
 _PART = 64
 """Edge of the parts of a grid that are told one by one [cells]."""
@@ -65,9 +65,9 @@ def cut_off(
 
     An opening by an octagon is that of any opening by a smaller one. So not all are made for all
     cells, one from the other: where cells fall between two of them (:func:`stages`) by no more than
-    any opening between them allows, those are not needed. Elsewhere the one half-way is made, for
-    the cells alone that may be cut off, and both halves are told like the whole. The same cells are
-    found as by all openings, but for some near the edges, which each opening continues level.
+    the one between them allows, that is not needed. Elsewhere it is made, for the cells alone that
+    may be cut off. The same cells are found as by all openings, but for some near the edges, which
+    each opening continues level.
 
     Parameters
     ----------

@@ -127,8 +127,8 @@ def ground(survey: Survey) -> Iterator[Task]:
     lines = {"columns": list(told_by), "span_s": survey.workflow.survey.gap_s}
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
-        args = {**cell_args(cell), **moved, "halo": halo, "noise": named_units("noise", noise)}
-        args["lines"] = lines
+        read = {"halo": halo, "noise": named_units("noise", noise), "lines": lines}
+        args = {**cell_args(cell), **moved, **read}
         needs = (*tile_needs(cell), *label_needs("denoise", noise), *first)
         refused, how = cell_in_memory("ground", cell, survey)
         yield Task("ground", cell.name, args, needs, cell.points, refused, how)

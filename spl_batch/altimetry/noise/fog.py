@@ -28,6 +28,7 @@ from spl_batch.altimetry.noise.layers_above import (
     shown_around,
     sure,
 )
+from spl_batch.altimetry.photon_table import along_track
 from spl_batch.constants import QUANTA_PER_M
 
 BINS: Final = 64
@@ -163,9 +164,7 @@ def told(index: NDArray[np.int64], layer: NDArray[np.float64], cell_m: float) ->
         return {}
     low_m, high_m, photons = layer[:, at]
     return {
-        "length_m": len(at) * cell_m,
-        "from_m": float(index[at[0]] * cell_m),
-        "to_m": float((index[at[-1]] + 1) * cell_m),
+        **along_track(index[at], cell_m),
         "low_m": float(np.median(low_m)),
         "high_m": float(np.median(high_m)),
         "photons": float(photons.sum()),

@@ -10,7 +10,7 @@ from spl_batch.altimetry.filter import signal as signals
 from spl_batch.altimetry.filter.peer_filters import PEERS
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.noise.fog import Fog, fog_told, told
-from spl_batch.altimetry.photon_table import PHOTONS, Background, Cells, Scale
+from spl_batch.altimetry.photon_table import PHOTONS, Background, Cells, Scale, along_track
 from spl_batch.altimetry.tasks.context import Context, gather, place, rows_between
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
@@ -59,7 +59,7 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_m": float(np.median(cells.gate_m)) if len(cells.index) else None,
         "unseen": rates.unseen(cells, workflow.rate),
         "water": float(np.mean(cells.calm)) if len(cells.index) else 0.0,
-        "maybe_river": _stretch(cells.index[cells.maybe], workflow.rate.cell_m),
+        "maybe_river": along_track(cells.index[cells.maybe], workflow.rate.cell_m),
         "fog": fog_told(cells.index, Fog(cells.fog_low, cells.fog), workflow.rate.cell_m),
         "mist": told(cells.index, cells.mist.T.astype(np.float64), workflow.rate.cell_m),
         "length_m": len(cells.index) * workflow.rate.cell_m,
@@ -87,14 +87,6 @@ def runs(
         total += n
     if total:
         yield start, len(count)
-
-
-def _stretch(index: NDArray[np.int64], cell_m: float) -> dict[str, float]:
-    """How long some cells are together, and where they lie [m]; empty where none is."""
-    if not len(index):
-        return {}
-    low, high = int(index[0]), int(index[-1]) + 1
-    return {"length_m": len(index) * cell_m, "from_m": low * cell_m, "to_m": high * cell_m}
 
 
 def _nothing() -> tuple[NDArray[np.int64], NDArray[np.int32]]:

@@ -103,20 +103,13 @@ def between_banks(
     level = thin & _level(runs, level_m, cell_m)
     rise_m = _rises(runs, index, level_m)
     order = np.argsort(cell, kind="stable")
-    edges = np.searchsorted(cell[order], np.arange(n + 1))
+    photons = height[order] / QUANTA_PER_M, np.searchsorted(cell[order], np.arange(n + 1))
     for i in np.flatnonzero(level & lit & (rise_m > _STEP_M)).tolist():
         first, stop = int(runs.first[i]), int(runs.stop[i])
         found.level_m[first:stop] = level_m[first:stop]
         for end, step in ((first, -1), (stop - 1, 1)):
-            for at in range(end + step, end + step * (BANK_CELLS + 1), step):
-                inside = 0 <= at < n and abs(index[at] - index[end]) == abs(at - end)
-                if not inside or level_m[at] > level_m[end] + _STEP_M:
-                    break
-                # A bright bottom may be the cell's layer, as long as it shows the surface.
-                off = height[order[edges[at] : edges[at + 1]]] / QUANTA_PER_M - level_m[end]
-                if np.count_nonzero(np.abs(off) <= _THIN_M) < _SEEN:
-                    break
-                found.level_m[at] = level_m[end]
+            more = _over_bottom(index, level_m, photons, end, step)
+            found.level_m[more] = level_m[end]
     dark = level & ~lit & (runs.stop - runs.first >= _MAYBE_CELLS)
     for i in np.flatnonzero(dark & np.isfinite(rise_m) & (rise_m > _BANK_M)).tolist():
         found.maybe[runs.first[i] : runs.stop[i]] = True
@@ -140,11 +133,33 @@ def _means(
 
 def _middle(index: NDArray[np.int64], level_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Median of each cell and those beside it where both are there, (n,) float64 [m]."""
-    found = level_m.copy()
-    if len(index) > 2:
-        three = np.stack([level_m[:-2], level_m[1:-1], level_m[2:]])
-        whole = index[2:] - index[:-2] == 2
-        found[1:-1] = np.where(whole, np.median(three, axis=0), level_m[1:-1])
+    three = beside(index, level_m, 1)
+    whole = np.isfinite(three).all(axis=1)
+    found: NDArray[np.float64] = np.where(whole, np.sort(three, axis=1)[:, 1], level_m)
+    return found
+
+
+def _over_bottom(
+    index: NDArray[np.int64],
+    level_m: NDArray[np.float64],
+    photons: tuple[NDArray[np.float64], NDArray[np.intp]],
+    end: int,
+    step: int,
+) -> list[int]:
+    """Rows of cells beyond an end of a run that show its surface over a brighter bottom.
+
+    ``photons``: heights by cell [m], and where each cell's begin; ``step``: 1 or -1.
+    """
+    height_m, edges = photons
+    found: list[int] = []
+    for at in range(end + step, end + step * (BANK_CELLS + 1), step):
+        inside = 0 <= at < len(index) and abs(index[at] - index[end]) == abs(at - end)
+        if not inside or level_m[at] > level_m[end] + _STEP_M:
+            break
+        off = height_m[edges[at] : edges[at + 1]] - level_m[end]
+        if np.count_nonzero(np.abs(off) <= _THIN_M) < _SEEN:
+            break
+        found.append(at)
     return found
 
 
@@ -184,16 +199,14 @@ def _rises(
 
     An end beyond which nothing is seen does not count; infinite where both are so.
     """
+    around = np.nan_to_num(beside(index, level_m, BANK_CELLS), nan=-np.inf)
     found = np.full(len(runs.first), np.inf)
-    for i, (first, stop) in enumerate(zip(*(v.tolist() for v in runs), strict=True)):
-        for end, beyond in (
-            (first, slice(max(first - BANK_CELLS, 0), first)),
-            (stop - 1, slice(stop, stop + BANK_CELLS)),
-        ):
-            near = np.abs(index[beyond] - index[end]) <= BANK_CELLS
-            others = level_m[beyond][near]
-            if len(others):
-                found[i] = min(found[i], others.max() - level_m[end])
+    for end, others in (
+        (runs.first, around[:, :BANK_CELLS]),
+        (runs.stop - 1, around[:, BANK_CELLS + 1 :]),
+    ):
+        rise = others[end].max(axis=1) - level_m[end]
+        found = np.where(np.isfinite(rise), np.minimum(found, rise), found)
     return found
 
 

@@ -273,9 +273,9 @@ def offsets(heights: Squares, sigma: Spread) -> tuple[Float, Float]:
     off = np.abs(np.where(known, measured, 0.0)) > sigma_m
     squares, away = (_around(_by_block(of), 3) for of in (known, off))
     apart = (away >= FEWEST_SQUARES) & (2 * away >= squares)
-    weight = known.astype(np.float64)
-    filled = _around(np.where(known, measured, 0.0), 5) / np.maximum(_around(weight, 5), 1.0)
-    filled[_around(weight, 5) == 0.0] = np.nan
+    held = _around(known, 5)
+    filled = _around(np.where(known, measured, 0.0), 5) / np.maximum(held, 1.0)
+    filled[held == 0.0] = np.nan
     told = np.where(known, measured, filled)
     told[~np.repeat(np.repeat(apart, 2, axis=0), 2, axis=1)] = np.nan
     return told, measured

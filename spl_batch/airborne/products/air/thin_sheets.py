@@ -53,6 +53,11 @@ SEEN: Final = 0.9
 CLEAR: Final = 1.25
 """Least number of returns below, over the sheet's own: crowns that close leave fewer."""
 
+_HIGH: Final = round(WINDOW_M / HALF_M)
+_FIRST: Final = round(LOWEST_M / HALF_M)
+_LAYERS: Final = round(TOP / HALF_M)
+"""Height of a window, where the lowest one begins, and where the highest one ends [half metres]."""
+
 
 def sheets(points: Placed) -> NDArray[np.bool_]:
     """Blocks of each place that hold a sheet: (rows, columns, BLOCKS) bool, as filled blocks."""
@@ -65,11 +70,6 @@ def sheets(points: Placed) -> NDArray[np.bool_]:
         near = np.abs(block + 0.5 * BLOCK - middle) <= REACH
         found |= (near & (low >= 0).reshape(-1, 1)).reshape(found.shape)
     return found
-
-
-_HIGH: Final = round(WINDOW_M / HALF_M)
-_FIRST: Final = round(LOWEST_M / HALF_M)
-_LAYERS: Final = round(TOP / HALF_M)
 
 
 def _windows(points: Placed, heights: NDArray[np.float64]) -> NDArray[np.int64]:

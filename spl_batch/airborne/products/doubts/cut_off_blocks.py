@@ -91,10 +91,9 @@ def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iter
     for number, box in enumerate(ndimage.find_objects(numbers), start=1):
         near = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
         mine = numbers[near] == number
-        small = mine.sum() * cell_m**2 < LARGE_M2
-        if mine.sum() * cell_m**2 < LEAST_M2:
-            continue
-        if held[near][mine].mean() < (SMALL_FILLED if small else FILLED):
+        own_m2 = mine.sum() * cell_m**2
+        small = own_m2 < LARGE_M2
+        if own_m2 < LEAST_M2 or held[near][mine].mean() < (SMALL_FILLED if small else FILLED):
             continue
         if not _is_smooth(np.where(held[near], above[near], np.nan), mine):
             continue
