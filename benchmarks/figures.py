@@ -1,10 +1,10 @@
 """Every figure of the pages on methods: ``python -m benchmarks.figures [OUT]``.
 
-The pages are ``docs/algorithms.md``, ``docs/water_surface.md`` and ``docs/altimetry.md``. Options:
-``--only NAME ...`` draws some, ``--folder FOLDER`` keeps the simulated surveys there and uses again
-what is there. OUT is ``docs/images`` by default. Each figure shows what a benchmark measures, by
-that benchmark's functions, on scenes small enough for all to take a few minutes: the shapes are
-those of the full benchmarks, the last digits are not.
+The pages are ``docs/algorithms.md``, ``docs/water_surface.md`` and ``docs/altimetry_method.md``.
+Options: ``--only NAME ...`` draws some, ``--folder FOLDER`` keeps the simulated surveys there and
+uses again what is there. OUT is ``docs/images`` by default. Each figure shows what a benchmark
+measures, by that benchmark's functions, on scenes small enough for all to take a few minutes: the
+shapes are those of the full benchmarks, the last digits are not.
 """
 
 import argparse
