@@ -558,8 +558,10 @@ def drawn_of_others() -> list[tuple[bool, list[Any]]]:
     hills = track_pictures.draw(
         track_pictures.BeamPictures(
             "a gt1r",
-            np.column_stack([along, rng.normal(0, 1, 50), rng.integers(0, 2, 50)]),
-            np.column_stack([along, along * 0, along * 0 + 2]),
+            np.column_stack(
+                [along, rng.normal(0, 1, 50), rng.integers(0, 2, 50), rng.choice([0, 40, 41], 50)]
+            ),
+            np.column_stack([along, along * 0, along * 0 + 2, along * 0, along * 0 - 3]),
             np.column_stack([along, along * 0 + 0.1]),
             np.column_stack([along, rng.normal(0, 1, 50), rng.normal(0, 1, 50)]),
         )
@@ -583,6 +585,26 @@ def drawn_of_others() -> list[tuple[bool, list[Any]]]:
         (True, [*hills.values(), *tank.values(), scene.pop("strip")]),
         (False, [*small, *scene.values()]),
     ]
+
+
+def test_a_profile_shows_the_water_that_it_crosses(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = watch(monkeypatch)
+    along = np.linspace(0, 4000, 60)
+    none = np.full(60, np.nan)
+    water = np.repeat([0, 41, 40], 20)
+    for parts, lines in ((along * 0, (along * 0, none, none, none)), (water, (along * 0,) * 4)):
+        photons = np.column_stack([along, along * 0, along * 0 + 1, parts])
+        profile = np.column_stack([along, *lines])
+        rate = np.column_stack([along, along * 0 + 0.1])
+        track_pictures.draw(track_pictures.BeamPictures("a", photons, profile, rate, None))
+    land, lake = (
+        [text.get_text() for text in drawn.axes[0].get_legend().get_texts()]
+        for drawn in shown
+        if drawn.axes[0].get_legend() is not None
+    )
+    assert land == ["signal", "ground line"]
+    assert lake[:3] == ["signal", "water surface", "floor"]
+    assert lake[3:] == ["ground line", "canopy top line", "water surface line", "floor line"]
 
 
 @pytest.mark.parametrize("same", [True, False])

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from spl_batch.altimetry.tasks.delivery import FLOOR, SURFACE
 from spl_batch.engine.report import style
 from spl_batch.engine.report.picture import Picture
 
@@ -15,13 +16,25 @@ MOST_PHOTONS: Final = 120_000
 """A picture of more photons is thinned evenly: it has no pixels for them."""
 
 
+_SURFACE: Final = "#4fb3d9"
+_FLOOR: Final = "#d08a2e"
+_LINES: Final = (
+    (style.GROUND, "ground"),
+    ("#3f7a63", "canopy top"),
+    ("#1b6f93", "water surface"),
+    ("#8f4f0e", "floor"),
+)
+
+
 @dataclass(frozen=True, slots=True)
 class BeamPictures:
     """Plain arrays of one beam; along-track distance in every first column [m]."""
 
     name: str
-    photons: NDArray[np.float64]  #: (n, 3): height [m] and label.
-    profile: NDArray[np.float64]  #: (c, 3): ground and canopy top [m].
+    #: (n, 4): height [m], label, and part of the water (41 surface, 40 floor, 45 noise below).
+    photons: NDArray[np.float64]
+    #: (c, 5): ground, canopy top, water surface and floor [m]; NaN where there is none.
+    profile: NDArray[np.float64]
     rate: NDArray[np.float64]  #: (r, 2): noise density [1/m2].
     #: (d, 3) float64 or None: ground minus reference, ours and mDBSCAN's [m].
     differences: NDArray[np.float64] | None
@@ -32,7 +45,7 @@ def draw(beam: BeamPictures) -> dict[str, Picture]:
     drawn = {
         "profile": _picture(
             f"Profile of {beam.name}",
-            "Grey is noise, blue signal; brown the ground, green the top of the canopy.",
+            "Dots are photons, lines what is drawn through them.",
             lambda: _profile(beam),
             there=len(beam.photons) > 0,
         ),
@@ -75,18 +88,21 @@ def _axes(xlabel: str, ylabel: str, height_in: float) -> tuple[Figure, Any]:
 
 def _profile(beam: BeamPictures) -> Figure:
     figure, axes = _axes("distance along track [km]", "height [m]", 4.2)
-    x, z, label = beam.photons.T
-    for value, colour, size, name in (
-        (0, "#aab4be", 0.5, "noise"),
-        (1, style.SIGNAL, 1.2, "signal"),
+    x, z, label, water = beam.photons.T
+    for mine, colour, size, name in (
+        (label == 0, "#aab4be", 0.5, "noise"),
+        ((label == 1) & (water == 0), style.SIGNAL, 1.2, "signal"),
+        ((label == 1) & (water == SURFACE), _SURFACE, 1.2, "water surface"),
+        ((label == 1) & (water == FLOOR), _FLOOR, 1.2, "floor"),
     ):
-        mine = label == value
-        axes.scatter(
-            x[mine] / 1000, z[mine], s=size, c=colour, linewidths=0, rasterized=True, label=name
-        )
-    at, ground, top = beam.profile.T
-    axes.plot(at / 1000, top, color="#3f7a63", linewidth=0.7, label="canopy top")
-    axes.plot(at / 1000, ground, color=style.GROUND, linewidth=0.8, label="ground")
+        if mine.any():
+            axes.scatter(
+                x[mine] / 1000, z[mine], s=size, c=colour, linewidths=0, rasterized=True, label=name
+            )
+    at, *lines = beam.profile.T
+    for line, (colour, name) in zip(lines, _LINES, strict=True):
+        if np.isfinite(line).any():
+            axes.plot(at / 1000, line, color=colour, linewidth=0.8, label=f"{name} line")
     axes.legend(loc="upper right", markerscale=6)
     return figure
 

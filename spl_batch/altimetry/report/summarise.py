@@ -9,16 +9,13 @@ from numpy.typing import NDArray
 
 from spl_batch.altimetry.filter.chance import SHARE_QUANTA
 from spl_batch.altimetry.ground.lost_floor import LostFloor
-from spl_batch.altimetry.photon_table import LABELS
 from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, TrackReport
 from spl_batch.altimetry.report.page import render
 from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
 from spl_batch.altimetry.tasks.context import Context, place
-from spl_batch.altimetry.tasks.photons import Selection
 from spl_batch.altimetry.tasks.rate import read_rate
 from spl_batch.altimetry.water.level_water import UNDER_SHARE
 from spl_batch.altimetry.water.odd_layers import Layer
-from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.run_record import (
@@ -331,9 +328,10 @@ def agreement(both: int, only_here: int, only_there: int, neither: int) -> Agree
 def _pictures(done: Receipts, key: str, context: Context) -> Mapping[str, Picture]:
     cells, scale, _ = read_rate(key, context)
     source, _, name = key.partition("/")
-    profile = read_columns(
-        place(context, "profiles", key, ".parquet"), ("along_track", "ground", "canopy_top")
-    )
+    names = ("along_track", "ground", "canopy_top", "water", "floor")
+    profile = read_columns(place(context, "profiles", key, ".parquet"), names)
+    wet = profile["water"] > 0
+    ground, surface = (np.where(wet == of, profile["ground"], np.nan) for of in (False, True))
     compared = None
     if key in done.get("compare", {}) and done["compare"][key].facts["ground"]["n"]:
         arrays = read_arrays(place(context, "compared", key, ".npz"))
@@ -344,35 +342,26 @@ def _pictures(done: Receipts, key: str, context: Context) -> Mapping[str, Pictur
     return draw(
         BeamPictures(
             f"{Path(done['index_file'][source].facts['name']).name} {name}",
-            _thinned(done, key, context),
-            np.stack([profile["along_track"], profile["ground"], profile["canopy_top"]], axis=1),
+            _thinned(done["deliver_beam"][key], context),
+            np.column_stack(
+                [profile["along_track"], ground, profile["canopy_top"], surface, profile["floor"]]
+            ),
             np.stack([at, scale.density], axis=1),
             compared,
         )
     )
 
 
-def _thinned(done: Receipts, key: str, context: Context) -> NDArray[np.float64]:
-    """Evenly chosen photons with their labels, (n, 3) float64."""
-    chosen = Selection(key, context)
-    total = done["take_in"][key].facts["placed"]
-    step = max(-(-total // MOST_PHOTONS), 1)
-    parts = [np.empty((0, 3))]
-    for name in done["score"]:
-        if not name.startswith(f"{key}/"):
-            continue
-        with reading(place(context, "scores", name, ".parquet")) as file:
-            for group in range(file.num_row_groups):
-                rows = read_groups(file, tuple(LABELS), [group])
-                rows = {k: v[rows["row"] % step == 0] for k, v in rows.items()}
-                parts.append(
-                    np.stack(
-                        [
-                            rows["along"] / QUANTA_PER_M,
-                            rows["height"] / QUANTA_PER_M,
-                            chosen(rows, "label"),
-                        ],
-                        axis=1,
-                    )
-                )
-    return np.concatenate(parts)
+def _thinned(receipt: Receipt, context: Context) -> NDArray[np.float64]:
+    """Evenly chosen photons with their labels and parts of the water, (n, 4) float64."""
+    (delivered,) = (name for name in receipt.outputs if name.startswith("photons/"))
+    step = max(-(-receipt.points // MOST_PHOTONS), 1)
+    parts, first = [np.empty((0, 4))], 0
+    with reading(context.output / delivered) as file:
+        for group in range(file.num_row_groups):
+            rows = read_groups(file, ("along_track", "height", "signal", "water"), [group])
+            part = np.column_stack([*rows.values()]).astype(np.float64)
+            parts.append(part[-first % step :: step])
+            first += len(part)
+    photons = np.concatenate(parts)
+    return photons[np.isfinite(photons[:, 0])]
