@@ -9,24 +9,23 @@ Intraswath Precision; the same is "within-swath smooth-surface precision" of the
 never below zero; cells have an edge of twice the nominal spacing, rounded up to whole metres
 first. RMSDz is the root mean square over all cells.
 
-Deviations: nobody draws the places. They are squares of :data:`SQUARE_M` of an absolute grid with
+Deviations: nobody draws the places. They are squares of an absolute grid with
 returns of one flightline in all of their cells, level to 10 degrees. Which of them are smooth is
 decided later, when the thickness of all is known: their heights are added up by thickness here. The
 slope is that of the square's plane by least squares, not of the lowest returns of nine cells.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.pulses.level_places import SQUARE_M, Places
+from spl_batch.airborne.pulses.place_sums import spans
 from spl_batch.constants import QUANTUM_M
-from spl_batch.lattice.tiles import Bounds, inside, quanta
-
-SQUARE_M: Final = 8.0
-"""Edge of a place [m]."""
+from spl_batch.lattice.tiles import quanta
 
 EDGE_M: Final = 2.0
 """Edge of a cell where the spacing is 0.35 or 0.71 m: twice a whole metre [m]."""
@@ -52,9 +51,6 @@ QUARTER: Final = 0.25
 TWICE: Final = 2.0
 """A place thicker than this times the noise is overgrown."""
 
-AT_ONCE: Final = 1 << 18
-"""Returns of columns of places that are looked at together, about [count]."""
-
 Sums = NDArray[np.int64]
 """By thickness: places, cells [count], and the sum of their squared differences [quanta2]:
 (:data:`STEPS`, 3)."""
@@ -70,88 +66,24 @@ class Repeatability(NamedTuple):
     noise_m: float  #: Standard deviation about the planes of the smoothest quarter, at most [m].
 
 
-def smooth_sums(first: NDArray[np.int64], line: NDArray[np.int64], core: Bounds) -> dict[str, Sums]:
-    """Level places of a region, by spacing and thickness; sums of several regions add up.
+def smooth_sums(places: Places) -> dict[str, Sums]:
+    """Level places by spacing and thickness; sums of several regions add up.
 
-    Parameters
-    ----------
-    first : (n, 3) int64
-        First signal returns in the region and around it, in any order [quanta].
-    line : (n,) int64
-        Flightline of each.
-    core : Bounds
-        The region: places that lie in it as a whole count [quanta].
+    ``places``: of columns of squares, from
+    :func:`~spl_batch.airborne.pulses.level_places.places_in`.
     """
-    sums = {name: np.zeros((STEPS, 3), np.int64) for name in CELLS}
-    for part in slabs(first[:, 0], core):
-        mine = inside(first[:, 0], first[:, 1], part)
-        for name, found in _sums(first[mine], line[mine], part).items():
-            sums[name] += found
-    return sums
-
-
-def slabs(x: NDArray[np.int64], core: Bounds) -> Iterator[Bounds]:
-    """Whole columns of places of a region, so many that they hold about :data:`AT_ONCE` returns."""
-    square = quanta(SQUARE_M)
-    west, south = -(-core.xmin // square), -(-core.ymin // square)
-    columns, rows = core.xmax // square - west, core.ymax // square - south
-    if columns < 1 or rows < 1:
-        return
-    whole = Bounds(*(k * square for k in (west, south, west + columns, south + rows)))
-    known = x[(x >= whole.xmin) & (x < whole.xmax)]
-    held = np.bincount((known - whole.xmin) // square)
-    west, count = whole.xmin, 0
-    for column, more in enumerate(held.tolist()):
-        east = whole.xmin + column * square
-        if count and count + more > AT_ONCE:
-            yield whole._replace(xmin=west, xmax=east)
-            west, count = east, 0
-        count += more
-    yield whole._replace(xmin=west)
-
-
-def _sums(xyz: NDArray[np.int64], line: NDArray[np.int64], whole: Bounds) -> dict[str, Sums]:
-    """What :func:`smooth_sums` finds in whole places, of the returns in them alone."""
-    square, edge = quanta(SQUARE_M), quanta(EDGE_M)
-    columns, rows = (whole.xmax - whole.xmin) // square, (whole.ymax - whole.ymin) // square
-    line = np.unique(line, return_inverse=True)[1]
-    parts = square // edge
-    at = (line * rows + (xyz[:, 1] - whole.ymin) // square) * columns
-    at += (xyz[:, 0] - whole.xmin) // square
-    # Only places with enough returns for all of their cells can count, and there are few of these.
-    enough, place = _held_by(at, FEWEST * parts**2)
-    if not len(place):
-        return {name: np.zeros((STEPS, 3), np.int64) for name in CELLS}
-    xyz = xyz[enough]
-    # Heights above the lowest return of their place: what lies elsewhere changes no rounding.
-    low = np.full(int(place.max()) + 1, int(xyz[:, 2].max()))
-    np.minimum.at(low, place, xyz[:, 2])
-    x, y, z = xyz[:, 0] - whole.xmin, xyz[:, 1] - whole.ymin, xyz[:, 2] - low[place]
-    number = (place * parts + y % square // edge) * parts + x % square // edge
-    shape = (int(place.max()) + 1, parts, parts)
-    highest, lowest = np.full(np.prod(shape), -1), np.full(np.prod(shape), int(z.max()) + 1)
-    np.maximum.at(highest, number, z)
-    np.minimum.at(lowest, number, z)
-    count = np.bincount(number, minlength=len(highest)).reshape(shape)
-    east, north, thickness = planes(x % square, y % square, z, place, shape[0])
-    slope = np.hypot(east, north)
-    step = np.floor(thickness / quanta(STEP_M))
+    slope, edge, parts = places.slope, quanta(EDGE_M), quanta(SQUARE_M) // quanta(EDGE_M)
+    step = np.floor(places.thickness / quanta(STEP_M))
+    shape = (len(slope), parts, parts)
+    highest, lowest = np.full(shape, -1), np.full(shape, np.iinfo(np.int64).max)
+    count = np.zeros(shape, np.int64)
+    spans(places.offset, places.place, edge, highest, lowest, count)
     good = (slope <= LEVEL) & (step < STEPS) & (count.min(axis=(1, 2)) >= FEWEST)
-    heights = _Heights(highest.reshape(shape)[good], lowest.reshape(shape)[good], slope[good])
+    heights = _Heights(highest[good], lowest[good], slope[good])
     return {
         name: _by_thickness(heights, times, step[good].astype(np.int64))
         for name, times in CELLS.items()
     }
-
-
-def _held_by(at: NDArray[np.int64], fewest: int) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-    """Returns whose place holds at least so many, and the numbers of their places from 0."""
-    if at.max(initial=0) > len(at):  # flightlines beyond number must not need memory for squares
-        at = np.unique(at, return_inverse=True)[1]
-    full = np.bincount(at) >= fewest
-    enough: NDArray[np.bool_] = full[at]
-    number: NDArray[np.intp] = np.cumsum(full) - 1
-    return enough, number[at[enough]]
 
 
 class _Heights(NamedTuple):
@@ -178,35 +110,6 @@ def _by_thickness(heights: _Heights, times: int, step: NDArray[np.int64]) -> Sum
     np.add.at(sums[:, 1], step, span[0].size if places else 0)
     np.add.at(sums[:, 2], step, squared.sum(axis=(1, 2)))
     return sums
-
-
-def planes(
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
-    z: NDArray[np.int64],
-    place: NDArray[np.intp],
-    places: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Slopes to the east and north [rise/run], and standard deviation [quanta], by place.
-
-    Moments are sums of whole numbers below 2**53, exact in any order.
-    """
-
-    def added(values: NDArray[np.int64]) -> NDArray[np.float64]:
-        return np.bincount(place, weights=values, minlength=places).astype(np.float64)
-
-    n, sx, sy, sz = np.maximum(added(np.ones_like(x)), 1), added(x), added(y), added(z)
-    xx, xy, yy = (added(a * b) - s for a, b, s in
-                  ((x, x, sx * sx / n), (x, y, sx * sy / n), (y, y, sy * sy / n)))  # fmt: skip
-    xz, yz, zz = (added(a * b) - s for a, b, s in
-                  ((x, z, sx * sz / n), (y, z, sy * sz / n), (z, z, sz * sz / n)))  # fmt: skip
-    with np.errstate(divide="ignore", invalid="ignore"):
-        determinant = xx * yy - xy * xy
-        east, north = (yy * xz - xy * yz) / determinant, (xx * yz - xy * xz) / determinant
-        spread = np.sqrt(np.maximum(zz - east * xz - north * yz, 0.0) / (n - 3))
-    lost = ~(determinant > 0) | (n <= 3)
-    east, north, spread = (np.where(lost, np.inf, values) for values in (east, north, spread))
-    return east, north, spread
 
 
 def repeatability(sums: NDArray[Any]) -> Repeatability | None:

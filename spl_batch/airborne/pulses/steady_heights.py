@@ -4,8 +4,8 @@ Domain: space, on first signal returns. Where recorded positions swing within se
 place that are moments apart lie at unlike heights. Where a detector's ranges walk, bright returns
 lie above weak ones. Both make surfaces thicker than one shot shows them, and ground is lost.
 
-Places are level squares of :data:`~spl_batch.airborne.pulses.smooth_surfaces.SQUARE_M` of one
-flightline; heights are taken off their plane. A *look* is what lies in a cell of
+Places are level squares of one flightline (:mod:`~spl_batch.airborne.pulses.level_places`);
+heights are taken off their plane. A *look* is what lies in a cell of
 :data:`~spl_batch.airborne.pulses.smooth_surfaces.EDGE_M` within :data:`LOOK_S`. By the analysis of
 variance, with sums of squares between and within the looks of a cell,
 
@@ -19,14 +19,16 @@ source has one.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from typing import Final, NamedTuple
+from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.pulses.smooth_surfaces import EDGE_M, LEVEL, SQUARE_M, planes, slabs
-from spl_batch.lattice.tiles import Bounds, inside, quanta
+from spl_batch.airborne.pulses.level_places import RETURNS, SQUARE_M, Places
+from spl_batch.airborne.pulses.smooth_surfaces import EDGE_M, LEVEL
+from spl_batch.lattice.row_order import lexicographic_order
+from spl_batch.lattice.tiles import quanta
 
 DOMAIN: Final = "space"
 
@@ -42,8 +44,8 @@ THICKEST_M: Final = 0.8
 FEWEST: Final = 3
 """Returns of a look, at least [count]."""
 
-RETURNS: Final = 24
-"""Returns of a place, and a quarter of them those of a bright part, at least [count]."""
+BRIGHT: Final = RETURNS / 4
+"""Returns of the bright part of a place, at least [count]."""
 
 STEP_M: Final = 0.01
 """Steps in which places are counted [m]."""
@@ -67,41 +69,6 @@ def typical_m(places: Mapping[int, int]) -> float | None:
     return float(steps[np.searchsorted(counts.cumsum(), total / 2)]) * STEP_M
 
 
-class Returns(NamedTuple):
-    """First signal returns in any order."""
-
-    xyz: NDArray[np.int64]  #: (n, 3): places [quanta].
-    line: NDArray[np.int64]  #: (n,): flightline.
-    time_s: NDArray[np.float64]  #: (n,): times [s].
-    brightness: NDArray[np.uint16]  #: (n,): recorded intensity.
-
-    def take(self, chosen: NDArray[np.bool_]) -> "Returns":
-        """Some of them."""
-        return Returns(
-            self.xyz[chosen], self.line[chosen], self.time_s[chosen], self.brightness[chosen]
-        )
-
-
-def unsteady_places(returns: Returns, core: Bounds, sigma_m: float) -> dict[int, Counts]:
-    """Places of a region by flightline; those of several regions add up.
-
-    Parameters
-    ----------
-    returns : Returns
-        In the region and around it.
-    core : Bounds
-        The region: places that lie in it as a whole count [quanta].
-    sigma_m : float
-        Ranging spread that the sensor states [m].
-    """
-    found: dict[int, Counts] = {}
-    for part in slabs(returns.xyz[:, 0], core):
-        mine = inside(returns.xyz[:, 0], returns.xyz[:, 1], part)
-        for line, counts in _counts(returns.take(mine), part, HARD * quanta(sigma_m)):
-            add_counts(found, line, counts)
-    return found
-
-
 def add_counts(found: dict[int, Counts], line: int, more: Mapping[str, Mapping[int, int]]) -> None:
     """Add places of a flightline to those that are known."""
     known = found.setdefault(line, {kind: Counter() for kind in KINDS})
@@ -109,43 +76,41 @@ def add_counts(found: dict[int, Counts], line: int, more: Mapping[str, Mapping[i
         known[kind].update(more[kind])
 
 
-def _counts(returns: Returns, whole: Bounds, hard: float) -> Iterator[tuple[int, Counts]]:
-    """Whole places, by flightline."""
-    xyz, line = returns.xyz, returns.line
-    square = quanta(SQUARE_M)
-    column, row = (xyz[:, 0] - whole.xmin) // square, (xyz[:, 1] - whole.ymin) // square
-    lines, number = np.unique(line, return_inverse=True)
-    rows, columns = (whole.ymax - whole.ymin) // square, (whole.xmax - whole.xmin) // square
-    at = (number * rows + row) * columns + column
-    full = np.bincount(at, minlength=1) >= RETURNS
-    chosen = full[at]
-    if not chosen.any():
-        return
-    returns = returns.take(chosen)
-    place = (np.cumsum(full) - 1)[at[chosen]]
-    owner = np.flatnonzero(full) // (rows * columns)
-    places = len(owner)
-    x, y = ((returns.xyz[:, k] - low) % square for k, low in ((0, whole.xmin), (1, whole.ymin)))
-    low = np.full(places, np.iinfo(np.int64).max)
-    np.minimum.at(low, place, returns.xyz[:, 2])
-    z = returns.xyz[:, 2] - low[place]
-    east, north, thickness = planes(x, y, z, place, places)
-    good = (np.hypot(east, north) <= LEVEL) & (thickness <= quanta(THICKEST_M))
-    mine = good[place]
+def unsteady_places(
+    places: Places, time_s: NDArray[np.float64], brightness: NDArray[np.uint16], sigma_m: float
+) -> dict[int, Counts]:
+    """Places by flightline; those of several regions add up.
+
+    Parameters
+    ----------
+    places : Places
+        Of columns of squares, from :func:`~spl_batch.airborne.pulses.level_places.places_in`.
+    time_s : (n,) float64
+        Times of all returns [s].
+    brightness : (n,) uint16
+        Their recorded intensity.
+    sigma_m : float
+        Ranging spread that the sensor states [m].
+    """
+    good = (places.slope <= LEVEL) & (places.thickness <= quanta(THICKEST_M))
+    mine = good[places.place]
     if not mine.any():
-        return
-    x, y, z, place = x[mine], y[mine], z[mine], place[mine]
-    height = np.rint(z - east[place] * x - north[place] * y).astype(np.int64)
-    parts = square // quanta(EDGE_M)
+        return {}
+    place, rows, hard = places.place[mine], places.rows[mine], HARD * quanta(sigma_m)
+    x, y, z = places.offset[mine].T
+    height = np.rint(z - places.east[place] * x - places.north[place] * y).astype(np.int64)
+    parts = quanta(SQUARE_M) // quanta(EDGE_M)
     cell = (place * parts + y // quanta(EDGE_M)) * parts + x // quanta(EDGE_M)
     of_places = (
-        _looks(height, cell, returns.time_s[mine], parts**2, places, hard),
-        _rises(height, place, returns.brightness[mine], places, hard),
+        _looks(height, cell, time_s[rows], parts**2, len(good), hard),
+        _rises(height, place, brightness[rows], len(good), hard),
     )
-    for k, one in enumerate(lines.tolist()):
-        steps = [np.rint(values[owner == k] / quanta(STEP_M)) for values in of_places]
+    found: dict[int, Counts] = {}
+    for line in np.unique(places.line).tolist():
+        steps = [np.rint(values[places.line == line] / quanta(STEP_M)) for values in of_places]
         known = [some[np.isfinite(some)].astype(np.int64).tolist() for some in steps]
-        yield one, dict(zip(KINDS, map(Counter, known), strict=True))
+        add_counts(found, line, dict(zip(KINDS, map(Counter, known), strict=True)))
+    return found
 
 
 def _looks(
@@ -153,7 +118,8 @@ def _looks(
     cells: int, places: int, hard: float,
 ) -> NDArray[np.float64]:  # fmt: skip
     """Standard deviation of the heights of looks, by place; NaN where none is hard: (places,)."""
-    order = np.lexsort((time_s, cell))
+    order = lexicographic_order([time_s])
+    order = order[lexicographic_order([cell[order]])]
     height, cell, time_s = height[order], cell[order], time_s[order]
     opens = np.diff(cell, prepend=-1) != 0
     opens |= np.diff(time_s, prepend=-np.inf) > LOOK_S
@@ -187,7 +153,7 @@ def _rises(
     places: int, hard: float,
 ) -> NDArray[np.float64]:  # fmt: skip
     """By how much bright returns lie above others, by place; NaN where not hard: (places,)."""
-    order = np.lexsort((brightness, place))
+    order = lexicographic_order([place, brightness])
     height, place, brightness = height[order], place[order], brightness[order]
     count = np.bincount(place, minlength=places)
     begin = np.cumsum(count) - count
@@ -202,7 +168,7 @@ def _rises(
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = (two - one**2 / n) / (n - 1)
         rise = sum_more / more - one / n
-    good = (n > 1) & (4 * more >= RETURNS) & (spread <= hard**2)
+    good = (n > 1) & (more >= BRIGHT) & (spread <= hard**2)
     return np.where(good, rise, np.nan)
 
 

@@ -12,17 +12,12 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.doubts.terrain_doubts import UNSURE_M
 from spl_batch.airborne.products.footprint import SQUARE_Q, Covered, Within, refused, whole_squares
 from spl_batch.airborne.products.surface_rasters import margin_cells
+from spl_batch.airborne.pulses.level_places import SQUARE_M, places_in
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, EmptySquares, not_flown, reach_q
 from spl_batch.airborne.pulses.pulse_maps import PulseMaps, flightline_of
 from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, Ends
-from spl_batch.airborne.pulses.smooth_surfaces import SQUARE_M, STEPS, smooth_sums
-from spl_batch.airborne.pulses.steady_heights import (
-    Counts,
-    Returns,
-    add_counts,
-    as_facts,
-    unsteady_places,
-)
+from spl_batch.airborne.pulses.smooth_surfaces import STEPS, smooth_sums
+from spl_batch.airborne.pulses.steady_heights import Counts, add_counts, as_facts, unsteady_places
 from spl_batch.airborne.pulses.swath_coverage import Swaths, at_places, pass_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -209,12 +204,13 @@ class Pulses:
         number = pass_of(returns.time_s, returns.point_source_id)
         self._swaths.add(x, y, number)
         own = shared(part, self._core)
-        for level, sums in smooth_sums(returns.first, number, own).items():
-            self._smooth[level] += sums
-        timed = Returns(returns.first, number, returns.time_s, returns.intensity)
-        found = unsteady_places(timed, own, self._context.workflow.sensor.range_sigma_m)
-        for pass_number, counts in found.items():
-            add_counts(self._steady, pass_number % 2**16, counts)
+        sigma_m = self._context.workflow.sensor.range_sigma_m
+        for places in places_in(returns.first, number, own):
+            for level, sums in smooth_sums(places).items():
+                self._smooth[level] += sums
+            found = unsteady_places(places, returns.time_s, returns.intensity, sigma_m)
+            for pass_number, counts in found.items():
+                add_counts(self._steady, pass_number % 2**16, counts)
         if self._maps is None and not self._overlap:
             return
         line = flightline_of(returns.point_source_id, returns.time_s, self._passes)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spl_batch.airborne.beams.bloom import BEHIND_M, FILLED, SPREAD, WINDOW, find_bloom
-from spl_batch.airborne.beams.bloom_shots import OFTEN, PART, SURE
+from spl_batch.airborne.beams.bloom_shots import BINS, OFTEN, PART, SURE, _most_in_two
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.lattice.tables import BeamTable, PointTable
 
@@ -161,3 +161,13 @@ def test_what_is_found_agrees_with_looking_at_each_window():
         want = sharp and n >= FILLED * 100 and len(passed) >= least
         assert bool(bloom.returns[time == k / 60_000].any()) == want
     assert 15 < bloom.shots < 55
+
+
+@pytest.mark.parametrize("spread_m", [0.5, 30.0, 3000.0])
+def test_what_two_bins_hold_is_no_less_than_what_any_window_does(spread_m):
+    rng, bins = np.random.default_rng(12), np.zeros(BINS, np.int32)
+    for _ in range(200):
+        near, width = np.sort(2500.0 + spread_m * rng.random(100)), 0.3
+        fullest = max(np.count_nonzero((near >= low) & (near - low <= width)) for low in near)
+        assert _most_in_two(near, width, bins) >= fullest
+        assert not bins.any()

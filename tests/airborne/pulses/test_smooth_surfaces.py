@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spl_batch.airborne.pulses.level_places import SQUARE_M, places_in
 from spl_batch.airborne.pulses.smooth_surfaces import (
     CELLS,
     FEWEST,
     LEVEL,
-    SQUARE_M,
     STEP_M,
     STEPS,
     TWICE,
@@ -22,6 +22,14 @@ from spl_batch.lattice.tiles import Bounds
 
 CORE = Bounds(-12_000, 4_000, 12_000, 28_000)
 """Two by two places lie in it as a whole."""
+
+
+def sums_of(first, line, core):
+    sums = {name: np.zeros((STEPS, 3), np.int64) for name in CELLS}
+    for places in places_in(first, line, core):
+        for name, found in smooth_sums(places).items():
+            sums[name] += found
+    return sums
 
 
 def returns(seed: int, n: int = 2600, noise: float = 30.0):
@@ -71,13 +79,13 @@ def by_hand(first, line, core, times):
 @given(st.integers(0, 2**32 - 1))
 def test_each_place_is_what_a_solver_finds(seed: int) -> None:
     first, line = returns(seed)
-    found = smooth_sums(first, line, CORE)
+    found = sums_of(first, line, CORE)
     for level, times in CELLS.items():
         assert np.array_equal(found[level], by_hand(first, line, CORE, times))
 
 
 def test_places_are_found_at_all() -> None:
-    total = sum(smooth_sums(*returns(seed), CORE)["QL2"][:, 0].sum() for seed in range(20))
+    total = sum(sums_of(*returns(seed), CORE)["QL2"][:, 0].sum() for seed in range(20))
     assert total > 20
 
 
@@ -85,11 +93,11 @@ def test_places_are_found_at_all() -> None:
 def test_neither_order_nor_place_in_the_survey_matters(seed: int) -> None:
     first, line = returns(seed)
     order = np.random.default_rng(seed).permutation(len(first))
-    whole = smooth_sums(first, line, CORE)["QL1"]
-    assert np.array_equal(whole, smooth_sums(first[order], line[order], CORE)["QL1"])
+    whole = sums_of(first, line, CORE)["QL1"]
+    assert np.array_equal(whole, sums_of(first[order], line[order], CORE)["QL1"])
     # Cells that share an edge on the grid of places add up.
-    west = smooth_sums(first, line, CORE._replace(xmax=0))["QL1"]
-    assert np.array_equal(whole, west + smooth_sums(first, line, CORE._replace(xmin=0))["QL1"])
+    west = sums_of(first, line, CORE._replace(xmax=0))["QL1"]
+    assert np.array_equal(whole, west + sums_of(first, line, CORE._replace(xmin=0))["QL1"])
 
 
 def test_ranges_of_normal_heights_are_found_as_a_simulation_has_them() -> None:
@@ -98,7 +106,7 @@ def test_ranges_of_normal_heights_are_found_as_a_simulation_has_them() -> None:
     z = np.rint(rng.normal(0, 20.0, len(xy)))
     first = np.column_stack([xy, z]).astype(np.int64)
     core = Bounds(0, 0, 80_000, 80_000)
-    sums = smooth_sums(first, np.zeros(len(first), np.int64), core)
+    sums = sums_of(first, np.zeros(len(first), np.int64), core)
     found = repeatability(sums["QL2"])
     assert found is not None
     count = rng.poisson(40, 4000)
@@ -123,7 +131,7 @@ def test_a_pass_for_each_return_needs_no_memory_for_its_squares() -> None:
     n = 100_000
     first = np.random.default_rng(1).integers(0, 100_000, (n, 3))
     tracemalloc.start()
-    sums = smooth_sums(first, np.arange(n), Bounds(0, 0, 100_000, 100_000))
+    sums = sums_of(first, np.arange(n), Bounds(0, 0, 100_000, 100_000))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert not any(found.any() for found in sums.values())
@@ -135,7 +143,7 @@ def test_many_returns_are_looked_at_a_few_columns_of_places_at_a_time() -> None:
     first = np.random.default_rng(2).integers(0, (64_000, 64_000, 60), (n, 3))
     line = np.arange(n) % 3
     tracemalloc.start()
-    found = smooth_sums(first, line, Bounds(0, 0, 64_000, 64_000))["QL2"]
+    found = sums_of(first, line, Bounds(0, 0, 64_000, 64_000))["QL2"]
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert found[:, :2].sum(axis=0).tolist() == [3 * 64, 3 * 64 * 16]

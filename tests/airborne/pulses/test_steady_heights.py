@@ -1,15 +1,36 @@
 """Heights of hard places that swing with time or follow brightness, against sums by hand."""
 
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from spl_batch.airborne.pulses import steady_heights as steady
+from spl_batch.airborne.pulses.level_places import places_in
 from spl_batch.airborne.report.fit.steady import steady_warnings
 from spl_batch.lattice.tiles import Bounds
 
 CORE = Bounds(0, 0, 48_000, 48_000)
+
+
+class Returns(NamedTuple):
+    xyz: np.ndarray
+    line: np.ndarray
+    time_s: np.ndarray
+    brightness: np.ndarray
+
+    def take(self, chosen):
+        return Returns(*(values[chosen] for values in self))
+
+
+def unsteady(returns, core=CORE):
+    found = {}
+    for places in places_in(returns.xyz, returns.line, core):
+        more = steady.unsteady_places(places, returns.time_s, returns.brightness, 0.05)
+        for line, counts in more.items():
+            steady.add_counts(found, line, counts)
+    return found
 
 
 def survey(rng, swing_m=0.0, walk_m=0.0, rough_m=0.05, looks=6):
@@ -24,11 +45,11 @@ def survey(rng, swing_m=0.0, walk_m=0.0, rough_m=0.05, looks=6):
     xyz = np.column_stack([xy, np.rint(z).astype(np.int64)])
     time_s = 7e8 + look + rng.uniform(0, 0.003, len(xy))
     bright = (8000 * electrons).astype(np.uint16)
-    return steady.Returns(xyz.astype(np.int64), line, time_s, bright)
+    return Returns(xyz.astype(np.int64), line, time_s, bright)
 
 
 def typical(returns):
-    found = steady.unsteady_places(returns, CORE, 0.05)
+    found = unsteady(returns)
     return {line: [steady.typical_m(counts[kind]) for kind in steady.KINDS]
             for line, counts in found.items()}  # fmt: skip
 
@@ -51,7 +72,7 @@ def test_places_are_those_that_sums_by_hand_tell():
     keep = rng.random(len(some.line)) < 0.1
     some = some.take(keep)
     order = rng.permutation(len(some.line))
-    found = steady.unsteady_places(some.take(order), CORE, 0.05)
+    found = unsteady(some.take(order))
     looks = {1: [], 2: []}
     rises = {1: [], 2: []}
     for line in (1, 2):
@@ -95,19 +116,17 @@ def by_hand(height, xyz, look):
 
 def test_a_region_is_the_sum_of_its_parts():
     some = survey(np.random.default_rng(3), swing_m=0.1)
-    whole = steady.unsteady_places(some, CORE, 0.05)
+    whole = unsteady(some)
     parts = {}
     for part in (CORE._replace(xmax=16_000), CORE._replace(xmin=16_000)):
-        for line, counts in steady.unsteady_places(some, part, 0.05).items():
+        for line, counts in unsteady(some, part).items():
             steady.add_counts(parts, line, counts)
     assert parts == whole
 
 
 def test_they_are_told_with_number_and_remedy():
     def said(swing_m, walk_m):
-        found = steady.unsteady_places(
-            survey(np.random.default_rng(4), swing_m, walk_m, looks=12), CORE, 0.05
-        )
+        found = unsteady(survey(np.random.default_rng(4), swing_m, walk_m, looks=12))
         receipt = SimpleNamespace(facts={"steady": steady.as_facts(found)})
         return list(steady_warnings({"surface": {"a": receipt}}, 0.05))
 
