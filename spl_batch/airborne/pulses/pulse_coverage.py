@@ -16,10 +16,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter
 
+from spl_batch.airborne.pulses.square_kernels import mark_squares
 from spl_batch.constants import NODATA
-from spl_batch.lattice.tiles import Bounds, grow, inside
+from spl_batch.lattice.tiles import Bounds, grow
 
 SPACINGS: Final[Mapping[str, int]] = {"QL1": 350, "QL2": 710, "QL3": 1410}
 """Aggregate nominal pulse spacing of a quality level, that of QL0 is QL1's [quanta]; USGS Lidar
@@ -60,8 +60,8 @@ class EmptySquares:
     def __init__(self, core: Bounds) -> None:
         self._core = core
         self._whole = {spacing: _whole(core, spacing) for spacing in SPACINGS.values()}
-        self._empty = {
-            spacing: np.ones(
+        self._held = {
+            spacing: np.zeros(
                 ((whole.ymax - whole.ymin) // spacing, (whole.xmax - whole.xmin) // spacing),
                 np.bool_,
             )
@@ -77,9 +77,8 @@ class EmptySquares:
             Places [quanta].
         """
         for spacing, whole in self._whole.items():
-            near = inside(x, y, whole)
-            row, col = (y[near] - whole.ymin) // spacing, (x[near] - whole.xmin) // spacing
-            self._empty[spacing][row, col] = False
+            west, south = whole.xmin // spacing, whole.ymin // spacing
+            mark_squares(x, y, west, south, spacing, self._held[spacing])
 
     def coverage(
         self, flown: NDArray[np.bool_], spacing: int
@@ -100,7 +99,7 @@ class EmptySquares:
         void : (rows, cols) bool
             Which raster cells have their centre in a data void, row 0 southernmost.
         """
-        core, empty, whole = self._core, self._empty[spacing], self._whole[spacing]
+        core, empty, whole = self._core, ~self._held[spacing], self._whole[spacing]
         i, j = whole.xmin // spacing, whole.ymin // spacing
         void = _opened(empty, VOID_SPACINGS)
         size = (core.xmax - core.xmin) // flown.shape[1]
@@ -108,14 +107,13 @@ class EmptySquares:
         # Two by two squares, the first of them of even number.
         pairs = empty[j % 2 :, i % 2 :]
         rows, cols = (side // 2 * 2 for side in pairs.shape)
-        quarters = pairs[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2)
-        bare: NDArray[np.bool_] = quarters[:, 0, :, 0] & quarters[:, 0, :, 1]
-        bare &= quarters[:, 1, :, 0] & quarters[:, 1, :, 1]
+        halves = pairs[:rows:2, :cols] & pairs[1:rows:2, :cols]
+        bare: NDArray[np.bool_] = halves[:, ::2] & halves[:, 1::2]
         west, south = (i + i % 2) // 2, (j + j % 2) // 2
         squares, unfilled = _counted(bare, west, south, 2 * spacing, core, flown, size)
         col = (np.arange(core.xmin + size // 2, core.xmax, size) // spacing) - i
         row = (np.arange(core.ymin + size // 2, core.ymax, size) // spacing) - j
-        of_cells = void[np.ix_(row, col)] & flown
+        of_cells = void.take(row, axis=0).take(col, axis=1) & flown
         return Coverage(squares, squares - unfilled, places, in_void), of_cells
 
 
@@ -128,11 +126,21 @@ def _whole(core: Bounds, spacing: int) -> Bounds:
 
 def _opened(empty: NDArray[np.bool_], edge: int) -> NDArray[np.bool_]:
     """Squares that lie in some empty square of so many times their edge."""
-    # The window of an even size reaches one farther to the west; the second turns it round.
-    begins = minimum_filter(empty, edge, mode="constant", cval=False, origin=-(edge // 2))
-    opened: NDArray[np.bool_] = maximum_filter(
-        begins, edge, mode="constant", cval=False, origin=edge // 2 - 1
-    )
+    begins = np.zeros_like(empty)
+    rows, cols = (max(side - edge + 1, 0) for side in empty.shape)
+    begins[:rows, :cols] = True
+    for k in range(edge):
+        begins[:rows] &= empty[k : k + rows]
+    across = begins.copy()
+    for k in range(1, edge):
+        begins[:, :cols] &= across[:, k : k + cols]
+    begins[:, cols:] = False
+    opened = begins.copy()
+    for k in range(1, edge):
+        opened[k:] |= begins[:-k]
+    down = opened.copy()
+    for k in range(1, edge):
+        opened[:, k:] |= down[:, :-k]
     return opened
 
 
@@ -151,8 +159,8 @@ def _counted(
     y = (j + np.arange(rows)) * edge + edge // 2
     col, row = (x - core.xmin) // size, (y - core.ymin) // size
     west, south = (col >= 0) & (col < flown.shape[1]), (row >= 0) & (row < flown.shape[0])
-    there = flown[np.ix_(row[south], col[west])]
-    found = marked[np.ix_(south, west)] & there
+    there = flown.take(row[south], axis=0).take(col[west], axis=1)
+    found = marked[south][:, west] & there
     return int(np.count_nonzero(there)), int(np.count_nonzero(found))
 
 

@@ -14,8 +14,7 @@ left out, so that of swaths wider than some 800 m more than the middle 95 % is j
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
-from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import shapely
@@ -24,9 +23,12 @@ from scipy.ndimage import distance_transform_edt
 
 from spl_batch.airborne.products.flown_cells import close
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS
+from spl_batch.airborne.pulses.square_kernels import add_rings, count_squares, mark_squares
 from spl_batch.airborne.pulses.swath_outline import Packed, outline, packed
 from spl_batch.constants import QUANTUM_M
-from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
+from spl_batch.lattice.distinct import distinct
+from spl_batch.lattice.row_order import lexicographic_order
+from spl_batch.lattice.tiles import Bounds, grow, quanta
 
 DOMAIN: Final = "space"
 
@@ -108,13 +110,14 @@ class Swaths:
 
     def add(self, x: NDArray[np.int64], y: NDArray[np.int64], number: NDArray[np.int64]) -> None:
         """Take first returns in, in any order: places [quanta], and what :func:`pass_of` says."""
-        order = np.argsort(number, kind="stable")
-        x, y, number = x[order], y[order], number[order]
-        cuts = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
-        for start, end in pairwise(cuts):
-            if start < end:
-                held = self._held.setdefault(int(number[start]), _Held(self._near, self._squares))
-                held.add(x[start:end], y[start:end], self._near, self._squares)
+        numbers, rank = distinct(number)
+        order = lexicographic_order([rank])
+        x, y = x[order], y[order]
+        ends = np.cumsum(np.bincount(rank, minlength=len(numbers))).tolist()
+        for one, start, end in zip(numbers.tolist(), [0, *ends], ends, strict=False):
+            if one not in self._held:
+                self._held[one] = _Held(self._near, self._squares)
+            self._held[one].add(x[start:end], y[start:end], self._near, self._squares)
 
     def facts(self, there: NDArray[np.bool_], region: Bounds) -> list[Found]:
         """What was found; facts of several regions add up.
@@ -173,29 +176,26 @@ class Swaths:
         depth = np.full(closed.shape, self._deepest)
         if not closed.all():
             depth = np.minimum(distance_transform_edt(closed).astype(np.int64) - 1, self._deepest)
-        sums = np.zeros((self._deepest + 1, 2 + 2 * len(SPACINGS)), np.int64)
+        sums = np.zeros((2 + 2 * len(SPACINGS), self._deepest + 1), np.int64)
 
-        def counted(squares: Bounds, edge: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        def add(squares: Bounds, edge: int, held: NDArray[Any], into: tuple[int, int]) -> None:
             x, y = (
                 np.arange(low, high) * edge + edge // 2
                 for low, high in ((squares.xmin, squares.xmax), (squares.ymin, squares.ymax))
             )
-            at = np.ix_(y // EDGE_Q - self._near.ymin, x // EDGE_Q - self._near.xmin)
-            return depth[at], closed[at] & at_places(there, region, x, y)
+            row, column = y // EDGE_Q - self._near.ymin, x // EDGE_Q - self._near.xmin
+            where = places_on(there, region, x, y)
+            add_rings(depth, row, column, there, *where, held, *(sums[k] for k in into))
 
         own = _owned(self._core, EDGE_Q)
-        ring, mine = counted(own, EDGE_Q)
         south, west = own.ymin - self._near.ymin, own.xmin - self._near.xmin
-        returns = held.count[south : south + mine.shape[0], west : west + mine.shape[1]]
-        size = len(sums)
-        sums[:, 0] = np.bincount(ring[mine], weights=returns[mine], minlength=size)
-        sums[:, 1] = np.bincount(ring[mine], minlength=size)
+        rows, columns = _shape(own)
+        returns = held.count[south : south + rows, west : west + columns]
+        add(own, EDGE_Q, np.ascontiguousarray(returns), (1, 0))
         for k, (name, spacing) in enumerate(SPACINGS.items()):
-            ring, mine = counted(self._squares[name], 2 * spacing)
-            sums[:, 2 + 2 * k] = np.bincount(ring[mine], minlength=size)
-            filled = mine & held.filled[name]
-            sums[:, 3 + 2 * k] = np.bincount(ring[filled], minlength=size)
-        return [[k, *sums[k].tolist()] for k in np.flatnonzero(sums.any(axis=1)).tolist()]
+            add(self._squares[name], 2 * spacing, held.filled[name], (2 + 2 * k, 3 + 2 * k))
+        found = np.flatnonzero(sums.any(axis=0))
+        return [[k, *sums[:, k].tolist()] for k in found.tolist()]
 
 
 class _Held:
@@ -208,15 +208,10 @@ class _Held:
     def add(
         self, x: NDArray[np.int64], y: NDArray[np.int64], near: Bounds, squares: dict[str, Bounds]
     ) -> None:
-        column, row = x // EDGE_Q, y // EDGE_Q
-        known = inside(column, row, near)
-        at = (row[known] - near.ymin) * self.count.shape[1] + column[known] - near.xmin
-        self.count += np.bincount(at, minlength=self.count.size).reshape(self.count.shape)
+        count_squares(x, y, near.xmin, near.ymin, EDGE_Q, self.count)
         for name, own in squares.items():
             edge = 2 * SPACINGS[name]
-            column, row = x // edge, y // edge
-            known = inside(column, row, own)
-            self.filled[name][row[known] - own.ymin, column[known] - own.xmin] = True
+            mark_squares(x, y, own.xmin, own.ymin, edge, self.filled[name])
 
     def with_those_of(self, other: "_Held") -> "_Held":
         both = object.__new__(_Held)
@@ -238,12 +233,20 @@ def at_places(
     there: NDArray[np.bool_], region: Bounds, x: NDArray[np.int64], y: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """What an array over a region says at places on a grid; at the edge what lies beside."""
+    row, column = places_on(there, region, x, y)
+    found: NDArray[np.bool_] = there.take(row, axis=0).take(column, axis=1)
+    return found
+
+
+def places_on(
+    there: NDArray[np.bool_], region: Bounds, x: NDArray[np.int64], y: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of an array over a region where places on a grid lie."""
     rows, columns = there.shape
     size = (region.xmax - region.xmin) // columns
     column = ((x - region.xmin) // size).clip(0, columns - 1)
     row = ((y - region.ymin) // size).clip(0, rows - 1)
-    found: NDArray[np.bool_] = there[np.ix_(row, column)]
-    return found
+    return row, column
 
 
 def by_flightline(

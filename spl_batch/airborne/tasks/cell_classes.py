@@ -27,6 +27,7 @@ from spl_batch.constants import (
     NOISE_NOT_ASSESSED,
     NOISE_SIGNAL,
 )
+from spl_batch.lattice.distinct import distinct
 from spl_batch.lattice.eastings import once
 from spl_batch.lattice.tables import EXCLUDED, PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
@@ -144,7 +145,8 @@ class _Noise:
         number = cell_number(mine, self._core, self._size)
         add_up_finite(number, mine["noise_density"], self._total, self._count)
         signal = owned & (table["noise_class"] == NOISE_SIGNAL)
-        self._heights.append(np.unique(table["z"][signal], return_counts=True))
+        heights, rank = distinct(table["z"][signal])
+        self._heights.append((heights, np.bincount(rank, minlength=len(heights))))
 
     def raster(self) -> NDArray[np.float32]:
         """Mean expected noise density of each raster cell, north up [1/m3]."""

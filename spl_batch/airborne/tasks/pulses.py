@@ -17,13 +17,14 @@ from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, EmptySquares, not
 from spl_batch.airborne.pulses.pulse_maps import PulseMaps, flightline_of
 from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, Ends
 from spl_batch.airborne.pulses.smooth_surfaces import STEPS, smooth_sums
+from spl_batch.airborne.pulses.square_kernels import count_squares
 from spl_batch.airborne.pulses.steady_heights import Counts, add_counts, as_facts, unsteady_places
 from spl_batch.airborne.pulses.swath_coverage import Swaths, at_places, pass_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
-from spl_batch.lattice.tiles import Bounds, inside, quanta, shared
+from spl_batch.lattice.tiles import Bounds, quanta, shared
 
 _SQUARES: Final = "footprint"
 """Fact of a ground cell: squares that returns cover [count]."""
@@ -195,12 +196,8 @@ class Pulses:
         x, y, _ = returns.first.T
         self._signal.add(x, y)
         self._empty.add(x, y)
-        held, region = inside(x, y, self._region), self._region
-        np.add.at(
-            self._count,
-            ((y[held] - region.ymin) // SQUARE_Q, (x[held] - region.xmin) // SQUARE_Q),
-            1,
-        )
+        corner = (low // SQUARE_Q for low in self._region[:2])
+        count_squares(x, y, *corner, SQUARE_Q, self._count)
         number = pass_of(returns.time_s, returns.point_source_id)
         self._swaths.add(x, y, number)
         own = shared(part, self._core)
