@@ -153,16 +153,17 @@ def _by_cells(
     points: NDArray[np.float64], others: NDArray[np.float64], cell_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Bounds of each point's distance from the nearest of the others [m]: two (n,) float64."""
-    corner = np.minimum(points[:, :2].min(axis=0), others[:, :2].min(axis=0))
-    mine, theirs = (
-        np.floor((p[:, :2] - corner) / cell_m).astype(np.int64) for p in (points, others)
-    )
-    shape = np.maximum(mine.max(axis=0), theirs.max(axis=0)) + 1
-    if shape.prod() > CELLS_MAX * (len(points) + len(others)):
+    mine, theirs, shape = [], [], []
+    for own, other in ((points[:, k], others[:, k]) for k in (0, 1)):
+        corner = min(own.min(), other.min())
+        mine.append(np.floor((own - corner) / cell_m).astype(np.int64))
+        theirs.append(np.floor((other - corner) / cell_m).astype(np.int64))
+        shape.append(int(max(mine[-1].max(), theirs[-1].max())) + 1)
+    if math.prod(shape) > CELLS_MAX * (len(points) + len(others)):
         return np.zeros(len(points)), np.full(len(points), np.inf)
     free = np.ones(shape, np.bool_)
-    free[*theirs.T] = False
-    apart_m = cell_m * distance_transform_edt(free)[*mine.T]
+    free[*theirs] = False
+    apart_m = cell_m * distance_transform_edt(free)[*mine]
     # each of the two lies up to half a diagonal from the centre of its cell
     diagonal_m = cell_m * math.sqrt(2.0) * (1.0 + 1e-9)
     return apart_m - diagonal_m, apart_m + diagonal_m

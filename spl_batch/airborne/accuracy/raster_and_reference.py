@@ -114,7 +114,10 @@ class Reference:
     def without_noise(self) -> "Reference":
         """The same without points of class 7 or 18 or with coordinates that are not finite."""
         kept = ~np.isin(self.classification, (CLASS_LOW_NOISE, CLASS_HIGH_NOISE))
-        kept &= np.isfinite(self.xyz_m).all(axis=1)
+        for axis in self.xyz_m.T:
+            kept &= np.isfinite(axis)
+        if kept.all():
+            return self
         counted = None if self.counted is None else self.counted[kept]
         return Reference(self.xyz_m[kept], self.classification[kept], counted)
 

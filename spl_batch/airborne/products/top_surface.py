@@ -61,12 +61,15 @@ def _critical(expected: float, settings: ProductSettings) -> int:
 def support_of(noise: NDArray[np.float64], settings: ProductSettings) -> Support:
     """What confirms a return, given the noise around each raster cell [1/m3]."""
     radii_m = _scales_m(settings)
-    densities, row = np.unique(noise, return_inverse=True)
+    # Neighbours mostly share a density: few are left where it changes along a row.
+    opens = np.ones(len(noise), np.bool_)
+    opens[1:] = noise[1:] != noise[:-1]
+    densities, which = np.unique(noise[opens], return_inverse=True)
     expected = [[4.0 / 3.0 * np.pi * per_m3 * r**3 for r in radii_m] for per_m3 in densities]
     return Support(
         radius=np.array([quanta(radius_m) for radius_m in radii_m]),
         needed=np.array([[_critical(count, settings) for count in counts] for counts in expected]),
-        noise=row,
+        noise=which[np.cumsum(opens) - 1],
         neighbours=settings.dsm_spacing_neighbours,
         peer_ratio=settings.dsm_peer_ratio,
     )

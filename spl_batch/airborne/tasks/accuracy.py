@@ -45,6 +45,8 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
     square = args["square"]
     core = cell_bounds(parse_cell(square), args["edge"])
     known = read_square(context, args["files"], square, core)
+    points = int(np.count_nonzero(known.counts))
+    known = known.without_noise()  # once: each comparison below asks for it
     arrays: dict[str, NDArray[Any]] = {}
     found: dict[str, list[Tallies]] = {"dtm": [], "dsm": []}
     # a survey in pieces has rasters for each, and a square may lie on any of them
@@ -66,15 +68,15 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
         arrays |= _as_arrays(product, add_up(counted))
     path = context.store.path("accuracy", f"{square}.npz")
     write_arrays(path, arrays)
-    return Produced([path], {}, int(np.count_nonzero(known.counts)))
+    return Produced([path], {}, points)
 
 
 def _near(context: Context, name: str, known: Reference) -> Raster | None:
     """The part of a raster that reference points lie on; None where it does not reach them."""
     if not len(known.xyz_m):
         return None
-    (west, south, _), (east, north, _) = known.xyz_m.min(axis=0), known.xyz_m.max(axis=0)
-    bounds = float(west), float(south), float(east), float(north)
+    x, y, _ = known.xyz_m.T
+    bounds = float(x.min()), float(y.min()), float(x.max()), float(y.max())
     part = read_part(context.output / f"{name}.tif", bounds)
     return None if part is None else Raster(part.values, part.left_m, part.top_m, part.cell_m)
 
