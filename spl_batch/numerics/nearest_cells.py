@@ -5,6 +5,8 @@ along each row by the columns that are nearest somewhere in it. scipy's distance
 same cells.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,33 @@ def nearest_cells(held: Mask) -> tuple[Index, Index]:
     row, column = np.empty((2, *held.shape), dtype=np.int64)
     _nearest(held, row, column)
     return row, column
+
+
+def distances(held: Mask) -> NDArray[np.float64]:
+    """Distance of each cell to the nearest that holds something: (rows, columns) float64 [cells].
+
+    ``held``: as :func:`nearest_cells` has it. scipy's distance transform of the others has the same
+    numbers: distances are roots of whole ones.
+    """
+    away = np.empty(held.shape)
+    _distances(held, away)
+    return away
+
+
+@njit()
+def _distances(held: Mask, away: NDArray[np.float64]) -> None:
+    """Fill with the distances to the nearest cells."""
+    rows, columns = held.shape
+    along = _nearest_of_columns(held)
+    some = np.flatnonzero(along[0] >= 0)
+    at, begin = np.empty((2, columns), np.int64)
+    for r in range(rows):
+        last = _nearest_in_row(along[r], r, some, at, begin)
+        for c in range(columns - 1, -1, -1):
+            while begin[last] > c:
+                last -= 1
+            up, aside = along[r, at[last]] - r, at[last] - c
+            away[r, c] = math.sqrt(up * up + aside * aside)
 
 
 @njit()

@@ -12,12 +12,12 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from spl_batch.airborne.accuracy.error_tally import STEPS_PER_M
 from spl_batch.airborne.accuracy.raster_and_reference import Grid, Raster, Reference, known
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_WATER
+from spl_batch.numerics.nearest_cells import distances
 
 OPEN_M: Final = 2.0
 """Open ground has nothing tall within this distance [m]."""
@@ -161,9 +161,9 @@ def _by_cells(
         shape.append(int(max(mine[-1].max(), theirs[-1].max())) + 1)
     if math.prod(shape) > CELLS_MAX * (len(points) + len(others)):
         return np.zeros(len(points)), np.full(len(points), np.inf)
-    free = np.ones(shape, np.bool_)
-    free[*theirs] = False
-    apart_m = cell_m * distance_transform_edt(free)[*mine]
+    held = np.zeros(shape, np.bool_)
+    held[*theirs] = True
+    apart_m = cell_m * distances(held)[*mine]
     # each of the two lies up to half a diagonal from the centre of its cell
     diagonal_m = cell_m * math.sqrt(2.0) * (1.0 + 1e-9)
     return apart_m - diagonal_m, apart_m + diagonal_m

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.nearest_cells import distances
 
 RINGS: Final = (1, 2, 4, 8)
 """Inner radii of the rings [cells]; the outer one is twice the inner."""
@@ -116,7 +117,7 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
     levels = _differences(held, moments, integrals)
     if levels is None:
         return np.full(held.shape, np.nan)
-    found = _at_distance(levels, ndimage.distance_transform_edt(~held))
+    found = _at_distance(levels, distances(held))
     if scatter is None:
         return found
     layer = _layer_variance(scatter, integrals, levels[0] ** 2, cell_m)

@@ -19,7 +19,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from spl_batch.airborne.products.flown_cells import close
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS
@@ -29,6 +28,7 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.distinct import distinct
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tiles import Bounds, grow, quanta
+from spl_batch.numerics.nearest_cells import distances
 
 DOMAIN: Final = "space"
 
@@ -175,7 +175,7 @@ class Swaths:
         """Rings of a swath within the region that have an area."""
         depth = np.full(closed.shape, self._deepest)
         if not closed.all():
-            depth = np.minimum(distance_transform_edt(closed).astype(np.int64) - 1, self._deepest)
+            depth = np.minimum(distances(~closed).astype(np.int64) - 1, self._deepest)
         sums = np.zeros((2 + 2 * len(SPACINGS), self._deepest + 1), np.int64)
 
         def add(squares: Bounds, edge: int, held: NDArray[Any], into: tuple[int, int]) -> None:

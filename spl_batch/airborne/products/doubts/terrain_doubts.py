@@ -20,6 +20,7 @@ from spl_batch.airborne.products.doubts.cut_off_blocks import cut_off_blocks
 from spl_batch.airborne.products.doubts.raised_strips import raised_strips
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.lattice.tiles import Bounds
+from spl_batch.numerics.nearest_cells import distances
 
 DOMAIN: Final = "space"
 
@@ -105,7 +106,7 @@ def doubts(ground: Grid, margin: int, cell_m: float) -> Doubts:
     held = ~np.isnan(ground)
     away = np.full(ground.shape, np.inf)
     if held.any():
-        away = ndimage.distance_transform_edt(~held) * cell_m
+        away = distances(held) * cell_m
     spacing = np.rint(_spacing(held))
     rows, columns = away[inner].shape
 
