@@ -25,10 +25,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.nearest_cells import distances
+from spl_batch.numerics.nearest_cells import distances, nearest_cells
 
 RINGS: Final = (1, 2, 4, 8)
 """Inner radii of the rings [cells]; the outer one is twice the inner."""
@@ -47,6 +46,9 @@ _DAMPING = 0.25
 
 _SLOPE_CELLS = 2
 """Cells on each side whose ground tells the slope that returns scatter about [cells]."""
+
+_WIDEST = 2 * max(RINGS)
+"""Outer radius of the largest ring [cells]."""
 
 Grid = NDArray[np.float64]
 
@@ -111,17 +113,28 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
     (rows, columns) float64
         Standard deviation [m]; NaN where no ring holds enough ground to tell.
     """
-    held = ~np.isnan(means[:, :, 2])
-    moments = _moments(means, held, cell_m)
-    integrals = _integrals(moments, 2 * max(RINGS))
-    levels = _differences(held, moments, integrals)
+    ground = _Ground(means, ~np.isnan(means[:, :, 2]), cell_m)
+    integrals, field = _room(9, ground.held.shape, _WIDEST)
+    _put_moments(*ground.by_cell, _WIDEST + 1, integrals)
+    _add_up(integrals)
+    levels = _differences(ground, integrals)
     if levels is None:
-        return np.full(held.shape, np.nan)
-    found = _at_distance(levels, distances(held))
+        return np.full(field.shape[1:], np.nan)
+    found = _at_distance(levels, distances(ground.held))
     if scatter is None:
         return found
     layer = _layer_variance(scatter, integrals, levels[0] ** 2, cell_m)
     return np.sqrt(found**2 + layer)
+
+
+class _Ground:
+    """Means of ground, and places in cells from the middle of them all."""
+
+    def __init__(self, means: Grid, held: NDArray[np.bool_], cell_m: float) -> None:
+        self.held = held
+        middle = means[held].mean(axis=0) if held.any() else np.zeros(3)
+        #: Cells and their means; where x, y, z begin [m]; edge of a cell [m].
+        self.by_cell = held, np.ascontiguousarray(means), middle, float(cell_m)
 
 
 def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: float) -> Grid:
@@ -129,26 +142,23 @@ def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: flo
 
     ``differ``: variance by which a cell's mean differs from those around [m2].
     """
-    sums = _boxes(integrals, 2 * max(RINGS), _SLOPE_CELLS)
-    held = sums[0] > 0.5
-    slope = np.zeros((2, *held.shape))
-    slope[:, held] = np.array(_plane(sums[:, held])[3:]) / cell_m
+    shape = scatter.returns.shape
+    slope = np.zeros((2, *shape))
+    low, high = _WIDEST - _SLOPE_CELLS, _WIDEST + 1 + _SLOPE_CELLS
+    _put_slopes(integrals, low, high, cell_m, slope)
     east, north = slope
     xx, xy, yy, xz, yz, zz = np.moveaxis(scatter.products, -1, 0)
     about = zz - 2 * (east * xz + north * yz)
     about += east * (east * xx + 2 * north * xy) + north * north * yy
     count = scatter.returns.astype(np.float64)
     several = count > 1
-    given = np.stack(
-        [
-            np.where(several, count * np.maximum(about, 0.0), 0.0),
-            np.where(several, count - 1, 0.0),
-            count,
-            (count > 0).astype(np.float64),
-        ]
-    )
+    integrals, given = _room(4, shape, AROUND)
+    given[0] = np.where(several, count * np.maximum(about, 0.0), 0.0)
+    given[1] = np.where(several, count - 1, 0.0)
+    given[2], given[3] = count, count > 0
+    _add_up(integrals)
     # Differences of sums may fall short of zero by rounding.
-    total, free, returns, cells = np.maximum(_boxes(_integrals(given, AROUND), AROUND, AROUND), 0.0)
+    total, free, returns, cells = np.maximum(_boxes(integrals, AROUND), 0.0)
     variance = total / np.maximum(free, 1.0)
     each = np.maximum(returns / np.maximum(cells, 1.0), 1.0)
     beyond_noise = np.maximum(differ - variance / each, 0.0)
@@ -156,48 +166,62 @@ def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: flo
     return layer
 
 
-def _differences(held: NDArray[np.bool_], moments: Grid, integrals: Grid) -> Grid | None:
+def _differences(ground: _Ground, integrals: Grid) -> Grid | None:
     """Deviation from the planes of rings, around each cell: (rings, rows, columns) [m].
 
     No larger ring gives less. For a ring that holds too little the next larger one speaks; without
     one, the next smaller one, times the ratio of the radii. Where none holds enough, the nearest
     place where one does counts; without any there is nothing: None.
     """
-    levels = np.full((len(RINGS), *held.shape), np.nan)
-    for k, ring in enumerate(RINGS):
-        off, known = _off_ring(held, moments, integrals, ring)
-        given = np.stack([known.astype(np.float64), np.where(known, np.abs(off), 0.0)])
-        count, total = _boxes(_integrals(given, AROUND), AROUND, AROUND)
-        here = count > _ENOUGH - 0.5
-        levels[k][here] = _HALF_NORMAL * total[here] / count[here]
+    levels = np.empty((len(RINGS), *ground.held.shape))
+    for level, ring in zip(levels, RINGS, strict=True):
+        outer, inner = (
+            (_WIDEST - reach, _WIDEST + 1 + reach) for reach in (2 * ring, ring - 1)
+        )  # fmt: skip
+        off, _ = _room(2, ground.held.shape, AROUND)
+        _fit_rings(*ground.by_cell, integrals, outer, inner, AROUND + 1, off)
+        _add_up(off)
+        _put_means(off, 2 * AROUND + 1, level)
     nowhere = np.asarray(np.isnan(levels).all(axis=0))
     if nowhere.all():
         return None
-    nearest = ndimage.distance_transform_edt(nowhere, return_distances=False, return_indices=True)
-    levels = np.stack([level[tuple(nearest)] for level in levels])
+    if nowhere.any():
+        nearest = nearest_cells(~nowhere)
+        for level in levels:
+            level[:] = level[nearest]
     for k in reversed(range(len(RINGS) - 1)):
-        levels[k] = np.where(np.isnan(levels[k]), levels[k + 1], levels[k])
+        np.copyto(levels[k], levels[k + 1], where=np.isnan(levels[k]))
     for k in range(1, len(RINGS)):
-        levels[k] = np.where(np.isnan(levels[k]), 2.0 * levels[k - 1], levels[k])
-    return np.maximum.accumulate(levels, axis=0)
+        lost = np.isnan(levels[k])
+        levels[k][lost] = 2.0 * levels[k - 1][lost]
+        np.maximum(levels[k], levels[k - 1], out=levels[k])
+    return levels
 
 
-def _moments(means: Grid, held: NDArray[np.bool_], cell_m: float) -> Grid:
-    """1, x, y, z, xx, xy, yy, xz, yz of cells with ground, 0 elsewhere: (9, rows, columns)."""
-    middle = means[held].mean(axis=0) if held.any() else np.zeros(3)
-    x, y, z = np.moveaxis(np.where(held[:, :, None], means - middle, 0.0), 2, 0)
-    x, y = x / cell_m, y / cell_m
-    return np.stack([held.astype(np.float64), x, y, z, x * x, x * y, y * y, x * z, y * z])
+@njit()
+def _put_moments(
+    held: NDArray[np.bool_], means: Grid, middle: Grid, cell_m: float, pad: int, out: Grid
+) -> None:
+    """1, x, y, z, xx, xy, yy, xz, yz of cells with ground, behind ``pad`` rows and columns."""
+    rows, columns = held.shape
+    for r in range(rows):
+        for c in range(columns):
+            if not held[r, c]:
+                continue
+            x, y = (means[r, c, 0] - middle[0]) / cell_m, (means[r, c, 1] - middle[1]) / cell_m
+            z = means[r, c, 2] - middle[2]
+            row, column = r + pad, c + pad
+            out[0, row, column] = 1.0
+            out[1, row, column], out[2, row, column], out[3, row, column] = x, y, z
+            out[4, row, column], out[5, row, column], out[6, row, column] = x * x, x * y, y * y
+            out[7, row, column], out[8, row, column] = x * z, y * z
 
 
-def _integrals(fields: Grid, reach: int) -> Grid:
-    """Sums from the first corner on of (n, rows, columns) fields, with zeros around them."""
-    count, *shape = fields.shape
-    integrals: Grid = np.zeros((count, *(size + 2 * reach + 1 for size in shape)))
+def _room(count: int, shape: tuple[int, ...], reach: int) -> tuple[Grid, Grid]:
+    """Fields of zeros with a rim, for sums from the first corner on, and what is within the rim."""
+    fields: Grid = np.zeros((count, *(size + 2 * reach + 1 for size in shape)))
     inside = [slice(reach + 1, reach + 1 + size) for size in shape]
-    integrals[:, inside[0], inside[1]] = fields
-    _add_up(integrals)
-    return integrals
+    return fields, fields[:, inside[0], inside[1]]
 
 
 @njit()
@@ -222,14 +246,14 @@ def _box(integrals: Grid, k: int, r: int, c: int, low: int, high: int) -> float:
     return float(summed)
 
 
-def _boxes(integrals: Grid, widest: int, reach: int) -> Grid:
+def _boxes(integrals: Grid, reach: int) -> Grid:
     """Sums over a square around each cell, whole at the edges: (n, rows, columns).
 
-    ``integrals``: of :func:`_integrals` with the reach ``widest``, which is no less than ``reach``.
+    ``integrals``: added up in a :func:`_room` of that reach.
     """
     count, *shape = integrals.shape
-    summed = np.empty((count, *(size - 2 * widest - 1 for size in shape)))
-    _add_boxes(integrals, widest - reach, widest + 1 + reach, summed)
+    summed = np.empty((count, *(size - 2 * reach - 1 for size in shape)))
+    _add_boxes(integrals, 0, 2 * reach + 1, summed)
     return summed
 
 
@@ -242,25 +266,27 @@ def _add_boxes(integrals: Grid, low: int, high: int, out: Grid) -> None:
                 out[k, r, c] = _box(integrals, k, r, c, low, high)
 
 
-def _off_ring(
-    held: NDArray[np.bool_], moments: Grid, integrals: Grid, ring: int
-) -> tuple[Grid, NDArray[np.bool_]]:
-    """Height above the plane of a ring around each cell [m], and where there is one."""
-    widest = 2 * max(RINGS)
-    outer, inner = (
-        (widest - reach, widest + 1 + reach) for reach in (2 * ring, ring - 1)
-    )  # fmt: skip
-    off, known = np.zeros(held.shape), np.zeros(held.shape, np.bool_)
-    _fit_rings(held, moments, integrals, outer, inner, off, known)
-    return off, known
+@njit()
+def _put_means(off: Grid, high: int, level: Grid) -> None:
+    """Deviation around each cell, NaN where few tell, of added up numbers and differences."""
+    rows, columns = level.shape
+    for r in range(rows):
+        for c in range(columns):
+            count = _box(off, 0, r, c, 0, high)
+            level[r, c] = np.nan
+            if count > _ENOUGH - 0.5:
+                level[r, c] = _HALF_NORMAL * _box(off, 1, r, c, 0, high) / count
 
 
 @njit()
 def _fit_rings(
-    held: NDArray[np.bool_], moments: Grid, integrals: Grid,
-    outer: tuple[int, int], inner: tuple[int, int], off: Grid, known: NDArray[np.bool_],
+    held: NDArray[np.bool_], means: Grid, middle: Grid, cell_m: float, integrals: Grid,
+    outer: tuple[int, int], inner: tuple[int, int], pad: int, out: Grid,
 ) -> None:  # fmt: skip
-    """Fill for cells with ground whose ring holds enough of it."""
+    """Difference from the plane of a ring [m], and that there is one, behind a rim.
+
+    It is put where a cell has ground and its ring holds enough of it.
+    """
     rows, columns = held.shape
     sums = np.empty(9)
     for r in range(rows):
@@ -275,30 +301,46 @@ def _fit_rings(
                 x, y, z, east, north = _plane_of(
                     sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7], sums[8]
                 )
-                above = east * (moments[1, r, c] - x) + north * (moments[2, r, c] - y)
-                off[r, c], known[r, c] = moments[3, r, c] - (z + above), True
+                own_x, own_y = (
+                    (means[r, c, 0] - middle[0]) / cell_m,
+                    (means[r, c, 1] - middle[1]) / cell_m,
+                )
+                above = east * (own_x - x) + north * (own_y - y)
+                off = (means[r, c, 2] - middle[2]) - (z + above)
+                out[0, r + pad, c + pad], out[1, r + pad, c + pad] = 1.0, abs(off)
 
 
-def _plane(sums: Grid) -> tuple[Grid, Grid, Grid, Grid, Grid]:
-    """Middle of planes through some cells (x, y, z) and their rise to east and north.
+@njit()
+def _put_slopes(integrals: Grid, low: int, high: int, cell_m: float, slope: Grid) -> None:
+    """Rise of the plane through the square around each cell to east and north."""
+    _, rows, columns = slope.shape
+    sums = np.empty(9)
+    for r in range(rows):
+        for c in range(columns):
+            for k in range(9):
+                sums[k] = _box(integrals, k, r, c, low, high)
+                if k == 0 and not sums[0] > 0.5:
+                    break
+            else:
+                _, _, _, east, north = _plane_of(
+                    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7], sums[8]
+                )
+                slope[0, r, c], slope[1, r, c] = east / cell_m, north / cell_m
 
-    ``sums``: (9, n), those of :func:`_moments`; each of one cell at least.
+
+@njit()
+def _plane_of(
+    n: float, x: float, y: float, z: float, xx: float, xy: float, yy: float, xz: float, yz: float
+) -> tuple[float, float, float, float, float]:
+    """Middle of the plane through some cells (x, y, z) and its rise to east and north.
+
+    Of one cell at least, by the sums that :func:`_put_moments` begins with.
     """
-    return _fit(*sums)
-
-
-def _fit(
-    n: Grid, x: Grid, y: Grid, z: Grid, xx: Grid, xy: Grid, yy: Grid, xz: Grid, yz: Grid
-) -> tuple[Grid, Grid, Grid, Grid, Grid]:
-    """The same of one cell or many."""
     x, y, z = x / n, y / n, z / n
     xx, yy, xy = xx / n - x * x + _DAMPING, yy / n - y * y + _DAMPING, xy / n - x * y
     xz, yz = xz / n - x * z, yz / n - y * z
     scale = xx * yy - xy * xy
     return x, y, z, (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
-
-
-_plane_of = njit()(_fit)
 
 
 def _at_distance(levels: Grid, away: Grid) -> Grid:
