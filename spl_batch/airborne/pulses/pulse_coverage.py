@@ -76,6 +76,7 @@ class EmptySquares:
         x, y : (n,) int64
             Places [quanta].
         """
+        x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
         for spacing, whole in self._whole.items():
             west, south = whole.xmin // spacing, whole.ymin // spacing
             mark_squares(x, y, west, south, spacing, self._held[spacing])

@@ -193,7 +193,7 @@ class Pulses:
 
     def add(self, returns: PulseReturns, part: Bounds) -> None:
         """Take in the returns of a part."""
-        x, y, _ = returns.first.T
+        x, y = (np.ascontiguousarray(axis) for axis in returns.first.T[:2])
         self._signal.add(x, y)
         self._empty.add(x, y)
         corner = (low // SQUARE_Q for low in self._region[:2])

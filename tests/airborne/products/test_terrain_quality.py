@@ -10,10 +10,12 @@ from spl_batch.airborne.products.terrain_quality import (
     AROUND,
     RINGS,
     Scatter,
+    _add_up,
     _boxes,
-    _integrals,
-    _moments,
-    _off_ring,
+    _fit_rings,
+    _Ground,
+    _put_moments,
+    _room,
     scatter_of,
     terrain_sigma,
 )
@@ -86,10 +88,15 @@ def test_rings_are_those_of_least_squares() -> None:
     rng = np.random.default_rng(8)
     held = rng.random((24, 24)) < 0.4
     means = cell_means(rng.normal(0, 1, (24, 24)), held)
-    places = _moments(means, held, 1.0)
+    ground, widest = _Ground(means, held, 1.0), 2 * RINGS[-1]
+    integrals, _ = _room(9, held.shape, widest)
+    _put_moments(*ground.by_cell, widest + 1, integrals)
+    _add_up(integrals)
     row, column = np.indices(held.shape)
     for ring in RINGS[:3]:
-        off, known = _off_ring(held, places, _integrals(places, 2 * RINGS[-1]), ring)
+        reaches = ((widest - far, widest + 1 + far) for far in (2 * ring, ring - 1))
+        room, (known, off) = _room(2, held.shape, 0)
+        _fit_rings(*ground.by_cell, integrals, *reaches, 1, room)
         for r, c in np.argwhere(held)[::9]:
             away = np.maximum(abs(row - r), abs(column - c))
             near = means[held & (away >= ring) & (away <= 2 * ring)]
@@ -99,7 +106,7 @@ def test_rings_are_those_of_least_squares() -> None:
                 normal = d[:, :2].T @ d[:, :2] / len(near) + 0.25 * np.eye(2)
                 slope = np.linalg.solve(normal, d[:, :2].T @ d[:, 2] / len(near))
                 own = means[r, c] - near.mean(axis=0)
-                assert off[r, c] == pytest.approx(own[2] - slope @ own[:2], abs=1e-9)
+                assert off[r, c] == pytest.approx(abs(own[2] - slope @ own[:2]), abs=1e-9)
 
 
 def test_boxes_hold_what_lies_in_them() -> None:
@@ -108,7 +115,10 @@ def test_boxes_hold_what_lies_in_them() -> None:
         expected = ndimage.correlate(
             values, np.ones((2 * reach + 1, 2 * reach + 1)), mode="constant"
         )
-        assert np.allclose(_boxes(_integrals(values[None], 4), 4, reach)[0], expected)
+        room, inner = _room(1, values.shape, reach)
+        inner[0] = values
+        _add_up(room)
+        assert np.allclose(_boxes(room, reach)[0], expected)
 
 
 def returns(heights: Float) -> tuple[Float, NDArray[np.int64]]:
