@@ -196,8 +196,8 @@ class Pulses:
         x, y = (np.ascontiguousarray(axis) for axis in returns.first.T[:2])
         self._signal.add(x, y)
         self._empty.add(x, y)
-        corner = (low // SQUARE_Q for low in self._region[:2])
-        count_squares(x, y, *corner, SQUARE_Q, self._count)
+        west, south = self._region.xmin // SQUARE_Q, self._region.ymin // SQUARE_Q
+        count_squares(x, y, west, south, SQUARE_Q, self._count)
         number = pass_of(returns.time_s, returns.point_source_id)
         self._swaths.add(x, y, number)
         own = shared(part, self._core)
