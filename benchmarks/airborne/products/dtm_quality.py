@@ -3,7 +3,7 @@
 Run ``python -m benchmarks.airborne.products.dtm_quality FOLDER [TILE ...] [--surveys SURVEY ...]``.
 
 FOLDER holds classified tiles. The terrain is made as a run makes it: means of the ground in cells
-of 1 m, a TIN through them. It is compared in four ways:
+of 1 m, a TIN through them, plates across gaps. It is compared in four ways:
 
 - ``points``: of the producer's ground every second point is withheld; the terrain of the rest
   against the withheld points;
@@ -40,11 +40,14 @@ from numpy.typing import NDArray
 
 from benchmarks.airborne.ground.ground_tiles import Tile, terrain, tiles
 from spl_batch.airborne.ground.ground_methods import ground_mask
+from spl_batch.airborne.products.gap_surface import FAR_M, bridged
 from spl_batch.airborne.products.terrain_quality import Scatter, scatter_of, terrain_sigma
-from spl_batch.airborne.settings import GroundSettings
+from spl_batch.airborne.settings import GroundSettings, ProductSettings
 from spl_batch.constants import QUANTUM_M
+from spl_batch.numerics.triangulation.tin_raster import tin_raster
 
 CELL_M: Final = 1.0
+VOID_MAX_M: Final = ProductSettings().void_max_m
 SQUARE_M: Final = 8.0
 WITHHELD: Final = 1 / 3
 SEED: Final = 1
@@ -64,10 +67,16 @@ class Compared(NamedTuple):
 
 
 class Model(NamedTuple):
-    """Means of the ground in cells with any: (n, 3), and the deviation of all cells [m]."""
+    """Means of the ground in cells with any: (n, 3), and of all cells the deviation [m].
+
+    ``tin``: height of the TIN of the means, ``above``: of plates across gaps above it, at centres
+    of cells [m].
+    """
 
     means: Float
     sigma: Float
+    tin: Float
+    above: Float
 
 
 def withheld(ground: Float, way: str) -> Mask:
@@ -102,7 +111,19 @@ def model(ground: Float, shape: tuple[int, int]) -> Model:
     means[held] = of_cells
     count[held], products[held] = scatter_of((x, y, z), start, QUANTUM_M)
     scatter = Scatter(count.reshape(shape), products.reshape(*shape, 6))
-    return Model(of_cells, terrain_sigma(means.reshape(*shape, 3), CELL_M, scatter))
+    grid = means.reshape(*shape, 3)
+    return Model(of_cells, terrain_sigma(grid, CELL_M, scatter), *surface_of(grid))
+
+
+def surface_of(grid: Float) -> tuple[Float, Float]:
+    """TIN of the means of cells at their centres, and how far plates lie above it [m]."""
+    margin = round(2 * VOID_MAX_M / CELL_M)
+    wide = np.pad(grid, ((margin, margin), (margin, margin), (0, 0)), constant_values=np.nan)
+    wide[:, :, :2] += margin * CELL_M
+    held = grid[~np.isnan(grid[:, :, 2])]
+    tin = tin_raster(held, CELL_M, grid.shape[:2], VOID_MAX_M)
+    wet = np.zeros(wide.shape[:2], np.bool_)
+    return tin, bridged(tin, wide, wet, round(CELL_M), FAR_M / CELL_M, (0, 0)) - tin
 
 
 def shape_of(tile: Tile) -> tuple[int, int]:
@@ -113,8 +134,9 @@ def shape_of(tile: Tile) -> tuple[int, int]:
 
 def compared(made: Model, places: Float, heights: Float) -> Compared:
     """A terrain model against heights at places, where it says anything."""
-    off = terrain(made.means, places) - heights
-    said = made.sigma[cells_of(places)]
+    cells = cells_of(places)
+    off = terrain(made.means, places) + np.nan_to_num(made.above[cells]) - heights
+    said = made.sigma[cells]
     told = np.isfinite(off) & np.isfinite(said)
     return Compared(off[told], said[told])
 

@@ -7,7 +7,9 @@ them.
 ====== ========================================================================
 DTM    TIN through one vertex per raster cell, evaluated at cell centres: the robust
        mean (x, y, z) of its ground returns. Through single returns a TIN would keep
-       the spread of a range (5 cm); means of positions too keep slopes unbiased. In
+       the spread of a range (5 cm); means of positions too keep slopes unbiased. Across
+       gaps thin plates go on with the slopes of the rim
+       (:mod:`~spl_batch.airborne.products.gap_surface`). In
        water polygons ground returns are put on the water's level first
        (:mod:`~spl_batch.airborne.ground.water.level`).
 DSM    Highest return of the cell that is ground or that its peers confirm: more of
@@ -45,6 +47,7 @@ from spl_batch.airborne.products.flown_cells import (
     close,
     ground_heights,
 )
+from spl_batch.airborne.products.gap_surface import FAR_M, bridged
 from spl_batch.airborne.products.noise_aloft import RefusedReturns
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of, relative, shape_of
 from spl_batch.airborne.products.terrain_quality import Scatter, scatter_of, terrain_sigma
@@ -144,6 +147,7 @@ class Surfaces:
         self._scatter = Scatter(
             np.zeros(rows * cols, np.int32), np.zeros((rows * cols, 6), np.float32)
         )
+        self._wet = np.zeros(rows * cols, np.bool_)
         # Under a deck what is left of the water may hang together with no other.
         self._levels = Levels(beyond=True)
         self._corners = np.zeros((2, 2), np.bool_)
@@ -167,7 +171,9 @@ class Surfaces:
         """Find the tops of a part: points of it and of :meth:`around` it."""
         ground, waits = self._of_terrain(table, shared(part, self.region))
         if waits.any():
-            self._take_means(flattened(ground.take(waits), self._levels))
+            water = flattened(ground.take(waits), self._levels)
+            self._take_means(water)
+            self._wet[cell_number(water, self.region, self._size)] = True
         there = about_ground(table, shared(part, self.region), self._ground)
         corner, size = self.region, self._size
         row, col = (table["y"][there] - corner.ymin) // size, table["x"][there] - corner.xmin
@@ -260,6 +266,9 @@ class Surfaces:
         vertices = np.concatenate([vertices, self._covered_corners(vertices)])
         vertices[:, :2] -= self.region.xmax - cell.xmax
         dtm = tin_raster(vertices, size, shape_of(cell, size), quanta(settings.void_max_m))
+        corner = self.region.ymin // size, self.region.xmin // size
+        wet, far = self._wet.reshape(rows, cols), FAR_M / settings.cell_m
+        dtm = bridged(dtm, means.reshape(rows, cols, 3), wet, size, far, corner)
         return dtm, sigma[margin:-margin, margin:-margin]
 
     def _look_at_corners(self, table: PointTable) -> None:

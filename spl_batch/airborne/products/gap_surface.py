@@ -1,0 +1,186 @@
+"""Terrain across gaps: thin plates that go on with the slopes of the rim.
+
+A TIN spans a gap with planes between its rims, whatever slopes lead there, so that it cuts off a
+hill and fills a hollow. A smoothing thin plate (:mod:`spl_batch.numerics.thin_plates`) bends as
+little as the ground around allows. Under halls, dense crowns and other places that are farther
+than :data:`FAR_M` from ground it takes the TIN's place, wholly so from twice that distance on.
+
+Deviation from a plate through all ground: plates are local and overlap, as a ground cell sees no
+more than its margin. One belongs to each node of an absolute lattice, is fitted to the ground of a
+window around it, and counts with bilinear weight as far as the next nodes. So no cut between
+ground cells shows, and where a gap is wider than a window, its plate goes on from one side.
+It is fitted to means of blocks of :data:`BLOCK_M`, two rows of them along the gaps: single cells
+would lend it the slopes of their noise.
+
+Two rules keep it from making up land. It is no higher and no lower than the ground it is fitted to.
+And it does not come near water: where the nearest ground is the level of water, within
+:data:`FAR_M`, the TIN stays.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.thin_plates import fit_plate, plate_height
+
+FAR_M: Final = 4.0
+"""Distance to ground from which on a plate takes part [m]."""
+
+BLOCK_M: Final = 4.0
+"""Edge of a block whose mean a plate is fitted to [m]."""
+
+NODE_BLOCKS: Final = 3
+"""Blocks from one plate to the next [count]."""
+
+WINDOW_BLOCKS: Final = 7
+"""Blocks on each side of a node that its plate is fitted to, at most [count]."""
+
+_RIM = 2
+"""Blocks with an empty one no farther than this are the rim of a gap [count]."""
+
+_STIFFNESS = 1.0
+"""Of plates, in blocks: they smooth over about half a block."""
+
+_ENOUGH = 8
+"""Blocks that a plate is fitted to, at least [count]."""
+
+_CELLS = 2.0
+"""Cells with ground in a block, on the average; in sparser clouds gaps are everywhere [count]."""
+
+Grid = NDArray[np.float64]
+
+
+def bridged(
+    dtm: Grid, means: Grid, wet: NDArray[np.bool_], size: int, far: float, corner: tuple[int, int]
+) -> Grid:
+    """A terrain model with plates across its gaps.
+
+    Parameters
+    ----------
+    dtm : (rows, columns) float64
+        TIN, row 0 southernmost [any unit]; NaN in voids, which stay.
+    means : (rows + 2 m, columns + 2 m, 3) float64
+        Place, from the first corner of these cells on, and height of the ground in each cell and in
+        a margin of m cells around [unit of ``dtm``]; NaN without ground.
+    wet : (rows + 2 m, columns + 2 m) bool
+        Cells whose ground is water.
+    size : int
+        Edge of a cell [unit of ``dtm``].
+    far : float
+        :data:`FAR_M` in cells.
+    corner : (int, int)
+        Absolute row and column of the first of the cells of ``means``.
+    """
+    margin = (len(means) - len(dtm)) // 2
+    block = max(round(far * BLOCK_M / FAR_M), 1)
+    window = min(margin // block - NODE_BLOCKS, WINDOW_BLOCKS)
+    share = _share(~np.isnan(means[:, :, 2]), wet, max(far, 2.0), margin)
+    share[np.isnan(dtm)] = 0.0
+    if window < NODE_BLOCKS or not share.any():
+        return dtm
+    before = corner[0] % block, corner[1] % block
+    blocks = _blocks(means, size, before, block)
+    # Row and column of the first cell of ``dtm`` on the lattice of blocks, and of its nodes.
+    first = before[0] + margin, before[1] + margin
+    step = NODE_BLOCKS * block
+    phase = tuple((c - b) // block % NODE_BLOCKS for c, b in zip(corner, before, strict=True))
+    nodes = _nodes(share > 0, (first[0] + phase[0] * block, first[1] + phase[1] * block), step)
+    nodes = nodes * NODE_BLOCKS - phase
+    off = np.zeros_like(dtm)
+    _add_plates(nodes, blocks, window, dtm, share > 0, np.array(first), block, off)
+    return dtm + share * off
+
+
+def _share(held: NDArray[np.bool_], wet: NDArray[np.bool_], far: float, margin: int) -> Grid:
+    """How much a plate counts in each cell within the margin: 0 to 1."""
+    inner = slice(margin, len(held) - margin), slice(margin, held.shape[1] - margin)
+    if not held.any():
+        return np.zeros_like(held[inner], np.float64)
+    away = ndimage.distance_transform_edt(~held)[inner]
+    share = np.clip(away / far - 1.0, 0.0, 1.0)
+    if wet.any():
+        beyond = ndimage.distance_transform_edt(~wet)[inner] - away
+        share *= np.clip(beyond / far, 0.0, 1.0)
+    return share
+
+
+def _blocks(means: Grid, size: int, before: tuple[int, int], block: int) -> Grid:
+    """Mean place [blocks] and height of the ground of each block, and cells with any: (., ., 4)."""
+    held = np.nonzero(~np.isnan(means[:, :, 2]))
+    row, column = ((axis + b) // block for axis, b in zip(held, before, strict=True))
+    shape = [-(-(n + b) // block) for n, b in zip(means.shape, before, strict=False)]
+    number = row * shape[1] + column
+    count = np.bincount(number, minlength=shape[0] * shape[1])
+    blocks = np.zeros((len(count), 4))
+    blocks[:, 3] = count
+    x, y, z = means[held].T
+    for k, values in enumerate((x / size + before[1], y / size + before[0])):
+        blocks[:, k] = np.bincount(number, values / block, len(count)) / np.maximum(count, 1)
+    blocks[:, 2] = np.bincount(number, z, len(count)) / np.maximum(count, 1)
+    return blocks.reshape(*shape, 4)
+
+
+def _nodes(gaps: NDArray[np.bool_], first: tuple[int, int], step: int) -> NDArray[np.int64]:
+    """Nodes of a lattice whose plates reach cells of gaps: (n, 2), in order.
+
+    ``first``: row and column of the first cell, ``step``: cells from one node to the next.
+    """
+    row, column = (axis + f for axis, f in zip(np.nonzero(gaps), first, strict=True))
+    corners = np.unique(np.column_stack([row // step, column // step]), axis=0)
+    around = [corners + np.array([i, j]) for i in (0, 1) for j in (0, 1)]
+    return np.unique(np.concatenate(around), axis=0)
+
+
+@njit()
+def _add_plates(
+    nodes: NDArray[np.int64], blocks: Grid, window: int,
+    dtm: Grid, gaps: NDArray[np.bool_], first: NDArray[np.int64], block: int, off: Grid,
+) -> None:  # fmt: skip
+    """Add what plates lie above the terrain, each by its weight.
+
+    ``nodes``: row and column [blocks]; ``first``: of the terrain's first cell [cells].
+    """
+    rows, columns = dtm.shape
+    reach = NODE_BLOCKS * block
+    points, plate = np.empty(((2 * window) ** 2, 3)), np.empty((2 * window) ** 2 + 3)
+    for k in range(len(nodes)):
+        n = _rim_around(nodes[k], blocks, window, points)
+        if n < _ENOUGH or not fit_plate(points[:n], _STIFFNESS, plate[: n + 3]):
+            continue
+        low, high = points[:n, 2].min(), points[:n, 2].max()
+        r0, c0 = nodes[k, 0] * block - first[0], nodes[k, 1] * block - first[1]
+        for r in range(max(r0 - reach, 0), min(r0 + reach, rows)):
+            for c in range(max(c0 - reach, 0), min(c0 + reach, columns)):
+                if gaps[r, c]:
+                    y, x = (r + 0.5 - r0) / block, (c + 0.5 - c0) / block
+                    height = plate_height(points[:n], plate[: n + 3], x, y)
+                    height = min(max(height, low), high) - dtm[r, c]
+                    near = (1.0 - abs(x) / NODE_BLOCKS) * (1.0 - abs(y) / NODE_BLOCKS)
+                    off[r, c] += near * height
+
+
+@njit()
+def _rim_around(node: NDArray[np.int64], blocks: Grid, window: int, points: Grid) -> int:
+    """Fill in blocks at rims, places from the node on; how many, none where ground is sparse."""
+    south, west = max(node[0] - window, 0), max(node[1] - window, 0)
+    north = min(node[0] + window, blocks.shape[0])
+    east = min(node[1] + window, blocks.shape[1])
+    n, held, cells = 0, 0, 0.0
+    for i in range(south, north):
+        for j in range(west, east):
+            if blocks[i, j, 3] == 0:
+                continue
+            held, cells = held + 1, cells + blocks[i, j, 3]
+            around = blocks[
+                max(i - _RIM, south) : min(i + _RIM + 1, north),
+                max(j - _RIM, west) : min(j + _RIM + 1, east),
+                3,
+            ]
+            if around.min() == 0:
+                points[n, 0], points[n, 1] = blocks[i, j, 0] - node[1], blocks[i, j, 1] - node[0]
+                points[n, 2] = blocks[i, j, 2]
+                n += 1
+    return n if cells >= _CELLS * held else 0

@@ -1,0 +1,91 @@
+"""Smoothing thin plates: the surface that bends least while it passes near some points.
+
+Source: Duchon 1977 (LNM 571); Wahba 1990, *Spline Models for Observational Data*, 2.4. Of all
+surfaces f it has the least ``sum (z_i - f(x_i, y_i))**2 + c * bending energy``, and is
+
+    f(x, y) = b_0 + b_1 x + b_2 y + sum a_i U(r_i),   U(r) = r**2 log r,
+
+where ``(U + stiffness I) a + P b = z``, ``P' a = 0`` (P: rows of 1, x, y). The system is solved
+here, by elimination with pivots, as a library's answer would depend on how many threads it takes.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+
+Values = NDArray[np.float64]
+
+
+@njit()
+def bending(distance2: float) -> float:
+    """``r**2 log r`` of a squared distance, 0 at 0."""
+    return 0.5 * distance2 * np.log(distance2) if distance2 > 0.0 else 0.0
+
+
+@njit()
+def _solve(matrix: Values, values: Values) -> bool:
+    """Solve a square system in place, pivots by column; whether it can be solved."""
+    n = len(values)
+    for k in range(n):
+        pivot = k + np.argmax(np.abs(matrix[k:, k]))
+        if matrix[pivot, k] == 0.0:
+            return False
+        if pivot != k:
+            row, value = matrix[k].copy(), values[k]
+            matrix[k], values[k] = matrix[pivot], values[pivot]
+            matrix[pivot], values[pivot] = row, value
+        for i in range(k + 1, n):
+            factor = matrix[i, k] / matrix[k, k]
+            if factor != 0.0:
+                for j in range(k + 1, n):
+                    matrix[i, j] -= factor * matrix[k, j]
+                values[i] -= factor * values[k]
+    for k in range(n - 1, -1, -1):
+        rest = values[k]
+        for j in range(k + 1, n):
+            rest -= matrix[k, j] * values[j]
+        values[k] = rest / matrix[k, k]
+    return True
+
+
+@njit()
+def fit_plate(points: Values, stiffness: float, plate: Values) -> bool:
+    """Smoothing thin plate of some points.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        x, y, z; distances of about one keep the numbers small.
+    stiffness : float
+        What is added to the diagonal [unit of x squared]; 0 passes through all points.
+    plate : (n + 3,) float64, written
+        ``a`` and ``b`` of the module's equation.
+
+    Returns
+    -------
+    bool
+        Whether there is one: the points do not lie on one line.
+    """
+    n = len(points)
+    matrix = np.zeros((n + 3, n + 3))
+    plate[:] = 0.0
+    for i in range(n):
+        x, y, plate[i] = points[i]
+        for j in range(i):
+            matrix[i, j] = bending((x - points[j, 0]) ** 2 + (y - points[j, 1]) ** 2)
+            matrix[j, i] = matrix[i, j]
+        matrix[i, i] = stiffness
+        matrix[i, n], matrix[i, n + 1], matrix[i, n + 2] = 1.0, x, y
+        matrix[n, i], matrix[n + 1, i], matrix[n + 2, i] = 1.0, x, y
+    return bool(_solve(matrix, plate))
+
+
+@njit()
+def plate_height(points: Values, plate: Values, x: float, y: float) -> float:
+    """Height of a plate of :func:`fit_plate` at a place."""
+    n = len(points)
+    height = plate[n] + plate[n + 1] * x + plate[n + 2] * y
+    for i in range(n):
+        height += plate[i] * bending((x - points[i, 0]) ** 2 + (y - points[i, 1]) ** 2)
+    return float(height)
