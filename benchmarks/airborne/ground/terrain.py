@@ -1,6 +1,6 @@
 """Terrain and surface models against truth: ``python -m benchmarks.airborne.ground.terrain``.
 
-Takes ``[FOLDER] [--scenes hill dense town mountain] [--seeds 11 12]``.
+Takes ``[FOLDER] [--scenes hill dense town mountain] [--seeds 11 12] [--method ptd]``.
 
 Simulates four surveys (a wooded hill of 90 m relief under 60 % canopy, dense forest of
 80 %, a town with a hall and a lake, a mountain of slopes up to 60 degrees under dense trees with
@@ -141,26 +141,28 @@ class Truth(NamedTuple):
     kept: Mask
 
 
-def process(kind: str, seed: int, folder: Path) -> Path:
+def process(kind: str, seed: int, folder: Path, method: str) -> Path:
     """Simulate and run one survey: a single ground cell, a short reach, and as configured."""
     survey = folder / f"{kind}_{seed}"
     workflow = survey / "workflow.yaml"
     if not workflow.exists():
         simulate(parse_scene({**COMMON, **SCENES[kind], "name": kind, "seed": seed}, kind), survey)
+    chosen = ["output=out", f"ground.method={method}"]
     for name, change in VARIANTS.items():
-        if not (survey / name).exists():
-            api.run(workflow, overrides=[change, "output=out"])
-            shutil.copy(survey / "out" / "dtm.tif", survey / name)
-    api.run(workflow, overrides=["output=out"])
+        if not (survey / method / name).exists():
+            api.run(workflow, overrides=[change, *chosen])
+            (survey / method).mkdir(exist_ok=True)
+            shutil.copy(survey / "out" / "dtm.tif", survey / method / name)
+    api.run(workflow, overrides=chosen)
     return survey
 
 
-def figures(survey: Path) -> dict[str, float]:
+def figures(survey: Path, method: str) -> dict[str, float]:
     """All figures of one processed survey."""
     truth = load_truth(survey)
     dtm = cut(survey / "out" / "dtm.tif", survey)
     dsm = cut(survey / "out" / "dsm.tif", survey)
-    whole = cut(survey / "dtm_whole.tif", survey)
+    whole = cut(survey / method / "dtm_whole.tif", survey)
     return {
         **terrain_figures(dtm, truth),
         **surface_figures(dsm, truth),
@@ -169,7 +171,7 @@ def figures(survey: Path) -> dict[str, float]:
         "seams largest beside cuts cm": 100
         * float(np.nanmax(np.abs(dtm - whole)[beside_cuts(survey)], initial=0.0)),
         "DTM void cells per 10 000": 1e4 * float(np.isnan(dtm).mean()),
-        **void_figures(cut(survey / "dtm_gaps.tif", survey), truth),
+        **void_figures(cut(survey / method / "dtm_gaps.tif", survey), truth),
     }
 
 
@@ -309,14 +311,17 @@ def load_truth(survey: Path) -> Truth:
 
 
 def main(
-    folder: Path, scenes: Sequence[str] = tuple(SCENES), seeds: Sequence[int] = SEEDS
+    folder: Path,
+    scenes: Sequence[str] = tuple(SCENES),
+    seeds: Sequence[int] = SEEDS,
+    method: str = GroundSettings().method,
 ) -> dict[str, dict[str, float]]:
     """Run scenes and seeds, and print the table."""
     print(f"ground cells of {GroundSettings().cell_m:g} m against one of 400 m")
     columns = {}
     for kind in scenes:
         for seed in seeds:
-            columns[f"{kind} {seed}"] = figures(process(kind, seed, folder))
+            columns[f"{kind} {seed}"] = figures(process(kind, seed, folder, method), method)
     print(f"{'':38s}" + "".join(f"{name:>10s}" for name in columns) + "   bar")
     for name in next(iter(columns.values())):
         values = "".join(f"{column[name]:10.2f}" for column in columns.values())
@@ -329,6 +334,7 @@ if __name__ == "__main__":
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--scenes", nargs="+", choices=list(SCENES), default=list(SCENES))
     parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
+    parser.add_argument("--method", default=GroundSettings().method)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        main(given.folder or Path(temporary), given.scenes, given.seeds)
+        main(given.folder or Path(temporary), given.scenes, given.seeds, given.method)
