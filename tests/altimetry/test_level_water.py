@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy import optimize
 from scipy.optimize import isotonic_regression
 
+from benchmarks.altimetry.hard_scenes import wood
 from benchmarks.altimetry.photon_beams import Beam
 from spl_batch.altimetry.filter import peer_filters
 from spl_batch.altimetry.filter import signal as signals
@@ -286,6 +287,12 @@ def test_a_rough_surface_is_no_turbid_water_and_rough_land_no_water() -> None:
     (_, alone), (_, beside) = seen(0.06, turbid), seen(0.06, turbid, reeds)
     assert alone > 10.0 * DAY
     assert beside == pytest.approx(alone, rel=0.1)
+
+
+def test_crowns_by_day_are_no_water_though_light_comes_from_below() -> None:
+    for seed in (0, 2):
+        cells = rates.observe(*wood(0.1, DAY, seed, even=False).photons, RATE)
+        assert (cells.level != NO_WATER).mean() < 0.02
 
 
 @pytest.mark.parametrize("deep_m", [12.0, 26.0])

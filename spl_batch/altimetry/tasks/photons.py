@@ -145,7 +145,8 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
     """Least score that is signal in each window of a beam."""
     workflow, beam = context.workflow, args["key"]
     cells, scale, _ = read_rate(beam, context)
-    values = np.stack([scale.noise - scale.below, scale.below, scale.level != NO_WATER])
+    wet, fog = scale.level != NO_WATER, cells.mist[:, 2]
+    values = np.stack([scale.noise - scale.below, scale.below, wet, fog])
     index = windows.window_of(scale.index, workflow.rate, workflow.signal.window_m)
     window, at = np.unique(index, return_inverse=True)
     noise = np.bincount(at, scale.noise, len(window)).astype(np.float64)
@@ -170,7 +171,8 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
             table[2:, 0] *= seen[:, None]
         for zone in range(ZONES):
             estimated = part[0, zone].sum(axis=1) - sums[zone, first:stop]
-            least[:, zone, first:stop] = _least(part[:, zone], np.maximum(estimated, 0.0), context)
+            wanted = np.maximum(estimated, 0.0), sums[3, first:stop]
+            least[:, zone, first:stop] = _least(part[:, zone], wanted, context)
             far_too[zone, first:stop] = _far_too(part[:, zone], least[0, zone, first:stop], context)
             for i, b in enumerate(least[0, zone, first:stop].tolist()):
                 own = _taken(counts[:, zone, i, b:], far_too=far_too[zone, first + i])
@@ -267,20 +269,24 @@ def _of_segments(
 
 def _least(
     around: NDArray[np.float64],
-    estimated: NDArray[np.float64],
+    wanted: tuple[NDArray[np.float64], NDArray[np.float64]],
     context: Context,
 ) -> NDArray[np.int64]:
-    """Least bins of windows of a zone, for labels and for the ground: (2, w) int64."""
-    workflow = context.workflow
+    """Least bins of windows of a zone, for labels and for the ground: (2, w) int64.
+
+    ``wanted``: photons of signal estimated, and of what may be fog [count].
+    """
+    workflow, (estimated, fog) = context.workflow, wanted
     if workflow.signal.method != "bayes":
         return np.ones((2, len(estimated)), np.int64)
     counts, far, noise, far_noise, _ = around
     settings, profile = workflow.signal, workflow.profile
-    wanted = profile.photons_factor * estimated
-    ground = signals.thresholds(counts, far, wanted, profile.false_share)
+    more = profile.photons_factor * estimated
+    ground = signals.thresholds(counts, far, more, profile.false_share)
     if settings.selection == "f1":
         expected = noise / chance.SHARE_QUANTA, far, far_noise / chance.SHARE_QUANTA
-        label = chance.best_thresholds(counts, *expected, estimated, settings.false_share)
+        limits = estimated, settings.false_share, fog
+        label = chance.best_thresholds(counts, *expected, limits)
     else:
         label = signals.thresholds(counts, far, estimated, settings.false_share)
     return np.stack([label, np.minimum(ground, label)])

@@ -26,6 +26,12 @@ _ROUGH_SHARE: Final = 0.05
 _DEEP_M: Final = (3.0, 10.0)
 """Where light that water scatters is looked for, and as far above it [m]."""
 
+_OWN_M: Final = (-0.5, 0.5)
+_CROWN_M: Final = (1.5, 2.5)
+_CROWN_SHARE: Final = 0.1
+"""A crown holds more than this part of what lies in its fullest metre in one above that, too; waves
+do not reach there [m]."""
+
 
 def roughness(
     index: NDArray[np.int64],
@@ -74,13 +80,19 @@ def rough_land(
 ) -> NDArray[np.bool_]:
     """Cells whose surface is too rough for water, with no more below it than above: (n,) bool.
 
+    Under crowns there is light too. They are no layer: much lies above their fullest metre.
     Parameters are those of :func:`roughness`.
     """
-    bands = ((-edges_m[1], edges_m[1]), (-_DEEP_M[1], -_DEEP_M[0]), _DEEP_M)
-    surface, below, above, cells = _sums_by_band(index, cell, over_m, wet, bands, reach).T
+    bands = (
+        (-edges_m[1], edges_m[1]), (-_DEEP_M[1], -_DEEP_M[0]), _DEEP_M, _OWN_M, _CROWN_M
+    )  # fmt: skip
+    sums = _sums_by_band(index, cell, over_m, wet, bands, reach).T
+    surface, below, above, own, over, cells = sums
     rough = roughness(index, cell, over_m, wet, edges_m, reach).sum(axis=1) * cells
-    found: NDArray[np.bool_] = wet & (rough > _ROUGH_SHARE * surface) & ~_more(below, above)
-    return found
+    sky = above / (_DEEP_M[1] - _DEEP_M[0])
+    crown = over - sky > _CROWN_SHARE * (own - sky) + np.sqrt(over)
+    found: NDArray[np.bool_] = crown | ((rough > _ROUGH_SHARE * surface) & ~_more(below, above))
+    return wet & found
 
 
 def lit_below(
