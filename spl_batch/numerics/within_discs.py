@@ -30,6 +30,8 @@ def within_discs(held: Mask, radius: float) -> Mask:
     (rows, columns) bool
     """
     found = np.zeros(held.shape, np.bool_)
+    if not held.size:
+        return found
     _within(np.ascontiguousarray(held), _half_widths(radius), found)
     return found
 

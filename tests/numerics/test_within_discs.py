@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 
 from spl_batch.numerics.within_discs import within_discs
 
-MASKS = arrays.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12)))
+MASKS = arrays.arrays(np.bool_, st.tuples(st.integers(0, 12), st.integers(0, 12)))
 ROOTS = st.integers(0, 200).map(np.sqrt)
 
 

@@ -199,7 +199,7 @@ class _Chances:
 
 
 def _lines(table: PointTable, args: Mapping[str, Any]) -> tuple[Lines | None, PointTable]:
-    """Flightlines of the points of a table, where there are several, and it without them."""
+    """Flightlines of the points of a table, where the survey has several, and it without them."""
     told_by, lines = args["lines"]["columns"], None
     if told_by:
         time_s = table["gps_time"] if "gps_time" in told_by else None

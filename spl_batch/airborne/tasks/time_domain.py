@@ -110,6 +110,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_m": model.gate_m,
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
+        "beamlets": beamlets,
         "crosstalk": set_off,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
         "afterpulses": {

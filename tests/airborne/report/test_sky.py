@@ -249,8 +249,9 @@ def test_signal_that_floats_over_an_area_is_told_with_its_share_and_place():
 
 
 def test_light_is_told_where_it_is_strong_and_not_where_noise_fills_the_beamlets():
-    def said(seen, noise_per_m):
+    def said(seen, noise_per_m, beamlets=100):
         facts = {"seen_fraction": seen, "noise_per_m": noise_per_m, "gate_m": 250.0}
+        facts["beamlets"] = beamlets
         return list(strong_light_warning({"fit_line": {"00001_5": receipt(**facts)}}))
 
     (text,) = said(0.998, 0.001)
@@ -260,3 +261,4 @@ def test_light_is_told_where_it_is_strong_and_not_where_noise_fills_the_beamlets
     assert not said(0.65, 0.002)
     assert not said(0.96, 0.01)
     assert not said(None, None)
+    assert not said(1.0, 0.001, beamlets=1), "a shot whose beamlets are not told apart"

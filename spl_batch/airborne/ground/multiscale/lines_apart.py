@@ -4,8 +4,9 @@ The surface of the ground follows one flightline where two lie apart, mostly the
 ground of the other is no part of its thin layer. Where another flightline shows bare ground the
 returns of this one tell how far it is off: in squares of 8 m most of them fill a thin layer at
 another height. Plants do not look like that, as all flightlines see them in the same places. A
-flightline is apart where half of the squares around, in 48 m, say so, by more than ranges scatter.
-Its returns are then compared with the surface at its own height.
+flightline is apart where half of the squares around, in 48 m, say so, by more than ranges scatter,
+and half of those in the whole ground cell: else it is a field that grew between two flights. Its
+returns are then compared with the surface at its own height.
 
 Offsets are measured in each square, as a shift to the side raises a flightline on one slope and
 lowers it on the next, and a roll grows across the track. Squares under trees take what those around
@@ -51,7 +52,7 @@ FEWEST_SQUARES: Final = 8
 fifth of them."""
 
 MOST_LINES: Final = 64
-"""Flightlines of a place that are told apart [count]; where more meet, none is."""
+"""Flightlines of a ground cell that are told apart [count]; where more meet, none is."""
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -64,13 +65,18 @@ class Lines(NamedTuple):
     Parameters
     ----------
     number : (n,) int16
-        Place of its flightline in ``keys``.
+        Place of its flightline in ``keys``; of no meaning where more than :data:`MOST_LINES` meet.
     keys : (m,) int64
-        Flightlines, rising.
+        Flightlines, rising; no more than one too many.
     """
 
     number: NDArray[np.int16]
     keys: Index
+
+    @property
+    def several(self) -> bool:
+        """Whether there is more than one, and each can be told apart."""
+        return 1 < len(self.keys) <= MOST_LINES
 
     def some(self, chosen: Mask | Index) -> "Lines":
         """Those of chosen points."""
@@ -98,10 +104,8 @@ class Apart(NamedTuple):
     first: tuple[int, int]
 
 
-def lines_of(
-    psid: NDArray[np.uint16], time_s: NDArray[np.float64] | None, span_s: float
-) -> Lines | None:
-    """Flightlines of n points; None if all are of one, or more meet than are told apart.
+def lines_of(psid: NDArray[np.uint16], time_s: NDArray[np.float64] | None, span_s: float) -> Lines:
+    """Flightlines of n points.
 
     Parameters
     ----------
@@ -112,14 +116,12 @@ def lines_of(
     span_s : float
         Points of an id whose times lie in different spans of this length are of two [s].
     """
-    number, keys = np.zeros(len(psid), np.int16), np.empty(MOST_LINES, np.int64)
+    number, keys = np.zeros(len(psid), np.int16), np.empty(MOST_LINES + 1, np.int64)
     span = np.full(len(psid), -1, np.int64)
     if time_s is not None:
         timed = np.isfinite(time_s)
         span[timed] = np.floor(time_s[timed] / span_s).astype(np.int64)
     count = _number(psid, span, keys, number)
-    if not 1 < count <= MOST_LINES:
-        return None
     keys = keys[:count]
     order = np.argsort(keys)
     rank = np.empty(count, np.int16)
@@ -129,7 +131,7 @@ def lines_of(
 
 @njit()
 def _number(psid: NDArray[np.uint16], span: Index, keys: Index, out: NDArray[np.int16]) -> int:
-    """Fill the flightlines as they come, and that of each point; how many, or one too many."""
+    """Fill the flightlines as they come, and that of each point, until one is too many."""
     count, last = 0, 0
     for i in range(len(psid)):
         key = (np.int64(psid[i]) << 44) + span[i]
@@ -138,10 +140,10 @@ def _number(psid: NDArray[np.uint16], span: Index, keys: Index, out: NDArray[np.
             while last < count and keys[last] != key:
                 last += 1
             if last == count:
-                if count == len(keys):
-                    return count + 1
                 keys[last] = key
                 count += 1
+                if count == len(keys):
+                    return count
         out[i] = last
     return count
 
@@ -165,10 +167,10 @@ def seen_lines(
     Returns
     -------
     dict of int to Squares
-        By the key of a flightline; ``sums`` is (rows, columns, STEPS) int64. Only returns in cells
+        By the key of a flightline; ``sums`` is (rows, columns, STEPS) int32. Only returns in cells
         of :data:`CELL_M` count in which another flightline shows bare ground.
     """
-    if not len(near.at):
+    if not len(near.at) or len(lines.keys) > MOST_LINES:
         return {}
     x, y = (v[near.at] for v in place)
     number = lines.number[near.at]
@@ -182,7 +184,7 @@ def seen_lines(
     _count_cells(near.off, x, y, number, ABOVE_SIGMA * blocks, corner, cells)
     bare = (cells[..., 0] >= FEWEST_BARE) & (cells[..., 0] >= THIN * cells[..., 1])
     others = bare.sum(axis=0) - bare > 0
-    counts = np.zeros((len(lines.keys), 2 * rows, 2 * columns, STEPS), np.int64)
+    counts = np.zeros((len(lines.keys), 2 * rows, 2 * columns, STEPS), np.int32)
     _count_heights(near.off, x, y, number, others, corner, counts)
     return {
         key: Squares(of_line, (2 * south, 2 * west))
@@ -208,7 +210,7 @@ def _count_cells(
 @njit()
 def _count_heights(
     off: Float, x: Float, y: Float, number: NDArray[np.int16], others: Mask,
-    corner: tuple[float, float], out: Index,
+    corner: tuple[float, float], out: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Add points by flightline, square and height, in cells in which others show bare ground."""
     for i in range(len(off)):
@@ -219,16 +221,22 @@ def _count_heights(
                 out[number[i], int(north / SQUARE_M), int(east / SQUARE_M), step] += 1
 
 
-def lines_apart(seen: Sequence[Mapping[int, Squares]], sigma: Spread) -> Apart | None:
+def lines_apart(
+    seen: Sequence[Mapping[int, Squares]], lines: Sequence[Lines], sigma: Spread
+) -> Apart | None:
     """Flightlines that lie apart, and how far; None if all fit.
 
     Parameters
     ----------
     seen : sequence of mapping
-        What :func:`seen_lines` found in each part of a place.
+        What :func:`seen_lines` found in each part of a ground cell.
+    lines : sequence of Lines
+        Flightlines of each part: whether too many meet is asked of the cell.
     sigma : Spread
         Standard deviation of a range.
     """
+    if len({key for part in lines for key in part.keys.tolist()}) > MOST_LINES:
+        return None
     keys = sorted({key for part in seen for key in part})
     of_lines = {key: added_up([part[key] for part in seen if key in part]) for key in keys}
     found = {key: offsets(counts, sigma) for key, counts in of_lines.items()}
@@ -273,6 +281,8 @@ def offsets(heights: Squares, sigma: Spread) -> tuple[Float, Float]:
     off = np.abs(np.where(known, measured, 0.0)) > sigma_m
     squares, away = (_around(_by_block(of), 3) for of in (known, off))
     apart = (away >= FEWEST_SQUARES) & (2 * away >= squares)
+    # A field that grew between two flights lies above the other flightline as well.
+    apart &= 2 * np.count_nonzero(off) >= np.count_nonzero(known)
     held = _around(known, 5)
     filled = _around(np.where(known, measured, 0.0), 5) / np.maximum(held, 1.0)
     filled[held == 0.0] = np.nan
@@ -297,7 +307,7 @@ def _around(grid: NDArray[np.generic], edge: int) -> Float:
 
 
 @njit()
-def _layers(counts: Index, half: Index, out: Float) -> None:
+def _layers(counts: NDArray[np.int32], half: Index, out: Float) -> None:
     """Height of the fullest layer of each square, where it holds most of the returns [m]."""
     rows, columns, _ = counts.shape
     for r in range(rows):
@@ -315,7 +325,7 @@ def _layers(counts: Index, half: Index, out: Float) -> None:
 
 
 @njit()
-def _fullest(counts: Index, reach: int) -> int:
+def _fullest(counts: NDArray[np.int32], reach: int) -> int:
     """Lowest step around which most are counted, as far as ``reach``."""
     best, most, inside = 0, -1, 0
     for s in range(-reach, len(counts)):

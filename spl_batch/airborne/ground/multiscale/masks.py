@@ -169,8 +169,8 @@ def multiscale_masks(
         yield from ((strip, np.zeros(len(strip.asked[0]), np.uint8)) for strip in strips())
         return
     looked = filter(None, map(partial(_look, surface, sigma), strips()))
-    below, counted, lines = zip(*looked, strict=True)
-    apart = lines_apart(lines, sigma)
+    below, counted, seen, lines = zip(*looked, strict=True)
+    apart = lines_apart(seen, [of for of in lines if of is not None], sigma)
     known = _known(added_up(counted), added_up(below), sigma, apart)
     # A strip is held by nothing while the next one is read.
     yield from map(partial(_told, surface, known), strips())
@@ -201,7 +201,7 @@ def multiscale_mask(
     order = group_by_cell(*places[:2], CELL_M).order
     x, y, z = (v[order] for v in places)
     own, asked = own[order], asked[order]
-    lines = None if lines is None else lines.some(order)
+    lines = lines.some(order) if lines is not None and lines.several else None
     evidence = _of((x, y, z), own)
     surface = _ground_surface((evidence,), sigma)
     found = np.zeros(len(x), np.uint8)
@@ -214,10 +214,10 @@ def multiscale_mask(
     counted = own[near.at]
     shown = Near(near.at[counted], near.off[counted], near.slope[counted])
     depths_below(shown.off, x[shown.at], y[shown.at], depths)
-    seen = {} if lines is None else seen_lines(shown, (x, y), lines, sigma)
-    known = _known(
-        in_squares(*evidence[:2]), noise_below(depths), sigma, lines_apart([seen], sigma)
-    )
+    apart = None
+    if lines is not None:
+        apart = lines_apart([seen_lines(shown, (x, y), lines, sigma)], [lines], sigma)
+    known = _known(in_squares(*evidence[:2]), noise_below(depths), sigma, apart)
     _mark(known, near, (x, y), lines, found)
     told, by_place = np.empty_like(found), np.empty_like(asked)
     told[order], by_place[order] = found, asked
@@ -288,7 +288,7 @@ def _known(points: Squares, depths: Squares, sigma: Spread, apart: Apart | None)
 
 def _look(
     surface: Surface, sigma: Spread, strip: Strip
-) -> tuple[Squares, Squares, dict[int, Squares]] | None:
+) -> tuple[Squares, Squares, dict[int, Squares], Lines | None] | None:
     """Points below the surface by depth, and all, by blocks, and flightlines; None without any."""
     x, y, z = strip.own
     if not len(x):
@@ -300,7 +300,7 @@ def _look(
     east, north = (v[near.at] for v in places[:2])
     depths = depths_below(near.off, east, north, no_depths(x, y))
     seen = {} if lines is None else seen_lines(near, places[:2], lines.some(order), sigma)
-    return noise_below(depths), in_squares(x, y), seen
+    return noise_below(depths), in_squares(x, y), seen, lines
 
 
 def _told(surface: Surface, known: _Known, strip: Strip) -> tuple[Strip, Labels]:

@@ -35,6 +35,8 @@ def _electrons(facts: Mapping[str, Any]) -> float:
     seen, noise_per_m = facts["seen_fraction"], facts["noise_per_m"]
     if seen is None or noise_per_m is None:  # nothing filters
         return 0.0
+    if facts["beamlets"] == 1:  # beamlets are not told apart: nearly every shot has a return
+        return 0.0
     noise = float(noise_per_m) * float(facts["gate_m"] or 0.0)
     return -math.log(max(1.0 - float(seen), UNSEEN)) - noise
 
