@@ -41,8 +41,9 @@ def _looks(off_cm: float, places: int, sigma_cm: float) -> str:
         f"heights of one and the same hard place, seen at times moments apart, spread by "
         f"{off_cm:.0f} cm beyond the ranging noise ({grouped(places)} level squares of 8 m; the "
         f"sensor states {sigma_cm:.0f} cm): recorded positions or angles swing within seconds, or "
-        "the looks ahead and back are not calibrated to each other. Surfaces are as thick, and much "
-        "of the ground is not found; survey.align cannot mend it, adjust trajectory or calibration"
+        "the looks ahead and back are not calibrated to each other. Surfaces are as thick, and "
+        "much of the ground is not found; survey.align cannot mend it, adjust trajectory or "
+        "calibration"
     )
 
 
