@@ -5,11 +5,14 @@ ten metres does. But a house ends in walls, on which hardly a return lies, so th
 the next its surface jumps. The sides of a dam hold returns at all heights, and neighbours there
 differ by no more than a slope that loose ground and most rock keep to.
 
-So what was cut off and hangs together by such slopes is looked at as a whole. It is land where
+So what was cut off and hangs together by such slopes is looked at as a form. It is land where
 nearly all of its outline goes down to the ground by them, too: decks and terraces have walls on two
 sides, a roof that a bush or a stair leads up to has them nearly all around, and so has a part of a
 roof that others stand above. Crowns do without walls; they are rough. Our own rule: no source has
 one.
+
+A dam goes on for kilometres, and may end at a bridge. So each block of 16 m is told by what lies
+within three blocks around: what is farther off than a ground cell reads has no say.
 
 Where many cells are empty walls look like slopes: nothing is told there.
 """
@@ -20,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M
 from spl_batch.airborne.ground.node_grids import plane_heights
 from spl_batch.numerics.compiled import njit
 
@@ -43,6 +47,9 @@ sheds, hedges and lorries, which are lower, no slope tells the walls from a bank
 LEAST: Final = 100
 """Fewer cells are no form [count]."""
 
+AROUND: Final = 3
+"""Blocks to each side whose part of a form tells of a block [count]."""
+
 SMOOTH_M: Final = 0.5
 SMOOTH: Final = 0.75
 """A node of a smooth cell is so near to the plane through those around; of the cells of a form this
@@ -53,9 +60,11 @@ _GROUND: Final = -2
 _SMALL: Final = -3
 """What a cell holds that is of no form: no node, ground, something small."""
 
-_HANGING, _PAIRS, _EMPTY, _CELLS = range(4)
-"""What is known of a form: pairs of its cells and ground that hang together; these and all pairs
-that go down and do not; the neighbours that are empty, in cells; its cells."""
+_NEIGHBOURS: Final = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
+
+_HANGING, _PAIRS, _EMPTY = range(3)
+"""What is counted of a cell: its pairs with ground that hang together; these and all pairs that go
+down and do not; neighbours that are empty."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -78,27 +87,56 @@ def with_sloping_sides(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> 
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
     form = np.where(grid < 0, _NONE, np.where(ground[grid], _GROUND, 0))
-    facts = np.zeros((int((form == 0).sum()) // LEAST + 1, 4))
-    held = _forms(xyz, grid, form, facts)
-    for number, (gentle, pairs, empty, cells) in enumerate(facts[:held], start=1):
-        if not gentle or gentle < GENTLE * pairs or empty > (1.0 - FILLED) * cells:
-            continue
-        nodes = grid[form == number]
-        off = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
-        if np.mean(np.abs(off) <= SMOOTH_M) >= SMOOTH and _stands(xyz, nodes, ground):
-            found[nodes] = True
+    facts = np.zeros((*grid.shape, 3), np.int16)
+    _forms(xyz, grid, form, facts)
+    nodes, number = grid[form > 0], form[form > 0]
+    hanging, pairs, empty, cells = _around(xyz[nodes], number, facts[form > 0])
+    likely = (hanging > 0) & (hanging >= GENTLE * pairs) & (cells >= LEAST)
+    likely &= empty <= (1.0 - FILLED) * len(_NEIGHBOURS) * cells
+    asked = np.isin(number, number[likely])
+    if not asked.any():
+        return found
+    nodes, number = nodes[asked], number[asked]
+    off = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
+    told = np.column_stack([np.abs(off) <= SMOOTH_M, _above(xyz, nodes, ground) >= HEIGHT_M])
+    smooth, high, cells = _around(xyz[nodes], number, told)
+    stands = (smooth >= SMOOTH * cells) & (high >= (1.0 - TOP) * cells)
+    found[nodes[likely[asked] & stands]] = True
     return found
 
 
-def _stands(xyz: Float, nodes: Index, ground: Mask) -> bool:
-    """Whether the higher ones of some nodes stand above the ground that is next to each."""
+def _around(places: Float, number: Index, counts: NDArray[np.generic]) -> Float:
+    """Sums over what is of the same form in the blocks around that of each node: (k + 1, n).
+
+    ``places``: (n, 3) float64 [m]; ``number``: (n,) int64, its form; ``counts``: (n, k), what is
+    summed, and the nodes themselves.
+    """
+    block = np.floor(places[:, :2] / BLOCK_M).astype(np.int64)
+    block += AROUND - block.min(axis=0, initial=1 << 40)
+    width, height = block.max(axis=0, initial=0) + AROUND + 1
+    key = (number * height + block[:, 1]) * width + block[:, 0]
+    keys, of = np.unique(key, return_inverse=True)
+    each = [np.bincount(of, column, len(keys)) for column in counts.T]
+    sums = np.stack([*each, np.bincount(of, minlength=len(keys))])
+    total = np.zeros_like(sums)
+    for row in range(-AROUND, AROUND + 1):
+        for column in range(-AROUND, AROUND + 1):
+            there = keys + row * width + column
+            at = np.minimum(np.searchsorted(keys, there), max(len(keys) - 1, 0))
+            total += np.where(keys[at] == there, sums[:, at], 0.0)
+    return total[:, of]
+
+
+def _above(xyz: Float, nodes: Index, ground: Mask) -> Float:
+    """Height of some nodes above the ground that is next to each [m]."""
     land = xyz[ground]
     nearest = cKDTree(land[:, :2]).query(xyz[nodes, :2])[1]
-    return bool(np.quantile(xyz[nodes, 2] - land[nearest, 2], TOP) >= HEIGHT_M)
+    above: Float = xyz[nodes, 2] - land[nearest, 2]
+    return above
 
 
 @njit()
-def _forms(xyz: Float, grid: Index, form: Index, facts: Float) -> int:
+def _forms(xyz: Float, grid: Index, form: Index, facts: NDArray[np.int16]) -> int:
     """Number what hangs together of cells that are no ground, from 1 on; how many there are."""
     rows, columns = grid.shape
     queue = np.empty(grid.size, np.int64)
@@ -109,12 +147,9 @@ def _forms(xyz: Float, grid: Index, form: Index, facts: Float) -> int:
         number += 1
         queue[0], held, done = first, 1, 0
         form[first // columns, first % columns] = number
-        known = facts[number - 1]
-        known[:] = 0.0
         while done < held:
-            held = _look_around(xyz, grid, form, queue, held, queue[done], known)
+            held = _look_around(xyz, grid, form, queue, held, queue[done], facts)
             done += 1
-        known[_CELLS] = held
         if held < LEAST:
             for k in range(held):
                 form[queue[k] // columns, queue[k] % columns] = _SMALL
@@ -124,28 +159,31 @@ def _forms(xyz: Float, grid: Index, form: Index, facts: Float) -> int:
 
 @njit()
 def _look_around(
-    xyz: Float, grid: Index, form: Index, queue: Index, held: int, at: int, facts: Float
-) -> int:
+    xyz: Float, grid: Index, form: Index, queue: Index, held: int, at: int,
+    facts: NDArray[np.int16],
+) -> int:  # fmt: skip
     """Put what hangs together with a cell into the queue, and count its outline."""
     rows, columns = grid.shape
     row, column = at // columns, at % columns
     i, number = grid[row, column], form[row, column]
-    for r in range(max(row - 1, 0), min(row + 2, rows)):
-        for c in range(max(column - 1, 0), min(column + 2, columns)):
-            if form[r, c] == _NONE:
-                facts[_EMPTY] += 0.125
-                continue
-            j = grid[r, c]
-            east, north = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1]
-            most = STEP_M + SLOPE * np.sqrt(east * east + north * north)
-            hangs = abs(xyz[j, 2] - xyz[i, 2]) <= most
-            if form[r, c] == _GROUND:
-                facts[_HANGING] += hangs
-            elif hangs:
-                if form[r, c] == 0:
-                    form[r, c] = number
-                    queue[held] = r * columns + c
-                    held += 1
-                continue
-            facts[_PAIRS] += hangs or xyz[j, 2] < xyz[i, 2]
+    for up, right in _NEIGHBOURS:
+        r, c = row + up, column + right
+        if not (0 <= r < rows and 0 <= c < columns):
+            continue
+        if form[r, c] == _NONE:
+            facts[row, column, _EMPTY] += 1
+            continue
+        j = grid[r, c]
+        east, north = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1]
+        most = STEP_M + SLOPE * np.sqrt(east * east + north * north)
+        hangs = abs(xyz[j, 2] - xyz[i, 2]) <= most
+        if form[r, c] == _GROUND:
+            facts[row, column, _HANGING] += hangs
+        elif hangs:
+            if form[r, c] == 0:
+                form[r, c] = number
+                queue[held] = r * columns + c
+                held += 1
+            continue
+        facts[row, column, _PAIRS] += hangs or xyz[j, 2] < xyz[i, 2]
     return held

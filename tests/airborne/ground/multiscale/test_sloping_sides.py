@@ -76,6 +76,27 @@ def test_what_is_rough_as_crowns_are_is_no_land() -> None:
     assert not with_sloping_sides(xyz, grid, ground, 1.0).any()
 
 
+def test_a_dam_that_ends_at_a_bridge_has_one_height_on_both_sides_of_a_cell() -> None:
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(0, [[560], [110]], (2, 4 * 560 * 110))
+    rise = np.tan(np.radians(60.0))
+    sloping = np.clip(8.0 - rise * (np.abs(y - 55) - 2.0), 0.0, 8.0)
+    dam = np.where(x > 330, 8.0 * (np.abs(y - 55) < 4), sloping)
+    z = 0.01 * x + dam + rng.normal(0, 0.03, len(x))
+    columns = [np.rint(1000 * v).astype(np.int64) for v in (x, y, z)]
+    table = PointTable(dict(zip("xyz", columns, strict=True)))
+    found = np.zeros((2, len(x)), np.bool_)
+    for k, (first, end) in enumerate(((0, 260), (140, 560))):
+        near = (x >= first) & (x < end)
+        found[k, near] = ground_mask(table.take(near), np.ones(near.sum(), bool), GroundSettings())
+    top = dam > 1.0
+    assert found[0, top & (x < 200)].mean() > 0.9
+    assert found[1, top & (x > 200) & (x < 270)].mean() > 0.9
+    assert found[1, top & (x > 400) & (x < 500)].mean() < 0.1
+    seam = top & (np.abs(x - 200) < 10)
+    assert np.array_equal(found[0, seam], found[1, seam])
+
+
 def test_forms_are_those_of_a_slow_twin() -> None:
     rng = np.random.default_rng(5)
     rows, columns = 40, 50
@@ -84,29 +105,29 @@ def test_forms_are_those_of_a_slow_twin() -> None:
     xyz = np.column_stack([place, rng.normal(0, 1.2, 2000)])
     ground = rng.random(2000) < 0.15
     form = np.where(grid < 0, -1, np.where(ground[grid], -2, 0))
-    facts = np.zeros((2000 // LEAST + 1, 4))
+    facts = np.zeros((rows, columns, 3), np.int16)
     count = _forms(xyz, grid, form, facts)
     expected = _slow_forms(xyz, grid, ground)
     assert count == len(expected) > 0
     for number, (cells, known) in enumerate(expected, start=1):
         assert set(np.flatnonzero(form.ravel() == number)) == cells
-        assert facts[number - 1].tolist() == pytest.approx(known)
+        assert facts[form == number].sum(axis=0).tolist() == known
 
 
 def _slow_forms(
     xyz: Float, grid: NDArray[np.int64], ground: Mask
-) -> list[tuple[set[int], list[float]]]:
+) -> list[tuple[set[int], list[int]]]:
     """Cells of each form and what is known of it, in the order of their first cells."""
     rows, columns = grid.shape
     pairs: list[tuple[int, int, bool]] = []
-    empty = np.zeros(grid.size)
+    empty = np.zeros(grid.size, np.int64)
     for at in range(grid.size):
         r, c = divmod(at, columns)
         for i, j in ((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)):
             if not (0 <= r + i < rows and 0 <= c + j < columns):
                 continue
             if grid[r + i, c + j] < 0:
-                empty[at] += 0.125
+                empty[at] += 1
             elif grid[r, c] >= 0:
                 apart = xyz[grid[r + i, c + j]] - xyz[grid[r, c]]
                 hangs = abs(apart[2]) <= STEP_M + SLOPE * np.hypot(*apart[:2])
@@ -126,11 +147,6 @@ def _slow_forms(
         mine = [(b, hangs) for a, b, hangs in pairs if a in cells]
         rim = [(b, hangs) for b, hangs in mine if not hangs or ground[grid.ravel()[b]]]
         inside = sorted(cells)
-        known = [
-            sum(hangs for _, hangs in rim),
-            len(rim),
-            empty[inside].sum(),
-            len(cells),
-        ]
-        found.append((cells, [float(v) for v in known]))
+        hanging = sum(hangs for _, hangs in rim)
+        found.append((cells, [hanging, len(rim), int(empty[inside].sum())]))
     return found
