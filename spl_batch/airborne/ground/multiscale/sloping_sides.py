@@ -88,7 +88,8 @@ def with_sloping_sides(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> 
     found = np.zeros(len(xyz), dtype=np.bool_)
     form = np.where(grid < 0, _NONE, np.where(ground[grid], _GROUND, 0))
     facts = np.zeros((*grid.shape, 3), np.int16)
-    _forms(xyz, grid, form, facts)
+    if not _forms(xyz, grid, form, facts):
+        return found
     nodes, number = grid[form > 0], form[form > 0]
     hanging, pairs, empty, cells = _around(xyz[nodes], number, facts[form > 0])
     likely = (hanging > 0) & (hanging >= GENTLE * pairs) & (cells >= LEAST)

@@ -64,6 +64,7 @@ def nodes(points_per_m2: float = 4.0) -> tuple[Float, Mask, NDArray[np.int64], d
 def test_where_many_cells_are_empty_nothing_is_told() -> None:
     xyz, ground, grid, _ = nodes(4.0)
     assert with_sloping_sides(xyz, grid, ground, 1.0).any()
+    assert not with_sloping_sides(xyz, grid, np.ones_like(ground), 1.0).any()
     xyz, ground, grid, _ = nodes(0.8)
     assert not with_sloping_sides(xyz, grid, ground, 1.0).any()
 
