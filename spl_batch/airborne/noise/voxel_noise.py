@@ -110,9 +110,9 @@ def deposit_apart(
     if len(table) == 0:
         return []
     per_m = line_density(table, model) if published else seen_density(table, model)
-    places = np.column_stack((table["x"], table["y"]))
-    if far_q is None or (np.ptp(places, axis=0) <= far_q).all():
+    if far_q is None or all(np.ptp(table[axis]) <= far_q for axis in "xy"):
         return [_in_one_box(table, beams, (near, far, per_m), settings)]
+    places = np.column_stack((table["x"], table["y"]))
     return [
         _in_one_box(
             table.take(rows), beams.take(rows), (near[rows], far[rows], per_m[rows]), settings

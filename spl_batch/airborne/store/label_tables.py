@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from spl_batch.airborne.store.line_moves import TOLD_BY, LineMoves
 from spl_batch.engine.store.working_store import Store
 from spl_batch.formats.verified.parquet_npz import (
+    groups_between,
     naming_damage,
     ranges_of,
-    read_between,
+    read_found,
     read_groups,
     read_table,
     reading,
-    rows_between,
     writing,
 )
 from spl_batch.lattice.row_order import in_order, lexicographic_order
@@ -308,14 +308,15 @@ def read_region(
     # A region is the largest thing that a worker holds. It is read into its place: many small
     # parts would leave gaps in a worker's memory in which nothing else fits. What of the room
     # is not needed is never touched.
-    room = sum(rows_between(store.tile(str(tile)), span) for tile in held)
+    parts = [groups_between(store.tile(str(tile)), span) for tile in held]
+    room = sum(part.rows for part in parts)
     joined = {name: np.empty(room, COLUMNS[name].dtype) for name in names}
     joined["row"] = np.empty(room, np.uint32)
     joined["owner"] = np.empty(room, np.min_scalar_type(len(held)))
     end = 0
     with LabelFiles(store) as files:
         for k, tile in enumerate(held):
-            values, row = read_between(store.tile(str(tile)), read, span)
+            values, row = read_found(parts[k], read)
             if moves is not None:
                 values = moves.add(values)
             chosen = _within(values["x"], values["y"], bounds, sorted_by_x=moves is None)

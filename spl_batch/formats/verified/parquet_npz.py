@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 from zipfile import BadZipFile
 
 import numpy as np
@@ -132,8 +132,10 @@ def write_table(
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[pq.ParquetFile]:
+def reading(path: Path, footer: pq.FileMetaData | None = None) -> Iterator[pq.ParquetFile]:
     """Open a file written by :func:`writing`; every byte that is used is verified.
+
+    ``footer``: the file's own, where it was read already.
 
     Raises
     ------
@@ -141,7 +143,7 @@ def reading(path: Path) -> Iterator[pq.ParquetFile]:
         If the file is missing or damaged.
     """
     with naming_damage(path), _open(path) as stream:
-        footer = _read_footer(stream)
+        footer = _read_footer(stream) if footer is None else footer
         with pq.ParquetFile(stream, metadata=footer, page_checksum_verification=True) as file:
             yield file
 
@@ -187,10 +189,21 @@ def read_columns(
         return read_groups(file, names, groups)
 
 
-def read_between(
-    path: Path, names: Sequence[str], spans: Mapping[str, tuple[int, int]]
-) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
-    """Columns of the row groups that may hold values within some spans.
+class Groups(NamedTuple):
+    """Some row groups of a file."""
+
+    path: Path
+    footer: pq.FileMetaData
+    wanted: list[int]  #: Their numbers.
+
+    @property
+    def rows(self) -> int:
+        """How many rows they hold."""
+        return sum(self.footer.row_group(g).num_rows for g in self.wanted)
+
+
+def groups_between(path: Path, spans: Mapping[str, tuple[int, int]]) -> Groups:
+    """Row groups of a file that may hold values within some spans, from its footer alone.
 
     Parameters
     ----------
@@ -198,6 +211,21 @@ def read_between(
         File written by :func:`write_table`.
     spans : mapping of str to (int, int)
         Smallest and largest value of interest by column; every column has to meet its own.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    with naming_damage(path), _open(path) as stream:
+        footer = _read_footer(stream)
+        return Groups(path, footer, _meeting(footer, spans))
+
+
+def read_found(
+    groups: Groups, names: Sequence[str]
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+    """Columns of row groups of :func:`groups_between`.
 
     Returns
     -------
@@ -211,26 +239,19 @@ def read_between(
     DamagedError
         If the file is missing or damaged.
     """
-    with reading(path) as file:
-        footer = file.metadata
-        wanted = _meeting(footer, spans)
-        ends = np.cumsum([footer.row_group(g).num_rows for g in range(footer.num_row_groups)])
-        rows = [np.arange(ends[g - 1] if g else 0, ends[g]) for g in wanted]
-        row = np.concatenate(rows) if rows else np.arange(0)
+    footer, wanted = groups.footer, groups.wanted
+    ends = np.cumsum([footer.row_group(g).num_rows for g in range(footer.num_row_groups)])
+    rows = [np.arange(ends[g - 1] if g else 0, ends[g]) for g in wanted]
+    row = np.concatenate(rows) if rows else np.arange(0)
+    with reading(groups.path, footer) as file:
         return read_groups(file, names, wanted), row
 
 
-def rows_between(path: Path, spans: Mapping[str, tuple[int, int]]) -> int:
-    """Rows that :func:`read_between` gives, from the footer alone.
-
-    Raises
-    ------
-    DamagedError
-        If the file is missing or damaged.
-    """
-    with reading(path) as file:
-        footer = file.metadata
-        return sum(footer.row_group(g).num_rows for g in _meeting(footer, spans))
+def read_between(
+    path: Path, names: Sequence[str], spans: Mapping[str, tuple[int, int]]
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+    """What :func:`read_found` gives of what :func:`groups_between` finds."""
+    return read_found(groups_between(path, spans), names)
 
 
 def _meeting(footer: pq.FileMetaData, spans: Mapping[str, tuple[int, int]]) -> list[int]:
