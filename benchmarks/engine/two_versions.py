@@ -5,7 +5,7 @@ Run ``python -m benchmarks.engine.two_versions WORKFLOW CHECKOUT [--turns 2] [--
 Both versions run :mod:`benchmarks.engine.task_times` of their own on the same files, in turns, with
 the settings for malloc and Arrow that workers have. Of each kind of task the least of all turns
 counts: what other work on the machine adds is left out. Check points of the reference are, as older
-versions know none. The last line is the ratio.
+versions know none. The last lines are the ratio, and the highest memory of the process.
 """
 
 import argparse
@@ -20,8 +20,8 @@ from spl_batch.engine.flow.cluster import SETTINGS
 _ENVIRON = "distributed.nanny.pre-spawn-environ."
 
 
-def times(checkout: Path, workflow: Path, rounds: int) -> dict[str, float]:
-    """Seconds of a processor per million returns of each kind of task, by one version."""
+def times(checkout: Path, workflow: Path, rounds: int) -> tuple[dict[str, float], float]:
+    """Seconds of a processor per million returns by kind of task, and highest memory [MiB]."""
     workers = {
         key.removeprefix(_ENVIRON): str(value)
         for key, value in SETTINGS.items()
@@ -34,8 +34,9 @@ def times(checkout: Path, workflow: Path, rounds: int) -> dict[str, float]:
         stdout=subprocess.PIPE,
         check=True,
         text=True,
-    ).stdout.splitlines()[2:-1]
-    return {row.split()[0]: float(row.split()[1]) for row in table}
+    ).stdout.splitlines()
+    *rows, last = (row.split() for row in table[2:])
+    return {row[0]: float(row[1]) for row in rows}, float(last[-2])
 
 
 def main() -> None:
@@ -49,9 +50,12 @@ def main() -> None:
     workflow = without_checkpoints(given.workflow.resolve())
     versions = [given.checkout.resolve(), Path(__file__).resolve().parents[2]]
     least: list[dict[str, float]] = [{}, {}]
+    peak_mb = [0.0, 0.0]
     for turn in range(given.turns):
-        for version, known in zip(versions, least, strict=True):
-            for kind, seconds in times(version, workflow, given.rounds).items():
+        for k, (version, known) in enumerate(zip(versions, least, strict=True)):
+            found, most = times(version, workflow, given.rounds)
+            peak_mb[k] = max(peak_mb[k], most)
+            for kind, seconds in found.items():
                 known[kind] = min(seconds, known.get(kind, seconds))
         sums = [sum(known.values()) for known in least]
         print(f"turn {turn + 1}: {sums[0]:.2f} -> {sums[1]:.2f}", flush=True)
@@ -61,6 +65,7 @@ def main() -> None:
         print(f"{kind:20s}{row}")
     before, after = (sum(known.values()) for known in least)
     print(f"{'all':20s}{before:9.3f}{after:9.3f}   {after / before:.2f} x")
+    print(f"{'highest memory [MiB]':20s}{peak_mb[0]:9.0f}{peak_mb[1]:9.0f}")
 
 
 if __name__ == "__main__":
