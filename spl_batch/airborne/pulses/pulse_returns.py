@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.pulses.end_kernels import mark_ends
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointTable, concat
 
@@ -154,17 +155,16 @@ def pulse_ends(table: PointTable) -> Ends:
     first, last = np.zeros((2, n), np.bool_)
     if not n:
         return first, last
-    keys = [table[name] for name in ("gps_time", "channel", "z", "x", "y", "return_number")]
-    order = lexicographic_order(keys)
-    time, channel = (key[order] for key in keys[:2])
+    order = lexicographic_order([table[name] for name in _PULSE])
+    time, channel = (table[name].take(order) for name in _PULSE)
     opens = np.ones(n, np.bool_)
     # NaN differs from itself: each return without a time is one by itself.
     opens[1:] = (time[1:] != time[:-1]) | (channel[1:] != channel[:-1])
     start = np.flatnonzero(opens)
     count = np.diff(start, append=n)
     known = (count <= MOST_RETURNS) & np.isfinite(time[start])
-    last[order[start[known]]] = True
-    first[order[(start + count - 1)[known]]] = True
+    keys = (table[name] for name in ("z", "x", "y", "return_number"))
+    mark_ends(order, start[known], count[known], *keys, first, last)
     untold = order[np.repeat(~known, count)]
     only = untold[table["return_number"][untold] <= 1]
     first[only] = last[only] = True
