@@ -163,8 +163,8 @@ def pulse_ends(table: PointTable) -> Ends:
     start = np.flatnonzero(opens)
     count = np.diff(start, append=n)
     known = (count <= MOST_RETURNS) & np.isfinite(time[start])
-    keys = (table[name] for name in ("z", "x", "y", "return_number"))
-    mark_ends(order, start[known], count[known], *keys, first, last)
+    z, x, y, number = (table[name] for name in ("z", "x", "y", "return_number"))
+    mark_ends(order, start[known], count[known], z, x, y, number, first, last)
     untold = order[np.repeat(~known, count)]
     only = untold[table["return_number"][untold] <= 1]
     first[only] = last[only] = True
