@@ -60,6 +60,7 @@ class Cells:
     top: NDArray[np.int32]  #: (n,): water surface, not lowered by what lies below it [quanta].
     calm: NDArray[np.bool_]  #: (n,): whether the surface is water: it is too level for land.
     maybe: NDArray[np.bool_]  #: (n,): whether level cells between banks may be a river.
+    dark: NDArray[np.bool_]  #: (n,): whether such water shows no light below: it may be a plain.
     #: (n,): steps between the densest layers of cells next to each other, their median, or what
     #: photons show that crowd in long boxes where that is less [m/m].
     slope: NDArray[np.float32]

@@ -11,7 +11,7 @@ from benchmarks.altimetry.odd_tracks import SCENES, Scene, make
 from benchmarks.altimetry.photon_beams import RATE, Beam, Photons
 from benchmarks.altimetry.unseen_tracks import Country, taiga
 from spl_batch.altimetry.noise import noise_rate as rates
-from spl_batch.altimetry.report.summarise import _maybe_river
+from spl_batch.altimetry.report.summarise import _dark_water, _maybe_river
 from spl_batch.altimetry.water.between_banks import above_rivers, between_banks
 from spl_batch.altimetry.water.emptiest import Photons as Cloud
 from spl_batch.altimetry.water.level_water import NO_WATER, find_layers
@@ -197,6 +197,26 @@ def test_dark_level_cells_between_banks_are_land_that_may_be_a_river() -> None:
     (text,) = _maybe_river({"length_m": 300.0, "from_m": 1340.0, "to_m": 1640.0})
     assert "0.3 km of track between 1.34 and 1.64 km are level between higher banks" in text
     assert not list(_maybe_river({}))
+
+
+@pytest.mark.parametrize("noise", [NIGHT, DAY])
+def test_water_of_which_nothing_shows_but_its_level_may_be_a_plain(noise: float) -> None:
+    plain = Scene(
+        noise,
+        land=((0.0, 4000.0),),
+        land_m=lambda x: 0.02 * np.sin(x / 200.0),
+        gate_m=(-60.0, 99.0),
+    )
+    dark = [
+        rates.observe(*make("plain", one, 0).photons, RATE).dark.mean()
+        for one in (plain, Scene(noise))
+    ]
+    assert dark[0] > 0.9
+    assert dark[1] == 0.0
+    (text,) = _dark_water({"length_m": 4000.0, "from_m": 0.0, "to_m": 4000.0})
+    assert "water or a flat plain" in text
+    assert not list(_dark_water({}))
+    assert not list(_dark_water({"length_m": 480.0, "from_m": 0.0, "to_m": 4000.0}))
 
 
 def test_a_level_bank_is_no_water_of_its_river() -> None:

@@ -271,8 +271,8 @@ def test_a_segment_of_few_photons_fits_the_lattice() -> None:
     steep = np.ones(len(index), np.float32)
     fog = np.zeros((len(index), 64), np.float32)
     sparse = Cells(
-        index, one, *ends, ends[0], one, one, none, column, steep, none, one > 0, one > 0, steep,
-        none, fog, fog[:, :3], np.full((len(index), 2), np.nan, np.float32),
+        index, one, *ends, ends[0], one, one, none, column, steep, none, one > 0, one > 0, one > 0,
+        steep, none, fog, fog[:, :3], np.full((len(index), 2), np.nan, np.float32),
     )  # fmt: skip
     scaled = rates.scale(sparse, np.full(len(index), 1e-6), RATE, SIGNAL)
     cells = signals.most_cells(scaled, RATE, SIGNAL)

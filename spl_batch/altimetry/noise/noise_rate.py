@@ -60,7 +60,7 @@ HALO_CELLS: Final = (
     + SWELL_CELLS
     + MOST_RIVER_CELLS
     + 2 * (BANK_CELLS + 1)
-    + REACH_CELLS
+    + 2 * REACH_CELLS
     + 1
 )
 """Cells to each side that :func:`observe` looks at [count]."""
@@ -142,6 +142,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         top=water.top,
         calm=water.calm,
         maybe=water.maybe,
+        dark=water.dark,
         slope=np.minimum(water.slope, crowded),
         fog_low=fog.low,
         fog=fog.density,

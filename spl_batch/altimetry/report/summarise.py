@@ -82,6 +82,9 @@ _DOUBT_SHARE: Final = 0.02
 the surface, those of an echo over those called floor, and profile cells without their floor over
 all of these, and those with a ground in doubt over those with one, that are worth a warning."""
 
+_DARK_M: Final = 500.0
+"""Level track with no light from below that is worth a warning [m]."""
+
 
 def _warnings(done: Receipts, limit: float) -> list[str]:
     """What a reader has to know of each beam's labels, in sentences; alike ones once."""
@@ -98,6 +101,7 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
         found += [Said(beam, text) for text in _cloud(rate["fog"])]
         found += [Said(beam, text) for text in _mist(rate["mist"], delivered.facts["mist"], kept)]
         found += [Said(beam, text) for text in _maybe_river(rate["maybe_river"])]
+        found += [Said(beam, text) for text in _dark_water(rate["dark_water"])]
         found += [Said(beam, text) for text in _second_surface(chosen, kept, limit)]
         found += [Said(beam, text) for text in _like_noise(chosen, kept, floor)]
         found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
@@ -153,6 +157,16 @@ def _maybe_river(at: Mapping[str, float]) -> Iterator[str]:
             f"{at['length_m'] / 1000:g} km of track between {at['from_m'] / 1000:g} and "
             f"{at['to_m'] / 1000:g} km are level between higher banks, with nothing seen below: a "
             "river, a pond, or land as level; called land, its ground is the surface"
+        )
+
+
+def _dark_water(at: Mapping[str, float]) -> Iterator[str]:
+    """Water by its level alone."""
+    if at and at["length_m"] >= _DARK_M:
+        yield (
+            f"{at['length_m'] / 1000:g} km of track between {at['from_m'] / 1000:g} and "
+            f"{at['to_m'] / 1000:g} km are as level as water, and no light from below stands out: "
+            "water or a flat plain; called water, so its ground has no canopy"
         )
 
 

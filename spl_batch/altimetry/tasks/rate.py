@@ -60,6 +60,7 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
         "unseen": rates.unseen(cells, workflow.rate),
         "water": float(np.mean(cells.calm)) if len(cells.index) else 0.0,
         "maybe_river": along_track(cells.index[cells.maybe], workflow.rate.cell_m),
+        "dark_water": along_track(cells.index[cells.dark], workflow.rate.cell_m),
         "fog": fog_told(cells.index, Fog(cells.fog_low, cells.fog), workflow.rate.cell_m),
         "mist": told(cells.index, cells.mist.T.astype(np.float64), workflow.rate.cell_m),
         "length_m": len(cells.index) * workflow.rate.cell_m,

@@ -64,6 +64,9 @@ _KNOWN: Final = 0.25
 _TIMES: Final = 3
 """Times that noise is told by what the last floor found leaves [count]."""
 
+_FLOORS: Final = 3
+"""Cells around with a floor, at least, that tell water from a plain [count]."""
+
 WAVE_M: Final = 0.3
 """Waves reach as far above a surface as below it; farther off the two are compared [m]."""
 
@@ -88,6 +91,7 @@ class Water(NamedTuple):
     fullest: NDArray[np.int64]  #: (n,): middle of the densest metre [quanta].
     calm: NDArray[np.bool_]  #: (n,): whether the surface is too level for land.
     maybe: NDArray[np.bool_]  #: (n,): whether level cells between banks may be a river.
+    dark: NDArray[np.bool_]  #: (n,): whether such water shows no light below: it may be a plain.
     #: (n, 2): height of a floor in the middle of the cell, and its slope [m, m/m]; NaN where none.
     floor: NDArray[np.float32]
 
@@ -145,6 +149,7 @@ def find_water(
         np.zeros(n, np.int64),
         np.zeros(n, np.bool_),
         np.zeros(n, np.bool_),
+        np.zeros(n, np.bool_),
         np.full((n, 2), np.nan, np.float32),
     )
     if not n:
@@ -184,6 +189,8 @@ def find_water(
         calm = is_water(index, level_m, below, lit, cell_m, REACH_CELLS)
         water.calm[:] = river | (calm & ~above_rivers(index, level_m, river_m, REACH_CELLS))
         water.maybe[water.calm] = False
+        floors = sums_around(index, np.isfinite(floor[:, :1]), REACH_CELLS)[:, 0]
+        water.dark[:] = water.calm & ~river & ~lit & ~below & (floors < _FLOORS)
     return water
 
 
