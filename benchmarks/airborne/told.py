@@ -37,6 +37,7 @@ KINDS: Final[Mapping[str, str]] = MappingProxyType({
     "gaps": "heights are interpolated from ground up to",
     "roof": "that was taken for ground. Heights of the terrain",
     "deck": "probably a wide bridge",
+    "dam": "between ground returns as a dam",
     "steep": "what lay there was cut off",
     "block": "no wall does",
 })  # fmt: skip

@@ -62,7 +62,7 @@ the valley's floor [m], and of small forms the share of cells that are off by mo
 
 _CUT_OFF: Final = ("steep", "block", "gaps", "unsure")
 SAYS: Final = {
-    name: ("deck", "steep", "roof") if of.deck_m else _CUT_OFF for name, of in SCENES.items()
+    name: ("deck", "dam", "steep", "roof") if of.deck_m else _CUT_OFF for name, of in SCENES.items()
 }
 """Kinds of warnings that say what is off: of what was cut off, or a deck that stayed."""
 
@@ -251,7 +251,7 @@ def main() -> None:
             surveys = [simulated(*row, folder) for row in dict.fromkeys(rows)]
             run_by(given.before, [(survey / "workflow.yaml", ()) for survey in surveys])
         level = process(*rows[0], folder)
-        usual = {out: _warnings(level, out) for out in versions.values()}
+        usual = {out: warnings(level, out) for out in versions.values()}
         for name, seed, times in rows[1:]:
             survey = process(name, seed, times, folder)
             truth, kept = load(survey)
@@ -265,7 +265,8 @@ def main() -> None:
                 print(_row(method, row), flush=True)
 
 
-def _warnings(survey: Path, out: str) -> list[str]:
+def warnings(survey: Path, out: str) -> list[str]:
+    """What the run of a survey warns of."""
     return told_by(json.loads((survey / out / "report.json").read_text()))
 
 
@@ -285,7 +286,7 @@ def _print(
     method, out = version
     truth, kept = load(survey, out)
     found = figures(truth, kept, kept.called, delivered(survey, truth, out))
-    new = new_warnings(_warnings(survey, out), usual)
+    new = new_warnings(warnings(survey, out), usual)
     words = verdict(found, name, telling(new, SAYS[name]))
     print(f"{_row(method, found)}  {words} [{', '.join(kinds(new))}]", flush=True)
     for text in new if say else []:

@@ -10,6 +10,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.doubts.terrain_doubts import (
     BLOCKS,
     CLIMBS,
+    DAMS,
     DECKS,
     FAR_M,
     GAPS,
@@ -125,8 +126,8 @@ def _quantile(cells: Mapping[int, int], share: float) -> int:
 def terrain_doubts(done: Receipts) -> TerrainDoubts:
     """Gaps and raised patches of all pieces of a survey."""
     facts = [receipt.facts for receipt in done.get("surface", {}).values()]
-    names = GAPS, RAISED, DECKS, CLIMBS, BLOCKS
-    gaps, raised, decks, climbs, blocks = (largest(facts, name) for name in names)
+    names = GAPS, RAISED, DECKS, DAMS, CLIMBS, BLOCKS
+    gaps, raised, decks, dams, climbs, blocks = (largest(facts, name) for name in names)
     return TerrainDoubts(
         gaps=len(gaps),
         gaps_m2=sum(gap[0] for gap in gaps),
@@ -140,6 +141,9 @@ def terrain_doubts(done: Receipts) -> TerrainDoubts:
         decks=len(decks),
         decks_m2=sum(strip[0] for strip in decks),
         largest_decks=_raised(decks),
+        dams=len(dams),
+        dams_m2=sum(dam[0] for dam in dams),
+        largest_dams=_raised(dams),
         steep=len(climbs),
         steep_m2=sum(patch[0] for patch in climbs),
         largest_steep=tuple(
@@ -193,6 +197,16 @@ def doubt_warnings(found: TerrainDoubts) -> Iterator[str]:
             "height to the others: probably a wide bridge that was taken for ground, if it is no "
             "dam, bank or pier. Below a bridge heights of the terrain are off by so much; look at "
             "the place, and classify its deck by hand"
+        )
+    if found.largest_dams:
+        dam = found.largest_dams[0]
+        area = _area(found.dams_m2, dam.area_m2, found.dams, dam.at_m)
+        yield (
+            f"The terrain spans {_counted(found.dams, 'gap')} between ground returns as a dam, "
+            f"{area}, up to {dam.height_m:.1f} m above the ground on both sides: probably a bridge "
+            "was cut off, and heights below it are interpolated from its ends. They are off by so "
+            "much if the ground there is as low as beside it, and dtm_quality.tif has half of "
+            "that; do not measure there, and draw the floor by hand if it matters"
         )
     if found.largest_steep:
         climb = found.largest_steep[0]

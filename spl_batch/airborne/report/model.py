@@ -172,7 +172,7 @@ class TerrainGap(Part):
 
 
 class RaisedPatch(Part):
-    """A raised flat patch in the terrain with walls on most sides, or a strip between two walls."""
+    """Raised in the terrain: a flat patch with walls, a strip between two, or a dam over a gap."""
 
     area_m2: Number = Field(description="Area [m2].")
     at_m: tuple[Number, Number] = Field(description="Easting and northing of its middle [m].")
@@ -207,6 +207,9 @@ class TerrainDoubts(Part):
     decks: Count = Field(0, description="Raised strips between two walls: probably bridges.")
     decks_m2: Number = Field(0.0, description="Area of all of them [m2].")
     largest_decks: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
+    dams: Count = Field(0, description="Gaps that the terrain spans as a dam: below bridges.")
+    dams_m2: Number = Field(0.0, description="Area of all of them [m2].")
+    largest_dams: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
     steep: Count = Field(0, description="Steep patches that hold no ground return.")
     steep_m2: Number = Field(0.0, description="Area of all of them [m2].")
     largest_steep: tuple[SteepPatch, ...] = Field((), description="The largest of them.")

@@ -22,6 +22,15 @@ def cut_at(height: Float, row: int, column: int) -> bool:
     return bool(on_decks(xyz, grid, grid, every, 1.0)[grid[row, column]])
 
 
+def decks_of(height: Float, ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Cells of decks, of a node in each cell of a metre."""
+    y, x = np.indices(height.shape) + 0.5
+    xyz = np.column_stack([x.ravel(), y.ravel(), height.ravel()])
+    grid = np.arange(height.size).reshape(height.shape)
+    found: NDArray[np.bool_] = on_decks(xyz, grid, grid, ground.ravel(), 1.0)[grid]
+    return found
+
+
 def across(profile: Float) -> Float:
     """The same heights along each row."""
     return np.tile(profile, (50, 1))
@@ -46,6 +55,40 @@ AWAY = np.abs(np.arange(60) - 30.0)
 def test_level_between_two_sharp_falls_is_a_deck(profile: Float, *, cut: bool) -> None:
     assert cut_at(across(profile), 25, 30) is cut
     assert cut_at(across(profile).T.copy(), 30, 25) is cut
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 20.0, 45.0])
+def test_a_deck_of_any_direction_is_cut_to_where_it_lies_a_metre_above_the_ground(
+    turn_deg: float,
+) -> None:
+    y, x = np.indices((70, 70)) - 34.5
+    turn = np.radians(turn_deg)
+    along, aside = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    valley = -np.clip(15.0 - np.abs(along), 0.0, 6.0)
+    deck = (np.abs(along) < 17.0) & (np.abs(aside) < 7.5)
+    height = np.where(deck, 0.0, valley)
+    hole = tuple(np.argwhere(deck & (np.abs(along) < 1) & (np.abs(aside) < 1))[0])
+    height[hole] = 0.2
+    found = decks_of(height, np.ones_like(deck))
+    inside = deck & (np.abs(aside) < 6.5)
+    assert found[inside & (valley < -2.5)].all()
+    # Aslant the sides are seen up to an eighth of a turn off.
+    assert found[inside & (valley < -1.5)].mean() > (0.9 if turn_deg == 20.0 else 0.99)
+    assert not found[~deck | (valley == 0.0)].any()
+
+
+def test_an_end_goes_on_from_a_deck_alone() -> None:
+    bank = 1.2 * (AWAY < 8)
+    deck = 5.0 * (AWAY < 8)
+    height = np.tile(bank, (50, 1))
+    assert not decks_of(height, np.ones_like(height, np.bool_)).any()
+    height[20:] += 5.0 - 1.2
+    height[20:] = np.tile(deck, (30, 1))
+    height[:20] += 5.0 - 1.2
+    found = decks_of(height, np.ones_like(height, np.bool_))
+    assert found[25, 30]
+    assert found[15, 30]
+    assert not found[5, 30]
 
 
 def test_a_wide_deck_over_a_valley_with_slopes_is_no_ground() -> None:

@@ -29,6 +29,7 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     BAND_M,
     Near,
     Surface,
+    below_decks,
     near_surface,
     needed,
     surface_of,
@@ -259,7 +260,7 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground &= ~on_houses(xyz, ground)
     ground &= ~high_islands(xyz, ground, CELL_M)
     ground &= ~under_ground(xyz, ground, doubtful)
-    return surface_of(xyz[ground])
+    return below_decks(surface_of(xyz[ground]), xyz[decks])
 
 
 def _evidence(strip: Strip) -> Place:

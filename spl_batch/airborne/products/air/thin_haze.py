@@ -26,7 +26,7 @@ from spl_batch.lattice.tiles import Bounds, quanta
 
 DOMAIN: Final = "space"
 
-TOP: Final = 60
+TOP: Final = 120
 """Metres above the floor that are looked at, one by one."""
 
 BLOCK: Final = 4
