@@ -122,7 +122,7 @@ class Scale:
 
 
 def along_track(index: NDArray[np.int64], cell_m: float) -> dict[str, float]:
-    """How long some cells are together, and where they lie [m]; empty where there is none.
+    """How long some cells are, where they lie [m], in how many pieces; empty where there is none.
 
     ``index``: numbers of the cells, in order.
     """
@@ -132,4 +132,5 @@ def along_track(index: NDArray[np.int64], cell_m: float) -> dict[str, float]:
         "length_m": len(index) * cell_m,
         "from_m": float(index[0] * cell_m),
         "to_m": float((index[-1] + 1) * cell_m),
+        "pieces": 1.0 + np.count_nonzero(np.diff(index) > 1),
     }

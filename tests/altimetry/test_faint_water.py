@@ -11,6 +11,7 @@ from benchmarks.altimetry.odd_tracks import SCENES, Scene, make
 from benchmarks.altimetry.photon_beams import RATE, Beam, Photons
 from benchmarks.altimetry.unseen_tracks import Country, taiga
 from spl_batch.altimetry.noise import noise_rate as rates
+from spl_batch.altimetry.photon_table import along_track
 from spl_batch.altimetry.report.summarise import _dark_water, _maybe_river
 from spl_batch.altimetry.water.between_banks import above_rivers, between_banks
 from spl_batch.altimetry.water.emptiest import Photons as Cloud
@@ -194,8 +195,11 @@ def test_dark_level_cells_between_banks_are_land_that_may_be_a_river() -> None:
     assert not cells.calm.any()
     assert cells.maybe[at][inside].mean() > 0.9
     assert cells.maybe[at][~inside].mean() < 0.05
-    (text,) = _maybe_river({"length_m": 300.0, "from_m": 1340.0, "to_m": 1640.0})
+    told = along_track(cells.index[cells.maybe], 20.0)
+    (text,) = _maybe_river(told)
     assert "0.3 km of track between 1.34 and 1.64 km are level between higher banks" in text
+    (text,) = _maybe_river(along_track(np.array([3, 4, 9]), 20.0))
+    assert "0.06 km of track in 2 pieces between 0.06 and 0.2 km are level" in text
     assert not list(_maybe_river({}))
 
 
@@ -213,10 +217,10 @@ def test_water_of_which_nothing_shows_but_its_level_may_be_a_plain(noise: float)
     ]
     assert dark[0] > 0.9
     assert dark[1] == 0.0
-    (text,) = _dark_water({"length_m": 4000.0, "from_m": 0.0, "to_m": 4000.0})
+    (text,) = _dark_water(along_track(np.arange(200), 20.0))
     assert "water or a flat plain" in text
     assert not list(_dark_water({}))
-    assert not list(_dark_water({"length_m": 480.0, "from_m": 0.0, "to_m": 4000.0}))
+    assert not list(_dark_water(along_track(np.arange(24), 20.0)))
 
 
 def test_a_level_bank_is_no_water_of_its_river() -> None:
@@ -245,7 +249,19 @@ def spruces() -> tuple[np.ndarray, np.ndarray]:
     return country.labelled("taiga").photons
 
 
-@pytest.mark.parametrize("land", [hedges, spruces])
+def glass() -> tuple[np.ndarray, np.ndarray]:
+    """Glass 4.5 m above level land amid woods, whose crowns stand higher."""
+    country = Country(2)
+    inside = np.abs(country.x - 2000.0) < 200.0
+    hills = 2.0 * np.sin(country.x / 150.0) * ~inside
+    country.ground(np.where(inside, 0.3, 0.5), hills, 0.1)
+    country.layer(0.6 * inside, 4.5, LAND, lambda n: country.rng.normal(0.0, 0.12, n))
+    country.trees(0.6 * ~inside, hills, 15.0)
+    country.sky(NIGHT, (-50.0, 60.0))
+    return country.labelled("glass").photons
+
+
+@pytest.mark.parametrize("land", [hedges, spruces, glass])
 def test_what_stands_level_above_land_by_chance_is_no_river(land: Callable[[], Photons]) -> None:
     along, height = land()
     index, cell = np.unique(along // 20_000, return_inverse=True)

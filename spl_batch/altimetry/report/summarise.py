@@ -137,13 +137,21 @@ def _second_surface(chosen: Mapping[str, Any], kept: int, limit: float) -> Itera
         )
 
 
+def _stretch(at: Mapping[str, float]) -> str:
+    """How much of the track some cells are, and where."""
+    pieces = f" in {at['pieces']:.0f} pieces" if at["pieces"] > 1 else ""
+    return (
+        f"{at['length_m'] / 1000:g} km of track{pieces} between {at['from_m'] / 1000:g} and "
+        f"{at['to_m'] / 1000:g} km"
+    )
+
+
 def _cloud(fog: Mapping[str, float]) -> Iterator[str]:
     """A cloud in the gate, and what that means for its photons and those below it."""
     if fog and fog["photons"] >= SAID_LEAST:
         yield (
-            f"a layer that floats as a cloud does fills {fog['length_m'] / 1000:g} km of track "
-            f"between {fog['from_m'] / 1000:g} and {fog['to_m'] / 1000:g} km, most of it at "
-            f"heights of {fog['low_m']:.0f} to {fog['high_m']:.0f} m: its "
+            f"a layer that floats as a cloud does fills {_stretch(fog)}, most of it at heights of "
+            f"{fog['low_m']:.0f} to {fog['high_m']:.0f} m: its "
             f"{grouped(fog['photons'])} photons count as noise of that height, and less light "
             "reaches what is below; thin parts of a cloud may stay signal, and dense woods on a "
             "steep slope may look like one"
@@ -154,9 +162,8 @@ def _maybe_river(at: Mapping[str, float]) -> Iterator[str]:
     """Level cells between banks with nothing below."""
     if at:
         yield (
-            f"{at['length_m'] / 1000:g} km of track between {at['from_m'] / 1000:g} and "
-            f"{at['to_m'] / 1000:g} km are level between higher banks, with nothing seen below: a "
-            "river, a pond, or land as level; called land, its ground is the surface"
+            f"{_stretch(at)} are level between higher banks, with nothing seen below: a river, a "
+            "pond, or land as level; called land, its ground is the surface"
         )
 
 
@@ -164,9 +171,8 @@ def _dark_water(at: Mapping[str, float]) -> Iterator[str]:
     """Water by its level alone."""
     if at and at["length_m"] >= _DARK_M:
         yield (
-            f"{at['length_m'] / 1000:g} km of track between {at['from_m'] / 1000:g} and "
-            f"{at['to_m'] / 1000:g} km are as level as water, and no light from below stands out: "
-            "water or a flat plain; called water, so its ground has no canopy"
+            f"{_stretch(at)} are as level as water, and no light from below stands out: water or a "
+            "flat plain; called water, so its ground has no canopy"
         )
 
 

@@ -2,7 +2,9 @@
 
 A kilometre of level cells tells a lake from land. A river has a few, and so have a field and the
 bottom of a valley. What land has not is a thin level layer with photons of another one, or of light
-that water scatters, below it: that tells rivers and ponds, and only those that are seen into.
+that water scatters, below it: that tells rivers and ponds, and only those that are seen into. Glass
+and crops are as thin and level, but the ground below them goes on at its height: the ground beyond
+both ends, not trees on it, has to rise above a river.
 """
 
 from typing import Final, NamedTuple
@@ -44,6 +46,11 @@ _BANK_M: Final = 0.5
 
 _SEEN: Final = 3
 """Photons that show the surface over a brighter bottom beside a run [count]."""
+
+_PART: Final = 4
+_LEAST: Final = 4
+"""A metre of a bank's ground holds this part of the photons of the fullest, and so many, at least
+[1, count]."""
 
 BANK_CELLS: Final = 10
 """Cells beyond an end of which one lies higher, or shows the surface over a bottom [count]."""
@@ -101,9 +108,9 @@ def between_banks(
     beside_it = _THIN * np.maximum(above, under)
     thin = surface > beside_it + _THIN_SD * np.sqrt(surface + _THIN * beside_it)
     level = thin & _level(runs, level_m, cell_m)
-    rise_m = _rises(runs, index, level_m)
     order = np.argsort(cell, kind="stable")
     photons = height[order] / QUANTA_PER_M, np.searchsorted(cell[order], np.arange(n + 1))
+    rise_m = _rises(runs, level, index, level_m, photons)
     for i in np.flatnonzero(level & lit & (rise_m > _STEP_M)).tolist():
         first, stop = int(runs.first[i]), int(runs.stop[i])
         found.level_m[first:stop] = level_m[first:stop]
@@ -193,21 +200,41 @@ def _level(runs: Runs, level_m: NDArray[np.float64], cell_m: float) -> NDArray[n
 
 
 def _rises(
-    runs: Runs, index: NDArray[np.int64], level_m: NDArray[np.float64]
+    runs: Runs,
+    asked: NDArray[np.bool_],
+    index: NDArray[np.int64],
+    level_m: NDArray[np.float64],
+    photons: tuple[NDArray[np.float64], NDArray[np.intp]],
 ) -> NDArray[np.float64]:
-    """Height over each run that is reached beyond both of its ends, (r,) float64 [m].
+    """Height over each run that ground reaches beyond both of its ends, (r,) float64 [m].
 
-    An end beyond which nothing is seen does not count; infinite where both are so.
+    An end beyond which nothing is seen does not count; infinite where both are so, and where
+    nothing is ``asked``. ``photons``: heights by cell [m], and where each cell's begin.
     """
-    around = np.nan_to_num(beside(index, level_m, BANK_CELLS), nan=-np.inf)
+    height_m, edges = photons
     found = np.full(len(runs.first), np.inf)
-    for end, others in (
-        (runs.first, around[:, :BANK_CELLS]),
-        (runs.stop - 1, around[:, BANK_CELLS + 1 :]),
-    ):
-        rise = others[end].max(axis=1) - level_m[end]
-        found = np.where(np.isfinite(rise), np.minimum(found, rise), found)
+    for i in np.flatnonzero(asked).tolist():
+        for end, step in ((int(runs.first[i]), -1), (int(runs.stop[i]) - 1, 1)):
+            beyond = range(end + step, end + step * (BANK_CELLS + 1), step)
+            rise_m = [
+                _ground_m(height_m[edges[at] : edges[at + 1]]) - level_m[end]
+                for at in beyond
+                if 0 <= at < len(index) and abs(index[at] - index[end]) <= BANK_CELLS
+            ]
+            if np.isfinite(rise_m).any():
+                found[i] = min(found[i], np.nanmax(rise_m))
     return found
+
+
+def _ground_m(height_m: NDArray[np.float64]) -> float:
+    """Height of the lowest metre that holds a good part of a cell's photons [m]; NaN if none."""
+    if not len(height_m):
+        return np.nan
+    half = np.floor(height_m / _LAYER_M).astype(np.int64)
+    lowest = half.min(initial=0)
+    metre = np.convolve(np.bincount(half - lowest), [1, 1])
+    many = metre >= max(metre.max() / _PART, _LEAST)
+    return float((int(many.argmax()) + lowest) * _LAYER_M) if many.any() else np.nan
 
 
 def above_rivers(
