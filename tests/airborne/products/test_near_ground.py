@@ -35,8 +35,8 @@ def ground(rng):
     return scatter(rng, 10, lambda n: rng.normal(0, 0.05, n))
 
 
-def shares(points, noise=0.05):
-    placed = near_ground.placed(points, CORE, dtm())
+def shares(points, noise=0.05, slope=0.1):
+    placed = near_ground.placed(points, CORE, dtm(slope))
     places, *filled = near_ground.filled_places(placed, noise)
     assert places == 30
     return np.array(filled) / places
@@ -58,6 +58,15 @@ def test_noise_bare_ground_and_plants_with_gaps_fill_none():
     bushes = scatter(rng, 12, lambda n: rng.uniform(0, 3, n))
     cell = (bushes[:, 0] // 2 + bushes[:, 1] // 2) % 3 == 0
     assert not shares(table(ground(rng), bushes[cell])).any()
+
+
+@pytest.mark.parametrize("slope", [1.2, 1.75, 3.0])
+def test_steep_bare_ground_fills_none_and_fog_on_it_is_seen(slope):
+    rng = np.random.default_rng(5)
+    bare = scatter(rng, 10, lambda n: rng.normal(0, 0.05, n), slope)
+    assert not shares(table(bare), slope=slope).any()
+    fog = scatter(rng, 12.0, lambda n: rng.exponential(3.0, n), slope)
+    assert (shares(table(bare, fog), slope=slope)[:1] > 0.9).all()
 
 
 def test_afterpulses_are_not_counted():

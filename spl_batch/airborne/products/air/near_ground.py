@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from spl_batch.airborne.products.air.place_kernels import heights, in_places
 from spl_batch.constants import NODATA, NOISE_SIGNAL
@@ -28,7 +29,8 @@ CELL_M: Final = 1.0
 """Edge of its cells [m]."""
 
 FLOOR_M: Final = 0.75
-"""Lower end of the first step: above what slopes and ranging noise lift off the ground [m]."""
+"""Lower end of the first step: above what the DTM's errors and ranging noise lift off the ground
+[m]."""
 
 STEP_M: Final = 1.0
 STEPS: Final = 8
@@ -162,11 +164,16 @@ def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
 def _surface(
     table: PointTable, chosen: Index, core: Bounds, dtm: NDArray[np.float32]
 ) -> NDArray[np.float64]:
-    """Heights of the DTM below points, NaN where it is void [m]."""
+    """Highest ground of the DTM's cells below points, NaN where it is void [m].
+
+    On a slope a cell rises to half-way towards the highest cell beside it: bare ground of 60
+    degrees would fill the air above the middle of its cells.
+    """
     rows, cols = dtm.shape
+    top = (dtm + ndimage.maximum_filter(dtm, 3)) / 2.0
     size = (core.xmax - core.xmin) // cols
     row = rows - 1 - (table["y"][chosen] - core.ymin) // size
     col = (table["x"][chosen] - core.xmin) // size
-    surface: NDArray[np.float64] = dtm[row, col].astype(np.float64)
-    surface[surface == np.float32(NODATA)] = np.nan
+    surface: NDArray[np.float64] = top[row, col].astype(np.float64)
+    surface[dtm[row, col] == np.float32(NODATA)] = np.nan
     return surface
