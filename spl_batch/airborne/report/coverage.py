@@ -203,10 +203,11 @@ def doubt_warnings(found: TerrainDoubts) -> Iterator[str]:
         area = _area(found.dams_m2, dam.area_m2, found.dams, dam.at_m)
         yield (
             f"The terrain spans {_counted(found.dams, 'gap')} between ground returns as a dam, "
-            f"{area}, up to {dam.height_m:.1f} m above the ground on both sides: probably a bridge "
-            "was cut off, and heights below it are interpolated from its ends. They are off by so "
-            "much if the ground there is as low as beside it, and dtm_quality.tif has half of "
-            "that; do not measure there, and draw the floor by hand if it matters"
+            f"{area}, up to {dam.height_m:.1f} m above the ground on both sides: what stands there "
+            "was cut off, and heights are interpolated. If it is a bridge they are too high by so "
+            "much, if it is a dam, a bank or a rock, too low by what is left of it; "
+            "dtm_quality.tif has half of that. Do not measure there, and draw the ground by hand "
+            "if it matters"
         )
     if found.largest_steep:
         climb = found.largest_steep[0]

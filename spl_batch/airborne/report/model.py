@@ -207,7 +207,7 @@ class TerrainDoubts(Part):
     decks: Count = Field(0, description="Raised strips between two walls: probably bridges.")
     decks_m2: Number = Field(0.0, description="Area of all of them [m2].")
     largest_decks: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
-    dams: Count = Field(0, description="Gaps that the terrain spans as a dam: below bridges.")
+    dams: Count = Field(0, description="Gaps that the terrain spans as a dam.")
     dams_m2: Number = Field(0.0, description="Area of all of them [m2].")
     largest_dams: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
     steep: Count = Field(0, description="Steep patches that hold no ground return.")
