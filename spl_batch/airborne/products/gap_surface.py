@@ -12,9 +12,10 @@ ground cells shows, and where a gap is wider than a window, its plate goes on fr
 It is fitted to means of blocks of :data:`BLOCK_M`, two rows of them along the gaps: single cells
 would lend it the slopes of their noise.
 
-Two rules keep it from making up land. It is no higher and no lower than the ground it is fitted to.
-And it does not come near water: where the nearest ground is the level of water, within
-:data:`FAR_M`, the TIN stays.
+Three rules keep it from making up land. Ground beyond a wall does not count, so that a quay's hall
+gets no slope from the land below (:mod:`spl_batch.airborne.products.gap_walls`). It is no higher
+and no lower than the ground it is fitted to. And it does not come near water: where the nearest
+ground is the level of water, within :data:`FAR_M`, the TIN stays.
 """
 
 from typing import Final
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.airborne.products.gap_walls import on_this_side
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.thin_plates import fit_plate, plate_height
 
@@ -108,19 +110,25 @@ def _share(held: NDArray[np.bool_], wet: NDArray[np.bool_], far: float, margin: 
 
 
 def _blocks(means: Grid, size: int, before: tuple[int, int], block: int) -> Grid:
-    """Mean place [blocks] and height of the ground of each block, and cells with any: (., ., 4)."""
+    """Mean place [blocks] and height of the ground of each block, and cells with any: (., ., 4).
+
+    Place and height are of the ground on the gaps' side of walls, NaN where all of it is beyond.
+    """
     held = np.nonzero(~np.isnan(means[:, :, 2]))
     row, column = ((axis + b) // block for axis, b in zip(held, before, strict=True))
     shape = [-(-(n + b) // block) for n, b in zip(means.shape, before, strict=False)]
     number = row * shape[1] + column
     count = np.bincount(number, minlength=shape[0] * shape[1])
-    blocks = np.zeros((len(count), 4))
-    blocks[:, 3] = count
-    x, y, z = means[held].T
-    for k, values in enumerate((x / size + before[1], y / size + before[0])):
-        blocks[:, k] = np.bincount(number, values / block, len(count)) / np.maximum(count, 1)
-    blocks[:, 2] = np.bincount(number, z, len(count)) / np.maximum(count, 1)
-    return blocks.reshape(*shape, 4)
+    empty = (count == 0).reshape(shape).repeat(block, 0).repeat(block, 1)
+    gaps = empty[before[0] :, before[1] :][: len(means), : means.shape[1]]
+    near = on_this_side(means[:, :, 2] / size, gaps, (_RIM + 1) * block)[held]
+    x, y, z = means[held][near].T
+    number = number[near]
+    sums = [np.bincount(number, values, len(count)) for values in (x, y, z)]
+    with np.errstate(invalid="ignore"):
+        x, y, z = sums / np.bincount(number, minlength=len(count))
+    blocks = [(x / size + before[1]) / block, (y / size + before[0]) / block, z, count]
+    return np.stack(blocks, axis=-1).reshape(*shape, 4)
 
 
 def _nodes(gaps: NDArray[np.bool_], first: tuple[int, int], step: int) -> NDArray[np.int64]:
@@ -179,7 +187,7 @@ def _rim_around(node: NDArray[np.int64], blocks: Grid, window: int, points: Grid
                 max(j - _RIM, west) : min(j + _RIM + 1, east),
                 3,
             ]
-            if around.min() == 0:
+            if around.min() == 0 and not np.isnan(blocks[i, j, 2]):
                 points[n, 0], points[n, 1] = blocks[i, j, 0] - node[1], blocks[i, j, 1] - node[0]
                 points[n, 2] = blocks[i, j, 2]
                 n += 1
