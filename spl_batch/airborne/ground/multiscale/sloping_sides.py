@@ -8,8 +8,10 @@ differ by no more than a slope that loose ground and most rock keep to.
 So what was cut off and hangs together by such slopes is looked at as a form. It is land where
 nearly all of its outline goes down to the ground by them, too: decks and terraces have walls on two
 sides, a roof that a bush or a stair leads up to has them nearly all around, and so has a part of a
-roof that others stand above. Crowns do without walls; they are rough. Our own rule: no source has
-one.
+roof that others stand above. Crowns do without walls; they are rough. A hipped or a conical roof
+that comes down low does, too, as a wall of a metre or two is no steeper from cell to cell: but
+along all of its outline it falls by a step to the ground, where a dam goes on as it was. Our own
+rule: no source has one.
 
 A dam goes on for kilometres, and may end at a bridge. So each block of 16 m is told by what lies
 within three blocks around: what is farther off than a ground cell reads has no say.
@@ -35,6 +37,10 @@ STEP_M: Final = 0.2
 GENTLE: Final = 0.87
 """Share of the pairs of neighbours along the outline that hang together, at least. Walls within a
 form count as well, but none that go up from it: a tree or a house may stand on land."""
+
+EAVE_M: Final = 0.5
+"""A form that falls to the ground by so much more than on its last cell, on the average, has eaves
+all around: a low roof [m]."""
 
 FILLED: Final = 0.7
 """Share of the cells in and around a form that hold a node, at least."""
@@ -62,9 +68,13 @@ _SMALL: Final = -3
 
 _NEIGHBOURS: Final = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
-_HANGING, _PAIRS, _EMPTY = range(3)
+_MOST_M: Final = 5.0
+"""Steps count as no more [m]."""
+
+_HANGING, _PAIRS, _EMPTY, _ACROSS, _STEPS = range(5)
 """What is counted of a cell: its pairs with ground that hang together; these and all pairs that go
-down and do not; neighbours that are empty."""
+down and do not; neighbours that are empty; of those that hang together what has a cell without
+ground on the other side, and their steps [cm]."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -87,12 +97,13 @@ def with_sloping_sides(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> 
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
     form = np.where(grid < 0, _NONE, np.where(ground[grid], _GROUND, 0))
-    facts = np.zeros((*grid.shape, 3), np.int16)
+    facts = np.zeros((*grid.shape, 5), np.int16)
     if not _forms(xyz, grid, form, facts):
         return found
     nodes, number = grid[form > 0], form[form > 0]
-    hanging, pairs, empty, cells = _around(xyz[nodes], number, facts[form > 0])
+    hanging, pairs, empty, across, steps, cells = _around(xyz[nodes], number, facts[form > 0])
     likely = (hanging > 0) & (hanging >= GENTLE * pairs) & (cells >= LEAST)
+    likely &= steps < 100.0 * EAVE_M * across
     likely &= empty <= (1.0 - FILLED) * len(_NEIGHBOURS) * cells
     asked = np.isin(number, number[likely])
     if not asked.any():
@@ -180,6 +191,8 @@ def _look_around(
         hangs = abs(xyz[j, 2] - xyz[i, 2]) <= most
         if form[r, c] == _GROUND:
             facts[row, column, _HANGING] += hangs
+            if hangs:
+                _add_step(xyz, grid, form, (row, column), (up, right), facts)
         elif hangs:
             if form[r, c] == 0:
                 form[r, c] = number
@@ -188,3 +201,19 @@ def _look_around(
             continue
         facts[row, column, _PAIRS] += hangs or xyz[j, 2] < xyz[i, 2]
     return held
+
+
+@njit()
+def _add_step(
+    xyz: Float, grid: Index, form: Index, at: tuple[int, int], way: tuple[int, int],
+    facts: NDArray[np.int16],
+) -> None:  # fmt: skip
+    """Add by how much more a form falls to the ground on the way than it does on its last cell."""
+    rows, columns = grid.shape
+    r, c = at[0] - way[0], at[1] - way[1]
+    if not (0 <= r < rows and 0 <= c < columns) or form[r, c] == _NONE or form[r, c] == _GROUND:
+        return
+    inner, edge = xyz[grid[r, c], 2], xyz[grid[at], 2]
+    step = 2.0 * edge - inner - xyz[grid[at[0] + way[0], at[1] + way[1]], 2]
+    facts[at[0], at[1], _ACROSS] += 1
+    facts[at[0], at[1], _STEPS] += round(100.0 * min(max(step, -_MOST_M), _MOST_M))

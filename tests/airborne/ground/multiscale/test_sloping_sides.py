@@ -53,6 +53,21 @@ def test_dams_and_rocks_that_slope_are_ground_and_houses_are_not(points_per_m2: 
     assert found[parts["gabled"] | parts["flat"]].mean() < 0.01
 
 
+@pytest.mark.parametrize(("pitch_deg", "eave_m"), [(25.0, 1.5), (40.0, 1.5), (35.0, 1.25)])
+def test_low_hipped_and_conical_roofs_are_no_land(pitch_deg: float, eave_m: float) -> None:
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0, EDGE_M, (2, int(8 * EDGE_M**2)))
+    hipped = np.minimum(6.0 - np.abs(x - 35), 9.0 - np.abs(y - 35))
+    cone = 7.0 - np.hypot(x - 75, y - 70)
+    inside = np.maximum(hipped, cone)
+    roof = eave_m + np.tan(np.radians(pitch_deg)) * inside
+    z = 0.03 * x + np.where(inside > 0, roof, 0.0) + rng.normal(0, 0.03, len(x))
+    columns = [np.rint(1000 * v).astype(np.int64) for v in (x, y, z)]
+    table = PointTable(dict(zip("xyz", columns, strict=True)))
+    found = ground_mask(table, np.ones(len(table), dtype=np.bool_), GroundSettings())
+    assert found[inside > 0.5].mean() < 0.01
+
+
 def nodes(points_per_m2: float = 4.0) -> tuple[Float, Mask, NDArray[np.int64], dict[str, Mask]]:
     """Lowest nodes of the scene, which are ground where it is level, and their grid."""
     places, parts = scene(60.0, points_per_m2, 2)
@@ -106,7 +121,7 @@ def test_forms_are_those_of_a_slow_twin() -> None:
     xyz = np.column_stack([place, rng.normal(0, 1.2, 2000)])
     ground = rng.random(2000) < 0.15
     form = np.where(grid < 0, -1, np.where(ground[grid], -2, 0))
-    facts = np.zeros((rows, columns, 3), np.int16)
+    facts = np.zeros((rows, columns, 5), np.int16)
     count = _forms(xyz, grid, form, facts)
     expected = _slow_forms(xyz, grid, ground)
     assert count == len(expected) > 0
@@ -146,8 +161,26 @@ def _slow_forms(
         if len(cells) < LEAST:
             continue
         mine = [(b, hangs) for a, b, hangs in pairs if a in cells]
+        down = [(a, b) for a, b, hangs in pairs if a in cells and hangs and ground[grid.ravel()[b]]]
+        steps = [_slow_step(xyz, grid, ground, a, b) for a, b in down]
+        across = [step for step in steps if step is not None]
         rim = [(b, hangs) for b, hangs in mine if not hangs or ground[grid.ravel()[b]]]
         inside = sorted(cells)
         hanging = sum(hangs for _, hangs in rim)
-        found.append((cells, [hanging, len(rim), int(empty[inside].sum())]))
+        known = [hanging, len(rim), int(empty[inside].sum()), len(across), sum(across)]
+        found.append((cells, known))
     return found
+
+
+def _slow_step(
+    xyz: Float, grid: NDArray[np.int64], ground: Mask, edge: int, beyond: int
+) -> int | None:
+    """How much farther it falls to the ground than on the other side of a cell [cm]."""
+    place = 2 * np.array(np.unravel_index(edge, grid.shape)) - np.unravel_index(beyond, grid.shape)
+    if (place < 0).any() or (place >= grid.shape).any():
+        return None
+    inner = grid[tuple(place)]
+    if inner < 0 or ground[inner]:
+        return None
+    z = [xyz[node, 2] for node in (inner, grid.ravel()[edge], grid.ravel()[beyond])]
+    return round(100 * float(np.clip((z[1] - z[2]) - (z[0] - z[1]), -5, 5)))
