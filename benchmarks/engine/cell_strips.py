@@ -54,13 +54,15 @@ def strips(workflow: Path, overrides: Sequence[str]) -> None:
     for kind, function in CELL_TASKS.items():
         task, parts, context = _fullest(kind, workflow, overrides)
         whole = None
-        for count in STRIPS:
-            cuts = {look: cut(count) for look, cut in parts.items()}
+        for count in (0, *STRIPS) if kind == "surface" else STRIPS:
+            # 0: all looks share what is read once.
+            cuts = {look: cut(max(count, 1)) for look, cut in parts.items()}
             seen: dict[str, int] = {}
             begin_s = time.process_time()
             with Peak().watching() as peak, _looking(seen, peak.before):
                 ends = {look: list(found.ends[1:-1]) for look, found in cuts.items()}
-                produced = function({**task.args, "cuts": ends}, context)
+                how = {"cuts": ends, "held": count == 0}
+                produced = function({**task.args, **how}, context)
             spent_s = time.process_time() - begin_s
             found = [path.read_bytes() for path in produced.outputs], produced.facts
             whole = whole or found

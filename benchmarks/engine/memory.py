@@ -50,7 +50,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.store import label_tables
-from spl_batch.airborne.tasks import space_domain, surfaces
+from spl_batch.airborne.tasks import ground_cell, space_domain
 from spl_batch.engine.flow import job
 from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks import runner
@@ -98,7 +98,7 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
 
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         stack.enter_context(mock.patch.object(job, "run_task", watched))
-        for tasks in (space_domain, surfaces):
+        for tasks in (space_domain, ground_cell):
             stack.enter_context(mock.patch.object(tasks, "read_region", counted))
         for attempt in ("first", "second"):  # the first one loads and compiles
             seen.clear()

@@ -105,7 +105,7 @@ def returns(
 def figures(survey: Path, *, half: bool, followed: bool) -> str:
     """What a survey shows; the arguments are those of :func:`returns`."""
     table, dtm, core = returns(survey, half=half, followed=followed)
-    placed = near_ground.placed(table, core, dtm)
+    placed = near_ground.placed(table, core, near_ground.highest_ground(dtm))
     if placed is None:
         raise SystemExit(f"{survey}: no whole place")
     noise = NOISE_M3 * (0.5 if half else 1.0)
@@ -121,7 +121,7 @@ def figures(survey: Path, *, half: bool, followed: bool) -> str:
 def sheet_places(survey: Path, *, half: bool, followed: bool) -> int:
     """Places of a survey without haze that hold a sheet; arguments as of :func:`returns`."""
     table, dtm, core = returns(survey, half=half, followed=followed, noise=False)
-    placed = near_ground.placed(table, core, dtm)
+    placed = near_ground.placed(table, core, near_ground.highest_ground(dtm))
     if placed is None:
         raise SystemExit(f"{survey}: no whole place")
     return int(np.count_nonzero(thin_sheets.sheets(placed).any(axis=2)))

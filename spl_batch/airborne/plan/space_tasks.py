@@ -171,7 +171,8 @@ def cell_in_memory(kind: str, cell: Unit, survey: Survey) -> tuple[str, dict[str
     limit = survey.memory_bytes
     most = sum(survey.counts[tile] for tile in cell.tiles)
     if task_bytes(kind, most) <= usable_bytes(limit):  # wherever in the tiles they are
-        return "", {"cuts": {}}
+        held = kind == "surface" and task_bytes("surface_held", most) <= usable_bytes(limit)
+        return "", {"cuts": {}, **({"held": True} if held else {})}
     spread = spread_over(cell.tiles, survey)
     parts = cell_parts(kind, cell.core, spread, survey.workflow, limit)
     cuts = {look: list(cut) for look, cut in parts.cuts.items()}

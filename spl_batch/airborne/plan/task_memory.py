@@ -30,6 +30,7 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "ground": 215,
         "strip_patches": 80,
         "surface": 175,
+        "surface_held": 225,
         "deliver_tile": 280,
         "deliver_copc": 280,
         "accuracy": 300,

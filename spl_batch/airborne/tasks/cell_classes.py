@@ -16,8 +16,9 @@ from spl_batch.airborne.products.air import near_ground, thin_haze, thin_sheets
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of
 from spl_batch.airborne.settings import ClassSettings
+from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.label_tables import Labelled, Origin, write_labels
-from spl_batch.airborne.tasks.space_domain import Cell
+from spl_batch.airborne.tasks.ground_cell import Cell
 from spl_batch.constants import (
     CLASS_HIGH_NOISE,
     CLASS_LOW_NOISE,
@@ -42,6 +43,8 @@ class _Known(NamedTuple):
     ----------
     level_m : float
         Stands for the surface where the DTM is void [m].
+    highest : (rows, cols) float32
+        Highest ground of raster cells (:func:`~.near_ground.highest_ground`) [m].
     floor : Floor, optional
         The ground around buildings, where these are looked for.
     lines : sequence of (2, k) int64
@@ -51,6 +54,7 @@ class _Known(NamedTuple):
     """
 
     level_m: float
+    highest: NDArray[np.float32]
     floor: Floor | None
     lines: Sequence[NDArray[np.int64]]
     noise_m3: float | None
@@ -73,6 +77,12 @@ def step_q(asked: ClassSettings) -> int:
 def reach_q(asked: ClassSettings) -> int:
     """What a part of a cell reads around it [quanta]."""
     return quanta(max(kept_noise.EDGE_M, REACH_M if asked.building else 0.0))
+
+
+def columns(workflow: Workflow) -> tuple[str, ...]:
+    """Columns of points that are looked at."""
+    wires = ("wire",) if workflow.filter.wires.classify else ()
+    return (*point_classes.COLUMNS_NEEDED, *wires, "noise_density")
 
 
 def classes(
@@ -99,17 +109,16 @@ def classes(
         How many were labelled [count].
     """
     workflow, building = cell.context.workflow, cell.context.workflow.classes.building
-    wires = ("wire",) if workflow.filter.wires.classify else ()
-    columns = (*point_classes.COLUMNS_NEEDED, *wires, "noise_density")
-    reach = reach_q(workflow.classes)
+    reach, looked_at = reach_q(workflow.classes), columns(workflow)
     parts = cell.parts(cell.core, "classes")
-    points = once(parts, lambda part: cell.read(grow(part, reach), columns))
+    points = once(parts, lambda part: cell.read(grow(part, reach), looked_at))
     noise = _Noise(cell.core, quanta(workflow.products.cell_m))
     for part in parts:
         noise.add(points(part)[0], part)
     arrays["noise"] = noise.raster()
     floor = _floor(cell) if building else None
-    known = _Known(noise.level_m(), floor, lines, _median(arrays["noise"]))
+    highest = near_ground.highest_ground(arrays["dtm"])
+    known = _Known(noise.level_m(), highest, floor, lines, _median(arrays["noise"]))
     told = [_tell(cell, points(part), part, arrays["dtm"], known) for part in parts]
     facts: dict[str, Any] = {"kept_noise": noise.kept}
     if known.noise_m3 is not None:
@@ -202,9 +211,9 @@ def _tell(
         roofs = buildings(table, _usable(table), known.floor)[owned]
     mine = table.select([name for name in table.columns if name != "noise_density"]).take(owned)
     del table
-    dtm = dtm[:, columns_of(part, cell.core, dtm.shape[1])]
+    within = columns_of(part, cell.core, dtm.shape[1])
     further = point_classes.Further(roofs, asked.vegetation)
-    classification = point_classes.classify(mine, part, dtm, further, known.level_m)
+    classification = point_classes.classify(mine, part, dtm[:, within], further, known.level_m)
     labels = {"classification": classification}
     if asked.flags:
         flags = labels["set_flags"] = np.zeros(len(mine), np.uint8)
@@ -216,7 +225,7 @@ def _tell(
     filled: list[int] = []
     air = None
     if known.noise_m3 is not None:
-        placed = near_ground.placed(mine, part, dtm)
+        placed = near_ground.placed(mine, part, known.highest[:, within])
         filled = near_ground.filled_places(placed, known.noise_m3)
         if placed is not None:
             air = (

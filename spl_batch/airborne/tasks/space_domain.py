@@ -23,7 +23,7 @@ from spl_batch.airborne.ground.water.off_water import OffWater
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.store.label_tables import Marks, Origin, read_region, write_labels
-from spl_batch.airborne.store.line_moves import LineMoves, read_moves
+from spl_batch.airborne.store.line_moves import read_moves
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.lattice.eastings import strips_between
@@ -260,31 +260,3 @@ def label_units(units: Mapping[str, Sequence[Sequence[str]]]) -> Units:
     return {
         parse_cell(tile): [(kind, name) for kind, name in listed] for tile, listed in units.items()
     }
-
-
-class Cell(NamedTuple):
-    """A ground cell: what its task was told, and where its points lie."""
-
-    args: Mapping[str, Any]
-    context: Context
-    core: Bounds
-    moves: LineMoves | None  #: Shifts of its flightlines.
-
-    def parts(self, region: Bounds, look: str) -> list[Bounds]:
-        """Strips of a region from west to east, cut as the plan says for one of the looks."""
-        return strips_between(region, self.args.get("cuts", {}).get(look, ()))
-
-    def read(
-        self,
-        region: Bounds,
-        columns: Sequence[str],
-        keep: Callable[[PointTable], NDArray[np.bool_]] | None = None,
-    ) -> tuple[PointTable, Origin]:
-        """Points of a region [quanta], tile by tile, and where they lie."""
-        noise, ground = (label_units(self.args[kind]) for kind in ("noise", "ground"))
-        labels = {k: ground if k == "ground" else noise for k in columns if k in _LABELS}
-        return read_region(
-            self.context.store, tile_cells(self.args["tiles"]), region,
-            [k for k in columns if k not in labels], labels, ordered=False, keep=keep,
-            moves=self.moves,
-        )  # fmt: skip

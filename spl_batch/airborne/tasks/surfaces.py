@@ -1,9 +1,10 @@
 """Stage ``surfaces``: raster cells and final classes of a ground cell.
 
 Four looks at the same points follow each other, each with the columns and the returns that it
-needs and no others. Where the points do not fit into memory each look takes them strip by strip:
-what it needs of all of them (means of ground, heights of noise, counts) is gathered first, and each
-raster cell and point has the same value as in a cell at once.
+needs and no others. Where there is memory for all of them, points are read once for all looks.
+Where those of a single look do not fit, each look takes them strip by strip: what it needs of all
+of them (means of ground, heights of noise, counts) is gathered first, and each raster cell and
+point has the same value as in a cell at once.
 """
 
 import hashlib
@@ -31,7 +32,7 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.line_moves import read_moves
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import cell_classes, pulses
-from spl_batch.airborne.tasks.space_domain import Cell
+from spl_batch.airborne.tasks.ground_cell import Cell
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
@@ -76,6 +77,8 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     """Raster cells and final classes of a ground cell, strip by strip where it is cut."""
     workflow, core = context.workflow, Bounds(*args["core"])
     cell = Cell(args, context, core, read_moves(args, context.store))
+    if args.get("held"):
+        cell = cell.holding(*_at_once(cell))
     reflected = {} if args["fired"] is None else _reflectance(cell)
     give_back()
     arrays, squares, doubted = _surfaces(cell)
@@ -99,6 +102,17 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
     facts = {"core": list(core), "rasters": sums, **counted}
     return Produced([labels, *chunks], facts, n_points)
+
+
+def _at_once(cell: Cell) -> tuple[Bounds, list[str]]:
+    """Region and columns of all looks at a cell."""
+    workflow, far = cell.context.workflow, cell.args["halo"]
+    columns = [*surfacing.COLUMNS_NEEDED, "afterpulse", *pulses.COLUMNS]
+    columns += cell_classes.columns(workflow)
+    if cell.args["fired"] is not None:
+        far = max(far, quanta(reflectance.reach_m(workflow.products)))
+        columns += reflectance.COLUMNS_NEEDED
+    return grow(cell.core, far), columns
 
 
 def _reflectance(cell: Cell) -> Rasters:

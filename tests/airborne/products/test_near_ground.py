@@ -36,7 +36,7 @@ def ground(rng):
 
 
 def shares(points, noise=0.05, slope=0.1):
-    placed = near_ground.placed(points, CORE, dtm(slope))
+    placed = near_ground.placed(points, CORE, near_ground.highest_ground(dtm(slope)))
     places, *filled = near_ground.filled_places(placed, noise)
     assert places == 30
     return np.array(filled) / places
@@ -69,6 +69,20 @@ def test_steep_bare_ground_fills_none_and_fog_on_it_is_seen(slope):
     assert (shares(table(bare, fog), slope=slope)[:1] > 0.9).all()
 
 
+def test_parts_of_a_steep_cell_give_what_the_cell_gives():
+    rng = np.random.default_rng(6)
+    fog = scatter(rng, 5.0, lambda n: rng.exponential(1.5, n), 1.5)
+    points, highest = table(fog), near_ground.highest_ground(dtm(1.5))
+    whole = near_ground.filled_places(near_ground.placed(points, CORE, highest), 0.05)
+    west, east = CORE._replace(xmax=30_000), CORE._replace(xmin=30_000)
+    halves = [(west, highest[:, :30]), (east, highest[:, 30:])]
+    parts = [
+        near_ground.filled_places(near_ground.placed(points, core, part), 0.05)
+        for core, part in halves
+    ]
+    assert np.sum(parts, axis=0).tolist() == whole
+
+
 def test_afterpulses_are_not_counted():
     rng = np.random.default_rng(3)
     fog = scatter(rng, 8.0, lambda n: rng.exponential(1.5, n))
@@ -82,7 +96,7 @@ def test_places_without_ground_and_cells_too_small_tell_nothing():
     rng = np.random.default_rng(4)
     fog = scatter(rng, 8.0, lambda n: 1.0 + rng.exponential(1.5, n))
     void = np.full((50, 60), -9999, np.float32)
-    placed = near_ground.placed(table(fog), CORE, void)
+    placed = near_ground.placed(table(fog), CORE, near_ground.highest_ground(void))
     assert near_ground.filled_places(placed, 0.05) == [0] * 9
     small = Bounds(1000, 1000, 8000, 8000)
     assert near_ground.placed(table(fog), small, void[:7, :7]) is None

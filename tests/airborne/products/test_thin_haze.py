@@ -29,7 +29,9 @@ def ground(rng):
 
 
 def found(*parts, kind=0, noise=0.05):
-    placed = near_ground.placed(table(np.concatenate(parts), kind), CORE, FLAT)
+    placed = near_ground.placed(
+        table(np.concatenate(parts), kind), CORE, near_ground.highest_ground(FLAT)
+    )
     return thin_haze.layers(thin_haze.filled_blocks(placed, noise), CORE)
 
 
@@ -70,7 +72,9 @@ def test_blocks_are_filled_as_counting_by_hand_says():
     cloud = scatter(rng, 0.4, 0, 40)
     cloud = cloud[rng.random(len(cloud)) < np.where(cloud[:, 0] < 30, 1.0, 0.7)]
     points = np.concatenate([ground(rng), cloud])
-    filled = thin_haze.filled_blocks(near_ground.placed(table(points), CORE, FLAT), 0.05)
+    filled = thin_haze.filled_blocks(
+        near_ground.placed(table(points), CORE, near_ground.highest_ground(FLAT)), 0.05
+    )
     assert filled.shape == (5, 6, thin_haze.BLOCKS)
     mm = np.rint(points * 1000) / 1000
     metre = np.floor(mm[:, 2] - near_ground.FLOOR_M)
@@ -88,7 +92,9 @@ def test_blocks_are_filled_as_counting_by_hand_says():
 def test_places_without_ground_tell_nothing():
     rng = np.random.default_rng(5)
     void = np.full((50, 60), -9999, np.float32)
-    placed = near_ground.placed(table(scatter(rng, 2.0, 8, 16)), CORE, void)
+    placed = near_ground.placed(
+        table(scatter(rng, 2.0, 8, 16)), CORE, near_ground.highest_ground(void)
+    )
     assert not thin_haze.filled_blocks(placed, 0.05).any()
 
 
@@ -97,7 +103,9 @@ def test_mist_in_patches_is_told_and_crops_and_gaps_are_not():
     air = scatter(rng, 2.0, 0, 3.5)
 
     def patches(points):
-        placed = near_ground.placed(table(np.concatenate([ground(rng), points])), CORE, FLAT)
+        placed = near_ground.placed(
+            table(np.concatenate([ground(rng), points])), CORE, near_ground.highest_ground(FLAT)
+        )
         return thin_haze.mist(near_ground.low_places(placed, 0.05), CORE)
 
     ((places, x, y),) = patches(air[air[:, 0] < 30])

@@ -8,7 +8,9 @@ from tests.airborne.products.test_thin_haze import CORE, FLAT, ground, scatter, 
 
 
 def placed(*parts, terrain=FLAT):
-    return near_ground.placed(table(np.concatenate(parts)), CORE, terrain)
+    return near_ground.placed(
+        table(np.concatenate(parts)), CORE, near_ground.highest_ground(terrain)
+    )
 
 
 def found(*parts):
@@ -72,7 +74,9 @@ def test_what_is_no_air_is_none():
     assert not found(floor, sheet[(sheet[:, 0] < 20) & (sheet[:, 1] < 20)]), "a small one"
     assert not found(floor, scatter(rng, 1.5, 4, 6)), "one that is low"
     refused = np.concatenate([floor, sheet])
-    blocks = thin_sheets.sheets(near_ground.placed(table(refused, kind=1), CORE, FLAT))
+    blocks = thin_sheets.sheets(
+        near_ground.placed(table(refused, kind=1), CORE, near_ground.highest_ground(FLAT))
+    )
     assert not blocks.any(), "what the filter refuses"
 
 

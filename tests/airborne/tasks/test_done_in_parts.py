@@ -1,6 +1,7 @@
 """What does not fit in memory is done in parts, and no byte tells."""
 
 import json
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,14 +20,16 @@ from spl_batch.airborne.plan.memory.block_parts import parts_of
 from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts, looks_at
 from spl_batch.airborne.plan.memory.heaviest_tasks import needs
 from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.plan.task_memory import task_bytes
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
 from spl_batch.airborne.tasks import space_domain, surfaces
+from spl_batch.engine.plan.worker_memory import USABLE_SHARE
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.lattice.density import Box, from_boxes, from_counts
 from spl_batch.lattice.eastings import Eastings, Slabs
-from spl_batch.lattice.tiles import Bounds, CellId
+from spl_batch.lattice.tiles import Bounds, CellId, parse_cell
 
 FLAGS: Final = ("building", "overlap", "withheld")
 
@@ -116,6 +119,12 @@ def cuts_of(task: Task, context: Context, count: int) -> dict[str, Any]:
     return {"cuts": cuts}
 
 
+def held_in(survey: Survey, task: Task, kind: str) -> int:
+    """Memory limit in which a task of a ground cell just fits [byte]."""
+    points = sum(survey.counts[parse_cell(tile)] for tile in task.args["tiles"])
+    return math.ceil(task_bytes(kind, points) / USABLE_SHARE)
+
+
 @pytest.mark.parametrize(
     ("kind", "how"),
     [
@@ -163,16 +172,17 @@ def test_a_surface_cell_has_the_same_bytes_in_any_strips(finished: tuple[Survey,
     task = only_task(prepared.ledger, "surface")
     context = replace(context, workflow=prepared.context.workflow)
     found: list[dict[str, Any]] = []
-    for count in (1, 5):
-        produced = surfaces.surface({**task.args, **cuts_of(task, context, count)}, context)
+    for how in ({"held": True}, {"cuts": {}}, cuts_of(task, context, 5)):
+        produced = surfaces.surface({**task.args, **how}, context)
         files = {path.name: path.read_bytes() for path in produced.outputs}
         found.append({**files, **produced.facts, "points": produced.points})
-    whole, strips = found
+    held, whole, strips = found
     assert set(whole["rasters"]) >= {"dtm", "dsm", "intensity", "noise", "swaths", "voids"}
     labels = pq.read_table(context.store.labels("classes", task.args["cell"]))
     assert {1, 2, 6} <= set(labels["classification"].to_pylist())
     assert len(set(labels["set_flags"].to_pylist())) > 2
-    assert {k: v for k, v in strips.items() if v != whole[k]} == {}
+    for other in (held, strips):
+        assert {k: v for k, v in other.items() if v != whole[k]} == {}
 
 
 def test_memory_decides_on_the_parts_and_is_in_no_key(finished: tuple[Survey, Context]) -> None:
@@ -184,6 +194,11 @@ def test_memory_decides_on_the_parts_and_is_in_no_key(finished: tuple[Survey, Co
     assert set(wet.how["cuts"]) == {"ground", "water"}
     assert set(only_task(dry, "ground").how["cuts"]) == {"ground"}
     assert only_task(dry, "ground").args == wet.args
+    wide = only_task(survey, "surface")
+    assert wide.how == {"cuts": {}, "held": True}
+    tight = replace(survey, memory_bytes=held_in(survey, wide, "surface"))
+    assert only_task(tight, "surface").how == {"cuts": {}}
+    assert only_task(tight, "surface").args == wide.args
     assert len(only_task(short, "denoise").how["parts"]) > 1
 
 

@@ -70,17 +70,32 @@ class Placed(NamedTuple):
     grounded: NDArray[np.bool_]  #: (places,): whether points lie on the DTM there.
 
 
-def placed(table: PointTable, core: Bounds, dtm: NDArray[np.float32]) -> Placed | None:
+def highest_ground(dtm: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Highest ground of the DTM's cells, NaN where it is void [m].
+
+    On a slope a cell rises to half-way towards the highest cell beside it: bare ground of 60
+    degrees would fill the air above the middle of its cells.
+
+    Parameters
+    ----------
+    dtm : (rows, cols) float32
+        DTM of a whole ground cell [m]: a part of it does not know the cells beside its edge.
+    """
+    top = (dtm + ndimage.maximum_filter(dtm, 3)) / np.float32(2.0)
+    return np.where(dtm == np.float32(NODATA), np.float32(np.nan), top)
+
+
+def placed(table: PointTable, core: Bounds, highest: NDArray[np.float32]) -> Placed | None:
     """Places of points, and their heights above the ground; None where no place is whole.
 
     Parameters
     ----------
     table : PointTable
-        Points of a ground cell, :data:`COLUMNS_NEEDED`.
+        Points of a ground cell or a part of it, :data:`COLUMNS_NEEDED`.
     core : Bounds
-        The ground cell; squares of the absolute grid that lie in it are places [quanta].
-    dtm : (rows, cols) float32
-        Its DTM, north up [m].
+        The cell or part; squares of the absolute grid that lie in it are places [quanta].
+    highest : (rows, cols) float32
+        Its part of :func:`highest_ground`, north up [m].
     """
     edge, cell = quanta(SQUARE_M), quanta(CELL_M)
     west, south = -(-core.xmin // edge), -(-core.ymin // edge)
@@ -90,7 +105,7 @@ def placed(table: PointTable, core: Bounds, dtm: NDArray[np.float32]) -> Placed 
     frame = (west * edge, south * edge, int(columns), int(rows))
     kind = table["noise_class"]
     chosen, place, within = in_places(table["x"], table["y"], kind, frame, edge, cell)
-    surface = _surface(table, chosen, core, dtm)
+    surface = _below(table, chosen, core, highest)
     z, kept = table["z"][chosen], kind[chosen] == NOISE_SIGNAL
     half_metre, level, grounded = heights(
         z, surface, place, int(rows * columns), FLOOR_M, HALF_M
@@ -161,19 +176,13 @@ def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
     return out
 
 
-def _surface(
-    table: PointTable, chosen: Index, core: Bounds, dtm: NDArray[np.float32]
+def _below(
+    table: PointTable, chosen: Index, core: Bounds, highest: NDArray[np.float32]
 ) -> NDArray[np.float64]:
-    """Highest ground of the DTM's cells below points, NaN where it is void [m].
-
-    On a slope a cell rises to half-way towards the highest cell beside it: bare ground of 60
-    degrees would fill the air above the middle of its cells.
-    """
-    rows, cols = dtm.shape
-    top = (dtm + ndimage.maximum_filter(dtm, 3)) / 2.0
+    """Highest ground of the cells below points, NaN where it is void [m]."""
+    rows, cols = highest.shape
     size = (core.xmax - core.xmin) // cols
     row = rows - 1 - (table["y"][chosen] - core.ymin) // size
     col = (table["x"][chosen] - core.xmin) // size
-    surface: NDArray[np.float64] = top[row, col].astype(np.float64)
-    surface[dtm[row, col] == np.float32(NODATA)] = np.nan
+    surface: NDArray[np.float64] = highest[row, col].astype(np.float64)
     return surface
