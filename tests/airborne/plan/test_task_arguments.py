@@ -17,7 +17,7 @@ from spl_batch.airborne.products.product_table import (
     products,
 )
 from spl_batch.airborne.settings.workflow import load_workflow
-from spl_batch.airborne.tasks import space_domain, surfaces
+from spl_batch.airborne.tasks import ground_cell, space_domain, surfaces
 from spl_batch.lattice.tiles import Bounds, grow
 from tests import surveys
 from tests.formats.test_geoid import write_grid
@@ -40,8 +40,8 @@ def test_a_task_reads_as_far_as_its_plan_says(
         regions.append(region)
         raise ReadError
 
-    tasks = surfaces if kind == "surface" else space_domain
-    monkeypatch.setattr(space_domain, "read_region", read)
+    tasks, reads = (surfaces, ground_cell) if kind == "surface" else (space_domain, space_domain)
+    monkeypatch.setattr(reads, "read_region", read)
     workflow = load_workflow(surveys.write_workflow(tmp_path))
     context = Context(workflow, tmp_path, tmp_path / "out", "", "code")
     args = {
