@@ -18,7 +18,8 @@ from spl_batch.airborne.plan import space_tasks
 from spl_batch.airborne.plan.memory.cell_memory import looks_at
 from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.strips import strip_comparison
-from spl_batch.airborne.tasks import cell_classes, space_domain, surfaces
+from spl_batch.airborne.tasks import space_domain, surfaces
+from spl_batch.airborne.tasks.cells import cell_classes
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.preparing import prepare

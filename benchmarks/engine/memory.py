@@ -50,7 +50,8 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.store import label_tables
-from spl_batch.airborne.tasks import ground_cell, space_domain
+from spl_batch.airborne.tasks import space_domain
+from spl_batch.airborne.tasks.cells import ground_cell
 from spl_batch.engine.flow import job
 from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks import runner

@@ -28,7 +28,7 @@ from spl_batch.airborne.report.model import (
     TerrainGap,
 )
 from spl_batch.airborne.settings import ClassSettings
-from spl_batch.airborne.tasks.pulses import _CELLS, _HEIGHTS, _SQUARES, _UNSURE, _VOIDS
+from spl_batch.airborne.tasks.cells.pulses import _CELLS, _HEIGHTS, _SQUARES, _UNSURE, _VOIDS
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.number_format import significant
 from spl_batch.engine.report.run_record import Receipts

@@ -34,7 +34,8 @@ from spl_batch.airborne.report.model import (
 from spl_batch.airborne.report.model import Requirement as RequirementReport
 from spl_batch.airborne.report.strip_pairs import strip_pairs
 from spl_batch.airborne.strips.strip_report import StripPair
-from spl_batch.airborne.tasks import checkpoints, pulses
+from spl_batch.airborne.tasks import checkpoints
+from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.errors import grouped

@@ -22,7 +22,8 @@ from spl_batch.airborne.store.line_moves import read_moves
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
 from spl_batch.airborne.strips.shifted_clouds import moved_of_file, record_of
 from spl_batch.airborne.strips.strip_comparison import difference_map
-from spl_batch.airborne.tasks import index, pulses
+from spl_batch.airborne.tasks import index
+from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import Produced

@@ -31,8 +31,8 @@ from spl_batch.airborne.pulses.pulse_returns import ends_in_parts
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.line_moves import read_moves
 from spl_batch.airborne.store.raster_cells import write_cell
-from spl_batch.airborne.tasks import cell_classes, pulses
-from spl_batch.airborne.tasks.ground_cell import Cell
+from spl_batch.airborne.tasks.cells import cell_classes, pulses
+from spl_batch.airborne.tasks.cells.ground_cell import Cell
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced

@@ -17,7 +17,8 @@ from spl_batch.airborne.products.product_table import (
     products,
 )
 from spl_batch.airborne.settings.workflow import load_workflow
-from spl_batch.airborne.tasks import ground_cell, space_domain, surfaces
+from spl_batch.airborne.tasks import space_domain, surfaces
+from spl_batch.airborne.tasks.cells import ground_cell
 from spl_batch.lattice.tiles import Bounds, grow
 from tests import surveys
 from tests.formats.test_geoid import write_grid

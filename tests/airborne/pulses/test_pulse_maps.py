@@ -20,7 +20,7 @@ from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage
 from spl_batch.airborne.pulses.pulse_maps import NAMES, PulseMaps, flightline_of
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import ProductSettings
-from spl_batch.airborne.tasks import pulses
+from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.constants import NODATA
 from spl_batch.lattice.tiles import Bounds
 from tests import surveys

@@ -10,7 +10,7 @@ from spl_batch.airborne.report.coverage import sparse_vegetation, unsure_terrain
 from spl_batch.airborne.report.model import Density
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.tasks.pulses import covered
+from spl_batch.airborne.tasks.cells.pulses import covered
 from spl_batch.constants import NODATA
 
 

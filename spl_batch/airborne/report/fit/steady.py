@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 from spl_batch.airborne.pulses.steady_heights import KINDS, Counts, add_counts, typical_m
-from spl_batch.airborne.tasks.pulses import STEADY
+from spl_batch.airborne.tasks.cells.pulses import STEADY
 from spl_batch.engine.report.number_format import as_ascii
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.errors import Said, grouped, shared

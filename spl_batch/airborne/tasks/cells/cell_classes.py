@@ -18,7 +18,7 @@ from spl_batch.airborne.products.raster_grid import cell_number, columns_of
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.label_tables import Labelled, Origin, write_labels
-from spl_batch.airborne.tasks.ground_cell import Cell
+from spl_batch.airborne.tasks.cells.ground_cell import Cell
 from spl_batch.constants import (
     CLASS_HIGH_NOISE,
     CLASS_LOW_NOISE,
