@@ -355,6 +355,19 @@ def test_a_small_block_is_told_where_all_of_its_sides_are_no_walls(
     assert all(100 < block.area_m2 < 400 for block in found)
 
 
+@pytest.mark.parametrize("steep", [0.4, 0.7, 1.0, 1.2])
+@pytest.mark.parametrize("shape", ["gable", "hipped"])
+def test_eaves_below_a_ridge_are_no_sides_of_a_mound(shape: str, steep: float) -> None:
+    row, column = np.indices((60, 60)) - 30.0
+    along, across = 0.96 * column + 0.28 * row, 0.96 * row - 0.28 * column
+    inner = 6.0 - np.abs(across)
+    if shape == "hipped":
+        inner = np.minimum(inner, 10.0 - np.abs(along))
+    house = (np.abs(across) < 6.0) & (np.abs(along) < 10.0)
+    lowest = np.where(house, 3.0 + steep * inner, 0.0)
+    assert list(cut_off_blocks(lowest, np.zeros(house.shape), ~house, 1.0)) == []
+
+
 @pytest.mark.parametrize("shape", ["mound", "hall", "wood", "hill with ground"])
 def test_a_block_whose_sides_are_no_walls_is_told_whole(shape: str) -> None:
     x, y, ground = plain()

@@ -4,7 +4,8 @@ A house ends in walls, on which hardly a return lies. A mound, a dam or a heap t
 sides is cut off as a house is, but its sides hold returns at all heights, cell beside cell. So what
 was cut off is looked at where the lowest returns of cells without ground make a smooth surface well
 above the terrain: crowns are rough. If its sides hold returns half-way up, nearly all along its
-edge, nobody knows what it is, and the terrain model is no surer than half of its height.
+edge, and are steeper than a roof that comes down to its eaves, nobody knows what it is, and the
+terrain model is no surer than half of its height.
 """
 
 from collections.abc import Iterator
@@ -40,6 +41,10 @@ HALF_WAY: Final = (0.15, 0.85)
 AROUND_M: Final = 2.0
 """A return on a side lies above the first share of the block's height, and below the other one of
 what stands within so much of it: lower wings of a house end in walls, too [1, m]."""
+
+STEEPER: Final = 1.8
+"""A cell on a side lies so much below one beside it, in edges of a cell: roofs are not as steep, and
+gentler ground is kept."""
 
 BESIDE: Final = np.ones((3, 3), np.bool_)
 """Cells that hang together."""
@@ -101,6 +106,7 @@ def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iter
         low = HALF_WAY[0] * height
         around = ndimage.maximum_filter(above[near], 2 * round(AROUND_M / cell_m) + 1)
         side = held[near] & (above[near] > low) & (above[near] < HALF_WAY[1] * around)
+        side &= ndimage.maximum_filter(above[near], 3) - above[near] > STEEPER * cell_m
         side &= ndimage.binary_dilation(mine, BESIDE, iterations=2) & ~_worn(mine, 3)
         if not _has_sides(mine, side, small=small):
             continue
