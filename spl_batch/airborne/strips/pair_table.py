@@ -251,7 +251,13 @@ def fit_shift(patches: Mapping[str, NDArray[Any]]) -> Shift:
         ``x, y, edge_m, rise, variance, east, north, ee, en, nn``; p >= 1.
     """
     found = _without_tilt(patches)
-    return _with_tilt(patches, slopes=found.east_m is not None) or found
+    # A tilt that nobody reckons with may hide the horizontal shift.
+    turned = _with_tilt(patches, slopes=True)
+    if found.east_m is not None:
+        return turned or found
+    if turned is not None and (turned.horizontal_sd_m or 0.0) <= DETERMINED_M:
+        return turned
+    return _with_tilt(patches, slopes=False) or found
 
 
 def _with_tilt(patches: Mapping[str, NDArray[Any]], *, slopes: bool) -> Shift | None:
