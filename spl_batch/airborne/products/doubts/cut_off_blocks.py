@@ -43,7 +43,7 @@ AROUND_M: Final = 2.0
 what stands within so much of it: lower wings of a house end in walls, too [1, m]."""
 
 STEEPER: Final = 1.8
-"""A cell on a side lies so much below one beside it, in edges of a cell: roofs are not so steep, and
+"""A cell on a side lies so much below one beside it, in edges of a cell: no roof is so steep, and
 gentler ground is kept."""
 
 BESIDE: Final = np.ones((3, 3), np.bool_)
