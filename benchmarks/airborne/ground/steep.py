@@ -1,8 +1,8 @@
 """Steep ground with truth: ``python -m benchmarks.airborne.ground.steep [FOLDER]``.
 
 Small surveys of ridges and gorges of 45 to 60 degrees, of cliffs of 15 m, in the open and under
-trees, and of bridges run with the default settings; ``--times`` changes heights and depths. Of
-each the table says
+trees, of bridges, a mountain and a town run with the default settings; ``--times`` changes heights
+and depths. Of each the table says
 
 - ``ground``: returns of the ground that the run calls ground [%], of those that its filter kept;
 - ``rmse``, ``> 0.5 m``, ``< -0.5 m``: the delivered terrain model against the truth [m, %, %]. At a

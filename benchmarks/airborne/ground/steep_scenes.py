@@ -103,6 +103,7 @@ class Case(NamedTuple):
     width_m: float = 9
     skew_m: float = -4
     small: bool = False
+    houses: int = 0
 
 
 SCENES: Final[Mapping[str, Case]] = {
@@ -130,6 +131,8 @@ SCENES: Final[Mapping[str, Case]] = {
     "bridge over a gorge": Case(_valley(15, 85), {"cover": 0.2}, (45, 84, 2)),
     "wide bridge": Case(_valley(12, 35), {"cover": 0.2}, (32, 96, 16), 18, 10),
     "overpass": Case(_valley(5, 45), {"cover": 0.2}, (50, 80, 5), 25, 6),
+    "mountain, trees": Case(lambda t: {"relief_m": 130 * t, "wavelength_m": 180}, TREES),
+    "town": Case(lambda t: {"relief_m": 8 * t}, {"cover": 0.2}, houses=14),
     "level": Case(lambda _: {}, TREES),
 }
 """Surveys by name."""
@@ -141,6 +144,8 @@ def content(name: str, seed: int, times: float) -> dict[str, Any]:
     made = {**COMMON, "terrain": {**COMMON["terrain"], **of.terrain(times)}, "name": name}
     if of.trees:
         made["trees"] = of.trees
+    if of.houses:
+        made["buildings"] = {"count": of.houses}
     if of.deck_m:
         west, east, more = of.deck_m
         more *= max(times - 1, 0)

@@ -73,9 +73,39 @@ over the square of their sum."""
 _SCATTERS: Final = 3.0
 """A pit is deeper than so many standard deviations of the nodes about the plane."""
 
+_BLOCK_M: Final = 16.0
+_CROWDED_SHARE: Final = 0.25
+"""With more ground nodes of crowded cells than this share, single returns are not all that a block
+has [m, 1]."""
+
 _ROUNDS: Final = 3
 """So often the planes are made anew, without what was found: of two pits side by side each hides
 the other [count]."""
+
+
+def nearly_empty(
+    xyz: NDArray[np.float64], ground: NDArray[np.bool_], crowded: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Nodes of nearly empty cells in blocks that have others as well: (n,) bool.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    ground : (n,) bool
+        Those of the ground.
+    crowded : (n,) bool
+        Nodes of cells with several returns in the lowest layer, or many above it.
+    """
+    column, row = np.floor(xyz[:, :2] / _BLOCK_M).astype(np.int64).T
+    column, row = column - column.min(), row - row.min()
+    block = row * (int(column.max()) + 1) + column
+    of_all, of_crowded = (
+        np.bincount(block[some], minlength=int(block.max()) + 1)
+        for some in (ground, ground & crowded)
+    )
+    found: NDArray[np.bool_] = ~crowded & (of_crowded > _CROWDED_SHARE * of_all)[block]
+    return found
 
 
 def under_ground(
@@ -83,8 +113,8 @@ def under_ground(
 ) -> NDArray[np.bool_]:
     """Ground nodes far below the plane of the ground around them: (n,) bool.
 
-    Where single returns are all that there is, as in sparse surveys, none is doubtful, and no pit
-    is looked for.
+    Where single returns are all that there is, as in sparse surveys, none is to be judged, and no
+    pit is looked for.
 
     Parameters
     ----------
@@ -93,7 +123,8 @@ def under_ground(
     ground : (n,) bool
         Those of the ground.
     doubtful : (n,) bool
-        Nodes of one or two returns below many others in the same cell: those that are judged.
+        Those that are judged: nodes of one or two returns below many others in the same cell, or in
+        a nearly empty one amid others.
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
     low = xyz[:, 1::-1].min(axis=0)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.pits import in_pits, under_ground
+from spl_batch.airborne.ground.pits import in_pits, nearly_empty, under_ground
 from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.smrf import fill_gaps
 from spl_batch.airborne.settings import GroundSettings
@@ -310,3 +310,36 @@ def test_spacing_around_a_place_is_that_of_nine_squares_whatever_else_is_in_sigh
     np.testing.assert_array_equal(spacing_around_m(x[part], y[part], *at), found)
     nowhere = spacing_around_m(x, y, np.array([900.0]), np.array([900.0]))
     np.testing.assert_array_equal(nowhere, 16.0)
+
+
+def test_nearly_empty_cells_are_told_where_others_are_not() -> None:
+    rng = np.random.default_rng(3)
+    xyz = np.column_stack([rng.uniform(0, 64, (2000, 2)), rng.normal(0, 1, 2000)])
+    ground = rng.random(2000) < 0.8
+    # From west to east ever more cells hold many returns.
+    crowded = rng.random(2000) < xyz[:, 0] / 64
+    found = nearly_empty(xyz, ground, crowded)
+    block = [tuple(place) for place in np.floor(xyz[:, :2] / 16).astype(int)]
+    share = {b: [crowded[i] for i in range(2000) if ground[i] and block[i] == b] for b in block}
+    expected = [not crowded[i] and np.mean(share[block[i]]) > 0.25 for i in range(2000)]
+    assert found.tolist() == expected
+    assert found.any()
+    assert not found[xyz[:, 0] < 16].any()
+
+
+def test_kept_noise_below_steep_ground_among_nearly_empty_cells_is_no_ground() -> None:
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(0, 80, (2, 80 * 80 * 6))
+    thin = np.hypot(x - 40, y - 40) < 6  # a crown hides the ground there
+    x, y = np.stack([x, y])[:, ~thin | (rng.random(len(x)) < 0.08)]
+    z = 0.9 * x + rng.normal(0, 0.03, len(x))
+    low = np.array([[38.5, 40.5], [38.6, 41.6], [42.4, 38.3]])
+    x, y, z = (
+        np.concatenate(pair)
+        for pair in ((x, low[:, 0]), (y, low[:, 1]), (z, 0.9 * low[:, 0] - (4.0, 4.5, 2.0)))
+    )
+    columns = [np.rint(1000 * v).astype(np.int64) for v in (x, y, z)]
+    table = PointTable(dict(zip("xyz", columns, strict=True)))
+    found = ground_mask(table, np.ones(len(x), dtype=np.bool_), GroundSettings())
+    assert not found[-3:].any()
+    assert found[:-3].mean() > 0.98

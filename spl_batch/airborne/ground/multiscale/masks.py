@@ -56,7 +56,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
     spread_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
-from spl_batch.airborne.ground.pits import under_ground
+from spl_batch.airborne.ground.pits import nearly_empty, under_ground
 from spl_batch.airborne.ground.point_spacing import (
     Squares,
     added_up,
@@ -259,7 +259,8 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground &= ~decks
     ground &= ~on_houses(xyz, ground)
     ground &= ~high_islands(xyz, ground, CELL_M)
-    ground &= ~under_ground(xyz, ground, doubtful)
+    alone = nearly_empty(xyz, ground, filled | doubtful)
+    ground &= ~under_ground(xyz, ground, doubtful | alone)
     return below_decks(surface_of(xyz[ground]), xyz[decks])
 
 
