@@ -8,7 +8,8 @@ the simulated returns and the true terrain come (``--afterpulses``: with all aft
 none), by the rule of :mod:`spl_batch.airborne.products.air.thin_haze`,
 
 - the clumping of blocks that hold enough, its 5th, 25th and 50th percentile;
-- the share of them that are even enough, of all that hold enough [%];
+- the share of them that are even enough, of all that hold enough, and the same of the emptier half
+  of their columns [%];
 - places of the largest layer [count], and whether it is told;
 - of scenes without haze, places that hold a thin sheet by the rule of
   :mod:`spl_batch.airborne.products.air.thin_sheets`, from all returns but noise [count].
@@ -109,13 +110,15 @@ def figures(survey: Path, *, half: bool, followed: bool) -> str:
     if placed is None:
         raise SystemExit(f"{survey}: no whole place")
     noise = NOISE_M3 * (0.5 if half else 1.0)
-    blocks = thin_haze.clumping(placed, noise)
+    blocks, emptier = thin_haze.clumping(placed, noise)
     enough = blocks[np.isfinite(blocks)]
     layers = thin_haze.layers(thin_haze.filled_blocks(placed, noise), core)
     places = max((round(layer[0]) for layer in layers), default=0)
     spread = "".join(f"{value:7.2f}" for value in np.percentile(enough, (5, 25, 50)))
     even = 100 * float(np.mean(enough <= thin_haze.EVEN))
-    return f"{spread}{even:9.2f}{places:8d}  {'told' if layers else '':4}"
+    half = emptier[np.isfinite(emptier)]
+    even_half = 100 * float(np.mean(half <= thin_haze.EVEN_EMPTIER)) if len(half) else 0.0
+    return f"{spread}{even:9.2f}{even_half:9.2f}{places:8d}  {'told' if layers else '':4}"
 
 
 def sheet_places(survey: Path, *, half: bool, followed: bool) -> int:
@@ -136,7 +139,8 @@ def main() -> None:
     parser.add_argument("--afterpulses", action="store_true", help="keep all of them")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        print(f"{'':34}{'5 %':>7}{'25 %':>7}{'50 %':>7}{'even, %':>9}{'places':>8}        sheets")
+        titles = f"{'5 %':>7}{'25 %':>7}{'50 %':>7}{'even, %':>9}{'half, %':>9}{'places':>8}"
+        print(f"{'':34}{titles}        sheets")
         for name, more in SCENES.items():
             for seed in given.seeds:
                 survey = (given.folder or Path(temporary)) / f"{name}_{seed}".replace(" ", "_")

@@ -53,7 +53,8 @@ def test_crowns_noise_and_what_the_filter_refuses_are_none():
     crowns = scatter(rng, 2.0, 8, 16)
     leaves = (crowns[:, 0] // 3 + crowns[:, 1] // 3 + crowns[:, 2] // 3) % 2 == 0
     assert not found(ground(rng), crowns[leaves])
-    steady = rng.random(len(crowns)) < np.where((crowns[:, :2] // 2).sum(axis=1) % 2 == 0, 1.0, 0.4)
+    place = tuple((crowns // 2).astype(int).T)
+    steady = rng.random(len(crowns)) < rng.uniform(0.0, 1.0, (30, 25, 8))[place] ** 2
     assert not found(ground(rng), crowns[steady])
     assert not found(ground(rng), scatter(rng, 0.05, -5, 60))
     assert not found(ground(rng), scatter(rng, 0.5, 8, 16), kind=1)
@@ -67,26 +68,48 @@ def test_a_dense_place_alone_is_none():
     assert not found(ground(rng), cloud[alone])
 
 
-def test_blocks_are_filled_as_counting_by_hand_says():
+def clumped(n, cells):
+    """Clumping of the counts of some cells, of so many in all."""
+    return cells * (n * (n - 1)).sum() / n.sum() ** 2
+
+
+def test_blocks_are_as_clumped_as_counting_by_hand_says():
     rng = np.random.default_rng(4)
-    cloud = scatter(rng, 0.4, 0, 40)
-    cloud = cloud[rng.random(len(cloud)) < np.where(cloud[:, 0] < 30, 1.0, 0.7)]
+    cloud = scatter(rng, 1.0, 0, 40)
+    cloud = cloud[rng.random(len(cloud)) < np.where(cloud[:, 0] < 30, 1.0, 0.25)]
     points = np.concatenate([ground(rng), cloud])
-    filled = thin_haze.filled_blocks(
-        near_ground.placed(table(points), CORE, near_ground.highest_ground(FLAT)), 0.05
-    )
-    assert filled.shape == (5, 6, thin_haze.BLOCKS)
+    placed = near_ground.placed(table(points), CORE, near_ground.highest_ground(FLAT))
+    found = thin_haze.clumping(placed, 0.05)
+    assert found.whole.shape == found.emptier.shape == (5, 6, thin_haze.BLOCKS)
+    filled = (found.whole <= thin_haze.EVEN) | (found.emptier <= thin_haze.EVEN_EMPTIER)
+    assert np.array_equal(thin_haze.filled_blocks(placed, 0.05), filled)
     mm = np.rint(points * 1000) / 1000
     metre = np.floor(mm[:, 2] - near_ground.FLOOR_M)
     for row, column, low in [(0, 0, 0), (4, 5, 3), (2, 3, 17), (1, 2, 38), (3, 1, 56)]:
         inside = (mm[:, 0] // 10 == column) & (mm[:, 1] // 10 == row)
         inside &= (metre >= low) & (metre < low + thin_haze.BLOCK)
-        half = np.floor(2 * (mm[inside, 2] - near_ground.FLOOR_M))
-        cells = np.column_stack([np.floor(mm[inside, :2] / 2), half])
-        n = np.unique(cells, axis=0, return_counts=True)[1]
-        volume = 100 * thin_haze.BLOCK
-        even = volume / 2 * (n * (n - 1)).sum() <= thin_haze.EVEN * n.sum() ** 2
-        assert filled[row, column, low] == (n.sum() >= 0.2 * volume and even)
+        east, north = ((mm[inside, k] % 10 // 2).astype(int) for k in (0, 1))
+        half = np.floor(2 * (mm[inside, 2] - near_ground.FLOOR_M)).astype(int) - 2 * low
+        n = np.zeros((25, 8))
+        np.add.at(n, (5 * north + east, half), 1)
+        enough = n.sum() >= 0.2 * 400
+        whole = clumped(n, 200) if enough else np.inf
+        assert found.whole[row, column, low] == pytest.approx(whole)
+        few = n[np.argsort(n.sum(axis=1), kind="stable")[:13]]
+        emptier = clumped(few, 13 * 8) if enough and few.sum() >= 0.4 * 4 * 13 * 4 else np.inf
+        assert found.emptier[row, column, low] == pytest.approx(emptier)
+    assert np.isfinite(found.emptier).any()
+    assert (np.isinf(found.emptier) & np.isfinite(found.whole)).any()
+
+
+def test_haze_is_told_where_trees_stand_in_it():
+    rng = np.random.default_rng(7)
+    trees = rng.uniform((0, 0, 4), (60, 50, 9), (12_000, 3))
+    trees = trees[(trees[:, 0] % 10 < 4) & (trees[:, 1] % 10 < 6)]
+    assert not found(ground(rng), trees)
+    (layer,) = found(ground(rng), trees, scatter(rng, 1.5, 3, 9))
+    assert layer[0] >= 20
+    assert layer[1:3] == [pytest.approx(3, abs=1.5), pytest.approx(9, abs=1.5)]
 
 
 def test_places_without_ground_tell_nothing():

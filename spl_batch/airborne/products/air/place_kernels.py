@@ -1,5 +1,7 @@
 """Kernels of fog and thin haze: points by places, their heights, and pairs of them."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,17 +56,52 @@ def heights(
 @njit()
 def count_layers(
     place: Index, within: Index, half_metre: NDArray[np.float64], kept: NDArray[np.bool_],
-    layers: int, wide: Index, room: NDArray[np.int32], out: Index,
+    layers: int, wide: Index, cells: NDArray[np.uint16], out: Index,
 ) -> None:  # fmt: skip
     """Add returns, their ordered pairs in wide cells, and those kept, by place and half metre.
 
-    ``wide``: wide cell of each cell of a place; ``room``: zeros, by layers and wide cells.
+    ``wide``: wide cell of each cell of a place; ``cells`` (layers of all places, wide cells):
+    zeros, filled with the returns of each, up to the most that they take; ``out`` (layers of all
+    places, 3).
     """
+    most = np.iinfo(np.uint16).max
     for i in range(len(place)):
         if 0 <= half_metre[i] < layers:
             number = place[i] * layers + int(half_metre[i])
             cell = wide[within[i]]
-            out[0, number] += 1
-            out[1, number] += 2 * room[number, cell]
-            out[2, number] += kept[i]
-            room[number, cell] += 1
+            held = np.int64(cells[number, cell])
+            out[number, 0] += 1
+            out[number, 1] += 2 * held
+            out[number, 2] += kept[i]
+            cells[number, cell] = np.uint16(held + (held < most))
+
+
+@njit()
+def count_emptier(
+    cells: NDArray[np.uint16], asked: NDArray[np.bool_], layers: int, deep: int, step: int,
+    share: float, out: Index,
+) -> None:  # fmt: skip
+    """Returns and their ordered pairs in the columns of a block that hold least.
+
+    ``cells``: as of :func:`count_layers`; ``asked`` (places, blocks); ``deep``: layers of a block;
+    ``step``: layers from one block to the next; ``share``: how many of the columns; of equal ones
+    the first; ``out`` (places, blocks, 2): zeros.
+    """
+    columns = cells.shape[1]
+    total = np.empty(columns, np.int64)
+    for place in range(asked.shape[0]):
+        for block in range(asked.shape[1]):
+            if not asked[place, block]:
+                continue
+            first = place * layers + block * step
+            total[:] = 0
+            for layer in range(first, first + deep):
+                for column in range(columns):
+                    total[column] += cells[layer, column]
+            for _ in range(math.ceil(share * columns)):
+                least = total.argmin()
+                out[place, block, 0] += total[least]
+                for layer in range(first, first + deep):
+                    held = np.int64(cells[layer, least])
+                    out[place, block, 1] += held * (held - 1)
+                total[least] = np.iinfo(np.int64).max

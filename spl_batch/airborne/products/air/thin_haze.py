@@ -9,19 +9,23 @@ noise explains, enough of them are kept, and they lie evenly: with n returns in 
 .. math:: \kappa = k \sum n (n - 1) / (\sum n)^2
 
 is 1 in air, scattered by chance in single places, and above 1 among leaves. Evenly turbid crowns
-come so near to 1 in single places, haze in several that lie together at the same height. It is
-told, and nothing is removed. Our own rule: no source has one.
+come so near to 1 in single places, haze in several that lie together at the same height. A tree
+that stands in haze makes its place clumped. So the emptier half of the columns of a block is looked
+at by itself, too: haze fills them alike, crowns leave gaps. As they are chosen for what they hold,
+that differs less than chance has it, and air is below 1 there. A layer is told, and nothing is
+removed. Our own rule: no source has one.
 """
 
+import math
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.products.air.near_ground import CELL_M, FLOOR_M, HALF_M, SQUARE_M, Placed
-from spl_batch.airborne.products.air.place_kernels import count_layers
+from spl_batch.airborne.products.air.place_kernels import count_emptier, count_layers
 from spl_batch.lattice.tiles import Bounds, quanta
 
 DOMAIN: Final = "space"
@@ -42,6 +46,14 @@ LOWEST: Final = 2
 EVEN: Final = 1.1
 """Largest clumping of a filled block: of turbid crowns one in a hundred has less."""
 
+EVEN_EMPTIER: Final = 0.95
+"""The same of the emptier half of a block: of turbid crowns one in twenty has less."""
+
+EMPTIER: Final = 0.5
+EMPTIER_PER_M3: Final = 0.4
+"""Share of the columns that are the emptier ones, and returns that they hold at least: as many as
+the whole block [1, 1/m3]."""
+
 LEAST_PER_M3: Final = 0.2
 TIMES_NOISE: Final = 4.0
 """Returns of a filled block: enough to show clumps, and many more than noise [1/m3, 1]."""
@@ -61,17 +73,26 @@ _HALVES: Final = round(1.0 / HALF_M)
 """Layers of cells in a metre."""
 
 
+class Clumping(NamedTuple):
+    """How clumped the returns of blocks lie; infinite where they hold too few [1]."""
+
+    whole: NDArray[np.float64]  #: (rows, columns, BLOCKS): from the south-west, by lowest metre.
+    emptier: NDArray[np.float64]  #: The same: of the emptier half of its columns alone.
+
+
 def filled_blocks(placed: Placed, noise_m3: float) -> NDArray[np.bool_]:
     """Blocks of each place that are evenly filled: (rows, columns, BLOCKS) bool.
 
     The arguments are those of :func:`clumping`.
     """
-    filled: NDArray[np.bool_] = clumping(placed, noise_m3) <= EVEN
-    return filled
+    whole, emptier = clumping(placed, noise_m3)
+    return (whole <= EVEN) | (emptier <= EVEN_EMPTIER)
 
 
-def clumping(placed: Placed, noise_m3: float) -> NDArray[np.float64]:
+def clumping(placed: Placed, noise_m3: float) -> Clumping:
     """How clumped the returns of blocks lie that hold enough.
+
+    Few are those below :data:`LEAST_PER_M3`, few that are kept, and all where there is no ground.
 
     Parameters
     ----------
@@ -79,30 +100,36 @@ def clumping(placed: Placed, noise_m3: float) -> NDArray[np.float64]:
         Points of a part of a ground cell.
     noise_m3 : float
         Expected noise [1/m3].
-
-    Returns
-    -------
-    (rows, columns, BLOCKS) float64
-        From the south-west; by the lowest metre of a block. Infinite where a block holds too few
-        returns, or few that are kept, or where there is no ground [1].
     """
     rows, columns = placed.shape
     small = quanta(SQUARE_M) // quanta(CELL_M)
     parts = small // WIDE
-    size = rows * columns * TOP * _HALVES
-    sums = np.zeros((3, size), np.int64)
+    size, deep = rows * columns * TOP * _HALVES, BLOCK * _HALVES
+    sums, cells = np.zeros((size, 3), np.int64), np.zeros((size, parts**2), np.uint16)
     row, column = np.divmod(np.arange(small**2), small)
     count_layers(
         placed.place, placed.within, placed.half_metre, placed.kept, TOP * _HALVES,
-        row // WIDE * parts + column // WIDE, np.zeros((size, parts**2), np.int32), sums,
+        row // WIDE * parts + column // WIDE, cells, sums,
     )  # fmt: skip
-    returns, pairs, known = (_high(values.reshape(rows, columns, -1)) for values in sums)
-    cells = BLOCK * _HALVES * parts**2
-    volume = BLOCK * SQUARE_M**2
-    enough = returns >= volume * max(LEAST_PER_M3, TIMES_NOISE * noise_m3)
+    returns, pairs, known = (_high(values.reshape(rows * columns, -1)) for values in sums.T)
+    times = TIMES_NOISE * noise_m3
+    enough = returns >= BLOCK * SQUARE_M**2 * max(LEAST_PER_M3, times)
     enough &= known >= KEPT * returns
-    enough &= placed.grounded.reshape(rows, columns, 1)
-    return np.where(enough, cells * pairs / np.maximum(returns, 1) ** 2.0, np.inf)
+    enough &= placed.grounded[:, None]
+    whole = np.where(enough, _clumped(returns, pairs, deep * parts**2), np.inf)
+    few = np.zeros((*enough.shape, 2), np.int64)
+    count_emptier(cells, enough, TOP * _HALVES, deep, _HALVES, EMPTIER, few)
+    half = math.ceil(EMPTIER * parts**2)
+    enough &= few[..., 0] >= BLOCK * half * (SQUARE_M / parts) ** 2 * max(EMPTIER_PER_M3, times)
+    emptier = np.where(enough, _clumped(few[..., 0], few[..., 1], deep * half), np.inf)
+    return Clumping(*(value.reshape(rows, columns, -1) for value in (whole, emptier)))
+
+
+def _clumped(
+    returns: NDArray[np.int64], pairs: NDArray[np.int64], cells: int
+) -> NDArray[np.float64]:
+    """Clumping of some returns with so many ordered pairs in equal cells."""
+    return cells * pairs / np.maximum(returns, 1) ** 2.0
 
 
 def layers(filled: NDArray[np.bool_], core: Bounds) -> list[list[float]]:
@@ -176,6 +203,6 @@ def _middle(row: NDArray[np.intp], column: NDArray[np.intp], core: Bounds) -> tu
 
 
 def _high(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sums over the layers of each block."""
-    total = np.cumsum(np.pad(values, ((0, 0), (0, 0), (1, 0))), axis=2)
-    return (total[:, :, BLOCK * _HALVES :] - total[:, :, : -BLOCK * _HALVES])[:, :, ::_HALVES]
+    """Sums over the layers of each block: (places, BLOCKS)."""
+    total = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
+    return (total[:, BLOCK * _HALVES :] - total[:, : -BLOCK * _HALVES])[:, ::_HALVES]
