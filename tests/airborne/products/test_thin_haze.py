@@ -96,10 +96,22 @@ def test_blocks_are_as_clumped_as_counting_by_hand_says():
         whole = clumped(n, 200) if enough else np.inf
         assert found.whole[row, column, low] == pytest.approx(whole)
         few = n[np.argsort(n.sum(axis=1), kind="stable")[:13]]
-        emptier = clumped(few, 13 * 8) if enough and few.sum() >= 0.4 * 4 * 13 * 4 else np.inf
+        held = enough and few.sum() >= 0.4 * 4 * 13 * 4
+        emptier = clumped(few, 13 * 8) + 2 / np.pi * 13 / few.sum() if held else np.inf
         assert found.emptier[row, column, low] == pytest.approx(emptier)
     assert np.isfinite(found.emptier).any()
     assert (np.isinf(found.emptier) & np.isfinite(found.whole)).any()
+
+
+@pytest.mark.parametrize("per_m3", [1.0, 6.0])
+def test_of_air_both_clumpings_are_one(per_m3):
+    rng = np.random.default_rng(8)
+    points = np.concatenate([ground(rng), scatter(rng, per_m3, 2, 30)])
+    placed = near_ground.placed(table(points), CORE, near_ground.highest_ground(FLAT))
+    for values in thin_haze.clumping(placed, 0.05):
+        inner = values[:, :, 2:24]
+        assert np.isfinite(inner).all()
+        assert inner.mean() == pytest.approx(1.0, abs=0.02)
 
 
 def test_haze_is_told_where_trees_stand_in_it():

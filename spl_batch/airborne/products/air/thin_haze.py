@@ -11,9 +11,10 @@ noise explains, enough of them are kept, and they lie evenly: with n returns in 
 is 1 in air, scattered by chance in single places, and above 1 among leaves. Evenly turbid crowns
 come so near to 1 in single places, haze in several that lie together at the same height. A tree
 that stands in haze makes its place clumped. So the emptier half of the columns of a block is looked
-at by itself, too: haze fills them alike, crowns leave gaps. As they are chosen for what they hold,
-that differs less than chance has it, and air is below 1 there. A layer is told, and nothing is
-removed. Our own rule: no source has one.
+at by itself, too: haze fills them alike, crowns leave gaps. Chosen for what they hold, m columns of
+n returns in all differ less than chance has it: by 2/pi of its variance, the part that the lower
+half of a normal distribution lacks. So 2 m / (pi n) is added, and air is 1 again. A layer is told,
+and nothing is removed. Our own rule: no source has one.
 """
 
 import math
@@ -46,7 +47,7 @@ LOWEST: Final = 2
 EVEN: Final = 1.1
 """Largest clumping of a filled block: of turbid crowns one in a hundred has less."""
 
-EVEN_EMPTIER: Final = 0.95
+EVEN_EMPTIER: Final = 1.03
 """The same of the emptier half of a block: of turbid crowns one in twenty has less."""
 
 EMPTIER: Final = 0.5
@@ -121,7 +122,9 @@ def clumping(placed: Placed, noise_m3: float) -> Clumping:
     count_emptier(cells, enough, TOP * _HALVES, deep, _HALVES, EMPTIER, few)
     half = math.ceil(EMPTIER * parts**2)
     enough &= few[..., 0] >= BLOCK * half * (SQUARE_M / parts) ** 2 * max(EMPTIER_PER_M3, times)
-    emptier = np.where(enough, _clumped(few[..., 0], few[..., 1], deep * half), np.inf)
+    chosen = 2.0 * half / (math.pi * np.maximum(few[..., 0], 1))
+    found = _clumped(few[..., 0], few[..., 1], deep * half) + chosen
+    emptier = np.where(enough, found, np.inf)
     return Clumping(*(value.reshape(rows, columns, -1) for value in (whole, emptier)))
 
 
