@@ -229,9 +229,10 @@ def block_warning(found: TerrainDoubts) -> Iterator[str]:
         yield (
             f"{_counted(found.blocks, 'raised block')}, {area}, {block.height_m:.0f} m above the "
             "terrain model, cut off as a building is, though its sides hold returns at all heights "
-            "as no wall does: if it is a mound, a dam or a heap, heights of the terrain are off by "
-            "so much there, and dtm_quality.tif has half of that; look at the place, and classify "
-            "it by hand if it is ground"
+            "as no wall does, or though it is long and runs on: if it is a mound, a dam, a heap or "
+            "a bank between walls, heights of the terrain are off by so much there, and "
+            "dtm_quality.tif has half of that; look at the place, and classify it by hand if it is "
+            "ground"
         )
 
 

@@ -213,7 +213,7 @@ class TerrainDoubts(Part):
     steep: Count = Field(0, description="Steep patches that hold no ground return.")
     steep_m2: Number = Field(0.0, description="Area of all of them [m2].")
     largest_steep: tuple[SteepPatch, ...] = Field((), description="The largest of them.")
-    blocks: Count = Field(0, description="Raised blocks without walls that were cut off.")
+    blocks: Count = Field(0, description="Raised blocks, without walls or long, that were cut off.")
     blocks_m2: Number = Field(0.0, description="Area of all of them [m2].")
     largest_blocks: tuple[CutOffBlock, ...] = Field((), description="The largest of them.")
 

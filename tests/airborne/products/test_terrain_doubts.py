@@ -368,6 +368,33 @@ def test_eaves_below_a_ridge_are_no_sides_of_a_mound(shape: str, steep: float) -
     assert list(cut_off_blocks(lowest, np.zeros(house.shape), ~house, 1.0)) == []
 
 
+@pytest.mark.parametrize(
+    ("ends_m", "width_m", "told"),
+    [
+        ((-9, 300), 16, True),
+        ((-9, 165), 12, True),
+        ((20, 180), 16, False),
+        ((-9, 110), 16, False),
+        ((-9, 300), 60, False),
+    ],
+)
+def test_a_bank_between_walls_that_runs_on_is_told_and_a_house_is_not(
+    ends_m: tuple[float, float], width_m: float, *, told: bool
+) -> None:
+    row, column = np.indices((200, 200)) + 0.5
+    along, across = 0.98 * column + 0.2 * row - 20, 0.98 * row - 0.2 * column - 80
+    bank = (np.abs(across) < width_m / 2) & (along > ends_m[0]) & (along < ends_m[1])
+    rng = np.random.default_rng(6)
+    lowest = 6.0 * bank + rng.normal(0, 0.05, bank.shape)
+    lowest[rng.random(bank.shape) < 0.1] = np.nan
+    found = list(cut_off_blocks(lowest, np.zeros(bank.shape), ~bank, 1.0))
+    assert len(found) == told
+    for block in found:
+        assert block.area_m2 == pytest.approx(bank.sum(), rel=0.1)
+        assert block.height_m == pytest.approx(6.0, abs=0.2)
+        assert bank[block.row, block.column]
+
+
 @pytest.mark.parametrize("shape", ["mound", "hall", "wood", "hill with ground"])
 def test_a_block_whose_sides_are_no_walls_is_told_whole(shape: str) -> None:
     x, y, ground = plain()

@@ -6,6 +6,9 @@ was cut off is looked at where the lowest returns of cells without ground make a
 above the terrain: crowns are rough. If its sides hold returns half-way up, nearly all along its
 edge, and are steeper than a roof that comes down to its eaves, nobody knows what it is, and the
 terrain model is no surer than half of its height.
+
+A bank between two walls has no such sides. But it goes on: what is as narrow as a house, longer
+than rows of them, and leads out of a ground cell is perhaps a bank, a quay or a railway.
 """
 
 from collections.abc import Iterator
@@ -46,6 +49,13 @@ STEEPER: Final = 1.8
 """A cell on a side lies so much below one beside it, in edges of a cell: no roof is so steep, and
 gentler ground is kept."""
 
+LONG_M: Final = 150.0
+WIDE_M: Final = 25.0
+"""What runs on is at least so long, and on the average no wider [m]: rows of houses are shorter."""
+
+RIM: Final = 4
+"""Cells along the edge of a ground cell or of the survey [count]."""
+
 BESIDE: Final = np.ones((3, 3), np.bool_)
 """Cells that hang together."""
 
@@ -71,7 +81,7 @@ class Block(NamedTuple):
 
 
 def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iterator[Block]:
-    """Blocks whose sides are no walls.
+    """Blocks whose sides are no walls, or that are long and run on.
 
     Parameters
     ----------
@@ -93,6 +103,7 @@ def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iter
     typical = ndimage.median_filter(above, 3, mode="nearest")
     raised = (typical >= RAISED_M) & ~ground
     numbers, _ = ndimage.label(raised, BESIDE)
+    rim = ~ndimage.binary_erosion(ndimage.binary_fill_holes(known), BESIDE, iterations=RIM)
     for number, box in enumerate(ndimage.find_objects(numbers), start=1):
         near = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
         mine = numbers[near] == number
@@ -108,7 +119,7 @@ def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iter
         side = held[near] & (above[near] > low) & (above[near] < HALF_WAY[1] * around)
         side &= ndimage.maximum_filter(above[near], 3) - above[near] > STEEPER * cell_m
         side &= ndimage.binary_dilation(mine, BESIDE, iterations=2) & ~_worn(mine, 3)
-        if not _has_sides(mine, side, small=small):
+        if not _has_sides(mine, side, small=small) and not _runs_on(mine, rim[near], cell_m):
             continue
         depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
         row, column = (int(k) for k in np.unravel_index(depth.argmax(), mine.shape))
@@ -124,6 +135,13 @@ def _has_sides(mine: Mask, side: Mask, *, small: bool) -> bool:
     if side.sum() < SIDES * max(edge.sum(), 1):
         return False
     return not small or bool(ndimage.binary_dilation(side, BESIDE)[edge].mean() >= ALL_AROUND)
+
+
+def _runs_on(mine: Mask, rim: Mask, cell_m: float) -> bool:
+    """Whether a block is long and narrow, and leads out of a ground cell or the survey."""
+    length = max(mine.shape) * cell_m
+    narrow = mine.sum() * cell_m**2 <= WIDE_M * length
+    return length >= LONG_M and narrow and bool((mine & rim).any())
 
 
 def _worn(mine: Mask, cells: int) -> Mask:
