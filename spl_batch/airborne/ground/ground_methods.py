@@ -27,7 +27,6 @@ from spl_batch.airborne.ground.multiscale.lines_apart import Lines
 from spl_batch.airborne.ground.multiscale.masks import GROUND, multiscale_mask
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
     EVERYWHERE,
-    SIGMA_M,
     evidence,
     reckoned,
 )
@@ -307,7 +306,7 @@ def _multiscale(cloud: Cloud, _: GroundSettings) -> Found:
     """By a surface whose scale follows the data."""
     points, own, asked, told_m, lines = cloud
     sigma = EVERYWHERE
-    if told_m is not None and told_m[own].max() > SIGMA_M:
+    if told_m is not None and told_m[own].max() > 0.0:
         sigma = reckoned(evidence(*cloud.some(own), told_m[own]))
     return multiscale_mask(points, own, asked, sigma, lines)
 

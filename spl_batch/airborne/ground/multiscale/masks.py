@@ -25,6 +25,7 @@ from spl_batch.airborne.ground.multiscale.lines_apart import (
     lines_apart,
     seen_lines,
 )
+from spl_batch.airborne.ground.multiscale.lone_returns import below_level
 from spl_batch.airborne.ground.multiscale.near_surface import (
     BAND_M,
     Near,
@@ -261,6 +262,8 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground &= ~high_islands(xyz, ground, CELL_M)
     alone = nearly_empty(xyz, ground, filled | doubtful)
     ground &= ~under_ground(xyz, ground, doubtful | alone)
+    if sigma.photons:
+        ground &= ~below_level(xyz, ground, ~filled)
     return below_decks(surface_of(xyz[ground]), xyz[decks])
 
 
