@@ -68,7 +68,7 @@ class Beam:
         photons = self.along, self.height
         counts, away = (counted(*photons, score, value) for value in (1, far))
         wet = self.scale.level != NO_WATER
-        noise = [self.scale.noise - self.scale.below, self.scale.below, wet, self.cells.mist[:, 2]]
+        noise = [self.scale.noise - self.scale.below, self.scale.below, wet]
         _, sums = windows.of_window(self.scale.index, np.stack(noise), RATE, window_m)
         every = np.ones(len(self.cells.index), np.bool_)
         along, height, each, told = chance.places(self.cells, self.scale, every, RATE)
@@ -90,9 +90,8 @@ class Beam:
             least[z] = signals.thresholds(counts[z], away[z], wanted, settings.false_share)
             if settings.selection == "f1":
                 least[z] = chance.best_thresholds(
-                    counts[z], expected[z], away[z], strays[z],
-                    (wanted, settings.false_share, sums[3]),
-                )  # fmt: skip
+                    counts[z], expected[z], away[z], strays[z], wanted, settings.false_share
+                )
                 away_too[z] = chance.more_far_than_noise(
                     counts[z], expected[z], away[z], strays[z], least[z]
                 )

@@ -52,10 +52,7 @@ _LEAST_LIKE_SIGNAL: Final = 0.9
 """Part of the noise expected, of the lowest scores, whose photons are counted."""
 
 _MOST_LOST: Final = 0.05
-"""Part of the F1 to be expected that the limit on far photons, or on fog, may cost."""
-
-FOGGY: Final = 0.03
-"""Part of the signal that may be fog, from which on it counts."""
+"""Part of the F1 to be expected that the limit on far photons may cost."""
 
 
 def places(
@@ -227,7 +224,8 @@ def best_thresholds(
     noise: NDArray[np.float64],
     far: NDArray[np.float64],
     far_noise: NDArray[np.float64],
-    limits: tuple[NDArray[np.float64], float, NDArray[np.float64]],
+    wanted: NDArray[np.float64],
+    false_share: float,
 ) -> NDArray[np.int64]:
     """Least score bin that is signal, of each window: that of the largest F1 to be expected.
 
@@ -238,23 +236,20 @@ def best_thresholds(
     bright sky, it does not count. Far photons that noise explains are no signal anyway, and the F1
     is that of the others. A cliff, a cloud or a surface that was not followed puts signal far from
     where the surface is looked for: where noise does not explain the far photons, all of them
-    count. A low cloud is thin signal by its density. Where some of the signal may be one, the
-    fewest photons are taken that keep all but a twentieth of the F1 of the others.
+    count.
 
     Parameters
     ----------
     counts, noise, far, far_noise : (w, bins) float64
         Photons by score bin, and noise photons expected; the same far from the surface.
-    limits : ((w,) float64, float, (w,) float64)
-        ``wanted`` and ``false_share`` of :func:`spl_batch.altimetry.filter.signal.thresholds`,
-        and the photons of what may be fog [count].
+    wanted, false_share
+        As of :func:`spl_batch.altimetry.filter.signal.thresholds`.
 
     Returns
     -------
     (w,) int64
         From 1 to the number of bins, which takes none.
     """
-    wanted, false_share, fog = limits
     tables = (counts, noise, far, far_noise)
     above, below, away, strays = (np.cumsum(table[:, ::-1], axis=1) for table in tables)
     every = _expected_f1(above, below, wanted)
@@ -264,8 +259,6 @@ def best_thresholds(
     best = counts.shape[1] - 1 - every.argmax(axis=1)
     layered = more_far_than_noise(*tables, best)[:, None]
     near = _expected_f1(above - away, below - strays, wanted)
-    keep = np.where(fog > FOGGY * wanted, 1.0 - _MOST_LOST, 1.0)
-    near = np.minimum(near, keep[:, None] * near.max(axis=1, keepdims=True))
     gain = np.where(costly[:, None], np.where(layered, every, near), gain)
     taken = np.where(gain.max(axis=1) > 0.0, gain.argmax(axis=1) + 1, 0)
     least: NDArray[np.int64] = np.maximum(counts.shape[1] - taken, 1)

@@ -145,8 +145,7 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
     """Least score that is signal in each window of a beam."""
     workflow, beam = context.workflow, args["key"]
     cells, scale, _ = read_rate(beam, context)
-    wet, fog = scale.level != NO_WATER, cells.mist[:, 2]
-    values = np.stack([scale.noise - scale.below, scale.below, wet, fog])
+    values = np.stack([scale.noise - scale.below, scale.below, scale.level != NO_WATER])
     index = windows.window_of(scale.index, workflow.rate, workflow.signal.window_m)
     window, at = np.unique(index, return_inverse=True)
     noise = np.bincount(at, scale.noise, len(window)).astype(np.float64)
@@ -170,8 +169,7 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
         for table in (counts, part):
             table[2:, 0] *= seen[:, None]
         for zone in range(ZONES):
-            estimated = part[0, zone].sum(axis=1) - sums[zone, first:stop]
-            wanted = np.maximum(estimated, 0.0), sums[3, first:stop]
+            wanted = np.maximum(part[0, zone].sum(axis=1) - sums[zone, first:stop], 0.0)
             least[:, zone, first:stop] = _least(part[:, zone], wanted, context)
             far_too[zone, first:stop] = _far_too(part[:, zone], least[0, zone, first:stop], context)
             for i, b in enumerate(least[0, zone, first:stop].tolist()):
@@ -268,27 +266,24 @@ def _of_segments(
 
 
 def _least(
-    around: NDArray[np.float64],
-    wanted: tuple[NDArray[np.float64], NDArray[np.float64]],
-    context: Context,
+    around: NDArray[np.float64], wanted: NDArray[np.float64], context: Context
 ) -> NDArray[np.int64]:
     """Least bins of windows of a zone, for labels and for the ground: (2, w) int64.
 
-    ``wanted``: photons of signal estimated, and of what may be fog [count].
+    ``wanted``: photons of signal estimated [count].
     """
-    workflow, (estimated, fog) = context.workflow, wanted
+    workflow = context.workflow
     if workflow.signal.method != "bayes":
-        return np.ones((2, len(estimated)), np.int64)
+        return np.ones((2, len(wanted)), np.int64)
     counts, far, noise, far_noise, _ = around
     settings, profile = workflow.signal, workflow.profile
-    more = profile.photons_factor * estimated
+    more = profile.photons_factor * wanted
     ground = signals.thresholds(counts, far, more, profile.false_share)
     if settings.selection == "f1":
         expected = noise / chance.SHARE_QUANTA, far, far_noise / chance.SHARE_QUANTA
-        limits = estimated, settings.false_share, fog
-        label = chance.best_thresholds(counts, *expected, limits)
+        label = chance.best_thresholds(counts, *expected, wanted, settings.false_share)
     else:
-        label = signals.thresholds(counts, far, estimated, settings.false_share)
+        label = signals.thresholds(counts, far, wanted, settings.false_share)
     return np.stack([label, np.minimum(ground, label)])
 
 
