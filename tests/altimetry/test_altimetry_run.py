@@ -13,6 +13,7 @@ import pytest
 import rasterio
 import yaml
 
+from spl_batch.altimetry.filter.chance import SHARE_QUANTA
 from spl_batch.altimetry.filter.signal import score_bins
 from spl_batch.altimetry.report.summarise import _like_noise
 from spl_batch.altimetry.settings import TrackWorkflow
@@ -213,6 +214,17 @@ def test_few_photons_that_are_all_noise_are_said(doubtful: int, kept: int, said:
     texts = list(_like_noise(chosen, kept, 0))
     assert len(texts) == bool(said)
     assert said in "".join(texts)
+
+
+@pytest.mark.parametrize(
+    ("noise", "said"), [(2, "are few: 2 noise"), (23, "cannot be told from noise below")]
+)
+def test_few_photons_of_a_floor_are_not_called_noise(noise: int, said: str) -> None:
+    nothing = {"photons": 0, "noise": 0.0, "length_m": 0.0, "from_m": 0.0, "to_m": 0.0}
+    chosen = {"doubtful": nothing, "doubtful_floor": [40, noise * SHARE_QUANTA]}
+    (text,) = _like_noise(chosen, 900, 40)
+    assert said in text
+    assert list(_like_noise(chosen, 900, 5)) == []
 
 
 def test_a_simulated_track_is_run_and_measured(tmp_path: Path) -> None:

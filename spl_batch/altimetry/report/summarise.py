@@ -82,6 +82,9 @@ _DOUBT_SHARE: Final = 0.02
 the surface, those of an echo over those called floor, and profile cells without their floor over
 all of these, and those with a ground in doubt over those with one, that are worth a warning."""
 
+_FEW_TIMES: Final = 4.0
+"""Photons of a floor, over the noise expected among them, that are few rather than noise."""
+
 _DARK_M: Final = 500.0
 """Level track with no light from below that is worth a warning [m]."""
 
@@ -207,11 +210,18 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
         )
     photons, noise = chosen["doubtful_floor"]
     if min(photons, floor) >= SAID_LEAST:
-        yield (
-            f"the {grouped(photons)} photons called floor cannot be told from noise below the "
-            f"surface ({grouped(noise / SHARE_QUANTA)} noise photons are expected among them): "
-            "the floor is not to be relied on"
-        )
+        expected = noise / SHARE_QUANTA
+        among = f"{grouped(expected)} noise photons are expected among them"
+        if photons >= _FEW_TIMES * expected:
+            yield (
+                f"the {grouped(photons)} photons called floor are few: {among}, but clumps of "
+                "noise below the surface may be as large; look at the floor before you rely on it"
+            )
+        else:
+            yield (
+                f"the {grouped(photons)} photons called floor cannot be told from noise below the "
+                f"surface ({among}): the floor is not to be relied on"
+            )
 
 
 def _doubt(profile: Mapping[str, Any]) -> Iterator[str]:
