@@ -18,8 +18,9 @@ error of the floor are within bounds, else *told* if the run has a warning that 
 trees has not, and of a kind that says what is off (:data:`SAYS`), or *SILENT*; ``--say`` prints the
 new warnings. ``before`` is the result of another version, ``--before CHECKOUT``. The other rows
 are methods on the points that the run kept, less noise more than 5 m below all ground, which the
-cloth filter does not stand, with the TIN of what they call ground as terrain: the project's, and
-the three stock settings of the cloth filter of PyPI (``cloth-simulation-filter``).
+cloth filter does not stand, or without any noise (``--clean``), with the TIN of what they call
+ground as terrain: the project's, and the three stock settings of the cloth filter of PyPI
+(``cloth-simulation-filter``).
 """
 
 import argparse
@@ -36,6 +37,7 @@ import rasterio
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from benchmarks.airborne.filter.methods import is_noise
 from benchmarks.airborne.ground.ground_tiles import CLOTHS, cloth, project, terrain
 from benchmarks.airborne.ground.ground_tiles import Tile as Points
 from benchmarks.airborne.ground.steep_scenes import SCENES, content
@@ -183,10 +185,14 @@ DEEP_M: Final = 5.0
 """Kept points so far below all ground are left out for methods alone [m]."""
 
 
-def by_methods(truth: Truth, kept: Kept, names: Sequence[str]) -> dict[str, dict[str, float]]:
+def by_methods(
+    truth: Truth, kept: Kept, names: Sequence[str], *, clean: bool = False
+) -> dict[str, dict[str, float]]:
     """Methods on the points that a run kept."""
-    deep = kept.xyz[:, 2] * QUANTUM_M < truth.height.min() - DEEP_M
-    kept = Kept(*(some[~deep] for some in kept))
+    out = kept.xyz[:, 2] * QUANTUM_M < truth.height.min() - DEEP_M
+    if clean:
+        out = is_noise(kept.kind)
+    kept = Kept(*(some[~out] for some in kept))
     x, y, z = kept.xyz.T
     order = np.lexsort([z, y, x])
     table = PointTable({"x": x[order], "y": y[order], "z": z[order].astype(np.int32)})
@@ -239,6 +245,7 @@ def main() -> None:
     parser.add_argument("--times", nargs="+", type=float, default=[1.0])
     parser.add_argument("--methods", nargs="*", default=["multiscale", "ptd", *CLOTHS])
     parser.add_argument("--say", action="store_true", help="print the warnings")
+    parser.add_argument("--clean", action="store_true", help="methods see no noise")
     parser.add_argument("--before", type=Path, metavar="CHECKOUT", help="another version")
     given = parser.parse_args()
     rows = [("level", 11, 1.0)]
@@ -261,7 +268,7 @@ def main() -> None:
             )
             for version, out in versions.items():
                 _print(survey, name, (version, out), usual[out], say=given.say)
-            for method, row in by_methods(truth, kept, given.methods).items():
+            for method, row in by_methods(truth, kept, given.methods, clean=given.clean).items():
                 print(_row(method, row), flush=True)
 
 

@@ -20,8 +20,8 @@ they agree:
 Below a closed crown none of this speaks: few returns reach the ground, and the neighbours of what
 noise has left there are leaves. It takes the place of the ground among the lowest nodes, and true
 returns above it are lost. Once the ground has been told from what stands on it, its own nodes are
-the neighbours, and most of them are of one surface: a node far below their plane, for what they
-scatter about it, is none of theirs (:func:`under_ground`).
+the neighbours, and most of them are of one surface: a node far below or above their plane, for what
+they scatter about it, is none of theirs (:func:`under_ground`, :func:`over_ground`).
 
 After the low-point tests of ground filters (isolated points below all neighbours
 [Axelsson 2000 uses them before the seeds]); the comparison of opposite pairs is our own.
@@ -139,6 +139,29 @@ def under_ground(
             if not below.any():
                 break
             found[asked[below]] = True
+    return found
+
+
+def over_ground(
+    xyz: NDArray[np.float64], ground: NDArray[np.bool_], doubtful: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Ground nodes far above the plane of the ground nodes of the cells around: (n,) bool.
+
+    Noise between ground and roof and leaves of shrubs stand so, where a cell has nothing lower.
+
+    Parameters
+    ----------
+    xyz, ground, doubtful
+        As for :func:`under_ground`.
+    """
+    found = np.zeros(len(xyz), dtype=np.bool_)
+    asked = np.flatnonzero(ground & doubtful)
+    if len(asked):
+        low = xyz[:, 1::-1].min(axis=0)
+        at = np.floor(xyz[asked, 1::-1] / _CELLS_M[0]) - np.floor(low / _CELLS_M[0])
+        grid, above = lowest_nodes(xyz, ground, _CELLS_M[0]), np.zeros(len(asked), np.bool_)
+        _below_planes(xyz * (1.0, 1.0, -1.0), asked, at.astype(np.int64), grid, above)
+        found[asked[above]] = True
     return found
 
 

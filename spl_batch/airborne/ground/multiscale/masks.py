@@ -57,7 +57,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
     spread_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
-from spl_batch.airborne.ground.pits import nearly_empty, under_ground
+from spl_batch.airborne.ground.pits import nearly_empty, over_ground, under_ground
 from spl_batch.airborne.ground.point_spacing import (
     Squares,
     added_up,
@@ -260,10 +260,11 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground &= ~decks
     ground &= ~on_houses(xyz, ground)
     ground &= ~high_islands(xyz, ground, CELL_M)
-    alone = nearly_empty(xyz, ground, filled | doubtful)
-    ground &= ~under_ground(xyz, ground, doubtful | alone)
+    judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)
+    ground &= ~under_ground(xyz, ground, judged)
     if sigma.photons:
         ground &= ~below_level(xyz, ground, ~filled)
+    ground &= ~over_ground(xyz, ground, judged)
     return below_decks(surface_of(xyz[ground]), xyz[decks])
 
 
