@@ -44,6 +44,7 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import (
     off_planes,
 )
 from spl_batch.airborne.ground.multiscale.sloping_sides import with_sloping_sides
+from spl_batch.airborne.ground.multiscale.wall_faces import with_faces
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
     CELL_M,
@@ -255,6 +256,7 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground &= ~decks
     ground = continued(xyz, grid, ground, CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
+    ground = with_faces(xyz, grid, ground)
     ground = _joined(xyz, chosen & hard, ground)
     ground |= with_sloping_sides(xyz, grid, ground, CELL_M)
     ground &= ~decks

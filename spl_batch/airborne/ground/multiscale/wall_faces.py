@@ -1,0 +1,83 @@
+"""Faces of walls between ground and ground: those of benches, terraces and banks.
+
+A cell on the edge of a terrace holds returns of its face as well, and its lowest node lies between
+the heights of both sides. What an opening has cut off there goes on from neither of them: it lies
+below the upper ground by a step and above the lower one by another. But where there is ground on
+two opposite sides within a step, one higher and one lower by a wall, what lies between the two in
+place and in height is the face of that wall. Below a roof there is no such ground on the upper side.
+Our own rule: no source has one.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+
+REACH: Final = 2
+"""Ground on both sides lies so near [cells]."""
+
+FALL_M: Final = 1.0
+"""What falls by less from one side to the other is no wall [m]."""
+
+ROUNDS: Final = 2
+"""So often what was found counts as ground beside the next: faces of some width [count]."""
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+
+def with_faces(xyz: Float, grid: Index, ground: Mask) -> Mask:
+    """Ground nodes, and those of a grid on walls between them: (n,) bool.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    grid : (rows, columns) int64
+        A node for each cell, or -1.
+    ground : (n,) bool
+        Nodes of the ground.
+    """
+    out = ground.copy()
+    held = grid >= 0
+    for _ in range(ROUNDS):
+        own = held & out[grid]
+        faces = np.zeros(grid.shape, dtype=np.bool_)
+        _between(xyz[:, 2], grid, own, faces)
+        if not faces.any():
+            break
+        out[grid[faces]] = True
+    return out
+
+
+@njit()
+def _between(z: Float, grid: Index, ground: Mask, out: Mask) -> None:
+    """Fill with cells whose node lies between ground on two opposite sides, a wall apart."""
+    rows, columns = grid.shape
+    for r in range(rows):
+        for c in range(columns):
+            if grid[r, c] < 0 or ground[r, c]:
+                continue
+            height = z[grid[r, c]]
+            for north, east in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                one = _next(z, grid, ground, r, c, north, east)
+                other = _next(z, grid, ground, r, c, -north, -east)
+                low, high = min(one, other), max(one, other)
+                out[r, c] |= low <= height <= high and high - low >= FALL_M
+
+
+@njit()
+def _next(
+    z: Float, grid: Index, ground: Mask, row: int, column: int, north: int, east: int
+) -> float:
+    """Height of the nearest ground on the way from a cell; NaN without any."""
+    for step in range(1, REACH + 1):
+        r, c = row + step * north, column + step * east
+        if r < 0 or c < 0 or r >= grid.shape[0] or c >= grid.shape[1]:
+            return np.nan
+        if ground[r, c]:
+            return float(z[grid[r, c]])
+    return np.nan
