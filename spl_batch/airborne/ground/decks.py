@@ -67,7 +67,7 @@ def on_decks(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: floa
     height = xyz[nearest, 2]
     found, ends = np.zeros((2, *grid.shape), dtype=np.bool_)
     _between_falls(height, held, *span, SLOPE * cell_m, FALL_M, found)
-    _between_falls(height, held & ground[grid] & ~found, *span, SLOPE * cell_m, END_FALL_M, ends)
+    _between_falls(height, held & ~found, *span, SLOPE * cell_m, END_FALL_M, ends)
     _go_on(height, held, ends, SLOPE * cell_m, found)
     numbers, _ = ndimage.label(found, np.ones((3, 3)))
     large = np.bincount(numbers.ravel()) * cell_m**2 >= LEAST_M2

@@ -256,10 +256,10 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground &= ~decks
     ground = continued(xyz, grid, ground, CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
-    ground = with_faces(xyz, grid, ground)
     ground = _joined(xyz, chosen & hard, ground)
     ground |= with_sloping_sides(xyz, grid, ground, CELL_M)
     ground &= ~decks
+    ground = with_faces(xyz, grid, ground)
     ground &= ~on_houses(xyz, ground)
     ground &= ~high_islands(xyz, ground, CELL_M)
     judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)

@@ -21,6 +21,9 @@ REACH: Final = 2
 FALL_M: Final = 1.0
 """What falls by less from one side to the other is no wall [m]."""
 
+BELOW_M: Final = 0.2
+"""A face lies so far below the upper ground: a deck goes on at its height [m]."""
+
 ROUNDS: Final = 2
 """So often what was found counts as ground beside the next: faces of some width [count]."""
 
@@ -66,7 +69,7 @@ def _between(z: Float, grid: Index, ground: Mask, out: Mask) -> None:
                 one = _next(z, grid, ground, r, c, north, east)
                 other = _next(z, grid, ground, r, c, -north, -east)
                 low, high = min(one, other), max(one, other)
-                out[r, c] |= low <= height <= high and high - low >= FALL_M
+                out[r, c] |= low <= height <= high - BELOW_M and high - low >= FALL_M
 
 
 @njit()
