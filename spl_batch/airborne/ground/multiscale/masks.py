@@ -259,7 +259,7 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground = _joined(xyz, chosen & hard, ground)
     ground |= with_sloping_sides(xyz, grid, ground, CELL_M)
     ground &= ~decks
-    ground = with_faces(xyz, grid, ground)
+    ground = with_faces(xyz, grid, ground, filled)
     ground &= ~on_houses(xyz, ground)
     ground &= ~high_islands(xyz, ground, CELL_M)
     judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)

@@ -32,7 +32,7 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 
-def with_faces(xyz: Float, grid: Index, ground: Mask) -> Mask:
+def with_faces(xyz: Float, grid: Index, ground: Mask, asked: Mask) -> Mask:
     """Ground nodes, and those of a grid on walls between them: (n,) bool.
 
     Parameters
@@ -43,13 +43,16 @@ def with_faces(xyz: Float, grid: Index, ground: Mask) -> Mask:
         A node for each cell, or -1.
     ground : (n,) bool
         Nodes of the ground.
+    asked : (n,) bool
+        Nodes that may be: means of layers, as single ones beside a wall are as often shrubs.
     """
     out = ground.copy()
     held = grid >= 0
+    may = held & asked[grid]
     for _ in range(ROUNDS):
         own = held & out[grid]
         faces = np.zeros(grid.shape, dtype=np.bool_)
-        _between(xyz[:, 2], grid, own, faces)
+        _between(xyz[:, 2], grid, own, may, faces)
         if not faces.any():
             break
         out[grid[faces]] = True
@@ -57,12 +60,12 @@ def with_faces(xyz: Float, grid: Index, ground: Mask) -> Mask:
 
 
 @njit()
-def _between(z: Float, grid: Index, ground: Mask, out: Mask) -> None:
+def _between(z: Float, grid: Index, ground: Mask, may: Mask, out: Mask) -> None:
     """Fill with cells whose node lies between ground on two opposite sides, a wall apart."""
     rows, columns = grid.shape
     for r in range(rows):
         for c in range(columns):
-            if grid[r, c] < 0 or ground[r, c]:
+            if not may[r, c] or ground[r, c]:
                 continue
             height = z[grid[r, c]]
             for north, east in ((0, 1), (1, 0), (1, 1), (1, -1)):
