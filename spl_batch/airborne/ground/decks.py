@@ -48,8 +48,8 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 
-def on_decks(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) -> Mask:
-    """Ground nodes that stand level between two sharp falls: (n,) bool.
+def on_decks(xyz: Float, grid: Index, nearest: Index, cell_m: float) -> Mask:
+    """Nodes that stand level between two sharp falls: (n,) bool.
 
     Parameters
     ----------
@@ -57,8 +57,6 @@ def on_decks(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: floa
         Nodes [m].
     grid, nearest : (rows, columns) int64
         A node for each cell, or -1, and that of the nearest cell with one.
-    ground : (n,) bool
-        Nodes of the ground.
     cell_m : float
         Edge of a cell [m].
     """

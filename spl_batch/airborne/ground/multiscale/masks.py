@@ -252,7 +252,7 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
     ground = ground_nodes(xyz, high, grid, nearest)
-    decks = on_decks(xyz, grid, nearest, ground, CELL_M)
+    decks = on_decks(xyz, grid, nearest, CELL_M)
     ground &= ~decks
     ground = continued(xyz, grid, ground, CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
