@@ -48,8 +48,8 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 
-def on_decks(xyz: Float, grid: Index, nearest: Index, cell_m: float) -> Mask:
-    """Nodes that stand level between two sharp falls: (n,) bool.
+def on_decks(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) -> Mask:
+    """Ground nodes that stand level between two sharp falls: (n,) bool.
 
     Parameters
     ----------
@@ -57,6 +57,8 @@ def on_decks(xyz: Float, grid: Index, nearest: Index, cell_m: float) -> Mask:
         Nodes [m].
     grid, nearest : (rows, columns) int64
         A node for each cell, or -1, and that of the nearest cell with one.
+    ground : (n,) bool
+        Nodes of the ground.
     cell_m : float
         Edge of a cell [m].
     """
@@ -65,7 +67,7 @@ def on_decks(xyz: Float, grid: Index, nearest: Index, cell_m: float) -> Mask:
     height = xyz[nearest, 2]
     found, ends = np.zeros((2, *grid.shape), dtype=np.bool_)
     _between_falls(height, held, *span, SLOPE * cell_m, FALL_M, found)
-    _between_falls(height, held & ~found, *span, SLOPE * cell_m, END_FALL_M, ends)
+    _between_falls(height, held & ground[grid] & ~found, *span, SLOPE * cell_m, END_FALL_M, ends)
     _go_on(height, held, ends, SLOPE * cell_m, found)
     numbers, _ = ndimage.label(found, np.ones((3, 3)))
     large = np.bincount(numbers.ravel()) * cell_m**2 >= LEAST_M2

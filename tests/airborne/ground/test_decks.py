@@ -18,15 +18,16 @@ def cut_at(height: Float, row: int, column: int) -> bool:
     y, x = np.mgrid[:rows, :columns] + 0.5
     xyz = np.column_stack([x.ravel(), y.ravel(), height.ravel()])
     grid = np.arange(height.size).reshape(height.shape)
-    return bool(on_decks(xyz, grid, grid, 1.0)[grid[row, column]])
+    every = np.ones(height.size, np.bool_)
+    return bool(on_decks(xyz, grid, grid, every, 1.0)[grid[row, column]])
 
 
-def decks_of(height: Float) -> NDArray[np.bool_]:
+def decks_of(height: Float, ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cells of decks, of a node in each cell of a metre."""
     y, x = np.indices(height.shape) + 0.5
     xyz = np.column_stack([x.ravel(), y.ravel(), height.ravel()])
     grid = np.arange(height.size).reshape(height.shape)
-    found: NDArray[np.bool_] = on_decks(xyz, grid, grid, 1.0)[grid]
+    found: NDArray[np.bool_] = on_decks(xyz, grid, grid, ground.ravel(), 1.0)[grid]
     return found
 
 
@@ -68,7 +69,7 @@ def test_a_deck_of_any_direction_is_cut_to_where_it_lies_a_metre_above_the_groun
     height = np.where(deck, 0.0, valley)
     hole = tuple(np.argwhere(deck & (np.abs(along) < 1) & (np.abs(aside) < 1))[0])
     height[hole] = 0.2
-    found = decks_of(height)
+    found = decks_of(height, np.ones_like(deck))
     inside = deck & (np.abs(aside) < 6.5)
     assert found[inside & (valley < -2.5)].all()
     # Aslant the sides are seen up to an eighth of a turn off.
@@ -80,11 +81,11 @@ def test_an_end_goes_on_from_a_deck_alone() -> None:
     bank = 1.2 * (AWAY < 8)
     deck = 5.0 * (AWAY < 8)
     height = np.tile(bank, (50, 1))
-    assert not decks_of(height).any()
+    assert not decks_of(height, np.ones_like(height, np.bool_)).any()
     height[20:] += 5.0 - 1.2
     height[20:] = np.tile(deck, (30, 1))
     height[:20] += 5.0 - 1.2
-    found = decks_of(height)
+    found = decks_of(height, np.ones_like(height, np.bool_))
     assert found[25, 30]
     assert found[15, 30]
     assert not found[5, 30]

@@ -252,10 +252,12 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
     ground = ground_nodes(xyz, high, grid, nearest)
-    decks = on_decks(xyz, grid, nearest, CELL_M)
+    decks = on_decks(xyz, grid, nearest, ground, CELL_M)
     ground &= ~decks
     ground = continued(xyz, grid, ground, CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
+    if decks.any():  # Ends that have grown back.
+        decks |= on_decks(xyz, grid, nearest, ground | decks, CELL_M)
     ground = _joined(xyz, chosen & hard, ground)
     ground |= with_sloping_sides(xyz, grid, ground, CELL_M)
     ground &= ~decks

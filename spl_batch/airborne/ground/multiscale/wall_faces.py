@@ -2,8 +2,8 @@
 
 A cell on the edge of a terrace holds returns of its face as well, and its lowest node lies between
 the heights of both sides. What an opening has cut off there goes on from neither of them: it lies
-below the upper ground by a step and above the lower one by another. But where there is ground on
-two opposite sides within a step, one higher and one lower by a wall, what lies between the two in
+below the upper ground by a step and above the lower one by another. But where there is ground
+on two opposite sides within a step, one higher and one lower by a wall, what lies between the two in
 place and in height is the face of that wall. Below a roof there is no ground on the upper side.
 Our own rule: no source has one.
 """
@@ -14,9 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
-
-REACH: Final = 2
-"""Ground on both sides lies so near [cells]."""
 
 FALL_M: Final = 1.0
 """What falls by less from one side to the other is no wall [m]."""
@@ -69,21 +66,15 @@ def _between(z: Float, grid: Index, ground: Mask, may: Mask, out: Mask) -> None:
                 continue
             height = z[grid[r, c]]
             for north, east in ((0, 1), (1, 0), (1, 1), (1, -1)):
-                one = _next(z, grid, ground, r, c, north, east)
-                other = _next(z, grid, ground, r, c, -north, -east)
+                one = _of_ground(z, grid, ground, r + north, c + east)
+                other = _of_ground(z, grid, ground, r - north, c - east)
                 low, high = min(one, other), max(one, other)
                 out[r, c] |= low <= height <= high - BELOW_M and high - low >= FALL_M
 
 
 @njit()
-def _next(
-    z: Float, grid: Index, ground: Mask, row: int, column: int, north: int, east: int
-) -> float:
-    """Height of the nearest ground on the way from a cell; NaN without any."""
-    for step in range(1, REACH + 1):
-        r, c = row + step * north, column + step * east
-        if r < 0 or c < 0 or r >= grid.shape[0] or c >= grid.shape[1]:
-            return np.nan
-        if ground[r, c]:
-            return float(z[grid[r, c]])
-    return np.nan
+def _of_ground(z: Float, grid: Index, ground: Mask, row: int, column: int) -> float:
+    """Height of the ground of a cell; NaN without any."""
+    if row < 0 or column < 0 or row >= grid.shape[0] or column >= grid.shape[1]:
+        return np.nan
+    return float(z[grid[row, column]]) if ground[row, column] else np.nan

@@ -15,9 +15,9 @@ def plain(z: np.ndarray, may: np.ndarray, ground: np.ndarray) -> np.ndarray:
             for a, b in ((0, 1), (1, 0), (1, 1), (1, -1)):
                 ends = []
                 for way in (1, -1):
-                    places = [(r + way * k * a, c + way * k * b) for k in (1, 2)]
-                    inside = [p for p in places if min(p) >= 0 and max(p) < len(z)]
-                    ends.append(next((z[p] for p in inside if before[p]), None))
+                    p = r + way * a, c + way * b
+                    inside = min(p) >= 0 and max(p) < len(z)
+                    ends.append(z[p] if inside and before[p] else None)
                 if None in ends:
                     continue
                 low, high = sorted(ends)
