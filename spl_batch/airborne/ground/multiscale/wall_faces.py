@@ -2,9 +2,9 @@
 
 A cell on the edge of a terrace holds returns of its face as well, and its lowest node lies between
 the heights of both sides. What an opening has cut off there goes on from neither of them: it lies
-below the upper ground by a step and above the lower one by another. But where there is ground
-on two opposite sides within a step, one higher and one lower by a wall, what lies between the two in
-place and in height is the face of that wall. Below a roof there is no ground on the upper side.
+below the upper ground by a step and above the lower one by another. But where there is ground in
+the next cells on two opposite sides, one higher and one lower by a wall, what lies between the two
+in place and in height is the face of that wall. Below a roof there is no ground on the upper side.
 Our own rule: no source has one.
 """
 
