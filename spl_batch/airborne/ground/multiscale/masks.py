@@ -44,7 +44,6 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import (
     off_planes,
 )
 from spl_batch.airborne.ground.multiscale.sloping_sides import with_sloping_sides
-from spl_batch.airborne.ground.multiscale.wall_faces import with_faces
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
     CELL_M,
@@ -261,7 +260,6 @@ def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     ground = _joined(xyz, chosen & hard, ground)
     ground |= with_sloping_sides(xyz, grid, ground, CELL_M)
     ground &= ~decks
-    ground = with_faces(xyz, grid, ground, filled)
     ground &= ~on_houses(xyz, ground)
     ground &= ~high_islands(xyz, ground, CELL_M)
     judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)
