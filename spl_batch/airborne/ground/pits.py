@@ -32,7 +32,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.node_grids import lowest_nodes
+from spl_batch.airborne.ground.node_grids import cells_of, lowest_nodes
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.sorting import order_of
 
@@ -127,18 +127,12 @@ def under_ground(
         a nearly empty one amid others.
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
-    low = xyz[:, 1::-1].min(axis=0)
     for cell_m in _CELLS_M:
         for _ in range(_ROUNDS):
-            asked = np.flatnonzero(ground & doubtful & ~found)
-            below = np.zeros(len(asked), dtype=np.bool_)
-            if len(asked):
-                at = np.floor(xyz[asked, 1::-1] / cell_m) - np.floor(low / cell_m)
-                grid = lowest_nodes(xyz, ground & ~found, cell_m)
-                _below_planes(xyz, asked, at.astype(np.int64), grid, below)
-            if not below.any():
+            below = _off_planes(xyz, ground & ~found, doubtful, cell_m)
+            if not len(below):
                 break
-            found[asked[below]] = True
+            found[below] = True
     return found
 
 
@@ -155,13 +149,21 @@ def over_ground(
         As for :func:`under_ground`.
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
+    found[_off_planes(xyz, ground, doubtful, _CELLS_M[0], down=-1.0)] = True
+    return found
+
+
+def _off_planes(
+    xyz: NDArray[np.float64], ground: NDArray[np.bool_], doubtful: NDArray[np.bool_],
+    cell_m: float, down: float = 1.0,
+) -> NDArray[np.int64]:  # fmt: skip
+    """Doubtful ground nodes far below the planes of others; with ``down`` -1 far above them."""
     asked = np.flatnonzero(ground & doubtful)
+    off = np.zeros(len(asked), dtype=np.bool_)
     if len(asked):
-        low = xyz[:, 1::-1].min(axis=0)
-        at = np.floor(xyz[asked, 1::-1] / _CELLS_M[0]) - np.floor(low / _CELLS_M[0])
-        grid, above = lowest_nodes(xyz, ground, _CELLS_M[0]), np.zeros(len(asked), np.bool_)
-        _below_planes(xyz * (1.0, 1.0, -1.0), asked, at.astype(np.int64), grid, above)
-        found[asked[above]] = True
+        at, grid = cells_of(xyz, asked, cell_m), lowest_nodes(xyz, ground, cell_m)
+        _below_planes(xyz * (1.0, 1.0, down), asked, at, grid, off)
+    found: NDArray[np.int64] = asked[off]
     return found
 
 

@@ -45,7 +45,8 @@ Read = Callable[[Bounds, Sequence[str]], tuple[PointTable, Origin]]
 
 T = TypeVar("T")
 
-_LABELS: Final = ("noise_class", "p_value", "ground", "noise_density", "wire")
+LABELS: Final = ("noise_class", "p_value", "ground", "noise_density", "wire")
+"""Columns that units give to points; the others lie in the tiles."""
 
 _GROUND_COLUMNS = ("x", "y", "z", "flags", "afterpulse", "range_sigma")
 
@@ -123,7 +124,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     chances = _Chances(context.workflow.filter, args["lines"]["columns"])
 
     def read(part: Bounds, columns: Sequence[str]) -> tuple[PointTable, Origin]:
-        labels = {name: units for name in ("noise_class", *columns) if name in _LABELS}
+        labels = {name: units for name in ("noise_class", *columns) if name in LABELS}
         return read_region(
             context.store, cells, part, [name for name in columns if name not in labels], labels,
             ordered=False, moves=moves,

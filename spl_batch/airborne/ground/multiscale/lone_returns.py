@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.node_grids import lowest_nodes
+from spl_batch.airborne.ground.node_grids import cells_of, lowest_nodes
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.sorting import sort
 
@@ -58,13 +58,12 @@ def below_level(xyz: Float, ground: Mask, lone: Mask) -> Mask:
         Nodes of one or two returns: those that are judged.
     """
     found = np.zeros(len(xyz), dtype=np.bool_)
-    corner = np.floor(xyz[:, 1::-1].min(axis=0) / CELL_M)
     all_of_it = lowest_nodes(xyz, ground, CELL_M)
     for reach in REACHES:
         for _ in range(_ROUNDS):
             asked = np.flatnonzero(ground & lone & ~found)
             below = np.zeros(len(asked), dtype=np.bool_)
-            at = (np.floor(xyz[asked, 1::-1] / CELL_M) - corner).astype(np.int64)
+            at = cells_of(xyz, asked, CELL_M)
             grid = lowest_nodes(xyz, ground & ~found, CELL_M)
             _far_below(xyz[:, 2], lone, asked, at, grid, all_of_it, reach, below)
             if not below.any():

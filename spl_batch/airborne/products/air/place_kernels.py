@@ -1,7 +1,5 @@
 """Kernels of fog and thin haze: points by places, their heights, and pairs of them."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,12 +77,12 @@ def count_layers(
 @njit()
 def count_emptier(
     cells: NDArray[np.uint16], asked: NDArray[np.bool_], layers: int, deep: int, step: int,
-    share: float, out: Index,
+    fewest: int, out: Index,
 ) -> None:  # fmt: skip
     """Returns and their ordered pairs in the columns of a block that hold least.
 
     ``cells``: as of :func:`count_layers`; ``asked`` (places, blocks); ``deep``: layers of a block;
-    ``step``: layers from one block to the next; ``share``: how many of the columns; of equal ones
+    ``step``: layers from one block to the next; ``fewest``: how many of the columns; of equal ones
     the first; ``out`` (places, blocks, 2): zeros.
     """
     columns = cells.shape[1]
@@ -98,7 +96,7 @@ def count_emptier(
             for layer in range(first, first + deep):
                 for column in range(columns):
                     total[column] += cells[layer, column]
-            for _ in range(math.ceil(share * columns)):
+            for _ in range(fewest):
                 least = total.argmin()
                 out[place, block, 0] += total[least]
                 for layer in range(first, first + deep):

@@ -119,8 +119,8 @@ def clumping(placed: Placed, noise_m3: float) -> Clumping:
     enough &= placed.grounded[:, None]
     whole = np.where(enough, _clumped(returns, pairs, deep * parts**2), np.inf)
     few = np.zeros((*enough.shape, 2), np.int64)
-    count_emptier(cells, enough, TOP * _HALVES, deep, _HALVES, EMPTIER, few)
     half = math.ceil(EMPTIER * parts**2)
+    count_emptier(cells, enough, TOP * _HALVES, deep, _HALVES, half, few)
     enough &= few[..., 0] >= BLOCK * half * (SQUARE_M / parts) ** 2 * max(EMPTIER_PER_M3, times)
     chosen = 2.0 * half / (math.pi * np.maximum(few[..., 0], 1))
     found = _clumped(few[..., 0], few[..., 1], deep * half) + chosen

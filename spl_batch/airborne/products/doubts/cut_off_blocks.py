@@ -103,7 +103,6 @@ def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iter
     typical = ndimage.median_filter(above, 3, mode="nearest")
     raised = (typical >= RAISED_M) & ~ground
     numbers, _ = ndimage.label(raised, BESIDE)
-    rim = ~ndimage.binary_erosion(ndimage.binary_fill_holes(known), BESIDE, iterations=RIM)
     for number, box in enumerate(ndimage.find_objects(numbers), start=1):
         near = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
         mine = numbers[near] == number
@@ -119,7 +118,7 @@ def cut_off_blocks(lowest: Grid, dtm: Grid, ground: Mask, cell_m: float) -> Iter
         side = held[near] & (above[near] > low) & (above[near] < HALF_WAY[1] * around)
         side &= ndimage.maximum_filter(above[near], 3) - above[near] > STEEPER * cell_m
         side &= ndimage.binary_dilation(mine, BESIDE, iterations=2) & ~_worn(mine, 3)
-        if not _has_sides(mine, side, small=small) and not _runs_on(mine, rim[near], cell_m):
+        if not _has_sides(mine, side, small=small) and not _runs_on(mine, near, known, cell_m):
             continue
         depth = ndimage.distance_transform_edt(np.pad(mine, 1))[1:-1, 1:-1]
         row, column = (int(k) for k in np.unravel_index(depth.argmax(), mine.shape))
@@ -137,11 +136,16 @@ def _has_sides(mine: Mask, side: Mask, *, small: bool) -> bool:
     return not small or bool(ndimage.binary_dilation(side, BESIDE)[edge].mean() >= ALL_AROUND)
 
 
-def _runs_on(mine: Mask, rim: Mask, cell_m: float) -> bool:
-    """Whether a block is long and narrow, and leads out of a ground cell or the survey."""
+def _runs_on(mine: Mask, near: tuple[slice, ...], known: Mask, cell_m: float) -> bool:
+    """Whether a block is long and narrow, and leads out of a ground cell or the survey.
+
+    ``near``: where it lies in ``known``, the cells with terrain.
+    """
     length = max(mine.shape) * cell_m
-    narrow = mine.sum() * cell_m**2 <= WIDE_M * length
-    return length >= LONG_M and narrow and bool((mine & rim).any())
+    if length < LONG_M or mine.sum() * cell_m**2 > WIDE_M * length:
+        return False
+    inner = ndimage.binary_erosion(ndimage.binary_fill_holes(known), BESIDE, iterations=RIM)
+    return bool((mine & ~inner[near]).any())
 
 
 def _worn(mine: Mask, cells: int) -> Mask:

@@ -1,7 +1,7 @@
 """A ground cell as a task sees it: strips of it, and its points with their labels."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.label_tables import Origin, read_region
 from spl_batch.airborne.store.line_moves import LineMoves
-from spl_batch.airborne.tasks.space_domain import label_units, tile_cells
+from spl_batch.airborne.tasks.space_domain import LABELS, label_units, tile_cells
 from spl_batch.lattice.eastings import strips_between
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, inside
-
-_LABELS: Final = ("noise_class", "ground", "noise_density", "wire")
 
 Keep = Callable[[PointTable], NDArray[np.bool_]]
 """Tells of each point by itself whether it is wanted."""
@@ -48,7 +46,7 @@ class Cell(NamedTuple):
         if self.held is not None:
             return _chosen(*self.held, region, columns, keep)
         noise, ground = (label_units(self.args[kind]) for kind in ("noise", "ground"))
-        labels = {k: ground if k == "ground" else noise for k in columns if k in _LABELS}
+        labels = {k: ground if k == "ground" else noise for k in columns if k in LABELS}
         return read_region(
             self.context.store, tile_cells(self.args["tiles"]), region,
             [k for k in columns if k not in labels], labels, ordered=False, keep=keep,
