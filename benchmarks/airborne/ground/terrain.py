@@ -141,12 +141,18 @@ class Truth(NamedTuple):
     kept: Mask
 
 
+def simulated(kind: str, seed: int, folder: Path) -> Path:
+    """Folder of one survey, simulated where it is not there yet."""
+    survey = folder / f"{kind}_{seed}"
+    if not (survey / "workflow.yaml").exists():
+        simulate(parse_scene({**COMMON, **SCENES[kind], "name": kind, "seed": seed}, kind), survey)
+    return survey
+
+
 def process(kind: str, seed: int, folder: Path, method: str) -> Path:
     """Simulate and run one survey: a single ground cell, a short reach, and as configured."""
-    survey = folder / f"{kind}_{seed}"
+    survey = simulated(kind, seed, folder)
     workflow = survey / "workflow.yaml"
-    if not workflow.exists():
-        simulate(parse_scene({**COMMON, **SCENES[kind], "name": kind, "seed": seed}, kind), survey)
     chosen = ["output=out", f"ground.method={method}"]
     for name, change in VARIANTS.items():
         if not (survey / method / name).exists():
