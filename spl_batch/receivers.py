@@ -29,6 +29,11 @@ class Home:
     #: and value of what a user is told. It leaves a ``workflow.yaml`` in the folder.
     simulate: str
     compare: str = ""  #: Runs several methods side by side; empty where it has one.
+    #: Writes a first workflow: a function of a folder that gives a
+    #: :class:`~spl_batch.engine.settings.draft.Draft`, or None where the folder has nothing for it;
+    #: empty where no file tells that it is for this receiver. ``inputs`` names such files.
+    begin: str = ""
+    inputs: str = ""
     #: Extra of this project that installs what it needs beside an airborne survey.
     extra: str = "report"
 
@@ -42,6 +47,8 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.airborne.report.model:Report",
             "spl_batch.airborne.simulate:simulate_file",
             "spl_batch.airborne.compare.comparison:METHODS",
+            "spl_batch.airborne.first_use.commented:begin",
+            "LAS, LAZ or COPC file",
         ),
         "altimetry": Home(
             "spl_batch.altimetry.settings:TrackWorkflow",
@@ -50,6 +57,9 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.altimetry.report.model:TrackReport",
             "spl_batch.altimetry.simulate:simulate_file",
             "spl_batch.altimetry.compare.comparison:METHODS",
+            "spl_batch.altimetry.first_use:begin",
+            "file of photons along a track (ATL03 or MABEL-like HDF5, CSV with the columns "
+            "along_track and height)",
             extra="altimetry",
         ),
         "coincidence": Home(
@@ -101,6 +111,12 @@ def simulator(kind: str) -> Any:
 def comparison(kind: str) -> Any:
     """Methods of a receiver that can be compared; None where it has one."""
     place = HOMES[kind].compare
+    return _part(kind, place) if place else None
+
+
+def beginner(kind: str) -> Any:
+    """What writes a first workflow for a receiver's files; None where nothing does."""
+    place = HOMES[kind].begin
     return _part(kind, place) if place else None
 
 

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from spl_batch.airborne.arrays.filtering import expected_noise, filter_points
     from spl_batch.airborne.arrays.labels import ExpectedNoise, Labels
     from spl_batch.airborne.arrays.surfaces import Rasters, ground_points, rasterize
-    from spl_batch.airborne.first_use.beginning import Beginning, init
     from spl_batch.airborne.first_use.one_file import denoise
     from spl_batch.airborne.quickstart import quickstart
     from spl_batch.cli.watching import watching
     from spl_batch.engine.verbs.alone import AloneResult, run_alone
+    from spl_batch.engine.verbs.beginning import Beginning, init
     from spl_batch.engine.verbs.comparing import ComparisonResult, compare
     from spl_batch.engine.verbs.conclusion import RunResult
     from spl_batch.engine.verbs.planning import Left, PlanSummary, plan
@@ -75,8 +75,8 @@ _HOMES = {
     "PlanSummary": "spl_batch.engine.verbs.planning",
     "plan": "spl_batch.engine.verbs.planning",
     "report": "spl_batch.engine.verbs.reporting",
-    "Beginning": "spl_batch.airborne.first_use.beginning",
-    "init": "spl_batch.airborne.first_use.beginning",
+    "Beginning": "spl_batch.engine.verbs.beginning",
+    "init": "spl_batch.engine.verbs.beginning",
     "denoise": "spl_batch.airborne.first_use.one_file",
     "quickstart": "spl_batch.airborne.quickstart",
     "simulate": "spl_batch.engine.verbs.simulation",

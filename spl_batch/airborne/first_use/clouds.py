@@ -13,6 +13,7 @@ from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.channel_dimension import numbered_dimension
 from spl_batch.airborne.plan.inputs.first_look import holds_few
+from spl_batch.airborne.plan.inputs.linear_mode import Density
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.formats.crs import crs_name, look_like_degrees, same_crs
 from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
@@ -107,6 +108,14 @@ def channel_guess(looks: Sequence[CloudLook], sensor: Sensor) -> Guess:
             low, high = min(one.low for one in numbers), max(one.high for one in numbers)
             return Guess(name, f"is called so, and holds {low} to {high}")
     return Guess(None, "no dimension holds beamlet numbers, so each shot counts as one beamlet")
+
+
+def linear_mode_signs(looks: Sequence[CloudLook]) -> str:
+    """What speaks for linear-mode lidar where no beamlets are numbered; empty if nothing does."""
+    density = Density()
+    for look in looks:
+        density.add(look.facts, look.ends.gps_time)
+    return density.signs
 
 
 def by_crs(looks: Sequence[CloudLook]) -> list[tuple[CRS, list[CloudLook]]]:

@@ -1,16 +1,9 @@
 """A workflow for the files of a folder: what was found is written, what was not is said."""
 
-import glob
-import json
-import math
-import re
-import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import yaml
 from pyproj import CRS
 
 from spl_batch.airborne.first_use.clouds import (
@@ -21,9 +14,11 @@ from spl_batch.airborne.first_use.clouds import (
     by_crs,
     channel_guess,
     crs_guess,
+    linear_mode_signs,
 )
-from spl_batch.airborne.first_use.folder import Folder
+from spl_batch.airborne.first_use.folder import Folder, look_through
 from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.engine.settings.draft import Draft, headed, key_lines, patterns, wrapped
 from spl_batch.errors import counted, grouped, named, plain
 from spl_batch.formats.crs import crs_name, same_crs
 from spl_batch.formats.files.atomic import real_path
@@ -31,76 +26,27 @@ from spl_batch.formats.files.atomic import real_path
 SMALL_M2: Final = 10_000.0
 """Area below which it is told in square metres [m2]."""
 
-SPARSE_M2: Final = 2.0
-"""Density in its box below which a cloud without beamlet numbers is taken for linear-mode lidar:
-single-photon surveys have ten times as many points and more, noise included [1/m2]."""
 
-_PLAIN: Final = re.compile(r"[A-Za-z][\w./*:-]*")
+def begin(place: Path) -> Draft | None:
+    """A workflow for the clouds below a folder; None where there are none.
 
-
-@dataclass
-class Proposal:
-    """A workflow file in the making."""
-
-    lines: list[str] = field(default_factory=list)
-    #: Key and what was seen; key and what files do not tell.
-    found: list[tuple[str, str]] = field(default_factory=list)
-    unknown: list[tuple[str, str]] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)  #: Files that it does not name, and why.
-
-    @property
-    def text(self) -> str:
-        """Content of the file."""
-        return "\n".join(self.lines) + "\n"
-
-    def section(self, name: str) -> None:
-        """Begin a section."""
-        self.lines += ["", f"{name}:"]
-
-    def known(self, key: str, value: Any, reason: str, label: str = "") -> None:
-        """Write a key of a section, and above it why it has this value."""
-        self.found.append((label or key, plain(reason)))
-        self.lines += [f"  # {plain(reason)}", *_key(key, value, "  ")]
-
-    def supposed(self, key: str, value: str, reason: str) -> None:
-        """Write a key that has to have a value, and above it that this one may be wrong."""
-        self.unknown.append((key, reason))
-        self.lines += [f"  # ? {reason}", *_key(key, value, "  ")]
-
-    def note(self, key: str, reason: str) -> None:
-        """Write what has to be settled elsewhere, as a comment."""
-        self.unknown.append((key, reason))
-        self.lines += _wrapped(f"? {key}: {reason}", "  ")
-
-    def open(self, key: str, example: Any, reason: str, *, indent: str = "  ") -> None:
-        """Write a key as a comment, and above it what is not known."""
-        self.unknown.append((key, plain(reason)))
-        shown = [f"{indent}# {line.strip()}" for line in _key(key, example, "")]
-        self.lines += [f"{indent}# ? {plain(reason)}", *shown]
+    Raises
+    ------
+    WorkflowError
+        If it is no folder, or no cloud in it can be used.
+    """
+    folder = look_through(place, load_preset(SENSOR))
+    return propose(folder) if folder.lines else None
 
 
-def _wrapped(text: str, indent: str = "") -> list[str]:
-    """A comment, in more than one line where it is long."""
-    begin = f"{indent}# "
-    return textwrap.wrap(plain(text), 98, initial_indent=begin, subsequent_indent=begin)
-
-
-def propose(folder: Folder) -> Proposal:
+def propose(folder: Folder) -> Draft:
     """Write a workflow for what a folder holds."""
     sensor = load_preset(SENSOR)
-    made = Proposal(
-        [
-            "# Written by `spl-batch init` from what the files tell. A `?` marks what they do not",
-            "# tell: look at these lines first. docs/using.md explains the keys that are not here.",
-            "#",
-            "#   spl-batch plan workflow.yaml    what a run costs, what is wrong with the inputs",
-            "#   spl-batch run workflow.yaml     everything; run again, it continues",
-        ]
-    )
+    made = headed("using")
     made.section("survey")
-    made.lines += _key("name", real_path(folder.path).name or "survey", "  ")
+    made.lines += key_lines("name", real_path(folder.path).name or "survey", "  ")
     lines = [*_paths(folder.lines), *folder.damaged_lines]
-    made.known("flightlines", _patterns(folder, lines), _clouds(folder.lines))
+    made.known("flightlines", patterns(folder.path, lines), _clouds(folder.lines))
     _times(made, folder)
     _crs(made, folder)
     made.supposed("sensor", SENSOR, "no file tells the instrument: spl100, hrqls, or its facts")
@@ -136,7 +82,7 @@ def _density(per_m2: float) -> str:
     return grouped(per_m2, 1 if per_m2 >= 1.0 else 2)
 
 
-def _times(made: Proposal, folder: Folder) -> None:
+def _times(made: Draft, folder: Folder) -> None:
     spans = [look.span_s for look in folder.lines if look.span_s is not None]
     if not spans:
         has = all(look.facts.has_gps_time for look in folder.lines)
@@ -157,7 +103,7 @@ def _times(made: Proposal, folder: Folder) -> None:
         more = f"; {doubles} {'has' if len(folder.doubles) == 1 else 'have'} them too"
         made.known(
             "trajectory",
-            _patterns(folder, paths),
+            patterns(folder.path, paths),
             f"{names}: {whose} those of the flightlines{more if folder.doubles else ''}",
         )
     else:
@@ -168,7 +114,7 @@ def _times(made: Proposal, folder: Folder) -> None:
         )
 
 
-def _crs(made: Proposal, folder: Folder) -> None:
+def _crs(made: Draft, folder: Folder) -> None:
     several = by_crs(folder.lines)
     crs = crs_guess(folder.lines)
     if len(several) > 1:
@@ -203,7 +149,7 @@ def _foreign_references(folder: Folder) -> list[CloudLook]:
     ]
 
 
-def _reference(made: Proposal, folder: Folder) -> None:
+def _reference(made: Draft, folder: Folder) -> None:
     foreign = _foreign_references(folder)
     references = [look for look in folder.references if look not in foreign]
     if not references and not folder.checkpoints:
@@ -212,13 +158,13 @@ def _reference(made: Proposal, folder: Folder) -> None:
     if references:
         paths = _paths(references)
         reason = f"class 2, ground, in other clouds: {_clouds(references)}"
-        made.known("points", _patterns(folder, paths), reason, "reference")
+        made.known("points", patterns(folder.path, paths), reason, "reference")
     if folder.checkpoints:
         names = [folder.named(path) for path in folder.checkpoints]
         made.known("checkpoints", names[0], f"by its columns; of {named(names, 3)}")
 
 
-def _polygons(made: Proposal, folder: Folder) -> None:
+def _polygons(made: Draft, folder: Folder) -> None:
     if folder.polygons:
         names = [folder.named(path) for path in folder.polygons]
         made.lines.append("")
@@ -232,19 +178,20 @@ _KEPT: Final = ("filter: {method: none}", "afterpulse: {enabled: false}")
 """Lines of a workflow by which every point stays."""
 
 
-def _filter(made: Proposal, folder: Folder, channel: Guess) -> None:
+def _filter(made: Draft, folder: Folder, channel: Guess) -> None:
     """Whether there is noise to be found, and what that needs."""
     if all(look.span_s is None for look in folder.lines):
         text = "# Without times no noise is told: every point stays; ground and surfaces are made."
         made.lines += ["", text, *_KEPT]
         return
-    if channel.value is None and _points_per_m2(folder.lines) < SPARSE_M2:
+    signs = "" if channel.value is not None else linear_mode_signs(folder.lines)
+    if signs:
         why = (
-            "no beamlet numbers and few points per m2: taken for linear-mode lidar, of which every "
-            "point stays; if single photons were counted, delete the last two lines of the workflow"
+            f"{signs}: taken for linear-mode lidar, of which every point stays; "
+            "if single photons were counted, delete the last two lines of the workflow"
         )
         made.unknown.append(("filter", why))
-        made.lines += ["", *_wrapped(f"? {why}"), *_KEPT]
+        made.lines += ["", *wrapped(f"? {why}"), *_KEPT]
         return
     made.lines += [
         "",
@@ -257,14 +204,7 @@ def _filter(made: Proposal, folder: Folder, channel: Guess) -> None:
             "two lines of the workflow"
         )
         made.unknown.append(("filter", why))
-        made.lines += ["", *_wrapped(f"? {why}"), *(f"# {line}" for line in _KEPT)]
-
-
-def _points_per_m2(looks: Sequence[CloudLook]) -> float:
-    """Points per area of the boxes; infinite where these have none."""
-    area_m2 = sum(look.area_m2 for look in looks)
-    points = sum(look.facts.n_points for look in looks)
-    return points / area_m2 if area_m2 >= 1.0 else math.inf
+        made.lines += ["", *wrapped(f"? {why}"), *(f"# {line}" for line in _KEPT)]
 
 
 def _left_out(folder: Folder) -> Iterator[str]:
@@ -288,31 +228,3 @@ def _left_out(folder: Folder) -> Iterator[str]:
 
 def _paths(looks: Sequence[CloudLook]) -> list[Path]:
     return [look.facts.path for look in looks]
-
-
-def _patterns(folder: Folder, paths: Sequence[Path]) -> str | list[str]:
-    """Files as patterns where these match nothing else, else by name."""
-    found: list[str] = []
-    for place in sorted({path.parent for path in paths}):
-        for suffix in sorted({path.suffix for path in paths if path.parent == place}):
-            these = sorted(p for p in paths if p.parent == place and p.suffix == suffix)
-            pattern = f"*{suffix}"
-            if len(these) > 1 and these == sorted(place.glob(pattern)):
-                found.append(f"{glob.escape(folder.named(place))}/{pattern}".removeprefix("./"))
-            else:
-                found += [glob.escape(folder.named(path)) for path in these]
-    return found[0] if len(found) == 1 else found
-
-
-def _key(key: str, value: Any, indent: str) -> list[str]:
-    """A key and its value, a list one below the other."""
-    if isinstance(value, list):
-        return [f"{indent}{key}:", *(f"{indent}  - {_scalar(one)}" for one in value)]
-    return [f"{indent}{key}: {_scalar(value)}"]
-
-
-def _scalar(value: str) -> str:
-    """Text as YAML reads it back."""
-    if _PLAIN.fullmatch(value) and yaml.safe_load(value) == value:
-        return value
-    return json.dumps(value)

@@ -1,8 +1,7 @@
 """What the files of a folder are: flightlines, other clouds, trajectories, what else belongs."""
 
 import csv
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -14,8 +13,7 @@ from spl_batch.airborne.plan.inputs.first_look import gap_s, in_time_of
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.constants import CLASS_GROUND
 from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.engine.store.deliveries import RECORD
-from spl_batch.engine.store.output_lock import lock_file
+from spl_batch.engine.verbs.beginning import files_below
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats import checkpoints
 from spl_batch.formats.trajectory.ends import ends
@@ -24,8 +22,8 @@ from spl_batch.formats.trajectory.sbet import SBET_RECORD, SBET_SUFFIXES
 
 CLOUDS: Final = frozenset({".las", ".laz"})
 POLYGONS: Final = frozenset({".gpkg", ".shp", ".geojson", ".fgb"})
-OTHERS: Final = {".h5": "altimetry", ".hdf5": "altimetry"}
-"""Files of other receivers by their suffix, and the page of those."""
+OTHERS: Final = frozenset({".h5", ".hdf5"})
+"""Files of other receivers by their suffix."""
 
 TIMES_ALIKE_S: Final = 2.0
 """Trajectories whose ends differ by less are one flight in two formats [s]."""
@@ -85,12 +83,12 @@ def look_through(path: Path, sensor: Sensor) -> Folder:
     Raises
     ------
     WorkflowError
-        If it is no folder, or no cloud in it can be used.
+        If it is no folder, or it holds clouds and none can be used.
     """
     if not path.is_dir():
         raise WorkflowError(f"{path}: {_no_folder(path)}")
     found = Folder(path)
-    files = sorted(_files(path))
+    files = files_below(path)
     _sort_clouds([file for file in files if file.suffix.lower() in CLOUDS], sensor, found)
     for file in files:
         suffix = file.suffix.lower()
@@ -100,7 +98,7 @@ def look_through(path: Path, sensor: Sensor) -> Folder:
             found.foreign.append(file)
         elif suffix in {".csv", ".txt", *PARQUET_SUFFIXES, *SBET_SUFFIXES}:
             _sort_table(file, found)
-    if not found.lines:
+    if not found.lines and (found.bad or found.results):
         raise WorkflowError(_nothing(found))
     _sort_trajectories(found)
     return found
@@ -118,21 +116,6 @@ def _no_folder(path: Path) -> str:
             f"`spl-batch init {path.parent}` all files of its folder"
         )
     return "is a file; name the folder that holds the files"
-
-
-def _files(folder: Path) -> Iterator[Path]:
-    """Files below a folder but for hidden ones and results of runs."""
-    for place, folders, names in os.walk(folder):
-        folders[:] = [
-            name
-            for name in folders
-            if not name.startswith(".") and not _is_output(Path(place, name))
-        ]
-        yield from (Path(place, name) for name in names if not name.startswith("."))
-
-
-def _is_output(folder: Path) -> bool:
-    return (folder / RECORD).exists() or lock_file(folder).exists()
 
 
 def _sort_clouds(files: Sequence[Path], sensor: Sensor, found: Folder) -> None:
@@ -238,15 +221,7 @@ def _nothing(found: Folder) -> str:
     """Why a folder holds no survey, and what helps."""
     if found.bad:
         return f"{found.path}: no cloud can be used: {found.bad[0]}"
-    if found.results:
-        return (
-            f"{found.path}: holds clouds that a run delivered alone, such as "
-            f"{found.named(found.results[0])}; name the folder of the raw flightlines"
-        )
-    if found.foreign:
-        page = OTHERS[found.foreign[0].suffix.lower()]
-        return (
-            f"{found.path}: no LAS or LAZ file, but {found.named(found.foreign[0])}: of such files "
-            f"docs/{page}.md has the workflow"
-        )
-    return f"{found.path}: no LAS, LAZ or COPC file below it; name the folder that holds them"
+    return (
+        f"{found.path}: holds clouds that a run delivered alone, such as "
+        f"{found.named(found.results[0])}; name the folder of the raw flightlines"
+    )

@@ -17,12 +17,13 @@ from spl_batch.airborne.first_use.clouds import (
     CloudLook,
     channel_guess,
     crs_guess,
+    linear_mode_signs,
     look_at,
 )
 from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.engine.report.number_format import as_ascii, of_all
 from spl_batch.engine.settings.mistaken_file import refuse_urls
-from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.conclusion import RunResult
@@ -104,7 +105,7 @@ def denoise(
     began = not folder.exists()
     try:
         write_bytes(folder / _WORKFLOW, yaml.safe_dump(content, sort_keys=False).encode())
-        load_any(folder / _WORKFLOW, overrides)
+        _refuse_linear_mode(look, load_workflow(folder / _WORKFLOW, overrides))
         for text in guessed:
             listener(Note("info", text))
         found = run(
@@ -164,6 +165,23 @@ def _refuse(
             raise WorkflowError(f"{path} is there already; name another file, or add --force")
 
 
+def _refuse_linear_mode(look: CloudLook, workflow: Workflow) -> None:
+    """Refuse to filter linear-mode lidar, unless somebody has named the instrument."""
+    filtered = workflow.filter.method != "none" or workflow.afterpulse.enabled
+    numbered = workflow.survey.channel_dimension is not None
+    if numbered or not filtered or "sensor" in workflow.survey.model_fields_set:
+        return
+    signs = linear_mode_signs([look])
+    if signs:
+        path = look.facts.path
+        raise WorkflowError(
+            f"{path}: this looks like linear-mode lidar ({signs}), and denoise would take true "
+            f"points for noise; `spl-batch init {path.parent}` writes a workflow that keeps every "
+            "point and makes ground and surfaces; if single photons were counted, name the "
+            f"instrument: --sensor {SENSOR}"
+        )
+
+
 def _moved(folder: Path) -> Mapping[str, list[int]]:
     """Results of an earlier call that has failed in part, by their paths."""
     if folder.exists() and not (folder / _WORKFLOW).exists():
@@ -191,15 +209,17 @@ def _proposal(
             str(path),
             "its first and last points have no usable gps_time, so there are no shots to tell "
             "noise by; give the file its times, or use spl_batch.filter_points of Python, which "
-            "measures noise where the cloud is empty",
+            "measures noise where the cloud is empty; of linear-mode lidar `spl-batch init "
+            f"{path.parent}` writes a workflow for ground and surfaces",
         )
     instrument = sensor or SENSOR
     channel = channel_guess([look], load_preset(instrument))
     survey: dict[str, Any] = {
         "name": path.stem,
         "flightlines": glob.escape(str(real_path(path))),
-        "sensor": instrument,
     }
+    if sensor is not None:
+        survey["sensor"] = sensor
     if channel.value is not None:
         survey["channel_dimension"] = channel.value
     if trajectory is not None:

@@ -37,6 +37,17 @@ def estimate(path: Path, size_bytes: int) -> int:
     return max(int(size_bytes / len(head) * max(head.count(b"\n") - 1, 1)), 1)
 
 
+def is_track(path: Path) -> bool:
+    """Whether the first line of a file names the columns that are needed."""
+    with open_input(path) as stream:
+        head = stream.read(_HEAD_BYTES)
+    try:
+        _names(path, head)
+    except InputError:
+        return False
+    return True
+
+
 def check_unit(path: Path, photons: int, length_m: float) -> None:
     """Refuse a track whose distances can be no metres: more photons lie on one than are possible.
 

@@ -185,7 +185,11 @@ def test_a_small_density_is_told_in_digits_that_show_it() -> None:
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("", "no LAS, LAZ or COPC file"), ("t.h5", "docs/altimetry.md"), ("t.laz", "no cloud can be")],
+    [
+        ("", "no LAS, LAZ or COPC file"),
+        ("t.h5", "no photon file can"),
+        ("t.laz", "no cloud can be"),
+    ],
 )
 def test_a_folder_without_a_survey_is_refused(tmp_path: Path, name: str, said: str) -> None:
     if name:

@@ -49,8 +49,11 @@ def test_labels_and_terrain_are_those_of_a_run(line: Path, tmp_path: Path) -> No
         assert ours.read(1).tobytes() == theirs.read(1).tobytes()
         assert ours.transform == theirs.transform
     assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "clean.laz", "out", "terrain", "workflow.yaml",
-    ]  # fmt: skip
+        "clean.laz",
+        "out",
+        "terrain",
+        "workflow.yaml",
+    ]
 
 
 def test_signal_keeps_its_class_where_ground_is_not_asked_for(tmp_path: Path) -> None:
@@ -140,3 +143,40 @@ def test_what_stopped_goes_on_and_what_failed_in_part_is_tried_again(
     assert cloud.exists()
     assert denoise(line, cloud).status == 0  # what it wrote itself needs no --force
     assert not work.exists()
+
+
+def test_linear_mode_lidar_is_refused_unless_the_instrument_is_named(tmp_path: Path) -> None:
+    columns = {name: values[::13] for name, values in surveys.flightline().items()}
+    source = surveys.write_cloud(tmp_path / "in.laz", columns, channel=False)
+    ended = denoise(source, tmp_path / "out.laz")
+    assert ended.status == 2
+    for said in (
+        "in.laz: this looks like linear-mode lidar",
+        "few points per m2, only 2.0 points at the same gps_time",
+        "`spl-batch init ",
+        "--sensor spl100",
+    ):
+        assert said in ended.err.replace("\n  ", " "), said
+    assert [p.name for p in tmp_path.iterdir()] == ["in.laz"]
+    for named in (
+        ("--sensor", "spl100"),
+        ("--set", "survey.sensor=spl100"),
+        ("--set", "filter.method=none", "--set", "afterpulse.enabled=false"),
+    ):
+        assert denoise(source, tmp_path / "out.laz", "--force", *named).status == 0, named
+
+
+def test_a_plan_doubts_linear_mode_lidar_unless_the_instrument_is_named(tmp_path: Path) -> None:
+    columns = surveys.flightline(shots=40)
+    shots = surveys.write_cloud(tmp_path / "shots.laz", columns, channel=False)
+    columns["gps_time"] = surveys.START_S + np.arange(len(columns["x"])) / 1e5
+    pulses = surveys.write_cloud(tmp_path / "pulses.laz", columns, channel=False)
+    for cloud, overrides, doubted in (
+        (pulses, [], True),
+        (pulses, ["survey.sensor=spl100"], False),
+        (shots, [], False),
+    ):
+        workflow = tmp_path / "workflow.yaml"
+        workflow.write_text(f"survey: {{flightlines: {cloud.name}}}\noutput: out\n")
+        said = " ".join(api.plan(workflow, overrides=overrides).warnings)
+        assert ("this looks like linear-mode lidar" in said) == doubted

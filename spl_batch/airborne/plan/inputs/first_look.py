@@ -16,6 +16,7 @@ import numpy as np
 
 from spl_batch.airborne.plan.flightlines import points_of_a_shot
 from spl_batch.airborne.plan.inputs.channel_dimension import POINTS_A_BEAMLET, unnamed_channels
+from spl_batch.airborne.plan.inputs.linear_mode import Density
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
@@ -71,6 +72,7 @@ class _Seen:
     #: Whether all points of all files were looked at.
     whole: bool = True
     numbers: dict[str, dict[str, Numbers]] = field(default_factory=dict)
+    density: Density = field(default_factory=Density)
     unreadable: list[InputError] = field(default_factory=list)
 
 
@@ -112,7 +114,7 @@ def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
         reasons = told_together([*inputs.bad, *seen.unreadable])
         raise WorkflowError("; ".join((*reasons, *faults, *apart)))
     warnings += _few_channels(seen, workflow)
-    warnings += unnamed_channels(seen.numbers, workflow.sensor)
+    warnings += unnamed_channels(seen.numbers, workflow.sensor) or _linear_mode(seen, workflow)
     rows = (*_flightlines(seen, workflow), *_missing(inputs, workflow))
     told = (*found.faults, *told_together(unread))
     return found._replace(faults=told, warnings=(*warnings, *left_out, *missed), rows=rows)
@@ -148,6 +150,20 @@ def _missing(inputs: Inputs, workflow: Workflow) -> Iterator[tuple[str, str]]:
     if workflow.survey.channel_dimension is None and workflow.sensor.beamlets > 1:
         text = "not numbered, as survey.channel_dimension is not set: a shot counts as one beamlet"
         yield "beamlets", text
+
+
+def _linear_mode(seen: _Seen, workflow: Workflow) -> tuple[str, ...]:
+    """That the filter may be wrong for the clouds, unless somebody has named the instrument."""
+    signs = seen.density.signs
+    if not signs or "sensor" in workflow.survey.model_fields_set:
+        return ()
+    text = (
+        f"this looks like linear-mode lidar ({signs}), of which the filter would take true points "
+        "for noise: write `filter: {method: none}` and `afterpulse: {enabled: false}`, as "
+        "workflows/linear_mode.yaml has them; if single photons were counted, name the "
+        f"instrument: `sensor: {workflow.survey.sensor}` under survey"
+    )
+    return (text,)
 
 
 def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
@@ -199,6 +215,7 @@ def _look_into(source: Source, workflow: Workflow, count: int, seen: _Seen) -> N
         seen.untimed.append(source.name)
     if workflow.survey.channel_dimension is None:
         seen.numbers[source.name] = found.numbers
+        seen.density.add(source.facts, found.gps_time)
         return
     values = tuple(np.unique(found.channel.astype(np.int64)).tolist())
     seen.channels[source.name] = values

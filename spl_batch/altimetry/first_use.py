@@ -1,0 +1,124 @@
+"""A first workflow for photons along a track: what the headers of the files tell."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from spl_batch.altimetry.formats.atl03 import BEAMS
+from spl_batch.altimetry.formats.photons import TrackFile, inspect
+from spl_batch.altimetry.formats.track_csv import is_track
+from spl_batch.engine.settings.draft import Draft, headed, key_lines, patterns
+from spl_batch.engine.verbs.beginning import files_below
+from spl_batch.errors import InputError, WorkflowError, as_input_fault, counted, named
+from spl_batch.formats.files.atomic import real_path
+from spl_batch.formats.hdf5 import open_hdf5
+
+HDF5: Final = frozenset({".h5", ".hdf5", ".he5"})
+
+
+@dataclass
+class _Folder:
+    """What was found in a folder."""
+
+    tracks: list[TrackFile] = field(default_factory=list)
+    tables: list[TrackFile] = field(default_factory=list)  #: CSV with the columns of a track.
+    labels: list[Path] = field(default_factory=list)  #: ATL08.
+    bad: list[InputError] = field(default_factory=list)
+
+
+def begin(place: Path) -> Draft | None:
+    """A workflow for the tracks below a folder; None where it holds none.
+
+    Raises
+    ------
+    WorkflowError
+        If it holds HDF5 files, and none has photons that can be read.
+    """
+    found = _looked_through(place)
+    if found.tracks or found.tables:
+        return _draft(place, found)
+    if found.bad:
+        raise WorkflowError(f"{place}: no photon file can be used: {found.bad[0]}")
+    if found.labels:
+        name = found.labels[0].relative_to(place)
+        raise WorkflowError(
+            f"{place}: {name} is an ATL08 file, which has labels and no photons; put the ATL03 "
+            "file of the same granule beside it"
+        )
+    return None
+
+
+def _looked_through(place: Path) -> _Folder:
+    found = _Folder()
+    for path in files_below(place):
+        suffix = path.suffix.lower()
+        try:
+            if suffix in HDF5 and _is_atl08(path):
+                found.labels.append(path)
+            elif suffix in HDF5:
+                found.tracks.append(inspect(path, None))
+            elif suffix == ".csv" and is_track(path):
+                found.tables.append(inspect(path, None))
+        except InputError as error:
+            found.bad.append(error)
+    return found
+
+
+def _is_atl08(path: Path) -> bool:
+    """Whether a file has the photon labels of ATL08, and no photons."""
+    with as_input_fault(path), open_hdf5(path) as file:
+        groups = [beam for beam in BEAMS if f"{beam}/signal_photons" in file]
+        return bool(groups) and not any(f"{beam}/heights" in file for beam in groups)
+
+
+def _draft(place: Path, found: _Folder) -> Draft:
+    tracks = found.tracks or found.tables
+    made = headed("altimetry")
+    made.lines += ["", "kind: altimetry"]
+    made.section("track")
+    made.lines += key_lines("name", real_path(place).name or "track", "  ")
+    made.known("photons", patterns(place, [track.path for track in tracks]), _photons(tracks))
+    tables = [table.path for table in found.tables] if found.tracks else []
+    if found.labels or tables:
+        made.lines += ["", "reference:" if found.labels else "# reference:"]
+    if found.labels:
+        _labels(made, place, found.labels)
+    if tables:
+        names = [path.relative_to(place).as_posix() for path in tables]
+        made.open(
+            "points",
+            names[0],
+            f"{named(names, 3)}: heights along a track; is it the true ground, to compare with?",
+        )
+    made.lines += [
+        "",
+        "# Heights below water corrected for refraction, as a column of their own:",
+        "# outputs: {refraction: true}",
+        "",
+        "output: out",
+    ]
+    made.left_out += map(str, found.bad)
+    return made
+
+
+def _photons(tracks: Sequence[TrackFile]) -> str:
+    """How much there is."""
+    beams = sorted({beam.name for track in tracks for beam in track.beams})
+    photons = sum(beam.photons for track in tracks for beam in track.beams)
+    about = "about " * any(track.layout == "csv" for track in tracks)
+    layouts = " and ".join(sorted({track.layout.upper() for track in tracks}))
+    return (
+        f"{layouts}: {counted(len(tracks), 'files')}, {about}{counted(photons, 'photons')}, "
+        f"beams {named(beams, 6)}"
+    )
+
+
+def _labels(made: Draft, place: Path, labels: Sequence[Path]) -> None:
+    """ATL08 files, of which a workflow takes one pattern."""
+    pattern = patterns(place, labels)
+    reason = "ATL08: its labels of photons are compared with ours"
+    if isinstance(pattern, str):
+        made.known("labels", pattern, reason)
+    else:
+        made.open("labels", pattern[0], f"{reason}; put these files into one folder of their own")
