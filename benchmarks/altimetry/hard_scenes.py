@@ -5,8 +5,9 @@ default all of them.
 
 lagoons  a faint surface over a bright floor, by night and by day: balanced accuracy and F1 of ours
          and of DBSCAN as published, how much of the surface is kept, how much of what is kept is
-         called surface (41), and how much of the floor that is kept and lies deeper than a metre is
-         called floor (40).
+         called surface (41), how much of the floor that is kept and lies deeper than a metre is
+         called floor (40), and the RMSE of the surface where the profile has one; after them
+         surfaces as bright as a shallow floor, and brighter.
 floors   between 2 and 28 m with slopes of 0.06 to 0.5, and sand waves of 2 m in 60 m: balanced
          accuracy, share of the floor that is kept, the same of DBSCAN, profile cells that show the
          floor, and whether a run says that it is lost.
@@ -23,6 +24,7 @@ errors   how many errors of heights lie within once and twice the error that is 
 """
 
 import argparse
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -60,6 +62,14 @@ DEPTHS: dict[str, Along] = {
 LIGHT = ((0.1, 0.3), (0.1, 0.9), (0.25, 1.2))
 """Photons of a shot from surface and floor."""
 
+SHALLOW: dict[str, Along] = {
+    "0.9 m": always(0.9),
+    "0.6 to 1.2 m": lambda x: 0.9 + 0.3 * np.sin(x / 300.0),
+    "1 to 1.6 m": lambda x: 1.3 + 0.3 * np.sin(x / 200.0),
+}
+EVEN = ((1.0, 1.0), (1.0, 0.2), (0.3, 0.3))
+"""Floors that the surface hides, and photons of a shot from both."""
+
 
 def metres(track: Labelled) -> tuple[Numbers, Numbers]:
     """Photons along the track and in height."""
@@ -77,10 +87,10 @@ def depths_of(found: Found, track: Labelled) -> Numbers:
 
 def lagoons() -> None:
     """The table of lagoons."""
-    heads = ("ours", "F1", "DBSCAN", "F1", "surface", "as 41", "floor as 40")
+    heads = ("ours", "F1", "DBSCAN", "F1", "surface", "as 41", "as 40", "level m")
     print(f"{'lagoon, photons of surface, floor':42}" + "".join(f"{h:>9}" for h in heads))
-    for name, depth_m in DEPTHS.items():
-        for surface, floor in LIGHT:
+    for depths, light in ((DEPTHS, LIGHT), (SHALLOW, EVEN)):
+        for (name, depth_m), (surface, floor) in itertools.product(depths.items(), light):
             for sky, noise in SKIES.items():
                 scene = Scene(
                     noise,
@@ -91,7 +101,8 @@ def lagoons() -> None:
                 )
                 track = make("lagoon", scene, 1)
                 found, theirs = ours(track), peer("dbscan")(track)
-                depth = depths_of(found, track)
+                depth, columns = depths_of(found, track), columns_of(track)
+                level = columns["ground"][columns["water"] == 1]
                 z = metres(track)[1]
                 lit, deep = track.label == SURFACE, (track.label == FLOOR) & (z < -SURFACE_M)
                 values = (
@@ -100,6 +111,7 @@ def lagoons() -> None:
                     found.kept[lit].mean(),
                     (np.abs(depth[lit & found.kept]) <= SURFACE_M).mean(),
                     (depth[deep & found.kept] > SURFACE_M).mean(),
+                    np.sqrt(np.nanmean(level**2)),
                 )
                 text = f"{name}, {surface:g}, {floor:g}, {sky}"
                 print(f"{text:42}" + "".join(f"{v:9.3f}" for v in values), flush=True)

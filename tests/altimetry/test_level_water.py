@@ -29,6 +29,7 @@ from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.altimetry.water.odd_layers import Layers
 from spl_batch.altimetry.water.refraction import AIR, WATER, refracted
 from spl_batch.altimetry.water.rolling_floor import emptier_boxes, standing_out
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError
 from tests import surveys
 from tests.altimetry.tracks import (
@@ -374,6 +375,18 @@ def test_a_surface_over_a_brighter_shallow_floor_is_no_wood() -> None:
     track = water_track(NIGHT, surface_per_m=0.85, floor_per_m=2.1, depth_m=depth)
     cells = rates.observe(*photons(track), RATE)
     assert (cells.level != NO_WATER).mean() > 0.5
+
+
+@pytest.mark.parametrize("noise", [NIGHT, DAY], ids=["night", "day"])
+@pytest.mark.parametrize("floor_per_m", [0.9, 1.4, 2.8])
+def test_a_shallow_floor_draws_the_surface_down_by_little(floor_per_m: float, noise: float) -> None:
+    track = water_track(
+        noise, floor_per_m=floor_per_m, surface_per_m=1.4, depth_m=lambda x: 1.0 + 0.0 * x
+    )
+    cells = rates.observe(*photons(track), RATE)
+    level = cells.level[cells.level != NO_WATER] / QUANTA_PER_M
+    assert len(level) > 0.9 * len(cells.level)
+    assert np.median(np.abs(level)) < 0.06
 
 
 @settings(max_examples=4, deadline=None)

@@ -1,4 +1,4 @@
-"""Where the surface of each cell lies: above a shallow floor that is brighter, not between both.
+"""Where the surface of each cell lies: above a shallow floor, not between both.
 
 A reef a metre below a lagoon draws the mean of what lies near its surface down, and is taken for
 it where it is brighter. Photons show two layers then, and few between them.
@@ -33,8 +33,11 @@ _AROUND: Final = 10
 _SEEN: Final = 2
 """Cells to each side that tell of a surface, and photons that show it where they do [count]."""
 
-_SHOWN: Final = (4, 0.1)
-"""Photons of a surface above a shallow floor, and share of that one's, at least."""
+_SHOWN: Final = 4
+_FAINT: Final = 0.1
+_BRIGHT: Final = 0.3
+"""Photons that show a layer, at least [count], and as a share of the other's: of a surface above a
+brighter floor, and of a floor below a brighter surface. A fainter floor draws no level down."""
 
 
 def heights_of(
@@ -127,19 +130,42 @@ def upper_peak(
     three = table.copy()
     three[:, 1:] += table[:, :-1]
     three[:, :-1] += table[:, 1:]
-    rows, bins = np.arange(n), np.arange(_BINS)
-    main = three.argmax(axis=1)
-    above = np.where(bins >= main[:, None] + _APART, three, 0)
-    peak = above.argmax(axis=1)
-    between = (bins >= main[:, None]) & (bins <= peak[:, None])
-    dip = np.where(between, three, three.max(axis=1, keepdims=True)).min(axis=1)
-    high = above[rows, peak]
-    least, share = _SHOWN
-    found = (high >= np.maximum(least, share * three[rows, main])) & (_DIP * dip <= high)
-    thin = np.minimum(np.abs(bins - peak[:, None]), np.abs(bins - main[:, None])) <= _THIN
-    held = np.where(bins >= main[:, None] - _THIN, table, 0)
-    found &= (held * thin).sum(axis=1) >= _IN_BOTH * held.sum(axis=1)
-    near = np.abs(bins - peak[:, None]) <= 2
+    bins, main = np.arange(_BINS), three.argmax(axis=1)
+    over_main = np.where(bins >= main[:, None] + _APART, three, 0).argmax(axis=1)
+    below_main = np.where(bins <= main[:, None] - _APART, three, 0).argmax(axis=1)
+    faint = _two_layers(table, three, (over_main, main), _FAINT)
+    bright = _two_layers(table, three, (main, below_main), _BRIGHT)
+    surface = np.where(faint, over_main, main)
+    near = np.abs(bins - surface[:, None]) <= 2
     counted = np.where(near, table, 0)
     middle = (counted * ((bins - _BINS // 2) * _BIN + _BIN // 2)).sum(axis=1)
-    return np.where(found, middle / np.maximum(counted.sum(axis=1), 1), np.nan)
+    return np.where(faint | bright, middle / np.maximum(counted.sum(axis=1), 1), np.nan)
+
+
+def _two_layers(
+    table: NDArray[np.int64],
+    three: NDArray[np.int64],
+    layers: tuple[NDArray[np.intp], NDArray[np.intp]],
+    share: float,
+) -> NDArray[np.bool_]:
+    """Whether photons show a surface and a floor, and few between them: (n,) bool.
+
+    Parameters
+    ----------
+    table, three : (n, bins) int64
+        Photons of each bin, and of each with the two beside it.
+    layers : two (n,) intp
+        Bin of the upper and of the lower one.
+    share : float
+        Photons of the fainter over those of the brighter, at least.
+    """
+    (upper, lower), rows, bins = layers, np.arange(len(table)), np.arange(_BINS)
+    less, more = np.sort([three[rows, upper], three[rows, lower]], axis=0)
+    between = (bins >= lower[:, None]) & (bins <= upper[:, None])
+    dip = np.where(between, three, three.max(axis=1, keepdims=True)).min(axis=1)
+    found = (upper - lower >= _APART) & (less >= np.maximum(_SHOWN, share * more))
+    found &= _DIP * dip <= less
+    thin = np.minimum(np.abs(bins - upper[:, None]), np.abs(bins - lower[:, None])) <= _THIN
+    held = np.where(bins >= lower[:, None] - _THIN, table, 0)
+    found &= (held * thin).sum(axis=1) >= _IN_BOTH * held.sum(axis=1)
+    return found
