@@ -168,4 +168,4 @@ def _two_layers(
     thin = np.minimum(np.abs(bins - upper[:, None]), np.abs(bins - lower[:, None])) <= _THIN
     held = np.where(bins >= lower[:, None] - _THIN, table, 0)
     found &= (held * thin).sum(axis=1) >= _IN_BOTH * held.sum(axis=1)
-    return found
+    return np.asarray(found, np.bool_)
