@@ -127,7 +127,7 @@ def _refuse_without(path: Path, names: Iterable[str]) -> None:
     if lacking:
         raise InputError(
             str(path),
-            f"lacks the columns {named(lacking)}; the first line names them: "
+            f"lacks the columns {named(lacking)}; rename its columns to "
             f"{','.join(COLUMNS)},accuracy_m",
         )
 

@@ -263,7 +263,10 @@ def test_the_length_of_a_track_is_that_of_the_cells_that_hold_photons() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("x,z\n1,2\n", "no column along_track and height"),
+        (
+            "x,z\n1,2\n",
+            "no column along_track and height .* rename its columns to along_track,height",
+        ),
         ("along_track,height\n1,high\n", "cannot be read as numbers"),
         ("along_track,height\n1,2e7\n", "at most 20000 m"),
         ("along_track;height\n1;2\n", "with commas between"),

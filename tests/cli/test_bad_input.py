@@ -202,8 +202,9 @@ def test_damaged_points_never_pass_as_good_ones(survey: Path) -> None:
 
 def test_no_such_files(survey: Path) -> None:
     for name, words in (
-        ("survey.flightlines=none/*.laz", "matches no file"),
-        ("survey.flightlines=none.laz", "does not exist"),
+        ("survey.flightlines=none/*.laz", "matches no file; check the path"),
+        ("survey.flightlines=none.laz", "does not exist; check the path"),
+        ("output=/no/such/out", "output: /no/such/out: there is no folder /no/such; check"),
         ("survey.trajectory=none.csv", "survey.trajectory"),
         ("reference.points=none.laz", "reference.points"),
         ("water=none.gpkg", "water: "),

@@ -56,6 +56,12 @@ class PulseTotals:
     #: products.void_max_m can fill. It is in no other number [m2].
     bare_m2: float
 
+    @property
+    def outside_voids_per_m2(self) -> float:
+        """First returns by the area outside voids: a lake does not make it less [1/m2]."""
+        seen_m2 = self.area_m2 - self.void_m2
+        return self.pulses / seen_m2 if seen_m2 > 0.0 else 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class SwathDifferences:

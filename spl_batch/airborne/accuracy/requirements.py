@@ -219,6 +219,14 @@ def _voids(known: Evidence) -> Requirement:
     share = percent(pulses.void_m2 / pulses.area_m2, 2)
     found = f"{number(pulses.void_m2)} m\N{SUPERSCRIPT TWO}, {share} of what was flown"
     if pulses.void_m2:
+        wanted = LEVELS[known.level].pulses_per_m2
+        if pulses.outside_voids_per_m2 < wanted:
+            why = (
+                f"outside them too are only {_per_m2(pulses.outside_voids_per_m2)} of the "
+                f"{significant(wanted)} of {known.level}: so sparse a survey has empty squares on "
+                "land; requirements.quality_level names another level"
+            )
+            return Requirement(*place, found, "fail", why, *where)
         if not known.water_known:
             why = "it may be water, of which nothing is known: draw it and name it as water"
             return Requirement(*place, found, "cannot tell", why, *where)

@@ -15,7 +15,7 @@ from spl_batch.airborne.plan.inputs.channel_dimension import numbered_dimension
 from spl_batch.airborne.plan.inputs.first_look import holds_few
 from spl_batch.airborne.plan.inputs.linear_mode import Density
 from spl_batch.airborne.sensors.sensor import Sensor
-from spl_batch.formats.crs import crs_name, look_like_degrees, same_crs
+from spl_batch.formats.crs import crs_name, crs_problems, look_like_degrees, same_crs
 from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
 from spl_batch.formats.las.reader import SAMPLE_POINTS, Ends, LasFacts, inspect, read_ends
 
@@ -119,7 +119,7 @@ def linear_mode_signs(looks: Sequence[CloudLook]) -> str:
 
 
 def by_crs(looks: Sequence[CloudLook]) -> list[tuple[CRS, list[CloudLook]]]:
-    """Clouds by the CRS that their headers name, that of most points first."""
+    """Clouds by the CRS that their headers name: those that can be used first, of most points."""
     found: list[tuple[CRS, list[CloudLook]]] = []
     for look in looks:
         crs = look.facts.crs
@@ -130,7 +130,16 @@ def by_crs(looks: Sequence[CloudLook]) -> list[tuple[CRS, list[CloudLook]]]:
             found.append((crs, [look]))
         else:
             alike.append(look)
-    return sorted(found, key=lambda one: -sum(look.facts.n_points for look in one[1]))
+    return sorted(found, key=lambda one: (_misfits(*one), -sum(_points(look) for look in one[1])))
+
+
+def _misfits(crs: CRS, looks: Sequence[CloudLook]) -> bool:
+    """Whether no cloud can be used in the CRS that it names."""
+    return all(crs_problems(crs, look.facts.mins_m, look.facts.maxs_m) for look in looks)
+
+
+def _points(look: CloudLook) -> int:
+    return look.facts.n_points
 
 
 def crs_guess(looks: Sequence[CloudLook]) -> Guess:

@@ -1,6 +1,7 @@
 """A workflow for the files of a folder: what was found is written, what was not is said."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -27,6 +28,9 @@ SMALL_M2: Final = 10_000.0
 """Area below which it is told in square metres [m2]."""
 
 
+ByCrs = tuple[CRS, Sequence[CloudLook]]
+
+
 def begin(place: Path) -> Draft | None:
     """A workflow for the clouds below a folder; None where there are none.
 
@@ -42,13 +46,16 @@ def begin(place: Path) -> Draft | None:
 def propose(folder: Folder) -> Draft:
     """Write a workflow for what a folder holds."""
     sensor = load_preset(SENSOR)
+    several = by_crs(folder.lines)
+    apart = [path for _, looks in several[1:] for path in _paths(looks)]
+    folder = replace(folder, lines=[look for look in folder.lines if look.facts.path not in apart])
     made = headed("using")
     made.section("survey")
     made.lines += key_lines("name", real_path(folder.path).name or "survey", "  ")
     lines = [*_paths(folder.lines), *folder.damaged_lines]
     made.known("flightlines", patterns(folder.path, lines), _clouds(folder.lines))
     _times(made, folder)
-    _crs(made, folder)
+    _crs(made, folder, several)
     made.supposed("sensor", SENSOR, "no file tells the instrument: spl100, hrqls, or its facts")
     channel = channel_guess(folder.lines, sensor)
     if channel.value is not None:
@@ -59,6 +66,7 @@ def propose(folder: Folder) -> Draft:
     _polygons(made, folder)
     made.lines += ["", "output: out"]
     _filter(made, folder, channel)
+    made.left_out += _of_other_crs(folder, several)
     made.left_out += _left_out(folder)
     return made
 
@@ -114,8 +122,7 @@ def _times(made: Draft, folder: Folder) -> None:
         )
 
 
-def _crs(made: Draft, folder: Folder) -> None:
-    several = by_crs(folder.lines)
+def _crs(made: Draft, folder: Folder, several: Sequence[ByCrs]) -> None:
     crs = crs_guess(folder.lines)
     if len(several) > 1:
         made.note("CRS", _of_several(folder, several))
@@ -126,16 +133,26 @@ def _crs(made: Draft, folder: Folder) -> None:
         made.lines.append(f"  # CRS: {plain(crs.reason)}")
 
 
-def _of_several(folder: Folder, several: Sequence[tuple[CRS, Sequence[CloudLook]]]) -> str:
+def _of_other_crs(folder: Folder, several: Sequence[ByCrs]) -> Iterator[str]:
+    """Flightlines that are not in the survey's CRS, which a run would refuse."""
+    for crs, looks in several[1:]:
+        names = named([folder.named(path) for path in _paths(looks)], 3)
+        yield (
+            f"{names}: in {crs_name(crs)}, the survey in {crs_name(several[0][0])}; reproject it, "
+            "or init it in a folder of its own"
+        )
+
+
+def _of_several(folder: Folder, several: Sequence[ByCrs]) -> str:
     """That flightlines are in more than one CRS, and what helps."""
     parts = []
     for crs, looks in several:
         names = named([folder.named(path) for path in _paths(looks)], 2)
         parts.append(f"{crs_name(crs)} in {names}")
     return (
-        f"the flightlines are in {len(several)} CRS: {'; '.join(parts)}. A run takes the first, of "
-        "most points, and leaves the other files out as failures: reproject them, or put the files "
-        "of each CRS into a folder of its own and init each"
+        f"the flightlines are in {len(several)} CRS: {'; '.join(parts)}. The workflow has the "
+        "first, and leaves the other files out: reproject them, or put the files of each CRS into "
+        "a folder of its own and init each"
     )
 
 

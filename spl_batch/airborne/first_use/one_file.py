@@ -5,8 +5,10 @@ something failed or stopped the run, and the same command continues there.
 """
 
 import glob
+import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,10 +22,12 @@ from spl_batch.airborne.first_use.clouds import (
     linear_mode_signs,
     look_at,
 )
+from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.engine.report.number_format import as_ascii, of_all
 from spl_batch.engine.settings.mistaken_file import refuse_urls
+from spl_batch.engine.store.output_lock import refuse_lost
 from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.conclusion import RunResult
@@ -101,12 +105,14 @@ def denoise(
     refuse_urls(source, target, trajectory, dtm)
     _refuse(Path(source), results, _moved(folder), force=force)
     look = look_at(Path(source))
-    guessed, content = _proposal(look, trajectory, sensor, ground=ground)
-    began = not folder.exists()
-    try:
+    options = {"sensor": sensor, "trajectory": trajectory}
+    with _naming(options):
+        guessed, content = _proposal(look, trajectory, sensor, ground=ground)
+    new = [place for place in {path.parent for path, _ in results} if not place.exists()]
+    with _naming(options), _leaving_nothing(folder):
         write_bytes(folder / _WORKFLOW, yaml.safe_dump(content, sort_keys=False).encode())
         _refuse_linear_mode(look, load_workflow(folder / _WORKFLOW, overrides))
-        for text in guessed:
+        for text in (*(f"creates folder {place}" for place in new), *guessed):
             listener(Note("info", text))
         found = run(
             folder / _WORKFLOW,
@@ -116,10 +122,6 @@ def denoise(
             overrides=overrides,
             listener=listener,
         )
-    except (InputError, WorkflowError):
-        if began:
-            remove(folder)
-        raise
     store = Store(found.output)
     delivered = [r for r in read_receipts(store, "deliver_file") if not r.failed]
     if not delivered:
@@ -138,6 +140,31 @@ def denoise(
     if found.exit_status == 0:
         remove(folder)
     return RunResult(found.exit_status, cloud.parent, None, rows, _found(list(moves.values())))
+
+
+@contextmanager
+def _naming(options: Mapping[str, object]) -> Iterator[None]:
+    """Tell an error of a key that an option has set by the name of the option."""
+    try:
+        yield
+    except (InputError, WorkflowError) as error:
+        names = "|".join(name for name, value in options.items() if value is not None)
+        told = re.sub(rf"survey\.({names})\b", r"--\1", str(error)) if names else str(error)
+        if told == str(error):
+            raise
+        raise WorkflowError(told) from error
+
+
+@contextmanager
+def _leaving_nothing(folder: Path) -> Iterator[None]:
+    """Remove a folder that was not there if nothing could be started."""
+    new = not folder.exists()
+    try:
+        yield
+    except (InputError, WorkflowError):
+        if new:
+            remove(folder)
+        raise
 
 
 def _refuse(
@@ -160,6 +187,7 @@ def _refuse(
             raise WorkflowError(f"{path}: write a name that ends in {suffix}{but}")
         if path.exists() and source.exists() and path.samefile(source):
             raise WorkflowError(f"{path}: this is the input; name another file")
+        refuse_lost(path.parent, str(path))
         mine = path.exists() and own.get(str(real_path(path))) == _stamp(path)
         if path.exists() and not force and not mine:
             raise WorkflowError(f"{path} is there already; name another file, or add --force")
@@ -203,7 +231,7 @@ def _proposal(
     """What is guessed, a sentence for each, and the workflow that follows."""
     path = look.facts.path
     if not look.facts.n_points:
-        raise InputError(str(path), "it holds no points")
+        raise InputError(str(path), NO_POINTS)
     if look.span_s is None:
         raise InputError(
             str(path),
@@ -223,6 +251,8 @@ def _proposal(
     if channel.value is not None:
         survey["channel_dimension"] = channel.value
     if trajectory is not None:
+        if not glob.glob(str(trajectory), recursive=True):  # noqa: PTH207 - a path or a pattern
+            raise WorkflowError(f"--trajectory {trajectory}: no such file; check the path")
         survey["trajectory"] = str(real_path(trajectory))
     outputs = {"classes": "all" if ground else "noise", "catalogue": False}
     guessed = [

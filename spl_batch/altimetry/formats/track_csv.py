@@ -79,8 +79,9 @@ def _names(path: Path, head: bytes) -> dict[str, str]:
     if missing:
         raise InputError(
             str(path),
-            f"no column {' and '.join(missing)} (found {line[:120]!r}); its first line names"
-            " along_track and height, in metres, with commas between",
+            f"no column {' and '.join(missing)} (found {line[:120]!r}); rename its columns to"
+            " along_track,height, in metres, with commas between; latitude,longitude and others may"
+            " follow",
         )
     return {k: names[k] for k in (*NEEDED, *_PLACE) if k in names}
 

@@ -130,6 +130,6 @@ def _with_share(part: int, whole: int) -> str:
 
 def _accuracy(found: Statistics | None) -> str:
     if found is None:
-        return "no reference"
+        return "no reference heights"
     named = (("median", found.median), ("NMAD", found.nmad), ("RMSE", found.rmse))
     return ", ".join(f"{name} {text.metres(value)}" for name, value in named)

@@ -5,6 +5,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Final
 
 from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.engine.tasks.ledger import AnySource
@@ -47,6 +48,10 @@ def source_key(name: str) -> int:
     return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest()) >> 1
 
 
+CHECK: Final = "check the path, which is relative to the folder of the workflow file"
+"""What helps where a file that a workflow names is not there."""
+
+
 def expand(
     names: str | Sequence[str] | None, base: Path, key: str, faults: list[str]
 ) -> tuple[Path, ...]:
@@ -71,9 +76,9 @@ def expand(
         # glob takes absolute patterns as well as relative ones, Path.glob does not.
         matches = sorted(glob.glob(pattern, recursive=True)) if magic else [pattern]  # noqa: PTH207
         if not matches:
-            faults.append(f"{key}: {pattern} matches no file")
+            faults.append(f"{key}: {pattern} matches no file; {CHECK}")
         elif len(matches) == 1 and not Path(matches[0]).exists():
-            faults.append(f"{key}: {matches[0]} does not exist")
+            faults.append(f"{key}: {matches[0]} does not exist; {CHECK}")
         found.update(dict.fromkeys(map(real_path, matches)))
     return tuple(found)
 

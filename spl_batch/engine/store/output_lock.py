@@ -87,6 +87,20 @@ def refuse_unwritable(output: Path) -> None:
         raise _unwritable(output, there, error) from None
 
 
+def refuse_lost(folder: Path, name: str) -> None:
+    """Refuse a folder of which more than the last part is missing: that may be a slip.
+
+    Raises
+    ------
+    WorkflowError
+        If neither it nor the folder above it is there; ``name`` is what the user has written.
+    """
+    if not os.path.lexists(folder) and not os.path.lexists(folder.parent):
+        raise WorkflowError(
+            f"{name}: there is no folder {folder.parent}; check the path, or make that folder first"
+        )
+
+
 def _is_there(path: Path) -> bool:
     """Whether there is a file or folder; a link that leads nowhere is in the way as well."""
     try:

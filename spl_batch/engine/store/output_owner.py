@@ -14,7 +14,7 @@ from typing import Any, Final
 from spl_batch.engine.report.run_record import REPORT_FILES
 from spl_batch.engine.store.deliveries import RECORD, Deliveries
 from spl_batch.engine.store.odd_entries import refuse_odd
-from spl_batch.engine.store.output_lock import refuse_unwritable
+from spl_batch.engine.store.output_lock import refuse_lost, refuse_unwritable
 from spl_batch.engine.store.store_owner import refuse_claimed
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.errors import WorkflowError, named
@@ -44,6 +44,7 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
         If the disk is full, or a store elsewhere cannot be reached.
     """
     context = prepared.context
+    refuse_lost(context.output, f"output: {context.output}")
     refuse_unwritable(context.output)
     refuse_odd(context.output)
     refuse_claimed(context.store)

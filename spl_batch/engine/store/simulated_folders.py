@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from spl_batch.engine.settings.mistaken_file import refuse_urls
 from spl_batch.engine.store.deliveries import RECORD
-from spl_batch.engine.store.output_lock import lock_file
+from spl_batch.engine.store.output_lock import lock_file, refuse_lost
 from spl_batch.engine.store.working_store import read_json, write_json
 from spl_batch.errors import DamagedError, WorkflowError, named
 from spl_batch.formats.files.atomic import SCRATCH, real_path
@@ -43,6 +43,7 @@ def simulating(folder: Path, scene: Path) -> Iterator[None]:
         If it holds a file that no simulation made, or one that has changed since.
     """
     refuse_urls(folder)
+    refuse_lost(folder, str(folder))
     made = _made(folder)
     given = (
         {real_path(scene).relative_to(real_path(folder)).as_posix()}

@@ -110,6 +110,7 @@ def run(
     invocation = Invocation(workflow, workers, prepared.ledger.memory_bytes, overrides)
     usable(prepared)  # before the lock, which would leave a file in somebody else's folder
     look = prepared.receiver.first_look(prepared)  # refuses what a plan refuses
+    new = not output.exists()
     with locked(output) as mark:
         deliveries = usable(prepared)
         claim(prepared.context.store)
@@ -144,6 +145,8 @@ def run(
         compiles = prepared.receiver.compiles
         ahead = compiles and Ahead(compiles, COMPILING)
         with _telling_the_end(progress), _stopped_by_system():
+            if new and not output.is_relative_to(prepared.context.base):  # a slip would show
+                progress.tell(Note("info", f"created folder {output}"))
             for text in (*prepared.ledger.remarks, *gone):
                 progress.aside(text)
             for text in prepared.ledger.inputs.warnings:

@@ -288,7 +288,9 @@ def columns_of(path: Path, given: Sequence[str]) -> list[str]:
         raise InputError(
             str(path),
             f"has no column {', '.join(missing)}; a trajectory has the columns"
-            f" {', '.join(COLUMNS)}, this one {', '.join(n.strip()[:40] for n in given[:20])}",
+            f" {', '.join(COLUMNS)}, this one {', '.join(n.strip()[:40] for n in given[:20])};"
+            f" rename its columns to {','.join(COLUMNS)} (seconds, metres; in any order, with"
+            " others between them)",
         )
     return [by_name[name] for name in COLUMNS]
 

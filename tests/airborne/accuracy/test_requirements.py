@@ -34,6 +34,7 @@ NOTHING = Evidence(
 SMOOTH = "Smooth surface repeatability"
 LARGEST = "Swath overlap, largest difference"
 GOOD = PulseTotals(pulses=2000, area_m2=1000.0, squares=500, filled=450, void_m2=0.0, bare_m2=0.0)
+LAKES, SPARSE = (replace(GOOD, pulses=n, void_m2=580.0) for n in (840, 839))
 DENSITY, EVEN = "Aggregate nominal pulse density", "Spatial distribution"
 SWATH = SwathTotals(700.0, 1500, 600.0, 1200, 300, 270)
 THIN, PATCHY = SWATH._replace(middle_pulses=1199), SWATH._replace(filled=269)
@@ -116,6 +117,8 @@ def test_what_nobody_measured_cannot_be_told() -> None:
         ({"pulses": GOOD}, "Data voids", "pass"),
         ({"pulses": replace(GOOD, void_m2=8.0)}, "Data voids", "fail"),
         ({"pulses": replace(GOOD, void_m2=8.0), "water_known": False}, "Data voids", "cannot tell"),
+        ({"pulses": LAKES, "water_known": False}, "Data voids", "cannot tell"),
+        ({"pulses": SPARSE, "water_known": False}, "Data voids", "fail"),
         ({"pulses": replace(GOOD, bare_m2=11.0)}, "Data voids", "cannot tell"),
         ({"nva": checkpoints(30, 0.05, 0.051)}, "Absolute vertical accuracy, NVA", "cannot tell"),
         ({"swaths": SwathDifferences(0.08, 0.1, 0, 3, 9, "")}, "Swath overlap difference", "pass"),

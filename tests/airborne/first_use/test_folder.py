@@ -166,15 +166,18 @@ def test_flightlines_of_several_crs_are_told_with_what_helps(tmp_path: Path) -> 
     said = dict(found.unknown)["CRS"]
     assert said.startswith("the flightlines are in 3 CRS: 'WGS 84 / UTM zone 15N' (EPSG:32615) in ")
     assert "in 0.laz, 1.laz; " in said
-    assert "reproject them, or put the files of each CRS into a folder of its own" in said
+    assert "The workflow has the first, and leaves the other files out: reproject them" in said
     assert "CRS" not in dict(found.found)
     text = found.workflow.read_text(encoding="utf-8")
     assert "# ? CRS: the flightlines are in 3 CRS" in text
     assert max(map(len, text.splitlines())) <= 120
     assert "reference" not in content
-    (left,) = found.left_out
+    *lines, left = found.left_out
+    assert [text.partition(": in ")[0] for text in lines] == ["2.laz", "3.laz"]
+    assert all(text.endswith("reproject it, or init it in a folder of its own") for text in lines)
     assert left.startswith("other/r.laz: ground in another CRS than the flightlines'; reproject")
-    assert len(api.plan(found.workflow).faults) == 2
+    assert content["survey"]["flightlines"] == ["0.laz", "1.laz"]
+    assert not api.plan(found.workflow).faults
 
 
 def test_a_small_density_is_told_in_digits_that_show_it() -> None:

@@ -82,14 +82,25 @@ def test_nothing_is_replaced_unless_told(line: Path, tmp_path: Path) -> None:
     there = tmp_path / "there.laz"
     there.write_bytes(b"somebody's")
     (tmp_path / "work.laz.work").mkdir()
+    words = tmp_path / "words.csv"
+    words.write_text("a,b\n1,2\n")
     for arguments, said in (
         ((line, there), "is there already; name another file, or add --force"),
         ((line, tmp_path / "new.laz", "--dtm", there), "write a name that ends in .tif\n"),
         ((line, tmp_path / "new.las"), "write a name that ends in .laz\n"),
         ((line, tmp_path / "new.copc.laz"), "ends in .laz, and not in .copc.laz"),
         ((line, line, "--force"), "this is the input"),
-        ((line, tmp_path / "new.laz", "--sensor", "spl99"), "no preset 'spl99'"),
-        ((line, tmp_path / "new.laz", "--trajectory", "no.csv"), "no.csv does not exist"),
+        ((line, tmp_path / "new.laz", "--sensor", "spl99"), "--sensor: no preset 'spl99'"),
+        (
+            (line, tmp_path / "new.laz", "--trajectory", "no.csv"),
+            "--trajectory no.csv: no such file; check the path",
+        ),
+        ((line, tmp_path / "new.laz", "--trajectory", words), "--trajectory: "),
+        (
+            (line, tmp_path / "new.laz", "--trajectory", words),
+            "rename its columns to gps_time,x,y,z",
+        ),
+        ((line, tmp_path / "a" / "b" / "new.laz"), f"there is no folder {tmp_path / 'a'}; check"),
         ((line, tmp_path / "work.laz"), "work.laz.work: this folder is needed"),
         ((tmp_path / "no.laz", tmp_path / "new.laz"), "no.laz"),
         ((tmp_path / "w.yaml", tmp_path / "new.laz"), "`spl-batch run` takes a workflow"),
@@ -102,7 +113,7 @@ def test_nothing_is_replaced_unless_told(line: Path, tmp_path: Path) -> None:
         assert ended.status == 2, said
         assert said in ended.err
     assert there.read_bytes() == b"somebody's"
-    assert {p.name for p in tmp_path.iterdir()} == {"there.laz", "work.laz.work"}
+    assert {p.name for p in tmp_path.iterdir()} == {"there.laz", "work.laz.work", "words.csv"}
     assert not Path("s3:").exists()
 
 

@@ -104,7 +104,7 @@ def test_files_that_are_not_looked_into_are_not_judged(
         ("beamlets", 1, "survey.channel_dimension: no dimension 'beamlets' in "),
         ("intensity", 300, "dimension 'intensity' is 300 at point 0"),
         ("gps_time", 7.0, "lines/line_1.laz, lines/line_2.laz: no point has a usable gps_time"),
-        ("x", None, "the file holds no points"),
+        ("x", None, "the file holds no points; name files that hold some"),
     ],
 )
 def test_plan_and_run_refuse_alike(

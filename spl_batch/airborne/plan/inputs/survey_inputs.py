@@ -18,7 +18,14 @@ from spl_batch.airborne.plan.inputs.file_positions import (
 )
 from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles, checked_reference
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
+from spl_batch.engine.plan.input_files import (
+    CHECK,
+    check_keys,
+    expand,
+    name_below,
+    refuse_own,
+    source_key,
+)
 from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.errors import InputError, Said, WorkflowError, as_input_fault, named, shared
 from spl_batch.formats.breaklines import read_breaklines
@@ -38,6 +45,9 @@ from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.las.reader import LasFacts, inspect
 from spl_batch.formats.polygons import check_polygons
+
+NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
+"""What is wrong with a file where no other has points."""
 
 MAX_POINTS = 2**32 - 1
 """Points that one file may hold [count]."""
@@ -102,7 +112,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         if name is not None and (fault := url_fault(name)):
             faults.append(f"{key}: {name}: {fault}")
         elif name is not None and not (base / name).exists():
-            faults.append(f"{key}: {base / name} does not exist")
+            faults.append(f"{key}: {base / name} does not exist; {CHECK}")
     refuse_own(paths, output, "survey.flightlines", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
@@ -112,7 +122,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     crs, good, lowered = _with_heights(crs, workflow.survey.crs, good)
     mismatched += lowered
     if not any(facts.n_points for facts in good):
-        bad += [InputError(str(facts.path), "the file holds no points") for facts in good]
+        bad += [InputError(str(facts.path), NO_POINTS) for facts in good]
         good = []
     if workflow.survey.vertical_crs is not None and good:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
@@ -130,7 +140,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     warnings += told
     if crs is None and good:
         warnings.append(
-            "no input file carries a CRS and survey.crs is not set: rasters will have none"
+            "no input file carries a CRS and survey.crs is not set: rasters will have none; "
+            "write `crs: EPSG:...` under survey of the workflow, or --set survey.crs=EPSG:..."
         )
     warnings += _without_heights(crs, placed)
     names = _delivered_names([f.path for f in good], base)
