@@ -44,8 +44,8 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
         If the disk is full, or a store elsewhere cannot be reached.
     """
     context = prepared.context
-    refuse_lost(context.output, f"output: {context.output}")
     refuse_unwritable(context.output)
+    refuse_lost(context.output, f"output: {context.output}")
     refuse_odd(context.output)
     refuse_claimed(context.store)
     deliveries = Deliveries(context)
