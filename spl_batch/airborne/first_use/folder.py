@@ -115,7 +115,7 @@ def _no_folder(path: Path) -> str:
             "this is one file: `spl-batch denoise` takes it without a workflow, "
             f"`spl-batch init {path.parent}` all files of its folder"
         )
-    return "is a file; name the folder that holds the files"
+    return f"is a file; name the folder that holds it: `spl-batch init {path.parent}`"
 
 
 def _sort_clouds(files: Sequence[Path], sensor: Sensor, found: Folder) -> None:

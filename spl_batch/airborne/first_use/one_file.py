@@ -180,6 +180,11 @@ def _refuse(
             f"{source}: this is a YAML file, and denoise takes a LAS or LAZ file; "
             "`spl-batch run` takes a workflow, `spl-batch simulate` a scene"
         )
+    if source.suffix.lower() in {".h5", ".hdf5", ".he5", ".csv", ".parquet"}:
+        raise WorkflowError(
+            f"{source}: denoise takes a LAS or LAZ file; photons along a track (ICESat-2) need "
+            f"a workflow, which `spl-batch init {source.parent}` writes"
+        )
     for path, suffix in results:
         copc = path.name.lower().endswith(".copc.laz")
         if path.suffix.lower() != suffix or copc:

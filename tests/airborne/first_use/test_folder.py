@@ -200,7 +200,9 @@ def test_a_folder_without_a_survey_is_refused(tmp_path: Path, name: str, said: s
     with pytest.raises(WorkflowError, match=said):
         api.init(tmp_path)
     if name:
-        with pytest.raises(WorkflowError, match=r"is (a file; name the folder|one file: )"):
+        with pytest.raises(
+            WorkflowError, match=r"is (a file; name the folder that holds it|one file: )"
+        ):
             api.init(tmp_path / name)
     with pytest.raises(WorkflowError, match="no such folder"):
         api.init(tmp_path / "nowhere")

@@ -104,6 +104,7 @@ def test_nothing_is_replaced_unless_told(line: Path, tmp_path: Path) -> None:
         ((line, tmp_path / "work.laz"), "work.laz.work: this folder is needed"),
         ((tmp_path / "no.laz", tmp_path / "new.laz"), "no.laz"),
         ((tmp_path / "w.yaml", tmp_path / "new.laz"), "`spl-batch run` takes a workflow"),
+        ((tmp_path / "a.h5", tmp_path / "new.laz"), f"`spl-batch init {tmp_path}` writes"),
         (("s3://bucket/in.laz", tmp_path / "new.laz"), "in.laz: this is a URL"),
         ((line, "s3://bucket/out.laz"), "out.laz: this is a URL"),
         ((line, tmp_path / "new.laz", "--dtm", "s3://b/dtm.tif"), "dtm.tif: this is a URL"),
