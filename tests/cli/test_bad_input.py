@@ -223,6 +223,15 @@ def test_no_such_files(survey: Path) -> None:
     refused(run(survey, *everything), "aoi: ", "water: ", "survey.trajectory: ")
 
 
+def test_an_output_elsewhere_is_named_where_it_is_made(survey: Path, tmp_path: Path) -> None:
+    other = tmp_path.parent / f"{tmp_path.name} results"
+    for new in (True, False):
+        ended = run(survey, "--until", "index", "--set", f"output={other}")
+        assert ended.status == 0, ended.text
+        assert (f"created folder {other}" in ended.err.replace("\n  ", " ")) == new
+    assert "created folder" not in run(survey, "--until", "index").err
+
+
 def test_unknown_keys_and_options(survey: Path) -> None:
     refused(run(survey, "--set", "filter.alhpa=0.1"), "filter.alhpa", "alpha")
     refused(run(survey, "--set", "nonsense"), "key.path=value")

@@ -10,6 +10,7 @@ import numpy as np
 
 from spl_batch.airborne.first_use.clouds import CloudLook, channel_guess, look_at
 from spl_batch.airborne.plan.inputs.first_look import gap_s, in_time_of
+from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.constants import CLASS_GROUND
 from spl_batch.engine.settings.mistaken_file import url_fault
@@ -33,6 +34,9 @@ DELIVERED: Final = frozenset({"input_classification", "noise_class"})
 
 LOOKED_INTO: Final = 200
 """Clouds whose points are looked at, evenly among more of them [count]."""
+
+EMPTY: Final = -1
+"""Rank of a cloud without points."""
 
 Span = tuple[float, float]
 
@@ -137,7 +141,9 @@ def _sort_clouds(files: Sequence[Path], sensor: Sensor, found: Folder) -> None:
     rank = {look.facts.path: _rank(look, looks, sensor) for look in looks}
     best = max(rank.values(), default=0)
     for look in looks:
-        if rank[look.facts.path] == best:
+        if best == EMPTY:
+            found.bad.append(InputError(str(look.facts.path), NO_POINTS))
+        elif rank[look.facts.path] == best:
             found.lines.append(look)
         elif _holds_ground(look, looks):
             found.references.append(look)
@@ -148,7 +154,7 @@ def _sort_clouds(files: Sequence[Path], sensor: Sensor, found: Folder) -> None:
 def _rank(look: CloudLook, looks: Sequence[CloudLook], sensor: Sensor) -> int:
     """How much a cloud is like a raw flightline; one that was not looked into is like its peers."""
     if not look.facts.n_points:
-        return -1
+        return EMPTY
     if not len(look.ends.gps_time):
         peers = _peers(look, looks)
         return _rank(peers[0], looks, sensor) if peers else 0

@@ -148,6 +148,13 @@ def test_a_sparse_cloud_without_beamlets_is_taken_for_linear_mode(
     assert max(map(len, text.splitlines())) <= 120
 
 
+def test_clouds_without_points_are_no_survey(tmp_path: Path) -> None:
+    nothing = surveys.take(surveys.flightline(shots=2), slice(0, 0))
+    surveys.write_cloud(tmp_path / "a.laz", nothing)
+    with pytest.raises(WorkflowError, match=r"no cloud can be used: .*a\.laz: the file holds no"):
+        api.init(tmp_path)
+
+
 def test_a_geocentric_crs_record_is_no_crs_of_a_survey(tmp_path: Path) -> None:
     line = surveys.flightline(shots=50)
     surveys.write_cloud(tmp_path / "a.laz", line, crs="EPSG:4978")
