@@ -217,7 +217,8 @@ def test_few_photons_that_are_all_noise_are_said(doubtful: int, kept: int, said:
 
 
 @pytest.mark.parametrize(
-    ("noise", "said"), [(2, "are few: 2 noise photons are expected among the "), (23, "cannot be told from noise (")]
+    ("noise", "said"),
+    [(2, "are few: 2 noise photons are expected among the "), (23, "cannot be told from noise (")],
 )
 def test_few_photons_of_a_floor_are_not_called_noise(noise: int, said: str) -> None:
     nothing = {"photons": 0, "noise": 0.0, "length_m": 0.0, "from_m": 0.0, "to_m": 0.0}

@@ -1,5 +1,6 @@
 """Water by night and by day: gate, noise by depth, floors, and what must stay as it was."""
 
+import itertools
 import json
 import sys
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from spl_batch.altimetry.report.summarise import _odd_layers, _second_surface
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.water.column_noise import falling_density
+from spl_batch.altimetry.water.emptiest import emptiest_band
 from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.altimetry.water.odd_layers import Layers
 from spl_batch.altimetry.water.refraction import AIR, WATER, refracted
@@ -375,6 +377,23 @@ def test_a_surface_over_a_brighter_shallow_floor_is_no_wood() -> None:
     track = water_track(NIGHT, surface_per_m=0.85, floor_per_m=2.1, depth_m=depth)
     cells = rates.observe(*photons(track), RATE)
     assert (cells.level != NO_WATER).mean() > 0.5
+
+
+def test_the_emptiest_band_is_that_of_a_count_by_hand() -> None:
+    rng = np.random.default_rng(3)
+    index, reach = np.array([2, 3, 4, 7, 8, 20]), 2
+    cell = rng.integers(0, len(index), 300)
+    depth_m = rng.uniform(-1.2, 1.2, 300)
+    found = emptiest_band(index, cell, depth_m, (0.3, 1.0), reach)
+    for at, here in enumerate(index):
+        near = np.abs(index[cell] - here) <= reach
+        bands = np.linspace(0.3, 1.0, 8)
+        more = [
+            np.sum(near & (depth_m >= low) & (depth_m < high))
+            - np.sum(near & (-depth_m >= low) & (-depth_m < high))
+            for low, high in itertools.pairwise(bands)
+        ]
+        assert found[at] == pytest.approx(min(more) / 0.1)
 
 
 @pytest.mark.parametrize("noise", [NIGHT, DAY], ids=["night", "day"])

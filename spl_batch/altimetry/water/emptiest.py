@@ -1,4 +1,4 @@
-"""Where the gate of a cell is emptiest, by the photons of the cells around.
+"""Where the gate of a cell, or the first metre of its water, is emptiest, by the cells around.
 
 Noise is equally dense at every height, so what is emptiest shows noise and nothing else. A cell's
 own photons do not choose what is counted of them: chance does not make the noise less than it is.
@@ -19,6 +19,10 @@ _BIN_M: Final = 2
 
 _BINS: Final = 75
 """Bins to each side of the middle [count]; what is farther off is not looked at."""
+
+
+_BAND_M: Final = 0.1
+"""Height of a band between a surface and a shallow floor [m]."""
 
 
 class Photons(NamedTuple):
@@ -77,6 +81,38 @@ def mean_height(photons: Photons, reach: int) -> NDArray[np.int64]:
     total, number = sums_around(index, np.stack(counted, axis=1), reach).T
     mean: NDArray[np.int64] = np.rint(total / np.maximum(number, 1.0)).astype(np.int64)
     return mean
+
+
+def emptiest_band(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    depth_m: NDArray[np.float64],
+    between_m: tuple[float, float],
+    reach: int,
+) -> NDArray[np.float64]:
+    """Photons more in the emptiest band below a surface than as far above it: (n,) float64 [1/m].
+
+    Waves reach as far up as down; what is as high as they are counts for nothing.
+
+    Parameters
+    ----------
+    index, cell : (n,) int64, (p,) intp
+        Cells, in order, and the row of each photon's.
+    depth_m : (p,) float64
+        Below the surface [m]; 0 where there is none.
+    between_m : (float, float)
+        Depths between which bands lie [m].
+    reach : int
+        Cells to each side whose photons count [count].
+    """
+    low_m, high_m = between_m
+    n, bands = len(index), round((high_m - low_m) / _BAND_M)
+    band = np.floor((np.abs(depth_m) - low_m) / _BAND_M).astype(np.int64)
+    inside = (band >= 0) & (band < bands)
+    place = cell[inside] * bands + band[inside]
+    more = np.bincount(place, np.sign(depth_m[inside]), n * bands).reshape(n, bands)
+    found: NDArray[np.float64] = sums_around(index, more, reach).min(axis=1) / _BAND_M
+    return found
 
 
 def sums_around(index: NDArray[np.int64], values: NDArray[Any], reach: int) -> NDArray[np.float64]:

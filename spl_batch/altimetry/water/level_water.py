@@ -24,7 +24,7 @@ from scipy import ndimage
 
 from spl_batch.altimetry.water.between_banks import above_rivers, between_banks
 from spl_batch.altimetry.water.column_noise import falling_density
-from spl_batch.altimetry.water.emptiest import Photons, sums_around
+from spl_batch.altimetry.water.emptiest import Photons, emptiest_band, sums_around
 from spl_batch.altimetry.water.faint_surface import CLEAR, faint_surface
 from spl_batch.altimetry.water.layers_of_cells import LEAST_CELLS, agreed, common_metre, fullest
 from spl_batch.altimetry.water.leaning_floor import Below, depths_of, leaning_floor
@@ -349,7 +349,8 @@ def first_metre(
 
     Waves rise as far as they fall, so what more lies below the surface than above it is none of
     theirs. That is noise as far as the water below lets expect it, or as it is a small share of
-    the surface. A layer of more may be a floor, and then the water below alone tells.
+    the surface. A layer of more may be a floor. Then the water below tells, or the emptiest band
+    between surface and floor where that holds more.
 
     Parameters
     ----------
@@ -372,5 +373,9 @@ def first_metre(
     area = np.maximum(sums_around(index, wet[:, None] * cell_m, REACH_CELLS)[:, 0], cell_m)
     found = ((below - above) / high_m + sky / SURFACE_M) / area
     most = np.maximum(expected, UNDER_SHARE * surface / high_m / area)
-    first: NDArray[np.float64] = np.where(found <= most, np.maximum(found, deeper), expected)
+    known_m = np.where(wet[cell], depth_m, 0.0)
+    between = emptiest_band(index, cell, known_m, (WAVE_M, SURFACE_M), REACH_CELLS)
+    between += sky / SURFACE_M
+    least = np.maximum(expected, np.minimum(between / area, most))
+    first: NDArray[np.float64] = np.where(found <= most, np.maximum(found, deeper), least)
     return first
