@@ -211,19 +211,16 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
     photons, noise = chosen["doubtful_floor"]
     if min(photons, floor) >= SAID_LEAST:
         expected = noise / SHARE_QUANTA
-        among = (
-            f"{grouped(expected)} noise photons are expected among the {grouped(photons)} taken "
-            "below the surface"
-        )
+        among = f"{grouped(expected)} noise photons are expected among the {grouped(photons)} taken"
         if photons >= _FEW_TIMES * expected:
             yield (
-                f"the {grouped(floor)} photons called floor are few: {among}, but clumps of noise "
-                "there may be as large; look at the floor before you rely on it"
+                f"the {grouped(floor)} photons called floor are few: {among} below the "
+                "surface, but clumps of noise there may be as large; look at the floor before you rely on it"
             )
         else:
             yield (
-                f"the {grouped(floor)} photons called floor cannot be told from noise ({among}): "
-                "the floor is not to be relied on"
+                f"the {grouped(floor)} photons called floor cannot be told from noise ({among} "
+                "below the surface): the floor is not to be relied on"
             )
 
 
