@@ -214,8 +214,8 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
         among = f"{grouped(expected)} noise photons are expected among the {grouped(photons)} taken"
         if photons >= _FEW_TIMES * expected:
             yield (
-                f"the {grouped(floor)} photons called floor are few: {among} below the "
-                "surface, but clumps of noise there may be as large; look at the floor before you rely on it"
+                f"the {grouped(floor)} photons called floor are few: {among} below the surface, "
+                "but clumps of noise may be as large; look at the floor before you rely on it"
             )
         else:
             yield (
