@@ -58,6 +58,12 @@ def haze(times: float, base_m: float, top_m: float, cover: float = 0.5) -> dict[
     return {"sky": {"haze": [layer]}}
 
 
+def tapering(times: float) -> dict[str, Any]:
+    """A closed layer that is dense in its middle alone."""
+    (layer,) = haze(times, 52, 64, 1.0)["sky"]["haze"]
+    return {"sky": {"haze": [{**layer, "edge_m": 12}]}}
+
+
 def sheet(times: float, base_m: float, thick_m: float) -> dict[str, Any]:
     """A layer thinner than those that are told by how they fill blocks."""
     (layer,) = haze(times, base_m, base_m + thick_m, 0.7)["sky"]["haze"]
@@ -164,6 +170,7 @@ EFFECTS: dict[str, Any] = {
     "haze 60-100 m, 20 x": lambda t: haze(20 * t, 60, 100),
     "haze 25-45 m, 30 x": lambda t: haze(30 * t, 25, 45),
     "closed cloud 70-110 m, 20 x": lambda t: haze(20 * t, 70, 110, 1.0),
+    "tapering cloud 46-70 m, 20 x": lambda t: tapering(20 * t),
     "fog, 1.5 m, 60 x": lambda t: {"sky": {"fog": [{"times_noise": 60 * t, "scale_m": 1.5}]}},
     "noise falls along the gate": lambda t: {"sky": {"gate_fall": 0.4 * t}},
     "12 reflectors": lambda t: reflectors(12 * t),
@@ -209,7 +216,8 @@ _AIR = ("cloud", "thin layer", "noise by height", "floats")
 SAYS: dict[str, tuple[str, ...]] = {
     "base": (), "by tile, no ids": (), "no channel numbers": ("channels",),
     "haze 60-100 m, 5 x": _AIR, "haze 60-100 m, 20 x": _AIR, "haze 25-45 m, 30 x": _AIR,
-    "closed cloud 70-110 m, 20 x": _AIR, "fog, 1.5 m, 60 x": ("fog", "mist"),
+    "closed cloud 70-110 m, 20 x": _AIR, "tapering cloud 46-70 m, 20 x": _AIR,
+    "fog, 1.5 m, 60 x": ("fog", "mist"),
     "noise falls along the gate": ("noise by height",), "12 reflectors": ("bloom",),
     "12 reflectors, 1 electron": ("bloom",), "60 reflectors, 3 electrons": ("bloom",),
     "crosstalk 5 %": ("crosstalk",), "afterpulses, tail of 40 %": ("late afterpulses",),

@@ -15,6 +15,15 @@ x :data:`WINDOW` cubes of :data:`CUBE_M`, one layer high, hold air if they are
 - *even across*: the upper quarter of the cubes holds no more than :data:`SMOOTH` times what the
   lower one does; crowns and gaps differ by more.
 
+Edges of clouds taper, and tilted ones do in every square. There three layers need not hold the same
+if :data:`CLEAR` clear layers lie below, as below no crowns, and if the columns hold as many pairs
+as a plane through the cubes tells, within :data:`ALIKE`: with n returns in each of the 25 cubes of
+a square at u, v = -2..2, S = sum n, and c as above in its cubes of 25 columns each,
+
+  .. math:: 1250 \sum c (c - 1) / (2 S^2 - 6 S + (\sum u n)^2 + (\sum v n)^2)
+
+is 1 in air that changes from side to side alone, and more below the tops and gaps of crowns.
+
 The noise there is the median of a cube and those beside it, which no wire moves; and the largest
 of these around, as the edges of air are noise too. A point has the larger of this and the model's
 noise. Signals weaker than the cloud are lost.
@@ -60,6 +69,12 @@ EVEN: Final = 1.15
 
 STEADY: Final = 1.4
 """Largest ratio between the returns of three layers, one above the other."""
+
+CLEAR: Final = 5
+"""Layers of clear air below a square that excuse it from being steady: few trunks are so long."""
+
+ALIKE: Final = 1.02
+"""Largest clumping across of such a square."""
 
 SMOOTH: Final = 3.0
 """Largest ratio of the quarters of a square."""
@@ -130,13 +145,16 @@ def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
 
 def find_air(counts: Counts, expected: Expected) -> Air | None:
     """Cubes of air with the noise in them; None where there is none."""
-    candidate = _even(counts)
+    candidate, steady = _even(counts)
     if not candidate.any():
         return None
     lowest, highest = np.zeros((2, *counts.held.shape), np.int32)
     quarters(counts.held, _with_beside(candidate), WINDOW // 2, LEFT_OUT, lowest, highest)
     level = (lowest > 1) & (highest <= SMOOTH * lowest)
     candidate &= _three(level)
+    tapering = candidate & ~steady
+    if tapering.any():
+        candidate &= steady | _hung(counts, tapering & _alike(counts), expected)
     level &= _with_beside(candidate)
     at = np.nonzero(level)
     if not len(at[0]):
@@ -246,23 +264,60 @@ def _numbered(index: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.i
     return np.flatnonzero(held) + low, number[index]
 
 
-def _even(counts: Counts) -> NDArray[np.bool_]:
-    """Middles of squares, three layers high, in which returns lie evenly upwards."""
+def _even(counts: Counts) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Middles of squares, three layers high, that are even upwards; those with as much in each."""
     columns, cells = (_sum_of_square(pairs) for pairs in (counts.columns, counts.cells))
     seen = _sum_of_square(counts.held.astype(np.int64))
     parts = round(CUBE_M / CELL_M)
-    out = np.zeros(seen.shape, np.bool_)
+    even, steady = np.zeros((2, *seen.shape), np.bool_)
     three = np.flatnonzero(counts.layer[2:] - counts.layer[:-2] == 2) + 1
     for h in three:
         about = slice(h - 1, h + 2)
         in_columns, in_cells = columns[:, :, about].sum(axis=2), cells[:, :, about].sum(axis=2)
         least, most = seen[:, :, about].min(axis=2), seen[:, :, about].max(axis=2)
-        out[:, :, h] = (
-            (parts * in_cells <= EVEN * in_columns)
-            & (in_columns >= 2 * PAIRS_LEAST)
-            & (most <= STEADY * least)
-        )
+        told = in_columns >= 2 * PAIRS_LEAST
+        even[:, :, h] = told & (parts * in_cells <= EVEN * in_columns)
+        steady[:, :, h] = most <= STEADY * least
+    return even, steady
+
+
+def _alike(counts: Counts) -> NDArray[np.bool_]:
+    """Squares, three layers high, whose columns hold what a plane through their cubes tells."""
+    even, slope = np.ones(WINDOW, np.int64), np.arange(WINDOW) - WINDOW // 2
+    held = counts.held.astype(np.int64)
+    total, east, north = (
+        _sum_of_square(held, *weights) for weights in ((even, even), (slope, even), (even, slope))
+    )
+    # Of 5 x 5 cubes of 5 x 5 columns.
+    told = 2 * total**2 - 6 * total + east**2 + north**2
+    pairs = 1250 * _sum_of_square(counts.columns)
+    out = np.zeros(held.shape, np.bool_)
+    told, pairs = (v[:, :, :-2] + v[:, :, 1:-1] + v[:, :, 2:] for v in (told, pairs))
+    out[:, :, 1:-1] = pairs <= ALIKE * told
     return out
+
+
+def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArray[np.bool_]:
+    """Asked squares with :data:`CLEAR` clear layers between them and something below."""
+    edge, out = quanta(CUBE_M), np.zeros(asked.shape, np.bool_)
+    i, j = np.nonzero(asked.any(axis=2))
+    if not len(i):
+        return out
+    x, y = ((k + low) * edge + edge // 2 for k, low in zip((i, j), counts.corner, strict=True))
+    seen = _sum_of_square(counts.held.astype(np.int64))[i, j]
+    run = np.zeros(len(i), np.int64)
+    solid, hung = np.zeros((2, len(i)), np.bool_)
+    for layer in range(int(counts.layer[0]), int(counts.layer[-1]) + 1):
+        h = int(np.searchsorted(counts.layer, layer))
+        held = counts.layer[h] == layer
+        model = expected((x, y, np.full(len(i), layer * edge + edge // 2))) * CUBE_M**3
+        more = held & (seen[:, h] > WINDOW**2 * (CLEARLY * model + 1.0))
+        if held:
+            out[i, j, h] = hung
+        run = np.where((model > 0.0) & ~more, run + 1, 0)
+        hung |= solid & (run >= CLEAR)
+        solid |= more & (model > 0.0)
+    return out & asked
 
 
 def _three(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -280,9 +335,10 @@ def _with_beside(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return out
 
 
-def _sum_of_square(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    for axis in (0, 1):
-        values = ndimage.convolve1d(values, np.ones(WINDOW, np.int64), axis=axis, mode="constant")
+def _sum_of_square(values: NDArray[np.int64], *weights: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Sum over the square around each cube; with ``weights`` along x and y."""
+    for axis, along in enumerate(weights or (np.ones(WINDOW, np.int64),) * 2):
+        values = ndimage.convolve1d(values, along, axis=axis, mode="constant")
     return values
 
 

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from spl_batch.airborne.filter import air as looking
 from spl_batch.airborne.settings.workflow import Workflow
@@ -14,8 +15,8 @@ CORNER = np.array([272_000_000, 3_290_000_000, 40_000])
 CORE = Bounds(272_030_000, 3_290_030_000, 272_130_000, 3_290_110_000)
 
 
-def block() -> PointTable:
-    """Noise, ground, and haze in the middle of it."""
+def block(*, tapers: bool) -> PointTable:
+    """Noise, ground, and haze in the middle of it, or one that tapers upwards and downwards."""
     rng = np.random.default_rng(3)
 
     def box(per_m3: float, low: float, high: float) -> np.ndarray:
@@ -24,6 +25,8 @@ def block() -> PointTable:
 
     haze = box(0.9, 50, 75)
     haze = haze[np.hypot(haze[:, 0] - 80, haze[:, 1] - 70) < 45]
+    if tapers:
+        haze = haze[rng.random(len(haze)) < np.sin(np.pi * (haze[:, 2] - 50) / 25) ** 2]
     xyz = np.concatenate([box(0.04, -40, 100), box(30.0, 0, 0.1), haze])
     xyz = np.floor(xyz * 1000).astype(np.int64) + CORNER
     columns = dict(zip("xyz", xyz.T, strict=True))
@@ -31,8 +34,9 @@ def block() -> PointTable:
     return PointTable(columns)
 
 
-def test_strips_of_a_block_find_the_air_of_the_whole(monkeypatch: Any) -> None:
-    table = block()
+@pytest.mark.parametrize("tapers", [False, True])
+def test_strips_of_a_block_find_the_air_of_the_whole(monkeypatch: Any, *, tapers: bool) -> None:
+    table = block(tapers=tapers)
     # Rising from west to east, so that a sum of floats would depend on its order.
     model: Any = SimpleNamespace(local=lambda at: 0.04 + (at[0] - CORNER[0]) * 1e-8 / 3)
     settings = Workflow.model_validate({"survey": {"flightlines": "x"}, "output": "o"})
@@ -47,4 +51,4 @@ def test_strips_of_a_block_find_the_air_of_the_whole(monkeypatch: Any) -> None:
         assert np.array_equal(getattr(whole.air, name), getattr(strips.air, name)), name
     told, told_of_strips = (looking.facts_of([look]) for look in (whole, strips))
     assert told == told_of_strips
-    assert len(told["layers"]) == 20
+    assert len(told["layers"]) == (27 if tapers else 20)

@@ -60,6 +60,32 @@ def thin(rng, per_m3=0.05):
     return np.floor(xyz * 1000).astype(np.int64) + CORNER
 
 
+def tapering(rng, per_m3=1.0, base=45.0, tilt=0.2, thick=25.0):
+    """A tilted layer that is dense in its middle alone."""
+    xyz = rng.random((int(per_m3 * SIDE_M**2 * thick), 3)) * [SIDE_M, SIDE_M, thick]
+    xyz = xyz[rng.random(len(xyz)) < np.sin(np.pi * xyz[:, 2] / thick) ** 2]
+    xyz[:, 2] += base + tilt * xyz[:, 0]
+    return np.floor(xyz * 1000).astype(np.int64) + CORNER
+
+
+def crowns_on_trunks(rng, closed):
+    """Crowns that are evenly turbid, their bases 30 m above the ground."""
+    n = 900 if closed else 250
+    middle = rng.random((n, 2)) * SIDE_M
+    radius, half = rng.uniform(3, 6, n), rng.uniform(5, 8, n)
+    tree = rng.integers(0, n, 260 * n)
+    inside = rng.uniform(-1, 1, (len(tree), 3))
+    kept = (inside**2).sum(axis=1) < 1
+    tree, inside = tree[kept], inside[kept]
+    xyz = np.column_stack(
+        [
+            middle[tree] + radius[tree, np.newaxis] * inside[:, :2],
+            30 + half[tree] * (1 + inside[:, 2]),
+        ]
+    )
+    return np.floor(xyz * 1000).astype(np.int64) + CORNER
+
+
 @pytest.mark.parametrize(
     ("leaves", "constant", "without"), [(turbid, "STEADY", 100.0), (thin, "PAIRS_LEAST", 40)]
 )
@@ -69,6 +95,83 @@ def test_canopies_that_one_rule_alone_keeps_out(monkeypatch, leaves, constant, w
     assert found(parts, 0.004)[1] is None
     monkeypatch.setattr(haze, constant, without)
     assert found(parts, 0.004)[1] is not None
+
+
+def test_a_tilted_cloud_with_soft_edges_is_found_where_clear_air_lies_below(monkeypatch):
+    rng = np.random.default_rng(3)
+    cloud = tapering(rng)
+    parts = [cloud, box(rng, 30.0, -0.1, 0.0), box(rng, 0.05, -60, 120)]
+    axes, air = found(parts)
+    noise = haze.noise_with_air(axes, np.full(len(axes[0]), 0.05), air)
+    assert (noise[: len(cloud)] > 0.05).mean() > 0.99
+    monkeypatch.setattr(haze, "CLEAR", 100)
+    assert found(parts)[1] is None
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_crowns_high_above_clear_air_are_kept_by_their_tops_and_gaps(monkeypatch, closed):
+    rng = np.random.default_rng(0)
+    parts = [crowns_on_trunks(rng, closed), box(rng, 30.0, -0.1, 0.0), box(rng, 0.05, -60, 120)]
+    assert found(parts)[1] is None
+    monkeypatch.setattr(haze, "ALIKE", 100.0)
+    assert found(parts)[1] is not None
+
+
+def some_counts(rng, shape=(9, 8, 24)):
+    """Counts of a few layers, some of them missing, and what a model expects there."""
+    layer = np.sort(rng.choice(np.arange(-8, 24), shape[2], replace=False)).astype(np.int64)
+    held = rng.poisson(rng.choice([0.2, 1.0, 30.0], shape[2], p=[0.7, 0.2, 0.1]), shape)
+    held[:, :4] += rng.poisson(6, (shape[0], 4, shape[2])) * (layer > 3)
+    columns = rng.poisson(held * (held - 1) / 25.0)
+    counts = haze.Counts((-3, 5), layer, held.astype(np.int32), columns, columns)
+    return counts, lambda at: np.where(at[2] > -6 * EDGE, 1.0, 0.0) / haze.CUBE_M**3
+
+
+def squares(counts):
+    """Each square that lies inside: its place, and its counts."""
+    nx, ny, _ = counts.held.shape
+    for i in range(2, nx - 2):
+        for j in range(2, ny - 2):
+            yield i, j, counts.held[i - 2 : i + 3, j - 2 : j + 3].astype(np.float64)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_hangs_above_clear_air_is_found_as_by_going_up_each_column(seed):
+    counts, expected = some_counts(np.random.default_rng(seed))
+    asked = np.random.default_rng(seed).random(counts.held.shape) < 0.5
+    hung, any_hung = haze._hung(counts, asked, expected), 0
+    for i, j, held in squares(counts):
+        filled = dict(zip(counts.layer.tolist(), held.sum(axis=(0, 1)), strict=True))
+        marks = ""
+        for layer in range(-8, 24):
+            listened = layer * EDGE + EDGE // 2 > -6 * EDGE
+            dense = filled.get(layer, 0) > 25 * 2.5
+            if layer in filled:
+                h = int(np.searchsorted(counts.layer, layer))
+                above = "s" in marks and "c" * haze.CLEAR in marks[marks.index("s") :]
+                assert hung[i, j, h] == (asked[i, j, h] and above)
+                any_hung += above
+            marks += "?" if not listened else "s" if dense else "c"
+    assert any_hung
+
+
+def test_what_a_plane_through_the_cubes_tells_agrees_with_least_squares(monkeypatch):
+    counts, _ = some_counts(np.random.default_rng(5))
+    monkeypatch.setattr(haze, "ALIKE", 1.1)
+    alike = haze._alike(counts)
+    u, v = np.meshgrid(np.arange(5.0), np.arange(5.0), indexing="ij")
+    basis = np.column_stack([np.ones(25), u.ravel(), v.ravel()])
+    seen = []
+    for i, j, held in squares(counts):
+        fit = basis @ np.linalg.lstsq(basis, held.reshape(25, -1), rcond=None)[0]
+        # A fit by three numbers holds the chance of three cubes.
+        told = (fit**2).sum(axis=0) - 3 * held.mean(axis=(0, 1))
+        pairs = 25 * counts.columns[i - 2 : i + 3, j - 2 : j + 3].sum(axis=(0, 1))
+        for h in range(1, len(counts.layer) - 1):
+            about = slice(h - 1, h + 2)
+            assert alike[i, j, h] == (pairs[about].sum() <= 1.1 * told[about].sum())
+            seen.append(alike[i, j, h])
+    assert 0 < sum(seen) < len(seen)
 
 
 @pytest.mark.parametrize("per_m3", [0.3, 1.5])
@@ -152,11 +255,14 @@ def test_counts_and_pairs_agree_with_counting_them_one_by_one(points, scale):
         assert counts.cells[at] == pairs(cell[inside])
 
 
-def test_noise_does_not_depend_on_what_lies_beyond_its_reach():
+@pytest.mark.parametrize("tapers", [False, True])
+def test_noise_does_not_depend_on_what_lies_beyond_its_reach(tapers):
     rng = np.random.default_rng(7)
-    patch = box(rng, 1.2, 50, 75)
+    patch = tapering(rng, 2.0) if tapers else box(rng, 1.2, 50, 75)
     patch = patch[np.hypot(*(patch[:, :2] - CORNER[:2] - 60_000).T) < 45_000]
-    xyz = np.concatenate([box(rng, 0.05, -60, 110), patch])
+    deep = np.array([[1_000, 1_000, -400_000]]) + CORNER  # layers of the whole alone
+    parts = [box(rng, 0.05, -60, 110), patch, box(rng, 20.0, -0.1, 0.0), deep]
+    xyz = np.concatenate(parts if tapers else parts[:2])
     axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
     noise = np.full(len(xyz), 0.05)
 
