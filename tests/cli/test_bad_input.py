@@ -229,7 +229,10 @@ def test_an_output_elsewhere_is_named_where_it_is_made(survey: Path, tmp_path: P
         ended = run(survey, "--until", "index", "--set", f"output={other}")
         assert ended.status == 0, ended.text
         assert (f"created folder {other}" in ended.err.replace("\n  ", " ")) == new
-    assert "created folder" not in run(survey, "--until", "index").err
+    for beside in ("out", "results/new/night"):
+        ended = run(survey, "--until", "index", "--set", f"output={beside}")
+        assert ended.status == 0, ended.text
+        assert "created folder" not in ended.err
 
 
 def test_unknown_keys_and_options(survey: Path) -> None:

@@ -192,7 +192,7 @@ def _refuse(
             raise WorkflowError(f"{path}: write a name that ends in {suffix}{but}")
         if path.exists() and source.exists() and path.samefile(source):
             raise WorkflowError(f"{path}: this is the input; name another file")
-        refuse_lost(path.parent, str(path))
+        refuse_lost(path.parent, str(path), Path.cwd())
         mine = path.exists() and own.get(str(real_path(path))) == _stamp(path)
         if path.exists() and not force and not mine:
             raise WorkflowError(f"{path} is there already; name another file, or add --force")

@@ -87,15 +87,18 @@ def refuse_unwritable(output: Path) -> None:
         raise _unwritable(output, there, error) from None
 
 
-def refuse_lost(folder: Path, name: str) -> None:
-    """Refuse a folder of which more than the last part is missing: that may be a slip.
+def refuse_lost(folder: Path, name: str, base: Path) -> None:
+    """Refuse a folder of which more than the last part is missing: a slip, or a disk that is off.
+
+    Below ``base``, where the work is, folders in folders may be new.
 
     Raises
     ------
     WorkflowError
         If neither it nor the folder above it is there; ``name`` is what the user has written.
     """
-    if not os.path.lexists(folder) and not os.path.lexists(folder.parent):
+    inside = folder.absolute().is_relative_to(base.absolute())
+    if not inside and not os.path.lexists(folder) and not os.path.lexists(folder.parent):
         raise WorkflowError(
             f"{name}: there is no folder {folder.parent}; check the path, or make that folder first"
         )

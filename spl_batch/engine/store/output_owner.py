@@ -45,7 +45,7 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
     """
     context = prepared.context
     refuse_unwritable(context.output)
-    refuse_lost(context.output, f"output: {context.output}")
+    refuse_lost(context.output, f"output: {context.output}", context.base)
     refuse_odd(context.output)
     refuse_claimed(context.store)
     deliveries = Deliveries(context)

@@ -43,7 +43,7 @@ def simulating(folder: Path, scene: Path) -> Iterator[None]:
         If it holds a file that no simulation made, or one that has changed since.
     """
     refuse_urls(folder)
-    refuse_lost(folder, str(folder))
+    refuse_lost(folder, str(folder), Path.cwd())
     made = _made(folder)
     given = (
         {real_path(scene).relative_to(real_path(folder)).as_posix()}
