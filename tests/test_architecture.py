@@ -40,7 +40,7 @@ FLOW: Mapping[str, tuple[str, ...]] = {
     ),
     "altimetry": (
         *("settings", "photon_table", "formats", "simulate", "water", "noise", "filter", "ground"),
-        *("tasks", "plan", "report", "receiver", "compare", "first_use"),
+        *("tasks", "plan", "first_look", "report", "receiver", "compare", "first_use"),
     ),
     "geiger.coincidence": (
         *("settings", "tables", "formats", "surface", "simulate"),

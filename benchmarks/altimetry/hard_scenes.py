@@ -46,7 +46,7 @@ from benchmarks.altimetry.photon_beams import PROFILE, RATE, Beam, lattice
 from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground.lost_floor import lost_floor
 from spl_batch.altimetry.noise.mist import in_mist
-from spl_batch.altimetry.report.summarise import floor_said
+from spl_batch.altimetry.report.beam_warnings import floor_said
 from spl_batch.altimetry.water.level_water import NO_WATER, SURFACE_M
 from spl_batch.constants import QUANTA_PER_M
 

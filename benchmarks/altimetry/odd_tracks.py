@@ -43,7 +43,7 @@ from benchmarks.altimetry.labelled_tracks import (
 )
 from benchmarks.altimetry.photon_beams import Beam, Mask, lattice
 from benchmarks.altimetry.told_noise import LEAST, Told, by_part, judged
-from spl_batch.altimetry.report.summarise import SAID_LEAST
+from spl_batch.altimetry.report.beam_warnings import SAID_LEAST
 from spl_batch.altimetry.water.level_water import SURFACE_M
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.report import style

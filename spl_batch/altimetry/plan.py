@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from spl_batch.altimetry.filter.peer_filters import PEERS
+from spl_batch.altimetry.formats.atl08 import no_atl08
 from spl_batch.altimetry.formats.photons import BeamFacts, TrackFile, inspect
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.tasks.context import Context
@@ -67,6 +68,7 @@ class Inputs:
     bad: tuple[InputError, ...]
     warnings: tuple[str, ...]
     reference: tuple[Path, ...]
+    labels: tuple[Path, ...]  #: Those of the reference that are files of ATL08.
 
 
 @dataclass
@@ -106,13 +108,13 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
     faults: list[str] = []
     paths = expand(workflow.track.photons, base, "track.photons", faults)
     reference = workflow.reference
-    found: list[Path] = []
+    found: dict[str, Sequence[Path]] = {}
     for key in ("points", "dtm", "labels"):
         name = getattr(reference, key) if reference is not None else None
         if key != "labels" and name is not None and glob.has_magic(name):
             faults.append(f"reference.{key}: {name} is a pattern; name one file")
             continue
-        found += expand(name, base, f"reference.{key}", faults)
+        found[key] = expand(name, base, f"reference.{key}", faults)
     if reference is not None and reference.points and reference.dtm:
         faults.append("reference: points and dtm are both given; name one of them")
     refuse_own(paths, output, "track.photons", faults)
@@ -124,9 +126,34 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
         name = name_below(path, base)
         sources.append(Source(path, name, source_key(name), file, beams))
     check_keys(sources)
+    labels, said = _atl08(found.get("labels", ()), base, sources)
     return Inputs(
-        tuple(sorted(sources, key=lambda s: s.name)), tuple(bad), tuple(warnings), tuple(found)
+        tuple(sorted(sources, key=lambda s: s.name)),
+        tuple(bad),
+        (*warnings, *said),
+        tuple(path for paths in found.values() for path in paths),
+        labels,
     )
+
+
+def _atl08(
+    files: Sequence[Path], base: Path, sources: Sequence[Source]
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Files that are of ATL08, and what to say of the others."""
+    good, said = [], []
+    for path in files:
+        why = no_atl08(path)
+        if why:
+            name = f"reference.labels {name_below(path, base)}"
+            said.append(f"{name} {why}: nothing is compared with it; name files of ATL08")
+        else:
+            good.append(path)
+    if good and sources and not any(s.file.layout == "atl03" for s in sources):
+        said.append(
+            "reference.labels: ATL08 speaks of ATL03's photons alone, and track.photons has none: "
+            "nothing is compared with it; use reference.points or reference.dtm"
+        )
+    return tuple(good), tuple(said)
 
 
 _NO_RATE: Final = (
@@ -239,7 +266,13 @@ def _compare(tracks: Tracks) -> Iterator[Task]:
             ("select", key),
             *(("score", s) for s, _, _ in segments),
         )
-        args = {**_beam_args(source, beam, key), "segments": segments, "reference": stamps}
+        labels = tracks.inputs.labels if source.file.layout == "atl03" else ()
+        args = {
+            **_beam_args(source, beam, key),
+            "segments": segments,
+            "reference": stamps,
+            "labels": [str(path) for path in labels],
+        }
         yield Task("compare", key, args, needs, tracks.of("profile")[key].points)
 
 

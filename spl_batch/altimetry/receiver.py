@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from spl_batch.altimetry.filter.peer_filters import PEERS, require
+from spl_batch.altimetry.first_look import first_look
 from spl_batch.altimetry.plan import PHASES, REMEDIES, TrackCost, Tracks, estimate, gather_inputs
 from spl_batch.altimetry.report.model import TrackReport
 from spl_batch.altimetry.report.page import screen_summary
@@ -16,7 +17,7 @@ from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
 from spl_batch.errors import Said, WorkflowError, counted, grouped, shared
 
 _WORDS: Final[Mapping[str, str]] = MappingProxyType(
@@ -53,6 +54,11 @@ class Altimetry(Receiver[Tracks, Context]):
         context = self.context(workflow, place, "", code_version(workflow.kind))
         tracks = Tracks(inputs, workflow, limits.memory_bytes, limits.workers)
         return Prepared(self, tracks, context)
+
+    def first_look(self, prepared: Prepared[Tracks, Context]) -> FirstLook:
+        """What tables of photons hold that a run refuses."""
+        tracks = prepared.ledger
+        return first_look(tracks.inputs, tracks.workflow.rate.cell_m)
 
     def cost(self, prepared: Prepared[Tracks, Context]) -> TrackCost:
         """What a run is expected to cost."""

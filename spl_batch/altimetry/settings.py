@@ -152,7 +152,9 @@ class TrackReferenceSettings(Section):
         None, description="Raster of terrain heights, in any CRS; photons need latitude, longitude."
     )
     labels: str | None = Field(
-        None, description="ATL08 file or glob whose photon labels are compared with ours."
+        None,
+        description="ATL08 file or glob whose photon labels are compared with ours, and, without "
+        "points and dtm, its terrain with our ground.",
     )
     baseline: bool = Field(True, description="Run mDBSCAN beside it, for comparison.")
     remove_bias: bool = Field(

@@ -15,11 +15,11 @@ import yaml
 
 from spl_batch.altimetry.filter.chance import SHARE_QUANTA
 from spl_batch.altimetry.filter.signal import score_bins
-from spl_batch.altimetry.report.summarise import _like_noise
+from spl_batch.altimetry.report.beam_warnings import _like_noise
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.simulate import SceneFile, simulate_file
-from spl_batch.altimetry.tasks import heights
 from spl_batch.altimetry.tasks import photons as photons_runner
+from spl_batch.altimetry.tasks import reference as reference_task
 from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.errors import WorkflowError
 from tests import surveys
@@ -126,7 +126,11 @@ def test_agreement_with_atl08_is_reported_beside_mdbscan_s(granule: Path) -> Non
     assert beams["gt1r"]["rate_basis"] == "product and window"
     page = (granule.parent / "out/report.html").read_text()
     assert "Labels against ATL08" in page
-    assert page.count("data:image/png") == 4
+    for beam in beams.values():
+        assert beam["ground"]["n"] > 15, "the heights that ATL08 fits are the reference"
+        assert beam["ground"]["rmse"] < 0.5
+    assert "terrain that ATL08 fits" in page
+    assert page.count("data:image/png") == 6
 
 
 def test_a_second_run_does_nothing_again(granule: Path) -> None:
@@ -144,7 +148,7 @@ def test_a_second_run_does_nothing_again(granule: Path) -> None:
 def test_results_do_not_depend_on_segments_and_passes(
     granule: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(heights, "PASS_PHOTONS", 700)
+    monkeypatch.setattr(reference_task, "PASS_PHOTONS", 700)
     monkeypatch.setattr(photons_runner, "SELECT_WINDOWS", 1)
     photons = granule.parent / "atl03.h5"
     workflow = write_workflow(
@@ -282,10 +286,59 @@ def test_ground_is_compared_with_a_terrain_raster(tmp_path: Path) -> None:
     (beam,) = report(workflow)["beams"]
     assert beam["ground"]["n"] >= 28
     assert beam["ground"]["rmse"] < 0.3
+    with rasterio.open(tmp_path / "dtm.tif", "r+") as raster:
+        raster.transform = rasterio.Affine(step, 0, 60.0, 0, -step, 5.0)
+    assert run(workflow).status == 0
+    assert "60.0000 to 60.0001 E, the ground from 0.0" in " ".join(report(workflow)["warnings"])
     (tmp_path / "dtm.tif").write_text("no raster")
     ended = run(workflow)
     assert ended.status == 1
     assert "dtm.tif" in " ".join(f["reason"] for f in report(workflow)["failures"])
+
+
+def test_a_reference_that_says_nothing_is_named(granule: Path, tmp_path: Path) -> None:
+    write_csv(tmp_path / "photons.csv", small_track(3))
+    (tmp_path / "far.csv").write_text("along_track,height\n9000000,1\n9000100,1\n")
+    atl08 = granule.parent / "atl08.h5"
+    for key, name, expected in (
+        ("points", "far.csv", "heights lie between 9000 and 9000.1 km along the track, the ground"),
+        ("labels", "far.csv", "reference.labels far.csv is no HDF5 file, which ATL08 is: nothing"),
+        ("labels", str(granule.parent / "atl03.h5"), "atl03.h5 is of ATL03: it has no gtxx/signal"),
+        ("labels", str(atl08), "ATL08 speaks of ATL03's photons alone, and track.photons has none"),
+    ):
+        workflow = write_workflow(tmp_path, "photons.csv", reference={key: name})
+        ended = run(workflow)
+        assert ended.status == 0
+        assert expected in " ".join(report(workflow)["warnings"])
+    other = tmp_path / "other.h5"
+    shutil.copy(atl08, other)
+    with h5py.File(other, "r+") as file:
+        for beam in ("gt1r", "gt2l"):
+            file[f"{beam}/signal_photons/delta_time"][:] += 86_400.0
+    (tmp_path / "output_of_other").mkdir()
+    atl03 = str(granule.parent / "atl03.h5")
+    workflow = write_workflow(
+        tmp_path, atl03, reference={"labels": "other.h5"}, output="output_of_other"
+    )
+    assert run(workflow).status == 0
+    said = json.loads((tmp_path / "output_of_other/report.json").read_text())["warnings"]
+    assert any("name the ATL08 file of the same granule" in text for text in said)
+
+
+def test_a_plan_refuses_the_tables_that_a_run_refuses(tmp_path: Path) -> None:
+    write_csv(tmp_path / "good.csv", small_track(3))
+    (tmp_path / "text.csv").write_text("along_track,height\n1,2\n3,abc\n")
+    workflow = write_workflow(tmp_path, "*.csv")
+    ended = surveys.command("plan", workflow)
+    assert ended.status == 1
+    assert "text.csv: column height, line 3: 'abc' is no number" in ended.text
+    rows = [f"{x / 1000:.6f},{x % 7}" for x in range(2000)]
+    (tmp_path / "text.csv").write_text("\n".join(["along_track,height", *rows]) + "\n")
+    workflow = write_workflow(tmp_path, "text.csv")
+    for verb in ("plan", "run"):
+        ended = surveys.command(verb, workflow)
+        assert ended.status == 2
+        assert "it is not in metres" in ended.text
 
 
 def test_mdbscan_can_be_the_method(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from benchmarks.altimetry.photon_beams import RATE, Beam, Photons
 from benchmarks.altimetry.unseen_tracks import Country, taiga
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.photon_table import along_track
-from spl_batch.altimetry.report.summarise import _dark_water, _maybe_river
+from spl_batch.altimetry.report.beam_warnings import _dark_water, _maybe_river
 from spl_batch.altimetry.water.between_banks import above_rivers, between_banks
 from spl_batch.altimetry.water.emptiest import Photons as Cloud
 from spl_batch.altimetry.water.level_water import NO_WATER, find_layers

@@ -17,7 +17,7 @@ from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.noise.fog import BINS, Fog, find_fog, fog_at, fog_told
 from spl_batch.altimetry.noise.layers_above import BIN_M, above, foot
 from spl_batch.altimetry.photon_table import Cells
-from spl_batch.altimetry.report.summarise import _cloud
+from spl_batch.altimetry.report.beam_warnings import _cloud
 from spl_batch.altimetry.settings import RateSettings
 from spl_batch.altimetry.water.layers_of_cells import fullest
 from tests.altimetry.tracks import assert_cut_matters_nowhere, quanta

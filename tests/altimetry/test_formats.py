@@ -10,7 +10,7 @@ import rasterio
 from rasterio import Affine
 
 from spl_batch.altimetry.formats import atl08 as atl08_io
-from spl_batch.altimetry.formats.atl08 import find_labels
+from spl_batch.altimetry.formats.atl08 import find_labels, terrain_heights
 from spl_batch.altimetry.formats.photons import Photons, inspect, iter_photons, read_background
 from spl_batch.altimetry.formats.terrain import sample_terrain
 from spl_batch.altimetry.formats.track_csv import check_unit, read_profile
@@ -19,6 +19,7 @@ from spl_batch.altimetry.tasks.index import _Cells
 from spl_batch.errors import InputError
 from tests.altimetry.tracks import (
     ORIGIN_M,
+    SEGMENT_M,
     SPEED_M_S,
     lattice,
     small_track,
@@ -101,6 +102,29 @@ def test_csv_columns_are_found_by_name(tmp_path: Path) -> None:
     np.testing.assert_array_equal(photons.along, along)
     np.testing.assert_array_equal(photons.height, height)
     assert inspect(path, None).beams[0].photons == pytest.approx(len(along), rel=0.2)
+
+
+def test_heights_of_atl08_stand_where_their_segments_are(tmp_path: Path) -> None:
+    track = small_track()
+    atl03 = write_atl03(tmp_path / "atl03.h5", {"gt1r": track})
+    atl08 = write_atl08(tmp_path / "atl08.h5", atl03, {"gt1r": track})
+    other = write_atl08(tmp_path / "other_day.h5", atl03, {"gt1r": track})
+    with h5py.File(other, "r+") as file:
+        file["gt1r/land_segments/delta_time"][:] += 86_400.0
+    assert len(terrain_heights(atl03, [other], "gt1r")) == 0
+    assert len(terrain_heights(atl03, [], "gt1r")) == 0
+    found = terrain_heights(atl03, [other, atl08], "gt1r")
+    at = found[:, 0] - ORIGIN_M
+    steps = np.diff(at) / SEGMENT_M
+    assert set(np.rint(steps).tolist()) == {1.0, 2.0}, "what is unknown is left out"
+    expected = np.interp(at, *track.reference_m.T)
+    np.testing.assert_allclose(found[:, 1], expected, atol=1e-3)
+    with h5py.File(atl08, "r+") as file:
+        del file["gt1r/land_segments/terrain/h_te_best_fit_20m"]
+    coarse = terrain_heights(atl03, [atl08], "gt1r")
+    assert np.rint(np.diff(coarse[:, 0]) / SEGMENT_M).tolist() == [5.0] * (len(coarse) - 1)
+    expected = np.interp(coarse[:, 0] - ORIGIN_M, *track.reference_m.T)
+    np.testing.assert_allclose(coarse[:, 1], expected, atol=1e-3)
 
 
 @pytest.mark.parametrize("order", ["as it is", "mixed"])
@@ -267,7 +291,10 @@ def test_the_length_of_a_track_is_that_of_the_cells_that_hold_photons() -> None:
             "x,z\n1,2\n",
             "no column along_track and height .* rename its columns to along_track,height",
         ),
-        ("along_track,height\n1,high\n", "cannot be read as numbers"),
+        (
+            "along_track,height\n1,high\n",
+            r"column height, line 2: 'high' is no number; write numbers",
+        ),
         ("along_track,height\n1,2e7\n", "at most 20000 m"),
         ("along_track;height\n1;2\n", "with commas between"),
     ],

@@ -22,7 +22,7 @@ from spl_batch.altimetry.filter import signal as signals
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.noise.neighbourhoods import aspects, neighbours
 from spl_batch.altimetry.photon_table import Cells
-from spl_batch.altimetry.report.summarise import _odd_layers, _second_surface
+from spl_batch.altimetry.report.beam_warnings import _odd_layers, _second_surface
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.water.column_noise import falling_density
@@ -565,7 +565,7 @@ def test_a_track_of_few_photons_far_apart_is_said(tmp_path: Path) -> None:
     assert surveys.command("run", workflow, "--workers", 0).status == 0
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["counts"]["signal"] == 0
-    assert "no photon is signal" in " ".join(report["warnings"])
+    assert "no photon is signal: nothing but noise is seen" in " ".join(report["warnings"])
 
 
 def test_a_bright_cloud_over_water_is_said_and_hides_no_surface(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.noise.fog import told
 from spl_batch.altimetry.noise.mist import in_mist
 from spl_batch.altimetry.photon_table import Cells
-from spl_batch.altimetry.report.summarise import _mist
+from spl_batch.altimetry.report.beam_warnings import _mist
 from tests.altimetry.tracks import assert_cut_matters_nowhere
 
 

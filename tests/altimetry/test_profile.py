@@ -12,7 +12,7 @@ from spl_batch.altimetry.ground.own_layers import held, not_beside
 from spl_batch.altimetry.ground.profile import agree, for_layout, profile, reach_cells, spread_m
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
-from spl_batch.altimetry.tasks.heights import REFERENCE_GAP_M, between
+from spl_batch.altimetry.tasks.reference import REFERENCE_GAP_M, between
 from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.altimetry.water.refraction import AIR, WATER
 from tests.altimetry.tracks import lattice, quanta

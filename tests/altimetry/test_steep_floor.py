@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.altimetry.ground.lost_floor import LostFloor, lost_floor
-from spl_batch.altimetry.report.summarise import floor_said
+from spl_batch.altimetry.report.beam_warnings import floor_said
 from spl_batch.altimetry.water.leaning_floor import (
     Below,
     bed,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from spl_batch.altimetry.ground.cell_ground import clear_layers
 from spl_batch.altimetry.ground.profile import profile
 from spl_batch.altimetry.ground.under_crowns import doubt_told
-from spl_batch.altimetry.report.summarise import _doubt
+from spl_batch.altimetry.report.beam_warnings import _doubt
 from spl_batch.altimetry.settings import ProfileSettings
 from tests.altimetry.tracks import quanta
 

@@ -91,7 +91,7 @@ def write_atl03(path: Path, tracks: dict[str, Track], *, rate: bool = True) -> P
 
 
 def write_atl08(path: Path, atl03: Path, tracks: dict[str, Track]) -> Path:
-    """ATL08 classes that are the truth; photons of noise are partly listed, partly not."""
+    """ATL08 classes and heights that are the truth; noise is partly listed, partly not."""
     with h5py.File(atl03) as source, h5py.File(path, "w") as file:
         for beam, track in tracks.items():
             count = source[f"{beam}/geolocation/segment_ph_cnt"][()]
@@ -105,7 +105,21 @@ def write_atl08(path: Path, atl03: Path, tracks: dict[str, Track]) -> Path:
             group["ph_segment_id"] = segment[listed].astype(np.int32)
             time = np.repeat(source[f"{beam}/geolocation/delta_time"][()], count)
             group["delta_time"] = time[listed] + 0.001
+            _write_land(file.create_group(f"{beam}/land_segments"), source[beam], track)
     return path
+
+
+def _write_land(land: h5py.Group, photons: h5py.Group, track: Track) -> None:
+    """Terrain of each segment of ATL03, five in a row; the middle one of a row is unknown."""
+    number = photons["geolocation/segment_id"][()]
+    first = np.arange(len(number) // 5) * 5
+    middle = SEGMENT_M * (first[:, None] + np.arange(5)) + 10.0
+    height = np.interp(middle, *track.reference_m.T)
+    height[:, 2] = np.finfo(np.float32).max
+    land["segment_id_beg"] = number[first]
+    land["delta_time"] = photons["geolocation/delta_time"][()][first + 2]
+    land["terrain/h_te_best_fit_20m"] = height.astype(np.float32)
+    land["terrain/h_te_best_fit"] = np.interp(middle[:, 2], *track.reference_m.T)
 
 
 def write_csv(path: Path, track: Track) -> Path:

@@ -1,4 +1,4 @@
-"""ICESat-2 ATL08: its classes of single photons, by position in the ATL03 file.
+"""ICESat-2 ATL08: its classes of single photons, by position in the ATL03 file, and its ground.
 
 A photon of ATL08 is known by its ATL03 segment and its number within it, from 1. Photons
 that ATL08 does not list are noise to it. The two products of a granule have the same name but
@@ -15,13 +15,23 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.formats.atl03 import segment_photons
-from spl_batch.altimetry.formats.hdf5 import dataset, equal_lengths
-from spl_batch.formats.hdf5 import open_hdf5
+from spl_batch.altimetry.formats.atl03 import BEAMS, segment_photons
+from spl_batch.altimetry.formats.hdf5 import dataset, equal_lengths, finite
+from spl_batch.errors import InputError
+from spl_batch.formats.hdf5 import SIGNATURE, open_hdf5
+from spl_batch.formats.las.header import open_input
 
 _PHOTON: Final = ("classed_pc_flag", "classed_pc_indx", "ph_segment_id", "delta_time")
 
-_SEGMENT: Final = ("segment_id", "segment_ph_cnt", "delta_time")
+_SEGMENT: Final = ("segment_id", "segment_ph_cnt", "delta_time", "segment_dist_x")
+
+_LAND: Final = ("segment_id_beg", "delta_time")
+
+_FIT_20M, _FIT_100M = "terrain/h_te_best_fit_20m", "terrain/h_te_best_fit"
+"""Heights of the terrain by segment of ATL03, and, in early releases alone, by five of them."""
+
+_HALF_SEGMENT_M: Final = 10.0
+"""From the start of a segment of ATL03 to its middle [m]."""
 
 _SAME_TIME_S: Final = 1.0
 """A photon is nearer than this to its segment's time [s]; a segment is 20 m, another pass a day."""
@@ -38,6 +48,7 @@ class Segments:
     time_s: NDArray[np.float64]
     count: NDArray[np.int64]
     start: NDArray[np.int64]
+    along_m: NDArray[np.float64]  #: Along-track distance of its start [m].
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,13 +99,8 @@ def find_labels(atl03: Path, files: Iterable[Path], beam: str) -> PhotonClasses 
     InputError
         If a file cannot be read or lacks what is needed.
     """
-    with open_hdf5(atl03) as file:
-        equal_lengths(atl03, file, f"{beam}/geolocation", _SEGMENT)
-        count = segment_photons(atl03, file, beam)
-        number = dataset(atl03, file, f"{beam}/geolocation/segment_id")[()].astype(np.int64)
-        time_s = dataset(atl03, file, f"{beam}/geolocation/delta_time")[()]
-    segments = Segments(number, time_s, count, np.cumsum(count) - count)
-    for path in files if len(number) else ():
+    segments = _segments(atl03, beam)
+    for path in files if len(segments.number) else ():
         with open_hdf5(path) as file:
             group = f"{beam}/signal_photons"
             if group in file:
@@ -103,6 +109,80 @@ def find_labels(atl03: Path, files: Iterable[Path], beam: str) -> PhotonClasses 
                 if slices:
                     return PhotonClasses(path, beam, segments, slices)
     return None
+
+
+def _segments(atl03: Path, beam: str) -> Segments:
+    """Segments of a beam of ATL03."""
+    with open_hdf5(atl03) as file:
+        equal_lengths(atl03, file, f"{beam}/geolocation", _SEGMENT)
+        count = segment_photons(atl03, file, beam)
+        number, time_s, along_m = (
+            dataset(atl03, file, f"{beam}/geolocation/{name}")[()]
+            for name in ("segment_id", "delta_time", "segment_dist_x")
+        )
+    start = np.cumsum(count) - count
+    return Segments(number.astype(np.int64), time_s, count, start, along_m.astype(np.float64))
+
+
+def terrain_heights(atl03: Path, files: Iterable[Path], beam: str) -> NDArray[np.float64]:
+    """Terrain that ATL08 fits along a beam, (m, 2) float64: along-track distance, height [m].
+
+    A height is of a segment of ATL03, some 20 m, and stands at its middle; where a release has
+    fits of 100 m alone, at the middle of these. From the first file that has some of this beam.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read or lacks what is needed.
+    """
+    wanted = list(files)
+    if not wanted:
+        return np.empty((0, 2))
+    segments = _segments(atl03, beam)
+    for path in wanted if len(segments.number) else ():
+        with open_hdf5(path) as file:
+            if f"{beam}/land_segments" in file:
+                found = _fitted(path, file, f"{beam}/land_segments", segments)
+                if len(found):
+                    return found
+    return np.empty((0, 2))
+
+
+def _fitted(path: Path, file: h5py.File, group: str, segments: Segments) -> NDArray[np.float64]:
+    """Heights of a file that lie on these segments, in order of distance."""
+    count = equal_lengths(path, file, group, _LAND)
+    fine = f"{group}/{_FIT_20M}" in file
+    fit = dataset(path, file, f"{group}/{_FIT_20M if fine else _FIT_100M}")
+    if fit.ndim != 1 + fine or len(fit) != count:
+        raise InputError(str(path), f"{fit.name} has shape {fit.shape} for {count} segments")
+    height = fit[()].astype(np.float64).reshape(count, -1)
+    first, time_s = (file[f"{group}/{name}"][()] for name in _LAND)
+    offset = np.arange(height.shape[1]) if fine else np.array([2])
+    number = first.astype(np.int64)[:, None] + offset
+    at = np.minimum(np.searchsorted(segments.number, number), len(segments.number) - 1)
+    fits = (segments.number[at] == number) & finite(height)
+    fits &= np.abs(time_s[:, None] - segments.time_s[at]) < _SAME_TIME_S
+    found = np.column_stack([segments.along_m[at[fits]] + _HALF_SEGMENT_M, height[fits]])
+    ordered: NDArray[np.float64] = found[np.argsort(found[:, 0], kind="stable")]
+    return ordered
+
+
+def no_atl08(path: Path) -> str:
+    """Why a file is none of ATL08, from its header; empty where it is one.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    with open_input(path) as stream:
+        if stream.read(len(SIGNATURE)) != SIGNATURE:
+            return "is no HDF5 file, which ATL08 is"
+    with open_hdf5(path) as file:
+        if any(f"{beam}/signal_photons" in file for beam in BEAMS):
+            return ""
+        photons = any(f"{beam}/heights" in file for beam in BEAMS)
+    return f"{'is of ATL03: it' if photons else 'is HDF5 but'} has no gtxx/signal_photons, as ATL08"
 
 
 def _slices(file: h5py.File, beam: str, photons: int, segments: Segments) -> Iterator[Slice]:

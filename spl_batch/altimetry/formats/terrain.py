@@ -64,6 +64,20 @@ def sample_terrain(
     return heights
 
 
+def extent_deg(path: Path) -> tuple[float, float, float, float]:
+    """West, south, east and north end of a raster, WGS 84 [deg].
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or has no CRS.
+    """
+    with as_input_fault(path), _opened(path) as raster:
+        transformer = Transformer.from_crs(raster.crs, "EPSG:4326", always_xy=True)
+        west, south, east, north = transformer.transform_bounds(*raster.bounds)
+    return west, south, east, north
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[rasterio.DatasetReader]:
     """A raster whose cells have a place, and whose blocks can be held."""

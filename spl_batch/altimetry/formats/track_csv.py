@@ -1,6 +1,7 @@
 """Photons or reference heights as CSV with columns along_track and height, in metres."""
 
 import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -119,7 +120,26 @@ def _batches(path: Path, stream: Any, names: dict[str, str]) -> Iterator[pa.Reco
         yield from reader
     except (pa.ArrowException, KeyError) as error:  # of a column that is lost too
         reason = " ".join(str(error).split())
-        raise InputError(str(path), f"cannot be read as numbers: {reason[:200]}") from None
+        raise InputError(str(path), _no_number(path, reason)) from None
+
+
+_CELL: Final = re.compile(r"CSV column #(\d+): (?:Row #(\d+): )?.*invalid value '(.*)'$")
+
+
+def _no_number(path: Path, reason: str) -> str:
+    """What pyarrow says of a table that is none of numbers, with the column's name."""
+    found = _CELL.search(reason)
+    if found is None:
+        return f"cannot be read as numbers: {reason[:200]}"
+    column, row, value = found.groups()
+    with open_input(path) as stream:
+        head = stream.readline(_HEAD_BYTES).decode("utf-8-sig", "replace")
+    name = head.split(",")[int(column)].strip().strip('"')
+    at = f", line {row}" if row else ""
+    return (
+        f"column {name}{at}: {value[:40]!r} is no number; write numbers with a point, and nothing "
+        "or nan where a value is unknown"
+    )
 
 
 def _values(batch: pa.RecordBatch, name: str) -> NDArray[np.float64]:

@@ -92,6 +92,9 @@ class TrackReport(Part):
     counts: TrackCounts
     ground: Statistics | None = Field(None, description="Ground minus reference, all beams.")
     baseline_ground: Statistics | None = Field(None, description="The same, by mDBSCAN.")
+    ground_reference: Literal["points", "dtm", "labels"] | None = Field(
+        None, description="Key of reference that gave the heights; labels is ATL08's terrain."
+    )
     beams: tuple[Beam, ...] = ()
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")

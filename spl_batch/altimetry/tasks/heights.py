@@ -1,16 +1,11 @@
-"""Stage ``profile``: ground and canopy top of a beam, and what a reference says of them."""
+"""Stage ``profile``: ground and canopy top of a beam."""
 
-import glob
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.formats.atl08 import find_labels
-from spl_batch.altimetry.formats.terrain import sample_terrain
-from spl_batch.altimetry.formats.track_csv import read_profile
 from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground import profile as profiles
 from spl_batch.altimetry.ground.lost_floor import lost_floor
@@ -22,9 +17,8 @@ from spl_batch.altimetry.tasks.photons import Selection
 from spl_batch.altimetry.tasks.rate import read_rate
 from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns, write_arrays, writing
+from spl_batch.formats.verified.parquet_npz import read_arrays, writing
 from spl_batch.lattice.tiles import quanta
-from spl_batch.numerics.error_statistics import statistics
 
 COLUMNS: Final = {
     **over_water.COLUMNS,
@@ -33,12 +27,6 @@ COLUMNS: Final = {
     "baseline_ground": np.float64,
 }
 """Columns of a profile in the store; the last one is mDBSCAN's ground."""
-
-PASS_PHOTONS: Final = 2_000_000
-"""Photons whose classes are compared at once [count]."""
-
-REFERENCE_GAP_M: Final = 200.0
-"""Points of a reference that are farther apart say nothing of what lies between them [m]."""
 
 
 def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
@@ -141,93 +129,3 @@ def _where(
         "latitude": np.interp(along_m, at, places["latitude"][known]),
         "longitude": (longitude + 180.0) % 360.0 - 180.0,
     }
-
-
-def compare(args: Mapping[str, Any], context: Context) -> Produced:
-    """Differences of a beam's ground from a reference, and agreement with other labels."""
-    beam = args["key"]
-    reference = context.workflow.reference
-    if reference is None:
-        return Produced()
-    columns = read_columns(place(context, "profiles", beam, ".parquet"), tuple(COLUMNS))
-    facts: dict[str, Any] = {}
-    truth = _reference_heights(columns, context)
-    arrays = {"along_track": columns["along_track"]}
-    for name in ("ground", "baseline_ground"):
-        arrays[name] = columns[name] - truth
-        if reference.remove_bias and np.isfinite(arrays[name]).any():
-            arrays[name] = arrays[name] - np.nanmedian(arrays[name])
-        facts[name] = statistics(arrays[name])
-    if reference.labels is not None and args["layout"] == "atl03":
-        facts["labels"] = _agreement(args, context)
-    path = place(context, "compared", beam, ".npz")
-    write_arrays(path, arrays)
-    return Produced([path], facts, len(columns["cell"]))
-
-
-def _reference_heights(
-    columns: Mapping[str, NDArray[Any]], context: Context
-) -> NDArray[np.float64]:
-    """Reference ground at each cell, NaN where there is none [m]."""
-    reference = context.workflow.reference
-    at = columns["along_track"]
-    unknown = np.full(len(at), np.nan)
-    if reference is None:
-        return unknown
-    if reference.points is not None:
-        return between(at, read_profile(context.resolve(reference.points)))
-    if reference.dtm is not None:
-        path = context.resolve(reference.dtm)
-        return sample_terrain(path, columns["latitude"], columns["longitude"])
-    return unknown
-
-
-def between(at: NDArray[np.float64], known: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Heights of a reference at places, NaN beyond it and where its points are far apart [m]."""
-    heights: NDArray[np.float64] = np.interp(
-        at, known[:, 0], known[:, 1], left=np.nan, right=np.nan
-    )
-    if len(known) > 1:
-        after = np.clip(np.searchsorted(known[:, 0], at), 1, len(known) - 1)
-        low, high = known[after - 1, 0], known[after, 0]
-        heights[(high - low > REFERENCE_GAP_M) & (low < at) & (at < high)] = np.nan
-    return heights
-
-
-def _agreement(args: Mapping[str, Any], context: Context) -> dict[str, dict[str, int]]:
-    """Photons that are signal here and there, by method: true and false, positive and negative.
-
-    Counts add up, so photons are looked at in passes of a bounded number.
-    """
-    theirs = find_labels(Path(args["path"]), _label_files(context), args["beam"])
-    if theirs is None:
-        return {}
-    chosen = Selection(args["key"], context)
-    reference = context.workflow.reference
-    methods = ["ours", "mdbscan"] if reference is not None and reference.baseline else ["ours"]
-    # By method: neither, there only, here only, both.
-    counts = np.zeros((len(methods), 4), np.int64)
-    low, high = theirs.rows
-    for first in range(low, high, PASS_PHOTONS):
-        stop = min(first + PASS_PHOTONS, high)
-        signal = theirs.signal(first, stop)
-        for name, _, _ in args["segments"]:
-            path = place(context, "scores", name, ".parquet")
-            for rows in rows_between(path, tuple(LABELS), "row", first, stop):
-                there = signal[rows["row"] - first]
-                for k, method in enumerate(methods):
-                    here = chosen(rows, "label") if method == "ours" else rows["baseline"] > 0
-                    counts[k] += np.bincount(2 * here + there, minlength=4)
-    names = ("neither", "only_there", "only_here", "both")
-    return {
-        method: dict(zip(names, row.tolist(), strict=True))
-        for method, row in zip(methods, counts, strict=True)
-    }
-
-
-def _label_files(context: Context) -> list[Path]:
-    reference = context.workflow.reference
-    if reference is None or reference.labels is None:
-        return []
-    pattern = str(context.base / reference.labels)
-    return sorted(Path(p) for p in glob.glob(pattern))  # noqa: PTH207 - patterns may be absolute

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.formats.photons import Photons, iter_photons, read_background
+from spl_batch.altimetry.formats.photons import Layout, Photons, iter_photons, read_background
 from spl_batch.altimetry.formats.track_csv import check_unit
 from spl_batch.altimetry.photon_table import PHOTONS
 from spl_batch.altimetry.tasks.context import CHUNK_PHOTONS, GROUP_PHOTONS, Context, place
@@ -69,6 +69,23 @@ class _Cells:
             "latitude": places[0, first],
             "longitude": places[1, first],
         }
+
+
+def look_through(path: Path, layout: Layout, beam: str, cell_m: float) -> None:
+    """Read a beam to its end, as :func:`take_in` does, and keep nothing.
+
+    Raises
+    ------
+    InputError
+        What a run would raise of it.
+    """
+    cells, placed = _Cells(quanta(cell_m)), 0
+    for photons in iter_photons(path, layout, beam, CHUNK_PHOTONS):
+        placed += len(photons.row)
+        if len(photons.row):
+            cells.add(photons)
+    if layout == "csv":
+        check_unit(path, placed, cells.length_m())
 
 
 def take_in(args: Mapping[str, Any], context: Context) -> Produced:

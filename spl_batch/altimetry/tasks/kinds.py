@@ -26,7 +26,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
             "spl_batch.altimetry.tasks.heights:profile_beam",
             ("profile", "reference.baseline"),
         ),
-        "compare": Kind("profile", "spl_batch.altimetry.tasks.heights:compare", ("reference",)),
+        "compare": Kind("profile", "spl_batch.altimetry.tasks.reference:compare", ("reference",)),
         "deliver_beam": Kind(
             "deliver",
             "spl_batch.altimetry.tasks.delivery:deliver_beam",

@@ -1,0 +1,175 @@
+"""Stage ``profile``: what a reference says of a beam's ground and labels."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.formats.atl08 import find_labels, terrain_heights
+from spl_batch.altimetry.formats.terrain import extent_deg, sample_terrain
+from spl_batch.altimetry.formats.track_csv import read_profile
+from spl_batch.altimetry.photon_table import LABELS
+from spl_batch.altimetry.tasks.context import Context, place, rows_between
+from spl_batch.altimetry.tasks.heights import COLUMNS
+from spl_batch.altimetry.tasks.photons import Selection
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.formats.verified.parquet_npz import read_columns, write_arrays
+from spl_batch.numerics.error_statistics import statistics
+
+PASS_PHOTONS: Final = 2_000_000
+"""Photons whose classes are compared at once [count]."""
+
+REFERENCE_GAP_M: Final = 200.0
+"""Points of a reference that are farther apart say nothing of what lies between them [m]."""
+
+
+_OTHER_GRANULE: Final = (
+    "reference.labels: none of its files has photons of this beam's segments and times; name the "
+    "ATL08 file of the same granule"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Heights:
+    """Heights of a reference along a beam."""
+
+    at: NDArray[np.float64]  #: (m,): along-track distances at which both are compared [m].
+    height: NDArray[np.float64]  #: (m,): of the reference's ground, NaN where it has none [m].
+    lacks: str  #: What to say where it has none anywhere.
+
+
+def compare(args: Mapping[str, Any], context: Context) -> Produced:
+    """Differences of a beam's ground from a reference, and agreement with other labels."""
+    beam = args["key"]
+    reference = context.workflow.reference
+    if reference is None:
+        return Produced()
+    columns = read_columns(place(context, "profiles", beam, ".parquet"), tuple(COLUMNS))
+    facts: dict[str, Any] = {"said": []}
+    truth = _reference_heights(columns, args, context)
+    arrays = {"along_track": truth.at}
+    for name in ("ground", "baseline_ground"):
+        arrays[name] = _at(truth.at, columns["along_track"], columns[name]) - truth.height
+        if reference.remove_bias and np.isfinite(arrays[name]).any():
+            arrays[name] = arrays[name] - np.nanmedian(arrays[name])
+        facts[name] = statistics(arrays[name])
+    if args["labels"]:
+        facts["labels"] = _agreement(args, context)
+        if not facts["labels"]:
+            facts["said"].append(_OTHER_GRANULE)
+    lacks = not facts["ground"]["n"] and np.isfinite(columns["ground"]).any()
+    if lacks and truth.lacks and not facts["said"]:
+        facts["said"].append(truth.lacks)
+    path = place(context, "compared", beam, ".npz")
+    write_arrays(path, arrays)
+    return Produced([path], facts, len(columns["cell"]))
+
+
+def _reference_heights(
+    columns: Mapping[str, NDArray[Any]], args: Mapping[str, Any], context: Context
+) -> _Heights:
+    """Reference ground: at each cell, or at each height that ATL08 fits."""
+    reference = context.workflow.reference
+    at = columns["along_track"]
+    ground = np.isfinite(columns["ground"])
+    if reference is not None and reference.points is not None:
+        known = read_profile(context.resolve(reference.points))
+        lacks = (
+            f"reference.points {reference.points} has no height near any ground of this beam: its "
+            f"heights lie between {_km(known[:, 0])} along the track, the ground between "
+            f"{_km(at[ground])}; give both distances from the same start"
+        )
+        return _Heights(at, between(at, known), lacks)
+    if reference is not None and reference.dtm is not None:
+        path = context.resolve(reference.dtm)
+        where = columns["latitude"], columns["longitude"]
+        lacks = _off_raster(reference.dtm, path, [values[ground] for values in where])
+        return _Heights(at, sample_terrain(path, *where), lacks)
+    files = _label_files(args)
+    fitted = terrain_heights(Path(args["path"]), files, args["beam"])
+    lacks = "reference.labels: its files have no terrain height along this beam's ground"
+    return _Heights(fitted[:, 0], fitted[:, 1], lacks if files else "")
+
+
+def _km(along_m: NDArray[np.float64]) -> str:
+    return f"{along_m.min() / 1000:.7g} and {along_m.max() / 1000:.7g} km"
+
+
+def _off_raster(name: str, path: Path, where: list[NDArray[np.float64]]) -> str:
+    """Why a raster has no height along a beam."""
+    known = np.isfinite(where).all(axis=0)
+    if not known.any():
+        return (
+            f"reference.dtm {name}: the photons have no latitude and longitude to find them in it; "
+            "use reference.points"
+        )
+    latitude, longitude = (values[known] for values in where)
+    west, south, east, north = extent_deg(path)
+    return (
+        f"reference.dtm {name} has no height at any ground of this beam: it reaches from "
+        f"{south:.4f} to {north:.4f} N and {west:.4f} to {east:.4f} E, the ground from "
+        f"{latitude.min():.4f} to {latitude.max():.4f} N and "
+        f"{longitude.min():.4f} to {longitude.max():.4f} E; name the raster of this place"
+    )
+
+
+def _at(
+    wanted: NDArray[np.float64], at: NDArray[np.float64], height: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Heights of a profile at places [m]; at its own cells they are what they are."""
+    if wanted is at:
+        return height
+    known = np.isfinite(height)
+    if not known.any():
+        return np.full(len(wanted), np.nan)
+    return between(wanted, np.column_stack([at[known], height[known]]))
+
+
+def between(at: NDArray[np.float64], known: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heights at places, NaN beyond those known and where these are far apart [m]."""
+    heights: NDArray[np.float64] = np.interp(
+        at, known[:, 0], known[:, 1], left=np.nan, right=np.nan
+    )
+    if len(known) > 1:
+        after = np.clip(np.searchsorted(known[:, 0], at), 1, len(known) - 1)
+        low, high = known[after - 1, 0], known[after, 0]
+        heights[(high - low > REFERENCE_GAP_M) & (low < at) & (at < high)] = np.nan
+    return heights
+
+
+def _agreement(args: Mapping[str, Any], context: Context) -> dict[str, dict[str, int]]:
+    """Photons that are signal here and there, by method: true and false, positive and negative.
+
+    Counts add up, so photons are looked at in passes of a bounded number.
+    """
+    theirs = find_labels(Path(args["path"]), _label_files(args), args["beam"])
+    if theirs is None:
+        return {}
+    chosen = Selection(args["key"], context)
+    reference = context.workflow.reference
+    methods = ["ours", "mdbscan"] if reference is not None and reference.baseline else ["ours"]
+    # By method: neither, there only, here only, both.
+    counts = np.zeros((len(methods), 4), np.int64)
+    low, high = theirs.rows
+    for first in range(low, high, PASS_PHOTONS):
+        stop = min(first + PASS_PHOTONS, high)
+        signal = theirs.signal(first, stop)
+        for name, _, _ in args["segments"]:
+            path = place(context, "scores", name, ".parquet")
+            for rows in rows_between(path, tuple(LABELS), "row", first, stop):
+                there = signal[rows["row"] - first]
+                for k, method in enumerate(methods):
+                    here = chosen(rows, "label") if method == "ours" else rows["baseline"] > 0
+                    counts[k] += np.bincount(2 * here + there, minlength=4)
+    names = ("neither", "only_there", "only_here", "both")
+    return {
+        method: dict(zip(names, row.tolist(), strict=True))
+        for method, row in zip(methods, counts, strict=True)
+    }
+
+
+def _label_files(args: Mapping[str, Any]) -> list[Path]:
+    return [Path(name) for name in args["labels"]]
