@@ -97,9 +97,20 @@ def critical_by_logs(expected, alpha, start, log_mean, logs):  # type: ignore[no
         return 1, 0.0
     tail, likely = _series(count, expected, log_mean, logs)
     if tail > alpha:
+        # No less than half of all counts reach the mean's whole part.
+        low, step = max(count, int(expected)) if alpha < 0.5 else count, 1
         while tail > alpha:
-            count += 1
+            count, step = low + step, 2 * step
             tail, likely = _series(count, expected, log_mean, logs)
+            if tail > alpha:
+                low = count
+        while count - low > 1:
+            middle = (low + count) // 2
+            between, _ = _series(middle, expected, log_mean, logs)
+            if between > alpha:
+                low = middle
+            else:
+                count, tail = middle, between
         return count, tail
     while count > 1:
         # One count less is likelier by a known amount, mostly so much that this settles it.

@@ -34,6 +34,12 @@ def test_critical_count_is_the_smallest_that_passes(alpha: float) -> None:
         assert count == 1 or stats.poisson.sf(count - 2, mean) > alpha
 
 
+@pytest.mark.parametrize("mean", [3e4, 2.5e8])
+def test_a_large_mean_is_found_from_far_below(mean: float) -> None:
+    count, _ = poisson_critical(mean, 0.01, 1)
+    assert count == pytest.approx(stats.poisson.isf(0.01, mean), abs=2)
+
+
 def test_a_table_of_logarithms_changes_no_bit() -> None:
     logs = log_factorials(40)
     for mean in MEANS[1:]:
