@@ -1,6 +1,6 @@
 """Whole runs on classified real tiles: terrain as it is delivered.
 
-Run ``python -m benchmarks.airborne.ground.whole_runs FOLDER TILE [...] [--linear]``.
+Run ``python -m benchmarks.airborne.ground.whole_runs FOLDER TILE [...] [--linear] [--cell M]``.
 
 Each tile is a survey of its own, with the sensor ``spl100`` and the beamlet in ``user_data``, or of
 linear-mode lidar. Of the cloud that a run delivers, the points that it calls ground are compared
@@ -30,19 +30,19 @@ from spl_batch.constants import CLASS_GROUND, QUANTUM_M
 WORKFLOWS: Final = {
     "spl100": (
         "{{survey: {{flightlines: {0}, sensor: spl100, channel_dimension: user_data}}, "
-        "output: out}}"
+        "products: {{cell_m: {1}}}, output: out}}"
     ),
     "linear": (
         "{{survey: {{flightlines: {0}}}, filter: {{method: none}}, afterpulse: {{enabled: false}}, "
-        "output: out}}"
+        "products: {{cell_m: {1}}}, output: out}}"
     ),
 }
 
 
-def process(path: Path, folder: Path, kind: str) -> Path:
-    """Run a tile; its output."""
+def process(path: Path, folder: Path, kind: str, cell_m: float) -> Path:
+    """Run a tile with rasters of such cells; its output."""
     workflow = folder / "workflow.yaml"
-    workflow.write_text(WORKFLOWS[kind].format(path))
+    workflow.write_text(WORKFLOWS[kind].format(path, cell_m))
     api.run(workflow)
     return folder / "out"
 
@@ -72,7 +72,7 @@ def delivered(tile: Tile, out: Path) -> dtm_quality.Compared:
     return dtm_quality.Compared(off[told], said[told])
 
 
-def main(folder: Path, names: Sequence[str], kind: str) -> None:
+def main(folder: Path, names: Sequence[str], kind: str, cell_m: float) -> None:
     """Run tiles, and print."""
     for name in names:
         for path in sorted(folder.rglob(f"{name}*.la[sz]")):
@@ -80,7 +80,7 @@ def main(folder: Path, names: Sequence[str], kind: str) -> None:
             if tile is None:
                 continue
             with tempfile.TemporaryDirectory() as temporary:
-                out = process(path.resolve(), Path(temporary), kind)
+                out = process(path.resolve(), Path(temporary), kind, cell_m)
                 show(tile, {"whole run": figures(tile, called_ground(tile, out), np.nan)})
                 dtm_quality.show(tile.name, "rasters", delivered(tile, out))
 
@@ -90,5 +90,6 @@ if __name__ == "__main__":
     parser.add_argument("folder", type=Path)
     parser.add_argument("tiles", nargs="+")
     parser.add_argument("--linear", action="store_const", const="linear", default="spl100")
+    parser.add_argument("--cell", type=float, default=1.0, help="edge of a raster cell [m]")
     given = parser.parse_args()
-    main(given.folder, given.tiles, given.linear)
+    main(given.folder, given.tiles, given.linear, given.cell)

@@ -30,7 +30,12 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import distances, nearest_cells
 
 RINGS: Final = (1, 2, 4, 8)
-"""Inner radii of the rings [cells]; the outer one is twice the inner."""
+"""Inner radii of the rings [cells]; the outer one is twice the inner. Of cells finer than
+:data:`CELL_M` so many together count as one: nearer ground stands in the same growth and on the
+same stone, and what it agrees about is no sign of how well either is known."""
+
+CELL_M: Final = 1.0
+"""Least edge of what counts as a cell of a ring [m]."""
 
 AROUND: Final = 12
 """Cells on each side whose differences are averaged [cells]."""
@@ -47,10 +52,13 @@ _DAMPING = 0.25
 _SLOPE_CELLS = 2
 """Cells on each side whose ground tells the slope that returns scatter about [cells]."""
 
-_WIDEST = 2 * max(RINGS)
-"""Outer radius of the largest ring [cells]."""
-
 Grid = NDArray[np.float64]
+
+
+def rings(cell_m: float) -> tuple[int, ...]:
+    """Inner radii of the rings, in raster cells of this edge [m]."""
+    together = max(round(CELL_M / cell_m), 1)
+    return tuple(together * ring for ring in RINGS)
 
 
 class Scatter(NamedTuple):
@@ -114,13 +122,14 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
         Standard deviation [m]; NaN where no ring holds enough ground to tell.
     """
     ground = _Ground(means, ~np.isnan(means[:, :, 2]), cell_m)
-    integrals, field = _room(9, ground.held.shape, _WIDEST)
-    _put_moments(*ground.by_cell, _WIDEST + 1, integrals)
+    radii = rings(cell_m)
+    integrals, field = _room(9, ground.held.shape, 2 * radii[-1])
+    _put_moments(*ground.by_cell, 2 * radii[-1] + 1, integrals)
     _add_up(integrals)
-    levels = _differences(ground, integrals)
+    levels = _differences(ground, integrals, radii)
     if levels is None:
         return np.full(field.shape[1:], np.nan)
-    found = _at_distance(levels, distances(ground.held))
+    found = _at_distance(levels, distances(ground.held), radii)
     if scatter is None:
         return found
     layer = _layer_variance(scatter, integrals, levels[0] ** 2, cell_m)
@@ -144,7 +153,8 @@ def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: flo
     """
     shape = scatter.returns.shape
     slope = np.zeros((2, *shape))
-    low, high = _WIDEST - _SLOPE_CELLS, _WIDEST + 1 + _SLOPE_CELLS
+    widest = 2 * rings(cell_m)[-1]
+    low, high = widest - _SLOPE_CELLS, widest + 1 + _SLOPE_CELLS
     _put_slopes(integrals, low, high, cell_m, slope)
     east, north = slope
     xx, xy, yy, xz, yz, zz = np.moveaxis(scatter.products, -1, 0)
@@ -166,18 +176,16 @@ def _layer_variance(scatter: Scatter, integrals: Grid, differ: Grid, cell_m: flo
     return layer
 
 
-def _differences(ground: _Ground, integrals: Grid) -> Grid | None:
+def _differences(ground: _Ground, integrals: Grid, radii: tuple[int, ...]) -> Grid | None:
     """Deviation from the planes of rings, around each cell: (rings, rows, columns) [m].
 
     No larger ring gives less. For a ring that holds too little the next larger one speaks; without
     one, the next smaller one, times the ratio of the radii. Where none holds enough, the nearest
     place where one does counts; without any there is nothing: None.
     """
-    levels = np.empty((len(RINGS), *ground.held.shape))
-    for level, ring in zip(levels, RINGS, strict=True):
-        outer, inner = (
-            (_WIDEST - reach, _WIDEST + 1 + reach) for reach in (2 * ring, ring - 1)
-        )  # fmt: skip
+    levels, widest = np.empty((len(radii), *ground.held.shape)), 2 * radii[-1]
+    for level, ring in zip(levels, radii, strict=True):
+        outer, inner = ((widest - reach, widest + 1 + reach) for reach in (2 * ring, ring - 1))
         off, _ = _room(2, ground.held.shape, AROUND)
         _fit_rings(*ground.by_cell, integrals, outer, inner, AROUND + 1, off)
         _add_up(off)
@@ -189,9 +197,9 @@ def _differences(ground: _Ground, integrals: Grid) -> Grid | None:
         nearest = nearest_cells(~nowhere)
         for level in levels:
             level[:] = level[nearest]
-    for k in reversed(range(len(RINGS) - 1)):
+    for k in reversed(range(len(radii) - 1)):
         np.copyto(levels[k], levels[k + 1], where=np.isnan(levels[k]))
-    for k in range(1, len(RINGS)):
+    for k in range(1, len(radii)):
         lost = np.isnan(levels[k])
         levels[k][lost] = 2.0 * levels[k - 1][lost]
         np.maximum(levels[k], levels[k - 1], out=levels[k])
@@ -343,15 +351,15 @@ def _plane_of(
     return x, y, z, (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
 
 
-def _at_distance(levels: Grid, away: Grid) -> Grid:
+def _at_distance(levels: Grid, away: Grid, radii: tuple[int, ...]) -> Grid:
     """Deviation at each cell by its distance to ground [cells]; linear between the rings.
 
     A cell with ground is its own mean of returns: it shares with its neighbours what differs
     between them. Beyond the largest ring the deviation grows with the distance.
     """
     found = levels[0].copy()
-    for k in range(1, len(RINGS)):
-        share = np.clip((away - RINGS[k - 1]) / (RINGS[k] - RINGS[k - 1]), 0.0, 1.0)
+    for k in range(1, len(radii)):
+        share = np.clip((away - radii[k - 1]) / (radii[k] - radii[k - 1]), 0.0, 1.0)
         found += share * (levels[k] - levels[k - 1])
-    beyond: Grid = found * np.maximum(away / RINGS[-1], 1.0)
+    beyond: Grid = found * np.maximum(away / radii[-1], 1.0)
     return beyond

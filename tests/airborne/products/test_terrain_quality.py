@@ -84,6 +84,17 @@ def test_a_tilt_costs_nothing_and_places_in_cells_are_their_own() -> None:
     assert sigma[REACH:-REACH, REACH:-REACH].max(initial=0) < 0.2
 
 
+def test_finer_cells_do_not_make_the_same_surface_better_known() -> None:
+    """Growth of half a metre and more: what stands in it is off together."""
+    rng = np.random.default_rng(12)
+    growth = rough(rng, 240, 0.1, 2.0) + rough(rng, 240, 0.3, 16.0)
+    fine = cell_means(growth, np.ones(growth.shape, np.bool_), 0.5)
+    blocks = growth.reshape(120, 2, 120, 2).mean(axis=(1, 3))
+    coarse = cell_means(blocks, np.ones(blocks.shape, np.bool_), 1.0)
+    said = [float(np.median(terrain_sigma(*one))) for one in ((fine, 0.5), (coarse, 1.0))]
+    assert said[0] > 0.9 * said[1]
+
+
 def test_rings_are_those_of_least_squares() -> None:
     rng = np.random.default_rng(8)
     held = rng.random((24, 24)) < 0.4
