@@ -30,11 +30,11 @@ from spl_batch.constants import CLASS_GROUND, QUANTUM_M
 WORKFLOWS: Final = {
     "spl100": (
         "{{survey: {{flightlines: {0}, sensor: spl100, channel_dimension: user_data}}, "
-        "products: {{cell_m: {1}}}, output: out}}"
+        "output: out}}"
     ),
     "linear": (
         "{{survey: {{flightlines: {0}}}, filter: {{method: none}}, afterpulse: {{enabled: false}}, "
-        "products: {{cell_m: {1}}}, output: out}}"
+        "output: out}}"
     ),
 }
 
@@ -42,8 +42,8 @@ WORKFLOWS: Final = {
 def process(path: Path, folder: Path, kind: str, cell_m: float) -> Path:
     """Run a tile with rasters of such cells; its output."""
     workflow = folder / "workflow.yaml"
-    workflow.write_text(WORKFLOWS[kind].format(path, cell_m))
-    api.run(workflow)
+    workflow.write_text(WORKFLOWS[kind].format(path))
+    api.run(workflow, overrides=[f"products.cell_m={cell_m}"])
     return folder / "out"
 
 
