@@ -38,6 +38,7 @@ KINDS: Final[Mapping[str, str]] = MappingProxyType({
     "roof": "that was taken for ground. Heights of the terrain",
     "deck": "probably a wide bridge",
     "dam": "between ground returns as a dam",
+    "deck end": "goes on level from ground",
     "steep": "what lay there was cut off",
     "block": "no wall does",
 })  # fmt: skip

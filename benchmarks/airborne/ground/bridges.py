@@ -38,7 +38,7 @@ LARGEST_M: Final = 0.5
 BEYOND_M: Final = 4.0
 """How far a deck reaches beyond the valley's edges [m]."""
 
-SAYS: Final = ("deck", "dam", "steep", "roof")
+SAYS: Final = ("deck", "deck end", "dam", "steep", "roof")
 """Kinds of warnings that say what is off."""
 
 

@@ -12,6 +12,7 @@ from spl_batch.airborne.products.doubts.terrain_doubts import (
     CLIMBS,
     DAMS,
     DECKS,
+    ENDS,
     FAR_M,
     GAPS,
     RAISED,
@@ -126,8 +127,8 @@ def _quantile(cells: Mapping[int, int], share: float) -> int:
 def terrain_doubts(done: Receipts) -> TerrainDoubts:
     """Gaps and raised patches of all pieces of a survey."""
     facts = [receipt.facts for receipt in done.get("surface", {}).values()]
-    names = GAPS, RAISED, DECKS, DAMS, CLIMBS, BLOCKS
-    gaps, raised, decks, dams, climbs, blocks = (largest(facts, name) for name in names)
+    names = GAPS, RAISED, DECKS, DAMS, ENDS, CLIMBS, BLOCKS
+    gaps, raised, decks, dams, ends, climbs, blocks = (largest(facts, name) for name in names)
     return TerrainDoubts(
         gaps=len(gaps),
         gaps_m2=sum(gap[0] for gap in gaps),
@@ -144,6 +145,9 @@ def terrain_doubts(done: Receipts) -> TerrainDoubts:
         dams=len(dams),
         dams_m2=sum(dam[0] for dam in dams),
         largest_dams=_raised(dams),
+        deck_ends=len(ends),
+        deck_ends_m2=sum(end[0] for end in ends),
+        largest_deck_ends=_raised(ends),
         steep=len(climbs),
         steep_m2=sum(patch[0] for patch in climbs),
         largest_steep=tuple(
@@ -208,6 +212,16 @@ def doubt_warnings(found: TerrainDoubts) -> Iterator[str]:
             "much, if it is a dam, a bank or a rock, too low by what is left of it; "
             "dtm_quality.tif has half of that. Do not measure there, and draw the ground by hand "
             "if it matters"
+        )
+    if found.largest_deck_ends:
+        end = found.largest_deck_ends[0]
+        area = _area(found.deck_ends_m2, end.area_m2, found.deck_ends, end.at_m)
+        yield (
+            f"{_counted(found.deck_ends, 'place')} of the terrain where what was cut off goes on "
+            f"level from ground, {area}, up to {end.height_m:.1f} m above the ground on both "
+            "sides: probably the end of a bridge deck that was taken for ground, and heights are "
+            "too high by so much, if it is no crest; dtm_quality.tif has half of that. Look at the "
+            "place, and classify the deck by hand"
         )
     if found.largest_steep:
         climb = found.largest_steep[0]

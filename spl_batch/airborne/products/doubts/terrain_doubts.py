@@ -18,6 +18,7 @@ from scipy import ndimage
 from spl_batch.airborne.ground.multiscale.raised_patches import Patch, raised_patches
 from spl_batch.airborne.products.doubts.cut_off_blocks import cut_off_blocks
 from spl_batch.airborne.products.doubts.dams_over_gaps import dams_over_gaps
+from spl_batch.airborne.products.doubts.deck_ends import deck_ends
 from spl_batch.airborne.products.doubts.raised_strips import raised_strips
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.lattice.tiles import Bounds
@@ -62,6 +63,9 @@ DECKS: Final = "decks"
 
 DAMS: Final = "dams"
 """Fact of a ground cell: each dam over a gap, its area [m2], place [quanta] and height [m]."""
+
+ENDS: Final = "deck_ends"
+"""Fact of a ground cell: each end of a deck, its area [m2], place [quanta] and height [m]."""
 
 BLOCKS: Final = "blocks"
 """Fact of a ground cell: each raised block's area [m2], place [quanta] and height [m]."""
@@ -184,7 +188,7 @@ def doubt_facts(
 def block_facts(
     found: Doubts, arrays: dict[str, NDArray[np.float32]], core: Bounds, cell_q: int
 ) -> dict[str, list[Fact]]:
-    """Raised blocks that were cut off, and dams over gaps below decks that were.
+    """Raised blocks that were cut off, dams over gaps below decks that were, and ends of these.
 
     Where they are the model is no surer than half their height.
 
@@ -203,13 +207,20 @@ def block_facts(
         blocks.append(
             [block.area_m2, *_place(core, cell_q, block.row, block.column), block.height_m]
         )
-    dams = []
-    for dam in dams_over_gaps(dtm, found.lowest, found.away_m, cell_q * QUANTUM_M):
-        cells = tuple(dam.cells)
-        sigma[cells] = np.maximum(sigma[cells], np.float32(dam.height_m / 2))
-        dams.append([dam.area_m2, *_place(core, cell_q, dam.row, dam.column), dam.height_m])
+    held, edge_m = found.away_m == 0.0, cell_q * QUANTUM_M
+    facts = {BLOCKS: blocks}
+    for name, some in (
+        (DAMS, dams_over_gaps(dtm, found.lowest, found.away_m, edge_m)),
+        (ENDS, deck_ends(dtm, found.lowest, held, edge_m)),
+    ):
+        facts[name] = []
+        for one in some:
+            cells = tuple(one.cells)
+            sigma[cells] = np.maximum(sigma[cells], np.float32(one.height_m / 2))
+            place = _place(core, cell_q, one.row, one.column)
+            facts[name].append([one.area_m2, *place, one.height_m])
     arrays["dtm_quality"] = sigma
-    return {BLOCKS: blocks, DAMS: dams}
+    return facts
 
 
 def _place(core: Bounds, cell_q: int, row: int, column: int) -> list[float]:
