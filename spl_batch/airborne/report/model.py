@@ -1,8 +1,7 @@
 """What a report says: one frozen model, from which ``schemas/report.schema.json`` is made.
 
-Nothing here draws or formats; ``report.json`` is this model, as it stands. Every number
-is finite or null: a statistic of nothing is null, never NaN, so that any JSON reader
-takes the file.
+Nothing here draws or formats; ``report.json`` is this model, as it stands. A statistic of nothing
+is null, never NaN, so that any JSON reader takes the file.
 """
 
 from typing import Literal
@@ -59,9 +58,7 @@ class Flightline(Part):
         description="Beamlets with at least one return / beamlets fired, in the intervals that "
         "hold returns, 0..1.",
     )
-    noise_per_m: Number = Field(
-        None, description="Mean noise returns per metre of beamlet, over the flightline [1/m]."
-    )
+    noise_per_m: Number = Field(None, description="Mean noise returns per metre of beamlet [1/m].")
 
 
 class Piece(Part):
