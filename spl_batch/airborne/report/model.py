@@ -130,6 +130,7 @@ class Accuracy(Part):
     bias_removed: bool = Field(
         False, description="Whether the bias was subtracted before the statistics."
     )
+    own_points: bool = Field(False, description="Whether the reference is the survey itself.")
 
 
 class Density(Part):

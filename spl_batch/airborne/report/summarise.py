@@ -45,7 +45,7 @@ from spl_batch.airborne.report.survey_pieces import PICTURED, cropped, find_piec
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.tasks.accuracy import Comparison, compared, not_compared
+from spl_batch.airborne.tasks.accuracy import Comparison, compared, not_compared, own_points
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.report.maps import Raster
 from spl_batch.engine.report.number_format import as_ascii
@@ -106,6 +106,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
                 r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts
             ),
             *not_compared(done, context, facts),
+            *own_points(None if found is None else found.own_share),
         ),
         provenance=_provenance(done, context, facts.reference),
     )
@@ -208,6 +209,7 @@ def _accuracy(found: Comparison | None) -> Accuracy | None:
         reference_points=found.points,
         bias_m=said["vertical_bias_m"],
         bias_removed=removed,
+        own_points=any(own_points(found.own_share)),
     )
 
 

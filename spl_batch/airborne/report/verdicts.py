@@ -44,7 +44,8 @@ def verdicts(report: Report) -> list[Verdict]:
 
 def terrain_statistics(report: Report) -> tuple[str, Statistics] | None:
     """Name and statistics of the surface that terrain accuracy is judged on."""
-    classes = {} if report.accuracy is None else report.accuracy.dtm
+    found = report.accuracy
+    classes = {} if found is None or found.own_points else found.dtm
     for name in OPEN_SURFACES:
         if name in classes and classes[name].rmse is not None:
             return name, classes[name]
@@ -160,6 +161,8 @@ def _accuracy_verdict(report: Report) -> Verdict:
 
 def _without_accuracy(report: Report) -> str:
     """Why accuracy is not known."""
+    if report.accuracy is not None and report.accuracy.own_points:
+        return "the reference holds the survey's own points"
     if report.accuracy is not None:
         return "the reference covers no terrain"
     if _reference_given(report):

@@ -1,6 +1,6 @@
 """Compare the delivered rasters with reference points, square by square."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -23,18 +23,25 @@ from spl_batch.airborne.accuracy import (
     terrain_differences,
 )
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.store.label_tables import read_region
 from spl_batch.airborne.tasks.reference import read_square
-from spl_batch.constants import NODATA
+from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.errors import DamagedError
 from spl_batch.formats.rasters.parts import overview_frame, read_part
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
-from spl_batch.lattice.tiles import cell_bounds, parse_cell
+from spl_batch.lattice.tiles import CellId, cell_bounds, inside, overlap, parse_cell, quanta
 
 SAMPLE: Final = 500_000
 """Differences that the histogram is drawn from, at most [count]."""
+
+OWN_EDGE_M: Final = 10.0
+"""Edge of the window of a square in which the reference's points are sought in the survey [m]."""
+
+OWN_SHARE: Final = 0.5
+"""Share of these that are the survey's own to the millimetre: of another survey's hardly any is."""
 
 _MAP: Final = ("cell", "total", "count")
 """What a square says of the map of differences."""
@@ -68,7 +75,27 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
         arrays |= _as_arrays(product, add_up(counted))
     path = context.store.path("accuracy", f"{square}.npz")
     write_arrays(path, arrays)
-    return Produced([path], {}, points)
+    return Produced([path], {"own": _own_points(known, args["tiles"], context)}, points)
+
+
+def _own_points(known: Reference, tiles: Sequence[str], context: Context) -> tuple[int, int]:
+    """Reference points in a window of a square, and how many of them the survey itself holds."""
+    mine = np.rint(known.xyz_m[known.counts] / QUANTUM_M).astype(np.int64)
+    if not len(mine):
+        return 0, 0
+    edge, tile_q = quanta(OWN_EDGE_M), quanta(context.workflow.tiling.tile_m)
+    middle = mine[len(mine) // 2] // edge
+    window = cell_bounds(CellId(int(middle[0]), int(middle[1])), edge)
+    asked = mine[inside(mine[:, 0], mine[:, 1], window)]
+    near = [t for t in map(parse_cell, tiles) if overlap(cell_bounds(t, tile_q), window)]
+    held, _ = read_region(context.store, near, window, ("x", "y", "z"), {}, ordered=False)
+    own = np.column_stack([held[axis].astype(np.int64) for axis in "xyz"])
+    return len(asked), int(np.count_nonzero(np.isin(_as_one(asked), _as_one(own))))
+
+
+def _as_one(places: NDArray[np.int64]) -> NDArray[np.void]:
+    """Places as values that compare as wholes: (n,) of (n, 3)."""
+    return np.ascontiguousarray(places).view([(axis, np.int64) for axis in "xyz"]).ravel()
 
 
 def _near(context: Context, name: str, known: Reference) -> Raster | None:
@@ -109,6 +136,7 @@ class Comparison:
     differences_m: NDArray[np.float32]  #: (n,): every so many-th DTM minus reference by size [m].
     difference: Raster  #: Mean difference by cell [m].
     points: int
+    own_share: float | None  #: Of those looked at, share that are the survey's own points, 0..1.
 
 
 def compared(done: Receipts, context: Context) -> Comparison | None:
@@ -139,7 +167,25 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
         by_product[0].get("all", Tally()).sample_m(SAMPLE),
         Raster(values, grid.left_m, grid.top_m, grid.cell_m),
         sum(receipt.facts["points"] for receipt in done.get("reference", {}).values()),
+        _own_share(done),
     )
+
+
+def _own_share(done: Receipts) -> float | None:
+    """Share of the reference's points that are the survey's own; None where none was looked at."""
+    looked = [receipt.facts.get("own", (0, 0)) for receipt in done.get("accuracy", {}).values()]
+    asked, own = (sum(one[k] for one in looked) for k in (0, 1))
+    return own / asked if asked else None
+
+
+def own_points(share: float | None) -> Iterator[str]:
+    """What to say of a reference that holds the survey's own points."""
+    if share is not None and share > OWN_SHARE:
+        yield (
+            f"reference.points holds the survey's own points: {share:.0%} of those looked at lie "
+            "in the survey at the same x, y and z. DTM and DSM are compared with what they were "
+            "made of, which tells no accuracy; name points of another survey"
+        )
 
 
 def not_compared(done: Receipts, context: Context, facts: RunFacts) -> Iterator[str]:
