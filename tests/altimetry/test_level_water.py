@@ -31,6 +31,7 @@ from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.altimetry.water.odd_layers import Layers
 from spl_batch.altimetry.water.refraction import AIR, WATER, refracted
 from spl_batch.altimetry.water.rolling_floor import emptier_boxes, standing_out
+from spl_batch.altimetry.water.surface_height import upper_peak
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError
 from tests import surveys
@@ -377,6 +378,21 @@ def test_a_surface_over_a_brighter_shallow_floor_is_no_wood() -> None:
     track = water_track(NIGHT, surface_per_m=0.85, floor_per_m=2.1, depth_m=depth)
     cells = rates.observe(*photons(track), RATE)
     assert (cells.level != NO_WATER).mean() > 0.5
+
+
+def test_crests_beside_troughs_are_no_surface_over_a_floor() -> None:
+    rng = np.random.default_rng(5)
+    index, n = np.arange(3), 240
+    cell, piece = rng.integers(0, 3, n), rng.integers(0, 2, n)
+    none = np.full(n, 3600)
+    for lower, seen in ((rng.uniform(size=n) < 0.4, True), (piece == 1, False)):
+        height = np.where(lower, -500, 450) + rng.integers(-60, 60, n)
+        before, behind = np.where(cell > 0, height, none), np.where(cell < 2, height, none)
+        over = np.stack([before, height, behind], axis=1)
+        found = upper_peak(index, cell, over, piece)
+        assert np.isfinite(found[1]) == seen
+        if seen:
+            assert found[1] == pytest.approx(450, abs=60)
 
 
 def test_the_emptiest_band_is_that_of_a_count_by_hand() -> None:

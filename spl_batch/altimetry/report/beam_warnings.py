@@ -222,7 +222,7 @@ def _odd_layers(delivered: Mapping[str, Any]) -> Iterator[str]:
             f"between {under.from_m / 1000:g} and {under.to_m / 1000:g} km, "
             f"{grouped(under.photons)} signal photons more lie {under.depth_m:g} to 1 m below the "
             "water surface than as far above it: an echo of the detector or a shallow floor is "
-            "called surface there, and the surface lies too low"
+            "called surface there, and the surface may lie too low"
         )
     echo = layers["echo"]
     if echo.photons >= max(SAID_LEAST, _ECHO_SHARE * delivered["floor"]):

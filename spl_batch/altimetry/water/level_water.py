@@ -31,7 +31,7 @@ from spl_batch.altimetry.water.leaning_floor import Below, depths_of, leaning_fl
 from spl_batch.altimetry.water.levelness import is_water
 from spl_batch.altimetry.water.rolling_floor import emptier_boxes, standing_out
 from spl_batch.altimetry.water.rough_surface import lit_below, rough_land, roughness, smooth_sums
-from spl_batch.altimetry.water.surface_height import heights_of
+from spl_batch.altimetry.water.surface_height import heights_of, piece_of
 from spl_batch.altimetry.water.trees_over import grown_over
 from spl_batch.constants import QUANTA_PER_M
 
@@ -160,7 +160,8 @@ def find_water(
     water.fullest[:] = mode * half_m + half_m // 2
     water.slope[:] = _slope(index, mode, cell_m)
     half = round(SURFACE_M * QUANTA_PER_M)
-    level = heights_of(index, cell, height, level, level != NO_WATER, half)
+    piece = piece_of(inside_m, cell_m)
+    level = heights_of(index, cell, height, level, level != NO_WATER, half, piece)
     over_m = (height - level[cell].astype(np.int64)) / QUANTA_PER_M
     wet = level != NO_WATER
     lit = lit_below(index, cell, over_m, wet, SURFACE_M, REACH_CELLS)

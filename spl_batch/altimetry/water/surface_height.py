@@ -29,6 +29,12 @@ _IN_BOTH: Final = 0.8
 """Bins from the middle of either to its end, and share of photons that lie in both: swell has as
 many between its crests and its troughs."""
 
+_PIECES: Final = 2
+_TOGETHER: Final = 0.6
+_CHANCE: Final = 0.8
+"""Pieces of a cell [count], and overlap of two layers along the track, at least: less by so much
+over the root of the fainter one's photons. Crests and troughs of swell lie side by side."""
+
 _AROUND: Final = 10
 _SEEN: Final = 2
 """Cells to each side that tell of a surface, and photons that show it where they do [count]."""
@@ -47,6 +53,7 @@ def heights_of(
     level: NDArray[np.int32],
     wet: NDArray[np.bool_],
     half: int,
+    piece: NDArray[np.intp],
 ) -> NDArray[np.int32]:
     """The levels, each put to the mean of its layer or of the one above a shallow floor.
 
@@ -60,6 +67,8 @@ def heights_of(
         Surface of each cell, about [quanta]; whether there is one.
     half : int
         Half-thickness of a surface [quanta].
+    piece : (p,) intp
+        Piece of its cell that each photon lies in, by :func:`piece_of`.
 
     Returns
     -------
@@ -74,7 +83,8 @@ def heights_of(
     total = np.bincount(cell[near], over[near], n)
     mean = total / np.maximum(np.bincount(cell[near], minlength=n), 1)
     around = height[rows, None] - beside(index, np.where(wet, level, np.nan), 1)[cell]
-    up = upper_peak(index, cell, np.where(np.isnan(around), _NOWHERE, around).astype(np.int64))
+    over = np.where(np.isnan(around), _NOWHERE, around).astype(np.int64)
+    up = upper_peak(index, cell, over, piece[rows])
     up = np.where(wet, up, np.nan)
     missed = _beside_others(index, cell, level + up, height[rows], np.where(wet, level, 0))
     up = np.where(np.isfinite(up), up, missed - level)
@@ -107,6 +117,7 @@ def upper_peak(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
     over: NDArray[np.int64],
+    piece: NDArray[np.intp],
 ) -> NDArray[np.float64]:
     """Height of the surface above a shallow floor over the level of both, (n,) [quanta].
 
@@ -119,14 +130,18 @@ def upper_peak(
     over : (p, 3) int64
         Their heights over the level of the cell before, of their own, and of the one behind
         [quanta]; :data:`_NOWHERE` where there is none.
+    piece : (p,) intp
+        Piece of its cell that each lies in.
     """
     n = len(index)
-    table = np.zeros((n, _BINS), np.int64)
+    by_piece = np.zeros((n, 3 * _PIECES, _BINS), np.int64)
     for step in (-1, 0, 1):
         at = np.searchsorted(index, index + step)[cell]
         row = over[:, step + 1] // _BIN + _BINS // 2
         there = (row >= 0) & (row < _BINS)
-        np.add.at(table, (at[there], row[there]), 1)
+        along = (1 - step) * _PIECES + piece
+        np.add.at(by_piece, (at[there], along[there], row[there]), 1)
+    table = by_piece.sum(axis=1)
     three = table.copy()
     three[:, 1:] += table[:, :-1]
     three[:, :-1] += table[:, 1:]
@@ -135,11 +150,42 @@ def upper_peak(
     below_main = np.where(bins <= main[:, None] - _APART, three, 0).argmax(axis=1)
     faint = _two_layers(table, three, (over_main, main), _FAINT)
     bright = _two_layers(table, three, (main, below_main), _BRIGHT)
+    bright &= _together(by_piece, main, below_main)
     surface = np.where(faint, over_main, main)
     near = np.abs(bins - surface[:, None]) <= 2
     counted = np.where(near, table, 0)
     middle = (counted * ((bins - _BINS // 2) * _BIN + _BIN // 2)).sum(axis=1)
     return np.where(faint | bright, middle / np.maximum(counted.sum(axis=1), 1), np.nan)
+
+
+def piece_of(inside_m: NDArray[np.float64], cell_m: float) -> NDArray[np.intp]:
+    """Piece of its cell that each photon lies in, by its place from the cell's middle [m]."""
+    piece = np.floor((inside_m / cell_m + 0.5) * _PIECES).astype(np.intp)
+    return np.clip(piece, 0, _PIECES - 1)
+
+
+def _together(
+    by_piece: NDArray[np.int64], upper: NDArray[np.intp], lower: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Whether two layers lie over each other rather than side by side: (n,) bool.
+
+    Parameters
+    ----------
+    by_piece : (n, pieces, bins) int64
+        Photons of each piece and bin.
+    upper, lower : (n,) intp
+        Bins of the layers.
+    """
+    bins = np.arange(_BINS)
+    counts = [
+        np.where((np.abs(bins - layer[:, None]) <= 1)[:, None], by_piece, 0).sum(axis=2)
+        for layer in (upper, lower)
+    ]
+    totals = [np.maximum(count.sum(axis=1), 1) for count in counts]
+    shares = [count / total[:, None] for count, total in zip(counts, totals, strict=True)]
+    overlap = np.minimum(*shares).sum(axis=1)
+    least = _TOGETHER - _CHANCE / np.sqrt(np.minimum(*totals))
+    return np.asarray(overlap >= least, np.bool_)
 
 
 def _two_layers(
