@@ -104,13 +104,12 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     write_arrays(path, {**model.to_arrays(), **law.to_arrays(), "crosstalk": np.array(chance)})
     seen = model.seen_fraction
     facts = {
-        **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis")},
+        **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis", "beamlets")},
         "name": str(args["line"]),
         "basis": lines_of_sight.basis(args),
         "gate_m": model.gate_m,
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
-        "beamlets": beamlets,
         "crosstalk": set_off,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
         "afterpulses": {
