@@ -127,6 +127,15 @@ def test_the_report_is_what_its_schema_says(tiny_output: Path) -> None:
     assert "<html" in (tiny_output / "report.html").read_text(encoding="utf-8")[:200].lower()
 
 
+def test_receipts_of_flightlines_say_that_their_files_number_the_beamlets(
+    tiny_output: Path,
+) -> None:
+    receipts = sorted((tiny_output / "store/receipts/fit_line").rglob("*.json"))
+    facts = [json.loads(path.read_text())["facts"] for path in receipts]
+    assert facts
+    assert {found["beamlets"] for found in facts} == {100}
+
+
 def test_rasters_are_aligned_and_cloud_optimised(tiny_output: Path) -> None:
     transforms = set()
     for product in surveys.PRODUCTS:
