@@ -9,12 +9,16 @@ walls looks the same if it was cut off. Nothing is changed. Our own rule: no sou
 """
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
 
+from spl_batch.airborne.products.doubts.raised_places import (
+    Grid,
+    Mask,
+    RaisedPlace,
+    raised_places,
+)
 from spl_batch.numerics.compiled import njit
 
 DOMAIN: Final = "space"
@@ -41,33 +45,8 @@ as wide [m2, m]."""
 AXES: Final = 8
 """Directions across a dam that are tried [count]."""
 
-Grid = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
-
-class Dam(NamedTuple):
-    """A dam across a gap.
-
-    Parameters
-    ----------
-    area_m2 : float
-        Area [m2].
-    row, column : int
-        Its highest cell.
-    height_m : float
-        How far that stands above the ground on both sides [m].
-    cells : (2, n) int64
-        Rows and columns of all of it.
-    """
-
-    area_m2: float
-    row: int
-    column: int
-    height_m: float
-    cells: NDArray[np.int64]
-
-
-def dams_over_gaps(dtm: Grid, lowest: Grid, away_m: Grid, cell_m: float) -> Iterator[Dam]:
+def dams_over_gaps(dtm: Grid, lowest: Grid, away_m: Grid, cell_m: float) -> Iterator[RaisedPlace]:
     """Dams of a terrain model, row by row.
 
     Parameters
@@ -85,18 +64,11 @@ def dams_over_gaps(dtm: Grid, lowest: Grid, away_m: Grid, cell_m: float) -> Iter
         return
     above = np.zeros(dtm.shape)
     _measure(dtm, lowest, away_m == 0.0, REACH_M / cell_m, round(BEYOND_M / cell_m), above)
-    numbers, _ = ndimage.label(above >= ABOVE_M, np.ones((3, 3)))
-    for number, box in enumerate(ndimage.find_objects(numbers), start=1):
-        mine = numbers[box] == number
-        area_m2 = float(mine.sum()) * cell_m**2
-        height = np.where(mine, above[box], 0.0)
-        if area_m2 < LEAST_M2 or height.max() < 1.5 * ABOVE_M:
+    for dam in raised_places(above, above >= ABOVE_M, cell_m):
+        if dam.area_m2 < LEAST_M2 or dam.height_m < 1.5 * ABOVE_M:
             continue
-        if away_m[box][mine].max() < AWAY_M:
-            continue
-        cells = np.stack(np.nonzero(mine)) + np.array([[side.start] for side in box])
-        row, column = cells[:, height[mine].argmax()].tolist()
-        yield Dam(area_m2, row, column, float(height.max()), cells)
+        if away_m[dam.cells[0], dam.cells[1]].max() >= AWAY_M:
+            yield dam
 
 
 @njit()

@@ -8,12 +8,17 @@ source has one.
 """
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.airborne.products.doubts.raised_places import (
+    Grid,
+    Mask,
+    RaisedPlace,
+    raised_places,
+)
 from spl_batch.numerics.compiled import njit
 
 DOMAIN: Final = "space"
@@ -44,33 +49,8 @@ LEAST_M2: Final = 2.0
 DIRECTIONS: Final = 16
 """Directions of a deck that are tried [count]."""
 
-Grid = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
-
-class DeckEnd(NamedTuple):
-    """An end of a deck in a terrain model.
-
-    Parameters
-    ----------
-    area_m2 : float
-        Area [m2].
-    row, column : int
-        Its highest cell.
-    height_m : float
-        How far that stands above the ground on both sides [m].
-    cells : (2, n) int64
-        Rows and columns of all of it.
-    """
-
-    area_m2: float
-    row: int
-    column: int
-    height_m: float
-    cells: NDArray[np.int64]
-
-
-def deck_ends(dtm: Grid, lowest: Grid, held: Mask, cell_m: float) -> Iterator[DeckEnd]:
+def deck_ends(dtm: Grid, lowest: Grid, held: Mask, cell_m: float) -> Iterator[RaisedPlace]:
     """Ends of decks in a terrain model, row by row.
 
     Parameters
@@ -92,16 +72,9 @@ def deck_ends(dtm: Grid, lowest: Grid, held: Mask, cell_m: float) -> Iterator[De
     near = held & ndimage.maximum_filter(over, 2 * (lead + run) + 1, mode="constant")
     above = np.zeros(dtm.shape)
     _measure(dtm, lowest, held, near, lead, run, aside, back, above)
-    numbers, _ = ndimage.label(above > 0.0, np.ones((3, 3)))
-    for number, box in enumerate(ndimage.find_objects(numbers), start=1):
-        mine = numbers[box] == number
-        area_m2 = float(mine.sum()) * cell_m**2
-        if area_m2 < LEAST_M2:
-            continue
-        height = np.where(mine, above[box], 0.0)
-        cells = np.stack(np.nonzero(mine)) + np.array([[side.start] for side in box])
-        row, column = cells[:, height[mine].argmax()].tolist()
-        yield DeckEnd(area_m2, row, column, float(height.max()), cells)
+    for end in raised_places(above, above > 0.0, cell_m):
+        if end.area_m2 >= LEAST_M2:
+            yield end
 
 
 @njit()

@@ -15,9 +15,9 @@ from spl_batch.airborne.products.doubts.dams_over_gaps import (
     FALL_M,
     LEAST_M2,
     REACH_M,
-    Dam,
     dams_over_gaps,
 )
+from spl_batch.airborne.products.doubts.raised_places import RaisedPlace
 
 Grid = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,7 +39,7 @@ def spanned(height: Grid, gap: Mask) -> tuple[Grid, Grid]:
     return np.where(gap, dtm, height), ndimage.distance_transform_edt(gap)
 
 
-def found_below(deck_m: float, dtm: Grid, away_m: Grid) -> list[Dam]:
+def found_below(deck_m: float, dtm: Grid, away_m: Grid) -> list[RaisedPlace]:
     """Dams where the gap is hidden by what lies at a height."""
     return list(dams_over_gaps(dtm, np.where(away_m > 0, deck_m, dtm), away_m, 1.0))
 
