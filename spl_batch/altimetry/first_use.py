@@ -3,18 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
 from spl_batch.altimetry.formats.atl03 import BEAMS
-from spl_batch.altimetry.formats.photons import TrackFile, inspect
+from spl_batch.altimetry.formats.photons import HDF5, TrackFile, inspect
 from spl_batch.altimetry.formats.track_csv import is_track
 from spl_batch.engine.settings.draft import Draft, headed, key_lines, patterns
 from spl_batch.engine.verbs.beginning import files_below
 from spl_batch.errors import InputError, WorkflowError, as_input_fault, counted, named
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.formats.hdf5 import open_hdf5
-
-HDF5: Final = frozenset({".h5", ".hdf5", ".he5"})
 
 
 @dataclass

@@ -65,12 +65,6 @@ class CloudLook:
         """Standard that the times seem to be in."""
         return "none" if self.span_s is None else time_standard(np.array(self.span_s))
 
-    @property
-    def area_m2(self) -> float:
-        """Area of the header's box [m2]."""
-        low, high = self.facts.mins_m, self.facts.maxs_m
-        return (high[0] - low[0]) * (high[1] - low[1])
-
 
 def look_at(path: Path, *, points: bool = True) -> CloudLook:
     """Look at a file, which takes a tenth of a second whatever its size.

@@ -75,7 +75,7 @@ def _clouds(looks: Sequence[CloudLook]) -> str:
     """How much there is."""
     points = sum(look.facts.n_points for look in looks)
     said = f"{counted(len(looks), 'files')}, {counted(points, 'points')}"
-    area_m2 = sum(look.area_m2 for look in looks)
+    area_m2 = sum(look.facts.area_m2 for look in looks)
     if area_m2 < 1.0:  # of degrees, or of next to nothing
         return said
     small = area_m2 < SMALL_M2

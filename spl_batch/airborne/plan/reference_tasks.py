@@ -116,9 +116,9 @@ def _lattice(survey: Survey) -> tuple[int, int]:
     cell = quanta(survey.workflow.products.cell_m)
     margin = max(quanta(MARGIN_M), MARGIN_CELLS * cell)
     used = survey.inputs.reference.usable
-    boxes = [(f.mins_m, f.maxs_m, f.n_points) for f in used if f.n_points]
-    area_m2 = sum((high[0] - low[0]) * (high[1] - low[1]) for low, high, _ in boxes)
-    points = sum(n for _, _, n in boxes)
+    boxes = [facts for facts in used if facts.n_points]
+    area_m2 = sum(facts.area_m2 for facts in boxes)
+    points = sum(facts.n_points for facts in boxes)
     held = min(SQUARE_POINTS, points_within("accuracy", survey.memory_bytes) // UNEVEN)
     wanted = quanta(math.sqrt(area_m2 * held / max(points, 1)))
     edge = cell

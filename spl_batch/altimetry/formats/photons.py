@@ -19,6 +19,9 @@ from spl_batch.formats.las.header import open_input
 
 Layout = Literal["atl03", "mabel", "csv"]
 
+HDF5: Final = frozenset({".h5", ".hdf5", ".he5"})
+"""Suffixes of files that cannot be tables."""
+
 _HEIGHT_MAX_M: Final = 2e4
 _ALONG_MAX_M: Final = 1e9
 
@@ -76,7 +79,7 @@ def inspect(path: Path, prf_hz: float | None) -> TrackFile:
         start = stream.read(len(SIGNATURE))
     status = path.stat()
     if start != SIGNATURE:
-        if path.suffix.lower() in {".h5", ".hdf5", ".he5"}:
+        if path.suffix.lower() in HDF5:
             raise InputError(str(path), "is no HDF5 file (its first bytes say so); copy it again")
         beams = [BeamFacts("track", track_csv.estimate(path, status.st_size))]
         return TrackFile(path, "csv", tuple(beams), status.st_size, status.st_mtime_ns)

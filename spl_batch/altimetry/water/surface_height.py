@@ -134,7 +134,7 @@ def upper_peak(
         Piece of its cell that each lies in.
     """
     n = len(index)
-    by_piece = np.zeros((n, 3 * _PIECES, _BINS), np.int64)
+    by_piece = np.zeros((n, 3 * _PIECES, _BINS), np.int32)
     for step in (-1, 0, 1):
         at = np.searchsorted(index, index + step)[cell]
         row = over[:, step + 1] // _BIN + _BINS // 2
@@ -165,13 +165,13 @@ def piece_of(inside_m: NDArray[np.float64], cell_m: float) -> NDArray[np.intp]:
 
 
 def _together(
-    by_piece: NDArray[np.int64], upper: NDArray[np.intp], lower: NDArray[np.intp]
+    by_piece: NDArray[np.int32], upper: NDArray[np.intp], lower: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
     """Whether two layers lie over each other rather than side by side: (n,) bool.
 
     Parameters
     ----------
-    by_piece : (n, pieces, bins) int64
+    by_piece : (n, pieces, bins) int32
         Photons of each piece and bin.
     upper, lower : (n,) intp
         Bins of the layers.

@@ -58,6 +58,11 @@ class LasFacts:
     #: Whether :mod:`spl_batch.formats.las.layers` knows how its points are compressed.
     layers_can_be_copied: bool
 
+    @property
+    def area_m2(self) -> float:
+        """Area of the header's box [m2]."""
+        return (self.maxs_m[0] - self.mins_m[0]) * (self.maxs_m[1] - self.mins_m[1])
+
 
 def inspect(path: Path) -> LasFacts:
     """Facts of a LAS, LAZ or COPC file from header, VLRs and chunk table.

@@ -45,9 +45,8 @@ class Density:
         gps_time : (n,) float64
             Times of some of its points, in their order [s].
         """
-        low, high = facts.mins_m, facts.maxs_m
         self.points += facts.n_points
-        self.area_m2 += (high[0] - low[0]) * (high[1] - low[1])
+        self.area_m2 += facts.area_m2
         time = gps_time[usable_times(gps_time)]
         if len(time) > 1 and np.mean(np.diff(time) >= 0) >= IN_ORDER:
             self.timed += len(time)
