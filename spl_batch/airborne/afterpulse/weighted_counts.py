@@ -225,10 +225,12 @@ def _ellipsoid(
                     apart, off = dx * dx + dy * dy, off * off
                     left = spread(1.0) - apart * spread(across) - off * spread(up)
                     taken = load(counts, at) & (rows >= spread(p)) & (rows < spread(end))
-                    taken, at_once = taken & (left > spread(0.0)), load(time, at) == moment
-                    pack(mates, fellows, rows, taken & at_once)
-                    fellows += number(taken & at_once)
-                    taken = taken & (load(time, at) != moment)
+                    taken = taken & (left > spread(0.0))
+                    at_once = taken & (load(time, at) == moment)
+                    if number(at_once) > U0:
+                        pack(mates, fellows, rows, at_once)
+                        fellows += number(at_once)
+                        taken = taken & (load(time, at) != moment)
                     pack(near, size, rows, taken)
                     pack(flat, size, apart, taken)
                     pack(square, size, off, taken)

@@ -58,14 +58,15 @@ def _most_in_two(near, width, bins):  # type: ignore[no-untyped-def]
     A window lies within two bins side by side that are wider by more than rounding. Bins far apart
     share a count, and all counts are zero before and after.
     """
-    most = 0
+    most, each = 0, 1.0 / (width * WIDER)
     for k in range(len(near)):
-        at = math.floor(near[k] / (width * WIDER))
-        bins[at % BINS] += 1
-        beside = max(bins[(at - 1) % BINS], bins[(at + 1) % BINS])
-        most = max(most, bins[at % BINS] + beside)
+        at = np.int64(math.floor(near[k] * each))
+        own = at & (BINS - 1)
+        bins[own] += 1
+        beside = max(bins[(at - 1) & (BINS - 1)], bins[(at + 1) & (BINS - 1)])
+        most = max(most, bins[own] + beside)
     for k in range(len(near)):
-        bins[math.floor(near[k] / (width * WIDER)) % BINS] = 0
+        bins[np.int64(math.floor(near[k] * each)) & (BINS - 1)] = 0
     return most
 
 

@@ -104,20 +104,21 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
     collection.links.insert(0, pystac.Link("root", "./collection.json", "application/json"))
     # Links are as they stand: nothing is to be resolved, or made absolute.
     records = [item.to_dict(include_self_link=False, transform_hrefs=False) for item in items]
-    written = [_write(folder / f"{record['id']}.json", record) for record in records]
-    whole_file = {"type": "FeatureCollection", "features": records}
+    written = {folder / f"{record['id']}.json": _text(record) for record in records}
+    features = ",\n".join(written.values())
     of_collection = collection.to_dict(include_self_link=False, transform_hrefs=False)
-    return [
-        _write(folder / "collection.json", of_collection),
-        _write(folder / "items.json", whole_file),
-        *written,
-    ]
+    texts = {
+        folder / "collection.json": _text(of_collection),
+        folder / "items.json": f'{{"type": "FeatureCollection", "features": [\n{features}\n]}}',
+        **written,
+    }
+    for path, text in texts.items():
+        write_bytes(path, f"{text}\n".encode())
+    return list(texts)
 
 
-def _write(path: Path, content: Any) -> Path:
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    write_bytes(path, f"{text}\n".encode())
-    return path
+def _text(content: Any) -> str:
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
 
 
 def _slug(name: str) -> str:

@@ -1,9 +1,21 @@
 """Kernels of :mod:`~spl_batch.airborne.noise.haze`: cubes counted, their quarters, noise raised."""
 
+import math
+
 import numpy as np
 
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.sorting import sort
+
+
+@njit(inline="always")
+def _placed(v, edge, cubes, cells_of):  # type: ignore[no-untyped-def]
+    """Cube of a coordinate [quanta], and which of its cells; quicker than whole quotients.
+
+    ``cubes, cells_of``: of a quantum. In the middle of its quantum no quotient is near a whole one.
+    """
+    cube = np.int64(math.floor((v + 0.5) * cubes))
+    return cube, np.int64((v - cube * edge + 0.5) * cells_of)
 
 
 @njit()
@@ -11,15 +23,17 @@ def count_strips(  # type: ignore[no-untyped-def]
     x, y, z, layer, order, start, edge, cell, south, room, count, columns, cells
 ):
     """Returns of each cube, and the pairs of them that share a column or a cell."""
-    parts = room.shape[2]
+    parts, cubes, cells_of = room.shape[2], 1.0 / edge, 1.0 / cell
     for i in range(len(start) - 1):
         if start[i] == start[i + 1]:
             continue
         room[:] = 0
         for k in range(start[i], start[i + 1]):
             p = order[k]
-            j = y[p] // edge - south
-            a, b, c = x[p] % edge // cell, y[p] % edge // cell, z[p] % edge // cell
+            _, a = _placed(x[p], edge, cubes, cells_of)
+            j, b = _placed(y[p], edge, cubes, cells_of)
+            _, c = _placed(z[p], edge, cubes, cells_of)
+            j -= south
             room[j, layer[p], a, b, c] += 1
             count[i, j, layer[p]] += 1
         for j in range(count.shape[1]):

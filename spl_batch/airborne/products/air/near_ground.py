@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.products.air.place_kernels import heights, in_places
+from spl_batch.airborne.products.air.place_kernels import below, heights, in_places
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
@@ -105,7 +105,8 @@ def placed(table: PointTable, core: Bounds, highest: NDArray[np.float32]) -> Pla
     frame = (west * edge, south * edge, int(columns), int(rows))
     kind = table["noise_class"]
     chosen, place, within = in_places(table["x"], table["y"], kind, frame, edge, cell)
-    surface = _below(table, chosen, core, highest)
+    size = (core.xmax - core.xmin) // highest.shape[1]
+    surface = below(table["x"], table["y"], chosen, (core.xmin, core.ymin), size, highest)
     z, kept = table["z"][chosen], kind[chosen] == NOISE_SIGNAL
     half_metre, level, grounded = heights(
         z, surface, place, int(rows * columns), FLOOR_M, HALF_M
@@ -174,15 +175,3 @@ def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
         full &= (excess <= UNEVEN * mean**2) & points.grounded
         out.append(int(np.count_nonzero(full)))
     return out
-
-
-def _below(
-    table: PointTable, chosen: Index, core: Bounds, highest: NDArray[np.float32]
-) -> NDArray[np.float64]:
-    """Highest ground of the cells below points, NaN where it is void [m]."""
-    rows, cols = highest.shape
-    size = (core.xmax - core.xmin) // cols
-    row = rows - 1 - (table["y"][chosen] - core.ymin) // size
-    col = (table["x"][chosen] - core.xmin) // size
-    surface: NDArray[np.float64] = highest[row, col].astype(np.float64)
-    return surface

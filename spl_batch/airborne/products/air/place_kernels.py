@@ -21,16 +21,36 @@ def in_places(
     west, south, columns, rows = frame
     chosen, place, within = np.empty((3, len(x)), np.int64)
     parts, held = edge // cell, 0
+    # In the middle of its quantum no quotient is near a whole number.
+    cells, places = 1.0 / cell, 1.0 / parts
     for i in range(len(x)):
         east, north = x[i] - west, y[i] - south
-        column, row = east // edge, north // edge
         if kind[i] == NOISE_AFTERPULSE or kind[i] == NOISE_NOT_ASSESSED:
             continue
-        if 0 <= column < columns and 0 <= row < rows:
+        if 0 <= east < columns * edge and 0 <= north < rows * edge:
+            a, b = np.int64((east + 0.5) * cells), np.int64((north + 0.5) * cells)
+            column, row = np.int64((a + 0.5) * places), np.int64((b + 0.5) * places)
             chosen[held], place[held] = i, row * columns + column
-            within[held] = north % edge // cell * parts + east % edge // cell
+            within[held] = (b - row * parts) * parts + a - column * parts
             held += 1
     return chosen[:held], place[:held], within[:held]
+
+
+@njit()
+def below(
+    x: Index, y: Index, chosen: Index, corner: tuple[int, int], size: int,
+    highest: NDArray[np.float32],
+) -> NDArray[np.float64]:  # fmt: skip
+    """Value of the cell below each chosen point, of cells that hold them all, north up.
+
+    ``corner``: west and south; ``size``: edge of a cell [quanta].
+    """
+    out, cells, last = np.empty(len(chosen)), 1.0 / size, len(highest) - 1
+    for k in range(len(chosen)):
+        i = chosen[k]
+        row = last - np.int64((y[i] - corner[1] + 0.5) * cells)
+        out[k] = highest[row, np.int64((x[i] - corner[0] + 0.5) * cells)]
+    return out
 
 
 @njit()
