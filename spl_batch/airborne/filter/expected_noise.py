@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.noise.beamlet_counts import SQUARES
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS, Listened, around, listened
+from spl_batch.airborne.noise.noise_interpolation import put_places
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.airborne.store.voxel_parts import StoredVoxels
 from spl_batch.engine.store.working_store import Store
@@ -56,19 +57,23 @@ class _Box(NamedTuple):
         )
         return i, j, np.clip(k, 0, self.shape[2] - 1)
 
-    def offsets(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.float64], ...]:
-        """From the centres of their squares, in squares, and voxels, in voxels [-0.5..0.5]."""
-        return tuple(
-            axis.astype(np.int64, copy=False) * parts % self.edge / self.edge - 0.5
-            for axis, parts in zip(xyz, (SQUARES, SQUARES, 1), strict=True)
-        )
+    def places(
+        self, xyz: Sequence[NDArray[np.integer[Any]]]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+        """Indices of some points' voxels and squares, and how far they lie off their middles.
 
-    def squares(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.int64], ...]:
-        """Indices of their squares in a layer of voxels."""
-        return tuple(
-            (axis.astype(np.int64, copy=False) - first * self.edge) * SQUARES // self.edge
-            for axis, first in zip(xyz[:2], self.corner[:2], strict=True)
+        As :func:`~spl_batch.airborne.noise.local_noise.around` wants them.
+        """
+        n = len(xyz[0])
+        voxel, square, offset = (
+            np.empty((3, n), np.int64),
+            np.empty((2, n), np.int64),
+            np.empty((3, n)),
         )
+        top = self.shape[2] - 1
+        x, y, z = xyz
+        put_places(x, y, z, self.edge, SQUARES, self.corner, top, voxel, square, offset)
+        return voxel, square, offset
 
 
 class NoiseModel(NamedTuple):
@@ -85,8 +90,8 @@ class NoiseModel(NamedTuple):
         out = np.empty(n)
         for some in _batches(n):
             place = [axis[some] for axis in xyz]
-            voxel = self.box.voxels(place)
-            near = around(self.heard, voxel, self.box.squares(place), self.box.offsets(place))
+            voxel, square, offset = self.box.places(place)
+            near = around(self.heard, tuple(voxel), tuple(square), tuple(offset))
             # published, or beside all that any beamlet crosses
             none = np.flatnonzero(~(near > 0.0))
             near[none] = self.within[tuple(axis[none] for axis in voxel)]

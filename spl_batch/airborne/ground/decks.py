@@ -89,12 +89,15 @@ def _between_falls(
 ) -> None:
     """Fill with cells that have a sharp fall on two opposite sides across one of the axes."""
     rows, columns = height.shape
+    axes = np.empty((AXES, 2))
+    for k in range(AXES):
+        axes[k, 0], axes[k, 1] = np.sin(np.pi * k / AXES), np.cos(np.pi * k / AXES)
     for r in range(rows):
         for c in range(columns):
             if not asked[r, c]:
                 continue
             for k in range(AXES):
-                north, east = np.sin(np.pi * k / AXES), np.cos(np.pi * k / AXES)
+                north, east = axes[k, 0], axes[k, 1]
                 one = _level_for(height, r, c, north, east, wide, rise_m, fall_m)
                 if one == 0:
                     continue

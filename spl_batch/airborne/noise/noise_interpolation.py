@@ -1,5 +1,7 @@
 """Noise at points, from the density over squares around them and the ends of gates."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,6 +64,38 @@ def add_between(
             if found > 0.0 and beside > 0.0 and side[vx, vy, k] == 0:
                 found += abs(up) * (beside - found)
         out[p] += found
+
+
+@njit()
+def put_places(x, y, z, edge, parts, corner, top, voxel, square, offset):  # type: ignore[no-untyped-def]
+    """Voxels and squares of points, and how far they lie off the middles of both.
+
+    Parameters
+    ----------
+    x, y, z : (n,) integer
+        Absolute coordinates [quanta].
+    edge, parts : int
+        Edge of a voxel [quanta], and squares along it [count].
+    corner : (int, int, int)
+        Absolute index of the first voxel.
+    top : int
+        Highest layer: what lies above or below is as silent as the highest or lowest one.
+    voxel, square, offset
+        (3, n), (2, n), (3, n), out: as in :func:`add_between`.
+    """
+    # In the middle of its quantum no quotient is near a whole number.
+    voxels = 1.0 / edge
+    for p in range(len(x)):
+        for axis in range(2):
+            v = np.int64(x[p] if axis == 0 else y[p])
+            at = np.int64(math.floor((v * parts + 0.5) * voxels))
+            own = np.int64(math.floor((v + 0.5) * voxels)) - corner[axis]
+            voxel[axis, p], square[axis, p] = own, at - corner[axis] * parts
+            offset[axis, p] = (v * parts - at * edge) / edge - 0.5
+        v = np.int64(z[p])
+        at = np.int64(math.floor((v + 0.5) * voxels))
+        voxel[2, p] = min(max(at - corner[2], 0), top)
+        offset[2, p] = (v - at * edge) / edge - 0.5
 
 
 @njit(inline="always")

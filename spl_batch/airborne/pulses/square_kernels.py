@@ -3,7 +3,15 @@
 A grid is told by the edge of its squares and by the column and row of its first one [quanta].
 """
 
+import numpy as np
+
 from spl_batch.numerics.compiled import njit
+
+
+@njit(inline="always")
+def _square(away, squares):  # type: ignore[no-untyped-def]
+    """Square of a distance >= 0 [quanta]: in the middle of its quantum it is near no other one."""
+    return np.int64((away + 0.5) * squares)
 
 
 @njit()
@@ -21,10 +29,11 @@ def count_squares(x, y, west, south, edge, count):  # type: ignore[no-untyped-de
     """
     rows, columns = count.shape
     low, left = south * edge, west * edge
-    high, right = low + rows * edge, left + columns * edge
+    high, right, squares = low + rows * edge, left + columns * edge, 1.0 / edge
     for i in range(len(x)):
         if left <= x[i] < right and low <= y[i] < high:
-            count[(y[i] - low) // edge, (x[i] - left) // edge] += 1
+            row, column = _square(y[i] - low, squares), _square(x[i] - left, squares)
+            count[row, column] += 1
 
 
 @njit()
@@ -32,10 +41,11 @@ def mark_squares(x, y, west, south, edge, out):  # type: ignore[no-untyped-def]
     """Mark squares that hold a return: (rows, columns) bool; else as :func:`count_squares`."""
     rows, columns = out.shape
     low, left = south * edge, west * edge
-    high, right = low + rows * edge, left + columns * edge
+    high, right, squares = low + rows * edge, left + columns * edge, 1.0 / edge
     for i in range(len(x)):
         if left <= x[i] < right and low <= y[i] < high:
-            out[(y[i] - low) // edge, (x[i] - left) // edge] = True
+            row, column = _square(y[i] - low, squares), _square(x[i] - left, squares)
+            out[row, column] = True
 
 
 @njit()
