@@ -3,8 +3,8 @@
 An end that lies little above the ground passes for ground. What was cut off shows it: it goes on
 level from the end, above the terrain model, without ground. The ground on both sides of an end is
 lower; behind it the deck meets ground that is not, while a bank on which a road leads to a bridge
-goes on. A crest that was cut off in its middle looks the same. Nothing is changed. Our own rule: no
-source has one.
+goes on. An end touches what was cut off; cells of a rim beside a deck's way do not. A crest that was
+cut off in its middle looks the same. Nothing is changed. Our own rule: no source has one.
 """
 
 from collections.abc import Iterator
@@ -43,8 +43,8 @@ LOWER_M: Final = 0.5
 BACK_M: Final = 10.0
 """So near behind an end lies ground that has none half as much lower on both sides [m]."""
 
-LEAST_M2: Final = 2.0
-"""Smaller ends are not told [m2]."""
+LEAST_M2: Final = 1.0
+"""Smaller ends are not told: a footbridge's end is often a single cell of a metre [m2]."""
 
 DIRECTIONS: Final = 16
 """Directions of a deck that are tried [count]."""
@@ -72,8 +72,11 @@ def deck_ends(dtm: Grid, lowest: Grid, held: Mask, cell_m: float) -> Iterator[Ra
     near = held & ndimage.maximum_filter(over, 2 * (lead + run) + 1, mode="constant")
     above = np.zeros(dtm.shape)
     _measure(dtm, lowest, held, near, lead, run, aside, back, above)
+    with np.errstate(invalid="ignore"):
+        cut_off = ~held & (lowest - dtm >= LEVEL_M)
+    beside = ndimage.binary_dilation(cut_off, np.ones((3, 3)))
     for end in raised_places(above, above > 0.0, cell_m):
-        if end.area_m2 >= LEAST_M2:
+        if end.area_m2 >= LEAST_M2 and beside[end.cells[0], end.cells[1]].any():
             yield end
 
 

@@ -96,6 +96,14 @@ class ByHand:
         ]
         return max([0.0, *(lower for lower in found if lower >= LOWER_M)])
 
+    def touches(self, mine: Mask) -> bool:
+        return any(
+            not self.held[r, c] and self.lowest[r, c] - self.dtm[r, c] >= LEVEL_M
+            for row, column in np.argwhere(mine).tolist()
+            for r in range(max(row - 1, 0), min(row + 2, len(mine)))
+            for c in range(max(column - 1, 0), min(column + 2, mine.shape[1]))
+        )
+
     def ends(self) -> list[tuple[float, int, int, float]]:
         above = np.zeros(self.dtm.shape)
         for row, column in np.argwhere(self.held).tolist():
@@ -104,7 +112,7 @@ class ByHand:
         found = []
         for number in range(1, many + 1):
             tall = np.where(numbers == number, above, 0.0)
-            if (tall > 0).sum() >= LEAST_M2:
+            if (tall > 0).sum() >= LEAST_M2 and self.touches(tall > 0):
                 row, column = np.unravel_index(tall.argmax(), tall.shape)
                 found.append((float((tall > 0).sum()), int(row), int(column), float(tall.max())))
         return found
@@ -134,6 +142,25 @@ def test_what_goes_on_at_another_height_or_beside_level_ground_is_none():
     assert list(deck_ends(dtm, roof, held, 1.0)) == []
     plain = np.where(held, 0.0, dtm)
     assert list(deck_ends(plain, np.where(held, plain, lowest), held, 1.0)) == []
+
+
+def test_an_end_of_a_single_cell_is_told():
+    dtm, lowest, held = bridge(0.0, 0.0)
+    row, column = 27, 37
+    assert lowest[row, column] - dtm[row, column] > 2.0
+    dtm[row, column], held[row, column] = 0.0, True
+    (end,) = deck_ends(dtm, lowest, held, 1.0)
+    assert (end.row, end.column, end.area_m2) == (row, column, 1.0)
+
+
+def test_raised_cells_that_do_not_touch_what_was_cut_off_are_no_end():
+    dtm, lowest, held = bridge(0.0, 2.0)
+    assert len(list(deck_ends(dtm, lowest, held, 1.0))) == 2
+    # Level ground between the ends and the rest of the deck.
+    rim = abs(abs(np.indices(dtm.shape)[1] - 27.5) - 8.0) <= 1.5
+    dtm, lowest = np.where(rim, 0.0, dtm), np.where(rim, 0.0, lowest)
+    assert ByHand(dtm, lowest, held | rim).above(27, 16) >= LOWER_M
+    assert list(deck_ends(dtm, lowest, held | rim, 1.0)) == []
 
 
 @pytest.mark.parametrize("seed", range(2))
