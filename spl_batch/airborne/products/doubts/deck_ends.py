@@ -3,7 +3,7 @@
 An end that lies little above the ground passes for ground. What was cut off shows it: it goes on
 level from the end, above the terrain model, without ground. The ground on both sides of an end is
 lower; behind it the deck meets ground that is not, while a bank on which a road leads to a bridge
-goes on. An end touches what was cut off; cells of a rim beside a deck's way do not. A crest that was
+goes on. An end touches what was cut off; cells of a rim in a deck's way do not. A crest that was
 cut off in its middle looks the same. Nothing is changed. Our own rule: no source has one.
 """
 
