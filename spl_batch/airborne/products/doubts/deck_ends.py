@@ -74,7 +74,7 @@ def deck_ends(dtm: Grid, lowest: Grid, held: Mask, cell_m: float) -> Iterator[Ra
     _measure(dtm, lowest, held, near, lead, run, aside, back, above)
     with np.errstate(invalid="ignore"):
         cut_off = ~held & (lowest - dtm >= LEVEL_M)
-    beside = ndimage.binary_dilation(cut_off, np.ones((3, 3)))
+    beside = ndimage.binary_dilation(cut_off, np.ones((3, 3), np.bool_))
     for end in raised_places(above, above > 0.0, cell_m):
         if end.area_m2 >= LEAST_M2 and beside[end.cells[0], end.cells[1]].any():
             yield end
