@@ -6,7 +6,8 @@ Each row is a small survey with one effect that the model of the noise does not 
 default settings; :mod:`benchmarks.airborne.sky_figures` has the figures. An effect is ``held``
 where none is worse than that of the base by more than :data:`HELD` allows. Else it is ``told`` if
 the run has a warning that the scene without the effect has not, and of a kind that says what is off
-(:data:`SAYS`), or ``SILENT``; ``--say`` prints the new warnings.
+(:data:`SAYS`), or ``SILENT``; ``--say`` prints the new warnings, ``--fit`` how the run judges its
+own fit.
 
 ``--before CHECKOUT``: another version of this repository runs on the same files; its row stands
 above this one's.
@@ -283,6 +284,7 @@ def main() -> None:
     parser.add_argument("--without", action="store_true", help="noise.haze: false")
     parser.add_argument("--bloom", action="store_true", help="noise.bloom: true")
     parser.add_argument("--say", action="store_true", help="print the warnings")
+    parser.add_argument("--fit", action="store_true", help="print p-values and what floats")
     parser.add_argument("--before", type=Path, metavar="CHECKOUT", help="another version")
     given = parser.parse_args()
     folder = given.folder or Path(tempfile.mkdtemp())
@@ -312,6 +314,8 @@ def main() -> None:
                 usual[out] = figures, said
             title = f"{name:30s}{times:4g}" if out == versions[0] else ""
             _print(name, title, figures, said, usual[out], say=given.say)
+        if given.fit:
+            print(f"    {fit(survey)}")
         if name.startswith("crosstalk"):
             print(f"    {stray(survey, 'crosstalk')}")
         elif "reflectors" in name:
@@ -356,6 +360,13 @@ def stray(survey: Path, of: str) -> str:
         true += int(np.count_nonzero(kind == ALL_KINDS.index(of)))
     reckoned = noise.get(f"{of}_expected")
     return f"{true} are {of}, {noise[of]} counted" + (f", {reckoned} reckoned" if reckoned else "")
+
+
+def fit(survey: Path) -> str:
+    """How this version judges its own fit: p-values below all surfaces, and what floats."""
+    said = json.loads((survey / "out" / "report.json").read_text())["noise"]["fit"]
+    times, share = said["p_value_times"], said["floating_share"]
+    return f"{times:.2f} times as many p-values as uniform ones, {100 * share:.2f} % floats"
 
 
 def verdict(
