@@ -12,6 +12,7 @@ from spl_batch.airborne.filter.expected_noise import Expected, NoiseModel
 from spl_batch.airborne.noise.haze import (
     CUBE_M,
     REACH_M,
+    WINDOW,
     Air,
     Axes,
     Layers,
@@ -158,7 +159,7 @@ def _summary(looks: Sequence[Look]) -> dict[str, Any] | None:
     dict or None
         ``squares``, seen from above, and ``cubes`` [count]; ``returns`` in them [count];
         ``expected`` by the model [count]; ``low`` and ``high``, heights between which nine tenths
-        of the returns lie [quanta]; ``box`` around them [quanta].
+        of the returns lie [quanta]; ``box`` around them [quanta]; ``places`` of :func:`_places`.
     """
     edge = quanta(CUBE_M)
     own = []
@@ -184,4 +185,31 @@ def _summary(looks: Sequence[Look]) -> dict[str, Any] | None:
         "low": int(low) * edge,
         "high": (int(high) + 1) * edge,
         "box": [int(side) * edge for side in (west, south, east, north)],
+        "places": list(_places(cube, count, expected)),
     }
+
+
+def _places(
+    cube: NDArray[np.int64], count: NDArray[np.int64], expected: NDArray[np.float64]
+) -> Iterator[list[float]]:
+    """Air by squares of the absolute grid, each from one layer without any to the next.
+
+    Yields
+    ------
+    [west, south, east, north, low, high, squares, cubes, returns, expected]
+        Box around its cubes, and the layers between which nine tenths of its returns lie [cubes];
+        cubes seen from above, all cubes, returns and what the model expects of them [count].
+    """
+    square = cube[:, :2] // WINDOW
+    order = np.lexsort((cube[:, 2], square[:, 1], square[:, 0]))
+    cube, square, count, expected = cube[order], square[order], count[order], expected[order]
+    new = (np.diff(square, axis=0) != 0).any(axis=1) | (np.diff(cube[:, 2]) > 1)
+    for own in np.split(np.arange(len(cube)), np.flatnonzero(new) + 1):
+        at, returns = cube[own], count[own]
+        share = np.cumsum(returns) / returns.sum()
+        low, high = (int(at[np.searchsorted(share, end), 2]) for end in (0.05, 0.95))
+        yield [
+            *at[:, :2].min(axis=0).tolist(), *(at[:, :2].max(axis=0) + 1).tolist(), low, high,
+            len(np.unique(at[:, :2], axis=0)), len(own), int(returns.sum()),
+            round(float(expected[own].sum()) * CUBE_M**3, 3),
+        ]  # fmt: skip

@@ -220,12 +220,22 @@ class TerrainDoubts(Part):
 
 
 class Haze(Part):
-    """Air between the start of the gate and the surface that sends light back."""
+    """Air between the start of the gate and the surface that sends light back: the largest cloud.
+
+    Places of 25 m that touch, and overlap in height, are one cloud.
+    """
 
     low_m: Number = Field(None, description="Height above which 95 % of its returns lie [m].")
     high_m: Number = Field(None, description="Height below which 95 % of them lie [m].")
     above_ground_m: Number = Field(
-        None, description="Its lower end above the median terrain below it [m]."
+        None,
+        description="Its lower end above the terrain below each place of 25 m, in the median [m].",
+    )
+    top_above_ground_m: Number = Field(None, description="Its upper end above that, too [m].")
+    noise_class: Literal[7, 18] | None = Field(
+        None,
+        description="Class of most of its returns: 18 above the terrain, 7 below it; null where "
+        "the terrain is not known.",
     )
     area_km2: Number = Field(None, description="Area over which it was found [km2].")
     extent_m: tuple[Number, Number, Number, Number] | None = Field(
@@ -236,6 +246,8 @@ class Haze(Part):
     times_expected: Number = Field(
         None, description="Returns over what the model of the noise expects there."
     )
+    others: Count = Field(0, description="Other clouds [count].")
+    others_area_km2: Number = Field(None, description="Area of these; null without [km2].")
 
 
 class NoiseFit(Part):

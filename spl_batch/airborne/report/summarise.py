@@ -19,9 +19,10 @@ from spl_batch.airborne.report.coverage import (
     terrain_doubts,
     unsure_terrain,
 )
+from spl_batch.airborne.report.fit.clouds import haze
 from spl_batch.airborne.report.fit.noise_fit import noise_fit
 from spl_batch.airborne.report.fit.noise_warnings import noise_warnings
-from spl_batch.airborne.report.fit.sky import bloom, crosstalk, crosstalk_expected, haze
+from spl_batch.airborne.report.fit.sky import bloom, crosstalk, crosstalk_expected
 from spl_batch.airborne.report.good_enough import checkpoint_report, judged, swath_reports
 from spl_batch.airborne.report.model import (
     Accuracy,

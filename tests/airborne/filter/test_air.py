@@ -52,3 +52,31 @@ def test_strips_of_a_block_find_the_air_of_the_whole(monkeypatch: Any, *, tapers
     told, told_of_strips = (looking.facts_of([look]) for look in (whole, strips))
     assert told == told_of_strips
     assert len(told["layers"]) == (27 if tapers else 20)
+
+
+def test_air_is_listed_by_squares_and_heights_whatever_the_parts_of_a_block() -> None:
+    table = block(tapers=False)
+    model: Any = SimpleNamespace(local=lambda at: np.full(len(at[0]), 0.04))
+    settings = Workflow.model_validate({"survey": {"flightlines": "x"}, "output": "o"})
+    (found,) = [looking.look_at_air(table, model, settings, CORE)]
+    told = looking.facts_of([found])["air"]
+    sides = np.array([place[:4] for place in told["places"]]) * 5000
+    assert told["box"] == [*sides[:, :2].min(axis=0), *sides[:, 2:].max(axis=0)]
+    assert len({tuple(side // 25_000) for side in sides[:, :2]}) == len(sides) > 10
+    assert np.all(sides[:, 2:] - sides[:, :2] <= 25_000)
+    assert np.all(sides[:, 2:] > sides[:, :2])
+    for k, key in enumerate(("squares", "cubes", "returns"), start=6):
+        assert sum(place[k] for place in told["places"]) == told[key]
+    assert sum(place[9] for place in told["places"]) == pytest.approx(told["expected"], rel=1e-6)
+    ends = {(place[4] * 5000, (place[5] + 1) * 5000) for place in told["places"]}
+    assert (90_000, 115_000) in ends
+
+
+def test_air_of_two_heights_over_one_square_is_listed_apart() -> None:
+    cube = np.array([[0, 0, 4], [0, 0, 5], [1, 0, 4], [0, 0, 9], [7, 0, 4]], np.int64)
+    places = list(looking._places(cube, np.full(5, 10), np.full(5, 0.01)))
+    assert places == [
+        [0, 0, 2, 1, 4, 5, 2, 3, 30, 3.75],
+        [0, 0, 1, 1, 9, 9, 1, 1, 10, 1.25],
+        [7, 0, 8, 1, 4, 4, 1, 1, 10, 1.25],
+    ]

@@ -7,19 +7,13 @@ import pytest
 import rasterio
 from affine import Affine
 
-from spl_batch.airborne.report.fit import sky
+from spl_batch.airborne.report.fit import places
+from spl_batch.airborne.report.fit.clouds import haze, haze_warning
+from spl_batch.airborne.report.fit.fog import fog_warning, thin_haze_warning
+from spl_batch.airborne.report.fit.layers import misfit_warning
 from spl_batch.airborne.report.fit.light import strong_light_warning
 from spl_batch.airborne.report.fit.noise_fit import float_warning, noise_fit, uniform_warning
-from spl_batch.airborne.report.fit.sky import (
-    bloom_warning,
-    drowned_warning,
-    fog_warning,
-    haze,
-    haze_warning,
-    kept_warning,
-    misfit_warning,
-    thin_haze_warning,
-)
+from spl_batch.airborne.report.fit.sky import bloom_warning, drowned_warning, kept_warning
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.strips.pair_table import PairDifference
 from spl_batch.formats.rasters.parts import read_overview
@@ -50,20 +44,61 @@ def done(airs=(), layers=()):
     return {"denoise": blocks, "index_file": files}
 
 
-def test_haze_of_all_blocks_is_one_sentence_with_height_area_and_factor(context):
+def test_haze_of_blocks_that_touch_is_one_sentence_with_height_area_and_factor(context):
     found = haze(done([block(100, 60, 90), block(300, 70, 110, 27_000, 1500.0, 100)]), context)
     assert found.area_km2 == pytest.approx(0.01)
     assert found.times_expected == pytest.approx(18)
     assert found.mean_per_m3 == pytest.approx(36_000 / (1600 * 125))
-    assert (found.low_m, found.high_m) == (67.5, 105.0)
+    assert (found.low_m, found.high_m) == (60.0, 110.0)
     assert found.extent_m == (0.0, 200.0, 0.0, 100.0)
+    assert (found.others, found.others_area_km2, found.noise_class) == (0, None, None)
     (text,) = haze_warning(found)
     assert "18.0 times" in text
     assert "0.010 km2" in text
     assert "class 18" in text
-    (text,) = haze_warning(found.model_copy(update={"above_ground_m": -100.0}))
+    below = {"above_ground_m": -100.0, "top_above_ground_m": -62.5, "noise_class": 7}
+    (text,) = haze_warning(found.model_copy(update=below))
     assert "between 62 and 100 m below ground" in text
     assert "class 18" not in text
+
+
+def test_clouds_that_lie_apart_or_at_other_heights_are_not_averaged(context):
+    near, far = block(500, 30, 50), block(400, 200, 230, west=9000)
+    above = block(300, 120, 160)
+    found = haze(done([near, far, above]), context)
+    assert (found.low_m, found.high_m, found.others) == (30.0, 50.0, 2)
+    assert found.extent_m == (0.0, 100.0, 0.0, 100.0)
+    (text,) = haze_warning(found)
+    assert "between heights of 30 and 50 m" in text
+    assert "over 0.012 km2 within x 0 to 100 and y 0 to 100" in text
+    assert text.endswith("There are 2 more such places, 0.017 km2 in all")
+    (text,) = haze_warning(haze(done([near, far]), context))
+    assert text.endswith("There is 1 more such place, of 0.010 km2")
+
+
+@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
+def test_a_cloud_between_the_walls_of_a_valley_is_above_its_floor(context):
+    """Terrain is that below each place of the air: the box around all holds more wall."""
+    heights = np.full((100, 100), 125.0, np.float32)
+    diagonal = np.abs(np.subtract.outer(np.arange(100), np.arange(100))) <= 30
+    heights[diagonal] = 40.0
+    write_dtm(context.output / "dtm.tif", 0.0, heights)
+    places = [[5 * k, 15 - 5 * k, 5 * k + 5, 20 - 5 * k, 16, 20, 25, 125, 5000, 250.0]
+              for k in range(4)]  # fmt: skip
+    air = block(100, 80, 105, 20_000, 1000.0) | {"places": places}
+    found = haze(done([air]), context)
+    assert (found.above_ground_m, found.top_above_ground_m, found.noise_class) == (40.0, 65.0, 18)
+    assert found.returns == 20_000
+    (text,) = haze_warning(found)
+    assert "noise between 40 and 65 m above ground is 20.0 times" in text
+    assert "class 18" in text
+    places[0][4:6] = [2, 4]
+    assert haze(done([air]), context).noise_class == 18
+    for place in places:
+        place[4:6] = [2, 4]
+    (text,) = haze_warning(haze(done([air]), context))
+    assert "between 15 and 30 m below ground" in text
+    assert "class 7" in text
 
 
 def write_dtm(path, west, height, cells=(100, 100)):
@@ -71,7 +106,7 @@ def write_dtm(path, west, height, cells=(100, 100)):
                "dtype": "float32", "nodata": -9999.0,
                "transform": Affine(1.0, 0.0, west, 0.0, -1.0, 100.0)}  # fmt: skip
     with rasterio.open(path, "w", **profile) as target:
-        target.write(np.full(cells, height, np.float32), 1)
+        target.write(np.broadcast_to(np.float32(height), cells), 1)
 
 
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
@@ -85,10 +120,10 @@ def test_the_ground_below_haze_is_that_of_the_piece_below_it_in_coarse_cells(con
         seen.append(read_overview(path, **given))
         return seen[-1]
 
-    monkeypatch.setattr(sky, "read_overview", reading)
+    monkeypatch.setattr(places, "read_overview", reading)
     wide = {**block(100, 60, 90), "box": [0, 0, 3_000_000, 100_000]}
     assert haze(done([wide, wide]), context).above_ground_m == pytest.approx(40.0)
-    assert [max(part.values.shape) for part in seen] == [1000]
+    assert [max(part.values.shape) for part in seen] == [1000, 1000]
 
 
 def test_a_few_squares_of_haze_or_no_more_noise_than_usual_are_not_told(context):

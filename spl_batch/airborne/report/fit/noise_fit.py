@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.judged_fit import GAP, P_VALUES, uniformity
 from spl_batch.airborne.filter.stray_returns import CELL_M
+from spl_batch.airborne.report.fit.places import within
 from spl_batch.airborne.report.model import NoiseFit
 from spl_batch.airborne.settings import FilterSettings
-from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.errors import counted, grouped
@@ -134,18 +134,3 @@ def _where(facts: Facts, key: str, extent: NDArray[np.int64] | None = None) -> s
         ends = [some[key][3:] for some in facts if len(some[key]) > 3]
         boxes = [[west, south, east + cell, north + cell] for west, east, south, north in ends]
     return within(boxes, extent)
-
-
-def within(boxes: Sequence[Sequence[int]], extent: NDArray[np.int64] | None = None) -> str:
-    """Text of the box around some; each is west, south, east and north, as ``extent`` [quanta].
-
-    ``extent``: beyond it there are no points.
-    """
-    box = np.array(boxes) * QUANTUM_M
-    west, south = box[:, :2].min(axis=0)
-    east, north = box[:, 2:].max(axis=0)
-    if extent is not None:
-        low_x, low_y, high_x, high_y = (extent * QUANTUM_M).tolist()
-        west, south = max(west, low_x), max(south, low_y)
-        east, north = min(east, high_x), min(north, high_y)
-    return f"within x {west:.0f} to {east:.0f} and y {south:.0f} to {north:.0f}"

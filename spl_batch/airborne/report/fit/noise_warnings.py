@@ -3,17 +3,12 @@
 from collections.abc import Iterator
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.report.fit.clouds import haze_warning
+from spl_batch.airborne.report.fit.fog import fog_warning, thin_haze_warning
+from spl_batch.airborne.report.fit.layers import misfit_warning
 from spl_batch.airborne.report.fit.light import strong_light_warning
 from spl_batch.airborne.report.fit.noise_fit import float_warning, uniform_warning
-from spl_batch.airborne.report.fit.sky import (
-    bloom_warning,
-    drowned_warning,
-    fog_warning,
-    haze_warning,
-    kept_warning,
-    misfit_warning,
-    thin_haze_warning,
-)
+from spl_batch.airborne.report.fit.sky import bloom_warning, drowned_warning, kept_warning
 from spl_batch.airborne.report.fit.steady import steady_warnings
 from spl_batch.airborne.report.model import Haze
 from spl_batch.engine.report.run_record import Receipts
@@ -22,7 +17,7 @@ from spl_batch.engine.report.run_record import Receipts
 def noise_warnings(done: Receipts, context: Context, haze: Haze | None) -> Iterator[str]:
     """Sentences with number, place and consequence.
 
-    ``haze``: that of :func:`~spl_batch.airborne.report.fit.sky.haze`.
+    ``haze``: that of :func:`~spl_batch.airborne.report.fit.clouds.haze`.
     """
     workflow = context.workflow
     removed = workflow.noise.bloom and workflow.filter.method != "none"
