@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.filter import denoise as denoising
 from spl_batch.airborne.filter.expected_noise import Expected, NoiseModel
+from spl_batch.airborne.noise import haze
 from spl_batch.airborne.noise.haze import (
     CUBE_M,
     REACH_M,
@@ -85,12 +86,17 @@ def _look_at(
         return Look(core)
     air = find_air(counts, model.local)
     mine = (max(core.xmin, low), core.ymin, min(core.xmax, high), core.ymax)
-    layers = noise_by_layer(counts, air, model.local, mine)
+    layers = noise_by_layer(counts, air, model.local, mine, _heard(model))
     if air is None:
         return Look(core, None, layers)
     west = air.cube[:, 0] * quanta(CUBE_M)
     own = np.flatnonzero((west >= low) & (west < high))
     return Look(core, _beside([air], own) if len(own) else None, layers)
+
+
+def _heard(model: NoiseModel) -> haze.Expected | None:
+    """Where flightlines listen; None where none tells, as without its noise by squares."""
+    return model.listened if model.heard else None
 
 
 def _beside(parts: Sequence[Air], rows: NDArray[np.intp] | slice = slice(None)) -> Air:

@@ -86,17 +86,20 @@ class NoiseModel(NamedTuple):
 
     def local(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
         """Noise at places, of the part of their voxels that is listened to: (n,) [1/m3]."""
-        n = len(xyz[0])
-        out = np.empty(n)
-        for some in _batches(n):
+        out = np.empty(len(xyz[0]))
+        for some in _batches(len(out)):
             place = [axis[some] for axis in xyz]
-            voxel, square, offset = self.box.places(place)
-            near = around(self.heard, tuple(voxel), tuple(square), tuple(offset))
+            near = self.listened(place)
             # published, or beside all that any beamlet crosses
             none = np.flatnonzero(~(near > 0.0))
-            near[none] = self.within[tuple(axis[none] for axis in voxel)]
+            near[none] = self.within[self.box.voxels([axis[none] for axis in place])]
             out[some] = near
         return out
+
+    def listened(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
+        """The same, 0 where no flightline is known to listen, as beyond a gate: (n,) [1/m3]."""
+        voxel, square, offset = self.box.places(xyz)
+        return around(self.heard, tuple(voxel), tuple(square), tuple(offset))
 
     def mean(
         self, xyz: Sequence[NDArray[np.integer[Any]]], told: NDArray[np.bool_]

@@ -88,6 +88,10 @@ CHANCE: Final = 3.0
 SOLID: Final = 3.0
 """Multiple of a square's noise from which on a cube holds a surface too."""
 
+STEP: Final = 1.1
+"""Ratio of the model's noise from one layer to the next from which on a gate ends there: one of ten
+flightlines; elsewhere it changes over tens of metres."""
+
 EXACT: Final = 2.0**20
 """Parts of an expected return: whole ones add up alike in any blocks."""
 
@@ -167,11 +171,16 @@ def find_air(counts: Counts, expected: Expected) -> Air | None:
 
 
 def noise_by_layer(
-    counts: Counts, air: Air | None, expected: Expected, core: tuple[int, int, int, int]
+    counts: Counts,
+    air: Air | None,
+    expected: Expected,
+    core: tuple[int, int, int, int],
+    heard_at: Expected | None = None,
 ) -> Layers:
     """Noise that is seen beside noise that is expected, away from haze and surfaces.
 
-    Even squares of the absolute grid without an empty column hold noise alone.
+    Even squares of the absolute grid without an empty column hold noise alone; those that a gate's
+    end cuts, or lies beside, are left out.
 
     Parameters
     ----------
@@ -179,6 +188,9 @@ def noise_by_layer(
         As for :func:`find_air`.
     core : (int, int, int, int)
         West, south, east, north: squares count whose middle lies in it [quanta].
+    heard_at
+        The model's noise where flightlines are known to listen, 0 elsewhere; as ``expected``
+        without.
     """
     edge, half = quanta(CUBE_M), WINDOW // 2
     asked = np.zeros(counts.held.shape, np.bool_)
@@ -202,14 +214,23 @@ def noise_by_layer(
     asked &= upper <= SMOOTH * (lower + CHANCE * np.sqrt(lower + 1.0))
     at_middle = np.nonzero(asked)
     # The middle cube stands for its square.
-    model, seen = expected(_centres(counts, at_middle)) * CUBE_M**3, counts.held[at_middle]
+    centres = _centres(counts, at_middle)
+    model, seen = expected(centres) * CUBE_M**3, counts.held[at_middle]
     model = np.rint(model * EXACT) / EXACT
-    heard = model > 0.0
+    heard = (model > 0.0) & ~_cut(centres, heard_at or expected)
     returns, predicted = (
         np.bincount(at_middle[2][heard], values[heard], len(counts.layer))
         for values in (seen, model)
     )
     return Layers(counts.layer, np.rint(returns).astype(np.int64), predicted.astype(np.float64))
+
+
+def _cut(centres: Axes, heard_at: Expected) -> NDArray[np.bool_]:
+    """Cubes in which a gate ends, or beside which it does: the model has a step there."""
+    x, y, z = centres
+    near = np.stack([heard_at((x, y, z + step * quanta(CUBE_M))) for step in (-1, 0, 1)])
+    cut: NDArray[np.bool_] = (near[1] <= 0.0) | (near.max(axis=0) > STEP * near.min(axis=0))
+    return cut
 
 
 def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> NDArray[np.float64]:

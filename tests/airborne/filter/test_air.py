@@ -38,7 +38,7 @@ def block(*, tapers: bool) -> PointTable:
 def test_strips_of_a_block_find_the_air_of_the_whole(monkeypatch: Any, *, tapers: bool) -> None:
     table = block(tapers=tapers)
     # Rising from west to east, so that a sum of floats would depend on its order.
-    model: Any = SimpleNamespace(local=lambda at: 0.04 + (at[0] - CORNER[0]) * 1e-8 / 3)
+    model: Any = SimpleNamespace(local=lambda at: 0.04 + (at[0] - CORNER[0]) * 1e-8 / 3, heard=())
     settings = Workflow.model_validate({"survey": {"flightlines": "x"}, "output": "o"})
     whole = looking.look_at_air(table, model, settings, CORE)
     monkeypatch.setattr(looking, "CUBES_MOST", 12_000)
@@ -56,7 +56,7 @@ def test_strips_of_a_block_find_the_air_of_the_whole(monkeypatch: Any, *, tapers
 
 def test_air_is_listed_by_squares_and_heights_whatever_the_parts_of_a_block() -> None:
     table = block(tapers=False)
-    model: Any = SimpleNamespace(local=lambda at: np.full(len(at[0]), 0.04))
+    model: Any = SimpleNamespace(local=lambda at: np.full(len(at[0]), 0.04), heard=())
     settings = Workflow.model_validate({"survey": {"flightlines": "x"}, "output": "o"})
     (found,) = [looking.look_at_air(table, model, settings, CORE)]
     told = looking.facts_of([found])["air"]

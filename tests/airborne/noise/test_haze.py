@@ -331,3 +331,33 @@ def test_layers_that_hold_noise_alone_tell_how_far_the_model_is_off():
     assert seen.expected[(height >= 60) & (height < 80)].sum() == 0.0
     ground = (height >= 0) & (height < 5)
     assert seen.returns[ground].sum() == 0, "what holds a surface is not looked at"
+
+
+def test_layers_that_the_end_of_a_gate_cuts_are_not_counted():
+    """Beyond 92 m nothing listens, though the model of points goes on; one of two ends at 42 m."""
+    rng = np.random.default_rng(4)
+    xyz = np.concatenate(
+        [box(rng, 0.05, -100, 42), box(rng, 0.03, 42, 92), box(rng, 2e-4, 92, 130)]
+    )
+    axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
+    counts = haze.count_cubes(axes, np.ones(len(xyz), np.bool_))
+    core = (CORNER[0], CORNER[1], CORNER[0] + 120_000, CORNER[1] + 120_000)
+
+    def heard(at):
+        height = at[2] * 1e-3 - CORNER[2] * 1e-3
+        return np.select([height < -98, height < 42, height < 92], [0.0, 0.05, 0.03], 0.0)
+
+    def believed(at):
+        return np.where(at[2] * 1e-3 - CORNER[2] * 1e-3 < 42, 0.05, 0.03)
+
+    whole = haze.noise_by_layer(counts, None, believed, core)
+    seen = haze.noise_by_layer(counts, None, believed, core, heard)
+    height = seen.layer * haze.CUBE_M - CORNER[2] * 1e-3
+    assert whole.expected[height >= 95].sum() > 0.0
+    for low, high in ((-105, -95), (35, 45), (85, 140)):
+        band = (height >= low) & (height < high)
+        assert seen.expected[band].sum() == seen.returns[band].sum() == 0.0, low
+    for low, high in ((-95, 35), (50, 85)):
+        band = (height >= low) & (height < high)
+        assert seen.expected[band].tolist() == whole.expected[band].tolist()
+        assert seen.returns[band].sum() == pytest.approx(seen.expected[band].sum(), rel=0.1)
