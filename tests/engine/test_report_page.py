@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from spl_batch.airborne.compare.comparison_page import ComparisonReport, MethodResult
 from spl_batch.airborne.compare.comparison_page import write as write_comparison
 from spl_batch.airborne.report import survey_pieces
-from spl_batch.airborne.report.model import Noise, Piece, Report
+from spl_batch.airborne.report.model import Piece, Report
+from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import screen_summary, verdicts

@@ -29,10 +29,10 @@ from spl_batch.airborne.report.model import (
     Basis,
     Counts,
     Flightline,
-    Noise,
     Report,
     Survey,
 )
+from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.pictures import OF_PRODUCTS, PictureInputs, make_pictures
 from spl_batch.airborne.report.profile_strips import cut_profile
 from spl_batch.airborne.report.strip_pairs import (

@@ -17,7 +17,7 @@ from spl_batch import api
 from spl_batch.airborne.compare.contrast import Contrast, _far, _fullest_strip
 from spl_batch.airborne.compare.terrain_contrast import terrain_contrast
 from spl_batch.airborne.filter.denoise import METHODS as METHODS_KNOWN
-from spl_batch.airborne.report.model import Noise
+from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.survey_page import HOW, render
 from spl_batch.constants import NODATA
 from spl_batch.engine.store.links import share_finished

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.airborne.filter.kept_noise import PARTS, within_signal
-from spl_batch.airborne.report.model import Counts, Noise, NoiseFit
+from spl_batch.airborne.report.model import Counts
+from spl_batch.airborne.report.noise_model import Noise, NoiseFit
 from spl_batch.airborne.report.summarise import _kept_by_chance
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.settings import FilterSettings

@@ -13,7 +13,8 @@ import pytest
 from PIL import Image
 
 from spl_batch.airborne.report import plots
-from spl_batch.airborne.report.model import Accuracy, Counts, Noise, Report, Survey
+from spl_batch.airborne.report.model import Accuracy, Counts, Report, Survey
+from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
 from spl_batch.airborne.report.survey_files import write_report
 from spl_batch.airborne.report.survey_page import render

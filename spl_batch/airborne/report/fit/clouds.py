@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.noise.haze import CUBE_M, WINDOW
 from spl_batch.airborne.report.fit.places import Box, Terrain, around, joined, within
-from spl_batch.airborne.report.model import Haze
+from spl_batch.airborne.report.noise_model import Haze
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts

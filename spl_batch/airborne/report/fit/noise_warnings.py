@@ -10,7 +10,7 @@ from spl_batch.airborne.report.fit.light import strong_light_warning
 from spl_batch.airborne.report.fit.noise_fit import float_warning, uniform_warning
 from spl_batch.airborne.report.fit.sky import bloom_warning, drowned_warning, kept_warning
 from spl_batch.airborne.report.fit.steady import steady_warnings
-from spl_batch.airborne.report.model import Haze
+from spl_batch.airborne.report.noise_model import Haze
 from spl_batch.engine.report.run_record import Receipts
 
 
