@@ -39,8 +39,10 @@ def context(tmp_path):
 
 def done(airs=(), layers=()):
     blocks = {str(k): receipt(air=air, layers=[]) for k, air in enumerate(airs)}
-    blocks |= {f"l{k}": receipt(air=None, layers=rows) for k, rows in enumerate(layers)}
-    files = {"a": receipt(bounds=[0, 0, 0, 100_000, 100_000, 50_000])}
+    for k, rows in enumerate(layers):
+        core = [k * 300_000, 0, (k + 1) * 300_000, 300_000]
+        blocks[f"l{k}"] = receipt(air=None, layers=rows, core=core)
+    files = {"a": receipt(bounds=[10_000, 0, 0, 2_990_000, 100_000, 50_000])}
     return {"denoise": blocks, "index_file": files}
 
 
@@ -148,6 +150,24 @@ def test_noise_that_falls_along_the_gate_is_told_with_its_heights(context):
     context.workflow.survey.channel_dimension = "user_data"
     (text,) = misfit_warning(done(layers=[below + above]), context)
     assert "linear" not in text
+
+
+def test_noise_that_is_off_in_a_part_of_the_survey_alone_is_told_with_that_part(context):
+    fits, thrice = ([[layer, times, 1000.0] for layer in range(40)] for times in (1000, 3000))
+    parts = [fits] * 9
+    (text,) = misfit_warning(done(layers=[thrice, *parts]), context)
+    assert "expects in 1 of 10 blocks; the worst lies within x 10 to 300 and y 0 to 100" in text
+    assert "and there it is 3.00 times between 0 and 200 m in height. Where there is more" in text
+    half = [[layer, 480, 1000.0] for layer in range(40)]
+    twice = [[layer, 2000, 1000.0] for layer in range(40)]
+    (text,) = misfit_warning(done(layers=[twice, half]), context)
+    assert "in 2 of 2 blocks; the worst lies within x 10 to 300" in text
+    assert "2.00 times between" in text
+    few = [[layer, 12, 4.0] for layer in range(40)]
+    assert list(misfit_warning(done(layers=[few, fits]), context)) == []
+    (text,) = misfit_warning(done(layers=[twice, twice, thrice]), context)
+    assert "2.33 times between 0 and 200 m in height, within x 10 to 2990" in text
+    assert "It is off in 3 of 3 blocks; the worst lies within x 600 to 900" in text
 
 
 def test_a_difference_by_chance_or_in_few_returns_is_not_told(context):

@@ -1,14 +1,14 @@
-"""Noise that varies along the gate: observed over expected noise by height, away from surfaces."""
+"""Noise that is not what its model expects: by height, in the whole survey and in each block."""
 
-from collections.abc import Iterator
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.noise.haze import CUBE_M
-from spl_batch.airborne.report.fit.places import Terrain
+from spl_batch.airborne.report.fit.places import Box, Terrain, clipped, extent_of, within
 from spl_batch.engine.report.number_format import as_ascii
 from spl_batch.engine.report.run_record import Receipts
 
@@ -25,6 +25,15 @@ SURE: Final = 5.0
 SHARE: Final = 0.15
 """Part of the noise that a difference must concern."""
 
+BLOCK_LEAST: Final = 300.0
+"""Noise that a block must be expected to hold to be judged alone [count]."""
+
+LARGE: Final = 100.0
+"""Ratios from here on are told as no number: hardly any noise was expected."""
+
+Rows = Sequence[Sequence[float]]
+"""Index, returns and expected returns of each layer."""
+
 
 class Band(NamedTuple):
     """Noise between two heights, over what is expected of it."""
@@ -32,31 +41,65 @@ class Band(NamedTuple):
     low_m: float
     high_m: float
     times: float
+    off: float  #: Returns too many or too few, over all that are expected at any height [1].
+
+
+class Block(NamedTuple):
+    """A part of the survey whose noise is judged by itself."""
+
+    box: Box
+    bands: Sequence[Band]
+
+    @property
+    def off(self) -> float:
+        """Part of the noise that is too much or too little."""
+        return sum(band.off for band in self.bands)
 
 
 def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:
     """Sentence on heights in which noise alone is more, or less, than expected."""
-    bands = _bands([r.facts.get("layers", []) for r in done.get("denoise", {}).values()])
-    if not bands:
+    facts = [receipt.facts for receipt in done.get("denoise", {}).values()]
+    rows = [some.get("layers", ()) for some in facts]
+    bands = _bands([row for part in rows for row in part])
+    extent = extent_of(done)
+    judged = [
+        Block(clipped(some.get("core", extent), extent), _bands(part))
+        for some, part in zip(facts, rows, strict=True)
+        if extent is not None and sum(row[2] for row in part) >= BLOCK_LEAST
+    ]
+    off = [block for block in judged if block.bands]
+    if extent is None or not (bands or off):
         return
-    boxes = [r.facts["bounds"] for r in done["index_file"].values() if r.facts["bounds"]]
-    low = [min(box[axis] for box in boxes) for axis in (0, 1)]
-    high = [max(box[axis] for box in boxes) for axis in (3, 4)]
-    (ground,) = Terrain(context.output).below([[*low, *high]])
+    terrain = Terrain(context.output)
+    said = ""
+    if bands:
+        said = f": {_listed(bands, extent, terrain)}, {within([extent])}"
+        said += ". The noise changes along the gate"
+    if off and len(judged) > 1:
+        worst = max(off, key=lambda block: block.off)
+        said += f"{'. It is off' if bands else ''} in {len(off)} of {len(judged)} blocks"
+        said += f"; the worst lies {within([worst.box])}, and there it is "
+        said += _listed(worst.bands, worst.box, terrain)
+    hint = ""
+    if context.workflow.survey.channel_dimension is None:
+        hint = "; if this is linear-mode lidar, which has no such noise, set filter.method: none"
+    yield as_ascii(
+        f"away from all surfaces the noise is not what its model expects{said}. Where there is "
+        "more of it, the filter keeps more than filter.alpha says; where there is less, weak "
+        f"signals are lost{hint}"
+    )
+
+
+def _listed(bands: Sequence[Band], box: Box, terrain: Terrain) -> str:
+    """How much noise there is between which heights, above the ground of a place if it is known."""
+    (ground,) = terrain.below([box])
     base, of = (0.0, "in height") if ground is None else (ground, "above the mean ground")
     listed = ", ".join(
         f"{_times(band.times)} times between {round(band.low_m - base)} and "
         f"{round(band.high_m - base)} m"  # whole numbers know no -0
         for band in bands
     )
-    hint = ""
-    if context.workflow.survey.channel_dimension is None:
-        hint = "; if this is linear-mode lidar, which has no such noise, set filter.method: none"
-    yield as_ascii(
-        f"away from all surfaces the noise is not what its model expects: {listed} {of}. The "
-        "noise changes along the gate. Where there is more of it, the filter keeps more than "
-        f"filter.alpha says; where there is less, weak signals are lost{hint}"
-    )
+    return f"{listed} {of}"
 
 
 def _times(ratio: float) -> str:
@@ -64,20 +107,17 @@ def _times(ratio: float) -> str:
     return f"{ratio:.2f}" if ratio < LARGE else f"more than {LARGE:.0f}"
 
 
-LARGE: Final = 100.0
-"""Ratios from here on are told as no number: hardly any noise was expected."""
-
-
-def _bands(parts: list[list[list[Any]]]) -> list[Band]:
+def _bands(layers: Rows) -> list[Band]:
     """Heights in which noise differs from what is expected, joined where they touch."""
-    rows = np.array([row for part in parts for row in part], dtype=np.float64).reshape(-1, 3)
+    rows = np.array(layers, dtype=np.float64).reshape(-1, 3)
     if not len(rows):
         return []
     band, at = np.unique(np.floor(rows[:, 0] / BAND), return_inverse=True)
     seen, expected = (np.bincount(at, rows[:, k]).astype(np.float64) for k in (1, 2))
     differs = _differs(seen, expected)
     more = seen > expected
-    if expected[differs].sum() < SHARE * expected.sum():
+    total = float(expected.sum())
+    if expected[differs].sum() < SHARE * total:
         return []
     found: list[Band] = []
     edge = BAND * CUBE_M
@@ -89,8 +129,9 @@ def _bands(parts: list[list[list[Any]]]) -> list[Band]:
         ):  # fmt: skip
             if differs[k]:
                 run = slice(start, k + 1)
-                times = seen[run].sum() / expected[run].sum()
-                found.append(Band(band[start] * edge, (band[k] + 1) * edge, float(times)))
+                here, model = float(seen[run].sum()), float(expected[run].sum())
+                off = abs(here - model) / total
+                found.append(Band(band[start] * edge, (band[k] + 1) * edge, here / model, off))
             start = k + 1
     return found
 

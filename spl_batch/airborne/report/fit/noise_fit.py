@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.judged_fit import GAP, P_VALUES, uniformity
 from spl_batch.airborne.filter.stray_returns import CELL_M
-from spl_batch.airborne.report.fit.places import within
-from spl_batch.airborne.report.model import NoiseFit
+from spl_batch.airborne.report.fit.places import Box, extent_of, within
+from spl_batch.airborne.report.noise_model import NoiseFit
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
@@ -72,7 +72,7 @@ def uniform_warning(done: Receipts) -> Iterator[str]:
     yield as_ascii(
         f"below all surfaces, where only noise lies, {found.times:.2f} times as many of "
         f"{grouped(found.returns)} returns as the model of the noise says have a p-value up to "
-        f"{found.at:g}, {where}, {_where(off or facts, 'core', _extent(done))}: {means}"
+        f"{found.at:g}, {where}, {_where(off or facts, 'core', extent_of(done))}: {means}"
     )
 
 
@@ -110,22 +110,13 @@ def _more(facts: Facts) -> bool:
     return found is not None and found.times > 1
 
 
-def _extent(done: Receipts) -> NDArray[np.int64] | None:
-    """West, south, east and north of the points [quanta]; None where they are not known."""
-    boxes = [r.facts["bounds"] for r in done.get("index_file", {}).values() if r.facts["bounds"]]
-    if not boxes:
-        return None
-    box = np.array(boxes, np.int64)
-    return np.concatenate([box[:, :2].min(axis=0), box[:, 3:5].max(axis=0)])
-
-
 def _is_off(facts: Facts) -> bool:
     """Whether enough returns have too many small p-values, or too few."""
     found = uniformity(_p_values(facts))
     return found is not None and not TIMES_TOLD[0] < found.times < TIMES_TOLD[1]
 
 
-def _where(facts: Facts, key: str, extent: NDArray[np.int64] | None = None) -> str:
+def _where(facts: Facts, key: str, extent: Box | None = None) -> str:
     """Box around some ground cells, as far as there are points, or around what floats in them."""
     if key == "core":
         boxes = [some["core"] for some in facts]

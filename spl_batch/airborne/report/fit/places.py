@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.engine.report.run_record import Receipts
 from spl_batch.formats.rasters.parts import Part, overview_frame, read_overview
 
 WALLS: Final = 0.25
@@ -58,19 +59,24 @@ def around(boxes: Sequence[Box]) -> list[int]:
     return [*sides[:, :2].min(axis=0).tolist(), *sides[:, 2:].max(axis=0).tolist()]
 
 
-def within(boxes: Sequence[Box], extent: NDArray[np.int64] | None = None) -> str:
-    """Text of the box around some; each is west, south, east and north, as ``extent`` [quanta].
+def extent_of(done: Receipts) -> list[int] | None:
+    """Box around all points; None where they are not known."""
+    found = [r.facts["bounds"] for r in done.get("index_file", {}).values() if r.facts["bounds"]]
+    return around([[*box[:2], *box[3:5]] for box in found]) if found else None
 
-    ``extent``: beyond it there are no points.
-    """
-    box = np.array(boxes) * QUANTUM_M
-    west, south = box[:, :2].min(axis=0)
-    east, north = box[:, 2:].max(axis=0)
-    if extent is not None:
-        low_x, low_y, high_x, high_y = (extent * QUANTUM_M).tolist()
-        west, south = max(west, low_x), max(south, low_y)
-        east, north = min(east, high_x), min(north, high_y)
-    return f"within x {west:.0f} to {east:.0f} and y {south:.0f} to {north:.0f}"
+
+def clipped(box: Box, extent: Box | None) -> list[int]:
+    """Part of a box where there are points; all of it where they are not known or elsewhere."""
+    if extent is None or not _touch(box, extent):
+        return list(box)
+    low = [max(*sides) for sides in zip(box[:2], extent[:2], strict=True)]
+    return low + [min(*sides) for sides in zip(box[2:], extent[2:], strict=True)]
+
+
+def within(boxes: Sequence[Box], extent: Box | None = None) -> str:
+    """Text of the box around some; ``extent``: beyond it there are no points."""
+    west, south, east, north = (round(side * QUANTUM_M) for side in clipped(around(boxes), extent))
+    return f"within x {west} to {east} and y {south} to {north}"
 
 
 def _touch(one: Box, other: Box) -> bool:
