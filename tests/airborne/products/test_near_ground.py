@@ -60,6 +60,15 @@ def test_noise_bare_ground_and_plants_with_gaps_fill_none():
     assert not shares(table(ground(rng), bushes[cell])).any()
 
 
+def test_what_lies_above_a_gap_is_not_counted_with_fog():
+    rng = np.random.default_rng(9)
+    fog = scatter(rng, 10, lambda n: rng.uniform(0, 1.7, n))
+    crown = scatter(rng, 40, lambda n: rng.uniform(4, 8, n))
+    share = shares(table(ground(rng), fog, crown))
+    assert share[0] > 0.9
+    assert not share[1:].any()
+
+
 @pytest.mark.parametrize("slope", [1.2, 1.75, 3.0])
 def test_steep_bare_ground_fills_none_and_fog_on_it_is_seen(slope):
     rng = np.random.default_rng(5)

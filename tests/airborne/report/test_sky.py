@@ -181,7 +181,11 @@ def test_fog_is_told_where_most_places_are_filled_with_the_height_that_it_reache
         "b": receipt(filled=[50] + [40] * 2 + [10] * 6),
     }
     (text,) = fog_warning({"surface": cells})
-    assert "up to 2.8 m above the ground evenly in 80 % of 0.010 km2" in text
+    assert "up to 2.8 m above the ground evenly in 80 % of 0.010 km2, in places up to 8.8 m" in text
+    cells["b"].facts["filled"] = [50] + [40] * 2 + [5, 0, 0, 0, 0, 0]
+    cells["a"].facts["filled"] = [50, 40, 36, 0, 0, 0, 0, 0, 0]
+    (text,) = fog_warning({"surface": cells})
+    assert "of 0.010 km2: ground fog" in text
     bare = {"a": receipt(filled=[100, 20, 0, 0, 0, 0, 0, 0, 0]), "b": receipt()}
     assert list(fog_warning({"surface": bare})) == []
     assert list(fog_warning({"surface": {"a": receipt(filled=[10] * 9)}})) == []
@@ -192,9 +196,30 @@ def test_what_flightlines_that_lie_apart_fill_is_no_fog():
     mist = {"a": receipt(filled=[100, 9, 0, 0, 0, 0, 0, 0, 0], mist=[[12.0, 0.0, 0.0]])}
     for up_m, told in ((0.2, 1), (1.2, 0)):
         numbers = dict.fromkeys(PairDifference._fields, 0.0) | {"up_m": up_m, "noise_m": 0.05}
+        numbers |= {"first": "00001_7", "second": "00002_9"}
         pairs = {"all": receipt(pairs=[list(numbers.values())])}
+        both, other = [[1, 5, 5, []], [2, 6, 6, []]], [[1, 5, 5, []], [3, 6, 6, []]]
         for cells in (filled, mist):
+            cells["a"].facts.pop("swaths", None)
             assert len(list(fog_warning({"surface": cells, "strip_pairs": pairs}))) == told
+            for swaths, fits in ((both, told), (other, 1)):
+                cells["a"].facts["swaths"] = swaths
+                assert len(list(fog_warning({"surface": cells, "strip_pairs": pairs}))) == fits
+
+
+def test_flightlines_that_lie_apart_do_not_hide_fog_elsewhere():
+    numbers = dict.fromkeys(PairDifference._fields, 0.0) | {"up_m": 1.2, "noise_m": 0.05}
+    numbers |= {"first": "00001_7", "second": "00002_9"}
+    pairs = {"all": receipt(pairs=[list(numbers.values())])}
+    swaths = {"swaths": [[1, 5, 5, []], [2, 6, 6, []]]}
+    cells = {
+        "far": receipt(filled=[100, 90, 0, 0, 0, 0, 0, 0, 0], **swaths),
+        "fog": receipt(filled=[100, 95, 0, 0, 0, 0, 0, 0, 0], swaths=[[3, 8, 8, []]]),
+    }
+    (text,) = fog_warning({"surface": cells, "strip_pairs": pairs})
+    assert "evenly in 95 % of 0.010 km2" in text
+    cells["fog"] = receipt(filled=[100, 90, 90, 90, 0, 0, 0, 0, 0], **swaths)
+    assert "up to 3.8 m" in next(fog_warning({"surface": cells, "strip_pairs": pairs}))
 
 
 def test_mist_in_patches_is_told_where_most_ground_is_clear():

@@ -162,16 +162,18 @@ def filled_places(points: Placed | None, noise_m3: float) -> list[int]:
     Returns
     -------
     list of int
-        Places [count], then those filled in each of the :data:`STEPS`.
+        Places [count], then those filled from the ground up to each of the :data:`STEPS`: a crown
+        above a gap is no fog.
     """
     if points is None:
         return [0] * (STEPS + 1)
-    out = [int(np.count_nonzero(points.grounded))]
+    full = points.grounded
+    out = [int(np.count_nonzero(full))]
     for count in _by_cell(points, STEPS):
         mean = count.mean(axis=1)
         excess = count.var(axis=1) - mean
         noise = noise_m3 * SQUARE_M**2 * STEP_M
-        full = count.sum(axis=1) >= TIMES_NOISE * noise + LEAST
-        full &= (excess <= UNEVEN * mean**2) & points.grounded
+        full = full & (count.sum(axis=1) >= TIMES_NOISE * noise + LEAST)
+        full &= excess <= UNEVEN * mean**2
         out.append(int(np.count_nonzero(full)))
     return out

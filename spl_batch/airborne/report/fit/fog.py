@@ -1,13 +1,18 @@
 """Fog and mist on the ground, and layers of haze too thin to be taken for noise."""
 
-from collections.abc import Iterator, Sequence
-from typing import Final, NamedTuple
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import takewhile
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from spl_batch.airborne.noise.haze import CUBE_M
 from spl_batch.airborne.products.air import near_ground
+from spl_batch.airborne.products.air.thin_haze import PLACES_LEAST
+from spl_batch.airborne.strips.pair_table import PairDifference
 from spl_batch.airborne.strips.strip_comparison import pairs_of
+from spl_batch.airborne.tasks.cells.pulses import SWATHS
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
@@ -18,10 +23,15 @@ FOG_SHARE: Final = 0.5
 """Area from which fog is told [m2], and part of it that it fills."""
 
 
+Facts = Mapping[str, Any]
+"""Of the receipt of a ground cell's surface."""
+
+
 class Fog(NamedTuple):
-    """Ground fog: how high it reaches, its part of a survey, and the survey's area."""
+    """Ground fog: how high it reaches over half of a survey, and anywhere; its part, the area."""
 
     high_m: float
+    highest_m: float
     share: float
     area_m2: float
 
@@ -31,44 +41,72 @@ def fog_warning(done: Receipts) -> Iterator[str]:
 
     Not where flightlines lie so far apart, which is told: the upper one's ground fills it then.
     """
-    found = _fog(done)
-    low_m = near_ground.FLOOR_M if found is None else found.high_m - near_ground.STEP_M
-    if low_m <= _apart_m(done):
-        return
+    cells = _single(done)
+    found = _fog(cells)
     if found is None:
-        yield from _mist_warning(done)
+        yield from _mist_warning(cells)
         return
+    places = f", in places up to {found.highest_m:.1f} m" * (found.highest_m > found.high_m)
     yield as_ascii(
         f"returns fill the air up to {found.high_m:.1f} m above the ground evenly in "
-        f"{100 * found.share:.0f} % of {significant(found.area_m2 * 1e-6, 2)} km2: ground fog, or "
-        f"low plants without gaps. Up to there neither the DSM nor the signal points can be "
+        f"{100 * found.share:.0f} % of {significant(found.area_m2 * 1e-6, 2)} km2{places}: ground "
+        "fog, or low plants without gaps. Up to there neither the DSM nor the signal points can be "
         "trusted"
     )
 
 
-def _apart_m(done: Receipts) -> float:
-    """Largest height between two flightlines that do not fit [m]."""
+def _single(done: Receipts) -> list[Facts]:
+    """Ground cells, but those in which flightlines fill the air as they lie apart."""
     pairs = [p for r in done.get("strip_pairs", {}).values() for p in pairs_of(r.facts)]
-    return max((abs(pair.up_m) for pair in pairs if pair.is_off_vertically), default=0.0)
+    off = [pair for pair in pairs if pair.is_off_vertically]
+    cells = [receipt.facts for receipt in done.get("surface", {}).values()]
+    return [facts for facts in cells if _lowest_m(facts) > _apart_m(facts, off)]
 
 
-def _fog(done: Receipts) -> Fog | None:
+def _lowest_m(facts: Facts) -> float:
+    """Lower end of the highest step that is filled in most places of a cell [m]."""
+    steps = _steps(facts["filled"]) if facts.get("filled") else 0
+    return near_ground.FLOOR_M + max(steps - 1, 0) * near_ground.STEP_M
+
+
+def _apart_m(facts: Facts, off: Sequence[PairDifference]) -> float:
+    """Largest height between two flightlines of a cell that do not fit [m]."""
+    flown = Counter(f"{swath[0]:05d}" for swath in facts.get(SWATHS, ()))
+    there = (
+        pair
+        for pair in off
+        if SWATHS not in facts
+        or not Counter(name.partition("_")[0] for name in (pair.first, pair.second)) - flown
+    )
+    return max((abs(pair.up_m) for pair in there), default=0.0)
+
+
+def _fog(cells: Sequence[Facts]) -> Fog | None:
     """Fog over most of the survey; None where there is none."""
-    parts = [r.facts["filled"] for r in done.get("surface", {}).values() if r.facts.get("filled")]
+    parts = [facts["filled"] for facts in cells if facts.get("filled")]
     if not parts:
         return None
-    places, *filled = np.array(parts).sum(axis=0)
+    total = np.array(parts).sum(axis=0).tolist()
+    places, *filled = total
     area_m2 = float(places * near_ground.SQUARE_M**2)
-    shares = np.array(filled) / max(places, 1)
-    if area_m2 < FOG_LEAST_M2 or shares[0] < FOG_SHARE:
+    if area_m2 < FOG_LEAST_M2 or filled[0] < FOG_SHARE * places:
         return None
-    steps = int(np.argmax(np.append(shares < FOG_SHARE, True)))
-    return Fog(near_ground.FLOOR_M + steps * near_ground.STEP_M, float(shares[0]), area_m2)
+    steps = _steps(total)
+    most = max([steps, *(k for k, held in enumerate(filled, start=1) if held >= PLACES_LEAST)])
+    high, highest = (near_ground.FLOOR_M + k * near_ground.STEP_M for k in (steps, most))
+    return Fog(high, highest, filled[0] / places, area_m2)
 
 
-def _mist_warning(done: Receipts) -> Iterator[str]:
+def _steps(counts: Sequence[int]) -> int:
+    """Steps that are filled in most of some places; counts of a receipt."""
+    places, *filled = counts
+    full = (held >= FOG_SHARE * max(places, 1) for held in filled)
+    return sum(1 for _ in takewhile(bool, full))
+
+
+def _mist_warning(cells: Sequence[Facts]) -> Iterator[str]:
     """Sentence on patches of ground that returns fill, where most ground is clear."""
-    found = [patch for r in done.get("surface", {}).values() for patch in r.facts.get("mist", ())]
+    found = [patch for facts in cells for patch in facts.get("mist", ())]
     if not found:
         return
     _, x, y = max(found)
@@ -94,11 +132,12 @@ def _extent(found: Sequence[Sequence[float]], x: float, y: float) -> str:
 
 def thin_haze_warning(done: Receipts) -> Iterator[str]:
     """Sentence on layers of haze that are too thin to be taken for noise."""
-    foggy = _fog(done) is not None
+    cells = [receipt.facts for receipt in done.get("surface", {}).values()]
+    foggy = _fog(cells) is not None
     found = [
         layer
-        for r in done.get("surface", {}).values()
-        for layer in r.facts.get("thin_haze", ())
+        for facts in cells
+        for layer in facts.get("thin_haze", ())
         if not foggy or layer[-1] < FOG_SHARE
     ]
     if not found:
