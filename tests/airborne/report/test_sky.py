@@ -258,7 +258,9 @@ def test_bloom_is_counted_in_one_sentence():
     }
     for removed, fate in ((True, "are noise"), (False, "stay signal")):
         (text,) = bloom_warning({"scatter": parts}, removed=removed)
-        assert text.startswith("3 shots within x 5 to 30 and y 20 to 70: ")
+        assert text.startswith(
+            "3 shots in 2 places, the largest within x 10 to 30 and y 20 to 40: "
+        )
         assert f"275 returns at that range {fate}" in text
         assert list(bloom_warning({"scatter": {"b": receipt()}}, removed=removed)) == []
 
@@ -273,6 +275,9 @@ def test_dense_noise_that_leaves_no_surface_is_told_with_place_and_area():
     assert "1.3 returns per m3 over 0.050 km2" in text
     assert "7 500 m2" in text
     assert "x 0 to 200 and y 0 to 200" in text
+    cells["c"].facts["dense"] = [400, 100, 900.0]
+    (text,) = drowned_warning({"ground": cells})
+    assert "in 2 places, the largest within x 0 to 200 and y 0 to 200, no surface" in text
     few = {"a": receipt(core=[0, 0, 200_000, 200_000], dense=[1600, 19, 400.0])}
     (text,) = drowned_warning({"ground": few})
     assert text.startswith("noise is dense, 0.25 returns per m3 over 0.040 km2: wires")
@@ -306,6 +311,9 @@ def test_p_values_that_are_not_uniform_are_told_with_place_and_consequence():
     assert "within x 200 to 350 and y 30 to 90: " in text
     assert "denser than expected" in text
     assert noise_fit({"ground": cells}).p_value_times == pytest.approx(1.67, abs=0.01)
+    cells["d"] = ground_cell(800, [2 * count for count in dense], [0, 900, 0])
+    (text,) = uniform_warning({"ground": cells})
+    assert "in 2 of 3 ground cells, in 2 places, the largest within x 800 to 1000 and" in text
     thin = {"a": ground_cell(0, [20, 20, 60, 100, 100, 4700], [0, 900, 0])}
     assert "weak signals are lost" in next(uniform_warning({"ground": thin}))
     for some in ({"a": cells["a"]}, {"a": receipt(core=[0, 0, 0, 0])}, {}):
@@ -323,6 +331,10 @@ def test_signal_that_floats_over_an_area_is_told_with_its_share_and_place():
     assert "4.0 % of the signal within x 50 to 100 and y 0 to 50, 400 returns over 750 m2" in text
     assert noise_fit({"ground": cells}).floating_share == pytest.approx(0.0245)
     assert list(float_warning({"ground": {"b": cells["b"]}}, settings)) == []
+    far = cells["a"].facts | {"core": [900_000, 0, 1_100_000, 200_000]}
+    far["afloat"] = [300, 10_000, 20, 950_000, 995_000, 0, 45_000]
+    (text,) = float_warning({"ground": cells | {"d": receipt(**far)}}, settings)
+    assert "of the signal in 2 places, the largest within x 50 to 100 and y 0 to 50, 700" in text
     assert list(float_warning({"ground": cells}, FilterSettings(alpha=0.01))) == []
     assert list(float_warning({}, settings)) == []
     assert noise_fit({"ground": {"c": cells["c"]}}) is None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.judged_fit import GAP, P_VALUES, uniformity
 from spl_batch.airborne.filter.stray_returns import CELL_M
-from spl_batch.airborne.report.fit.places import Box, extent_of, within
+from spl_batch.airborne.report.fit.places import extent_of, largest
 from spl_batch.airborne.report.noise_model import NoiseFit
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.engine.report.number_format import as_ascii, significant
@@ -62,7 +62,10 @@ def uniform_warning(done: Receipts) -> Iterator[str]:
     found = uniformity(_p_values(off or (facts if _is_off(facts) else [])))
     if found is None:
         return
+    told = off or facts
+    returns = [sum(some["p_values"]) for some in told]
     where = f"in {len(off)} of {counted(len(facts), 'ground cells')}" if off else "of all together"
+    where += f", {largest([some['core'] for some in told], returns, extent=extent_of(done))}"
     means = (
         "it is denser than expected or comes in clusters, and more of it is kept than filter.alpha "
         "says, above surfaces as well"
@@ -72,7 +75,7 @@ def uniform_warning(done: Receipts) -> Iterator[str]:
     yield as_ascii(
         f"below all surfaces, where only noise lies, {found.times:.2f} times as many of "
         f"{grouped(found.returns)} returns as the model of the noise says have a p-value up to "
-        f"{found.at:g}, {where}, {_where(off or facts, 'core', extent_of(done))}: {means}"
+        f"{found.at:g}, {where}: {means}"
     )
 
 
@@ -87,8 +90,12 @@ def float_warning(done: Receipts, settings: FilterSettings) -> Iterator[str]:
     area_m2 = columns * CELL_M**2
     if area_m2 < FLOAT_M2:
         return
+    cell = quanta(CELL_M)
+    ends = [some["afloat"][3:] for some in off]
+    boxes = [[west, south, east + cell, north + cell] for west, east, south, north in ends]
+    where = largest(boxes, [some["afloat"][0] for some in off], [some["core"] for some in off])
     yield as_ascii(
-        f"{significant(100 * floats / kept, 2)} % of the signal {_where(off, 'afloat')}, "
+        f"{significant(100 * floats / kept, 2)} % of the signal {where}, "
         f"{grouped(floats)} returns over {grouped(round(area_m2))} m2, floats: nothing was kept in "
         f"the {GAP * CELL_M:.0f} m below it, though something lies farther down. Haze, a cloud or "
         "noise in clusters that the filter took for signal, unless "
@@ -114,14 +121,3 @@ def _is_off(facts: Facts) -> bool:
     """Whether enough returns have too many small p-values, or too few."""
     found = uniformity(_p_values(facts))
     return found is not None and not TIMES_TOLD[0] < found.times < TIMES_TOLD[1]
-
-
-def _where(facts: Facts, key: str, extent: Box | None = None) -> str:
-    """Box around some ground cells, as far as there are points, or around what floats in them."""
-    if key == "core":
-        boxes = [some["core"] for some in facts]
-    else:
-        cell = quanta(CELL_M)
-        ends = [some[key][3:] for some in facts if len(some[key]) > 3]
-        boxes = [[west, south, east + cell, north + cell] for west, east, south, north in ends]
-    return within(boxes, extent)

@@ -79,6 +79,31 @@ def within(boxes: Sequence[Box], extent: Box | None = None) -> str:
     return f"within x {west} to {east} and y {south} to {north}"
 
 
+def largest(
+    boxes: Sequence[Box],
+    amounts: Sequence[float],
+    cells: Sequence[Box] | None = None,
+    extent: Box | None = None,
+) -> str:
+    """Text of where some boxes lie: of several places that do not touch, the largest.
+
+    Parameters
+    ----------
+    boxes : sequence of Box
+        What is told.
+    amounts : sequence of float
+        How much of it lies in each.
+    cells : sequence of Box, optional
+        What must touch to be one place, if not the boxes.
+    extent : Box, optional
+        Beyond it there are no points.
+    """
+    groups = joined(cells or boxes)
+    most = max(groups, key=lambda group: sum(amounts[k] for k in group))
+    where = within([boxes[k] for k in most], extent)
+    return where if len(groups) == 1 else f"in {len(groups)} places, the largest {where}"
+
+
 def _touch(one: Box, other: Box) -> bool:
     return all(one[k] <= other[k + 2] and other[k] <= one[k + 2] for k in (0, 1))
 

@@ -6,9 +6,8 @@ from typing import Final
 import numpy as np
 
 from spl_batch.airborne.filter.stray_returns import CELL_M
-from spl_batch.airborne.report.fit.places import within
+from spl_batch.airborne.report.fit.places import largest
 from spl_batch.airborne.settings import FilterSettings
-from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.errors import counted, grouped
@@ -58,8 +57,10 @@ def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
         if removed
         else "stay signal and may raise the DSM: set noise.bloom: true to make them noise"
     )
+    lit = [one for one in _bloom(done) if one[0]]
+    place = largest([one[2:] for one in lit], [one[1] for one in lit])
     yield as_ascii(
-        f"{counted(shots, 'shots')} {within([one[2:] for one in _bloom(done)])}: many channels "
+        f"{counted(shots, 'shots')} {place}: many channels "
         "have a return at one and the same range, and others behind it. Bright points such as "
         "retro-reflectors light the whole array so, or a small surface "
         f"that lets light pass; the {grouped(returns)} returns at that range {fate}"
@@ -81,12 +82,11 @@ def drowned_warning(done: Receipts) -> Iterator[str]:
         if dense * CELL_M**2 >= DROWNED_M2 and sums >= THIN_PER_M3 * dense:
             yield as_ascii(f"{where}: wires and other thin objects lose returns in it")
         return
-    boxes = np.array([facts["core"] for facts in parts if facts["dense"][1]]) * QUANTUM_M
-    west, south = boxes[:, :2].min(axis=0).tolist()
-    east, north = boxes[:, 2:].max(axis=0).tolist()
+    lost = [facts for facts in parts if facts["dense"][1]]
+    place = largest([facts["core"] for facts in lost], [facts["dense"][1] for facts in lost])
     yield as_ascii(
         f"{where}, and in {grouped(round(area_m2))} m2 of "
-        f"it, within x {west:.0f} to {east:.0f} and y {south:.0f} to {north:.0f}, no surface "
+        f"it, {place}, no surface "
         "stands out: no ground is found there, and the terrain is void or spans it from the sides"
     )
 
