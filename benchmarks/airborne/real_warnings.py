@@ -23,8 +23,8 @@ CRS: Final = "EPSG:32612"
 """UTM zone of the cloud of the samples whose own CRS is wrong."""
 
 OF_FIT: Final = re.compile(
-    r"haze|cloud:|fog|cross|bloom|one and the same range|afterpulse|law|noise is dense|is double|"
-    r"what its model expects|filter\.alpha|p-value|floats|on one beam|"
+    r"haze|cloud:|fog|mist|cross|bloom|one and the same range|afterpulse|law|noise is dense|"
+    r"appear twice|what its model expects|filter\.alpha|p-value|floats|on one beam|"
     r"swing|ranges walk|so strong a light"
 )
 """Words of warnings that the model of noise, instrument or flightlines does not fit."""

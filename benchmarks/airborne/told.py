@@ -29,7 +29,7 @@ KINDS: Final[Mapping[str, str]] = MappingProxyType({
     "swing": "recorded positions or angles swing",
     "walk": "ranges walk with the strength",
     "light": "so strong a light",
-    "flightlines": "is double, and the terrain follows the lower one",
+    "flightlines": "appear twice, and the terrain follows the lower one",
     "beams": "do not lie on one beam",
     "channels": "survey.channel_dimension is not set",
     "crs": "reproject the file",

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from benchmarks.airborne import sky, told
 from benchmarks.airborne.ground import steep
+from benchmarks.airborne.real_warnings import OF_FIT
 from spl_batch import airborne
 
 
@@ -43,3 +44,9 @@ def test_all_effects_name_kinds_that_there_are() -> None:
     for of in (*sky.SAYS.values(), *steep.SAYS.values()):
         assert set(of) <= set(told.KINDS)
     assert set(steep.SAYS) == set(steep.SCENES)
+
+
+def test_sentences_on_the_sky_are_counted_as_such_that_judge_the_fit() -> None:
+    kinds = ("cloud", "thin layer", "fog", "mist", "noise by height", "floats", "flightlines")
+    whole = {kind: next(t for t in sentences() if told.KINDS[kind] in t) for kind in kinds}
+    assert [kind for kind, text in whole.items() if not OF_FIT.search(text)] == []

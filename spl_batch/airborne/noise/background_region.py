@@ -89,9 +89,16 @@ def choose_region(
     more, times = ("above", up / down) if up > down else ("below", down / up)
     text = (
         f"where noise is counted, {times:.1f} times as many returns {more} the surface as on its "
-        f"other side: haze, cloud or signal; noise is counted {side} the surface only"
+        f"other side: {_CAUSES[more]}; noise is counted {side} the surface only"
     )
     return Region(b, side, (*notes, Remark(text, times)))
+
+
+_CAUSES: Final = {
+    "above": "haze, a cloud or signal lies there, or the noise falls along the gate",
+    "below": "afterpulses or signal lie there, or the noise rises along the gate",
+}
+"""What may make more returns on a side of the surface."""
 
 
 def _short(share: float) -> Remark:

@@ -47,8 +47,9 @@ def offset_warnings(
     yield (
         f"{which}{pair.second} lies {' and '.join(_parts(pair))} than {pair.first}, around "
         f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar patches; "
-        f"single ranges scatter by {100 * pair.noise_m:.1f} cm){_tilt(pair)}. What both have seen "
-        f"is double, and the terrain follows the lower one{_ground(apart)}: {REMEDIES[align]}"
+        f"single ranges scatter by {100 * pair.noise_m:.1f} cm){_tilt(pair)}. Surfaces that "
+        "both have seen appear twice, and the terrain follows the lower one"
+        f"{_ground(apart)}: {REMEDIES[align]}"
     )
 
 
@@ -81,7 +82,10 @@ def _away(pair: PairDifference) -> float:
 
 def _ground(apart: int) -> str:
     """What is told of the ground of the others."""
-    return f"; class 2 has the ground of each, {grouped(apart)} returns off it" if apart else ""
+    if not apart:
+        return ""
+    lie = f"{grouped(apart)} of its returns {'lie' if apart > 1 else 'lies'}"
+    return f"; class 2 holds the ground of both, and {lie} off the terrain"
 
 
 def _tilt(pair: PairDifference) -> str:

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.shot_runs import interval_rows, lag_behind, run_starts, share_out
 from spl_batch.airborne.noise import line_noise
+from spl_batch.airborne.noise.background_region import choose_region
 from spl_batch.airborne.noise.channel_gains import active_channels
-from spl_batch.airborne.noise.gate import fit_gate
+from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, SUMMARY
 from spl_batch.airborne.noise.noise_intervals import densest_window
@@ -461,3 +462,23 @@ def test_towers_add_little_to_a_short_gate(seed: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(line_noise, "CLIP_SIGMA", 1e9)
         assert model_of(flight, 85.0).mean_rate > 1.3 * 3e-4
+
+
+@pytest.mark.parametrize(
+    ("above", "more", "means"),
+    [(2000, "above", "the noise falls along"), (500, "below", "the noise rises along")],
+)
+def test_a_side_with_more_returns_is_told_with_what_may_lie_there(
+    above: int, more: str, means: str
+) -> None:
+    buffers = len(BUFFER_LADDER)
+    outside = np.tile(np.array([[above], [1000]], np.int32), (1, 1, buffers)).reshape(1, 2, buffers)
+    summary = np.zeros((1, len(SUMMARY)))
+    summary[0, [SUMMARY.index("signal_range"), SUMMARY.index("cosine")]] = 2000.0, 1.0
+    gate = Gate("range", np.array([1900.0]), np.array([2100.0]), 200.0, (), "stated")
+    region = choose_region(outside, np.full((1, 2, buffers), 50.0), np.ones(1), gate, summary)
+    (said,) = texts(region.warnings)
+    assert f"2.0 times as many returns {more} the surface" in said
+    assert f"{means} the gate; noise is counted {region.side} the surface only" in said
+    assert region.side != more
+    assert ("haze" in said) == (more == "above")

@@ -204,7 +204,7 @@ def test_what_is_off_is_told_with_number_place_and_consequence() -> None:
         "than one",
     ):
         assert word in said
-    for word in ("10 040 E", "single ranges scatter by", "is double"):
+    for word in ("10 040 E", "single ranges scatter by", "appear twice"):
         assert word in said
     many = [pair(Shift(up=0.2))._replace(second=f"s{k}") for k in range(6)]
     (told,) = offset_warnings([*many, pair(Shift())])

@@ -44,14 +44,14 @@ def test_an_offset_is_in_warnings_report_and_page(
     assert pair["north_m"] == pytest.approx(-0.2, abs=0.08)
     assert pair["noise_m"] == pytest.approx(0.05, abs=0.01)
     assert (pair["first"][:5], pair["second"][:5]) == ("00001", "00002")
-    (said,) = [text for text in result.report.warnings if "is double" in text]
+    (said,) = [text for text in result.report.warnings if "appear twice" in text]
     log = (result.output / "log.jsonl").read_text(encoding="utf-8")
     events = [json.loads(line) for line in log.splitlines()]
     told = [event["text"] for event in events if event.get("level") == "warning"]
     assert sorted(told) == sorted(result.report.warnings)
     assert set(whole) < set(told)
     assert said.startswith(f"flightline {pair['second']} lies ")
-    assert "class 2 has the ground of each" in said
+    assert "class 2 holds the ground of both" in said
     page = (result.output / "report.html").read_text()
     assert "Between flightlines" in page
     assert f"<td>{100 * pair['up_m']:.1f}</td>" in page
@@ -62,7 +62,7 @@ def test_aligned_flightlines_raise_no_warning_and_tiling_does_not_count(tmp_path
     found = []
     for name, sections in (("whole", {}), ("fine", FINE)):
         result = surveys.run(survey(tmp_path / name, Shift(), **sections))
-        assert not [text for text in result.report.warnings if "is double" in text]
+        assert not [text for text in result.report.warnings if "appear twice" in text]
         (pair,) = result.report.strips
         found.append(pair)
     whole, fine = found

@@ -27,13 +27,17 @@ def steady_warnings(done: Receipts, sigma_m: float) -> Iterator[str]:
             add_counts(found, int(line), counts)
     for kind in KINDS:
         said = (
-            Said(str(line), as_ascii(_SENTENCES[kind](100 * off, places, 100 * sigma_m)), off)
+            Said(
+                f"point source id {line}",
+                as_ascii(_SENTENCES[kind](100 * off, places, 100 * sigma_m)),
+                off,
+            )
             for line, counts in found.items()
             if (off := typical_m(counts[kind])) is not None
             and off > TOLD[kind] * sigma_m
             and (places := counts[kind].total())
         )
-        yield from shared(said, "point source ids", "point source id")
+        yield from shared(said, "flightlines")
 
 
 def _looks(off_cm: float, places: int, sigma_cm: float) -> str:
@@ -41,9 +45,9 @@ def _looks(off_cm: float, places: int, sigma_cm: float) -> str:
         f"heights of one and the same hard place, seen at times moments apart, spread by "
         f"{off_cm:.0f} cm beyond the ranging noise ({grouped(places)} level squares of 8 m; the "
         f"sensor states {sigma_cm:.0f} cm): recorded positions or angles swing within seconds, or "
-        "the looks ahead and back are not calibrated to each other. Surfaces are as thick, and "
-        "much of the ground is not found; survey.align cannot mend it, adjust trajectory or "
-        "calibration"
+        "the looks ahead and back are not calibrated to each other. Surfaces become as thick "
+        "as that, and much of the ground is not found; survey.align cannot mend it, adjust "
+        "trajectory or calibration"
     )
 
 
@@ -51,8 +55,8 @@ def _bright(off_cm: float, places: int, _: float) -> str:
     return (
         f"bright returns of hard places lie {off_cm:.0f} cm above the weaker half of the same "
         f"place ({grouped(places)} level squares of 8 m): ranges walk with the strength of the "
-        "return. Surfaces are as thick, and much of the ground is not found; correct the ranges "
-        "by intensity"
+        "return. Surfaces become as thick as that, and much of the ground is not found; correct "
+        "the ranges by intensity"
     )
 
 
