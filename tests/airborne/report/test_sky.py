@@ -163,6 +163,8 @@ def test_noise_that_is_off_in_a_part_of_the_survey_alone_is_told_with_that_part(
     (text,) = misfit_warning(done(layers=[twice, half]), context)
     assert "in 2 of 2 blocks; the worst lies within x 10 to 300" in text
     assert "2.00 times between" in text
+    ground = [[layer, 2300 if layer < 8 else 800, 1000.0] for layer in range(40)]
+    assert list(misfit_warning(done(layers=[ground, *parts]), context)) == []
     few = [[layer, 12, 4.0] for layer in range(40)]
     assert list(misfit_warning(done(layers=[few, fits]), context)) == []
     (text,) = misfit_warning(done(layers=[twice, twice, thrice]), context)

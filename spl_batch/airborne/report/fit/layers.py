@@ -28,6 +28,11 @@ SHARE: Final = 0.15
 BLOCK_LEAST: Final = 300.0
 """Noise that a block must be expected to hold to be judged alone [count]."""
 
+BLOCK_TOLD: Final = 1.5
+BLOCK_SHARE: Final = 0.3
+"""The same two of a block: those of 100 m of a scene that fits had 0.71 to 1.16 times the noise in
+bands away from surfaces, and up to 2.3 times in the one around the ground, a tenth of all."""
+
 LARGE: Final = 100.0
 """Ratios from here on are told as no number: hardly any noise was expected."""
 
@@ -63,7 +68,7 @@ def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:
     bands = _bands([row for part in rows for row in part])
     extent = extent_of(done)
     judged = [
-        Block(clipped(some.get("core", extent), extent), _bands(part))
+        Block(clipped(some.get("core", extent), extent), _bands(part, BLOCK_TOLD, BLOCK_SHARE))
         for some, part in zip(facts, rows, strict=True)
         if extent is not None and sum(row[2] for row in part) >= BLOCK_LEAST
     ]
@@ -107,17 +112,20 @@ def _times(ratio: float) -> str:
     return f"{ratio:.2f}" if ratio < LARGE else f"more than {LARGE:.0f}"
 
 
-def _bands(layers: Rows) -> list[Band]:
-    """Heights in which noise differs from what is expected, joined where they touch."""
+def _bands(layers: Rows, told: float = TOLD, share: float = SHARE) -> list[Band]:
+    """Heights in which noise differs from what is expected, joined where they touch.
+
+    ``told``, ``share``: as :data:`TOLD` and :data:`SHARE`.
+    """
     rows = np.array(layers, dtype=np.float64).reshape(-1, 3)
     if not len(rows):
         return []
     band, at = np.unique(np.floor(rows[:, 0] / BAND), return_inverse=True)
     seen, expected = (np.bincount(at, rows[:, k]).astype(np.float64) for k in (1, 2))
-    differs = _differs(seen, expected)
+    differs = _differs(seen, expected, told)
     more = seen > expected
     total = float(expected.sum())
-    if expected[differs].sum() < SHARE * total:
+    if expected[differs].sum() < share * total:
         return []
     found: list[Band] = []
     edge = BAND * CUBE_M
@@ -136,8 +144,10 @@ def _bands(layers: Rows) -> list[Band]:
     return found
 
 
-def _differs(seen: NDArray[np.float64], expected: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _differs(
+    seen: NDArray[np.float64], expected: NDArray[np.float64], told: float
+) -> NDArray[np.bool_]:
     """Whether noise differs from what is expected by more than chance and more than is told."""
     sure = np.abs(seen - expected) > SURE * np.sqrt(np.maximum(expected, 1.0))
-    large: NDArray[np.bool_] = (seen > TOLD * expected) | (seen < expected / TOLD)
+    large: NDArray[np.bool_] = (seen > told * expected) | (seen < expected / told)
     return sure & large
