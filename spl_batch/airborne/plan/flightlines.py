@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN
-from spl_batch.airborne.pulses.swath_coverage import SwathTotals, by_flightline
+from spl_batch.airborne.pulses.swath_coverage import Flown, SwathTotals, by_flightline
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.cells.pulses import SWATHS
 from spl_batch.airborne.tasks.return_rate import most_points
@@ -209,5 +209,9 @@ def swath_totals(
     facts = [receipt.facts for receipt in cells if not receipt.failed]
     if any(SWATHS not in of_cell for of_cell in facts):
         return {}
-    flown = [(line.name, line.psid, line.first_s, line.last_s) for line in lines]
-    return by_flightline((of_cell[SWATHS] for of_cell in facts), flown, spacing)
+    return by_flightline((of_cell[SWATHS] for of_cell in facts), spans_flown(lines), spacing)
+
+
+def spans_flown(lines: Sequence[Flightline]) -> list[Flown]:
+    """Name, point source id, first and last time of each flightline [s]."""
+    return [(line.name, line.psid, line.first_s, line.last_s) for line in lines]

@@ -20,7 +20,7 @@ source has one.
 
 from collections import Counter
 from collections.abc import Mapping
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,10 +51,13 @@ STEP_M: Final = 0.01
 """Steps in which places are counted [m]."""
 
 Counts = dict[str, Counter[int]]
-"""Places of a flightline by how they differ [:data:`STEP_M`]: ``looks``, the standard deviation of
-their heights beyond ranging noise, and ``bright``, by how much bright returns lie above others."""
+"""Places of a pass or a flightline by how they differ [:data:`STEP_M`]: ``looks``, the standard
+deviation of their heights beyond ranging noise, and ``bright``, by how much bright returns lie
+above others."""
 
 KINDS: Final = ("looks", "bright")
+
+Key = TypeVar("Key", int, str)
 
 PLACES: Final = 20
 """Places that tell something, at least [count]."""
@@ -69,8 +72,8 @@ def typical_m(places: Mapping[int, int]) -> float | None:
     return float(steps[np.searchsorted(counts.cumsum(), total / 2)]) * STEP_M
 
 
-def add_counts(found: dict[int, Counts], line: int, more: Mapping[str, Mapping[int, int]]) -> None:
-    """Add places of a flightline to those that are known."""
+def add_counts(found: dict[Key, Counts], line: Key, more: Mapping[str, Mapping[int, int]]) -> None:
+    """Add places of a pass or a flightline to those that are known."""
     known = found.setdefault(line, {kind: Counter() for kind in KINDS})
     for kind in KINDS:
         known[kind].update(more[kind])
@@ -79,7 +82,7 @@ def add_counts(found: dict[int, Counts], line: int, more: Mapping[str, Mapping[i
 def unsteady_places(
     places: Places, time_s: NDArray[np.float64], brightness: NDArray[np.uint16], sigma_m: float
 ) -> dict[int, Counts]:
-    """Places by flightline; those of several regions add up.
+    """Places by pass; those of several regions add up.
 
     Parameters
     ----------
@@ -173,7 +176,7 @@ def _rises(
 
 
 def as_facts(found: Mapping[int, Counts]) -> dict[str, dict[str, list[tuple[int, int]]]]:
-    """Places as a receipt has them: by point source id and kind, steps and counts."""
+    """Places as a receipt has them: by the number of the pass and kind, steps and counts."""
     return {
         str(line): {kind: sorted(found[line][kind].items()) for kind in KINDS}
         for line in sorted(found)

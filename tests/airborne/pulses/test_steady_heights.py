@@ -1,14 +1,18 @@
 """Heights of hard places that swing with time or follow brightness, against sums by hand."""
 
 from types import SimpleNamespace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import pytest
 
+from spl_batch.airborne.context import Context
 from spl_batch.airborne.pulses import steady_heights as steady
 from spl_batch.airborne.pulses.level_places import places_in
 from spl_batch.airborne.report.fit.steady import steady_warnings
+from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.airborne.settings import ProductSettings
+from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.lattice.tiles import Bounds
 
 CORE = Bounds(0, 0, 48_000, 48_000)
@@ -128,12 +132,33 @@ def test_they_are_told_with_number_and_remedy():
     def said(swing_m, walk_m):
         found = unsteady(survey(np.random.default_rng(4), swing_m, walk_m, looks=12))
         receipt = SimpleNamespace(facts={"steady": steady.as_facts(found)})
-        return list(steady_warnings({"surface": {"a": receipt}}, 0.05))
+        return list(steady_warnings({"surface": {"a": receipt}}, (), 0.05))
 
     assert not said(0.0, 0.0)
     (text,) = said(0.15, 0.0)
     assert "recorded positions or angles swing" in text
-    ids = [f"point source id {one}" for one in (1, 2)]
-    assert any(f"2 flightlines ({', '.join(both)})" in text for both in (ids, ids[::-1]))
+    assert "flightlines (00001 without times, 00002 without times)" in text
     (text,) = said(0.0, 0.5)
     assert "lie 27 cm above" in text or "lie 28 cm above" in text
+
+
+def test_of_flightlines_that_share_an_id_the_one_that_swings_is_told():
+    starts = np.array([371_000_003, 371_000_243, 371_000_483])
+    calm = survey(np.random.default_rng(5), looks=12)
+    swings = survey(np.random.default_rng(6), swing_m=0.15, looks=12)
+    swings = swings.take(swings.line == 1)._replace(line=np.full(12 * 6000, 3))
+    three = Returns(*(np.concatenate(both) for both in zip(calm, swings, strict=True)))
+    time_s = three.time_s % 1 + starts[three.line - 1] + np.tile(np.repeat(np.arange(12), 6000), 3)
+    one_id = np.zeros(len(time_s), np.uint16)
+    workflow = SimpleNamespace(
+        products=ProductSettings(), classes=SimpleNamespace(overlap=False), water=None,
+        sensor=Sensor(range_sigma_m=0.05),
+    )  # fmt: skip
+    cell = pulses.Pulses(CORE, [], cast("Context", SimpleNamespace(workflow=workflow)))
+    xy = three.xyz[:, :2]
+    cell.add(pulses.PulseReturns(three.xyz, xy, time_s, one_id, three.brightness), CORE)
+    facts = cell.facts(cell.judged(np.ones((192, 192), np.bool_)))
+    receipt = SimpleNamespace(facts=facts)
+    flown = [(f"00000_{start}", 0, start, start + 30.0) for start in starts.tolist()]
+    (text,) = steady_warnings({"surface": {"a": receipt}}, flown, 0.05)
+    assert text.startswith("flightline 00000_371000483: heights of one and the same hard place")

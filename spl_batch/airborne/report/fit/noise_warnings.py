@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.plan.flightlines import find_flightlines, spans_flown
 from spl_batch.airborne.report.fit.clouds import haze_warning
 from spl_batch.airborne.report.fit.fog import fog_warning, thin_haze_warning
 from spl_batch.airborne.report.fit.layers import misfit_warning
@@ -31,4 +32,5 @@ def noise_warnings(done: Receipts, context: Context, haze: Haze | None) -> Itera
     yield from uniform_warning(done)
     yield from float_warning(done, workflow.filter)
     yield from strong_light_warning(done)
-    yield from steady_warnings(done, workflow.sensor.range_sigma_m)
+    flown = spans_flown(find_flightlines(done.get("index_file", {}), workflow))
+    yield from steady_warnings(done, flown, workflow.sensor.range_sigma_m)

@@ -1,10 +1,11 @@
 """Sentences on flightlines that do not give a hard place one height."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from spl_batch.airborne.pulses.steady_heights import KINDS, Counts, add_counts, typical_m
+from spl_batch.airborne.pulses.swath_coverage import Flown, flightline_named
 from spl_batch.airborne.tasks.cells.pulses import STEADY
 from spl_batch.engine.report.number_format import as_ascii
 from spl_batch.engine.report.run_record import Receipts
@@ -15,29 +16,26 @@ TOLD: Final = {"looks": 1.0, "bright": 1.6}
 as much as 1.5 above their mean."""
 
 
-def steady_warnings(done: Receipts, sigma_m: float) -> Iterator[str]:
+def steady_warnings(done: Receipts, flown: Sequence[Flown], sigma_m: float) -> Iterator[str]:
     """Sentences on heights that swing with time, and on such as follow brightness.
 
-    ``sigma_m``: ranging spread that the sensor states [m].
+    ``flown``: the flightlines, which may share a point source id; ``sigma_m``: ranging spread that
+    the sensor states [m].
     """
-    found: dict[int, Counts] = {}
+    found: dict[str, Counts] = {}
     for receipt in done.get("surface", {}).values():
-        for line, kinds in receipt.facts.get(STEADY, {}).items():
+        for number, kinds in receipt.facts.get(STEADY, {}).items():
             counts = {kind: Counter(dict(kinds[kind])) for kind in KINDS}
-            add_counts(found, int(line), counts)
+            add_counts(found, flightline_named(int(number), flown), counts)
     for kind in KINDS:
         said = (
-            Said(
-                f"point source id {line}",
-                as_ascii(_SENTENCES[kind](100 * off, places, 100 * sigma_m)),
-                off,
-            )
+            Said(line, as_ascii(_SENTENCES[kind](100 * off, places, 100 * sigma_m)), off)
             for line, counts in found.items()
             if (off := typical_m(counts[kind])) is not None
             and off > TOLD[kind] * sigma_m
             and (places := counts[kind].total())
         )
-        yield from shared(said, "flightlines")
+        yield from shared(said, "flightlines", "flightline")
 
 
 def _looks(off_cm: float, places: int, sigma_cm: float) -> str:

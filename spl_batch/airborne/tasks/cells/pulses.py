@@ -71,7 +71,7 @@ STEP_Q: Final = quanta(SQUARE_M)
 [quanta]."""
 
 STEADY: Final = "steady"
-"""Fact of a ground cell: hard places by how steady their heights are, by point source id
+"""Fact of a ground cell: hard places by how steady their heights are, by the number of the pass
 (:mod:`~spl_batch.airborne.pulses.steady_heights`)."""
 
 COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id", "intensity")
@@ -207,7 +207,7 @@ class Pulses:
                 self._smooth[level] += sums
             found = unsteady_places(places, returns.time_s, returns.intensity, sigma_m)
             for pass_number, counts in found.items():
-                add_counts(self._steady, pass_number % 2**16, counts)
+                add_counts(self._steady, pass_number, counts)
         if self._maps is None and not self._overlap:
             return
         line = flightline_of(returns.point_source_id, returns.time_s, self._passes)
