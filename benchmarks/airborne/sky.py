@@ -207,6 +207,10 @@ EFFECTS: dict[str, Any] = {
     "both lines from 1800 m": lambda _: all_from(1800),
     "both lines from 600 m": lambda t: all_from(600 / t, 0.25 / t),
     "snow, waves": snow,
+    "60 kHz, times to 10 us": lambda _: {
+        "acquisition": {"prf_hz": 60_000},
+        "delivery": {"time_step_us": 10},
+    },
     "cm, us, user_data": lambda _: {
         "delivery": {"channel_dimension": "user_data", "scale_m": 0.01, "time_step_us": 1}
     },
@@ -236,19 +240,20 @@ SAYS: dict[str, tuple[str, ...]] = {
     "city in fog": ("fog", "mist"), "second gate 350 m": (),
     "second file in another CRS": ("crs",), "second line from 1800 m": (),
     "both lines from 1800 m": (),
-    "snow, waves": (), "cm, us, user_data": (),
+    "snow, waves": (), "cm, us, user_data": (), "60 kHz, times to 10 us": (),
 }  # fmt: skip
 """Kinds of warnings that say what is off, by effect."""
 
 ONCE: tuple[str, ...] = (
     "base", "by tile, no ids", "no channel numbers", "second gate 350 m",
     "second file in another CRS", "second line from 1800 m", "both lines from 1800 m",
-    "snow, waves", "cm, us, user_data",
+    "snow, waves", "cm, us, user_data", "60 kHz, times to 10 us",
 )  # fmt: skip
 """Those that have no strength."""
 
 SETTINGS: dict[str, list[str]] = {
     "no channel numbers": ["survey.channel_dimension=null"],
+    "60 kHz, times to 10 us": ["acquisition.prf_hz=null"],
     "the same strips, aligned": ["survey.align=rigid"],
 }
 """Settings that an effect is run with."""

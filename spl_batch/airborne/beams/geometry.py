@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.rays import look
+from spl_batch.airborne.beams.rounded_times import evened
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, Trajectory
@@ -273,13 +274,23 @@ def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
     Returns
     -------
     (STEP_BINS,) int64
-        Number of steps by length, in bins of :data:`STEP_BIN_S`; longer ones are dropped.
+        Number of steps by length, in bins of :data:`STEP_BIN_S`; longer ones are dropped. Where
+        times are rounded coarsely they are their mean
+        (:mod:`~spl_batch.airborne.beams.rounded_times`).
     """
     time = ordered_times(time_s[np.isfinite(time_s)])
     step = np.diff(time[run_starts(time)[:-1]])
     step = step[step < (STEP_BINS - 1) * STEP_BIN_S]
     index = np.rint(step / STEP_BIN_S).astype(np.int64)
-    return np.bincount(index, minlength=STEP_BINS).astype(np.int64)
+    if not len(index):
+        return np.zeros(STEP_BINS, np.int64)
+    apart = int(_half(int(np.bincount(index).argmax())))
+    return np.bincount(evened(index, apart), minlength=STEP_BINS).astype(np.int64)
+
+
+def _half(step: NDArray[np.int64] | int) -> NDArray[np.int64]:
+    """Half a window around steps, in which jitter does not split the mode [bins]."""
+    return np.maximum(3, np.asarray(step) // 50)
 
 
 def estimate_prf(steps: NDArray[np.int64]) -> float | None:
@@ -303,8 +314,8 @@ def estimate_prf(steps: NDArray[np.int64]) -> float | None:
     if total < 10:
         return None
     centre = np.arange(len(steps)) * STEP_BIN_S
-    # A window of +-2 % around each bin, so that jitter does not split the mode.
-    half = np.maximum(3, np.arange(len(steps)) // 50)
+    # A window of +-2 % around each bin.
+    half = _half(np.arange(len(steps)))
     cumulative = np.concatenate([[0], np.cumsum(steps)])
     low = np.maximum(np.arange(len(steps)) - half, 0)
     high = np.minimum(np.arange(len(steps)) + half + 1, len(steps))
