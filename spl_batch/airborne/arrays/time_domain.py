@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.beams import crosstalk, geometry, sensor_path
-from spl_batch.airborne.beams.bloom import find_bloom
+from spl_batch.airborne.beams.bloom import Bloom, find_bloom, find_unnumbered
 from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.beams.told_apart import told_apart
@@ -183,10 +183,7 @@ class _Line:
             name: np.zeros(len(self.table), np.float32) for name in _ADDED
         }
         added["line_density"][rows] = line_noise.line_density(table, model)
-        found = find_bloom(
-            table, beams, run_starts(table["gps_time"]), self.sensor.beamlets, self.law.sigma_m,
-            self.settings.noise.interval_shots,
-        )  # fmt: skip
+        found = self._bloom(table, beams)
         if found.shots and self.settings.noise.bloom:
             self.bloom[rows[found.returns]] = True
             rows = rows[~found.returns]
@@ -197,6 +194,14 @@ class _Line:
         if self.settings.afterpulse.enabled:
             self._add_afterpulses(added, table, beams, rows)
         return added, voxel_noise.deposit_apart(table, beams, model, self.settings.noise)
+
+    def _bloom(self, table: PointTable, beams: BeamTable) -> Bloom:
+        """Returns of light that reached the whole array."""
+        sigma_m, interval = self.law.sigma_m, self.settings.noise.interval_shots
+        if self.unnumbered:
+            return find_unnumbered(table, beams, self.settings.sensor, sigma_m, interval)
+        starts = run_starts(table["gps_time"])
+        return find_bloom(table, beams, starts, self.sensor.beamlets, sigma_m, interval)
 
     def _add_afterpulses(
         self,

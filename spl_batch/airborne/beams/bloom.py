@@ -20,6 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.bloom_shots import PASSED, one_range
+from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.airborne.beams.told_apart import told_apart
+from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 DOMAIN: Final = "time"
@@ -86,3 +89,21 @@ def find_bloom(
     of_shots = np.repeat(found, counts)
     behind_m = beams.range_m - np.repeat(low, counts)
     return Bloom(of_shots & (behind_m >= 0) & (behind_m <= width), of_shots, int(found.sum()))
+
+
+def find_unnumbered(
+    table: PointTable, beams: BeamTable, sensor: Sensor, sigma_m: float, interval_shots: int
+) -> Bloom:
+    """Returns as of :func:`find_bloom` of files that do not number beamlets: beams tell them apart.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points in time order, with ``shot``.
+    """
+    seen, order = told_apart(table, beams, sensor)
+    starts, ordered = run_starts(seen["gps_time"]), beams.take(order)
+    found = find_bloom(seen, ordered, starts, sensor.beamlets, sigma_m, interval_shots)
+    returns, of_shots = np.zeros((2, len(table)), np.bool_)
+    returns[order], of_shots[order] = found.returns, found.of_shots
+    return Bloom(returns, of_shots, found.shots)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
 from spl_batch.airborne.beams import crosstalk, geometry
-from spl_batch.airborne.beams.bloom import find_bloom
+from spl_batch.airborne.beams.bloom import Bloom, find_bloom, find_unnumbered
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.context import Context
@@ -208,10 +208,7 @@ def _assess(
     subset, beams = table.take(known), beams.take(known)
     line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
     law = afterpulse_law.AfterpulseLaw.from_arrays(line)
-    starts = run_starts(subset["gps_time"])
-    bloom = find_bloom(
-        subset, beams, starts, int(args["beamlets"]), law.sigma_m, workflow.noise.interval_shots
-    )
+    bloom = _bloom(subset, beams, law.sigma_m, args, context)
     if bloom.shots:
         lit = subset.take(bloom.returns)
         facts["bloom"] = [bloom.shots, len(lit), *_box(lit)]
@@ -246,6 +243,17 @@ def _assess(
     facts |= {"voxels_apart": dict(zip(names[1:], boxes[1:], strict=True))} if boxes[1:] else {}
     table = table.with_columns(line_density=density)
     return table, [*paths, *_write_fired(subset, beams, model, args, context, facts)]
+
+
+def _bloom(
+    table: PointTable, beams: BeamTable, sigma_m: float, args: Mapping[str, Any], context: Context
+) -> Bloom:
+    """Returns of light that reached the whole array; without channels beams tell beamlets apart."""
+    stated, interval = context.workflow.sensor, context.workflow.noise.interval_shots
+    if lines_of_sight.tells_beamlets(args, stated):
+        return find_unnumbered(table, beams, stated, sigma_m, interval)
+    starts = run_starts(table["gps_time"])
+    return find_bloom(table, beams, starts, int(args["beamlets"]), sigma_m, interval)
 
 
 def _box(table: PointTable) -> list[int]:

@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 
-from spl_batch.airborne.beams.bloom import BEHIND_M, FILLED, SPREAD, WINDOW, find_bloom
+from spl_batch.airborne.beams.bloom import (
+    BEHIND_M,
+    FILLED,
+    SPREAD,
+    WINDOW,
+    find_bloom,
+    find_unnumbered,
+)
 from spl_batch.airborne.beams.bloom_shots import BINS, OFTEN, PART, SURE, _most_in_two
 from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 SIGMA_M = 0.05
@@ -51,6 +59,25 @@ def test_a_bright_point_is_found_and_the_ground_behind_it_stays(above):
     assert 90 <= bloom.returns.sum() <= 100 + 30
     assert set(time[bloom.of_shots]) == {7 / 60_000}
     assert bloom.of_shots.sum() == (time == 7 / 60_000).sum()
+
+
+def test_without_channel_numbers_beams_tell_the_same_bloom():
+    rng = np.random.default_rng(13)
+    shots = [shot(rng, behind=0.2) for _ in range(40)]
+    shots[7], shots[30] = (shot(rng, bright=2497.0, electrons=some) for some in (9.0, 1.0))
+    numbered, time, ranges = found(shots)
+    channel = np.concatenate([channels for _, channels in shots])
+    sensor = Sensor(beamlets=100, beamlet_pitch_urad=200.0)
+    direction = np.column_stack([(channel - 1) % 10, (channel - 1) // 10, 0 * channel]) * 200e-6
+    direction[:, 2] = -np.sqrt(1.0 - (direction**2).sum(axis=1))
+    n = len(ranges)
+    beams = BeamTable(np.zeros((n, 3)), direction, ranges, np.ones(n, np.bool_))
+    number = np.rint(time * 60_000).astype(np.int64)
+    table = PointTable({"gps_time": time, "channel": np.zeros(n, np.uint8), "shot": number})
+    bloom = find_unnumbered(table, beams, sensor, SIGMA_M, 60)
+    assert bloom.shots == numbered.shots == 2
+    assert np.array_equal(bloom.returns, numbered.returns)
+    assert np.array_equal(bloom.of_shots, numbered.of_shots)
 
 
 @pytest.mark.parametrize("electrons", [0.7, 1.0, 2.0])

@@ -75,6 +75,7 @@ def unnamed_channels(files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor)
     text = (
         f"survey.channel_dimension is not set, but {chosen} holds {listed}, as the "
         f"{sensor.beamlets} beamlets of {sensor.name} are numbered; without it each shot counts "
-        f"as one beamlet: write `channel_dimension: {chosen}` under survey"
+        f"as one beamlet, and light that is too strong is not told: write "
+        f"`channel_dimension: {chosen}` under survey"
     )
     return (text,)
