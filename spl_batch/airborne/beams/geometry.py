@@ -290,7 +290,8 @@ def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
 
 def _half(step: NDArray[np.int64] | int) -> NDArray[np.int64]:
     """Half a window around steps, in which jitter does not split the mode [bins]."""
-    return np.maximum(3, np.asarray(step) // 50)
+    half: NDArray[np.int64] = np.maximum(3, np.asarray(step) // 50)
+    return half
 
 
 def estimate_prf(steps: NDArray[np.int64]) -> float | None:
