@@ -147,7 +147,7 @@ class PointTable:
         """Rows by mask, index array or slice; a slice, or a mask of all, copies nothing."""
         if isinstance(selection, slice):
             return PointTable({k: v[selection] for k, v in self.columns.items()})
-        if selection.dtype == np.bool_ and selection.all():
+        if selection.dtype == np.bool_ and len(selection) == len(self) and selection.all():
             return PointTable(dict(self.columns))
         rows = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
         return PointTable({k: v.take(rows) for k, v in self.columns.items()})

@@ -285,7 +285,7 @@ def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
     if not len(index):
         return np.zeros(STEP_BINS, np.int64)
     apart = int(_half(int(np.bincount(index).argmax())))
-    return np.bincount(evened(index, apart), minlength=STEP_BINS).astype(np.int64)
+    return np.bincount(evened(index, apart, time, STEP_BIN_S), minlength=STEP_BINS).astype(np.int64)
 
 
 def _half(step: NDArray[np.int64] | int) -> NDArray[np.int64]:

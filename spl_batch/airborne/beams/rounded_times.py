@@ -40,11 +40,19 @@ CHANCE: Final = 2.0
 """So many standard deviations the variance of random sums stays above that; twice as many where an
 exact clock makes them."""
 
+TICK_S: Final = 1e-7
+"""Units are whole multiples of this [s]."""
+
+OFF_TICK: Final = 0.02
+"""What a time may be off a multiple of the unit, beside its own resolution [units]."""
+
 UNSURE: Final = 0.01
 """A period that may be off by a larger part than this is not told, 0..1."""
 
 
-def evened(step: NDArray[np.int64], apart: int) -> NDArray[np.int64]:
+def evened(
+    step: NDArray[np.int64], apart: int, time_s: NDArray[np.float64], bin_s: float
+) -> NDArray[np.int64]:
     """Steps between shots; if times are rounded, those of one period as their mean.
 
     Parameters
@@ -53,6 +61,10 @@ def evened(step: NDArray[np.int64], apart: int) -> NDArray[np.int64]:
         Steps between consecutive shots, in the order of time [bins].
     apart : int
         Lengths that are no farther apart than this are one [bins].
+    time_s : (k,) float64
+        Times that the steps lie between [s]; rounded ones are multiples of the unit.
+    bin_s : float
+        A bin [s].
 
     Returns
     -------
@@ -61,7 +73,7 @@ def evened(step: NDArray[np.int64], apart: int) -> NDArray[np.int64]:
         period cannot be told.
     """
     found = _unit(step, apart)
-    if found is None:
+    if found is None or not _on_ticks(time_s, found[0] * bin_s):
         return step
     unit, least = found
     units = np.rint(step / unit).astype(np.int64)
@@ -106,6 +118,16 @@ def _unit(step: NDArray[np.int64], apart: int) -> tuple[float, int] | None:
     if weight[off <= OFF_UNIT].sum() < ON_UNITS * len(step):
         return None
     return unit, max(round(place[0] / unit), 1)
+
+
+def _on_ticks(time_s: NDArray[np.float64], unit_s: float) -> bool:
+    """Whether times are multiples of a unit: those of an exact clock have a phase of their own."""
+    tick = round(unit_s / TICK_S) * TICK_S
+    if tick <= 0.0:
+        return False
+    turns = time_s / tick
+    most = OFF_TICK + 2.0 * np.spacing(np.abs(time_s).max()) / tick
+    return bool(np.mean(np.abs(turns - np.rint(turns)) <= most) >= ON_UNITS)
 
 
 def _mixed(part: float, longest: float) -> float:

@@ -159,6 +159,14 @@ def test_steps_of_exact_clocks_stay_as_they_are(silent: float) -> None:
         assert np.array_equal(geometry.shot_steps(371e6 + time), plain)
 
 
+@pytest.mark.parametrize("dropped", [3, 4, 10])
+@pytest.mark.parametrize("prf", [50_000, 100_000])
+def test_thinning_an_exact_clock_keeps_its_rate(prf: int, dropped: int) -> None:
+    shot = np.arange(60_000)
+    time = 371e6 + 3.7e-6 + shot[shot % dropped > 0] / prf
+    assert geometry.estimate_prf(geometry.shot_steps(time)) == pytest.approx(prf, rel=1e-3)
+
+
 def test_returns_of_one_time_and_channel_that_no_beam_explains_are_counted() -> None:
     # A slanted beam, one that is another shot's, another channel, another time.
     table = points(

@@ -25,9 +25,6 @@ from spl_batch.formats.las.number_dimensions import Numbers
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
 
-DECIMAL_HZ: Final = (1e3, 1e4, 1e5)
-"""Pulse rates that all times rounded to whole decimals tell where shots follow faster [Hz]."""
-
 MERGED: Final = 0.01
 """Share of returns of one time and channel off one beam that is told; where times tell shots apart
 there is none."""
@@ -258,13 +255,7 @@ def _contradicted_rates(survey: Survey) -> Iterator[str]:
     wrong: dict[str, float] = {}
     for line in survey.flightlines:
         seen = [told[key].facts["prf_hz"].get(str(line.psid)) for key in line.sources]
-        far = [
-            hz
-            for hz in seen
-            if hz
-            and abs(hz / line.clock.prf_hz - 1.0) > PRF_APART
-            and not (hz in DECIMAL_HZ and hz < line.clock.prf_hz)
-        ]
+        far = [hz for hz in seen if hz and abs(hz / line.clock.prf_hz - 1.0) > PRF_APART]
         if line.prf_basis == "given" and far and len(far) == sum(map(bool, seen)):
             wrong[line.name] = float(far[0])
     if wrong:

@@ -50,8 +50,13 @@ class Cloud(NamedTuple):
 
     @property
     def area_m2(self) -> float:
-        """Area that it covers [m2]."""
-        return self.total("squares") * CUBE_M**2
+        """Area that it covers; where one piece hangs above another it counts once [m2]."""
+        held: dict[tuple[int, int], list[int]] = {}
+        for piece in self.pieces:
+            west, south = (side // quanta(WINDOW * CUBE_M) for side in piece.box[:2])
+            held.setdefault((west, south), []).append(piece.squares)
+        squares = sum(max(*some, min(sum(some), WINDOW**2)) for some in held.values())
+        return squares * CUBE_M**2
 
 
 def haze(done: Receipts, context: Context) -> Haze | None:
@@ -65,7 +70,7 @@ def haze(done: Receipts, context: Context) -> Haze | None:
     terrain = Terrain(context.output)
     pieces = [piece for part in parts for piece in _pieces(part, terrain)]
     clouds = [cloud for cloud in _clouds(pieces) if _is_told(cloud)]
-    if sum(cloud.area_m2 for cloud in clouds) < LEAST_M2:
+    if max((cloud.area_m2 for cloud in clouds), default=0.0) < LEAST_M2:
         return None
     clouds.sort(key=lambda cloud: (-cloud.area_m2, tuple(cloud.pieces[0].box)))
     return _described(clouds[0], clouds[1:])
@@ -81,10 +86,10 @@ def haze_warning(found: Haze | None) -> Iterator[str]:
     if base is None or top is None:
         where = f"between heights of {found.low_m:.0f} and {found.high_m:.0f} m"
     elif found.noise_class == CLASS_LOW_NOISE:
-        where = f"between {max(-top, 0.0):.0f} and {-base:.0f} m below ground"
+        where = f"between {max(round(-top), 0)} and {round(-base)} m below ground"
         means = "no haze, for that lies above; its returns are class 7"
     else:
-        where = f"between {max(base, 0.0):.0f} and {top:.0f} m above ground"
+        where = f"between {max(round(base), 0)} and {round(top)} m above ground"
     times = "more than" if found.times_expected is None else f"{found.times_expected:.1f} times"
     yield as_ascii(
         f"noise {where} is {times} what the model of the noise expects, over "

@@ -11,6 +11,7 @@ from spl_batch.airborne.noise.haze import CUBE_M
 from spl_batch.airborne.report.fit.places import Box, Terrain, clipped, extent_of, within
 from spl_batch.engine.report.number_format import as_ascii
 from spl_batch.engine.report.run_record import Receipts
+from spl_batch.errors import counted
 
 TOLD: Final = 1.25
 """Times more, or less, noise than expected that is told; the model is within 1.03 in all strata
@@ -80,9 +81,10 @@ def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:
     if bands:
         said = f": {_listed(bands, extent, terrain)}, {within([extent])}"
         said += ". The noise changes along the gate"
-    if off and len(judged) > 1:
+    if off and (len(judged) > 1 or not bands):
         worst = max(off, key=lambda block: block.off)
-        said += f"{'. It is off' if bands else ''} in {len(off)} of {len(judged)} blocks"
+        blocks = counted(len(judged), "blocks")
+        said += f"{'. It is off' if bands else ''} in {len(off)} of {blocks}"
         said += f"; the worst lies {within([worst.box])}, and there it is "
         said += _listed(worst.bands, worst.box, terrain)
     hint = ""

@@ -19,6 +19,9 @@ WALLS: Final = 0.25
 """Share of the terrain in a place that is enough to be what something in it lies above: in a narrow
 valley most of it are walls."""
 
+MOST_SQUARES: Final = 64
+"""Squares along a side in which the neighbours of the largest box are looked for [count]."""
+
 Box = Sequence[int]
 """West, south, east and north [quanta]."""
 
@@ -33,7 +36,8 @@ def joined(
     if not boxes:
         return []
     sides = np.array(boxes, np.int64)
-    edge = max(int(np.median(sides[:, 2:] - sides[:, :2])), 1)
+    across = sides[:, 2:] - sides[:, :2]
+    edge = max(int(np.median(across)), int(across.max()) // MOST_SQUARES, 1)
     near: dict[tuple[int, int], list[int]] = {}
     for k, (west, south, east, north) in enumerate((sides // edge).tolist()):
         for at in product(range(west, east + 1), range(south, north + 1)):
