@@ -1,7 +1,6 @@
 """Polygons of areas of interest and water."""
 
 import json
-import os
 import sqlite3
 import struct
 from collections.abc import Callable
@@ -153,43 +152,12 @@ def edited(at: int, layout: str, value: float) -> Callable[[Path], Path]:
     return make
 
 
-def viewed(rows: str) -> Callable[[Path], Path]:
-    """A GeoPackage whose shapes a query makes."""
-
-    def make(path: Path) -> Path:
-        with sqlite3.connect(write(path, [SQUARE])) as database:
-            database.execute("ALTER TABLE a RENAME TO b")
-            database.execute(f"CREATE VIEW a AS {rows}")
-        return path
-
-    return make
-
-
-def generated(path: Path) -> Path:
-    """A GeoPackage whose shapes a formula makes: 900 MB of each row."""
-    with sqlite3.connect(write(path, [SQUARE])) as database:
-        database.execute("ALTER TABLE a RENAME TO b")
-        shape = "geom BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL"
-        database.execute(f"CREATE TABLE a (fid INTEGER PRIMARY KEY, {shape}, n INT)")
-        database.execute("INSERT INTO a(n) VALUES (1)")
-    return path
-
-
-def virtual(path: Path) -> Path:
-    """A GeoPackage whose shapes a module of SQLite makes."""
-    with sqlite3.connect(write(path, [SQUARE])) as database:
-        database.execute("ALTER TABLE a RENAME TO b")
-        database.execute("CREATE VIRTUAL TABLE a USING fts5(fid, geom)")
-    return path
-
-
 def halved(path: Path) -> Path:
     content = write(path, [SQUARE]).read_bytes()
     path.write_bytes(content[: len(content) // 2])
     return path
 
 
-ENDLESS = "WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) SELECT b.* FROM b, r"
 UNCLOSED = "feature 2: has no geometry that can be decoded"
 DAMAGED = {
     "rings beyond the file": (edited(4, "<I", 2**32 - 1), UNCLOSED),
@@ -210,13 +178,6 @@ DAMAGED = {
         lambda path: write(path, [shapely.Polygon([(0, 0), (5, 5), (9, 9)])]),
         "holds no polygons",
     ),
-    "a query that never ends": (viewed(ENDLESS), "a is a view"),
-    "shapes that a query makes": (
-        viewed("SELECT fid, zeroblob(900000000) AS geom FROM b"),
-        "a is a view",
-    ),
-    "shapes that a formula makes": (generated, "a is a table with generated columns"),
-    "shapes that a module makes": (virtual, "a is a virtual table"),
     "half a file": (
         halved,
         "cannot be read as shapes",
@@ -236,14 +197,3 @@ def test_a_damaged_shape_among_sound_ones_is_refused_by_its_number(
     assert str(caught.value).startswith(str(tmp_path / "a.gpkg"))
     if case != "without an area" or read is check_polygons:
         assert said in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["a.gpkg-journal", "a.gpkg-wal", "a.gpkg.aux.xml"])
-def test_a_pipe_that_gdal_would_open_is_refused(tmp_path: Path, name: str) -> None:
-    path = write(tmp_path / "a.gpkg", [SQUARE])
-    (tmp_path / "a.folder").mkdir()
-    (tmp_path / "a.link").symlink_to("nowhere")
-    check_polygons(path, UTM)
-    os.mkfifo(tmp_path / name)
-    with pytest.raises(InputError, match=f"{name} beside it is a pipe or a device"):
-        check_polygons(path, UTM)

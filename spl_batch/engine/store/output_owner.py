@@ -13,7 +13,6 @@ from typing import Any, Final
 
 from spl_batch.engine.report.run_record import REPORT_FILES
 from spl_batch.engine.store.deliveries import RECORD, Deliveries
-from spl_batch.engine.store.odd_entries import refuse_odd
 from spl_batch.engine.store.output_lock import refuse_lost, refuse_unwritable
 from spl_batch.engine.store.store_owner import refuse_claimed
 from spl_batch.engine.verbs.receiver import Prepared
@@ -46,7 +45,6 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
     context = prepared.context
     refuse_unwritable(context.output)
     refuse_lost(context.output, f"output: {context.output}", context.base)
-    refuse_odd(context.output)
     refuse_claimed(context.store)
     deliveries = Deliveries(context)
     refuse_foreign(prepared, deliveries)

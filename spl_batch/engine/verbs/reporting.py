@@ -7,7 +7,6 @@ from spl_batch.engine.report.parts import Failure
 from spl_batch.engine.report.run_record import RUN, RunFacts, StageCost, recall
 from spl_batch.engine.settings.mistaken_file import no_output
 from spl_batch.engine.settings.workflow_file import parse_any
-from spl_batch.engine.store.odd_entries import refuse_odd
 from spl_batch.engine.store.working_store import Store, read_receipt
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.receipt_index import Shelf
@@ -42,7 +41,6 @@ def report(output: Path | str) -> RunResult:
         raise WorkflowError(f"{output}: {fault}")
     refuse_without("matplotlib", "reports", "report")
     folder = real_path(output)
-    refuse_odd(folder)
     done, context, facts = recalled(folder)
     try:
         for damaged in damaged_rasters(done, context):

@@ -6,7 +6,6 @@ from typing import Final
 
 from spl_batch.engine.settings.mistaken_file import no_output
 from spl_batch.engine.store.deliveries import RECORD
-from spl_batch.engine.store.odd_entries import refuse_odd_log
 from spl_batch.engine.store.output_lock import holder
 from spl_batch.engine.store.working_store import IDENTITY, Store, read_receipt
 from spl_batch.engine.watch.earlier_runs import FIRST_EVENT, WORK_EVENT
@@ -48,7 +47,6 @@ class Follower:
         self.status = RunStatus()
         self._rest = b""
         self._lost = 0
-        refuse_odd_log(self.output)
         fault = no_output(self.output, "status")
         if fault:
             raise WorkflowError(f"{output}: {fault}")
