@@ -17,6 +17,7 @@ check: lint types schemas ## everything that reads the code without running the 
 lint: ## format and style
 	ruff format --check .
 	ruff check .
+	lint-imports
 
 types: ## static types
 	mypy
