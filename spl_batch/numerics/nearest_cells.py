@@ -1,16 +1,8 @@
-"""Nearest cell of a grid that holds something, for each of its cells.
-
-Two passes [Meijster, Roerdink & Hesselink 2000]: the nearest cell of each column, and from there
-along each row by the columns that are nearest somewhere in it. scipy's distance transform finds the
-same cells.
-"""
-
-import math
+"""Nearest cell that holds something, for each cell of a grid; by scipy's exact transform."""
 
 import numpy as np
 from numpy.typing import NDArray
-
-from spl_batch.numerics.compiled import njit
+from scipy.ndimage import distance_transform_edt
 
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -22,90 +14,34 @@ def nearest_cells(held: Mask) -> tuple[Index, Index]:
     Parameters
     ----------
     held : (rows, columns) bool
-        Cells that do; at least one. Of equally near ones that of the first column counts, then that
-        of the first row.
+        Cells that do; at least one.
     """
-    row, column = np.empty((2, *held.shape), dtype=np.int64)
-    _nearest(held, row, column)
+    found = distance_transform_edt(~held, return_distances=False, return_indices=True)
+    row, column = found.astype(np.int64)
     return row, column
 
 
 def distances(held: Mask) -> NDArray[np.float64]:
     """Distance of each cell to the nearest that holds something: (rows, columns) float64 [cells].
 
-    ``held``: as :func:`nearest_cells` has it. scipy's distance transform of the others has the same
-    numbers: distances are roots of whole ones.
+    ``held``: as :func:`nearest_cells` has it.
     """
-    away = np.empty(held.shape)
-    _distances(held, away)
+    away: NDArray[np.float64] = distance_transform_edt(~held)
     return away
 
 
-@njit()
-def _distances(held: Mask, away: NDArray[np.float64]) -> None:
-    """Fill with the distances to the nearest cells."""
-    rows, columns = held.shape
-    along = _nearest_of_columns(held)
-    some = np.flatnonzero(along[0] >= 0)
-    at, begin = np.empty((2, columns), np.int64)
-    for r in range(rows):
-        last = _nearest_in_row(along[r], r, some, at, begin)
-        for c in range(columns - 1, -1, -1):
-            while begin[last] > c:
-                last -= 1
-            up, aside = along[r, at[last]] - r, at[last] - c
-            away[r, c] = math.sqrt(up * up + aside * aside)
+def within_discs(held: Mask, radius: float) -> Mask:
+    """Cells whose distance to one that holds something is no more than a radius.
 
+    Parameters
+    ----------
+    held : (rows, columns) bool
+        Cells that do; there may be none.
+    radius : float
+        Radius between the middles of cells [cells], >= 0.
 
-@njit()
-def _nearest(held: Mask, row: Index, column: Index) -> None:
-    """Fill with row and column of the nearest cells."""
-    rows, columns = held.shape
-    along = _nearest_of_columns(held)
-    some = np.flatnonzero(along[0] >= 0)
-    at, begin = np.empty((2, columns), np.int64)
-    for r in range(rows):
-        last = _nearest_in_row(along[r], r, some, at, begin)
-        for c in range(columns - 1, -1, -1):
-            while begin[last] > c:
-                last -= 1
-            row[r, c], column[r, c] = along[r, at[last]], at[last]
-
-
-@njit()
-def _nearest_in_row(along: Index, r: int, some: Index, at: Index, begin: Index) -> int:
-    """Fill which columns are nearest in a row, and from where on; the number of the last."""
-    last = -1
-    for c in some:
-        off = (along[c] - r) ** 2
-        first = 0
-        while last >= 0:
-            other = at[last]
-            # The last place where the other one is no farther.
-            up_to = c * c - other * other + off - (along[other] - r) ** 2
-            first = 1 + up_to // (2 * (c - other))
-            if first > begin[last]:
-                break
-            last, first = last - 1, 0
-        if first < len(along):
-            last += 1
-            at[last], begin[last] = c, first
-    return last
-
-
-@njit()
-def _nearest_of_columns(held: Mask) -> Index:
-    """Row of the nearest cell in each cell's column; beyond reach where that has none."""
-    rows, columns = held.shape
-    found = np.full(held.shape, -rows - columns, dtype=np.int64)
-    for r in range(rows):
-        for c in range(columns):
-            if held[r, c]:
-                found[r, c] = r
-            elif r > 0:
-                found[r, c] = found[r - 1, c]
-    for r in range(rows - 2, -1, -1):
-        for c in range(columns):
-            if abs(found[r + 1, c] - r) < r - found[r, c]:
-                found[r, c] = found[r + 1, c]
-    return found
+    Returns
+    -------
+    (rows, columns) bool
+    """
+    return distances(held) <= radius if held.any() else np.zeros_like(held)

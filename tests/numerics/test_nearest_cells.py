@@ -1,17 +1,29 @@
-"""Nearest cells that hold something, beside scipy's distance transform."""
+"""Nearest cells that hold something, beside a search over all pairs of cells."""
 
 import numpy as np
-import pytest
-from scipy import ndimage
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 
-from spl_batch.numerics.nearest_cells import distances, nearest_cells
+from spl_batch.numerics.nearest_cells import distances, nearest_cells, within_discs
+
+MASKS = arrays.arrays(np.bool_, st.tuples(st.integers(1, 9), st.integers(1, 9)))
 
 
-@pytest.mark.parametrize("share", [0.01, 0.1, 0.5, 0.95, 1.0])
-@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (23, 57), (57, 23)])
-def test_the_same_cells_as_scipy_finds(shape: tuple[int, int], share: float) -> None:
-    held = np.random.default_rng(1).random(shape) < share
-    held[shape[0] // 2, shape[1] // 3] = True
-    expected = ndimage.distance_transform_edt(~held, return_distances=False, return_indices=True)
-    assert np.array_equal(nearest_cells(held), expected)
-    assert np.array_equal(distances(held), ndimage.distance_transform_edt(~held))
+def all_pairs(held: np.ndarray) -> np.ndarray:
+    """Distance of each cell to the nearest that holds something; infinite where none does."""
+    cells = np.stack(np.indices(held.shape), axis=-1)
+    offsets = cells[:, :, None] - np.argwhere(held)
+    return np.sqrt((offsets**2).sum(axis=-1)).min(axis=-1, initial=np.inf)
+
+
+@given(MASKS, st.integers(0, 12) | st.floats(0, 12))
+def test_they_are_the_nearest_of_all(held: np.ndarray, radius: float) -> None:
+    expected = all_pairs(held)
+    assert np.array_equal(within_discs(held, float(radius)), expected <= radius)
+    if held.any():
+        assert np.array_equal(distances(held), expected)
+        row, column = nearest_cells(held)
+        assert held[row, column].all()
+        own_row, own_column = np.indices(held.shape)
+        assert np.array_equal(np.hypot(row - own_row, column - own_column), expected)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta
-from spl_batch.numerics.within_discs import within_discs
+from spl_batch.numerics.nearest_cells import within_discs
 
 Heights = tuple[int, int]
 """Lowest and highest [quanta]."""

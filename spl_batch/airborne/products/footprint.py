@@ -24,7 +24,7 @@ from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta, shared
-from spl_batch.numerics.within_discs import within_discs
+from spl_batch.numerics.nearest_cells import within_discs
 
 DOMAIN: Final = "space"
 """Needs every flightline of a place."""
