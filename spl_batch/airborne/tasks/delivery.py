@@ -37,11 +37,12 @@ from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.layers import GIVEN
+from spl_batch.formats.las.records import record_layout
 from spl_batch.formats.las.writer import (
     KEEP_BUT_GROUND,
     KEEP_CLASS,
     Decoded,
-    added_names,
+    added_dimensions,
     kept_classes,
     write_classified,
     write_points,
@@ -149,7 +150,9 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     broken = Counter(broken_records(header))
     mended = Counter(
         put_in_order(
-            header, copied_format(header.point_format), added_names(diagnostics=diagnostics)
+            header,
+            copied_format(header.point_format),
+            added_dimensions(record_layout(header), diagnostics=diagnostics),
         )
     )
     facts = {

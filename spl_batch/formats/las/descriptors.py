@@ -31,28 +31,32 @@ _DAY, _YEAR = slice(90, 92), slice(92, 94)
 
 
 def in_order(
-    extra: Sequence[ExtraDimension], point_format: int, added: Collection[str]
-) -> Iterator[tuple[ExtraDimension, list[str]]]:
-    """Extra dimensions as standard readers take them, each with what was wrong with it.
+    extra: Sequence[ExtraDimension], point_format: int, added: Sequence[ExtraDimension]
+) -> Iterator[tuple[ExtraDimension, ExtraDimension, list[str]]]:
+    """Extra dimensions that a copy keeps, and as standard readers take them, with their faults.
 
     Parameters
     ----------
     extra : sequence of ExtraDimension
-        Of the input, without those whose name is in ``added``.
+        Of the input; those that are described as one of ``added`` are left out.
     point_format : int
         Of the copy.
-    added : collection of str
-        Names of dimensions that the copy gets.
+    added : sequence of ExtraDimension
+        Dimensions that the copy gets.
     """
     standard = laspy.PointFormat(point_format).standard_dimension_names
-    taken = {*standard, *(standard_dtype(point_format).names or ()), *added}
+    taken = {*standard, *(standard_dtype(point_format).names or ()), *(d.name for d in added)}
+    replaced = {d.descriptor for d in added}
     for dimension in extra:
-        mended, faults = _mended(dimension, taken)
-        taken.add(mended.name)
-        yield mended, faults
+        if dimension.descriptor not in replaced:
+            mended, faults = _mended(dimension, taken)
+            taken.add(mended.name)
+            yield dimension, mended, faults
 
 
-def put_in_order(header: LasHeader, point_format: int, added: Collection[str]) -> Iterator[str]:
+def put_in_order(
+    header: LasHeader, point_format: int, added: Sequence[ExtraDimension]
+) -> Iterator[str]:
     """What of a file's header a copy has in another way; arguments of :func:`in_order`."""
     raw = header.raw
     if sound_system(raw[_SYSTEM]) != raw[_SYSTEM]:
@@ -64,8 +68,7 @@ def put_in_order(header: LasHeader, point_format: int, added: Collection[str]) -
         if is_misread(descriptor):
             name = _text(descriptor[_NAME])
             yield f"extra dimension {name!a}: a block without a type, which is several of bytes"
-    kept = [d for d in record_layout(header).extra if d.name not in added]
-    for mended, faults in in_order(kept, point_format, added):
+    for _, mended, faults in in_order(record_layout(header).extra, point_format, added):
         if faults:
             yield f"extra dimension {mended.name!a}: {', '.join(faults)}"
 

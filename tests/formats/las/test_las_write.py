@@ -19,7 +19,7 @@ from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.reader import header_crs, inspect, iter_points
 from spl_batch.formats.las.writer import write_classified, write_points
-from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
+from spl_batch.lattice.tables import SOURCE_COLUMNS, PointFlag, PointTable, concat
 from tests.io_files import VERSIONS, patch, with_record, write_las
 
 
@@ -104,18 +104,32 @@ def test_header_is_kept_and_nothing_depends_on_the_clock(tmp_path: Path) -> None
     assert (tmp_path / "b.laz").read_bytes() == (tmp_path / "c.laz").read_bytes()
 
 
-def test_second_run_replaces_its_own_dimensions(tmp_path: Path) -> None:
-    src = write_las(tmp_path / "a.laz", extra={"noise_class": "f8", "height": "f4"})
+def test_second_run_replaces_its_own_dimensions_and_keeps_those_of_others(tmp_path: Path) -> None:
+    others = {"noise_class": "f8", "input_classification": "u1", "height": "f4"}
+    src = write_las(tmp_path / "a.laz", extra=others)
     classify(src, tmp_path / "b.laz")
     classify(tmp_path / "b.laz", tmp_path / "c.laz")
-    first, second = laspy.read(tmp_path / "b.laz"), laspy.read(tmp_path / "c.laz")
-    names = ["height", "input_classification", "noise_class", "noise_density", "p_value"]
+    given, first, second = (laspy.read(tmp_path / f"{name}.laz") for name in "abc")
+    kept = ["noise_class_2", "input_classification_2", "height"]
+    names = [*kept, "input_classification", "noise_class", "noise_density", "p_value"]
     for cloud in (first, second):
         assert list(cloud.point_format.extra_dimension_names) == names
-    assert_kept_names = ["X", "gps_time", "height"]
-    for name in assert_kept_names:
-        np.testing.assert_array_equal(first[name], second[name])
-    np.testing.assert_array_equal(second["input_classification"], first.classification)
+        for before, after in zip(others, kept, strict=True):
+            np.testing.assert_array_equal(cloud[after], given[before])
+        np.testing.assert_array_equal(cloud["input_classification"], given.classification)
+
+
+def test_noise_of_an_earlier_run_is_not_the_vendors(tmp_path: Path) -> None:
+    classes = np.arange(20) % 20
+    src = write_las(tmp_path / "a.laz", n=20, values={"classification": classes})
+    classify(src, tmp_path / "b.laz")
+    again = next(iter_points(tmp_path / "b.laz", channel_dimension=None, source=0))
+    first = laspy.read(tmp_path / "b.laz")
+    labelled = np.isin(first.noise_class, (1, 2)) & np.isin(first.classification, (7, 18))
+    assert 0 < np.count_nonzero(labelled) < np.count_nonzero(np.isin(first.classification, (7, 18)))
+    expected = np.where(labelled, classes, first.classification)
+    np.testing.assert_array_equal(again["input_class"], expected)
+    np.testing.assert_array_equal(again.has(PointFlag.VENDOR_NOISE), np.isin(expected, (7, 18)))
 
 
 def test_bytes_that_nothing_describes(tmp_path: Path) -> None:
