@@ -27,6 +27,13 @@ HEADER_SIZES: Final = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 VLR_HEAD: Final = struct.Struct("<H16sHH32s")
 EVLR_HEAD: Final = struct.Struct("<H16sHQ32s")
 
+WAVEFORM_FORMATS: Final = (4, 5, 9, 10)
+"""Point formats with wave packets."""
+
+ADJUSTED_BIT, INTERNAL_BIT, EXTERNAL_BIT, WKT_BIT = 1, 2, 4, 16
+"""Bits of the global encoding: adjusted standard time, waveforms in the file or in one beside it,
+a CRS as WKT [LAS 1.4 R15, 2.4]."""
+
 _CORE: Final = struct.Struct("<HIIBHI5I12d")
 _CORE_START: Final = 94
 _POINT_FORMATS: Final = 11
@@ -146,6 +153,12 @@ def open_input(path: Path) -> Iterator[BinaryIO]:
         raise InputError(str(path), f"cannot be read: {reason_of(error)}") from None
     with file:
         yield file
+
+
+def waveform_file(path: Path, point_format: int) -> Path | None:
+    """File of waveforms beside one whose points have some; None where there is none."""
+    endings = (".wdp", ".WDP", ".wdz", ".WDZ") if point_format in WAVEFORM_FORMATS else ()
+    return next(filter(Path.is_file, map(path.with_suffix, endings)), None)
 
 
 def read_header(path: Path) -> LasHeader:

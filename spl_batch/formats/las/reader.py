@@ -20,7 +20,7 @@ from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, QUANTA_PER_M
 from spl_batch.errors import InputError, as_input_fault, brief, plain
 from spl_batch.formats.crs import GEO_KEYS, WKT_KEY, crs_from_geotiff, crs_from_wkt
 from spl_batch.formats.las.chunks import RecordReader
-from spl_batch.formats.las.header import LasHeader, open_input, read_header
+from spl_batch.formats.las.header import ADJUSTED_BIT, LasHeader, open_input, read_header
 from spl_batch.formats.las.layers import can_be_copied
 from spl_batch.formats.las.number_dimensions import Numbers, small_numbers
 from spl_batch.formats.las.records import (
@@ -101,7 +101,7 @@ def _inspected(path: Path) -> LasFacts:
         mins_m=header.mins_m if header.n_points else (0.0, 0.0, 0.0),
         maxs_m=header.maxs_m if header.n_points else (0.0, 0.0, 0.0),
         crs=crs,
-        adjusted_standard_bit=bool(header.global_encoding & 1),
+        adjusted_standard_bit=bool(header.global_encoding & ADJUSTED_BIT),
         has_gps_time="gps_time" in layout.names,
         dimensions=layout.names,
         warnings=(*header.warnings, *crs_warnings, *_rounding(header)),

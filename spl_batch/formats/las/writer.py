@@ -20,7 +20,8 @@ from spl_batch.constants import (
     QUANTUM_M,
 )
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import WKT_KEY, compound, vertical
+from spl_batch.formats.crs import GEO_KEYS, WKT_KEY, compound, vertical
+from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
 from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
 from spl_batch.formats.las.convert import conversion
 from spl_batch.formats.las.copc import write_copc
@@ -28,12 +29,20 @@ from spl_batch.formats.las.frame import (
     HEADER_SIZE,
     Extent,
     Frame,
+    copied_encoding,
     preamble,
     wkt_vlr,
     write_laz,
     write_packed,
 )
-from spl_batch.formats.las.header import Evlr, LasHeader, Vlr, read_header
+from spl_batch.formats.las.header import (
+    ADJUSTED_BIT,
+    WKT_BIT,
+    Evlr,
+    LasHeader,
+    Vlr,
+    read_header,
+)
 from spl_batch.formats.las.known_records import reads_back
 from spl_batch.formats.las.layers import LayerCopy, can_be_copied
 from spl_batch.formats.las.reader import header_crs
@@ -112,6 +121,8 @@ def write_classified(
     decoded: Decoded | None = None,
     classes: NDArray[np.int64] | None = None,
     moved: Moved | None = None,
+    standard: TimeStandard = "none",
+    last_s: float | None = None,
 ) -> int:
     """Copy a file with new classes and the extra bytes of :data:`ADDED`.
 
@@ -143,6 +154,10 @@ def write_classified(
         The points of each class that is written are added to it [count].
     moved : Moved, optional
         Shifts that are added to the coordinates, rounded to the file's scale.
+    standard : str
+        What the values of ``gps_time`` are, for the header.
+    last_s : float, optional
+        Last adjusted standard time, see :func:`~spl_batch.formats.las.frame.preamble` [s].
 
     Raises
     ------
@@ -186,7 +201,9 @@ def write_classified(
         if moved is not None:
             vlrs.append(moved.record)
         frame = Frame(
-            preamble=preamble(header.raw, wkt=wkt),
+            preamble=preamble(
+                header.raw, copied_encoding(header, standard, evlrs, wkt=wkt), last_s
+            ),
             scales=header.scales,
             offsets=header.offsets,
             layout=convert.layout,
@@ -239,7 +256,7 @@ def _label(
 
 
 def _records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr], bool]:
-    """Records and extended records that are kept, and whether a WKT record is among them."""
+    """Records and extended records that are kept, and whether none but WKT gives a CRS."""
     dropped = {LASZIP_KEY, EXTRA_BYTES_KEY}
     own = header_crs(header)[0]
     written = _delivered_crs(own, crs)
@@ -254,7 +271,8 @@ def _records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr],
     known = WKT_KEY in {v.key for v in vlrs} | {e.key for e in evlrs}
     if not known and written is not None:
         vlrs.append(wkt_vlr(written))
-    return vlrs, evlrs, known or written is not None
+    keys = {v.key for v in vlrs}
+    return vlrs, evlrs, known or WKT_KEY in keys or not keys.intersection(GEO_KEYS)
 
 
 def _delivered_crs(own: CRS | None, survey: CRS | None) -> CRS | None:
@@ -273,7 +291,6 @@ def write_points(
     *,
     crs: CRS | None,
     extra: Mapping[str, NDArray[Any]] | None = None,
-    adjusted_standard: bool = True,
     copc: bool = False,
     aggregate: bool = False,
     aggregate_bit: bool = False,
@@ -292,8 +309,6 @@ def write_points(
         ``input_classification``. Labels of :data:`ADDED` become extra bytes.
     extra : mapping of str to (n,) ndarray
         More extra bytes, numeric; these win over columns of the same name.
-    adjusted_standard : bool
-        What the header says of ``gps_time``: adjusted standard, else week seconds.
     copc : bool
         Write an octree (COPC) instead of plain LAZ; this changes the points' order.
     aggregate : bool
@@ -325,10 +340,18 @@ def write_points(
         records["bit_fields"] = _ONLY_RETURN
     for known, values in zip(layout.extra, labels.values(), strict=True):
         records[known.field] = values
+    time = table["gps_time"] if "gps_time" in table else np.empty(0)
+    time = time[usable_times(time)]
+    standard = time_standard(time)
     head = bytearray(HEADER_SIZE)
-    head[6] = int(adjusted_standard) | SYNTHETIC_BIT * aggregate | AGGREGATE_BIT * aggregate_bit
+    head[26:31] = b"OTHER"  # neither captured so nor one file that was changed
+    encoding = WKT_BIT | SYNTHETIC_BIT * aggregate | AGGREGATE_BIT * aggregate_bit
     frame = Frame(
-        preamble=preamble(bytes(head), wkt=crs is not None),
+        preamble=preamble(
+            bytes(head),
+            encoding | ADJUSTED_BIT * (standard != "week"),
+            float(time.max()) if standard == "adjusted" else None,
+        ),
         scales=(QUANTUM_M, QUANTUM_M, QUANTUM_M),
         offsets=(offsets[0], offsets[1], offsets[2]),
         layout=layout,
