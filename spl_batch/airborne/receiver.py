@@ -217,7 +217,8 @@ class Imaging(Receiver[Survey, Context]):
     def targets(self, task: Task, workflow: Workflow) -> Sequence[str]:
         """Names of the files, below the output, that a task delivers."""
         if task.kind == "deliver_file":
-            return [f"laz/{task.args['delivered']}"]
+            files = [task.args, *filter(None, [task.args["waveforms"]])]
+            return [f"laz/{file['delivered']}" for file in files]
         if task.kind == "deliver_tile":
             copc = ".copc" if workflow.outputs.tiles == "copc" else ""
             return [f"tiles/{task.name}{copc}.laz"]

@@ -16,7 +16,6 @@ from typing import Any, NoReturn
 import click
 from click.shell_completion import get_completion_class
 
-from spl_batch import __version__
 from spl_batch.cli import document
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
 from spl_batch.cli.first_use import denoise, init
@@ -35,8 +34,24 @@ _CONTINUES = frozenset({"run", "quickstart", "compare", "denoise"})
 _STAGES = "index, shots, shuffle, denoise, ground, surfaces, deliver, report"
 
 
+def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:  # noqa: FBT001 - click's
+    """Print which build this is."""
+    if wanted and not context.resilient_parsing:
+        from spl_batch.engine.tasks.runner import build_version  # noqa: PLC0415
+
+        click.echo(f"spl-batch, version {build_version()}")
+        context.exit()
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.version_option(__version__, prog_name="spl-batch")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_version,
+    help="Show the version and exit.",
+)
 def cli() -> None:
     """Raw single-photon lidar surveys to clean point clouds and terrain.
 

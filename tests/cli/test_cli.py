@@ -20,6 +20,7 @@ from spl_batch.airborne.tasks.kinds import STAGES
 from spl_batch.cli import _STAGES, cli, live, main
 from spl_batch.cli.clock import saying_if_slow
 from spl_batch.engine.flow import cluster
+from spl_batch.engine.tasks.runner import build_version
 from spl_batch.errors import (
     DamagedError,
     InputError,
@@ -59,11 +60,12 @@ def test_each_command_explains_itself(command: str) -> None:
 
 
 def test_version_and_module_entry() -> None:
-    assert spl_batch.__version__ in surveys.command("--version").out
+    assert surveys.command("--version").out.split()[-1] == build_version()
+    assert build_version().startswith(f"{spl_batch.__version__}+")
     found = subprocess.run(
         [sys.executable, "-m", "spl_batch", "--version"], capture_output=True, check=True, text=True
     )
-    assert spl_batch.__version__ in found.stdout
+    assert build_version() in found.stdout
 
 
 @pytest.mark.usefixtures("_workflows")

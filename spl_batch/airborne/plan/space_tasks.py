@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import NamedTuple
+from pathlib import PurePath
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
 from spl_batch.airborne.plan.block_size import Holders
 from spl_batch.airborne.plan.halo import surface_reach_m
-from spl_batch.airborne.plan.inputs.survey_inputs import source_args
+from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
 from spl_batch.airborne.plan.memory.block_parts import parts_of
 from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts
 from spl_batch.airborne.plan.space_units import (
@@ -30,7 +31,9 @@ from spl_batch.airborne.products.product_table import (
     products,
 )
 from spl_batch.engine.plan.worker_memory import usable_bytes
+from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
+from spl_batch.formats.las.header import waveform_file
 from spl_batch.lattice.eastings import Eastings, Slab, Slabs
 from spl_batch.lattice.tiles import CellId, cell_runs, grow, parse_cell, quanta
 
@@ -219,11 +222,26 @@ def deliver(survey: Survey) -> Iterator[Task]:
             "points": receipt.points,
             "parts": len(receipt.facts["parts"]),
             "hash": receipt.facts["hash"],
+            **_header_args(source, receipt.facts),
             "tiles": {str(tile): units_of for tile, units_of in labels.items()},
             **({"spans": receipt.facts["spans"]} if moved else {}),
         }
         needs = (*_delivery_needs(labels), *first)
         yield Task("deliver_file", key, args, needs, receipt.points)
+
+
+def _header_args(source: Source, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides the header of a delivered file: its clock, and waveforms beside the input."""
+    ends = [end for mine in facts["spans"].values() for _, end, _ in mine]
+    standard = facts["standard"]
+    found = waveform_file(source.path, source.facts.point_format)
+    waveforms = found and {
+        "path": str(found),
+        "stamp": stamp_if_there(found),
+        "delivered": str(PurePath(source.delivered).with_suffix(found.suffix)),
+    }
+    last_s = max(ends) if standard == "adjusted" else None
+    return {"standard": standard, "last_s": last_s, "waveforms": waveforms}
 
 
 def deliver_tiles(survey: Survey) -> Iterator[Task]:

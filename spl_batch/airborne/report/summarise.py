@@ -1,6 +1,8 @@
 """Stage ``report``: what all receipts say together, as one report with its pictures."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import cast
 
@@ -82,6 +84,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
     report = Report(
         survey=_survey(done, context),
         counts=counts,
+        header_changes=_header_changes(done),
         accuracy=_accuracy(found),
         requirements=judged(done, context),
         checkpoints=checkpoint_report(done, context),
@@ -197,6 +200,13 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
         not_read=facts.not_read,
         records_left_out=sum(f["records_left_out"] for f in delivered),
     )
+
+
+def _header_changes(done: Receipts) -> dict[str, int]:
+    """Delivered clouds whose header has something in another way, by what that is."""
+    delivered = done.get("deliver_file", {}).values()
+    counts = Counter(chain.from_iterable(r.facts["header_changes"] for r in delivered))
+    return dict(sorted(counts.items()))
 
 
 def _accuracy(found: Comparison | None) -> Accuracy | None:

@@ -1,5 +1,6 @@
 """Stage ``deliver``: labels back to the input files, mosaics, points by tile."""
 
+import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -29,19 +30,21 @@ from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.errors import Remark, WorkflowError, counted
+from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc_copy import copy_as_copc
-from spl_batch.formats.las.descriptors import put_in_order
+from spl_batch.formats.las.descriptors import header_changes, put_in_order
 from spl_batch.formats.las.frame import Extent
-from spl_batch.formats.las.header import read_header
+from spl_batch.formats.las.header import EXTERNAL_BIT, read_header
 from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.layers import GIVEN
+from spl_batch.formats.las.records import record_layout
 from spl_batch.formats.las.writer import (
     KEEP_BUT_GROUND,
     KEEP_CLASS,
     Decoded,
-    added_names,
+    added_dimensions,
     kept_classes,
     write_classified,
     write_points,
@@ -144,12 +147,24 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             decoded=_decoded(args, context),
             classes=classes,
             moved=moved,
+            standard=args["standard"],
+            last_s=args["last_s"],
         )
-    header = read_header(source)
+    header, copy, outputs = read_header(source), read_header(target), [target]
+    waveforms = args["waveforms"]
+    if waveforms and copy.global_encoding & EXTERNAL_BIT:
+        outputs.append(context.output / "laz" / waveforms["delivered"])
+        with (
+            unchanged(Path(waveforms["path"]), waveforms["stamp"]),
+            replacing(outputs[-1]) as temporary,
+        ):
+            shutil.copyfile(waveforms["path"], temporary)
     broken = Counter(broken_records(header))
     mended = Counter(
         put_in_order(
-            header, copied_format(header.point_format), added_names(diagnostics=diagnostics)
+            header,
+            copied_format(header.point_format),
+            added_dimensions(record_layout(header), diagnostics=diagnostics),
         )
     )
     facts = {
@@ -158,9 +173,10 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
         "noise_class": _nonzero(labels.counts),
         "classes": _nonzero(classes),
         "records_left_out": broken.total(),
+        "header_changes": header_changes(header, copy),
         "warnings": [*_of_header(broken, "left out of"), *_of_header(mended, "so in")],
     }
-    return Produced([target], facts, written)
+    return Produced(outputs, facts, written)
 
 
 def _of_header(records: Mapping[str, int], done: str) -> Iterator[Remark]:

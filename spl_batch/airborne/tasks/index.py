@@ -25,6 +25,7 @@ from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.layers import GIVEN, given_of
 from spl_batch.formats.las.number_dimensions import Numbers
 from spl_batch.formats.las.reader import SAMPLE_POINTS, inspect, iter_points, read_ends
+from spl_batch.formats.las.records import RecordLayout
 from spl_batch.formats.trajectory.merge import Merge
 from spl_batch.formats.trajectory.positions import PointExtent, gathering, write_trajectory
 from spl_batch.formats.trajectory.usable import Records
@@ -162,7 +163,7 @@ def _read(args: Mapping[str, Any], context: Context, part: int | None) -> _Found
     with ExitStack() as stack:
         writer = stack.enter_context(writing(points, dtypes, sought=("gps_time",)))
         found.outputs.append(points)
-        watch: Callable[[NDArray[Any]], None] | None = None
+        watch: Callable[[NDArray[Any], RecordLayout], None] | None = None
         if header.layers_can_be_copied:
             beside = stack.enter_context(writing(given, {GIVEN: np.uint32}))
             found.outputs.append(given)
@@ -181,10 +182,12 @@ def _read(args: Mapping[str, Any], context: Context, part: int | None) -> _Found
     return found
 
 
-def _watch(extent: Extent, beside: GroupWriter, records: NDArray[Any]) -> None:
+def _watch(
+    extent: Extent, beside: GroupWriter, records: NDArray[Any], layout: RecordLayout
+) -> None:
     """Keep what delivery needs of records, in the order of the file."""
     extent.add(records)
-    beside.write({GIVEN: given_of(records)})
+    beside.write({GIVEN: given_of(records, layout)})
 
 
 def _kept(args: Mapping[str, Any], context: Context, part: int) -> Path:

@@ -22,7 +22,7 @@ from spl_batch.engine.report.parts import (
 from spl_batch.engine.store.working_store import Store, read_json, write_json
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.runner import LIBRARIES, library_version
+from spl_batch.engine.tasks.runner import LIBRARIES, build_version, library_version
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import StoreError
 from spl_batch.formats.files.atomic import checksum
@@ -219,7 +219,7 @@ def performance(facts: RunFacts, points: int) -> Performance:
 def provenance(context: RunContext[Any], inputs: Sequence[InputFile]) -> Provenance:
     """Enough to do a run again, for its report."""
     return Provenance(
-        version=context.code,
+        version=build_version(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         python=platform.python_version(),
         platform=f"{platform.system()} {platform.machine()}",

@@ -17,6 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
+import spl_batch
 from spl_batch import __version__
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt, write_receipt
 from spl_batch.engine.tasks.context import RunContext, TaskFunction
@@ -71,6 +72,9 @@ DECISIVE: Final = (
 )
 """Libraries whose versions can change a result."""
 
+PACKAGE: Final = Path(spl_batch.__file__).parent
+"""Folder of the project's modules."""
+
 LIBRARIES: Final = (*DECISIVE, "dask", "distributed", "h5py", "pyarrow", "pyogrio")
 """Libraries whose versions a report tells."""
 
@@ -93,6 +97,14 @@ def library_version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return "missing"
+
+
+@cache
+def build_version() -> str:
+    """Version of the project and hash of its whole package, the same for all receivers."""
+    kinds = {".j2", ".js", ".json", ".py", ".yaml"}
+    files = (file for file in PACKAGE.rglob("*") if file.suffix in kinds)
+    return f"{__version__}+{content_hash(files)[:16]}"
 
 
 @cache

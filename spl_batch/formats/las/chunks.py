@@ -135,10 +135,13 @@ def _laszip_data(header: LasHeader) -> bytes:
     bounded(path, "LASzip compressor", compressor, least=2, most=3, remedy=_REMEDY)
     bounded(path, "LASzip coder", coder, most=0, remedy=_REMEDY)
     bounded(path, "items of its LASzip record", n_items, most=(length - _LASZIP.size) // _ITEM.size)
-    bounded(path, "points of a LAZ chunk", chunk_points, least=1, most=_VARIABLE)
     size, held = header.record_size, sum(size for _, size, _ in laszip_items(vlr.data))
     bounded(path, "bytes of all LASzip items", held, least=size, most=size)
-    return vlr.data
+    if chunk_points:
+        return vlr.data
+    # LASzip takes 0 for chunks whose sizes are in their table.
+    start, stop = CHUNK_SIZE_AT, CHUNK_SIZE_AT + CHUNK_SIZE.size
+    return vlr.data[:start] + CHUNK_SIZE.pack(_VARIABLE) + vlr.data[stop:]
 
 
 def laszip_items(laszip: bytes) -> list[tuple[int, int, int]]:

@@ -67,15 +67,15 @@ def copied_format(point_format: int) -> int:
 def conversion(given: RecordLayout, added: Sequence[ExtraDimension]) -> Conversion:
     """Conversion into an extended point format with dimensions added.
 
-    ``added``: dimensions of the output; an input's extra dimension of the same name is dropped.
-    What standard readers do not take of descriptors is put in order.
+    ``added``: dimensions of the output; one of the input that is described alike is dropped, one
+    of the same name gets another. What standard readers do not take of descriptors is put in order.
     """
-    names = {d.name for d in added}
-    old = [d for d in given.extra if d.name not in names]
     point_format = copied_format(given.point_format)
-    sound = [mended for mended, _ in in_order(old, point_format, names)]
-    numbered = [replace(d, field=f"extra_{i}") for i, d in enumerate([*sound, *added])]
-    kept = tuple((before.field, after.field) for before, after in zip(old, numbered, strict=False))
+    pairs = [(old, new) for old, new, _ in in_order(given.extra, point_format, added)]
+    numbered = [
+        replace(d, field=f"extra_{i}") for i, d in enumerate([*(new for _, new in pairs), *added])
+    ]
+    kept = tuple((old.field, d.field) for (old, _), d in zip(pairs, numbered, strict=False))
     return Conversion(given, RecordLayout(point_format, tuple(numbered)), kept)
 
 

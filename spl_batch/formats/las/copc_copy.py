@@ -15,6 +15,17 @@ POINT_FORMATS = (6, 7, 8)
 """Point formats that COPC knows [COPC 1.0]."""
 
 
+def copc_fault(point_format: int, scales: tuple[float, float, float]) -> str | None:
+    """Why points cannot be written as COPC; None where they can."""
+    if point_format not in POINT_FORMATS:
+        why = f"point format {point_format} with waveforms is none that COPC knows"
+    elif len(set(scales)) > 1:
+        why = f"scales {', '.join(f'{s:g}' for s in scales)} differ by axis, COPC has one"
+    else:
+        return None
+    return f"{why}; set outputs.copc: false"
+
+
 def copy_as_copc(src: Path, dst: Path) -> int:
     """Write the points of a file as an octree.
 
@@ -29,18 +40,9 @@ def copy_as_copc(src: Path, dst: Path) -> int:
         If the file is damaged, or has what COPC cannot hold.
     """
     header = read_header(src)
-    if header.point_format not in POINT_FORMATS:
-        raise InputError(
-            str(src),
-            f"point format {header.point_format} with waveforms is none that COPC knows; "
-            "set outputs.copc: false",
-        )
-    if len(set(header.scales)) > 1:
-        raise InputError(
-            str(src),
-            f"scales {', '.join(f'{scale:g}' for scale in header.scales)} differ by axis, COPC "
-            "has one; set outputs.copc: false",
-        )
+    fault = copc_fault(header.point_format, header.scales)
+    if fault is not None:
+        raise InputError(str(src), fault)
     with RecordReader(header) as reader:
         records, layout = reader.read(0, header.n_points), reader.layout
     dropped = {LASZIP_KEY, EXTRA_BYTES_KEY}
@@ -49,7 +51,7 @@ def copy_as_copc(src: Path, dst: Path) -> int:
     if crs is not None and WKT_KEY not in {v.key for v in vlrs}:
         vlrs.append(wkt_vlr(crs))
     frame = Frame(
-        preamble=preamble(header.raw, wkt=WKT_KEY in {v.key for v in vlrs}),
+        preamble=preamble(header.raw, header.global_encoding),
         scales=header.scales,
         offsets=header.offsets,
         layout=layout,

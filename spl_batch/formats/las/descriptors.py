@@ -4,15 +4,26 @@ laspy refuses a file whose extra bytes have a name twice, or one that the record
 text that is no UTF-8, or a scale that is no number: what is delivered is put in order, and told.
 """
 
+import struct
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
-from datetime import date, timedelta
+from datetime import datetime, timedelta
 from typing import Final
 
 import laspy
 import numpy as np
 
-from spl_batch.formats.las.header import LasHeader
+from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
+from spl_batch.formats.gps_clock import leap_seconds
+from spl_batch.formats.las.header import (
+    ADJUSTED_BIT,
+    EXTERNAL_BIT,
+    INTERNAL_BIT,
+    WAVEFORM_FORMATS,
+    WKT_BIT,
+    LasHeader,
+    waveform_file,
+)
 from spl_batch.formats.las.records import (
     OFFSET_BIT,
     SCALE_BIT,
@@ -26,65 +37,87 @@ from spl_batch.formats.las.records import (
 _NAME: Final = slice(4, 36)
 _SCALE, _OFFSET = 112, 136
 _TEXT: Final = slice(160, 192)
-_SYSTEM: Final = slice(26, 58)
-_DAY, _YEAR = slice(90, 92), slice(92, 94)
+_GPS_EPOCH: Final = datetime(1980, 1, 6)  # noqa: DTZ001 - a day of UTC
+_FIELDS: Final = {
+    "file_source_id": slice(4, 6),
+    "system_identifier": slice(26, 58),
+    "generating_software": slice(58, 90),
+    "creation_date": slice(90, 94),
+}
+_BITS: Final = {
+    "gps_time_bit": ADJUSTED_BIT,
+    "waveform_bits": INTERNAL_BIT | EXTERNAL_BIT,
+    "wkt_bit": WKT_BIT,
+}
 
 
 def in_order(
-    extra: Sequence[ExtraDimension], point_format: int, added: Collection[str]
-) -> Iterator[tuple[ExtraDimension, list[str]]]:
-    """Extra dimensions as standard readers take them, each with what was wrong with it.
+    extra: Sequence[ExtraDimension], point_format: int, added: Sequence[ExtraDimension]
+) -> Iterator[tuple[ExtraDimension, ExtraDimension, list[str]]]:
+    """Extra dimensions that a copy keeps, and as standard readers take them, with their faults.
 
     Parameters
     ----------
     extra : sequence of ExtraDimension
-        Of the input, without those whose name is in ``added``.
+        Of the input; those that are described as one of ``added`` are left out.
     point_format : int
         Of the copy.
-    added : collection of str
-        Names of dimensions that the copy gets.
+    added : sequence of ExtraDimension
+        Dimensions that the copy gets.
     """
     standard = laspy.PointFormat(point_format).standard_dimension_names
-    taken = {*standard, *(standard_dtype(point_format).names or ()), *added}
+    taken = {*standard, *(standard_dtype(point_format).names or ()), *(d.name for d in added)}
+    replaced = {d.descriptor for d in added}
     for dimension in extra:
-        mended, faults = _mended(dimension, taken)
-        taken.add(mended.name)
-        yield mended, faults
+        if dimension.descriptor not in replaced:
+            mended, faults = _mended(dimension, taken)
+            taken.add(mended.name)
+            yield dimension, mended, faults
 
 
-def put_in_order(header: LasHeader, point_format: int, added: Collection[str]) -> Iterator[str]:
+def put_in_order(
+    header: LasHeader, point_format: int, added: Sequence[ExtraDimension]
+) -> Iterator[str]:
     """What of a file's header a copy has in another way; arguments of :func:`in_order`."""
-    raw = header.raw
-    if sound_system(raw[_SYSTEM]) != raw[_SYSTEM]:
-        yield "its system identifier is no ASCII, and has ? in these places"
-    if sound_date(raw[90:94]) != raw[90:94]:
-        day, year = (int.from_bytes(raw[part], "little") for part in (_DAY, _YEAR))
-        yield f"day {day} of the year {year} is no date, and is left out"
+    external = header.point_format in WAVEFORM_FORMATS and header.global_encoding & EXTERNAL_BIT
+    if external and waveform_file(header.path, header.point_format) is None:
+        name = header.path.with_suffix(".wdp").name
+        yield f"its header names waveforms in {name}, which is not beside it: the bit is cleared"
     for descriptor in descriptors(header):
         if is_misread(descriptor):
             name = _text(descriptor[_NAME])
             yield f"extra dimension {name!a}: a block without a type, which is several of bytes"
-    kept = [d for d in record_layout(header).extra if d.name not in added]
-    for mended, faults in in_order(kept, point_format, added):
+    for _, mended, faults in in_order(record_layout(header).extra, point_format, added):
         if faults:
             yield f"extra dimension {mended.name!a}: {', '.join(faults)}"
 
 
+def header_changes(given: LasHeader, copy: LasHeader) -> list[str]:
+    """Names of the header's fields that a copy has in another way."""
+    bits = given.global_encoding ^ copy.global_encoding
+    fields = (name for name, part in _FIELDS.items() if given.raw[part] != copy.raw[part])
+    return [*(name for name, some in _BITS.items() if bits & some), *fields]
+
+
 def sound_system(given: bytes) -> bytes:
-    """System identifier in ASCII."""
-    return bytes(b if b < 0x80 else ord("?") for b in given)
+    """System identifier in ASCII; of a file that names none what was done to it."""
+    known = bytes(b if b < 0x80 else ord("?") for b in given)
+    return known if known.strip(b"\0 ") else b"MODIFICATION".ljust(32, b"\0")
 
 
-def sound_date(given: bytes) -> bytes:
-    """Day of the year and year of a header; zeros where there is no such day."""
-    day, year = int.from_bytes(given[:2], "little"), int.from_bytes(given[2:], "little")
-    try:
-        date(year, 1, 1) + timedelta(day - 1)
-    except OverflowError:  # readers know that a year of 0 is none, but not this
-        return bytes(4)
-    except ValueError:
+def sound_date(given: bytes, last_s: float | None) -> bytes:
+    """Day of the year and year of a header; where there is no such day that of the last point.
+
+    ``last_s``: its adjusted standard time [s]; without one zeros, which stand for no day.
+    """
+    day, year = struct.unpack("<HH", given)
+    if 1 <= day <= 366 and 1 <= year <= 9999:
         return given
-    return given
+    if last_s is None:
+        return bytes(4)
+    seconds = last_s + ADJUSTED_STANDARD_OFFSET_S - leap_seconds(last_s)
+    found = (_GPS_EPOCH + timedelta(seconds=seconds)).timetuple()
+    return struct.pack("<HH", found.tm_yday, found.tm_year)
 
 
 def _mended(dimension: ExtraDimension, taken: Collection[str]) -> tuple[ExtraDimension, list[str]]:

@@ -24,13 +24,23 @@ from spl_batch import __version__
 from spl_batch.errors import WorkflowError, as_input_fault, reason_of
 from spl_batch.formats.crs import WKT_KEY
 from spl_batch.formats.files.atomic import replacing
+from spl_batch.formats.gps_clock import TimeStandard
 from spl_batch.formats.las.chunks import CHUNK_SIZE, CHUNK_SIZE_AT, LASZIP_KEY
 from spl_batch.formats.las.descriptors import sound_date, sound_system
-from spl_batch.formats.las.header import EVLR_HEAD, HEADER_SIZES, VLR_HEAD, Evlr, Vlr
+from spl_batch.formats.las.header import (
+    ADJUSTED_BIT,
+    EVLR_HEAD,
+    EXTERNAL_BIT,
+    HEADER_SIZES,
+    INTERNAL_BIT,
+    VLR_HEAD,
+    WKT_BIT,
+    Evlr,
+    LasHeader,
+    Vlr,
+    waveform_file,
+)
 from spl_batch.formats.las.records import EXTRA_BYTES_KEY, RecordLayout
-
-WKT_BIT: Final = 16
-"""Bit of the global encoding: the CRS is in a WKT record."""
 
 HEADER_SIZE: Final = HEADER_SIZES[4]
 _COPY_BYTES: Final = 1 << 20
@@ -38,7 +48,7 @@ _COMPRESSED_BIT: Final = 0x80
 _UNCOMPRESSED: Final = (9, 10)
 _PLACE: Final = struct.Struct("<q")
 _COUNTS: Final = struct.Struct("<QQIQ15Q")
-_WAVEFORM_KEY: Final = ("LASF_Spec", 65535)
+WAVEFORM_KEY: Final = ("LASF_Spec", 65535)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +66,7 @@ class Frame:
     evlrs: Sequence[tuple[Evlr, Path]] = ()
 
 
-def preamble(old: bytes, *, wkt: bool) -> bytes:
+def preamble(old: bytes, encoding: int, last_s: float | None = None) -> bytes:
     """First bytes of a LAS 1.4 header.
 
     Parameters
@@ -64,23 +74,38 @@ def preamble(old: bytes, *, wkt: bool) -> bytes:
     old : bytes
         Header whose ids, creation date and system are kept, as far as readers take them; zeros
         for a new file.
-    wkt : bool
-        Whether the file has a WKT record.
+    encoding : int
+        Bits of the global encoding.
+    last_s : float, optional
+        Adjusted standard time of the last point: its day stands for a creation date that is none
+        [s].
     """
-    encoding = int.from_bytes(old[6:8], "little") & ~WKT_BIT | (WKT_BIT if wkt else 0)
     software = f"spl-batch {__version__}".encode("ascii").ljust(32, b"\0")
     return b"".join(
         [
             b"LASF",
-            old[4:6],
+            old[4:6] if old[25] else bytes(2),  # LAS 1.0 knows no id of the file
             encoding.to_bytes(2, "little"),
             old[8:24],
             bytes([1, 4]),
             sound_system(old[26:58]),
             software,
-            sound_date(old[90:94]),
+            sound_date(old[90:94], last_s),
         ]
     )
+
+
+def copied_encoding(
+    header: LasHeader, standard: TimeStandard, evlrs: Sequence[Evlr], *, wkt: bool
+) -> int:
+    """Global encoding of a copy, by what it holds."""
+    internal = WAVEFORM_KEY in {e.key for e in evlrs}
+    external = not internal and waveform_file(header.path, header.point_format) is not None
+    adjusted = bool(header.global_encoding & ADJUSTED_BIT)
+    if standard in {"week", "adjusted"}:
+        adjusted = standard == "adjusted"
+    found = {ADJUSTED_BIT: adjusted, INTERNAL_BIT: internal, EXTERNAL_BIT: external, WKT_BIT: wkt}
+    return header.global_encoding & ~sum(found) | sum(bit for bit, there in found.items() if there)
 
 
 def wkt_vlr(crs: CRS) -> Vlr:
@@ -302,7 +327,7 @@ def _write_evlrs(file: WatchedFile, frame: Frame) -> tuple[int, int]:
     """Copy the extended records; gives the place of the first and of the waveforms."""
     start, waveforms = (file.tell() if frame.evlrs else 0), 0
     for evlr, source in frame.evlrs:
-        if evlr.key == _WAVEFORM_KEY:
+        if evlr.key == WAVEFORM_KEY:
             waveforms = file.tell()
         head = (0, evlr.user_id, evlr.record_id, evlr.size, evlr.description)
         file.write(EVLR_HEAD.pack(*head))

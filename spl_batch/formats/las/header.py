@@ -21,11 +21,18 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, reason_of
 from spl_batch.formats.declared import bounded, gathered
 
-HEADER_SIZES: Final = {1: 227, 2: 227, 3: 235, 4: 375}
+HEADER_SIZES: Final = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 """Bytes of the header by minor version."""
 
 VLR_HEAD: Final = struct.Struct("<H16sHH32s")
 EVLR_HEAD: Final = struct.Struct("<H16sHQ32s")
+
+WAVEFORM_FORMATS: Final = (4, 5, 9, 10)
+"""Point formats with wave packets."""
+
+ADJUSTED_BIT, INTERNAL_BIT, EXTERNAL_BIT, WKT_BIT = 1, 2, 4, 16
+"""Bits of the global encoding: adjusted standard time, waveforms in the file or in one beside it,
+a CRS as WKT [LAS 1.4 R15, 2.4]."""
 
 _CORE: Final = struct.Struct("<HIIBHI5I12d")
 _CORE_START: Final = 94
@@ -35,6 +42,10 @@ _FAR_M: Final = 1e9
 _SCALE_MAX_M: Final = 1000.0
 _HIGH_M: Final = (2**31 - 1) / QUANTA_PER_M
 _MAX_POINTS: Final = 2**32 - 1
+_NUMBER_ENDS: Final = (-(2**31), 2**31 - 1)
+_START_SIGNATURES: Final = (b"\xdd\xcc", b"\xcc\xdd")
+"""Bytes before the points of LAS 1.0; some writers count them among the points."""
+
 _MAX_LENGTH: Final = 2**16 - 1
 _MAX_RECORDS: Final = 4096
 _REWRITE: Final = "the header is damaged, rewrite the file with the software that made it"
@@ -94,8 +105,8 @@ class LasHeader:
 
     @property
     def global_encoding(self) -> int:
-        """Bits of the header's global encoding."""
-        return int.from_bytes(self.raw[6:8], "little")
+        """Bits of the header's global encoding; none before LAS 1.2, which reserved them."""
+        return int.from_bytes(self.raw[6:8], "little") if self.version[1] > 1 else 0
 
     def vlr(self, user_id: str, record_id: int) -> Vlr | None:
         """First VLR of this kind."""
@@ -144,6 +155,12 @@ def open_input(path: Path) -> Iterator[BinaryIO]:
         yield file
 
 
+def waveform_file(path: Path, point_format: int) -> Path | None:
+    """File of waveforms beside one whose points have some; None where there is none."""
+    endings = (".wdp", ".WDP", ".wdz", ".WDZ") if point_format in WAVEFORM_FORMATS else ()
+    return next(filter(Path.is_file, map(path.with_suffix, endings)), None)
+
+
 def read_header(path: Path) -> LasHeader:
     """Read and check header and VLRs of a LAS, LAZ or COPC file.
 
@@ -159,6 +176,8 @@ def read_header(path: Path) -> LasHeader:
             raw, _CORE_START
         )[:6]
         floats = _CORE.unpack_from(raw, _CORE_START)[11:]
+        if raw[25] == 0:
+            points_start += _signature_bytes(file, points_start)
         compressed = bool(pf & _COMPRESSED_BIT)
         version = (raw[24], raw[25])
         n_points = _count_points(raw, version[1], legacy)
@@ -225,13 +244,20 @@ def _read_raw(path: Path, file: BinaryIO) -> bytes:
     major, minor = head[24], head[25]
     if major != 1 or minor not in HEADER_SIZES:
         raise InputError(
-            str(path), f"is LAS version {major}.{minor}; 1.1 to 1.4 can be read: convert it"
+            str(path), f"is LAS version {major}.{minor}; 1.0 to 1.4 can be read: convert it"
         )
     if len(head) < HEADER_SIZES[minor]:
         raise InputError(
             str(path), f"is cut off inside its header: {len(head)} bytes; copy it again"
         )
     return head[: HEADER_SIZES[minor]]
+
+
+def _signature_bytes(file: BinaryIO, points_start: int) -> int:
+    """Bytes of the start signature of LAS 1.0 behind the offset to the points, 0 or 2."""
+    file.seek(max(points_start - 2, 0))
+    around = file.read(4)
+    return 2 * (around[2:] in _START_SIGNATURES and around[:2] not in _START_SIGNATURES)
 
 
 def _count_points(raw: bytes, minor: int, legacy: int) -> int:
@@ -269,6 +295,12 @@ def _coordinate_faults(floats: tuple[float, ...], n_points: int) -> list[str]:
             faults.append(
                 f"bounding box {name} {low} to {high}; allowed -{limit:.0f} to {limit:.0f}:"
                 " the header is damaged"
+            )
+        elif scale > 0 and any(abs((low - offset) / scale - end) < 0.5 for end in _NUMBER_ENDS):
+            faults.append(
+                f"bounding box {name} {low} to {high} starts at the end of 32-bit numbers of scale"
+                f" {scale} and offset {offset}: coordinates did not fit when they were written;"
+                " write the file again with an offset near its points"
             )
     return faults
 

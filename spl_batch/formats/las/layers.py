@@ -29,7 +29,7 @@ from spl_batch.formats.las.chunks import (
 )
 from spl_batch.formats.las.convert import Conversion
 from spl_batch.formats.las.frame import laz_record
-from spl_batch.formats.las.records import RecordLayout
+from spl_batch.formats.las.records import RecordLayout, given_classes
 
 GIVEN: Final = "given"
 """Name of the column of :func:`given_of`."""
@@ -41,12 +41,12 @@ _FLAGS: Final = 3
 """Places of the layers of classes and of flags among those of a format."""
 
 
-def given_of(records: NDArray[Any]) -> NDArray[np.uint32]:
+def given_of(records: NDArray[Any], layout: RecordLayout) -> NDArray[np.uint32]:
     """Class, returns and flags of records of point formats 6-10 in one number: (n,) uint32."""
     given: NDArray[np.uint32] = records["classification_flags"].astype(np.uint32)
-    for name in ("bit_fields", "classification"):
+    for values in (records["bit_fields"], given_classes(records, layout)):
         given <<= np.uint32(8)
-        given |= records[name]
+        given |= values
     return given
 
 

@@ -20,10 +20,16 @@ from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, QUANTA_PER_M
 from spl_batch.errors import InputError, as_input_fault, brief, plain
 from spl_batch.formats.crs import GEO_KEYS, WKT_KEY, crs_from_geotiff, crs_from_wkt
 from spl_batch.formats.las.chunks import RecordReader
-from spl_batch.formats.las.header import LasHeader, open_input, read_header
+from spl_batch.formats.las.header import ADJUSTED_BIT, LasHeader, open_input, read_header
 from spl_batch.formats.las.layers import can_be_copied
 from spl_batch.formats.las.number_dimensions import Numbers, small_numbers
-from spl_batch.formats.las.records import RecordLayout, dimension, record_layout, scan_angle_deg
+from spl_batch.formats.las.records import (
+    RecordLayout,
+    dimension,
+    given_classes,
+    record_layout,
+    scan_angle_deg,
+)
 from spl_batch.lattice.tables import COLUMNS, SOURCE_COLUMNS, PointFlag, PointTable
 
 _WKT_BYTES_MAX: Final = 1 << 20
@@ -95,7 +101,7 @@ def _inspected(path: Path) -> LasFacts:
         mins_m=header.mins_m if header.n_points else (0.0, 0.0, 0.0),
         maxs_m=header.maxs_m if header.n_points else (0.0, 0.0, 0.0),
         crs=crs,
-        adjusted_standard_bit=bool(header.global_encoding & 1),
+        adjusted_standard_bit=bool(header.global_encoding & ADJUSTED_BIT),
         has_gps_time="gps_time" in layout.names,
         dimensions=layout.names,
         warnings=(*header.warnings, *crs_warnings, *_rounding(header)),
@@ -161,7 +167,7 @@ def iter_points(
     start: int = 0,
     stop: int | None = None,
     chunk: int = 1_000_000,
-    watch: Callable[[NDArray[Any]], None] | None = None,
+    watch: Callable[[NDArray[Any], RecordLayout], None] | None = None,
 ) -> Iterator[PointTable]:
     """Points of a file in its own order, as tables of bounded length.
 
@@ -176,7 +182,7 @@ def iter_points(
     start, stop : int
         Range of points, half-open; by default all.
     watch : callable, optional
-        Is given the records of each table before it comes.
+        Is given the records of each table, and their layout, before it comes.
 
     Yields
     ------
@@ -202,7 +208,7 @@ def iter_points(
         for first in range(start, end, chunk):
             records = reader.read(first, min(first + chunk, end))
             if watch is not None:
-                watch(records)
+                watch(records, layout)
             x, y, z = (_coordinate(records, header, axis, first) for axis in range(3))
             channel = _channel(records, header, layout, channel_dimension, first)
             places = {"x": x, "y": y, "z": z, "channel": channel}
@@ -271,14 +277,14 @@ def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
     records = np.concatenate([some for _, some in pieces])
     timed = "gps_time" in layout.names
     time = records["gps_time"].astype(np.float64) if timed else np.full(len(records), np.nan)
-    classes = np.unique(dimension(records, layout, "classification"))
+    classes = np.unique(given_classes(records, layout))
     sources = np.unique(records["point_source_id"])
     numbers = small_numbers(records, layout)
     return Ends(time, channel, numbers, tuple(classes.tolist()), tuple(sources.tolist()))
 
 
 def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:
-    classes = dimension(records, layout, "classification")
+    classes = given_classes(records, layout)
     withheld = dimension(records, layout, "withheld") != 0
     noise = (classes == CLASS_LOW_NOISE) | (classes == CLASS_HIGH_NOISE)
     timed = "gps_time" in layout.names

@@ -1,5 +1,6 @@
 """Layout of LAS point records: names, bits and extra bytes [LAS 1.4 R15, sections 2.6, 4]."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Final
@@ -9,6 +10,12 @@ import numpy as np
 from laspy.point.dims import get_sub_fields_dict
 from numpy.typing import NDArray
 
+from spl_batch.constants import (
+    CLASS_HIGH_NOISE,
+    CLASS_LOW_NOISE,
+    NOISE_AFTERPULSE,
+    NOISE_BACKGROUND,
+)
 from spl_batch.formats.declared import bounded
 from spl_batch.formats.las.header import LasHeader
 
@@ -17,6 +24,14 @@ DESCRIPTOR_SIZE: Final = 192
 FIRST_EXTENDED_FORMAT: Final = 6
 SCAN_ANGLE_STEP_DEG: Final = 0.006
 """Unit of the scan angle in point formats 6-10 [deg]."""
+
+ADDED: Final[Mapping[str, tuple[str, str]]] = {
+    "input_classification": ("u1", "class of the input file"),
+    "noise_class": ("u1", "0 signal 1 backgr 2 afterp 255 -"),
+    "noise_density": ("f4", "expected noise points per m3"),
+    "p_value": ("f4", "P(this many neighbours | noise)"),
+}
+"""Extra bytes that this project adds: dtype and description."""
 
 _TYPES: Final = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
 SCALE_BIT: Final = 8
@@ -139,6 +154,26 @@ def new_dimension(name: str, dtype: np.dtype[Any], text: str) -> ExtraDimension:
     head = bytes([0, 0, code, 0]) + name.encode("ascii").ljust(32, b"\0")
     described = head.ljust(DESCRIPTOR_SIZE - 32, b"\0") + text.encode("ascii").ljust(32, b"\0")
     return ExtraDimension(name, name, plain, None, None, described)
+
+
+@cache
+def added(name: str) -> ExtraDimension:
+    """Dimension of :data:`ADDED`; a file that describes one like that is an earlier output."""
+    dtype, text = ADDED[name]
+    return new_dimension(name, np.dtype(dtype), text)
+
+
+def given_classes(records: NDArray[Any], layout: RecordLayout) -> NDArray[np.uint8]:
+    """Classes that records came with, (n,); for noise of an earlier run those before that run."""
+    classes: NDArray[np.uint8] = dimension(records, layout, "classification")
+    own = {d.descriptor: d.field for d in layout.extra}
+    first, noise = (own.get(added(n).descriptor) for n in ("input_classification", "noise_class"))
+    if first is None or noise is None:
+        return classes
+    labelled = np.isin(records[noise], (NOISE_BACKGROUND, NOISE_AFTERPULSE))
+    return np.where(
+        labelled & np.isin(classes, (CLASS_LOW_NOISE, CLASS_HIGH_NOISE)), records[first], classes
+    )
 
 
 def _dimension(header: LasHeader, raw: bytes, *, number: int) -> ExtraDimension:

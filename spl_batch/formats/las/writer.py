@@ -20,7 +20,8 @@ from spl_batch.constants import (
     QUANTUM_M,
 )
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import WKT_KEY, compound, vertical
+from spl_batch.formats.crs import GEO_KEYS, WKT_KEY, compound, vertical
+from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
 from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
 from spl_batch.formats.las.convert import conversion
 from spl_batch.formats.las.copc import write_copc
@@ -28,21 +29,31 @@ from spl_batch.formats.las.frame import (
     HEADER_SIZE,
     Extent,
     Frame,
+    copied_encoding,
     preamble,
     wkt_vlr,
     write_laz,
     write_packed,
 )
-from spl_batch.formats.las.header import Evlr, LasHeader, Vlr, read_header
+from spl_batch.formats.las.header import (
+    ADJUSTED_BIT,
+    WKT_BIT,
+    Evlr,
+    LasHeader,
+    Vlr,
+    read_header,
+)
 from spl_batch.formats.las.known_records import reads_back
 from spl_batch.formats.las.layers import LayerCopy, can_be_copied
 from spl_batch.formats.las.reader import header_crs
 from spl_batch.formats.las.records import (
+    ADDED,
     EXTRA_BYTES_KEY,
     SCAN_ANGLE_STEP_DEG,
     ExtraDimension,
     RecordLayout,
-    dimension,
+    added,
+    given_classes,
     new_dimension,
 )
 from spl_batch.lattice.tables import PointFlag, PointTable
@@ -56,14 +67,6 @@ KEEP_CLASS: Final = 255
 KEEP_BUT_GROUND: Final = 254
 """The same, but ground of the input becomes unclassified: this project has not found it."""
 
-ADDED: Final[Mapping[str, tuple[str, str]]] = {
-    "input_classification": ("u1", "class of the input file"),
-    "noise_class": ("u1", "0 signal 1 backgr 2 afterp 255 -"),
-    "noise_density": ("f4", "expected noise points per m3"),
-    "p_value": ("f4", "P(this many neighbours | noise)"),
-}
-"""Extra bytes that this project adds: dtype and description."""
-
 SYNTHETIC_BIT: Final = 8
 """Bit of the global encoding: return numbers are synthetic."""
 
@@ -74,6 +77,7 @@ revisions dropped it for rules on single fields and reserve the bit [LAS 1.4 R15
 _ONLY_RETURN: Final = 0x11
 """First of one return."""
 
+_FIRST_CLASS: Final = "input_classification"
 _DIAGNOSTICS: Final = ("noise_density", "p_value")
 _CHUNK: Final = 500_000
 _POINT_FORMAT: Final = 6
@@ -99,9 +103,11 @@ class Decoded:
     extent: Extent
 
 
-def added_names(*, diagnostics: bool) -> list[str]:
-    """Names of the extra bytes of :data:`ADDED` that a copy gets."""
-    return [n for n in ADDED if diagnostics or n not in _DIAGNOSTICS]
+def added_dimensions(layout: RecordLayout, *, diagnostics: bool) -> list[ExtraDimension]:
+    """Extra bytes that a copy of records gets: of an earlier output the first classes stay."""
+    there = {d.descriptor for d in layout.extra}
+    found = (added(n) for n in ADDED if diagnostics or n not in _DIAGNOSTICS)
+    return [d for d in found if d.name != _FIRST_CLASS or d.descriptor not in there]
 
 
 def write_classified(
@@ -115,6 +121,8 @@ def write_classified(
     decoded: Decoded | None = None,
     classes: NDArray[np.int64] | None = None,
     moved: Moved | None = None,
+    standard: TimeStandard = "none",
+    last_s: float | None = None,
 ) -> int:
     """Copy a file with new classes and the extra bytes of :data:`ADDED`.
 
@@ -122,8 +130,8 @@ def write_classified(
     Point formats 0-5 become 6-10. Records are kept, but for those that describe the old packing
     (LASzip, COPC) or that no reader could parse
     (:func:`~spl_batch.formats.las.known_records.broken_records`). Formats 6-10 know no GeoTIFF
-    keys: a CRS in these is given as WKT as well. Extra bytes of the input under a name of
-    :data:`ADDED` are replaced.
+    keys: a CRS in these is given as WKT as well. Of an earlier output of this function
+    ``input_classification`` is kept and other dimensions of :data:`ADDED` are replaced.
 
     Parameters
     ----------
@@ -146,6 +154,10 @@ def write_classified(
         The points of each class that is written are added to it [count].
     moved : Moved, optional
         Shifts that are added to the coordinates, rounded to the file's scale.
+    standard : str
+        What the values of ``gps_time`` are, for the header.
+    last_s : float, optional
+        Last adjusted standard time, see :func:`~spl_batch.formats.las.frame.preamble` [s].
 
     Raises
     ------
@@ -157,10 +169,11 @@ def write_classified(
     if dst.exists() and dst.samefile(src):
         raise WorkflowError(f"{dst}: is an input; choose another output folder")
     header = read_header(src)
-    names = added_names(diagnostics=diagnostics)
     written = np.zeros(256, np.int64) if classes is None else classes
     with RecordReader(header) as reader:
-        convert = conversion(reader.layout, [_added(n) for n in names])
+        new = added_dimensions(reader.layout, diagnostics=diagnostics)
+        names = [d.name for d in new]
+        convert = conversion(reader.layout, new)
 
         def chunks() -> Iterator[NDArray[Any]]:
             for start in range(0, header.n_points, _CHUNK):
@@ -169,7 +182,7 @@ def write_classified(
                 out = convert.records(given)
                 if moved is not None:
                     _shift(out, given, header, moved)
-                before = dimension(given, reader.layout, "classification")
+                before = given_classes(given, reader.layout)
                 _label(out, convert.layout, before, labels(start, stop), names)
                 written[:] += np.bincount(out["classification"], minlength=256)
                 yield out
@@ -188,7 +201,9 @@ def write_classified(
         if moved is not None:
             vlrs.append(moved.record)
         frame = Frame(
-            preamble=preamble(header.raw, wkt=wkt),
+            preamble=preamble(
+                header.raw, copied_encoding(header, standard, evlrs, wkt=wkt), last_s
+            ),
             scales=header.scales,
             offsets=header.offsets,
             layout=convert.layout,
@@ -217,11 +232,6 @@ def _shift(records: NDArray[Any], given: NDArray[Any], header: LasHeader, moved:
         records["XYZ"[axis]] = shifted
 
 
-def _added(name: str) -> ExtraDimension:
-    dtype, text = ADDED[name]
-    return new_dimension(name, np.dtype(dtype), text)
-
-
 def kept_classes(label: NDArray[np.uint8], given: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Classes of points by their labels and the classes that the input gave them."""
     unconfirmed = np.where(given == CLASS_GROUND, np.uint8(CLASS_UNCLASSIFIED), given)
@@ -242,11 +252,11 @@ def _label(
     if "set_flags" in values:
         out["classification_flags"] |= values["set_flags"]
     for name in names:
-        out[field[name]] = classes if name == "input_classification" else values[name]
+        out[field[name]] = classes if name == _FIRST_CLASS else values[name]
 
 
 def _records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr], bool]:
-    """Records and extended records that are kept, and whether a WKT record is among them."""
+    """Records and extended records that are kept, and whether none but WKT gives a CRS."""
     dropped = {LASZIP_KEY, EXTRA_BYTES_KEY}
     own = header_crs(header)[0]
     written = _delivered_crs(own, crs)
@@ -261,7 +271,8 @@ def _records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr],
     known = WKT_KEY in {v.key for v in vlrs} | {e.key for e in evlrs}
     if not known and written is not None:
         vlrs.append(wkt_vlr(written))
-    return vlrs, evlrs, known or written is not None
+    keys = {v.key for v in vlrs}
+    return vlrs, evlrs, known or WKT_KEY in keys or not keys.intersection(GEO_KEYS)
 
 
 def _delivered_crs(own: CRS | None, survey: CRS | None) -> CRS | None:
@@ -280,7 +291,6 @@ def write_points(
     *,
     crs: CRS | None,
     extra: Mapping[str, NDArray[Any]] | None = None,
-    adjusted_standard: bool = True,
     copc: bool = False,
     aggregate: bool = False,
     aggregate_bit: bool = False,
@@ -299,8 +309,6 @@ def write_points(
         ``input_classification``. Labels of :data:`ADDED` become extra bytes.
     extra : mapping of str to (n,) ndarray
         More extra bytes, numeric; these win over columns of the same name.
-    adjusted_standard : bool
-        What the header says of ``gps_time``: adjusted standard, else week seconds.
     copc : bool
         Write an octree (COPC) instead of plain LAZ; this changes the points' order.
     aggregate : bool
@@ -316,13 +324,13 @@ def write_points(
     WorkflowError
         If the output cannot be written.
     """
-    added: dict[str, NDArray[Any]] = {n: table[n] for n in ADDED if n in table}
+    labels: dict[str, NDArray[Any]] = {n: table[n] for n in ADDED if n in table}
     if "input_class" in table and "classification" in table:
-        added["input_classification"] = table["input_class"]
-    added |= extra or {}
+        labels[_FIRST_CLASS] = table["input_class"]
+    labels |= extra or {}
     described = [
         new_dimension(n, np.asarray(v).dtype, ADDED[n][1] if n in ADDED else "")
-        for n, v in added.items()
+        for n, v in labels.items()
     ]
     layout = conversion(RecordLayout(_POINT_FORMAT, ()), described).layout
     records = np.zeros(len(table), dtype=layout.dtype)
@@ -330,12 +338,20 @@ def write_points(
     _fill(records, table)
     if aggregate:
         records["bit_fields"] = _ONLY_RETURN
-    for known, values in zip(layout.extra, added.values(), strict=True):
+    for known, values in zip(layout.extra, labels.values(), strict=True):
         records[known.field] = values
+    time = table["gps_time"] if "gps_time" in table else np.empty(0)
+    time = time[usable_times(time)]
+    standard = time_standard(time)
     head = bytearray(HEADER_SIZE)
-    head[6] = int(adjusted_standard) | SYNTHETIC_BIT * aggregate | AGGREGATE_BIT * aggregate_bit
+    head[26:31] = b"OTHER"  # neither captured so nor one file that was changed
+    encoding = WKT_BIT | SYNTHETIC_BIT * aggregate | AGGREGATE_BIT * aggregate_bit
     frame = Frame(
-        preamble=preamble(bytes(head), wkt=crs is not None),
+        preamble=preamble(
+            bytes(head),
+            encoding | ADJUSTED_BIT * (standard != "week"),
+            float(time.max()) if standard == "adjusted" else None,
+        ),
         scales=(QUANTUM_M, QUANTUM_M, QUANTUM_M),
         offsets=(offsets[0], offsets[1], offsets[2]),
         layout=layout,

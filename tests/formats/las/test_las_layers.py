@@ -25,7 +25,11 @@ def decoded(src: Path) -> tuple[Decoded, bool]:
         records = reader.read(0, reader.header.n_points)
         extent = Extent()
         extent.add(records)
-        kept = given_of(records) if reader.layout.point_format >= 6 else np.empty(0, np.uint32)
+        kept = (
+            given_of(records, reader.layout)
+            if reader.layout.point_format >= 6
+            else np.empty(0, np.uint32)
+        )
         stored = Extent.from_arrays(extent.to_arrays())
         return Decoded(lambda a, b: kept[a:b], stored), can_be_copied(reader)
 

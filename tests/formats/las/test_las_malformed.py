@@ -95,6 +95,15 @@ def test_each_field_of_the_header(tmp_path: Path, words: str) -> None:
     assert words in fault(patch(path, place, code, *values))
 
 
+@pytest.mark.parametrize("raw", [-(2**31), 2**31 - 1])
+def test_coordinates_at_the_end_of_their_numbers(tmp_path: Path, raw: int) -> None:
+    path = write_las(tmp_path / "a.laz", values={"Y": np.full(1000, raw)})
+    with pytest.raises(InputError) as caught:
+        inspect(path)
+    assert len(caught.value.faults) == 1
+    assert f"{raw * 0.01 - 4e6}" in caught.value.faults[0]
+
+
 def test_all_faults_at_once(tmp_path: Path) -> None:
     path = write_las(tmp_path / "a.las", version="1.2", point_format=1, n=50)
     patch(path, 100, "I", 1069128089)
@@ -155,7 +164,8 @@ def _laz_places(content: bytes) -> tuple[int, int, int]:
 LAZ_FAULTS: dict[str, Callable[[bytearray, tuple[int, int, int]], None]] = {
     "no LASzip record": lambda c, p: struct.pack_into("<H", c, p[0] - 54 + 18, 1),
     "LASzip compressor is 9": lambda c, p: struct.pack_into("<H", c, p[0], 9),
-    "points of a LAZ chunk is 0": lambda c, p: struct.pack_into("<I", c, p[0] + 12, 0),
+    # Its chunks are of any size then, and the table holds no numbers of points.
+    "LAZ chunk table cannot be decoded": lambda c, p: struct.pack_into("<I", c, p[0] + 12, 0),
     "bytes of all LASzip items": lambda c, p: struct.pack_into("<H", c, p[0] + 36, 99),
     "it is cut off: it has ": lambda c, p: struct.pack_into("<q", c, p[1], 10**9),
     "byte of its LAZ chunk table is -5": lambda c, p: struct.pack_into("<q", c, p[1], -5),

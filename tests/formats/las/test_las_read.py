@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from pyproj import CRS
 
 from spl_batch.errors import InputError
+from spl_batch.formats.las.chunks import CHUNK_SIZE_AT
 from spl_batch.formats.las.reader import inspect, iter_points
+from spl_batch.formats.las.writer import write_points
 from spl_batch.lattice.tables import COLUMNS, SOURCE_COLUMNS, PointFlag, PointTable, concat
-from tests.io_files import VERSIONS, write_las
+from tests.io_files import VERSIONS, patch, write_las
 
 
 def read_all(path: Path, **given: object) -> PointTable:
@@ -64,9 +66,38 @@ def test_every_version_and_point_format(
     np.testing.assert_allclose(table["scan_angle"], angle, rtol=1e-6)
 
 
+@pytest.mark.parametrize("signature", ["before", "behind", "none"])
+def test_version_1_0(tmp_path: Path, signature: str) -> None:
+    path = write_las(tmp_path / "a.las", version="1.2", point_format=1)
+    expected = read_all(path)
+    content = path.read_bytes()
+    start = int.from_bytes(content[96:100], "little")
+    if signature != "none":  # the offset to the points may count its two bytes or not
+        content = content[:start] + b"\xdd\xcc" + content[start:]
+    path.write_bytes(content)
+    patch(path, 96, "I", start + 2 * (signature == "before"))
+    patch(patch(path, 4, "I", 2**32 - 1), 24, "BB", 1, 0)  # four bytes are reserved
+    table, facts = read_all(path), inspect(path)
+    assert facts.version == (1, 0)
+    assert not facts.adjusted_standard_bit
+    for name in SOURCE_COLUMNS:
+        np.testing.assert_array_equal(table[name], expected[name])
+
+
+def test_chunk_size_zero_is_that_of_the_table(tmp_path: Path) -> None:
+    columns = {name: np.arange(30_000, dtype=COLUMNS[name].dtype) for name in ("x", "y", "z")}
+    path = tmp_path / "a.laz"
+    write_points(path, PointTable(columns), crs=None, copc=True)
+    expected = read_all(path)
+    at = path.read_bytes().index(b"laszip encoded") - 2 + 54 + CHUNK_SIZE_AT
+    table = read_all(patch(path, at, "I", 0))
+    assert set(table["z"].tolist()) == set(range(30_000))
+    np.testing.assert_array_equal(table["x"], expected["x"])
+
+
 @settings(max_examples=60, deadline=None)
 @given(
-    raw=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=20),
+    raw=st.lists(st.integers(-(2**31) + 1, 2**31 - 2), min_size=1, max_size=20),
     step=st.sampled_from([0.001, 0.002, 0.01, 0.05, 0.1]),
     offset_mm=st.integers(-(10**9), 10**9),
 )

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.errors import InputError, StoppedError, WorkflowError
+from spl_batch.formats.gps_clock import TimeStandard
 from spl_batch.formats.las.convert import EXTENDED_FORMAT
 from spl_batch.formats.las.copc_copy import copy_as_copc
-from spl_batch.formats.las.header import read_header
+from spl_batch.formats.las.descriptors import header_changes, put_in_order
+from spl_batch.formats.las.header import EXTERNAL_BIT, read_header
 from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.reader import header_crs, inspect, iter_points
 from spl_batch.formats.las.writer import write_classified, write_points
-from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
+from spl_batch.lattice.tables import SOURCE_COLUMNS, PointFlag, PointTable, concat
 from tests.io_files import VERSIONS, patch, with_record, write_las
 
 
@@ -104,18 +106,87 @@ def test_header_is_kept_and_nothing_depends_on_the_clock(tmp_path: Path) -> None
     assert (tmp_path / "b.laz").read_bytes() == (tmp_path / "c.laz").read_bytes()
 
 
-def test_second_run_replaces_its_own_dimensions(tmp_path: Path) -> None:
-    src = write_las(tmp_path / "a.laz", extra={"noise_class": "f8", "height": "f4"})
+def header_of(path: Path) -> tuple[bool, bool, str, laspy.header.date | None]:
+    """Time bit, WKT bit, system and day of a header."""
+    header = laspy.read(path).header
+    adjusted = header.global_encoding.gps_time_type == laspy.header.GpsTimeType.STANDARD
+    return adjusted, header.global_encoding.wkt, header.system_identifier, header.creation_date
+
+
+@pytest.mark.parametrize(("standard", "day"), [("adjusted", (2020, 3, 7)), ("week", None)])
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_header_is_repaired_by_the_values(
+    tmp_path: Path, standard: TimeStandard, day: tuple[int, int, int] | None, point_format: int
+) -> None:
+    last_s = 267_608_600.0 if standard == "adjusted" else 345_000.0
+    times = {"gps_time": np.linspace(last_s - 100, last_s, 1000)}
+    src = write_las(tmp_path / "a.laz", point_format=point_format, values=times)
+    patch(src, 6, "H", int(standard == "week"))
+    patch(src, 26, "32s", b"")
+    patch(src, 90, "HH", 0, 0)
+    classify(src, tmp_path / "b.laz", standard=standard, last_s=last_s if day else None)
+    expected = (standard == "adjusted", True, "MODIFICATION", day and laspy.header.date(*day))
+    assert header_of(tmp_path / "b.laz") == expected
+    changes = header_changes(read_header(src), read_header(tmp_path / "b.laz"))
+    fields = {"gps_time_bit", "wkt_bit", "generating_software", "system_identifier"}
+    assert set(changes) == fields | ({"creation_date"} if day else set())
+    (table,) = iter_points(src, channel_dimension=None, source=1)
+    write_points(tmp_path / "c.laz", table, crs=None)
+    assert header_of(tmp_path / "c.laz") == (*expected[:2], "OTHER", expected[3])
+
+
+def test_copc_has_the_header_of_its_cloud(tmp_path: Path) -> None:
+    src = write_las(tmp_path / "a.laz", scales=(0.01,) * 3)
+    classify(src, tmp_path / "b.laz", standard="adjusted", last_s=0.0)
+    copy_as_copc(tmp_path / "b.laz", tmp_path / "b.copc.laz")
+    assert header_of(tmp_path / "b.copc.laz") == header_of(tmp_path / "b.laz")
+    assert header_of(tmp_path / "b.copc.laz")[:2] == (True, True)
+
+
+def test_keys_that_are_not_understood_stay_what_gives_the_crs(tmp_path: Path) -> None:
+    keys = laspy.VLR("LASF_Projection", 34735, "", b"\1\0\1\0\0\0\0\0")
+    classify(write_las(tmp_path / "a.las", point_format=1, vlrs=[keys]), tmp_path / "b.laz")
+    assert not header_of(tmp_path / "b.laz")[1]
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_the_bit_of_waveforms_tells_whether_they_are_there(tmp_path: Path, there: bool) -> None:  # noqa: FBT001
+    src = patch(write_las(tmp_path / "a.las", version="1.3", point_format=4), 6, "H", 4)
+    if there:
+        (tmp_path / "a.wdp").write_bytes(b"waves")
+    classify(src, tmp_path / "b.laz")
+    before, after = read_header(src), read_header(tmp_path / "b.laz")
+    assert bool(after.global_encoding & EXTERNAL_BIT) == there
+    assert ("waveform_bits" in header_changes(before, after)) == (not there)
+    assert len(list(put_in_order(before, 9, []))) == (not there)
+
+
+def test_second_run_replaces_its_own_dimensions_and_keeps_those_of_others(tmp_path: Path) -> None:
+    others = {"noise_class": "f8", "input_classification": "u1", "height": "f4"}
+    src = write_las(tmp_path / "a.laz", extra=others)
     classify(src, tmp_path / "b.laz")
     classify(tmp_path / "b.laz", tmp_path / "c.laz")
-    first, second = laspy.read(tmp_path / "b.laz"), laspy.read(tmp_path / "c.laz")
-    names = ["height", "input_classification", "noise_class", "noise_density", "p_value"]
+    given, first, second = (laspy.read(tmp_path / f"{name}.laz") for name in "abc")
+    kept = ["noise_class_2", "input_classification_2", "height"]
+    names = [*kept, "input_classification", "noise_class", "noise_density", "p_value"]
     for cloud in (first, second):
         assert list(cloud.point_format.extra_dimension_names) == names
-    assert_kept_names = ["X", "gps_time", "height"]
-    for name in assert_kept_names:
-        np.testing.assert_array_equal(first[name], second[name])
-    np.testing.assert_array_equal(second["input_classification"], first.classification)
+        for before, after in zip(others, kept, strict=True):
+            np.testing.assert_array_equal(cloud[after], given[before])
+        np.testing.assert_array_equal(cloud["input_classification"], given.classification)
+
+
+def test_noise_of_an_earlier_run_is_not_the_vendors(tmp_path: Path) -> None:
+    classes = np.arange(20) % 20
+    src = write_las(tmp_path / "a.laz", n=20, values={"classification": classes})
+    classify(src, tmp_path / "b.laz")
+    again = next(iter_points(tmp_path / "b.laz", channel_dimension=None, source=0))
+    first = laspy.read(tmp_path / "b.laz")
+    labelled = np.isin(first.noise_class, (1, 2)) & np.isin(first.classification, (7, 18))
+    assert 0 < np.count_nonzero(labelled) < np.count_nonzero(np.isin(first.classification, (7, 18)))
+    expected = np.where(labelled, classes, first.classification)
+    np.testing.assert_array_equal(again["input_class"], expected)
+    np.testing.assert_array_equal(again.has(PointFlag.VENDOR_NOISE), np.isin(expected, (7, 18)))
 
 
 def test_bytes_that_nothing_describes(tmp_path: Path) -> None:

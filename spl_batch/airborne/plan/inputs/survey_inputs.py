@@ -43,6 +43,8 @@ from spl_batch.formats.crs import (
 )
 from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.geoid import Geoid, grid_file
+from spl_batch.formats.las.convert import copied_format
+from spl_batch.formats.las.copc_copy import copc_fault
 from spl_batch.formats.las.reader import LasFacts, inspect
 from spl_batch.formats.polygons import check_polygons
 
@@ -131,6 +133,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     if workflow.outputs.geoid is not None and good:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
+    _refuse_no_copc(workflow, good, base)
     warnings = [*workflow.remarks()]
     said = (Said(name_below(facts.path, base), text) for facts in good for text in facts.warnings)
     warnings += shared(said, "files")
@@ -181,6 +184,20 @@ def _check_shapes(workflow: Workflow, base: Path, crs: CRS | None) -> None:
             faults.append(f"{key}: {fault}")
     if faults:
         raise WorkflowError("; ".join(faults))
+
+
+def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> None:
+    """Refuse octrees where they are asked for and a cloud can be none."""
+    if not workflow.outputs.copc:
+        return
+    said = (
+        Said(name_below(facts.path, base), fault)
+        for facts in files
+        if (fault := copc_fault(copied_format(facts.point_format), facts.scales)) is not None
+    )
+    faults = list(shared(said, "files"))
+    if faults:
+        raise WorkflowError("outputs.copc: " + "; ".join(faults))
 
 
 def _geoid_checksum(workflow: Workflow, base: Path) -> tuple[tuple[str, str], ...]:
