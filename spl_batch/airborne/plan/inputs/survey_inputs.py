@@ -82,12 +82,6 @@ class Inputs:
     breaklines: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the file of breaklines.
     geoid: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the grid of the geoid.
 
-    @property
-    def compared_in_vain(self) -> tuple[InputError, ...]:
-        """Files of reference points or checkpoints that cannot be used."""
-        fault = self.checkpoints.fault if self.checkpoints else None
-        return (*self.reference.bad, *([fault] if fault else []))
-
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     """Find and check every file of a workflow.
@@ -136,8 +130,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     warnings += shared(said, "files")
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed)]
-    checkpoints, told = checkpoint_file.looked_into(checkpoints, crs, workflow.reference, good)
-    warnings += told
+    warnings += checkpoint_file.looked_into(checkpoints, crs, workflow.reference, good)
     if crs is None and good:
         warnings.append(
             "no input file carries a CRS and survey.crs is not set: rasters will have none; "
