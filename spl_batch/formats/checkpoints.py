@@ -125,7 +125,6 @@ def _csv_rows(path: Path) -> list[_Row]:
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"is no CSV of text in UTF-8: {reason}") from None
 
-
     if reader.reader.dialect.delimiter == ";":  # as where the comma is the decimal sign
         for row in rows:
             row |= {key: str(row[key]).replace(",", ".") for key in _NUMBERS & row.keys()}
