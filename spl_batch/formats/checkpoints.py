@@ -34,7 +34,7 @@ SURFACES: Final[Mapping[str, Surface]] = {
 """Words for a surface class in a file, in any case."""
 
 COLUMNS: Final = ("id", "x", "y", "z", "surface")
-"""Columns that a file has; ``accuracy_m`` and ``crs`` are optional, ``surface`` where all are open."""
+"""Columns that a file has, ``surface`` unless all are open; others are optional."""
 
 _NUMBERS: Final = frozenset({"x", "y", "z", "accuracy_m"})
 
@@ -70,8 +70,9 @@ def read_checkpoints(
     Parameters
     ----------
     path : Path
-        Table with the columns :data:`COLUMNS`, see :func:`table`, or points of any vector format that GDAL reads with
-        the same fields; there ``x``, ``y`` and, if the points are 3D, ``z`` come from the geometry.
+        Table with the columns :data:`COLUMNS`, see :func:`table`, or points of any vector format
+        that GDAL reads with the same fields; there ``x``, ``y`` and, if the points are 3D, ``z``
+        come from the geometry.
     own : CRS, optional
         The file's, where neither a column ``crs`` nor the format tells it; by default the survey's.
     accuracy_m : float, optional

@@ -25,7 +25,6 @@ from spl_batch.errors import InputError, grouped, needed
 from spl_batch.lattice.tables import PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, grow, inside, quanta
 
-
 LAYERS_BYTES: Final = 16
 """Memory of a cell of the four rasters [byte]."""
 
@@ -201,8 +200,8 @@ def rasterize(
     if size == 0 or edge % size:
         raise InputError(
             "cell_m",
-            f"{workflow.products.cell_m:g} m; {edge * QUANTUM_M:g} m, the edge of ground.cell_m, is to be "
-            f"a whole multiple of it, and it of {QUANTUM_M:g} m",
+            f"{workflow.products.cell_m:g} m; {edge * QUANTUM_M:g} m, the edge of ground.cell_m, is to "
+            f"be a whole multiple of it, and it of {QUANTUM_M:g} m",
         )
     whole = _aligned(table, size)
     rows, cols = (whole.ymax - whole.ymin) // size, (whole.xmax - whole.xmin) // size
