@@ -200,16 +200,16 @@ def rasterize(
     if size == 0 or edge % size:
         raise InputError(
             "cell_m",
-            f"{workflow.products.cell_m:g} m; {edge * QUANTUM_M:g} m, the edge of ground.cell_m, is to "
-            f"be a whole multiple of it, and it of {QUANTUM_M:g} m",
+            f"{workflow.products.cell_m:g} m; {edge * QUANTUM_M:g} m, the edge of ground.cell_m, "
+            f"is to be a whole multiple of it, and it of {QUANTUM_M:g} m",
         )
     whole = _aligned(table, size)
     rows, cols = (whole.ymax - whole.ymin) // size, (whole.xmax - whole.xmin) // size
     reach = quanta(surface_rasters.reach_m(workflow.products))
-    near = ((edge + 2 * reach) // size) ** 2
+    held = ((edge + 2 * reach) // size) ** 2
     refuse_large(
         "cell_m", f"rasters of {grouped(rows)} x {grouped(cols)} cells",
-        LAYERS_BYTES * rows * cols + RASTER_BYTES * near, "give a larger cell_m",
+        LAYERS_BYTES * rows * cols + RASTER_BYTES * held, "give a larger cell_m",
     )  # fmt: skip
     layers = {
         name: np.full((rows, cols), np.nan, np.float32) for name in ("dtm", "dsm", "chm", "density")

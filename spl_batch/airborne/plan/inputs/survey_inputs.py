@@ -170,7 +170,8 @@ def _check_shapes(
     An area of interest beyond the points would mark all of them as outside and is a fault; water
     there has no effect, and is a warning.
     """
-    faults, warnings = [], []
+    faults: list[str] = []
+    warnings: list[str] = []
     survey = shapely.box(
         *np.transpose([[*f.mins_m[:2], *f.maxs_m[:2]] for f in files if f.n_points])
     )
