@@ -1,6 +1,5 @@
 """Inputs, phases and cost of ``kind: altimetry``."""
 
-import glob
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -111,10 +110,9 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
     found: dict[str, Sequence[Path]] = {}
     for key in ("points", "dtm", "labels"):
         name = getattr(reference, key) if reference is not None else None
-        if key != "labels" and name is not None and glob.has_magic(name):
-            faults.append(f"reference.{key}: {name} is a pattern; name one file")
-            continue
         found[key] = expand(name, base, f"reference.{key}", faults)
+        if key != "labels" and len(found[key]) > 1:
+            faults.append(f"reference.{key}: {name} matches several files; name one")
     if reference is not None and reference.points and reference.dtm:
         faults.append("reference: points and dtm are both given; name one of them")
     refuse_own(paths, output, "track.photons", faults)

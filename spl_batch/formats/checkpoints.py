@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, isnan
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TextIO
 
 import numpy as np
 import shapely
@@ -34,7 +34,9 @@ SURFACES: Final[Mapping[str, Surface]] = {
 """Words for a surface class in a file, in any case."""
 
 COLUMNS: Final = ("id", "x", "y", "z", "surface")
-"""Columns that a file has; ``accuracy_m`` and ``crs`` are optional."""
+"""Columns that a file has, ``surface`` unless all are open; others are optional."""
+
+_NUMBERS: Final = frozenset({"x", "y", "z", "accuracy_m"})
 
 PARTS: Final = "PARTS"
 """Points in the geometry of a row; fields are in lower case, so none has this name."""
@@ -68,8 +70,9 @@ def read_checkpoints(
     Parameters
     ----------
     path : Path
-        CSV with the columns :data:`COLUMNS`, or points of any vector format that GDAL reads with
-        the same fields; there ``x``, ``y`` and, if the points are 3D, ``z`` come from the geometry.
+        Table with the columns :data:`COLUMNS`, see :func:`table`, or points of any vector format
+        that GDAL reads with the same fields; there ``x``, ``y`` and, if the points are 3D, ``z``
+        come from the geometry.
     own : CRS, optional
         The file's, where neither a column ``crs`` nor the format tells it; by default the survey's.
     accuracy_m : float, optional
@@ -96,6 +99,9 @@ def read_checkpoints(
             str(path), "holds no checkpoints: no line below the first, no layer of points"
         )
     remarks: list[str] = []
+    if not any("surface" in row for row in rows):
+        remarks.append("no column surface, so every checkpoint counts as open; add it for others")
+        rows = [{**row, "surface": "open"} for row in rows]
     kept = _checked(rows, accuracy_m, remarks)
     moved = _in_crs(path, kept, crs, own, remarks)
     found = [_checkpoint(row) for row in _once(moved, remarks)]
@@ -110,20 +116,41 @@ def _checkpoint(row: _Row) -> Checkpoint:
 def _csv_rows(path: Path) -> list[_Row]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.DictReader(stream)
-            names = {name: (name or "").strip().lower() for name in reader.fieldnames or ()}
+            reader = table(stream)
+            names = {name: _plain(name) for name in reader.fieldnames or ()}
             _refuse_without(path, names.values())
-            return [
+            rows = [
                 {names[key]: value for key, value in row.items() if key in names} for row in reader
             ]
     except (UnicodeDecodeError, csv.Error) as error:
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"is no CSV of text in UTF-8: {reason}") from None
 
+    if reader.reader.dialect.delimiter == ";":  # as where the comma is the decimal sign
+        for row in rows:
+            row |= {key: str(row[key]).replace(",", ".") for key in _NUMBERS & row.keys()}
+    return rows
+
+
+def table(stream: TextIO) -> "csv.DictReader[str]":
+    """Rows of a CSV from its start; commas, semicolons, tabs or spaces part its columns."""
+    head = stream.readline(65_536)
+    stream.seek(0)
+    delimiter = max(",;\t", key=head.count)
+    if delimiter in head:
+        return csv.DictReader(stream, delimiter=delimiter)
+    lines = (line.strip("# ") for line in stream)
+    return csv.DictReader(lines, delimiter=" ", skipinitialspace=True)
+
+
+def _plain(name: str | None) -> str:
+    """A column's name as :data:`COLUMNS` has it."""
+    return (name or "").strip("# ").lower()
+
 
 def _refuse_without(path: Path, names: Iterable[str]) -> None:
     there = set(names)
-    lacking = [name for name in COLUMNS if name not in there]
+    lacking = [name for name in COLUMNS if name not in {*there, "surface"}]
     if lacking:
         raise InputError(
             str(path),

@@ -7,7 +7,7 @@ import pytest
 
 from spl_batch.altimetry.plan import Tracks, gather_inputs
 from spl_batch.altimetry.settings import TrackWorkflow
-from spl_batch.engine.plan.input_files import check_keys, refuse_own, stem_names
+from spl_batch.engine.plan.input_files import check_keys, expand, refuse_own, stem_names
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.formats.crs import projected_crs
 
@@ -32,6 +32,33 @@ def test_inputs_among_the_results_are_a_fault() -> None:
     assert faults[0].startswith("track.photons: /s/out/b.h5 and 1 more in the output folder /s/out")
     refuse_own(paths[:1], Path("/s/out"), "track.photons", faults)
     assert len(faults) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "matches"),
+    [
+        ("lines/*.laz", ["lines/1.laz", "lines/a [1].laz"]),
+        ("lines/a [1].laz", ["lines/a [1].laz"]),
+        ("{base}/lines/*[12].laz", ["lines/1.laz"]),
+        ("raw [ab]/*.laz", ["raw [ab]/2.laz"]),
+        ("raw [cd]/*.laz", ["raw c/3.laz"]),
+        ("../Block [[]1]/lines/1.laz", ["lines/1.laz"]),
+    ],
+)
+def test_names_of_folders_and_files_are_no_patterns(
+    tmp_path: Path, name: str, matches: list[str]
+) -> None:
+    files = ("lines/1.laz", "lines/a [1].laz", "lines/a 1.laz", "raw [ab]/2.laz", "raw a/2.laz")
+    base = tmp_path / "Block [1]"
+    for file in (base / one for one in (*files, "raw c/3.laz")):
+        for path in (file, tmp_path / "Block 1" / file.relative_to(base)):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+    (base / "lines" / "a 1.laz").unlink()
+    faults: list[str] = []
+    found = expand(name.format(base=base), base, "survey.flightlines", faults)
+    assert [path.relative_to(base).as_posix() for path in found] == matches
+    assert not faults
 
 
 def test_keys_that_clash_are_refused() -> None:

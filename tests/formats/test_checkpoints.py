@@ -33,6 +33,22 @@ def test_a_csv_is_read_as_it_stands(tmp_path: Path) -> None:
     assert [one.accuracy_m for one in found] == [0.02, None]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "id;x;y;z\nA;272000,5;3290001.25;20,125\n",
+        "ID\tX\tY\tZ\nA\t272000.5\t3290001.25\t20.125\n",
+        "# id   x y  z\n  A 272000.5  3290001.25 20.125 \n",
+        "id, x, y, z\nA, 272000.5, 3290001.25, 20.125\n",
+    ],
+)
+def test_semicolons_tabs_and_spaces_part_columns(tmp_path: Path, text: str) -> None:
+    ((point,), (remark,)) = read(tmp_path / "c.csv", text, accuracy_m=0.1)
+    assert (point.id, point.x_m, point.y_m, point.z_m) == ("A", 272000.5, 3290001.25, 20.125)
+    assert point.surface == "open"
+    assert "surface" in remark
+
+
 def test_faults_are_one_line_each_and_the_rest_is_used(tmp_path: Path) -> None:
     text = HEAD + (
         "A,1,2,3,open,0.02\n"
@@ -132,7 +148,7 @@ def test_an_empty_point_is_left_out_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "fault"),
     [
-        (b"id,x,y\nA,1,2\n", "lacks the columns z, surface"),
+        (b"id,x,y\nA,1,2\n", "lacks the columns z"),
         (HEAD.encode(), "holds no checkpoints"),
         (b"id,x,y,z,surface\n\xff\xfe\x00,1,2,3,open\n", "no CSV of text in UTF-8"),
     ],

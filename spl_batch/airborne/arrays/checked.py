@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
 from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
+from spl_batch.engine.flow.cluster import machine_memory
+from spl_batch.engine.plan.worker_memory import LOADED_BASE_BYTES, USABLE_SHARE, usable_bytes
 from spl_batch.errors import InputError, WorkflowError, counted, grouped
 from spl_batch.formats.crs import look_like_degrees
 from spl_batch.formats.files import external_sort
@@ -27,6 +29,10 @@ FARTHEST_M: Final = 1e9
 
 COARSE_M: Final = 0.01
 """Coordinates that are held in coarser steps have lost what a filter and a terrain need [m]."""
+
+MOST_PER_M3: Final = 100.0
+"""Noise that an array may state, a thousand times that of bright daylight: the time that counting
+takes grows with it [1/m3]."""
 
 MOST_OF_A_SHOT: Final = 10_000
 """Returns of one time above which it is no shot's: 100 beamlets return some hundreds [count]."""
@@ -181,6 +187,27 @@ def require_shots(gps_time: NDArray[np.float64]) -> None:
         )
 
 
+def refuse_large(name: str, what: str, needed: int, remedy: str) -> None:
+    """Refuse what this machine cannot hold, as a run refuses tasks.
+
+    ``needed``: beside the process itself [byte].
+
+    Raises
+    ------
+    InputError
+        It names the array or argument, the memory and the remedy.
+    """
+    # To ask for the limit takes half a second.
+    if needed < LOADED_BASE_BYTES or LOADED_BASE_BYTES + needed < usable_bytes(machine_memory()):
+        return
+    raise InputError(
+        name,
+        f"{what} need about {grouped(needed / 2**20)} MiB, more than {100 * USABLE_SHARE:.0f} % of "
+        f"this machine's {grouped(machine_memory() / 2**20)} MiB; {remedy}, or leave out points "
+        "that lie far from all others",
+    )
+
+
 def coarse(xyz: ArrayLike) -> tuple[str, ...]:
     """What a caller should know of coordinates whose type cannot hold centimetres."""
     place = np.asarray(xyz)
@@ -219,7 +246,7 @@ def densities(given: ArrayLike, count: int) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If one is negative or not finite, or they are not one for each point.
+        If one is negative, not finite or no density of noise, or they are not one for each point.
     """
     density = np.asarray(given, dtype=np.float64)
     if density.shape not in {(), (count,)}:
@@ -227,11 +254,12 @@ def densities(given: ArrayLike, count: int) -> NDArray[np.float64]:
             "noise_density",
             f"an array of shape {density.shape}; give a number, or one for each of {count} points",
         )
-    bad = np.flatnonzero(~(np.isfinite(density) & (density >= 0)).reshape(-1))
+    # A comparison with NaN is false.
+    bad = np.flatnonzero(~((density >= 0) & (density <= MOST_PER_M3)).reshape(-1))
     if len(bad):
         value = density.reshape(-1)[bad[0]]
         raise InputError(
             "noise_density",
-            f"{value:g} (number {bad[0]}); give returns per cubic metre, 0 or more",
+            f"{value:g} (number {bad[0]}); give returns per cubic metre, 0 to {MOST_PER_M3:g}",
         )
     return np.ascontiguousarray(np.broadcast_to(density, (count,)))

@@ -16,12 +16,15 @@ What this cannot know: where the gate ends, flightlines that overlap only in par
 noise that changes with height.
 """
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.airborne.arrays.checked import refuse_large
+from spl_batch.errors import grouped
 from spl_batch.lattice.tiles import quanta
 
 DOMAIN: Final = "space"
@@ -38,6 +41,9 @@ CUBE_M: Final = (2.5, 15.0)
 HELD: Final = 8.0
 """Returns that a column of cubes holds on average, so that chance leaves none that was flown over
 empty [count]."""
+
+SQUARE_BYTES: Final = 80
+"""Memory of a square, whether it holds points or none [byte]."""
 
 SIGMA: Final = 4.0
 """Deviations from Poisson's law, in standard ones, up to which a layer holds noise alone."""
@@ -108,12 +114,15 @@ def empty_space(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.intege
     square = np.floor_divide(column, per_side)
     corner = square.min(axis=1)
     shape = tuple((square.max(axis=1) - corner + 1).tolist())
+    squares = math.prod(shape)
+    what = f"{grouped(squares)} squares of {SQUARE_M:g} m"
+    refuse_large("xyz", what, squares * SQUARE_BYTES, "give a smaller cloud")
     number = (square[0] - corner[0]) * shape[1] + (square[1] - corner[1])
     inside = (column[0] - square[0] * per_side) * per_side + (column[1] - square[1] * per_side)
     layer = np.floor_divide(z.astype(np.int64), quanta(LAYER_M))
     layers = _layers(number, inside, layer - layer.min(), per_side**2)
     cube_m3 = (edge / 1000.0) ** 2 * LAYER_M
-    count, volume = _pooled(layers, cube_m3, shape[0] * shape[1])
+    count, volume = _pooled(layers, cube_m3, squares)
     own = volume >= LEAST_M * SQUARE_M**2 * 0.1
     if not own.any():
         return EmptySpace(np.zeros(n), 0.0, 0.0)

@@ -2,22 +2,31 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spl_batch.airborne.arrays.checked import points_of, require_metres, settings_of
+from spl_batch.airborne.arrays.checked import (
+    points_of,
+    refuse_large,
+    require_metres,
+    settings_of,
+)
 from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.labels import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.plan.ground_cells import GroundCells
+from spl_batch.airborne.plan.memory.cell_memory import RASTER_BYTES
 from spl_batch.airborne.products import surface_points, surface_rasters
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
-from spl_batch.errors import InputError, needed
+from spl_batch.errors import InputError, grouped, needed
 from spl_batch.lattice.tables import PointFlag, PointTable
-from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, inside, quanta
+from spl_batch.lattice.tiles import Bounds, CellId, grow, inside, quanta
+
+LAYERS_BYTES: Final = 16
+"""Memory of a cell of the four rasters [byte]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +178,7 @@ def rasterize(
     Raises
     ------
     InputError
-        If an array has a wrong shape, or there is no point.
+        If an array has a wrong shape, there is no point, or memory cannot hold the rasters.
     WorkflowError
         If a setting is unknown or wrong.
     """
@@ -188,18 +197,23 @@ def rasterize(
     table = table.with_columns(ground=is_ground.astype(np.uint8))
     size = quanta(workflow.products.cell_m)
     edge = quanta(workflow.ground.cell_m)
-    if edge % size:
+    if size == 0 or edge % size:
         raise InputError(
             "cell_m",
-            f"{size * QUANTUM_M:g} m; {edge * QUANTUM_M:g} m, the edge of ground.cell_m, is to be "
-            "a whole multiple of it",
+            f"{workflow.products.cell_m:g} m; {edge * QUANTUM_M:g} m, the edge of ground.cell_m, "
+            f"is to be a whole multiple of it, and it of {QUANTUM_M:g} m",
         )
     whole = _aligned(table, size)
     rows, cols = (whole.ymax - whole.ymin) // size, (whole.xmax - whole.xmin) // size
+    reach = quanta(surface_rasters.reach_m(workflow.products))
+    held = ((edge + 2 * reach) // size) ** 2
+    refuse_large(
+        "cell_m", f"rasters of {grouped(rows)} x {grouped(cols)} cells",
+        LAYERS_BYTES * rows * cols + RASTER_BYTES * held, "give a larger cell_m",
+    )  # fmt: skip
     layers = {
         name: np.full((rows, cols), np.nan, np.float32) for name in ("dtm", "dsm", "chm", "density")
     }
-    reach = quanta(surface_rasters.reach_m(workflow.products))
     for core, near in _cells(table, workflow, reach):
         shown = surface_points.makes_surfaces(table.take(near))
         made = surface_rasters.surfaces(shown, core, workflow.products)
@@ -246,19 +260,14 @@ def _cells(
     cells = GroundCells.of_workflow([box], workflow)
     order = np.argsort(x, kind="stable")
     ascending = x[order]
-    seen = set()
-    for square in cells_touching(Bounds(*box), cells.edge):
-        cell = cells.keeper(square)
-        if cell in seen:
-            continue
-        seen.add(CellId(*cell))
+    squares = np.unique(np.stack([y, x]) // cells.edge, axis=1).T.tolist()
+    for cell in dict.fromkeys(cells.keeper(CellId(i, j)) for j, i in squares):
         core = cells.core(cell)
         wide = grow(core, reach)
         span = np.searchsorted(ascending, (wide.xmin, wide.xmax))
         rows = np.sort(order[slice(*span.tolist())])
         rows = rows[inside(x[rows], y[rows], wide)]
-        if len(rows) and inside(x[rows], y[rows], core).any():
-            yield core, rows
+        yield core, rows
 
 
 def _aligned(table: PointTable, size: int) -> Bounds:

@@ -1,6 +1,5 @@
 """What the files of a folder are: flightlines, other clouds, trajectories, what else belongs."""
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -197,7 +196,7 @@ def _has_checkpoints(file: Path) -> bool:
     if file.suffix.lower() != ".csv":
         return False
     with file.open(encoding="utf-8", errors="replace", newline="") as stream:
-        head = next(csv.reader([stream.readline(65_536)]), [])
+        head = checkpoints.table(stream).fieldnames or ()
     return {name.strip().lower() for name in head} >= {*checkpoints.COLUMNS}
 
 

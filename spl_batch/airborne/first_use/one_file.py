@@ -4,7 +4,6 @@ The chain is that of a run, in a folder beside the result that is deleted in the
 something failed or stopped the run, and the same command continues there.
 """
 
-import glob
 import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,6 +24,7 @@ from spl_batch.airborne.first_use.clouds import (
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings.workflow import Workflow, load_workflow
+from spl_batch.engine.plan.input_files import matching
 from spl_batch.engine.report.number_format import as_ascii, of_all
 from spl_batch.engine.settings.mistaken_file import refuse_urls
 from spl_batch.engine.store.output_lock import refuse_lost
@@ -249,14 +249,14 @@ def _proposal(
     channel = channel_guess([look], load_preset(instrument))
     survey: dict[str, Any] = {
         "name": path.stem,
-        "flightlines": glob.escape(str(real_path(path))),
+        "flightlines": str(real_path(path)),
     }
     if sensor is not None:
         survey["sensor"] = sensor
     if channel.value is not None:
         survey["channel_dimension"] = channel.value
     if trajectory is not None:
-        if not glob.glob(str(trajectory), recursive=True):  # noqa: PTH207 - a path or a pattern
+        if not any(file.exists() for file in matching(str(trajectory), Path())):
             raise WorkflowError(f"--trajectory {trajectory}: no such file; check the path")
         survey["trajectory"] = str(real_path(trajectory))
     outputs = {"classes": "all" if ground else "noise", "catalogue": False}

@@ -16,6 +16,7 @@ far above those around hold signal, if their two sides differ or the signal's he
 as the buffer; they are left out.
 """
 
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -28,7 +29,7 @@ from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, SUMMARY, merge, observe
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
-from spl_batch.errors import Remark
+from spl_batch.errors import Remark, grouped
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 __all__ = ["LineModel", "fit", "gate_of", "line_density", "merge", "observe"]
@@ -124,8 +125,19 @@ def fit(
         interval_shots=settings.interval_shots,
         seen_shots=_seen_window(looks, last - first + 1, settings.interval_shots),
         gate_basis=gate.basis,
-        warnings=(*warnings, *gate.warnings, *region.warnings, *_few(merged)),
+        warnings=(*warnings, *gate.warnings, *region.warnings, *_few(merged), *_strays(merged)),
     )
+
+
+def _strays(merged: dict[str, NDArray[Any]]) -> Iterator[Remark]:
+    """Warn of returns that are far beyond the gate."""
+    if count := int(merged["strays"][0]):
+        noun = "return lies" if count == 1 else "returns lie"
+        text = (
+            f"{grouped(count)} {noun} far beyond the range gate, which noise does not reach, as "
+            "where ranges are wrong; they do not count for the gate and the noise: leave them out"
+        )
+        yield Remark(text, count)
 
 
 def _few(merged: dict[str, NDArray[Any]]) -> tuple[Remark, ...]:

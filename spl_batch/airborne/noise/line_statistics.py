@@ -47,6 +47,9 @@ LONE_SPACINGS: Final = 12.0
 """They lie farther beyond the next one than so many mean spacings, both of the noise on their side
 and of the extremes that follow: fewer than six of a million ends of uniform noise do [count]."""
 
+STRAY_SHARE: Final = 0.1
+"""Share of the noise on a side of the signal that may lie beyond the gate."""
+
 LONE_GAPS: Final = (3, 8)
 """Gaps between the extremes that follow which tell their spacing, at least and at most [count]."""
 
@@ -81,10 +84,12 @@ def observe(
         ``blinded`` (m, 2, b) float64 [m], the length in which none would have counted;
         ``returns``, ``beamlets``, ``shots`` (m,) int64 seen; ``first``, ``last`` (m,) int64, shots
         within the interval; ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and
-        ``profile`` (:data:`PROFILE_BINS`,) int64.
+        ``profile`` (:data:`PROFILE_BINS`,) and ``strays`` (1,) int64, left out as none of the gate.
     """
     found, lone = _observed(table, beams, settings, beams.known)
-    return _observed(table, beams, settings, beams.known & ~lone)[0] if lone.any() else found
+    if not lone.any():
+        return found
+    return {**_observed(table, beams, settings, beams.known & ~lone)[0], "strays": found["strays"]}
 
 
 def _observed(
@@ -132,8 +137,58 @@ def _observed(
         table["z"][order] * QUANTUM_M, starts, out["outside"][:, :, 3],
         settings.buffer_m * BUFFER_LADDER[3],
     )  # fmt: skip
-    lone[np.flatnonzero(chosen)[order[far]]] = True
+    stray = _behind_gaps(
+        table["z"][order] * QUANTUM_M, starts, out["outside"][:, :, 3], out["summary"][:, 0],
+        settings.buffer_m * BUFFER_LADDER[3],
+    )  # fmt: skip
+    out["strays"] = np.array([len(stray)])
+    lone[np.flatnonzero(chosen)[order[np.append(far, stray)]]] = True
     return out, lone
+
+
+def _behind_gaps(
+    z: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    noise: NDArray[np.int32],
+    signal_z: NDArray[np.float64],
+    half_m: float,
+) -> NDArray[np.intp]:
+    """Returns that noise within a gate does not reach, few of it: as of :func:`_far_beyond`.
+
+    Those which are more than :data:`LONE_MOST`, up to :data:`STRAY_SHARE`, and behind the widest
+    gap of their interval, where this is one of more than :data:`LONE_SPACINGS`.
+    """
+    n = len(z)
+    above = _above_gaps(z, starts, noise[:, 0], signal_z + half_m)
+    flipped = _above_gaps(-z[::-1], n - starts[::-1], noise[::-1, 1], half_m - signal_z[::-1])
+    return np.append(above, n - 1 - flipped)
+
+
+def _above_gaps(
+    z: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    noise: NDArray[np.int32],
+    from_m: NDArray[np.float64],
+) -> NDArray[np.intp]:
+    """Those of one side, whose ``noise`` lies above ``from_m``, (m,)."""
+    if not len(noise):
+        return np.zeros(0, np.intp)
+    size = np.diff(starts)
+    gap = np.diff(z, prepend=z[0])
+    gap[starts[:-1]] = 0.0
+    gap[z <= np.repeat(from_m, size)] = 0.0
+    widest = np.maximum.reduceat(gap, starts[:-1])
+    at = np.flatnonzero(gap == np.repeat(widest, size))
+    at = at[np.searchsorted(at, starts[:-1])]
+    beyond = starts[1:] - at
+    within = noise - beyond
+    spacing = (z[at - 1] - from_m) / np.maximum(within, 1)
+    stray = (widest > LONE_SPACINGS * spacing) & (within >= SUPPORT) & (spacing > 0)
+    stray &= (beyond > LONE_MOST) & (beyond <= STRAY_SHARE * within)
+    found: NDArray[np.intp] = np.flatnonzero(
+        np.arange(len(z)) >= np.repeat(np.where(stray, at, starts[1:]), size)
+    )
+    return found
 
 
 def _far_beyond(
@@ -244,6 +299,6 @@ def merge(
     if np.any(np.diff(interval[order]) == 0):
         raise ValueError("stretches of a flightline share an interval of shots")
     merged = {k: np.concatenate([p[k] for p in parts])[order] for k in _BY_INTERVAL}
-    for name in ("by_channel", "seen_channel", "profile"):
+    for name in ("by_channel", "seen_channel", "profile", "strays"):
         merged[name] = np.sum([p[name] for p in parts], axis=0)
     return merged

@@ -94,7 +94,7 @@ def checkpoints(survey: Survey) -> Iterator[Task]:
         "rasters": rasters,
     }
     needs = tuple(("mosaic", name) for name in rasters)
-    yield Task("checkpoints", "all", args, needs, 0, str(found.fault or ""))
+    yield Task("checkpoints", "all", args, needs)
 
 
 def squares(survey: Survey) -> int:

@@ -2,9 +2,10 @@
 
 import glob
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Final
 
 from spl_batch.engine.settings.mistaken_file import url_fault
@@ -71,16 +72,30 @@ def expand(
         if fault := url_fault(name):
             faults.append(f"{key}: {name}: {fault}")
             continue
-        pattern = str(base / name)
-        magic = glob.has_magic(name)
-        # glob takes absolute patterns as well as relative ones, Path.glob does not.
-        matches = sorted(glob.glob(pattern, recursive=True)) if magic else [pattern]  # noqa: PTH207
+        matches = matching(name, base)
         if not matches:
-            faults.append(f"{key}: {pattern} matches no file; {CHECK}")
-        elif len(matches) == 1 and not Path(matches[0]).exists():
+            faults.append(f"{key}: {base / name} matches no file; {CHECK}")
+        elif len(matches) == 1 and not matches[0].exists():
             faults.append(f"{key}: {matches[0]} does not exist; {CHECK}")
         found.update(dict.fromkeys(map(real_path, matches)))
     return tuple(found)
+
+
+def matching(name: str, base: Path) -> list[Path]:
+    """Files that a path or pattern stands for, in order; a path need not be there.
+
+    Folders and files that have such a name are meant by it, whatever brackets it holds: only what
+    follows them is a pattern.
+    """
+    folder, rest = base, PurePath(name).parts
+    while rest and os.path.exists(folder / rest[0]):  # noqa: PTH110 - no place of others' raises
+        folder, rest = folder / rest[0], rest[1:]
+    pattern = os.path.join("", *rest)  # noqa: PTH118 - as glob takes it
+    if not glob.has_magic(pattern):
+        return [folder / pattern]
+    # Path.glob knows neither links to folders below ** nor hidden names.
+    found = glob.glob(pattern, root_dir=folder, recursive=True)  # noqa: PTH207
+    return sorted(folder / match for match in found)
 
 
 def name_below(path: Path, base: Path) -> str:

@@ -1,6 +1,5 @@
 """A workflow file in the making: what files tell is written, what they do not is said."""
 
-import glob
 import json
 import re
 import textwrap
@@ -99,8 +98,7 @@ def patterns(base: Path, paths: Sequence[Path]) -> str | list[str]:
             these = sorted(p for p in paths if p.parent == place and p.suffix == suffix)
             pattern = f"*{suffix}"
             if len(these) > 1 and these == sorted(place.glob(pattern)):
-                folder = place.relative_to(base).as_posix()
-                found.append(f"{glob.escape(folder)}/{pattern}".removeprefix("./"))
+                found.append((place.relative_to(base) / pattern).as_posix())
             else:
-                found += [glob.escape(path.relative_to(base).as_posix()) for path in these]
+                found += [path.relative_to(base).as_posix() for path in these]
     return found[0] if len(found) == 1 else found

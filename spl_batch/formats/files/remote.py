@@ -5,6 +5,7 @@ or not at all. Failures of the store concern everything: they stop the run.
 """
 
 import fcntl
+import glob
 import io
 import os
 import shutil
@@ -140,6 +141,9 @@ def remove_remote(path: Path) -> None:
         with suppress(FileNotFoundError):
             if path.suffix in _OBJECTS:
                 fs.rm_file(name)
+            elif glob.has_magic(name):  # fsspec would take it for a pattern
+                for inside in fs.find(name):
+                    fs.rm_file(inside)
             else:
                 fs.rm(name, recursive=True)
 
@@ -171,7 +175,8 @@ def copy_object(path: Path, target: Path) -> None:
         inside = files_below(path)
         for part in sorted(inside, key=lambda p: (p.endswith(_METADATA), p)):
             place = target / part if part else target
-            fs.copy(f"{name}/{part}" if part else name, file_system(place)[1])
+            # Unlike cp_file, copy takes a name with brackets for a pattern.
+            fs.cp_file(f"{name}/{part}" if part else name, file_system(place)[1])
 
 
 def _put(file: Path, path: Path) -> None:

@@ -102,6 +102,25 @@ def test_terrain_of_a_cloud_that_nobody_filtered() -> None:
     assert repr(made).startswith("Rasters(dtm, dsm, chm, density: 20 x 20 cells of 2 m from west 0")
 
 
+@pytest.mark.parametrize("cell_m", [0.001, 1e-4, 0.3])
+def test_cells_that_are_too_small_are_refused(cell_m: float) -> None:
+    with pytest.raises(InputError, match="cell_m"):
+        spl_batch.rasterize(CLOUD, ground=np.ones(len(CLOUD), np.bool_), cell_m=cell_m)
+
+
+def test_points_far_off_do_not_cost_what_lies_between() -> None:
+    far = np.vstack([CLOUD, [[5e8, 5e8, 0.0]]])
+    np.testing.assert_array_equal(
+        spl_batch.ground_points(far)[: len(CLOUD)], spl_batch.ground_points(CLOUD)
+    )
+    with pytest.raises(InputError, match="cell_m"):
+        spl_batch.rasterize(far)
+    with pytest.raises(InputError, match="xyz"):
+        spl_batch.filter_points(far)
+    with pytest.raises(InputError, match="noise_density"):
+        spl_batch.filter_points(CLOUD, 1e5)
+
+
 def test_a_mask_a_class_and_labels_mean_the_same() -> None:
     labels = spl_batch.filter_points(CLOUD)
     found = [spl_batch.ground_points(CLOUD, x) for x in (labels, labels.noise_class, labels.signal)]
@@ -144,7 +163,7 @@ def test_expected_noise_elsewhere_needs_beams() -> None:
         ({"xyz": [["a", "b", "c"]]}, "give \\(n, 3\\) numbers"),
         ({"xyz": [[0.0, np.nan, 0.0]]}, "1 point not finite, the first is number 0"),
         ({"xyz": [[0.0, 0.0, 2e7]]}, "point number 0 lies at 0, 0, 2e\\+07"),
-        ({"noise_density": -1.0}, "-1 .* 0 or more"),
+        ({"noise_density": -1.0}, "-1 .* 0 to 100"),
         ({"noise_density": [0.1, 0.2]}, r"shape \(2,\)"),
         ({"xyz": CLOUD * [5e-5, 5e-5, 1] + [8.5, 47.3, 0]}, "look like degrees; reproject"),
         ({"gps_time": [0.0, 1.0]}, "gps_time: has shape"),

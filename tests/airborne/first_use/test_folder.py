@@ -76,7 +76,7 @@ def test_files_of_other_kinds_are_told_apart(tmp_path: Path) -> None:
     surveys.write_cloud(tmp_path / "earlier" / "laz" / "a.laz", line)
     (tmp_path / "earlier" / "delivered.json").write_text("{}")
     found, content = begun(tmp_path)
-    assert content["survey"]["flightlines"] == "raw [[]1]/*.laz"
+    assert content["survey"]["flightlines"] == "raw [1]/*.laz"
     summary = api.plan(found.workflow)
     assert summary.files == 2
     (fault,) = summary.faults

@@ -163,6 +163,23 @@ def test_lone_returns_far_away_lengthen_no_gate(
         np.testing.assert_allclose(found.far, sound.far, atol=1.5)
 
 
+@pytest.mark.parametrize("away_m", [-1000.0, 1000.0])
+@pytest.mark.parametrize("count", [50, 1000])
+def test_many_stray_returns_lengthen_no_gate(away_m: float, count: int) -> None:
+    flight = fly(shots=1500, gate_m=200)
+    z = flight.table["z"].copy()
+    z[np.linspace(0, len(z) - 1, count).astype(int)] += np.int32(1000 * away_m)
+    hurt = replace(flight, table=flight.table.with_columns(z=z))
+    sound, found = model_of(flight), model_of(hurt)
+    assert found.gate_m == pytest.approx(sound.gate_m, rel=0.01)
+    # What is moved is missing from the noise.
+    assert found.mean_rate == pytest.approx(sound.mean_rate, rel=0.02)
+    # Of the fewer none has more than one other in its interval.
+    said = any("beyond the range gate" in text for text in texts(found.warnings))
+    assert said == (count == 1000)
+    assert not any("beyond the range gate" in text for text in texts(sound.warnings))
+
+
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_stray_return_in_a_short_gate_that_is_stated(side: int) -> None:
     """Where hardly any noise is far enough from the surface to tell a spacing."""

@@ -9,7 +9,7 @@ from pyproj import CRS
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.airborne.tasks.checkpoints import read_named
 from spl_batch.engine.plan.input_files import name_below
-from spl_batch.errors import InputError, as_input_fault, grouped
+from spl_batch.errors import InputError, WorkflowError, as_input_fault, grouped
 from spl_batch.formats.checkpoints import Checkpoint
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.formats.las.reader import LasFacts
@@ -20,7 +20,6 @@ class CheckpointFile(NamedTuple):
 
     path: Path
     name: str
-    fault: InputError | None = None  #: Why it cannot be used as a whole.
 
 
 def named_file(settings: ReferenceSettings | None, base: Path) -> CheckpointFile | None:
@@ -36,23 +35,28 @@ def looked_into(
     crs: CRS | None,
     settings: ReferenceSettings | None,
     files: Sequence[LasFacts],
-) -> tuple[CheckpointFile | None, list[str]]:
-    """The file with its fault, if it has one, and what to say of it before the work starts.
+) -> list[str]:
+    """What to say of the file before the work starts.
 
     ``files``: those of the survey; without any nothing is read.
+
+    Raises
+    ------
+    WorkflowError
+        If the file as a whole cannot be used.
     """
     if file is None or not files:
-        return file, []
+        return []
     try:
         with as_input_fault(file.path):
             known, told = read_named(file.path, crs, settings)
-    except InputError as error:
-        return file._replace(fault=error), []
+    except InputError as fault:
+        raise WorkflowError(f"reference.checkpoints: {fault}") from None
     boxes = [(facts.mins_m, facts.maxs_m) for facts in files if facts.n_points]
     within = [any(_inside(point, *box) for box in boxes) for point in known]
     if known and not any(within):
         told.append(_elsewhere(known, boxes))
-    return file, [f"{file.name}: {text}" for text in told]
+    return [f"{file.name}: {text}" for text in told]
 
 
 def _inside(point: Checkpoint, low_m: Sequence[float], high_m: Sequence[float]) -> bool:

@@ -99,7 +99,7 @@ def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
         tuple(told_together(seen.unreadable)),
         unreadable=len(lost),
         unreadable_points=sum(lost),
-        late=tuple(told_together(inputs.compared_in_vain)),
+        late=tuple(told_together(inputs.reference.bad)),
     )
     if workflow.filter.method == "none" and not workflow.afterpulse.enabled:
         return found

@@ -6,7 +6,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import shapely
+from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs import checkpoint_file
@@ -27,7 +31,7 @@ from spl_batch.engine.plan.input_files import (
     source_key,
 )
 from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.errors import InputError, Said, WorkflowError, as_input_fault, named, shared
+from spl_batch.errors import InputError, Said, WorkflowError, as_input_fault, grouped, named, shared
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.crs import (
     compound,
@@ -84,12 +88,6 @@ class Inputs:
     breaklines: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the file of breaklines.
     geoid: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the grid of the geoid.
 
-    @property
-    def compared_in_vain(self) -> tuple[InputError, ...]:
-        """Files of reference points or checkpoints that cannot be used."""
-        fault = self.checkpoints.fault if self.checkpoints else None
-        return (*self.reference.bad, *([fault] if fault else []))
-
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     """Find and check every file of a workflow.
@@ -128,19 +126,19 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         good = []
     if workflow.survey.vertical_crs is not None and good:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
+    apart: list[str] = []
     if good:
-        _check_shapes(workflow, base, crs)
+        apart = _check_shapes(workflow, base, crs, good)
     if workflow.outputs.geoid is not None and good:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
     _refuse_no_copc(workflow, good, base)
-    warnings = [*workflow.remarks()]
+    warnings = [*workflow.remarks(), *apart]
     said = (Said(name_below(facts.path, base), text) for facts in good for text in facts.warnings)
     warnings += shared(said, "files")
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed)]
-    checkpoints, told = checkpoint_file.looked_into(checkpoints, crs, workflow.reference, good)
-    warnings += told
+    warnings += checkpoint_file.looked_into(checkpoints, crs, workflow.reference, good)
     if crs is None and good:
         warnings.append(
             "no input file carries a CRS and survey.crs is not set: rasters will have none; "
@@ -167,9 +165,19 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     )
 
 
-def _check_shapes(workflow: Workflow, base: Path, crs: CRS | None) -> None:
-    """Read every polygon and breakline once: whatever is wrong is told here, of all files."""
-    faults = []
+def _check_shapes(
+    workflow: Workflow, base: Path, crs: CRS | None, files: Sequence[LasFacts]
+) -> list[str]:
+    """Read every polygon and breakline once: whatever is wrong is told here, of all files.
+
+    An area of interest beyond the points would mark all of them as outside and is a fault; water
+    there has no effect, and is a warning.
+    """
+    faults: list[str] = []
+    warnings: list[str] = []
+    survey = shapely.box(
+        *np.transpose([[*f.mins_m[:2], *f.maxs_m[:2]] for f in files if f.n_points])
+    )
     for key, name, read in (
         ("aoi", workflow.aoi, check_polygons),
         ("water", workflow.water, check_polygons),
@@ -179,11 +187,28 @@ def _check_shapes(workflow: Workflow, base: Path, crs: CRS | None) -> None:
             continue
         try:
             with as_input_fault(base / name):
-                read(base / name, crs)
+                found = read(base / name, crs)
+            shapes = np.array(
+                [getattr(one, "area", one) if key == "breaklines" else one for one in found]
+            )
+            if len(survey) and not shapely.intersects(shapes[:, None], survey).any():
+                text = (
+                    f"{key}: {base / name}: none of its polygons meets the survey: they lie within "
+                )
+                text += f"{_extent(shapes)}, its points within {_extent(survey)}; "
+                text += "check its CRS and the order of its axes"
+                (faults if key == "aoi" else warnings).append(text)
         except InputError as fault:
             faults.append(f"{key}: {fault}")
     if faults:
         raise WorkflowError("; ".join(faults))
+    return warnings
+
+
+def _extent(shapes: NDArray[Any]) -> str:
+    """Box around shapes, in words."""
+    west, south, east, north = map(grouped, shapely.total_bounds(shapes))
+    return f"{west} to {east} E, {south} to {north} N"
 
 
 def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> None:
