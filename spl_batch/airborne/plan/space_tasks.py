@@ -202,8 +202,9 @@ def knows_reflectance(survey: Survey) -> bool:
 def deliver(survey: Survey) -> Iterator[Task]:
     """Input files, each with the tiles that hold its points."""
     tiles_of: dict[str, list[CellId]] = {}
+    built = survey.of("build_tile")
     for tile in survey.counts:
-        for source in survey.of("build_tile")[str(tile)].facts["sources"]:
+        for source in built[str(tile)].facts["sources"]:
             tiles_of.setdefault(source, []).append(tile)
     holders, (moved, first) = survey.holders(), aligned(survey)
     for source in survey.inputs.sources:
@@ -220,6 +221,7 @@ def deliver(survey: Survey) -> Iterator[Task]:
             "parts": len(receipt.facts["parts"]),
             "hash": receipt.facts["hash"],
             "tiles": {str(tile): units_of for tile, units_of in labels.items()},
+            "copies": [str(t) for t in labels if built[str(t)].facts["copies"]],
             **({"spans": receipt.facts["spans"]} if moved else {}),
         }
         needs = (*_delivery_needs(labels), *first)

@@ -133,8 +133,8 @@ def _check_channels(survey: Survey) -> None:
 def copies(survey: Survey) -> Iterator[str]:
     """Say which files hold returns twice, and which ones hold returns that others hold too."""
     counts: Counter[tuple[str, str]] = Counter()
-    for receipt in survey.of("gather").values():
-        for copy, kept, count in receipt.facts.get("copies", ()):
+    for receipt in survey.of("build_tile").values():
+        for copy, kept, count in receipt.facts["copies"]:
             counts[copy, kept] += count
     files = {str(source.key): source for source in survey.inputs.sources}
     twice = sorted(
