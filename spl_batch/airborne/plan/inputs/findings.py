@@ -42,6 +42,12 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
     if not usable or not any(r.points for r in usable.values()):
         reasons = [*told_together(survey.inputs.bad), *(r.reason for r in failures)]
         raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
+    unused = [r for r in usable.values() if r.points and r.facts["excluded"] == r.points]
+    text = "every point is withheld or of class 7 or 18, so none of them is used"
+    if sum(r.points for r in unused) == sum(r.points for r in usable.values()):
+        names = named([str(r.facts["name"]) for r in unused])
+        raise WorkflowError(f"{names}: {text}; clear the flag or the class of those that are valid")
+    yield from shared((Said(str(r.facts["name"]), text) for r in unused), "files")
     _check_channels(survey)
     yield from channels_not_named(survey)
     timeless = timeless_sources(survey)
