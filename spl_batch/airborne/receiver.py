@@ -198,9 +198,10 @@ class Imaging(Receiver[Survey, Context]):
         if phase.kind == "gather":
             if survey.has_other_stretches():
                 remember_stretch(store, survey.stretch_points)
-            yield from copies(survey)
             yield from merged_shots(survey)
             yield from looks_ahead(survey)
+        if phase.kind == "build_tile":
+            yield from copies(survey)
         if phase.kind in {"trajectory_file", "trajectory"} and not survey.of(phase.kind):
             failures = [r.reason for r in failed if r.kind == phase.kind]
             if failures:  # nothing tells where the sensor was

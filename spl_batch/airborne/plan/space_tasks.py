@@ -205,8 +205,9 @@ def knows_reflectance(survey: Survey) -> bool:
 def deliver(survey: Survey) -> Iterator[Task]:
     """Input files, each with the tiles that hold its points."""
     tiles_of: dict[str, list[CellId]] = {}
+    built = survey.of("build_tile")
     for tile in survey.counts:
-        for source in survey.of("build_tile")[str(tile)].facts["sources"]:
+        for source in built[str(tile)].facts["sources"]:
             tiles_of.setdefault(source, []).append(tile)
     holders, (moved, first) = survey.holders(), aligned(survey)
     for source in survey.inputs.sources:
@@ -224,6 +225,7 @@ def deliver(survey: Survey) -> Iterator[Task]:
             "hash": receipt.facts["hash"],
             **_header_args(source, receipt.facts),
             "tiles": {str(tile): units_of for tile, units_of in labels.items()},
+            "copies": [str(t) for t in labels if built[str(t)].facts["copies"]],
             **({"spans": receipt.facts["spans"]} if moved else {}),
         }
         needs = (*_delivery_needs(labels), *first)

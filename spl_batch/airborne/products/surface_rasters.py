@@ -332,7 +332,10 @@ def _signal(
 
 
 def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np.float64]]:
-    """Signal returns per m2, the lowest one [m], mean intensity of the first returns; or NaN."""
+    """Signal returns per m2, the lowest one [m], mean intensity; or NaN.
+
+    Intensity is that of first returns, and of all returns of a cell that has no first one.
+    """
     needed = signal.select([n for n in ("x", "y", "z", *COLUMNS_OF_INTENSITY) if n in signal])
     core = needed.take(inside(signal["x"], signal["y"], cell))
     shape = shape_of(cell, size)
@@ -346,6 +349,7 @@ def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np
     if "intensity" not in core:
         return found
     first = core["return_number"] <= 1
+    first |= np.bincount(number[first], minlength=cells)[number] == 0
     number = number[first]
     # Sums of whole numbers below 2**53 are exact in float64, in any order.
     total = np.bincount(number, weights=core["intensity"][first], minlength=cells)

@@ -214,6 +214,6 @@ def _classes(done: Receipts) -> Mapping[int, int]:
 
 
 def _time_standard(flown: Sequence[Flightline]) -> str | None:
-    """Time standard of the flightlines; None where they have no times."""
-    spans = [(line.first_s, line.last_s) for line in flown]
-    return str(time_standard(np.array(spans).ravel())) if spans else None
+    """Time standards of the flightlines; None where they have no times."""
+    found = {str(time_standard(np.array([line.first_s, line.last_s]))) for line in flown}
+    return " and ".join(sorted(found)) or None

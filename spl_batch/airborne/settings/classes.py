@@ -39,7 +39,9 @@ class ClassSettings(Section):
     overlap: bool = Field(
         False, description="Flag overlap where two flightlines or more cover a square of 5 m."
     )
-    withheld: bool = Field(False, description="Flag withheld on noise, classes 7 and 18.")
+    withheld: bool = Field(
+        False, description="Flag withheld on noise, classes 7 and 18, and on copies."
+    )
 
     @property
     def flags(self) -> bool:

@@ -25,7 +25,8 @@ from spl_batch.airborne.strips.shifted_clouds import moved_of_file, record_of
 from spl_batch.airborne.strips.strip_comparison import difference_map
 from spl_batch.airborne.tasks import index
 from spl_batch.airborne.tasks.cells import pulses
-from spl_batch.constants import NODATA, NOISE_SIGNAL
+from spl_batch.airborne.tasks.stretches import Copies
+from spl_batch.constants import FLAG_WITHHELD, NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
@@ -73,7 +74,7 @@ class _FileLabels:
         self.names = names
         self.start = self.stop = 0
         self.values: dict[str, NDArray[Any]] = {}
-        self.counts = np.zeros(256, np.int64)
+        self.counts, self.copied = np.zeros((2, 256), np.int64)
 
     def __call__(self, start: int, stop: int) -> Mapping[str, NDArray[Any]]:
         """Labels of points ``[start, stop)``."""
@@ -91,16 +92,24 @@ class _FileLabels:
             k: np.full(n, fill.get(k, np.nan), dtype=COLUMNS[k].dtype) for k in self.names
         }
         source = np.uint64(int(self.args["source"]))
-        for table in self._tiles():
+        copied = np.zeros(n, np.bool_)
+        for table, is_copy in self._tiles():
             mine = table.take(table["source"] == source)
             place = mine["index"].astype(np.int64)
             mine = mine.take((place >= self.start) & (place < self.stop))
             at = mine["index"].astype(np.int64) - self.start
             for name in self.names:
                 self.values[name][at] = mine[name]
-        _keep(self.values["classification"], self.values["noise_class"], self.context)
+            copied[at] = is_copy
+        classes, noise_class = self.values["classification"], self.values["noise_class"]
+        _keep(classes, noise_class, self.context)
+        noise_class[copied] = NOISE_NOT_ASSESSED
+        self.copied += np.bincount(classes[copied], minlength=256)
+        if self.context.workflow.classes.withheld:
+            self.values["set_flags"][copied] |= FLAG_WITHHELD
 
-    def _tiles(self) -> Iterator[PointTable]:
+    def _tiles(self) -> Iterator[tuple[PointTable, bool]]:
+        """Points of each tile that count, and their copies with the same labels."""
         store, columns = self.context.store, ("source", "index")
         with LabelFiles(store) as files:
             for tile, units in self.args["tiles"].items():
@@ -109,7 +118,11 @@ class _FileLabels:
                     name: "classes" if name in of_classes else "noise" for name in self.names
                 }
                 labels = {name: [(kind, u) for u in units[kind]] for name, kind in holders.items()}
-                yield read_labelled_tile(store, parse_cell(tile), columns, labels, files)
+                table = read_labelled_tile(store, parse_cell(tile), columns, labels, files)
+                yield table, False
+                if tile in self.args["copies"]:
+                    copies = Copies(**read_arrays(store.path("copies", f"{tile}.npz")))
+                    yield copies.of(table), True
 
 
 def _keep(
@@ -167,11 +180,12 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             added_dimensions(record_layout(header), diagnostics=diagnostics),
         )
     )
+    labels.copied[KEEP_BUT_GROUND:] = 0
     facts = {
         "name": args["delivered"],
         "points": written,
         "noise_class": _nonzero(labels.counts),
-        "classes": _nonzero(classes),
+        "classes": _nonzero(classes - labels.copied),
         "records_left_out": broken.total(),
         "header_changes": header_changes(header, copy),
         "warnings": [*_of_header(broken, "left out of"), *_of_header(mended, "so in")],

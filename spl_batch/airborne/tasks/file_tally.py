@@ -157,7 +157,8 @@ class Tally:
             for span in listed:
                 apart_s = max(span[0] - middle, middle - span[1])
                 few = span[2] < SEASON_POINTS
-                far = apart_s > FLOWN_S or (few and apart_s > YEAR_S)
+                unset = span[0] == span[1] == 0.0
+                far = unset or apart_s > FLOWN_S or (few and apart_s > YEAR_S)
                 (found.astray if far else found.near.setdefault(psid, [])).append(span)
         return _without_scattered(found, 0 if self.counts["lone"] else SPANS_FEW)
 

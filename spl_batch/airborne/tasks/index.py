@@ -113,7 +113,12 @@ def _without_time(known: Mapping[str, Any]) -> list[Remark]:
         return []
     why = "not finite, or beyond 1e10 s"
     if known["astray_s"]:
-        why = f"such as {known['astray_s'][0]:.6g} s, more than a year from most"
+        first_s = known["astray_s"][0]
+        why = (
+            f"such as {first_s:.6g} s, more than a year from most"
+            if first_s
+            else "0 s, which is none"
+        )
     if known["lone"]:
         why = f"scattered over more than {SPANS_FEW} times, with few points at each"
     many = known["timeless"] > 1

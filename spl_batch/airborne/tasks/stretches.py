@@ -5,11 +5,11 @@ to prove that it can be, keeps what it finds, and a stretch is read from there a
 needed, with the columns that are.
 """
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.formats.gps_clock import usable_times
@@ -64,9 +64,16 @@ def add_points(writer: GroupWriter, table: PointTable) -> None:
         writer.write(table.take(slice(start, start + step)).columns)
 
 
-Copies = Counter[tuple[int, int]]
-"""Returns of a file that it, or another one, holds already, by the keys of both, the one that they
-are taken from last [count]."""
+class Copies(NamedTuple):
+    """Returns that a file holds although it, or another one, holds them already: k copies."""
+
+    row: NDArray[np.intp]  #: (k,): which of the returns that count they are copies of.
+    source: NDArray[np.uint64]  #: (k,): key of the file of each.
+    index: NDArray[np.uint32]  #: (k,): its number in the file.
+
+    def of(self, table: PointTable) -> PointTable:
+        """Copies with all that the returns that count have, but for their own file and number."""
+        return table.take(self.row).with_columns(source=self.source, index=self.index)
 
 
 def read_stretch(
@@ -90,7 +97,7 @@ def read_stretch(
     -------
     table : PointTable
         The points.
-    copies : Counter
+    copies : Copies
         What is left out.
     """
     clock = ShotClock(args["t0_s"], args["prf_hz"])
@@ -112,22 +119,33 @@ def _once(table: PointTable, ranked: Sequence[int]) -> tuple[PointTable, Copies]
 
     ``ranked``: keys of the files; of equal returns that of the first one counts.
     """
+    again = repeats(table, TIME_ORDER[: TIME_ORDER.index("source")])
+    if again.any():
+        rank = np.empty(len(table), np.int64)
+        for place, key in enumerate(ranked):
+            rank[table["source"] == key] = place
+        # The order within each file stands.
+        table = table.take(np.lexsort([rank, np.cumsum(~again)]))
+    return without_copies(table, again)
+
+
+def repeats(table: PointTable, names: Sequence[str]) -> NDArray[np.bool_]:
+    """Which rows have the values of the one before them, no time being one: (n,) bool."""
     again = np.ones(len(table), np.bool_)
     again[:1] = False
-    for name in TIME_ORDER[: TIME_ORDER.index("source")]:
-        again[1:] &= table[name][1:] == table[name][:-1]
+    for name in names:
         if not again.any():
-            return table, Counter()
-    rank = np.empty(len(table), np.int64)
-    for place, key in enumerate(ranked):
-        rank[table["source"] == key] = place
-    # The order within each file stands.
-    table = table.take(np.lexsort([rank, np.cumsum(~again)]))
-    source = table["source"]
-    starts = np.flatnonzero(~again)
-    first = np.repeat(source[starts], np.diff(starts, append=len(source)))
-    pairs = zip(source[again].tolist(), first[again].tolist(), strict=True)
-    return table.take(~again), Counter(pairs)
+            break
+        now, before = table[name][1:], table[name][:-1]
+        again[1:] &= (now == before) | (np.isnan(now) & np.isnan(before))
+    return again
+
+
+def without_copies(table: PointTable, again: NDArray[np.bool_]) -> tuple[PointTable, Copies]:
+    """Rows that count, and copies of them, which follow them: ``again``, (n,) bool."""
+    row = (np.cumsum(~again) - 1)[again]
+    copies = Copies(row, table["source"][again], table["index"][again])
+    return table.take(~again) if len(row) else table, copies
 
 
 def _pieces(

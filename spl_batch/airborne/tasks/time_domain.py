@@ -26,7 +26,7 @@ from spl_batch.airborne.settings import DccSettings
 from spl_batch.airborne.store.voxel_parts import write_voxels
 from spl_batch.airborne.tasks import lines_of_sight
 from spl_batch.airborne.tasks.index import CHUNK_POINTS
-from spl_batch.airborne.tasks.stretches import read_stretch
+from spl_batch.airborne.tasks.stretches import read_stretch, repeats, without_copies
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.formats.las.reader import iter_points
@@ -40,6 +40,7 @@ from spl_batch.formats.verified.parquet_npz import (
 from spl_batch.lattice.eastings import slabs_of
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import (
+    CANONICAL_ORDER,
     EXCLUDED,
     SOURCE_COLUMNS,
     TILE_COLUMNS,
@@ -47,7 +48,6 @@ from spl_batch.lattice.tables import (
     PointFlag,
     PointTable,
     ShotClock,
-    canonical_order,
     concat,
     rows_of,
 )
@@ -56,14 +56,16 @@ from spl_batch.lattice.tiles import cell_index, quanta
 GROUP_POINTS = 16_384
 """Points of a row group of a tile [count]: a halo is read from few."""
 
+ALIKE = (*CANONICAL_ORDER[:-2], "point_source_id", "intensity")
+"""Sort keys of a tile, first one first; points alike in all of them are copies."""
+
 _POINT_COLUMNS = tuple(name for name in TILE_COLUMNS if name in SOURCE_COLUMNS)
 
 
 def gather(args: Mapping[str, Any], context: Context) -> Produced:
     """Look at a stretch's points from every file that has some, and observe their noise."""
-    table, copies = read_stretch(args, context, lines_of_sight.columns(args))
-    again = [[str(copy), str(kept), count] for (copy, kept), count in sorted(copies.items())]
-    facts: dict[str, Any] = {"points": len(table), "uncovered": 0, "copies": again}
+    table, _ = read_stretch(args, context, lines_of_sight.columns(args))
+    facts: dict[str, Any] = {"points": len(table), "uncovered": 0}
     if not len(table):
         return Produced((), facts)
     if args["beamlets"] > 1:
@@ -136,9 +138,11 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     """Line noise density, voxel deposits and afterpulses of a stretch; points by tile."""
     if args["timeless"]:
         path = context.store.path("stretches", f"{args['stretch']}.parquet")
-        table = read_table(path, SOURCE_COLUMNS)
+        table, copies = read_table(path, SOURCE_COLUMNS), None
     else:
-        table, _ = read_stretch(args, context, (*_POINT_COLUMNS, *lines_of_sight.columns(args)))
+        table, copies = read_stretch(
+            args, context, (*_POINT_COLUMNS, *lines_of_sight.columns(args))
+        )
     outputs: list[Path] = []
     facts: dict[str, Any] = {"tiles": {}}
     zeros = np.zeros(len(table), np.float32)
@@ -149,14 +153,16 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     if len(table) and not args["timeless"]:
         table, parts = _assess(table, args, context, facts)
         outputs.extend(parts)
-    table = _mark_places(table, context)
+    table = _mark_places(table, context).select(TILE_COLUMNS)
+    if copies is not None and len(copies.row):
+        table = concat([table, copies.of(table)], TILE_COLUMNS)
     tile_q = quanta(context.workflow.tiling.tile_m)
     i, j = cell_index(table["x"], tile_q), cell_index(table["y"], tile_q)
     order = lexicographic_order((j, i))
     table, i, j = table.take(order), i[order], j[order]
     starts = [0, *(np.flatnonzero((np.diff(i) != 0) | (np.diff(j) != 0)) + 1).tolist()]
     path = context.store.path("scatter", f"{args['stretch']}.parquet")
-    write_table(path, table.select(TILE_COLUMNS), group_starts=starts, sought=())
+    write_table(path, table, group_starts=starts, sought=())
     ends = [*starts[1:], len(table)]
     if len(table):
         facts["tiles"] = {
@@ -167,14 +173,24 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
 
 
 def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
-    """Join a tile's points from the stretches, in canonical order."""
+    """Join a tile's points from the stretches, in canonical order, each of them once.
+
+    Copies of a stretch follow the returns that count; of files without times the first one counts.
+    """
     pieces = [
         read_table(context.store.path("scatter", f"{stretch}.parquet"), TILE_COLUMNS, [group])
         for stretch, group in args["pieces"]
     ]
     table = concat(pieces, TILE_COLUMNS)
-    table = table.take(canonical_order(table))
+    table = table.take(lexicographic_order([table[name] for name in ALIKE]))
+    table, copies = without_copies(table, repeats(table, ALIKE))
     path = context.store.tile(args["tile"])
+    outputs = [path]
+    if len(copies.row):
+        outputs.append(context.store.path("copies", f"{args['tile']}.npz"))
+        write_arrays(outputs[-1], copies._asdict())
+    pairs = np.stack([copies.source, table["source"][copies.row]], axis=1)
+    pairs, counts = np.unique(pairs, axis=0, return_counts=True)
     starts = np.arange(0, max(len(table), 1), GROUP_POINTS)
     write_table(path, table, group_starts=starts.tolist(), sought=("x",))
     facts = {
@@ -184,8 +200,9 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
         "outside_aoi": int(np.count_nonzero(table.has(PointFlag.OUTSIDE_AOI))),
         "no_beam": int(np.count_nonzero(table.has(PointFlag.NO_BEAM))),
         "sources": sorted({str(s) for piece in pieces for s in _different(piece["source"])}),
+        "copies": [[*map(str, p), n] for p, n in zip(pairs.tolist(), counts.tolist(), strict=True)],
     }
-    return Produced([path], facts, len(table))
+    return Produced(outputs, facts, len(table))
 
 
 def _different(values: NDArray[np.uint64]) -> list[int]:

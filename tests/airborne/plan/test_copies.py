@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,6 +34,8 @@ def test_a_file_that_is_delivered_twice_counts_once(small: Path, small_output: P
     wanted = alone[names[0]]
     for key, values in wanted.items():
         assert np.array_equal(got[kept][key], values, equal_nan=values.dtype.kind == "f"), key
+    classes = surveys.delivered(result.output)
+    assert np.array_equal(classes[copy]["classification"], classes[kept]["classification"])
     assert not assessed(result.output)[copy].any()
     assert assessed(result.output)[kept].sum() == assessed(small_output)[names[0]].sum() > 0
     for name, raster in surveys.rasters(small_output).items():
@@ -93,7 +96,8 @@ def test_points_that_a_file_holds_twice_count_once(
     name = f"lines/{path.name}"
     cloud = surveys.delivered(result.output)[name]
     assert np.all(cloud["input_classification"] == 2)
-    assert np.all(cloud["classification"][size:] == 1), "class 2 is ground that this run found"
+    of_originals = np.tile(cloud["classification"][40:60], times)
+    assert np.array_equal(cloud["classification"][size:], of_originals)
     found = assessed(result.output)[name]
     alone = assessed(small_output)[name]
     assert np.array_equal(found[:size], alone)
@@ -125,7 +129,7 @@ def test_of_many_files_that_overlap_few_are_named(small: Path) -> None:
         piece = surveys.take(columns, slice(k * 100, (k + 1) * 100 + shared + k))
         surveys.write_cloud(path.with_name(f"tile_{k}.laz"), piece)
     events: list[Event] = []
-    surveys.run(small, until="shots", listener=events.append)
+    surveys.run(small, until="shuffle", listener=events.append)
     texts = [e.text for e in events if isinstance(e, Note)]
     (said,) = [text for text in texts if "returns are in both" in text]
     assert said.startswith("7 pairs of files (lines/tile_")
@@ -159,3 +163,34 @@ def test_a_copy_in_another_place_is_called_so(tmp_path: Path) -> None:
     (said,) = [text for text in texts if "same time and channel" in text]
     assert "lie more than 10 km apart, as where a file is a copy in another place" in said
     assert not any("afterpulses" in text for text in texts)
+
+
+def linear_mode(survey: Path) -> dict[str, Any]:
+    """Delivered columns of a survey that is not filtered, and its density, by name."""
+    result = surveys.run(survey, "filter.method=none", "afterpulse.enabled=false")
+    assert result.exit_status == 0
+    found = dict(surveys.delivered(result.output))
+    return {
+        "density": surveys.rasters(result.output)["density.tif"],
+        "report": result.report,
+        **found,
+    }
+
+
+@pytest.mark.parametrize("point_format", [0, 6])
+def test_copies_in_linear_mode_count_once(tmp_path: Path, point_format: int) -> None:
+    columns = surveys.flightline(shots=120, psid=1, seed=1, noise=0.0)
+    size = len(columns["x"])
+    for folder, times in (("once", 1), ("again", 2)):
+        twice = surveys.join(*[{**columns, "classification": np.full(size, 5, np.uint8)}] * times)
+        cloud = tmp_path / folder / "lines/a.laz"
+        surveys.write_cloud(cloud, twice, point_format=point_format, channel=False)
+        surveys.write_workflow(tmp_path / folder, survey={"channel_dimension": None})
+    shutil.copy(cloud, cloud.with_name("b.laz"))
+    once, again = (linear_mode(tmp_path / folder / "workflow.yaml") for folder in ("once", "again"))
+    assert again["density"][0] == once["density"][0]
+    assert again["report"].counts.ground == once["report"].counts.ground > 0
+    assert again["report"].counts.not_assessed == 3 * size
+    for name in ("lines/a.laz", "lines/b.laz"):
+        got = again[name]["classification"].reshape(2, size)
+        assert np.array_equal(got, np.tile(once["lines/a.laz"]["classification"], (2, 1)))

@@ -1,10 +1,12 @@
 """What receipts say of flightlines against each other, added up by hand."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from spl_batch.airborne.report.good_enough import _swaths
+from spl_batch.airborne.report.good_enough import _swaths, _time_standard
 from spl_batch.airborne.strips.strip_report import StripPair
 
 
@@ -26,3 +28,11 @@ def test_pairs_count_by_their_places() -> None:
     assert found.where == "1 and 2 at 12 E, 34 N"
     assert (found.pairs, found.places) == (2, 40)
     assert _swaths([pair("1", "3", 0, None, 0.3)]) is None
+
+
+def test_a_file_in_week_time_among_adjusted_ones_shows() -> None:
+    adjusted, week = ((3.7e8, 3.7e8 + 60), (2e5, 2e5 + 60))
+    spans = [SimpleNamespace(first_s=first, last_s=last) for first, last in (adjusted, week)]
+    flown: Any = spans
+    assert _time_standard(flown) == "adjusted and week"
+    assert _time_standard(flown[:1]) == "adjusted"

@@ -42,6 +42,12 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
     if not usable or not any(r.points for r in usable.values()):
         reasons = [*told_together(survey.inputs.bad), *(r.reason for r in failures)]
         raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
+    unused = [r for r in usable.values() if r.points and r.facts["excluded"] == r.points]
+    text = "every point is withheld or of class 7 or 18, so none of them is used"
+    if sum(r.points for r in unused) == sum(r.points for r in usable.values()):
+        names = named([str(r.facts["name"]) for r in unused])
+        raise WorkflowError(f"{names}: {text}; clear the flag or the class of those that are valid")
+    yield from shared((Said(str(r.facts["name"]), text) for r in unused), "files")
     _check_channels(survey)
     yield from channels_not_named(survey)
     timeless = timeless_sources(survey)
@@ -133,8 +139,8 @@ def _check_channels(survey: Survey) -> None:
 def copies(survey: Survey) -> Iterator[str]:
     """Say which files hold returns twice, and which ones hold returns that others hold too."""
     counts: Counter[tuple[str, str]] = Counter()
-    for receipt in survey.of("gather").values():
-        for copy, kept, count in receipt.facts.get("copies", ()):
+    for receipt in survey.of("build_tile").values():
+        for copy, kept, count in receipt.facts["copies"]:
             counts[copy, kept] += count
     files = {str(source.key): source for source in survey.inputs.sources}
     twice = sorted(
