@@ -1,10 +1,14 @@
 """What receipts say of flightlines against each other, added up by hand."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from spl_batch.airborne.report.good_enough import _swaths
+from spl_batch.airborne.report.good_enough import _swaths, checkpoint_warnings
+from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
+from spl_batch.airborne.settings.requirements import RequirementSettings
 from spl_batch.airborne.strips.strip_report import StripPair
 
 
@@ -26,3 +30,21 @@ def test_pairs_count_by_their_places() -> None:
     assert found.where == "1 and 2 at 12 E, 34 N"
     assert (found.pairs, found.places) == (2, 40)
     assert _swaths([pair("1", "3", 0, None, 0.3)]) is None
+
+
+@pytest.mark.parametrize(("error_m", "warned"), [(-2.5, True), (0.31, True), (0.25, False)])
+def test_a_checkpoint_with_a_blunder_is_warned_of(error_m: float, *, warned: bool) -> None:
+    errors = [("a", 0.01), ("b", -0.02), ("p17", error_m)]
+    tested = Checkpoints(
+        statement="", nva=CheckpointStatistics(n=3), vva=CheckpointStatistics(n=0),
+        points=tuple(
+            Checkpoint(id=name, x_m=1.0, y_m=2.0, z_m=3.0, surface="open", error_m=error,
+                       outlier=name == "p17")
+            for name, error in errors
+        ),
+    )  # fmt: skip
+    context: Any = SimpleNamespace(workflow=SimpleNamespace(requirements=RequirementSettings()))
+    said = list(checkpoint_warnings(tested, context))
+    assert len(said) == warned
+    assert all("p17" in text and f"{100 * error_m:.1f} cm" in text for text in said)
+    assert not list(checkpoint_warnings(None, context))
