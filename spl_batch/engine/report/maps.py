@@ -322,14 +322,8 @@ def furnish(
     label = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
     halo = [_halo(2.6)]
     left, base = west + 0.035 * wide, south + 0.04 * max(high, wide * 0.3)
-    axes.plot(
-        [left, left + length],
-        [base, base],
-        color=style.INK,
-        linewidth=2.2,
-        solid_capstyle="butt",
-        path_effects=[_halo(4.6)],
-    )
+    ends: dict[str, Any] = {"solid_capstyle": "butt", "path_effects": [_halo(4.6)]}
+    axes.plot([left, left + length], [base, base], color=style.INK, linewidth=2.2, **ends)
     axes.annotate(
         label,
         (left + (0 if narrow else length / 2), base),
