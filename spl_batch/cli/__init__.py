@@ -19,7 +19,7 @@ from click.shell_completion import get_completion_class
 from spl_batch.cli import document
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
 from spl_batch.cli.first_use import denoise, init
-from spl_batch.cli.lines import say_error
+from spl_batch.cli.lines import DRAWN, say_error
 from spl_batch.cli.options import CLOCK, OUTPUT, SETTINGS, WORKFLOW, limits
 from spl_batch.errors import SplBatchError, told_by_system
 
@@ -27,7 +27,7 @@ _AGAIN_S = 0.05
 """After so long an interrupt that was dropped comes again [s]."""
 
 _LOADING = "loading, and reading the headers of the inputs"
-_STOPPING = "\nstopping"
+_STOPPING = "stopping"
 _CONTINUES = frozenset({"run", "quickstart", "compare", "denoise"})
 """Commands that go on where they stopped."""
 
@@ -361,8 +361,10 @@ def _ended_in_order(told: threading.Event, saying: str) -> Iterator[None]:
     def interrupt(*_: object) -> None:
         if not told.is_set():
             # Nothing else may write here: the interrupt may have come amid a line of the console.
+            for show in DRAWN:
+                show(saying)
             with suppress(OSError):  # of a terminal that is gone
-                os.write(2, f"{saying}\n".encode())
+                os.write(2, b"" if DRAWN else f"\n{saying}\n".encode())
         told.set()
         raise KeyboardInterrupt
 

@@ -1,6 +1,7 @@
 """How long a command takes, from Enter to prompt: imports count, and so do workers that end."""
 
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -52,7 +53,8 @@ class CommandClock:
 @contextmanager
 def saying_if_slow(text: str, after_s: float = SLOW_S) -> Iterator[Callable[[], None]]:
     """Say on standard error what is done if it is not done soon; call what is given once it is."""
-    timer = threading.Timer(after_s, lambda: click.echo(f"info: {text}", err=True))
+    # Named, as rich puts another in its place while a view is drawn; click looks behind that.
+    timer = threading.Timer(after_s, lambda: click.echo(f"info: {text}", sys.stderr, err=True))
     timer.daemon = True
     timer.start()
     try:

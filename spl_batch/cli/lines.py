@@ -5,6 +5,7 @@ it nor be flooded by it.
 """
 
 import textwrap
+from collections.abc import Callable
 from typing import Final
 
 import click
@@ -25,6 +26,12 @@ _WORD_MAX: Final = LINE_MAX - 4
 
 _FAULT_MAX: Final = 2 * LINE_MAX - 40
 """Characters of a fault [count]."""
+
+DRAWN: Final[list[Callable[[str], None]]] = []
+"""Of views that are drawn again and again at present: shows that the command is being stopped.
+
+What another writes between their lines makes them appear twice.
+"""
 
 
 def screen_lines(text: str) -> list[str]:

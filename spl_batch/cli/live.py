@@ -1,97 +1,23 @@
-"""The live view of a run: stages, a map of tiles by state, workers, failures, time left."""
+"""The live view of a run: stages, workers, failures, time left."""
 
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-import numpy as np
-from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.console import Group, RenderableType
 from rich.progress_bar import ProgressBar
-from rich.segment import Segment
-from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
 from spl_batch.cli.lines import screen_lines
 from spl_batch.engine.report.number_format import as_ascii, large
 from spl_batch.engine.watch.status import FailedTask, RunStatus, StageStatus
-from spl_batch.engine.watch.tile_map import State, TileMap
 from spl_batch.errors import counted, grouped
-
-COLOURS: Final = {
-    State.NOTHING: None,
-    State.WAITING: "grey42",
-    State.PARTLY: "dark_cyan",
-    State.RUNNING: "yellow3",
-    State.DONE: "green4",
-    State.FAILED: "red3",
-}
-"""Colours of the map."""
 
 TOLD_FROM_S: Final = 10.0
 """Below this no rate tells how long a run takes: workers have to start, reports are drawn [s]."""
 
-SIGNS: Final = {
-    State.NOTHING: " ",
-    State.WAITING: ".",
-    State.PARTLY: "-",
-    State.RUNNING: "o",
-    State.DONE: "#",
-    State.FAILED: "X",
-}
-"""What the map is drawn with where there are no colours."""
-
-WORDS: Final = {
-    State.WAITING: "waiting",
-    State.PARTLY: "partly done",
-    State.RUNNING: "running",
-    State.DONE: "done",
-    State.FAILED: "failed",
-}
-
-_UNITS: Final = {  # of kinds that are not named here, the kind and "tiles"
-    "build_tile": ("shuffle", "tiles"),
-    "denoise": ("denoise", "blocks"),
-    "ground": ("ground", "cells"),
-    "surface": ("surfaces", "cells"),
-    "deliver_tile": ("deliver", "tiles"),
-}
-
 SHOWN: Final = 5
 """Failures and running tasks that are named [count]."""
-
-
-class Map:
-    """Draws a :class:`TileMap`: two rows of cells in a line of text where there are colours."""
-
-    def __init__(self, tiles: TileMap) -> None:
-        self._states = tiles.states()
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Draw, no wider than there is room for."""
-        states = self._states[:, : max(options.max_width - 2, 1)]
-        if console.color_system is None:
-            for row in states.tolist():
-                yield Segment("  " + "".join(SIGNS[State(s)] for s in row).rstrip())
-                yield Segment.line()
-            return
-        if len(states) % 2:
-            states = np.vstack([states, np.full_like(states[:1], State.NOTHING)])
-        for upper, lower in zip(states[::2].tolist(), states[1::2].tolist(), strict=True):
-            yield Segment("  ")
-            for above, below in zip(upper, lower, strict=True):
-                yield _pair(COLOURS[State(above)], COLOURS[State(below)])
-            yield Segment.line()
-
-
-def _pair(above: str | None, below: str | None) -> Segment:
-    """Two cells, one above the other, as one character."""
-    if above is None and below is None:
-        return Segment(" ")
-    if above is None:
-        return Segment("▄", Style.parse(str(below)))
-    if below is None:
-        return Segment("▀", Style.parse(above))
-    return Segment("▀", Style.parse(f"{above} on {below}"))
 
 
 def draw(status: RunStatus) -> RenderableType:
@@ -100,18 +26,16 @@ def draw(status: RunStatus) -> RenderableType:
 
 
 def details(status: RunStatus, *, working: bool = True) -> list[RenderableType]:
-    """Maps and failed tasks; of a run that was not killed workers, running tasks, time left too."""
-    parts: list[RenderableType] = maps(status) if status.tiles else []
-    if working:
-        parts += [Text(line, style="dim") for line in _facts(status)]
-    return [*parts, *failed_lines(status.failures)]
+    """Failed tasks; of a run that was not killed workers, running tasks, time left too."""
+    facts = [Text(line, style="dim") for line in _facts(status)] if working else []
+    return [*facts, *failed_lines(status.failures)]
 
 
 def bars(stages: Iterable[StageStatus]) -> Table:
-    """One line for each stage that has begun."""
+    """One line for each stage that has begun; on a narrow screen the bars are shorter."""
     table = Table.grid(padding=(0, 1))
-    table.add_column(justify="right", min_width=10)
-    table.add_column(width=28)
+    table.add_column(justify="right", min_width=10, no_wrap=True)
+    table.add_column(max_width=28)
     for _ in range(4):
         table.add_column(no_wrap=True)
     for stage in stages:
@@ -121,37 +45,13 @@ def bars(stages: Iterable[StageStatus]) -> Table:
         rate = stage.points_per_s
         table.add_row(
             stage.stage,
-            ProgressBar(total=stage.total or 1, completed=stage.total - stage.left, width=28),
+            ProgressBar(total=stage.total or 1, completed=stage.total - stage.left),
             Text(f"{stage.total - stage.left}/{stage.total}", style="green"),
             Text(speed(rate) if rate else "", style="cyan"),
             Text(taken(stage) if stage.total else "", style="yellow"),
             Text(f"{duration(stage.left_s)} left") if round(stage.left_s) else failed,
         )
     return table
-
-
-def maps(status: RunStatus) -> list[RenderableType]:
-    """Map of the latest kind of task, and of those before it where something failed."""
-    *before, latest = status.tiles
-    shown = [kind for kind in before if status.tiles[kind].failed.any()]
-    parts: list[RenderableType] = []
-    for kind in (*shown[-1:], latest):
-        tiles = status.tiles[kind]
-        stage, word = _UNITS.get(kind, (kind, "tiles"))
-        size = f"{tiles.edge_m:g} m"
-        title = Text(f"  {stage}: {word} of {size}")
-        if tiles.step > 1:
-            title.append(f", {tiles.step} x {tiles.step} in a mark")
-        parts += [title, Map(tiles)]
-    return [*parts, _legend()]
-
-
-def _legend() -> Text:
-    text = Text("  ")
-    for state, word in WORDS.items():
-        text.append(SIGNS[state], style=COLOURS[state] or "")
-        text.append(f" {word}  ", style="dim")
-    return text
 
 
 def _facts(status: RunStatus) -> list[str]:

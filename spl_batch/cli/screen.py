@@ -205,6 +205,7 @@ def _whole(status: "RunStatus") -> RenderableType:
     """State by stage as a table, and all else that the live view shows."""
     done = "done" if status.delivered is None else "was done"
     table = Table("stage", done, "failed", "left", "points/s", "elapsed", "time left", box=None)
+    table.columns[0].no_wrap = True
     for stage in status.rows:
         table.add_row(
             stage.stage,

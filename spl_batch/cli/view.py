@@ -85,6 +85,7 @@ class View:
         self._status = RunStatus()
         self._simulated = StageStatus("simulate")
         self._over = self._runs = False
+        self._stopping = ""
         self._compiled: Compiled | None = None
         self._heard_s = time.time()
 
@@ -118,6 +119,10 @@ class View:
         elif isinstance(event, WorkersReady) and event.dashboard:
             self._print(f"info: dask dashboard: {event.dashboard}", "dim")
 
+    def stop(self, text: str) -> None:
+        """From now on draw that the run is being stopped; a signal's handler may call it."""
+        self._stopping = text
+
     def over(self) -> None:
         """From now on draw what stays on the screen: the stages."""
         self._over = True
@@ -125,12 +130,13 @@ class View:
     def draw(self) -> RenderableType:
         """The view as it is now."""
         with self._lock:
+            self._status.advance(time.time())
             if self._simulates:
-                self._simulated.latest_s = time.time()  # it goes on while nothing is heard of it
+                self._simulated.now_s = time.time()
             stages = bars([self._simulated, *self._status.rows])
             if self._over:
                 return stages
-            if not self._status.running:
+            if self._stopping or not self._status.running:
                 return Group(stages, self._between())
             return Group(stages, *details(self._status))
 
@@ -141,6 +147,8 @@ class View:
 
     def _between(self) -> Text:
         """What is done where no task runs, and for how long: that it is alive."""
+        if self._stopping:
+            return Text(f"  {self._stopping}")
         if self._compiled is not None:
             return Text(f"  {self._compiled}", style="dim")
         quiet_s = time.time() - self._heard_s

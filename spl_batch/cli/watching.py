@@ -1,5 +1,6 @@
 """Watching a run while it works: on a terminal, in a log, or below a notebook's cell."""
 
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -9,18 +10,15 @@ from typing import Any
 from rich.live import Live
 
 from spl_batch.cli.console import PlainConsole, is_screen
-from spl_batch.cli.notebook import NotebookView
+from spl_batch.cli.lines import DRAWN
 from spl_batch.cli.view import BEAT_S, PlainView, View
 
 _ERR = PlainConsole(stderr=True)
 
-REFRESH_PER_S = 4.0
-"""How often the view is drawn where it has changed; events between are only counted [1/s]."""
-
 
 @contextmanager
 def watching() -> Iterator[View]:
-    """Show what happens while the block runs: on standard error, or below a notebook's cell.
+    """Show what happens while the block runs: on standard error, as lines below a notebook's cell.
 
     Yields
     ------
@@ -28,15 +26,9 @@ def watching() -> Iterator[View]:
         Its ``on_event`` is the ``listener`` of a verb, its ``simulated`` the ``progress`` of a
         simulation.
     """
-    if _ERR.is_jupyter:
-        shown = NotebookView()
-        try:
-            yield shown
-        finally:
-            shown.over()
-        return
-    if not is_screen(_ERR):
-        plain, over = PlainView(_ERR), threading.Event()
+    console = PlainConsole(file=sys.stdout, force_jupyter=False) if _ERR.is_jupyter else _ERR
+    if not is_screen(console):
+        plain, over = PlainView(console), threading.Event()
 
         def beat() -> None:
             while not over.wait(BEAT_S / 10):
@@ -49,28 +41,13 @@ def watching() -> Iterator[View]:
             over.set()
         return
     view = View(_ERR)
-    with Live(
-        console=_ERR, get_renderable=view.draw, auto_refresh=False, vertical_overflow="crop"
-    ) as live:
-        over = threading.Event()
-        drawing = threading.Thread(target=_draw, args=(view, live, over), daemon=True)
-        drawing.start()
+    with Live(console=_ERR, get_renderable=view.draw, vertical_overflow="crop"):
+        DRAWN.append(view.stop)
         try:
             yield view
         finally:
-            over.set()
-            drawing.join()
+            DRAWN.remove(view.stop)
             view.over()
-
-
-def _draw(view: View, live: Live, over: threading.Event) -> None:
-    """Draw the view again and again where it has changed: a terminal may be recorded."""
-    seen = None
-    while not over.wait(1 / REFRESH_PER_S):
-        now = live.console.render_lines(view.draw())
-        if now != seen:
-            seen = now
-            live.refresh()
 
 
 def shown(verb: Callable[..., Any], tellers: Sequence[str]) -> Callable[..., Any]:

@@ -195,7 +195,9 @@ def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:
         compiled, loaded = Ahead(some_left, "compiling"), Ahead(none_left, "loading")
         compiled.share_out(client, addresses, told)  # type: ignore[arg-type]
         loaded.share_out(client, addresses, told)  # type: ignore[arg-type]
-    assert told.notes == ["alone: 1 share", "compiling: share 1 of 2"]
+    assert told.notes == ["alone: 1 share", "compiling: share 1 of 2", "compiling"], (
+        "what loads says nothing"
+    )
     assert compiled.took_s is not None
     assert compiled.took_s >= 0.2
     assert told.counts[-1] == (4, 4), "steps of both shares, added up"

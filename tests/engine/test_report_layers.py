@@ -11,7 +11,7 @@ from spl_batch.engine.report.layers import layers
 from spl_batch.engine.report.maps import Raster, draw_ramp, map_place
 from spl_batch.engine.report.parts import Failure
 from spl_batch.engine.report.picture import Picture
-from spl_batch.engine.watch.tile_map import extent_m
+from spl_batch.engine.verbs.failures import extent_m
 
 
 def failure(extent: tuple[float, float, float, float] | None) -> Failure:

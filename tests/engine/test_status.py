@@ -1,13 +1,16 @@
-"""What is told of a run while it works: state, maps, log, screen; and who works where."""
+"""What is told of a run while it works: state, log, screen; and who works where."""
 
 import io
 import json
 import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +19,11 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from rich.console import Console
 
-from spl_batch import api
+from spl_batch import api, cli
 from spl_batch.cli import document, live, screen, view, watching
+from spl_batch.cli.clock import saying_if_slow
 from spl_batch.engine.store.output_lock import holder, lock_file, locked
 from spl_batch.engine.store.working_store import IDENTITY, Store, write_receipt
 from spl_batch.engine.tasks.task import Receipt, Task
@@ -42,7 +44,6 @@ from spl_batch.engine.watch.events import (
 from spl_batch.engine.watch.log_follower import Follower
 from spl_batch.engine.watch.progress import end_last_line
 from spl_batch.engine.watch.status import RunStatus, StageStatus
-from spl_batch.engine.watch.tile_map import COLUMNS, ROWS, State, TileMap
 from spl_batch.errors import WorkflowError
 from tests import surveys
 
@@ -53,13 +54,10 @@ def ended(name: str, reason: str = "", kind: str = "denoise", points: int = 100)
 
 def a_run() -> list[Any]:
     """Half of a denoise phase: six blocks, one was done before, one fails, one runs."""
-    names = [f"{i}_{j}" for i in range(3) for j in range(2)]
-    tiles = TileMap.of(names[1:], names[:1], 100.0)
-    assert tiles is not None
     return [
         RunStarted("w.yaml", 2, "0.1+x", {"denoise": 10.0, "ground": 30.0}),
         WorkersReady("", "http://127.0.0.1:1/status"),
-        PhaseStarted("denoise", "denoise", 5, 1, 500, tiles.record()),
+        PhaseStarted("denoise", "denoise", 5, 1, 500),
         TaskStarted("denoise", "denoise", "0_1", "tcp://a:1"),
         TaskStarted("denoise", "denoise", "2_1", "tcp://b:1"),
         ended("0_1"),
@@ -82,84 +80,6 @@ def drawn(thing: Any, **options: Any) -> str:
     return out.getvalue()
 
 
-# The map
-
-
-@given(
-    st.sets(st.tuples(st.integers(-300, 300), st.integers(-300, 300)), min_size=1, max_size=60),
-    st.data(),
-)
-def test_a_map_counts_every_unit_once(units: set[tuple[int, int]], data: st.DataObject) -> None:
-    names = [f"{i}_{j}" for i, j in sorted(units)]
-    ready = data.draw(st.sets(st.sampled_from(names)))
-    tiles = TileMap.of([n for n in names if n not in ready], ready, 100.0)
-    assert tiles is not None
-    assert tiles.total.shape[0] <= ROWS
-    assert tiles.total.shape[1] <= COLUMNS
-    assert (tiles.total.sum(), tiles.done.sum()) == (len(names), len(ready))
-    tiles = TileMap.from_record(json.loads(json.dumps(tiles.record())))
-    for number, name in enumerate(n for n in names if n not in ready):
-        tiles.began(name)
-        tiles.ended(name, began=True, failed=number % 3 == 0)
-    assert not tiles.running.any()
-    assert np.array_equal(tiles.done + tiles.failed, tiles.total)
-    states = tiles.states()
-    assert np.all((states == State.NOTHING) == (tiles.total[::-1] == 0))
-    assert np.all((states == State.FAILED) == (tiles.failed[::-1] > 0))
-
-
-@settings(deadline=None, max_examples=50)
-@given(
-    st.sets(
-        st.tuples(st.integers(-99, 99), st.integers(-99, 99), st.integers(1, 8), st.integers(1, 8)),
-        min_size=1,
-    )
-)
-def test_a_unit_of_many_squares_shows_wherever_it_lies(
-    units: set[tuple[int, int, int, int]],
-) -> None:
-    names = ["_".join(map(str, unit)) for unit in sorted(units)]
-    tiles = TileMap.of(names, [], 100.0)
-    assert tiles is not None
-    expected = np.zeros_like(tiles.total)
-    for i, j, wide, high in units:
-        touched = {
-            ((y - tiles.south) // tiles.step, (x - tiles.west) // tiles.step)
-            for y in range(j, j + high)
-            for x in range(i, i + wide)
-        }
-        for row, column in touched:
-            expected[row, column] += 1
-    assert np.array_equal(tiles.total, expected)
-    for name in names:
-        tiles.ended(name, began=False, failed=False)
-    assert np.array_equal(tiles.done, expected)
-
-
-def test_the_map_lies_north_up_and_shows_what_deserves_a_look() -> None:
-    tiles = TileMap.of(["0_0", "1_0", "0_1"], ["1_1"], 100.0)
-    assert tiles is not None
-    tiles.began("0_0")
-    tiles.ended("1_0", began=False, failed=True)
-    assert tiles.states().tolist() == [
-        [State.WAITING, State.DONE],
-        [State.RUNNING, State.FAILED],
-    ]
-    assert drawn(live.Map(tiles), no_color=True).split() == [".#", "oX"]
-    coloured = drawn(live.Map(tiles), force_terminal=True, color_system="256")
-    assert coloured.count("▀") == 2, "two cells in a character"
-    assert TileMap.of([], [], 100.0) is None
-
-
-def test_a_million_tiles_fit_a_screen() -> None:
-    names = (f"{k % 1000}_{k // 1000}" for k in range(0, 1_000_000, 7))
-    tiles = TileMap.of(names, [], 100.0)
-    assert tiles is not None
-    lines = drawn(live.Map(tiles), force_terminal=True, color_system="256").splitlines()
-    assert len(lines) <= ROWS // 2 + 1
-    assert len(json.dumps(tiles.record())) < 30_000
-
-
 # The state
 
 
@@ -175,7 +95,6 @@ def test_the_state_of_a_run_in_its_middle() -> None:
     text = drawn(live.draw(status), no_color=True)
     for words in (
         "3/6",
-        "denoise: blocks of 100 m",
         "2 workers, 2 threads; most memory 700 of 1 024 MiB",
         "running denoise 2_1",
         "failed: denoise 1_0: RuntimeError: broken",
@@ -190,7 +109,7 @@ def test_the_state_of_a_run_in_its_middle() -> None:
     status.feed(as_record(RunStarted("w.yaml", 2, "0.1+x")))
     assert (status.ended, status.stages["denoise"].done) == (None, 2), "nothing is known anew"
     status.feed(as_record(PhaseStarted("index", "index_file", 1, 0, 5)))
-    assert (status.stages["denoise"].total, status.tiles, status.failures) == (0, {}, [])
+    assert (status.stages["denoise"].total, status.failures) == (0, [])
     assert status.stages["index"].left == 1, "a new run starts from nothing"
 
 
@@ -283,8 +202,6 @@ def test_of_a_killed_run_nothing_is_shown_as_running(tmp_path: Path) -> None:
     (tmp_path / "log.jsonl").write_text("".join(json.dumps(r) + "\n" for r in records))
     found = Follower(tmp_path).update()
     assert (found.running, found.holder, found.ended) == ({}, None, None)
-    assert not found.tiles["denoise"].running.any()
-    assert State.RUNNING not in found.tiles["denoise"].states()
 
 
 def test_what_was_finished_as_a_run_was_stopped_is_done(tmp_path: Path) -> None:
@@ -310,7 +227,6 @@ def test_what_was_finished_as_a_run_was_stopped_is_done(tmp_path: Path) -> None:
     status = follower.update()
     assert status.stages["denoise"].done == before[0] + 1, "counted once"
     assert status.stages["denoise"].latest_s == began.kinds["denoise"] + 5.0
-    assert not status.tiles["denoise"].running.any()
 
 
 # The log
@@ -481,7 +397,7 @@ class Screen(io.StringIO):
         return True
 
 
-def test_a_terminal_sees_the_map_and_a_log_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_sees_stages_and_a_log_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm-256color")
     out = Screen()
     terminal = Console(file=out, color_system="256", width=100, height=40)
@@ -490,10 +406,10 @@ def test_a_terminal_sees_the_map_and_a_log_plain_lines(monkeypatch: pytest.Monke
         shown.simulated(0.5)
         for event in a_run():
             shown.on_event(event)
-        assert "blocks of 100 m" in drawn(shown.draw())
+        assert "running denoise 2_1" in drawn(shown.draw())
         shown.on_event(Note("warning", "look out"))
     assert "warning: look out" in out.getvalue()
-    assert "blocks of" not in drawn(shown.draw()), "the stages stay, the map goes"
+    assert "running" not in drawn(shown.draw()), "the stages stay, what works goes"
     plain = Console(file=io.StringIO(), width=100)
     monkeypatch.setattr(watching, "_ERR", plain)
     with watching.watching() as shown:
@@ -550,6 +466,88 @@ def test_a_view_says_what_goes_on_where_no_task_runs(monkeypatch: pytest.MonkeyP
     assert row.split()[0] == "page", "the report is written"
 
 
+def test_the_clock_of_a_task_at_work_goes_on_and_its_rate_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = time.time() + 60.0
+    monkeypatch.setattr(view.time, "time", lambda: clock)
+    shown = view.View(Console(file=io.StringIO()))
+    for event in a_run():
+        shown.on_event(event)
+    stage = shown._status.stages["denoise"]
+    stage.began_s -= 10.0
+    rate, left_s, index = stage.points_per_s, stage.left_s, shown._status.stages["index"]
+    before = drawn(shown.draw())
+    first_s, left_first_s = stage.elapsed_s, stage.left_s
+    clock += 7.0
+    assert drawn(shown.draw()) != before, "nothing was heard in between"
+    assert stage.elapsed_s == pytest.approx(first_s + 7.0)
+    assert stage.points_per_s == rate
+    assert left_first_s <= left_s
+    assert stage.left_s == pytest.approx(max(left_first_s - 7.0, 0.0))
+    assert index.elapsed_s == 0.0, "no task of it works"
+
+
+def test_a_screen_is_drawn_anew_while_nothing_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    out = Screen()
+    monkeypatch.setattr(watching, "_ERR", Console(file=out, width=60, height=40))
+    with watching.watching() as shown:
+        for event in a_run():
+            shown.on_event(event)
+        seen = len(out.getvalue())
+        until_s = time.monotonic() + 10.0
+        while len(out.getvalue()) == seen and time.monotonic() < until_s:
+            time.sleep(0.05)
+    assert len(out.getvalue()) > seen
+
+
+def test_a_command_that_is_stopped_or_slow_writes_nothing_amid_the_stages(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    out = Screen()
+    monkeypatch.setattr(watching, "_ERR", Console(file=out, width=60, height=40))
+
+    def interrupted() -> None:
+        with watching.watching() as shown:
+            for event in a_run():
+                shown.on_event(event)
+            with saying_if_slow("loading", after_s=0.0):
+                time.sleep(0.2)
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            assert "stopping" in drawn(shown.draw())
+        assert "stopping" not in drawn(shown.draw())
+
+    with cli._ended_in_order(threading.Event(), "stopping"):
+        interrupted()
+    assert capfd.readouterr().err == "", "it would appear amid the lines of the view"
+    assert "info: loading" in out.getvalue()
+
+
+def test_stages_keep_their_names_on_a_narrow_screen() -> None:
+    stages = [
+        StageStatus(name, 4_000_000, 1_000_000, points=10**9, left_points=3 * 10**9,
+                    points_to_do=4 * 10**9, began_s=1000.0, latest_s=9000.0)
+        for name in ("surfaces", "denoise", "simulate")
+    ]  # fmt: skip
+    for width in (60, 120):
+        out = io.StringIO()
+        Console(file=out, width=width).print(live.bars(stages))
+        lines = out.getvalue().splitlines()
+        assert [line.split()[0] for line in lines] == [stage.stage for stage in stages]
+
+
+def test_what_was_done_before_has_no_time_left() -> None:
+    started = RunStarted("w.yaml", 2, "0.1+x", {"deliver": 2.0}, phases={"deliver": 2})
+    status = fed([started, PhaseStarted("deliver", "deliver_file", 0, 3, 0)])
+    status.feed(as_record(PhaseStarted("report", "reference", 1, 0, 0)))
+    stage = status.stages["deliver"]
+    assert stage.of_earlier_runs
+    assert stage.left_s == 0.0
+
+
 def test_a_run_tells_what_it_begins_and_how_it_ends(small: Path) -> None:
     surveys.run(small, until="denoise")
     records = [json.loads(x) for x in (small.parent / "out/log.jsonl").read_text().splitlines()]
@@ -561,12 +559,9 @@ def test_a_run_tells_what_it_begins_and_how_it_ends(small: Path) -> None:
     assert by_name["RunEnded"] == [records[-1]]
     assert records[-1]["exit_status"] == 0
     assert set(by_name["RunStarted"][0]["expected_s"]) >= {"index", "denoise", "deliver"}
-    maps = [r["kind"] for r in by_name["PhaseStarted"] if "tiles" in r]
-    assert maps == ["build_tile", "denoise"]
     ended = surveys.command("run", small, "--workers", 0, "--set", "filter.method=nothing")
     assert ended.status == 2
-    status = api.status(small.parent / "out")
-    assert np.all(status.tiles["denoise"].done == status.tiles["denoise"].total)
+    assert api.status(small.parent / "out").stages["denoise"].left == 0
 
 
 # The lock

@@ -65,6 +65,9 @@ KINDS: Final = (
 )
 """What points were taken for, and their colours on light and dark."""
 
+NOISE_KINDS: Final = (2, 3)
+"""Those of :data:`KINDS` that are noise."""
+
 
 @dataclass(frozen=True, slots=True)
 class Clip:
@@ -193,12 +196,15 @@ def _place(clip: Clip, low: NDArray[np.float64], high: NDArray[np.float64]) -> s
 def _still(
     xyz_m: NDArray[np.float64], extent: NDArray[np.float64], kind: NDArray[np.uint8]
 ) -> bytes:
-    """PNG of the points as the script first draws them: the near ones hide the far ones."""
+    """PNG of the points from where the script first shows them.
+
+    Noise is drawn first, so that it hides nothing; of all else the near hides the far.
+    """
     width, height = STILL_PX
     (s, st), (c, ct) = ([f(CAMERA[k]) for k in ("azimuth", "tilt")] for f in (np.sin, np.cos))
     turn = np.array([[c, -s, 0.0], [s * ct, c * ct, st], [-s * st, -c * st, ct]])
     seen = (xyz_m - extent / 2) @ turn.T
-    order = np.argsort(seen[:, 2], kind="stable")
+    order = np.lexsort((seen[:, 2], ~np.isin(kind, NOISE_KINDS)))
     per_m = height / 2 * CAMERA["near"] / (float(np.linalg.norm(extent)) / 2)
     column = (width / 2 + seen[order, 0] * per_m).astype(np.int64)
     row = (height / 2 - seen[order, 1] * per_m).astype(np.int64)

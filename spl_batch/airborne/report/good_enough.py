@@ -2,12 +2,13 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from spl_batch.airborne.accuracy.checkpoint_errors import (
+    OUTLIER_SIGMA,
     AtCheckpoints,
     CheckpointError,
     at_checkpoints,
@@ -38,7 +39,7 @@ from spl_batch.airborne.tasks import checkpoints
 from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.run_record import Receipts
-from spl_batch.errors import grouped
+from spl_batch.errors import counted, grouped, named
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
 
@@ -103,15 +104,35 @@ def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
     nva, vva = _tested(done)
     if nva is None or vva is None:
         return None
-    asked = context.workflow.requirements
-    class_m = asked.rmse_v_m or LEVELS[asked.quality_level].rmse_v_m
     outliers = {*nva.outliers, *vva.outliers}
     return Checkpoints(
-        statement=statement(nva, vva, class_m),
+        statement=statement(nva, vva, _class_m(context)),
         nva=_statistics(nva),
         vva=_statistics(vva),
         points=tuple(Checkpoint(**one, outlier=one["id"] in outliers) for one in found),
     )
+
+
+def checkpoint_warnings(tested: Checkpoints | None, context: Context) -> Iterator[str]:
+    """A sentence on checkpoints with a blunder: outliers beyond three times the class's RMSE_V."""
+    limit_m = OUTLIER_SIGMA * _class_m(context)
+    points = tested.points if tested else ()
+    gross = [one for one in points if one.outlier and abs(one.error_m or 0.0) > limit_m]
+    if gross:
+        worst = max(gross, key=lambda one: abs(one.error_m or 0.0))
+        yield (
+            f"{counted(len(gross), 'checkpoints')} of {len(points)} differ from the terrain by "
+            f"more than {100 * limit_m:.0f} cm and far from the others: "
+            f"{named([one.id for one in gross])}; at worst {worst.id}, DTM minus checkpoint "
+            f"{100 * (worst.error_m or 0.0):.1f} cm. They count in every RMSE: look for a wrong "
+            "height or position in the file of checkpoints, then at the terrain there"
+        )
+
+
+def _class_m(context: Context) -> float:
+    """Vertical accuracy class that is asked for: the largest RMSE_V [m]."""
+    asked = context.workflow.requirements
+    return asked.rmse_v_m or LEVELS[asked.quality_level].rmse_v_m
 
 
 def _statistics(of: AtCheckpoints) -> CheckpointStatistics:

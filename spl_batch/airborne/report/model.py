@@ -308,6 +308,9 @@ class Report(Part):
     strips: tuple[StripPair, ...] = Field(
         (), description="Pairs of flightlines that share enough planar patches, by their names."
     )
+    strips_not_compared: tuple[tuple[str, str], ...] = Field(
+        (), description="Pairs of flightlines that overlap without planar patches enough."
+    )
     strip_shifts: tuple[LineShift, ...] = Field(
         (),
         description="Robust least squares over these pairs; of flightlines that overlap one is "

@@ -18,9 +18,6 @@ from spl_batch.engine.report.parts import Statistics
 MOST_POINTS: Final = 250_000
 """A profile with more points is thinned evenly: the picture has no pixels for them."""
 
-HEADROOM: Final = 1.4
-"""Height of a histogram over its highest bar: the legend stands above all of them."""
-
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -77,17 +74,12 @@ def draw_histogram(differences_m: NDArray[Any], statistics: Statistics | None) -
             _statistic_lines(axes, statistics)
         axes.axvline(0.0, color=style.INK, linewidth=0.7)
         axes.set_xlim(-reach, reach)
-        axes.set_ylim(0.0, float(share.max(initial=1.0)) * HEADROOM)
-        axes.set_xlabel("DTM minus reference [cm]")
+        axes.set_ylim(0.0, None)
+        note = f"; {100 * outside:.2g} % lie outside the axis" if outside > 0 else ""
+        axes.set_xlabel(f"DTM minus reference [cm]{note}")
         axes.set_ylabel("share of comparisons [%]")
         axes.set_title(_difference_title("All surfaces", statistics))
         axes.spines[["top", "right"]].set_visible(False)
-        if outside > 0:
-            note = f"{100 * outside:.2g} % lie outside the axis"
-            axes.text(
-                *(0.01, 0.98, note), transform=axes.transAxes, va="top", color=style.MUTED,
-                bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5}, zorder=5,
-            )  # fmt: skip
     return drawn
 
 
@@ -112,7 +104,8 @@ def _statistic_lines(axes: Axes, statistics: Statistics) -> None:
         for side, shown in ((-value, "_"), (value, label)):
             place = 100 * (centre + side)
             axes.axvline(place, color=colour, linewidth=1.2, linestyle=(0, dashes), label=shown)
-    axes.legend(loc="upper right", handlelength=2.2)
+    # Below the axes: within them bars and lines may be anywhere.
+    axes.figure.legend(loc="outside lower center", ncols=2, handlelength=2.2)
 
 
 def draw_profile(profile: Profile) -> Figure:

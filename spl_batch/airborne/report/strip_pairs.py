@@ -40,6 +40,12 @@ def _pair(pair: PairDifference) -> StripPair:
     )
 
 
+def pairs_not_compared(done: Receipts) -> tuple[tuple[str, str], ...]:
+    """Flightlines that overlap without planar patches enough to be compared."""
+    receipts = done.get("strip_pairs", {}).values()
+    return tuple((one, other) for r in receipts for one, other in r.facts.get("not_compared", ()))
+
+
 def alignment(done: Receipts, context: Context) -> Alignment | None:
     """Shifts that were applied, as the report has them; None where none were asked for."""
     how = context.workflow.survey.align

@@ -25,7 +25,12 @@ from spl_batch.airborne.report.fit.clouds import haze
 from spl_batch.airborne.report.fit.noise_fit import noise_fit
 from spl_batch.airborne.report.fit.noise_warnings import noise_warnings
 from spl_batch.airborne.report.fit.sky import bloom, crosstalk, crosstalk_expected
-from spl_batch.airborne.report.good_enough import checkpoint_report, judged, swath_reports
+from spl_batch.airborne.report.good_enough import (
+    checkpoint_report,
+    checkpoint_warnings,
+    judged,
+    swath_reports,
+)
 from spl_batch.airborne.report.model import (
     Accuracy,
     Basis,
@@ -39,6 +44,7 @@ from spl_batch.airborne.report.pictures import OF_PRODUCTS, PictureInputs, make_
 from spl_batch.airborne.report.profile_strips import cut_profile
 from spl_batch.airborne.report.strip_pairs import (
     alignment,
+    pairs_not_compared,
     strip_map,
     strip_pairs,
     strip_shifts,
@@ -79,6 +85,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         What the receipts do not say.
     """
     found, counts = compared(done, context), _counts(done, context, facts)
+    tested = checkpoint_report(done, context)
     noise = _noise(done, context, counts.background)
     covered, doubted = density(done, context, counts.ground), terrain_doubts(done)
     report = Report(
@@ -87,12 +94,13 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         header_changes=_header_changes(done),
         accuracy=_accuracy(found),
         requirements=judged(done, context),
-        checkpoints=checkpoint_report(done, context),
+        checkpoints=tested,
         density=covered,
         terrain=doubted,
         noise=noise,
         swaths=swath_reports(done, context),
         strips=strip_pairs(done),
+        strips_not_compared=pairs_not_compared(done),
         strip_shifts=strip_shifts(done),
         alignment=alignment(done, context),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
@@ -109,6 +117,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *bank_warnings(
                 r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts
             ),
+            *checkpoint_warnings(tested, context),
             *not_compared(done, context, facts),
             *own_points(None if found is None else found.own_share),
         ),

@@ -46,7 +46,7 @@ MAP_CELLS: Final = 500
 RECORDED: Final = "recorded"
 """Folder below that of the patches: those of flightlines before they are aligned."""
 
-_PASSES: Final = ("psid", "time_s", "kept")
+_PASSES: Final = ("psid", "time_s", "kept", "overlaps")
 
 
 def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
@@ -70,9 +70,11 @@ def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
 
     points = once(parts, read)
     passes = find_passes(map(points, parts), context.workflow.survey.gap_s)
-    found = find_patches(map(points, parts), passes, core)
+    overlaps: set[tuple[int, int]] = set()
+    found = find_patches(map(points, parts), passes, core, overlaps)
     path = _patches(args["folder"], args["cell"], context)
     of_passes = {"psid": passes.psid, "time_s": passes.time_s, "kept": passes.returns}
+    of_passes["overlaps"] = np.array(sorted(overlaps), np.int64).reshape(-1, 2)
     write_arrays(path, {**found, **of_passes})
     facts = {"patches": len(found["rise"]), "left_out": passes.left_out}
     return Produced([path], facts)
@@ -97,8 +99,14 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     path = context.store.path("strips", "map.npz")
     found = [*cells()]
     write_arrays(path, _map([patches for *_, patches in found]))
-    returns = _returns((names, passes) for names, passes, _ in found)
-    return Produced([path], {"pairs": [list(pair) for pair in pairs], "returns": returns})
+    flown = [(names, passes) for names, passes, _ in found]
+    known = {(pair.first, pair.second) for pair in pairs}
+    facts = {
+        "pairs": [list(pair) for pair in pairs],
+        "returns": _returns(flown),
+        "not_compared": sorted(_overlaps(flown) - known),
+    }
+    return Produced([path], facts)
 
 
 def align(args: Mapping[str, Any], context: Context) -> Produced:
@@ -165,6 +173,16 @@ def _returns(flown: Iterable[tuple[list[str], dict[str, NDArray[Any]]]]) -> dict
         for name, count in zip(names, passes["kept"].tolist(), strict=True):
             kept[name] += count
     return dict(kept)
+
+
+def _overlaps(flown: Iterable[tuple[list[str], dict[str, NDArray[Any]]]]) -> set[tuple[str, str]]:
+    """Pairs of flightlines that overlap in a cell, the lesser name first; none with itself."""
+    pairs = (
+        tuple(sorted((names[one], names[other])))
+        for names, passes in flown
+        for one, other in passes["overlaps"].tolist()
+    )
+    return {(first, second) for first, second in pairs if first != second}
 
 
 def _cells(

@@ -166,7 +166,12 @@ def _seen(table: PointTable) -> dict[int, _Seen]:
     return found
 
 
-def find_patches(tables: Iterable[PointTable], passes: Passes, core: Bounds) -> Patches:
+def find_patches(
+    tables: Iterable[PointTable],
+    passes: Passes,
+    core: Bounds,
+    overlaps: set[tuple[int, int]] | None = None,
+) -> Patches:
     """Patches of a ground cell that two passes share.
 
     Parameters
@@ -176,6 +181,8 @@ def find_patches(tables: Iterable[PointTable], passes: Passes, core: Bounds) -> 
         the passes were found.
     core : Bounds
         What the cell owns: patches in squares that begin in it [quanta].
+    overlaps : set of (int, int), optional
+        Gets the pairs of passes with :data:`FEWEST` returns each in one of the largest squares.
 
     Returns
     -------
@@ -220,6 +227,9 @@ def find_patches(tables: Iterable[PointTable], passes: Passes, core: Bounds) -> 
         if level + 1 < LEVELS:
             moments = doubled(moments)
             free = {pair: _all_four(room) for pair, room in free.items()}
+    if overlaps is not None:
+        full = moments[..., 0] >= FEWEST
+        overlaps |= {(chosen[a], chosen[b]) for a, b in free if (full[a] & full[b]).any()}
     return _thinned(_joined(found))
 
 

@@ -145,9 +145,17 @@ def _client(
         ) from error
     if scheduler is not None:
         check_workers(client, footing, memory_bytes)
-    shown = scheduler is not None or find_spec("bokeh") is not None
-    dashboard = str(client.dashboard_link or "") if shown else ""
-    return client, dashboard
+    return client, _dashboard(client)
+
+
+def _dashboard(client: Any) -> str:
+    """Link to a scheduler's dashboard; "" where the page would only say that it needs bokeh."""
+    link = str(client.dashboard_link or "")
+    try:
+        drawn = link and client.run_on_scheduler(find_spec, "bokeh")
+    except ValueError:  # of a scheduler that is set to run no functions
+        drawn = None
+    return link if drawn else ""
 
 
 @contextlib.contextmanager

@@ -7,9 +7,6 @@ from typing import Any, Final
 
 from spl_batch.engine.flow.job import Observer
 
-QUICK_S: Final = 5.0
-"""Time after which a user is told why nothing happens [s]."""
-
 TOPIC: Final = "spl-batch-ahead"
 """What workers tell of their steps under."""
 
@@ -39,37 +36,34 @@ class Ahead:
 
         Failures are told and left to the tasks, which do it when they need it.
 
-        ``observer``: told what takes long or fails.
+        ``observer``: notified where a worker takes steps, of the time that runs out, of failures.
         """
         if self.done:
             return
         self.done, begin_s = True, time.monotonic()
         from distributed import wait  # noqa: PLC0415 - slow import, only when used
 
-        shares = [
-            client.submit(_work, self.work, k, len(workers), workers=[address],
-                          allow_other_workers=True, pure=False, key=f"{self.work.__name__}-{k}")
-            for k, address in enumerate(workers)
-        ]  # fmt: skip
-
         def hear(event: tuple[float, tuple[int, int, int]]) -> None:
             share, done, of = event[1]
+            if not self.steps:
+                observer.noted(self.what)
             self.steps[share] = done, of
             if len(self.steps) == len(workers):  # else the whole would grow as they begin
                 dones, ofs = zip(*self.steps.values(), strict=True)
                 observer.compiled(sum(dones), sum(ofs))
 
         client.subscribe_topic(TOPIC, hear)
+        shares = [
+            client.submit(_work, self.work, k, len(workers), workers=[address],
+                          allow_other_workers=True, pure=False, key=f"{self.work.__name__}-{k}")
+            for k, address in enumerate(workers)
+        ]  # fmt: skip
         try:
-            wait(shares, timeout=QUICK_S)
+            wait(shares, timeout=PATIENCE_S)
         except TimeoutError:
-            observer.noted(self.what)
-            try:
-                wait(shares, timeout=PATIENCE_S)
-            except TimeoutError:
-                observer.noted(
-                    f"not ready after {PATIENCE_S:g} s, the tasks start all the same: {self.what}"
-                )
+            observer.noted(
+                f"not ready after {PATIENCE_S:g} s, the tasks start all the same: {self.what}"
+            )
         client.unsubscribe_topic(TOPIC)
         if any(share.result() for share in shares if share.status == "finished"):
             self.took_s = time.monotonic() - begin_s

@@ -5,6 +5,7 @@ blocks first; cells without a value take no part.
 """
 
 import math
+import textwrap
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,6 +23,12 @@ from spl_batch.engine.report.number_format import number
 from spl_batch.engine.report.picture import Extent, MapPlace
 
 WIDTH_IN: Final = 5.1
+BESIDE_IN: Final = 2.2
+"""Width of what lies beside a narrow map: colour bar, its label and coordinates [in]."""
+
+NARROWEST_IN: Final = 3.0
+"""Width of a picture whose map is narrow: its heading and what lies beside the map fit [in]."""
+
 TALLEST_IN: Final = 5.6
 LARGEST_PX: Final = 900
 """More cells than this along a side are averaged: the picture has no pixels for them."""
@@ -248,7 +255,9 @@ def _layout(extent_m: tuple[float, float, float, float]) -> _Layout:
     if high > TALLEST_IN:
         wide, high = max(wide * TALLEST_IN / high, 0.12), TALLEST_IN
     bar_box = (margin + wide + 0.1, margin, bar, high)
-    return _Layout(WIDTH_IN, margin + high + title, (margin, margin, wide, high), bar_box)
+    width = max(min(WIDTH_IN, margin + wide + BESIDE_IN), NARROWEST_IN)
+    title *= 1.0 if width == WIDTH_IN else 1.5  # the heading takes two lines
+    return _Layout(width, margin + high + title, (margin, margin, wide, high), bar_box)
 
 
 def framed(extent_m: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
@@ -261,8 +270,9 @@ def framed(extent_m: tuple[float, float, float, float], title: str) -> tuple[Fig
     layout = _layout(extent_m)
     drawn = style.figure(layout.width, layout.height, layout=None)
     axes = drawn.add_axes(layout.share(layout.map_box))
-    line = 1 - 0.14 / layout.height
-    heading: dict[str, Any] = {"va": "center", "fontsize": 9.5, "fontweight": "bold"}
+    line = 1 - 0.07 / layout.height
+    heading: dict[str, Any] = {"va": "top", "fontsize": 9.5, "fontweight": "bold"}
+    title = textwrap.fill(title, int(11 * (layout.width - 0.3)))
     drawn.text(0.06 / layout.width, line, title, ha="left", **heading)
     drawn.text(1 - 0.06 / layout.width, line, "N \N{UPWARDS ARROW}", ha="right", **heading)
     axes.set_xticks([])
@@ -312,14 +322,8 @@ def furnish(
     label = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
     halo = [_halo(2.6)]
     left, base = west + 0.035 * wide, south + 0.04 * max(high, wide * 0.3)
-    axes.plot(
-        [left, left + length],
-        [base, base],
-        color=style.INK,
-        linewidth=2.2,
-        solid_capstyle="butt",
-        path_effects=[_halo(4.6)],
-    )
+    ends: dict[str, Any] = {"solid_capstyle": "butt", "path_effects": [_halo(4.6)]}
+    axes.plot([left, left + length], [base, base], color=style.INK, linewidth=2.2, **ends)
     axes.annotate(
         label,
         (left + (0 if narrow else length / 2), base),

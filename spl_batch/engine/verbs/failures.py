@@ -11,7 +11,6 @@ from spl_batch.engine.flow.executor import OUT_OF_MEMORY
 from spl_batch.engine.report.parts import Failure
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.receiver import Prepared
-from spl_batch.engine.watch.tile_map import extent_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +81,17 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
             inputs=tuple(inputs(task, names, receiver.words)),
             command=one.command,
         )
+
+
+def extent_m(name: str, edge_m: float) -> tuple[float, float, float, float]:
+    """West, east, south and north edges of a unit of squares with an edge of ``edge_m`` [m].
+
+    Units are named by the column and row of their first square, and by how many squares lie along
+    their sides where these are several: ``"-3_12"``, ``"-4_12_2_3"``.
+    """
+    numbers = [*name.split("_"), "1", "1"][:4]
+    west, south, wide, high = (int(number) * edge_m for number in numbers)
+    return (west, west + wide, south, south + high)
 
 
 def inputs(task: Task, names: Mapping[str, str], words: Mapping[str, str]) -> list[str]:

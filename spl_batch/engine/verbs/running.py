@@ -29,7 +29,6 @@ from spl_batch.engine.verbs.receiver import Prepared, Receiver
 from spl_batch.engine.verbs.repair import Repairs
 from spl_batch.engine.watch.events import Listener, Note, PhaseStarted, RunEnded, RunStarted, ignore
 from spl_batch.engine.watch.progress import Progress
-from spl_batch.engine.watch.tile_map import TileMap
 from spl_batch.errors import (
     Said,
     SplBatchError,
@@ -300,16 +299,12 @@ def _begin_phase(
 ) -> list[str]:
     """See what one phase has left to do, and tell of it; the files that it will deliver."""
     targets: list[str] = []
-    ledger, stage = prepared.ledger, progress.stage(kind)
-    left: list[str] = []
-    ready: list[str] = []
+    stage = progress.stage(kind)
     for task, receipt in work.look():
         if receipt is None:
-            left.append(task.name)
             targets += prepared.receiver.targets(task, prepared.context.workflow)
         else:
             progress.deliveries.wrote(receipt)
-            ready.append(receipt.name)
             progress.costs.setdefault(stage, StageCost()).skip(receipt)
     if work.altered:
         progress.altered(work.altered)
@@ -319,8 +314,7 @@ def _begin_phase(
         pool.make_ready()
         if reports and progress.invocation.workers:
             _load_meanwhile(prepared.receiver)
-    tiles = _tile_map(prepared.receiver.edge_m(kind, ledger), left, ready)
-    progress.tell(PhaseStarted(stage, kind, work.left, work.ready, work.points, tiles))
+    progress.tell(PhaseStarted(stage, kind, work.left, work.ready, work.points))
     return targets
 
 
@@ -328,12 +322,6 @@ def _begin_phase(
 def _load_meanwhile(receiver: Receiver[Any, Any]) -> None:
     """Once, load what is needed in the end, as long as workers do the work."""
     threading.Thread(target=receiver.load_report, name="load report", daemon=True).start()
-
-
-def _tile_map(edge_m: float, left: Sequence[str], ready: Sequence[str]) -> dict[str, object]:
-    """Map of a phase whose tasks are places, as it begins."""
-    tiles = TileMap.of(left, ready, edge_m) if edge_m else None
-    return tiles.record() if tiles is not None else {}
 
 
 def _told(receipts: Mapping[str, Receipt], follows: Callable[[str, str], bool]) -> Iterator[Said]:

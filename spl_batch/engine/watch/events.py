@@ -44,9 +44,6 @@ class PhaseStarted:
     tasks: int
     skipped: int
     points: int  #: Points that the tasks to do will handle [count].
-    #: Where its tiles lie and which are finished, by
-    #: :meth:`spl_batch.engine.watch.tile_map.TileMap.record`; empty where tasks are no places.
-    tiles: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """State of a run as its log tells it, which any process may read while it grows."""
 
 import mmap
+import time
 from pathlib import Path
 from typing import Final
 
@@ -77,6 +78,8 @@ class Follower:
             self._take_unheard()
             if any(stage.done for stage in self.status.stages.values()):
                 self.status.delivered = _without_store(self.output)
+        else:
+            self.status.advance(time.time())
         return self.status
 
     def _take_unheard(self) -> None:

@@ -11,7 +11,6 @@ from typing import Any, Final
 from spl_batch.engine.tasks.runner import stages as stages_of
 from spl_batch.engine.watch.listing import listed
 from spl_batch.engine.watch.log_lines import seconds
-from spl_batch.engine.watch.tile_map import TileMap
 from spl_batch.receivers import IMAGING
 
 PAGE: Final = "page"
@@ -39,6 +38,7 @@ class StageStatus:
     #: When its first phase began, and its latest event; 0 before that [s since 1970].
     began_s: float = 0.0
     latest_s: float = 0.0
+    now_s: float = 0.0  #: Up to when it is known to be at work; 0 where it is not [s since 1970].
     expected_s: float = 0.0  #: Time that the whole stage was expected to take; 0 where unknown [s].
     phases_left: int = 0  #: Phases of it that have not begun, as far as is known [count].
 
@@ -54,28 +54,36 @@ class StageStatus:
 
     @property
     def elapsed_s(self) -> float:
-        """Time from its beginning to its latest event [s]."""
+        """Time from its beginning to its latest event, or to the present while it works [s]."""
+        return max(self.latest_s - self.began_s, self.now_s - self.began_s, 0.0)
+
+    @property
+    def counted_s(self) -> float:
+        """Time from its beginning to its latest event, up to which its points are counted [s]."""
         return max(self.latest_s - self.began_s, 0.0)
 
     @property
     def points_per_s(self) -> float:
         """Points that all workers together handle in a second; 0 where unknown [1/s]."""
-        return self.points / self.elapsed_s if self.elapsed_s > 0.5 else 0.0
+        return self.points / self.counted_s if self.counted_s > 0.5 else 0.0
 
     @property
     def left_s(self) -> float:
         """Time that it will still take, as far as can be told [s]."""
         if not self.began_s:
             return self.expected_s
+        if self.of_earlier_runs:  # nor has it anything to do in the phases that are to come
+            return 0.0
         left_s = self._left_of_phases_s() if self.left else 0.0
-        return max(left_s, self.expected_s - self.elapsed_s) if self.phases_left else left_s
+        left_s -= self.elapsed_s - self.counted_s
+        return max(left_s, self.expected_s - self.elapsed_s if self.phases_left else 0.0, 0.0)
 
     def _left_of_phases_s(self) -> float:
         """Time left of the phases that have begun [s]."""
         expected_s = self.expected_s * self.left / self.total
         if self.left_points == 0:  # tasks that handle no points: each takes as long as another
             ended = self.total - self.left - self.found
-            return max(expected_s, self.elapsed_s * self.left / ended) if ended else expected_s
+            return max(expected_s, self.counted_s * self.left / ended) if ended else expected_s
         if self.points_per_s == 0:
             return expected_s
         # The first tasks compile kernels and warm caches: their rate tells little. Squared, as it
@@ -102,8 +110,6 @@ class RunStatus:
     """State of a run."""
 
     stages: dict[str, StageStatus] = field(default_factory=dict)  #: By name, in order.
-    #: Map of each kind of task whose units are places, the latest last.
-    tiles: dict[str, TileMap] = field(default_factory=dict)
     #: Worker of each task that has begun, by kind and name.
     running: dict[tuple[str, str], str] = field(default_factory=dict)
     #: What a user calls those tasks.
@@ -162,6 +168,12 @@ class RunStatus:
         busy = [stage for stage in known if stage.left] or known[-1:]
         first = self.order.index(busy[0].stage) if busy else 0
         return sum(self.stages[name].left_s for name in self.order[first:])
+
+    def advance(self, now_s: float) -> None:
+        """Let the clocks of what is at work go on to the present [s since 1970]."""
+        busy = [self.stages[name] for name in {self.begun[task] for task in self.running}]
+        for stage in (*busy, *([self.page] if self.reporting and self.ended is None else [])):
+            stage.now_s = now_s
 
     def feed(self, record: Mapping[str, Any]) -> None:
         """Take in an event, as :func:`spl_batch.engine.watch.events.as_record` gives it."""
@@ -222,8 +234,6 @@ class RunStatus:
         stage.points_to_do += record["points"]
         stage.latest_s = seconds(record)
         stage.began_s = stage.began_s or stage.latest_s
-        if record.get("tiles"):
-            self.tiles[record["kind"]] = TileMap.from_record(record["tiles"])
 
     def _begin_again(self) -> None:
         """Forget what was done: phases are gone through again, as a file was damaged."""
@@ -232,21 +242,18 @@ class RunStatus:
             for name, stage in self.stages.items()
         }
         self.page, self.reporting = StageStatus(PAGE), False
-        for known in (self.kinds, self.begun, self.tiles, self.running, self.called, self.failures):
+        for known in (self.kinds, self.begun, self.running, self.called, self.failures):
             known.clear()
 
     def _task_started(self, record: Mapping[str, Any]) -> None:
         kind, name = record["kind"], record["name"]
-        if (kind, name) not in self.running and kind in self.tiles:
-            self.tiles[kind].began(name)
         self.running[kind, name] = record["worker"]
         self.called[kind, name] = record.get("called") or f"{kind} {name}"
         self.begun[kind, name] = record["stage"]
 
     def _task_ended(self, record: Mapping[str, Any]) -> None:
         stage, kind, name = self.stages[record["stage"]], record["kind"], record["name"]
-        began = self.running.pop((kind, name), None) is not None
-        for known in (self.begun, self.called):
+        for known in (self.running, self.begun, self.called):
             known.pop((kind, name), None)
         failed = bool(record["reason"])
         stage.latest_s = seconds(record)
@@ -254,8 +261,6 @@ class RunStatus:
         stage.failed += failed
         stage.done += not failed
         self.peak_mb = max(self.peak_mb, record.get("peak_rss_mb", 0.0))
-        if kind in self.tiles:
-            self.tiles[kind].ended(name, began=began, failed=failed)
         if failed and not record.get("mends"):
             command = record.get("command", "")
             called = record.get("called") or f"{kind} {name}"
@@ -285,8 +290,6 @@ class RunStatus:
         """Take what was running for waiting: the run is over, or was killed."""
         self.running.clear()
         self.called.clear()
-        for tiles in self.tiles.values():
-            tiles.running[:] = 0
 
 
 def _unusable(started: Mapping[str, Any]) -> list[FailedTask]:

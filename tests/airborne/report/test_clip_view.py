@@ -91,12 +91,21 @@ def test_a_plot_is_not_called_a_square_that_it_does_not_fill() -> None:
 def test_the_still_picture_shows_what_is_nearest() -> None:
     toward = np.array([-np.sin(0.5) * np.sin(1.1), -np.cos(0.5) * np.sin(1.1), np.cos(1.1)])
     along = np.arange(-40, 41)
-    kind = np.where(along == 40, 3, 0).astype(np.uint8)
+    kind = np.where(along == 40, 1, 0).astype(np.uint8)
     for order in (slice(None), slice(None, None, -1)):
         clip = Clip((50.0 + along[:, None] * toward)[order], kind[order], (0.0, 0.0), 81)
         drawn = np.asarray(Image.open(io.BytesIO(view_of(clip).still.png)))
-        assert drawn[400, 800] == 4
+        assert drawn[400, 800] == 2
         assert np.count_nonzero(drawn == 1) < 9, "but for rounding it hides all others"
+
+
+@pytest.mark.parametrize("noise", [2, 3])
+def test_noise_hides_nothing_of_the_still_picture(noise: int) -> None:
+    toward = np.array([-np.sin(0.5) * np.sin(1.1), -np.cos(0.5) * np.sin(1.1), np.cos(1.1)])
+    along = np.arange(-40, 41)
+    kind = np.where(along > 0, noise, 1).astype(np.uint8)
+    still = view_of(Clip(50.0 + along[:, None] * toward, kind, (0.0, 0.0), 81)).still
+    assert np.asarray(Image.open(io.BytesIO(still.png)))[400, 800] == 2
 
 
 def test_the_page_runs_our_script_alone() -> None:

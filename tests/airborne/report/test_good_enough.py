@@ -6,7 +6,13 @@ from typing import Any
 
 import pytest
 
-from spl_batch.airborne.report.good_enough import _swaths, _time_standard
+from spl_batch.airborne.report.good_enough import (
+    _swaths,
+    _time_standard,
+    checkpoint_warnings,
+)
+from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
+from spl_batch.airborne.settings.requirements import RequirementSettings
 from spl_batch.airborne.strips.strip_report import StripPair
 
 
@@ -36,3 +42,21 @@ def test_a_file_in_week_time_among_adjusted_ones_shows() -> None:
     flown: Any = spans
     assert _time_standard(flown) == "adjusted and week"
     assert _time_standard(flown[:1]) == "adjusted"
+
+
+@pytest.mark.parametrize(("error_m", "warned"), [(-2.5, True), (0.31, True), (0.25, False)])
+def test_a_checkpoint_with_a_blunder_is_warned_of(error_m: float, *, warned: bool) -> None:
+    errors = [("a", 0.01), ("b", -0.02), ("p17", error_m)]
+    tested = Checkpoints(
+        statement="", nva=CheckpointStatistics(n=3), vva=CheckpointStatistics(n=0),
+        points=tuple(
+            Checkpoint(id=name, x_m=1.0, y_m=2.0, z_m=3.0, surface="open", error_m=error,
+                       outlier=name == "p17")
+            for name, error in errors
+        ),
+    )  # fmt: skip
+    context: Any = SimpleNamespace(workflow=SimpleNamespace(requirements=RequirementSettings()))
+    said = list(checkpoint_warnings(tested, context))
+    assert len(said) == warned
+    assert all("p17" in text and f"{100 * error_m:.1f} cm" in text for text in said)
+    assert not list(checkpoint_warnings(None, context))

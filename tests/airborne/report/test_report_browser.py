@@ -284,6 +284,17 @@ def test_only_what_is_too_wide_for_a_telephone_says_scroll(page: Page, path: Pat
     assert all(wide == told for wide, told in said), said
 
 
+def test_a_telephone_shows_rmse_without_scrolling(page: Page, path: Path) -> None:
+    page.open(path, width=400, height=900)
+    ends = page.ask(
+        "[...document.querySelectorAll('#accuracy .scroll')].map(box => ["
+        "[...box.querySelectorAll('th')].find(th => th.textContent.startsWith('RMSE'))"
+        ".getBoundingClientRect().right, box.getBoundingClientRect().right])"
+    )
+    assert ends
+    assert all(column <= box for column, box in ends)
+
+
 def test_on_a_telephone_the_button_is_below_the_points(page: Page, path: Path) -> None:
     page.open(path, width=400, height=900)
     assert page.ask(

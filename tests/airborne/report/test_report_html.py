@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from spl_batch.airborne.report import plots
@@ -30,6 +31,7 @@ from tests.report_data import (
     make_inputs,
     make_profile,
     make_report,
+    statistics,
 )
 
 KEYS = (
@@ -427,8 +429,10 @@ class TestMaps:
     @pytest.mark.parametrize("shape", [0.001, 0.1, 0.29, 0.31, 0.75, 1.0, 3.0, 40.0, 5000.0])
     def test_map_and_colour_bar_lie_on_the_picture_apart(self, shape: float) -> None:
         layout = maps._layout((0.0, 100.0, 0.0, 100.0 * shape))
-        assert layout.width == maps.WIDTH_IN
+        assert layout.width <= maps.WIDTH_IN
         assert layout.height < 6.5
+        beside = layout.width - layout.map_box[2]
+        assert beside < 0.62 * maps.WIDTH_IN, "a narrow map has a narrow picture"
         (x, y, wide, high), (bar_x, bar_y, bar_wide, bar_high) = layout.map_box, layout.bar_box
         for left, bottom, width, height in (layout.map_box, layout.bar_box):
             assert min(left, bottom, width, height) > 0
@@ -438,6 +442,15 @@ class TestMaps:
         assert max(bar_wide, bar_high) > 0.1
         if 0.3 < shape < 3.0:
             assert high / wide == pytest.approx(shape)
+
+    def test_a_legend_hides_no_line_of_the_histogram(self) -> None:
+        differences = np.random.default_rng(4).normal(0.05, 0.04, 4000)
+        drawn = plots.draw_histogram(differences, statistics(differences))
+        with style.type_context():
+            FigureCanvasAgg(drawn).draw()
+        (legend,), (axes,) = drawn.legends, drawn.axes
+        assert axes.get_legend() is None
+        assert not legend.get_window_extent().overlaps(axes.get_window_extent())
 
     def test_a_ramp_never_has_equal_ends(self) -> None:
         for values in (np.zeros(4), np.full(4, 1e6), np.array([1.0, np.nan, 3.0])):

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.airborne.strips.patch_moments import add_moments, doubled
+from spl_batch.airborne.strips.strip_comparison import _overlaps
 from spl_batch.airborne.strips.strip_patches import (
     FEWEST,
     MOST,
@@ -93,6 +94,20 @@ def test_no_square_is_used_twice() -> None:
     for k, edge in enumerate(patches["edge_m"]):
         apart = np.maximum(*(np.abs(patches[axis] - patches[axis][k]) for axis in "xy"))
         assert np.count_nonzero(apart < (edge + patches["edge_m"]) / 2 - 1e-6) == 1
+
+
+def test_flightlines_that_overlap_without_patches_are_known() -> None:
+    rng = np.random.default_rng(3)
+    crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
+    apart = two_strips(Shift())
+    apart = apart.take((apart["point_source_id"] == 1) ^ (apart["x"] > np.median(apart["x"])))
+    for points, met in ((crowns, {(0, 1)}), (apart, set())):
+        overlaps: set[tuple[int, int]] = set()
+        found = find_patches(*_passed(points), CORE, overlaps)
+        assert not len(found["rise"])
+        assert overlaps == met
+    flown = {"overlaps": np.array([[0, 1], [1, 2]])}
+    assert _overlaps([(["b", "a", "a"], flown)]) == {("a", "b")}, "none with itself"
 
 
 def test_crowns_and_lone_flightlines_have_no_patches() -> None:
