@@ -15,10 +15,13 @@ from spl_batch.numerics.compiled import njit
 NEAR_M: Final = 2.0
 """A cell with ground returns no farther from its centre is as high as the nearest of them [m]."""
 
+OFF_M: Final = 0.5
+"""Less beyond their range and what their slope explains is left to the surface [m]."""
+
 NEAREST: Final = 5
 """Returns that tell how high the ground is at a place [count]."""
 
-_DAMPING = 0.01
+_DAMPING = 1e-4
 """Added to the scatter of their places [cells2]."""
 
 

@@ -51,7 +51,7 @@ from spl_batch.airborne.products.flown_cells import (
     ground_heights,
 )
 from spl_batch.airborne.products.gap_surface import FAR_M, bridged
-from spl_batch.airborne.products.nearest_ground import NEAR_M, nearest_heights
+from spl_batch.airborne.products.nearest_ground import NEAR_M, OFF_M, nearest_heights
 from spl_batch.airborne.products.noise_aloft import RefusedReturns
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of, relative, shape_of
 from spl_batch.airborne.products.terrain_quality import Scatter, scatter_of, terrain_sigma
@@ -282,9 +282,8 @@ class Surfaces:
         # fmin and fmax pass over cells without returns near.
         low, high = self._made.pop("low"), self._made.pop("high")
         misfit = np.fmax(np.fmax(low - dtm, dtm - high), 0.0) * QUANTUM_M
-        slack = GROUND_FLOOR_M / QUANTUM_M
-        held = np.fmax(np.fmin(dtm, high + slack), low - slack)
-        return np.where(np.isnan(dtm), np.nan, held), np.maximum(sigma, misfit)
+        dtm = np.where(misfit > OFF_M, np.clip(dtm, low, high), dtm)
+        return dtm, np.maximum(sigma, misfit)
 
     def _honoured(
         self, table: PointTable, near: Bounds, shape: tuple[int, int]
