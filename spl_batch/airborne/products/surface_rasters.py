@@ -51,7 +51,6 @@ from spl_batch.airborne.products.flown_cells import (
     ground_heights,
 )
 from spl_batch.airborne.products.gap_surface import FAR_M, bridged
-from spl_batch.airborne.products.nearest_ground import NEAR_M, OFF_M, nearest_heights
 from spl_batch.airborne.products.noise_aloft import RefusedReturns
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of, relative, shape_of
 from spl_batch.airborne.products.terrain_quality import Scatter, scatter_of, terrain_sigma
@@ -65,6 +64,7 @@ from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, overlap, quanta, shared
+from spl_batch.numerics.nearest_cells import nearest_heights
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
 
 DOMAIN: Final = "space"
@@ -78,6 +78,12 @@ COLUMNS_OF_INTENSITY: Final = ("intensity", "return_number")
 
 GROUND_FLOOR_M: Final = 0.15
 """Ground returns this near to the median of their cell are no outliers: 3 sigma of a range [m]."""
+
+NEAR_M: Final = 2.0
+"""A cell with ground returns no farther from its centre is as high as the nearest of them [m]."""
+
+OFF_M: Final = 0.5
+"""Less beyond their range and what their slope explains is left to the surface [m]."""
 
 CORNER_CELLS: Final = 3
 """Returns so near to a corner of the area that is read cover it [raster cells]."""
