@@ -9,7 +9,9 @@ DTM    TIN through one vertex per raster cell, evaluated at cell centres: the ro
        mean (x, y, z) of its ground returns. Through single returns a TIN would keep
        the spread of a range (5 cm); means of positions too keep slopes unbiased. Across
        gaps thin plates go on with the slopes of the rim
-       (:mod:`~spl_batch.airborne.products.gap_surface`). In
+       (:mod:`~spl_batch.airborne.products.gap_surface`). Terrain ends where its ground does: the
+       outside reaches over edges longer than ``edge_max_m``, ten of the ground's spacings by
+       default. Near ground neither is farther off the nearest returns than their spread. In
        water polygons ground returns are put on the water's level first
        (:mod:`~spl_batch.airborne.ground.water.level`).
 DSM    Highest return of the cell that is ground or that its peers confirm: more of
@@ -21,10 +23,11 @@ DSM    Highest return of the cell that is ground or that its peers confirm: more
        around, the highest return up to their level needs no peers. Where none is
        ground or confirmed, nor does the highest up to the level of two of them.
        Never below the DTM. A cell without such a return takes the nearest value
-       within ``dsm_void_max_m``, of several the lowest.
+       within ``dsm_void_max_m``, of several the lowest; beyond the edge of the surface only where
+       there is terrain.
 CHM    DSM - DTM, hence >= 0; nodata where either is.
 sigma  Standard deviation of the DTM, by how far the nearest ground is, what that distance costs
-       around, and the layer that ground returns fill
+       around, and the layer that ground returns fill, and by what the nearest returns correct
        (:mod:`~spl_batch.airborne.products.terrain_quality`).
 ====== ========================================================================
 
@@ -61,6 +64,7 @@ from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, overlap, quanta, shared
+from spl_batch.numerics.nearest_heights import nearest_heights
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
 
 DOMAIN: Final = "space"
@@ -74,6 +78,12 @@ COLUMNS_OF_INTENSITY: Final = ("intensity", "return_number")
 
 GROUND_FLOOR_M: Final = 0.15
 """Ground returns this near to the median of their cell are no outliers: 3 sigma of a range [m]."""
+
+NEAR_M: Final = 2.0
+"""A cell with ground returns no farther from its centre is as high as the nearest of them [m]."""
+
+OFF_M: Final = 0.5
+"""Less beyond their range and what their slope explains is left to the surface [m]."""
 
 CORNER_CELLS: Final = 3
 """Returns so near to a corner of the area that is read cover it [raster cells]."""
@@ -184,7 +194,9 @@ class Surfaces:
         signal, level = _signal(table, core, settings)
         near = grow(core, top_margin(settings) * size)
         support = support_of(self._refused.by_cell(near), settings)
-        made = {"dsm": top_surface(signal, level, support, core, settings)}
+        dsm, beyond = top_surface(signal, level, support, core, settings)
+        low, high = self._honoured(table, near, shape_of(core, size))
+        made = {"dsm": dsm, "beyond": beyond.astype(np.float64), "low": low, "high": high}
         for name, values in (made | _counts(signal, core, size)).items():
             whole = self._made.setdefault(name, np.full(shape_of(self._cell, size), np.nan))
             whole[:, columns_of(core, self._cell, whole.shape[1])] = values
@@ -213,6 +225,7 @@ class Surfaces:
         """
         dtm, sigma = self._terrain()
         dsm = self._made.pop("dsm")
+        dsm[(self._made.pop("beyond") > 0) & np.isnan(dtm)] = np.nan
         dsm = np.where(dsm < dtm, dtm, dsm)
         rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
         rasters["dtm_quality"] = np.where(np.isnan(dtm), np.nan, sigma)
@@ -265,11 +278,34 @@ class Surfaces:
         vertices = means[~np.isnan(means[:, 2])]
         vertices = np.concatenate([vertices, self._covered_corners(vertices)])
         vertices[:, :2] -= self.region.xmax - cell.xmax
-        dtm = tin_raster(vertices, size, shape_of(cell, size), quanta(settings.void_max_m))
+        reach, longest = quanta(settings.void_max_m), settings.edge_max_m
+        longest = None if longest is None else longest / QUANTUM_M
+        dtm = tin_raster(vertices, size, shape_of(cell, size), reach, longest, margin * size)
         corner = self.region.ymin // size, self.region.xmin // size
         wet, far = self._wet.reshape(rows, cols), FAR_M / settings.cell_m
         dtm = bridged(dtm, means.reshape(rows, cols, 3), wet, size, far, corner)
-        return dtm, sigma[margin:-margin, margin:-margin]
+        sigma = sigma[margin:-margin, margin:-margin]
+        # fmin and fmax pass over cells without returns near.
+        low, high = self._made.pop("low"), self._made.pop("high")
+        misfit = np.fmax(np.fmax(low - dtm, dtm - high), 0.0) * QUANTUM_M
+        dtm = np.where(misfit > OFF_M, np.clip(dtm, low, high), dtm)
+        return dtm, np.maximum(sigma, misfit)
+
+    def _honoured(
+        self, table: PointTable, near: Bounds, shape: tuple[int, int]
+    ) -> NDArray[np.float64]:
+        """Lowest and highest that the nearest ground allows in the cells within a rim: (2, ., .).
+
+        [quanta]; NaN without ground within :data:`NEAR_M`.
+        """
+        ground = flattened(self._of_terrain(table, near)[0], self._levels)
+        rows, cols = shape_of(near, self._size)
+        number = cell_number(ground, near, self._size)
+        order, start = sort_into_cells(number, ground["z"], rows * cols)
+        lattice, found = (cols, (rows - shape[0]) // 2, self._size), np.empty((2, *shape))
+        reach = float(quanta(NEAR_M))
+        nearest_heights(relative(ground, order, near), start, lattice, reach, found)
+        return found
 
     def _look_at_corners(self, table: PointTable) -> None:
         """See which corners of the area have returns."""

@@ -65,6 +65,11 @@ class ProductSettings(Section):
     void_max_m: Positive = Field(
         20.0, description="Farthest ground point that a DTM cell may use [m]."
     )
+    edge_max_m: Positive | None = Field(
+        None,
+        description="Longest edge of a triangle at the rim of the terrain [m]; by default ten "
+        "times the spacing of its ground.",
+    )
     dsm_void_max_m: float = Field(3.0, ge=0, description="Farthest DSM cell that fills a void [m].")
     dsm_near_m: Positive = Field(
         0.5, description="Smallest sphere in which returns confirm a DSM cell [m]."

@@ -17,6 +17,9 @@ from spl_batch.numerics.triangulation.delaunay import triangles
 RIM = 1.5
 """So far from the centre of a cell outside the triangles a vertex lends its height [cells]."""
 
+SPACINGS = 10.0
+"""Longest edge at the rim of the triangles, by default [median of all edges]."""
+
 
 @njit()
 def paint_triangles(
@@ -64,7 +67,12 @@ def paint_triangles(
 
 
 def tin_raster(
-    vertices: NDArray[np.float64], size: float, shape: tuple[int, int], reach: float
+    vertices: NDArray[np.float64],
+    size: float,
+    shape: tuple[int, int],
+    reach: float,
+    longest: float | None = math.inf,
+    margin: float = 0.0,
 ) -> NDArray[np.float64]:
     """Raster of the TIN through some vertices, empty where they are too far.
 
@@ -78,6 +86,12 @@ def tin_raster(
         Rows and columns.
     reach : float
         A centre farther than this from every vertex stays empty [unit of the vertices].
+    longest : float, optional
+        Triangles that the outside reaches over edges longer than this span no ground [unit of the
+        vertices]; None for :data:`SPACINGS` times the median edge.
+    margin : float
+        How far around the raster vertices are known [unit of the vertices]: beyond, ground may go
+        on, so that nothing is open along that border.
 
     Returns
     -------
@@ -89,7 +103,19 @@ def tin_raster(
     out = np.full(shape, np.nan)
     if len(vertices) == 0:
         return out
-    paint_triangles(vertices, triangles(vertices[:, :2])[0], size, out)
+    facets, neighbours = triangles(vertices[:, :2])
+    if longest is None or longest < math.inf:
+        corners = vertices[facets, :2]
+        edges = np.linalg.norm(corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]], axis=2)
+        if longest is None:
+            longest = SPACINGS * float(np.median(edges)) if len(edges) else 0.0
+        low, high = (
+            vertices[:, :2] + margin,
+            np.array(shape[::-1]) * size + margin - vertices[:, :2],
+        )
+        beside = np.hstack([low, high]) <= min(longest, margin)
+        facets = facets[_enclosed(facets, neighbours, edges > longest, beside)]
+    paint_triangles(vertices, facets, size, out)
     place = np.floor(vertices[:, :2] / size).astype(np.int64)
     occupied = _held_near(place, shape, 0)
     # Only where it may lie too far, or near enough to lend its height, a vertex is searched for.
@@ -107,6 +133,40 @@ def tin_raster(
     far = (distance > reach) & ~occupied[r, c]
     out[r[far], c[far]] = np.nan
     return out
+
+
+@njit()
+def _enclosed(
+    facets: NDArray[np.int32],
+    neighbours: NDArray[np.int32],
+    wide: NDArray[np.bool_],
+    beside: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Triangles that the outside does not reach over wide edges: (t,).
+
+    ``wide``: (t, 3), edges across from each corner; ``beside``: (m, 4), vertices along each border.
+    """
+    kept = np.ones(len(facets), np.bool_)
+    asked = np.empty(4 * len(facets), np.int64)
+    n = 0
+    for t in range(len(facets)):
+        if neighbours[t].min() < 0:
+            asked[n] = t
+            n += 1
+    while n:
+        n -= 1
+        t = asked[n]
+        for k in range(3):
+            across = neighbours[t, k]
+            if not kept[t] or not wide[t, k] or (across >= 0 and kept[across]):
+                continue
+            a, b = facets[t, (k + 1) % 3], facets[t, (k + 2) % 3]
+            kept[t] = across < 0 and (beside[a] & beside[b]).any()
+            for near in neighbours[t]:
+                if not kept[t] and near >= 0 and kept[near]:
+                    asked[n] = near
+                    n += 1
+    return kept
 
 
 def _held_near(place: NDArray[np.int64], shape: tuple[int, int], reach: int) -> NDArray[np.bool_]:

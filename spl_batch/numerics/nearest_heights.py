@@ -1,0 +1,112 @@
+"""Of points that are sorted by cell, the nearest to the centres of cells, and how high they let a
+surface be there.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+
+Index = NDArray[np.int64]
+Places = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
+
+NEAREST = 5
+"""Points that bound the height of a surface [count]."""
+
+_DAMPING = 1e-4
+"""Added to the scatter of their places [cells2]."""
+
+
+@njit()
+def nearest_heights(
+    xyz: Places,
+    start: Index,
+    lattice: tuple[int, int, int],
+    reach: float,
+    out: NDArray[np.float64],
+) -> None:
+    """Heights that the returns around the centres of cells allow there.
+
+    Range of the :data:`NEAREST` nearest returns, and all at the same distance as the last of them,
+    widened by what their slope makes of their distance.
+
+    Parameters
+    ----------
+    xyz : three (n,) int32
+        Points, those of a cell together [quanta].
+    start : (rows * cols + 1,) int64
+        Where each cell begins.
+    lattice : (int, int, int)
+        Columns; cells around those that are asked, where returns count too; edge [quanta].
+    reach : float
+        A centre farther than this from all returns is left out [quanta].
+    out : (2, rows - 2 rim, cols - 2 rim) float64, written
+        Lowest and highest [quanta]; NaN where too few returns are near.
+    """
+    _, rim, size = lattice
+    nearest = np.empty(NEAREST)
+    for row in range(out.shape[1]):
+        for col in range(out.shape[2]):
+            cell = row + rim, col + rim
+            ring = _find_nearest(xyz, start, lattice, cell, nearest)
+            out[:, row, col] = np.nan
+            if nearest[0] <= reach * reach and nearest[-1] <= ((rim + 0.5) * size) ** 2:
+                out[:, row, col] = _allowed(xyz, start, lattice, cell, ring, nearest[-1])
+
+
+@njit()
+def _find_nearest(
+    xyz: Places,
+    start: Index,
+    lattice: tuple[int, int, int],
+    cell: tuple[int, int],
+    nearest: NDArray[np.float64],
+) -> int:
+    """Squared distances from a centre to the nearest returns; how many cells aside they are."""
+    x, y, _ = xyz
+    cols, rim, size = lattice
+    row, col = cell
+    nearest[:] = np.inf
+    ring = -1
+    while ring < rim and (ring < 0 or nearest[-1] > ((ring + 0.5) * size) ** 2):
+        ring += 1
+        for r in range(row - ring, row + ring + 1):
+            step = 1 if abs(r - row) == ring else 2 * ring
+            for c in range(r * cols + col - ring, r * cols + col + ring + 1, max(step, 1)):
+                for p in range(start[c], start[c + 1]):
+                    d2 = (x[p] - (col + 0.5) * size) ** 2 + (y[p] - (row + 0.5) * size) ** 2
+                    for k in range(len(nearest)):
+                        nearest[k], d2 = min(nearest[k], d2), max(nearest[k], d2)
+    return ring
+
+
+@njit()
+def _allowed(
+    xyz: Places,
+    start: Index,
+    lattice: tuple[int, int, int],
+    cell: tuple[int, int],
+    ring: int,
+    farthest2: float,
+) -> tuple[float, float]:
+    """Lowest and highest of the returns that are no farther, widened by their slope's share."""
+    x, y, z = xyz
+    cols, _, size = lattice
+    row, col = cell
+    # Whole numbers of half quanta: sums are exact in any order.
+    n, low, high, sums = 0, np.inf, -np.inf, np.zeros(8)
+    for r in range(row - ring, row + ring + 1):
+        for p in range(start[r * cols + col - ring], start[r * cols + col + ring + 1]):
+            u, v, w = x[p] - (col + 0.5) * size, y[p] - (row + 0.5) * size, float(z[p])
+            if u * u + v * v <= farthest2:
+                low, high, n = min(low, w), max(high, w), n + 1
+                for k, value in enumerate((u, v, w, u * u, u * v, v * v, u * w, v * w)):
+                    sums[k] += value
+    u, v, w, uu, uv, vv, uw, vw = sums / n
+    # The damping keeps returns on one line from telling a slope across it.
+    damping = _DAMPING * size * size
+    uu, uv, vv = uu - u * u + damping, uv - u * v, vv - v * v + damping
+    uw, vw = uw - u * w, vw - v * w
+    rise = np.hypot(vv * uw - uv * vw, uu * vw - uv * uw) / (uu * vv - uv * uv)
+    share = rise * np.sqrt(farthest2)
+    return low - share, high + share
