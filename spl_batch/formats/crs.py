@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+import rasterio
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
@@ -89,11 +90,16 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     """
     tiff = _one_pixel_tiff(directory, doubles, text)
     try:
-        with MemoryFile(tiff) as memory, memory.open() as image:
-            found = image.crs
-            return CRS.from_wkt(found.to_wkt()) if found else None
+        # Without the option, GDAL leaves the vertical part out of keys of version 1.0.
+        env = rasterio.Env(GTIFF_REPORT_COMPD_CS=True)
+        with env, MemoryFile(tiff) as memory, memory.open() as image:
+            found = CRS.from_wkt(image.crs.to_wkt()) if image.crs else None
     except (RasterioError, RasterioIOError) as error:
         raise CRSError(str(error)) from None
+    heights = None if found is None else vertical(found)
+    if found is None or heights is None or heights.name or _not_metres(found):
+        return found
+    return horizontal(found)  # a unit of heights alone names no vertical CRS
 
 
 def _one_pixel_tiff(directory: bytes, doubles: bytes, text: bytes) -> bytes:
@@ -235,17 +241,36 @@ def crs_problems(
     if flat.is_geographic:
         fault = f"CRS {crs_name(crs)} is geographic (degrees), coordinates must be in metres"
         return [f"{fault}: reproject the files to a projected CRS, e.g. UTM"]
+    faults = [
+        f"CRS {crs_name(crs)} has {' and '.join(names)} in {unit}, not in metres:"
+        " reproject the files to a CRS in metres"
+        for unit, names in _not_metres(crs).items()
+    ]
+    if _is_world_mercator(flat):
+        faults.append(
+            f"CRS {crs_name(crs)} stretches lengths by 1/cos(latitude), so areas and densities would"
+            " be wrong: reproject the files to a projected CRS of the region, e.g. UTM"
+        )
+    return faults
+
+
+def _not_metres(crs: CRS) -> dict[str, list[str]]:
+    """Names of the axes in other units than metres, by unit."""
     units: dict[str, list[str]] = {}
     for axis in crs.axis_info:
         if axis.unit_conversion_factor != 1.0:
             units.setdefault(axis.unit_name, []).append(axis.name)
-    return [
-        (
-            f"CRS {crs_name(crs)} has {' and '.join(names)} in {unit}, not in metres:"
-            " reproject the files to a CRS in metres"
-        )
-        for unit, names in units.items()
-    ]
+    return units
+
+
+def _is_world_mercator(flat: CRS) -> bool:
+    """Whether it is Web Mercator or another Mercator projection that is true at the equator."""
+    operation = flat.coordinate_operation
+    if operation is None or not operation.method_name.startswith(("Popular Vis", "Mercator (")):
+        return False
+    true_at = {parameter.name: parameter.value for parameter in operation.params}
+    parallel = true_at.get("Latitude of 1st standard parallel", 0.0)
+    return parallel == 0.0 and true_at.get("Scale factor at natural origin", 1.0) == 1.0
 
 
 def look_like_degrees(

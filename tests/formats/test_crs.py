@@ -9,6 +9,7 @@ from pyproj import CRS
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
+    crs_from_geotiff,
     crs_problems,
     horizontal,
     other_crs,
@@ -22,7 +23,9 @@ from spl_batch.formats.rasters.geotiff import write_cog
 BOX = ((515_368.0, 4_918_340.0, 2322.0), (515_401.0, 4_918_381.0, 2339.0))
 
 
-@pytest.mark.parametrize("text", ["EPSG:32615", "EPSG:2154", "EPSG:32615+5773", "EPSG:25832"])
+@pytest.mark.parametrize(
+    "text", ["EPSG:32615", "EPSG:2154", "EPSG:32615+5773", "EPSG:25832", "EPSG:3994"]
+)
 def test_metric_projected_crs_is_fine(text: str) -> None:
     assert crs_problems(CRS.from_user_input(text), *BOX) == []
 
@@ -34,6 +37,9 @@ def test_metric_projected_crs_is_fine(text: str) -> None:
         ("EPSG:4979", "geographic (degrees)"),
         ("EPSG:2263", "US survey foot"),
         ("EPSG:32615+6360", "Gravity-related height in US survey foot"),
+        ("EPSG:3857", "1/cos(latitude)"),
+        ("EPSG:3395", "1/cos(latitude)"),
+        ("EPSG:3857+5703", "1/cos(latitude)"),
         ("EPSG:4978", "lie 4 945 km from the centre of the earth and look projected"),
     ],
 )
@@ -116,3 +122,34 @@ def test_another_crs_of_the_same_name_is_called_so() -> None:
     assert other_crs(moved, zone).endswith("has other parameters than the survey's of that name")
     said = other_crs(CRS.from_epsg(32616), zone)
     assert said == "CRS 'WGS 84 / UTM zone 16N' is not the survey's 'WGS 84 / UTM zone 15N'"
+
+
+def _keys(*keys: tuple[int, int]) -> CRS | None:
+    values = [1, 1, 0, len(keys), *(v for key, value in keys for v in (key, 0, 1, value))]
+    return crs_from_geotiff(np.array(values, "<u2").tobytes(), b"", b"")
+
+
+@pytest.mark.parametrize("vertical_keys", [((4096, 6360), (4099, 9003)), ((4099, 9003),)])
+def test_heights_of_geotiff_keys_in_feet_are_refused(
+    vertical_keys: tuple[tuple[int, int], ...],
+) -> None:
+    crs = _keys((1024, 1), (3072, 32615), *vertical_keys)
+    assert crs is not None
+    assert len(crs_problems(crs, *BOX)) == 1
+
+
+def test_vertical_crs_of_geotiff_keys() -> None:
+    crs = _keys((1024, 1), (3072, 32615), (4096, 5703), (4099, 9001))
+    assert crs is not None
+    heights = vertical(crs)
+    assert heights is not None
+    assert heights.to_epsg() == 5703
+    with pytest.raises(WorkflowError):
+        with_vertical(crs, "EPSG:5773", "survey.vertical_crs")
+
+
+def test_a_unit_of_heights_alone_is_no_vertical_crs() -> None:
+    crs = _keys((1024, 1), (3072, 32615), (4099, 9001))
+    assert crs is not None
+    assert crs.to_epsg() == 32615
+    assert vertical(crs) is None

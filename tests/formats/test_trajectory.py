@@ -22,7 +22,7 @@ from spl_batch.formats.trajectory.positions import (
     read_slice,
     write_trajectory,
 )
-from spl_batch.formats.trajectory.records import COLUMNS, read_records
+from spl_batch.formats.trajectory.records import COLUMNS, conversions, read_records
 from spl_batch.formats.trajectory.sbet import SBET_RECORD
 from spl_batch.lattice.tables import Trajectory
 
@@ -378,3 +378,8 @@ def test_a_csv_that_ends_within_a_number_is_refused(
         assert time.tolist() == [1.5, 2.5]
     path.write_text(path.read_text() + "25\n")
     assert sum(len(time) for time, _ in read_records(path)) == 2, "a line that ends is believed"
+
+
+def test_heights_of_a_trajectory_in_feet_become_metres() -> None:
+    convert = conversions(Path("a.csv"), CRS.from_epsg(32618), "EPSG:2263")[-1].convert
+    assert convert(np.array([[1e6, 2e5, 10_000.0]]))[0, 2] == pytest.approx(3048.006, abs=1e-3)

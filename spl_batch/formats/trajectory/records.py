@@ -121,9 +121,12 @@ def conversions(path: Path, survey_crs: CRS | None, trajectory_crs: str | None) 
             f" {crs_name(survey_crs)} is not installed (PROJ grids)"
         )
     flat = _projection(horizontal(crs), horizontal(survey_crs), best=False)
+    # Heights beside degrees alone are in metres; beside feet they are in feet.
+    counted = len(crs.axis_info) == 3 or not crs.is_geographic
+    unit_m = crs.axis_info[-1].unit_conversion_factor if counted else 1.0
 
     def keep_heights(position: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.column_stack([flat(position)[:, :2], position[:, 2]])
+        return np.column_stack([flat(position)[:, :2], position[:, 2] * unit_m])
 
     return [*found, Conversion(keep_heights, warning)]
 

@@ -380,10 +380,16 @@ def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
 
     Such a record is a mistake of the writer's; the user's word, if there is one, stands.
     """
-    if given is None or facts.crs is None or not facts.crs.is_geocentric:
+    if given is None or facts.crs is None:
         return facts
-    text = f"its CRS record is geocentric; survey.crs {given.name!r} is taken instead"
-    return replace(facts, crs=None, warnings=(*facts.warnings, text))
+    local = horizontal(facts.crs).is_engineering
+    if not local and not facts.crs.is_geocentric:
+        return facts
+    kind = "local" if local else "geocentric"
+    text = f"its CRS record is {kind}; survey.crs {given.name!r} is taken instead"
+    heights = vertical(facts.crs)
+    crs = None if heights is None else compound(given, heights)
+    return replace(facts, crs=crs, warnings=(*facts.warnings, text))
 
 
 def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
