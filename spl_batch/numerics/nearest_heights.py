@@ -1,6 +1,4 @@
-"""Of points that are sorted by cell, the nearest to the centres of cells, and how high they let a
-surface be there.
-"""
+"""Nearest returns to the centres of cells, and the range of heights that they allow there."""
 
 import numpy as np
 from numpy.typing import NDArray
