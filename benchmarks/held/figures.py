@@ -56,6 +56,8 @@ class Row(NamedTuple):
 
 
 Groups = dict[str, list[Figure]]
+Moves = Mapping[str, tuple[str, Worse, float]]
+"""Unit, direction that is worse and tolerance of figures by name."""
 
 
 def figure(
@@ -64,6 +66,13 @@ def figure(
     """Figure of a number, rounded as it is written; None where it is not finite."""
     number = float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     return Figure(name, number, unit, worse, tolerance)
+
+
+def chosen(found: Mapping[str, float], moves: Moves, of: str = "") -> Iterator[Figure]:
+    """Those of the measured figures that must hold, by name behind a prefix."""
+    for name, (unit, worse, tolerance) in moves.items():
+        if name in found:
+            yield figure(f"{of}{name}", found[name], unit, worse, tolerance)
 
 
 def is_outside(value: Value, accepted: Value, worse: Worse, tolerance: float) -> bool:

@@ -5,19 +5,9 @@ from types import MappingProxyType
 from typing import Final
 
 from benchmarks.airborne import quality
-from benchmarks.held import surveys
-from benchmarks.held.figures import Figure, Worse, figure
+from benchmarks.held import filtering, receivers, speed, surfaces, surveys
+from benchmarks.held.figures import Figure, Moves, chosen
 from benchmarks.held.surveys import Given
-
-Moves = Mapping[str, tuple[str, Worse, float]]
-"""Unit, direction that is worse and tolerance of figures by name."""
-
-
-def chosen(found: Mapping[str, float], moves: Moves, of: str = "") -> Iterator[Figure]:
-    """Those of the measured figures that must hold, by name behind a prefix."""
-    for name, (unit, worse, tolerance) in moves.items():
-        if name in found:
-            yield figure(f"{of}{name}", found[name], unit, worse, tolerance)
 
 
 def hashes(given: Given) -> Iterator[Figure]:
@@ -65,6 +55,23 @@ GROUPS: Final[Mapping[str, Callable[[Given], Iterator[Figure]]]] = MappingProxyT
         "hashes": hashes,
         "plots": plots,
         "readme": readme,
+        "sigma": surfaces.sigma,
+        "isprs": surfaces.samples,
+        "tiles": surfaces.tiles,
+        "tracks": receivers.tracks,
+        "labelled": receivers.labelled,
+        "water": receivers.surface,
+        "coincidence": receivers.coincidence,
+        "strips": surfaces.flightlines,
+        "intensity": surfaces.reflectance,
+        "alpha": filtering.alpha,
+        "haze": filtering.haze,
+        "wires": filtering.conductors,
+        "afterpulse": filtering.afterpulse,
+        "noise": filtering.noise,
+        "ground": surfaces.ground,
+        "stages": speed.stages,
+        "kernels": speed.kernels,
     }
 )
 """What measures each group, in the order of a run."""
