@@ -5,8 +5,8 @@ Run ``python -m benchmarks.held [--only GROUP ...] [--data FOLDER] [--since REVI
 Makes small seeded surveys, each once, and prints a table of figures with the values of the last
 accepted commit (``benchmarks/held.json``, or that of another revision) and how far each may move;
 seconds by group go to standard error. The exit status is 1 where a figure lies outside its
-tolerance or is missing, a hash differs, or a group of ``--only`` has nothing to measure. All groups
-take less than half an hour on two quiet cores.
+tolerance or is missing, or a hash differs. All groups take less than half an hour on two quiet
+cores.
 
 FOLDER holds real data: single-photon plots in ``spl``, the ISPRS samples in ``isprs``, classified
 tiles in ``linear``, labelled tracks in ``icesat2``. Groups whose data is not given are left out.

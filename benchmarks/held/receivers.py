@@ -12,7 +12,8 @@ from benchmarks.geiger.coincidence import known_scene
 from benchmarks.geiger.water import water_surface as water
 from benchmarks.held.figures import Figure, Moves, chosen, figure
 from benchmarks.held.surveys import Given
-from spl_batch.geiger.coincidence.simulate.scene import PLACES_M, SceneSettings
+from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
+from spl_batch.geiger.water.simulate.frames import Instrument
 
 TRACKS: Final[Moves] = {
     "F1": ("", "less", 0.002),
@@ -45,11 +46,12 @@ def labelled(given: Given) -> Iterator[Figure]:
                 yield figure(f"track {number}: {name}", value, "", "less", 0.005)
 
 
-PARTS: Final[dict[Literal["spokes", "bars"], tuple[float, float]]] = {
-    "spokes": (12.0, 12.0),
-    "bars": (54.0, 14.0),
+Place = tuple[float, float]
+PARTS: Final[dict[Literal["spokes", "bars"], tuple[Place, Place]]] = {
+    "spokes": ((0.0, 0.0), (12.0, 12.0)),
+    "bars": ((0.0, 28.0), (54.0, 17.0)),
 }
-"""Size of what is looked at around targets of the known scene [m]."""
+"""Centre and size of what is looked at around targets of the known scene [m]."""
 
 KNOWN: Final[Moves] = {
     "spurious above ground, 1/m2": ("1/m2", "more", 0.02),
@@ -65,8 +67,8 @@ KNOWN: Final[Moves] = {
 def coincidence(given: Given) -> Iterator[Figure]:
     """Points of coincidence processing against targets of the known scene."""
     asked = argparse.Namespace(methods=["bridge_sign"], workers=0, picture=None)
-    for name, size in PARTS.items():
-        scene = SceneSettings(extent_m=size, centre_m=PLACES_M[name], targets=(name,))
+    for name, (centre, size) in PARTS.items():
+        scene = SceneSettings(extent_m=size, centre_m=centre, targets=(name,))
         found = known_scene.main(given.scratch / name, scene, asked)
         yield from chosen(found["bridge_sign"], KNOWN, f"{name}: ")
 
@@ -80,7 +82,7 @@ def surface(given: Given) -> Iterator[Figure]:
     """Flat target, calm water and waves by our method, and ends of rays below waves."""
     del given
     seed = 1
-    instrument = water.Instrument(seed=seed)
+    instrument = Instrument(seed=seed)
     ways, dead = water.calibrated_ways(instrument, seed)
     wet = replace(instrument, **water.ON_WATER)
     for name, target, receiver, view in (

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from benchmarks.airborne import strips
+from benchmarks.airborne.filter.methods import make_survey
 from benchmarks.airborne.ground import ground_tiles, isprs, steep, terrain
 from benchmarks.airborne.products import dtm_quality, intensity
 from benchmarks.held import surveys
@@ -128,7 +129,7 @@ EXTENT_M: Final = 80.0
 def reflectance(given: Given) -> Iterator[Figure]:
     """Intensity against true reflectance, over patches and cells."""
     scene = intensity.intensity_scene(SEED, EXTENT_M)
-    survey = intensity.make_survey(scene, given.scratch / "intensity")
+    survey = make_survey(scene, given.scratch / "intensity")
     surveys.run(survey / "workflow.yaml")
     found, _ = intensity.estimates(survey, scene)
     truth = intensity.raster(survey / "truth" / "reflectance.tif")
