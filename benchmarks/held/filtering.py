@@ -21,7 +21,7 @@ SEED: Final = 1
 DENSITIES: Final = (0.02, 0.1, 0.4, 1.0)
 """Of pure noise [1/m3]."""
 
-POINTS, DRAWS, ALPHA = 100_000, 3, 0.001
+POINTS, DRAWS, ALPHA = 60_000, 2, 0.001
 """Noise points of a draw, draws [count], and the filter's alpha."""
 
 UNIFORM: Final = (0.01, 0.1, 0.5)
