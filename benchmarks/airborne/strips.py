@@ -71,7 +71,7 @@ def main() -> None:
             _row(shift, Path(folder))
 
 
-def _survey(shift: tuple[float, float, float], folder: Path) -> Path:
+def survey(shift: tuple[float, float, float], folder: Path) -> Path:
     """Workflow of three flightlines, the second one off by a shift."""
     flights = [
         {"heading_deg": 0, "speed_m_s": 100, "offset_m": 250},
@@ -82,7 +82,7 @@ def _survey(shift: tuple[float, float, float], folder: Path) -> Path:
 
 
 def _corrected(shift: tuple[float, float, float], folder: Path) -> None:
-    workflow = _survey(shift, folder)
+    workflow = survey(shift, folder)
     for how in ("none", "vertical", "rigid"):
         result = api.run(workflow, workers=0, fresh=True, overrides=[f"survey.align={how}"])
         pairs = result.report.strips
@@ -114,7 +114,7 @@ def _corrected(shift: tuple[float, float, float], folder: Path) -> None:
 
 
 def _row(shift: tuple[float, float, float], folder: Path) -> None:
-    workflow = _survey(shift, folder)
+    workflow = survey(shift, folder)
     result = api.run(workflow, workers=0)
     kept = next(p for p in result.report.strips if p.second.startswith("00002"))
     true = _of_truth(folder)

@@ -177,10 +177,7 @@ def strata(seed: int, scratch: Path, names: Sequence[str]) -> Iterator[tuple[str
     for name, scene, overrides, region in STRATA:
         if name not in names:
             continue
-        folder = scratch / scene.replace(" ", "_")
-        if not folder.exists():
-            content = {"name": scene, "seed": seed, **BASE, **SCENES[scene]}
-            simulate(parse_scene(content, scene), folder)
+        folder = simulated(scene, seed, scratch)
         expected = [0.0, 0.0]
         for k, more in enumerate(((), ("noise.correction=published",))[: 1 if overrides else 2]):
             key = (scene, *overrides, *more)
@@ -190,6 +187,15 @@ def strata(seed: int, scratch: Path, names: Sequence[str]) -> Iterator[tuple[str
             true = float(known[key].true[mask].sum())
             expected[k] = float(known[key].expected[mask].sum())
         yield name, Sums(true, *expected)
+
+
+def simulated(scene: str, seed: int, scratch: Path) -> Path:
+    """Folder of a survey, simulated where it is not there yet."""
+    folder = scratch / scene.replace(" ", "_")
+    if not folder.exists():
+        content = {"name": scene, "seed": seed, **BASE, **SCENES[scene]}
+        simulate(parse_scene(content, scene), folder)
+    return folder
 
 
 def print_settings(seed: int, scratch: Path) -> None:

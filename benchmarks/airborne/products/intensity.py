@@ -121,7 +121,7 @@ def main(folder: Path, seeds: Sequence[int], extent_m: float) -> None:
         survey = make_survey(scene, folder / f"intensity_{seed}")
         api.run(survey / "workflow.yaml", workers=1)
         products, full = estimates(survey, scene)
-        truth, patch = _raster(survey / "truth" / "reflectance.tif"), patches(survey, scene)
+        truth, patch = raster(survey / "truth" / "reflectance.tif"), patches(survey, scene)
         print(f"\n{scene.name}: {int((patch > 0).sum())} cells in {int(patch.max())} patches")
         print(f"{'':34s}{'patches':>24s}{'cells':>24s}")
         print(f"{'':34s}" + 2 * f"{'r2':>8s}{'R2':>8s}{'ratio':>8s}")
@@ -166,7 +166,7 @@ def estimates(survey: Path, scene: Scene) -> tuple[Products, Detections]:
     density = -np.log1p(-share)
     density *= np.nanmedian(full.reflectance) / np.nanmedian(density)
     rasters = {
-        "delivered": _cut(survey / "out" / "intensity.tif", cell),
+        "delivered": cut(survey / "out" / "intensity.tif", cell),
         "mean LAS intensity": _mean_intensity(points, cell)[::-1],
         "without overlap (density)": density[::-1],
         "without range": scaled[::-1],
@@ -205,7 +205,7 @@ def _mean_intensity(points: PointTable, cell: Bounds) -> Raster:
 
 def patches(survey: Path, scene: Scene) -> NDArray[np.int64]:
     """Number of the patch of each cell, from 1, north up; 0 for cells of none."""
-    height = _raster(survey / "truth" / "dsm.tif") - _raster(survey / "truth" / "dtm.tif")
+    height = raster(survey / "truth" / "dsm.tif") - raster(survey / "truth" / "dtm.tif")
     open_ground = ndimage.maximum_filter(np.abs(height), CLEAR) < 0.05
     rows, cols = height.shape
     patch = np.zeros(height.shape, dtype=np.int64)
@@ -225,22 +225,23 @@ def patches(survey: Path, scene: Scene) -> NDArray[np.int64]:
     return patch
 
 
-def _raster(path: Path) -> Raster:
+def raster(path: Path) -> Raster:
+    """Values of a raster; NaN where it has none."""
     with rasterio.open(path) as source:
         values = source.read(1).astype(np.float64)
         return np.where(values == source.nodata, np.nan, values)
 
 
-def _cut(path: Path, cell: Bounds) -> Raster:
+def cut(path: Path, cell: Bounds) -> Raster:
     """The part of a raster of 1 m cells that lies over the scene."""
     with rasterio.open(path) as source:
         left, top = (round(v) for v in (source.transform.c, source.transform.f))
     row, col = top - cell.ymax // 1000, cell.xmin // 1000 - left
     rows, cols = (cell.ymax - cell.ymin) // 1000, (cell.xmax - cell.xmin) // 1000
-    return _raster(path)[row : row + rows, col : col + cols]
+    return raster(path)[row : row + rows, col : col + cols]
 
 
-def _means(values: Raster, patch: NDArray[np.int64]) -> NDArray[np.float64]:
+def means(values: Raster, patch: NDArray[np.int64]) -> NDArray[np.float64]:
     """Mean over each patch, cells without a value left out."""
     used = (patch > 0) & np.isfinite(values)
     count = np.bincount(patch[used], minlength=int(patch.max()) + 1)[1:]
@@ -248,7 +249,7 @@ def _means(values: Raster, patch: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _scores(found: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[float, float, float]:
+def scores(found: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[float, float, float]:
     """Squared correlation, R2 about the 1:1 line, median ratio."""
     known = np.isfinite(found) & np.isfinite(truth)
     found, truth = found[known], truth[known]
@@ -257,8 +258,8 @@ def _scores(found: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[flo
 
 
 def _row(name: str, values: Raster, truth: Raster, patch: NDArray[np.int64]) -> None:
-    by_patch = _scores(_means(values, patch), _means(truth, patch))
-    by_cell = _scores(values[patch > 0], truth[patch > 0])
+    by_patch = scores(means(values, patch), means(truth, patch))
+    by_cell = scores(values[patch > 0], truth[patch > 0])
     text = "".join(f"{a:8.3f}{b:8.3f}{c:8.3f}" for a, b, c in (by_patch, by_cell))
     if "LAS" in name:
         text = "".join(f"{a:8.3f}{'-':>8s}{'-':>8s}" for a, _, _ in (by_patch, by_cell))
@@ -280,7 +281,7 @@ def _chance(full: Detections, truth: Raster, patch: NDArray[np.int64]) -> float:
 
 
 def _by_reflectance(values: Raster, truth: Raster, patch: NDArray[np.int64]) -> None:
-    found, true = _means(values, patch), _means(truth, patch)
+    found, true = means(values, patch), means(truth, patch)
     print(f"{'reflectance':>14s}{'patches':>9s}{'ratio':>8s}{'spread':>8s}")
     for low, high in ((0.0, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 1.0)):
         mine = (true >= low) & (true < high) & np.isfinite(found)
