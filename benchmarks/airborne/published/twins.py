@@ -180,6 +180,13 @@ def houston(seed: int, extent_m: Place = (160.0, 150.0)) -> Scene:
     )
 
 
+def houston_deep(seed: int) -> Scene:
+    """Houston's twin with lags as long as [W17] Fig. 7-6 shows terrain to be off: up to 5 m."""
+    content = houston(seed).model_dump(mode="json", by_alias=True)
+    content["detector"] |= {"afterpulse_scale_m": 2.0, "afterpulse_lag_max_m": 5.0}
+    return parse_scene(content, "houston_deep")
+
+
 def canopy(seed: int, extent_m: Place = (130.0, 130.0)) -> Scene:
     """Twin of [W17] 5.3: HRQLS over five roofs (three tilted), lawns and a grove."""
     rng = np.random.default_rng(seed)
@@ -217,6 +224,7 @@ TWINS: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "lufkin": lufkin,
         "lufkin bright": lufkin_bright,
         "houston": houston,
+        "houston deep": houston_deep,
         "canopy": canopy,
         "weak": weak_wires,
         "ordinary": ordinary_wires,

@@ -140,7 +140,7 @@ def test_as_published_all_below_the_plane_goes_whether_or_not_beamlets_are_known
         assert not flagged[table["z"] > -280].any()
         assert flagged[kind == 1].mean() >= 0.8
 
-    def apart(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apart(_: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(y > 0.3, 12.0, 0.0)
 
     # Ours keeps the ground beside a roof; the source has one plane and takes what lies below.
