@@ -6,18 +6,17 @@ FOLDER (a temporary one by default), runs the chain with afterpulses left in and
 prints the DTM's difference to the linear-mode reference. Published: mean |difference| 1.95 m
 without and 0.23 m with removal.
 
-Three chains: noise, plane rule and filter of [W17] with PTD; the same with our ground; and ours. Our
-PTD starts from the lowest returns, as the source's, but refuses pits and what lies under hard
+Three chains: noise, plane rule and filter of [W17] with PTD; the same with our ground; and ours.
+Our PTD starts from the lowest returns, as the source's, but refuses pits and what lies under hard
 surfaces, so afterpulses hardly move it. One that refuses nothing follows the background that the
-published test keeps, some 100 m down. Two twins: the campus with the sensor's
-lags, 0.24 to 3 m, and with lags up to 5 m, as deep as differences reach in Fig. 7-6. The last lines
-say how deep the afterpulses lie, which bounds what they can do to a terrain, and the column "> 2 m"
+published test keeps, some 100 m down. Two twins: the campus with the sensor's lags, 0.24 to 3 m,
+and with lags up to 5 m, as deep as differences reach in Fig. 7-6. The last lines say how deep the afterpulses lie, which bounds what they can do to a terrain, and the column "> 2 m"
 shows where background that the published rule keeps makes pits.
 """
 
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +45,9 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.formats.las.reader import iter_points
 from spl_batch.formats.rasters.parts import read_overview
 
+Rules = Mapping[str, tuple[tuple[str, ...], dict[str, object]]]
+"""Steps before the filter and what they claim, by whether afterpulses are removed."""
+
 PUBLISHED_M = {"left in": 1.95, "removed": 0.23}
 """Mean absolute difference of [W17] 7.4, University of Houston campus, by removal [m]."""
 
@@ -68,13 +70,14 @@ TWINS = {"houston": houston, "houston_deep": houston_deep}
 def terrain_methods() -> dict[str, Method]:
     """Rows of the table, and what each claims to be; labels end in a key of the published."""
     ours = methods.known_methods()["ours"].settings
-    ptd, scales = {"ground.method": "ptd"}, {"ground.method": "multiscale"}
-    removed = {"left in": (LEFT_IN, NO_RULE), "removed": ((), BY_BEAMLET)}
-    planes = {
+    ptd: dict[str, object] = {"ground.method": "ptd"}
+    scales: dict[str, object] = {"ground.method": "multiscale"}
+    removed: Rules = {"left in": (LEFT_IN, NO_RULE), "removed": ((), BY_BEAMLET)}
+    planes: Rules = {
         "left in": (("noise.correction=published", *LEFT_IN), NO_RULE),
         "removed": (PUBLISHED_PLANE, BY_PLANE),
     }
-    chains = {
+    chains: Mapping[str, tuple[tuple[str, ...], dict[str, object], Rules]] = {
         "published filters, PTD": ((*W17_FILTER, *LOWEST), AS_W17 | ptd, planes),
         "published filters, our ground": (W17_FILTER, AS_W17 | scales, planes),
         "ours": (ours, OWN_FILTER | scales, removed),
@@ -88,7 +91,7 @@ def terrain_methods() -> dict[str, Method]:
 
 def terrain_table(folder: Path, seeds: Sequence[int]) -> dict[str, float]:
     """Run the chains on both twins of each seed and print the tables; mean |d| by row [m]."""
-    means = {}
+    means: dict[str, float] = {}
     for twin in TWINS:
         means |= _terrain_of(twin, folder, seeds)
     return means
