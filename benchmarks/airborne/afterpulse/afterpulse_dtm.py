@@ -10,8 +10,9 @@ Three chains: noise, plane rule and filter of [W17] with PTD; the same with our 
 Our PTD starts from the lowest returns, as the source's, but refuses pits and what lies under hard
 surfaces, so afterpulses hardly move it. One that refuses nothing follows the background that the
 published test keeps, some 100 m down. Two twins: the campus with the sensor's lags, 0.24 to 3 m,
-and with lags up to 5 m, as deep as differences reach in Fig. 7-6. The last lines say how deep the afterpulses lie, which bounds what they can do to a terrain, and the column "> 2 m"
-shows where background that the published rule keeps makes pits.
+and with lags up to 5 m, as deep as differences reach in Fig. 7-6. The last lines say how deep the
+afterpulses lie, which bounds what they can do to a terrain, and the column "> 2 m" shows where
+background that the published rule keeps makes pits.
 """
 
 import sys
