@@ -6,8 +6,8 @@ treating them and linked into each method's own folder, as receipts show what is
 """
 
 import hashlib
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from spl_batch import api
 from spl_batch.airborne.compare.comparison import PUBLISHED_FILTER, PUBLISHED_NOISE
 from spl_batch.airborne.settings import FilterSettings
+from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.tasks.kinds import KINDS as TASK_KINDS
@@ -51,12 +52,93 @@ class Method:
         The same of the steps before it; methods that share them share their work.
     alone : bool
         Whether each flightline is filtered by itself, as [W17] ch. 5 does.
+    claims : mapping
+        Effective settings that its row in a table stands for, as :func:`effective` names them.
     """
 
     label: str
     settings: tuple[str, ...]
     shots: tuple[str, ...] = ()
     alone: bool = False
+    claims: Mapping[str, object] = field(default_factory=dict)
+
+
+AS_W18: dict[str, object] = {
+    "filter.method": "vsaes", "filter.test": "published", "filter.neighbours": 15,
+    "filter.radius_m": 1.5, "noise.correction": "published",
+}  # fmt: skip
+"""Effective settings of [W18]'s filter, and of [W17] ch. 6's, which takes more neighbours."""
+
+AS_W17: dict[str, object] = {**AS_W18, "filter.neighbours": 25}
+
+NO_RULE: dict[str, object] = {"afterpulse.enabled": False}
+BY_PLANE: dict[str, object] = {"afterpulse.enabled": True, "afterpulse.method": "published"}
+BY_BEAMLET: dict[str, object] = {"afterpulse.enabled": True, "afterpulse.method": "beamlet"}
+"""The same of the rules for afterpulses: none, [W17] ch. 7's, ours."""
+
+OWN_FILTER: dict[str, object] = {
+    "filter.method": "vsaes", "filter.test": "calibrated", "noise.correction": "seen",
+    "filter.neighbours": 25,
+}  # fmt: skip
+"""The same of our filter."""
+
+PUBLISHED_PLANE = ("noise.correction=published", "afterpulse.method=published")
+"""Steps before the filter as in [W17] ch. 7."""
+
+W17_FILTER = (*PUBLISHED_FILTER, "filter.neighbours=25")
+"""The filter of [W17] ch. 6 and 7."""
+
+
+OF_VSAES = ("test", "alpha", "neighbours", "radius_m")
+"""Keys of ``filter`` that the sources' other filters do not look at."""
+
+
+def effective(workflow: Workflow) -> dict[str, object]:
+    """Settings that a run acts on, by key: those of methods that are not chosen are left out."""
+    given = workflow.model_dump()
+    ground, chosen, rule = given["ground"], given["filter"], given["afterpulse"]
+    given["ground"] = {k: v for k, v in ground.items() if not _is_other(k, v, ground["method"])}
+    own = chosen["method"] == "vsaes"
+    section = "wires" if own and chosen["test"] != "published" else chosen["method"]
+    given["filter"] = {
+        k: v
+        for k, v in chosen.items()
+        if not _is_other(k, v, section) and (own or k not in OF_VSAES)
+    }
+    idle = {"lag_max_m", "vegetation_loss"} if rule["method"] == "published" else set()
+    acting = rule.keys() - idle if rule["enabled"] else {"enabled"}
+    given["afterpulse"] = {k: v for k, v in rule.items() if k in acting}
+    return dict(_flat(given))
+
+
+def _is_other(name: str, value: object, method: str) -> bool:
+    """Whether a key is the section of a method that is not chosen."""
+    return isinstance(value, dict) and name != method
+
+
+def _flat(section: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, object]]:
+    """Keys of a section and those within it, with their values."""
+    for name, value in section.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{place}{name}.")
+        else:
+            yield place + name, value
+
+
+def unmet(
+    workflow: Path, overrides: Sequence[str], claims: Mapping[str, object]
+) -> dict[str, object]:
+    """Claims of a row that its run does not meet, with what acts; overrides without effect."""
+    acting = effective(load_workflow(workflow, overrides))
+    wrong = {k: acting.get(k) for k, v in claims.items() if k not in acting or acting[k] != v}
+    names = [override.partition("=")[0] for override in overrides]
+    return wrong | {name: None for name in names if name not in acting}
+
+
+def check(workflow: Path, overrides: Sequence[str], claims: Mapping[str, object]) -> None:
+    """Stop where a run would not be what its row in a table stands for."""
+    if wrong := unmet(workflow, overrides, claims):
+        raise SystemExit(f"{workflow}: not what the row claims, or without effect: {wrong}")
 
 
 LEFT_IN = ("afterpulse.enabled=false",)
@@ -72,10 +154,15 @@ def is_noise(kind: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
 
 def known_methods() -> dict[str, Method]:
     """Every filter of this installation by name; the sources' with the sources' steps before."""
-    found = {"published": Method("VSAES, as published", PUBLISHED_FILTER, PUBLISHED_NOISE)}
+    found = {
+        "published": Method(
+            "VSAES, as published", PUBLISHED_FILTER, PUBLISHED_NOISE, claims=AS_W18 | NO_RULE
+        )
+    }
     for name in _choices("method"):
         if name not in {"vsaes", "none"}:
-            one = Method(name.upper(), (f"filter.method={name}",), LEFT_IN)
+            said = {"filter.method": name, "noise.correction": "seen", **NO_RULE}
+            one = Method(name.upper(), (f"filter.method={name}",), LEFT_IN, claims=said)
             found[name] = replace(one, label=f"{one.label}, merged") if name == "aes" else one
     if "aes" in found:
         found["aes_alone"] = replace(found["aes"], label="AES, lines alone", alone=True)
@@ -85,13 +172,15 @@ def known_methods() -> dict[str, Method]:
         ((f"filter.wires.enabled={word}",) if scan else ()) for word in ("false", "true")
     )
     tail = ("filter.method=vsaes", "filter.test=tail")
-    found["tail"] = Method("VSAES, corrected tail", (*tail, *alone))
+    own = {**OWN_FILTER, **BY_BEAMLET}
+    found["tail"] = Method(
+        "VSAES, corrected tail", (*tail, *alone), claims=own | {"filter.test": "tail"}
+    )
     if "calibrated" in _choices("test"):
         test = ("filter.method=vsaes", "filter.test=calibrated")
-        found["calibrated"] = Method("calibrated", (*test, *alone))
-        found["ours"] = Method(
-            "calibrated + wire scan" if scan else "calibrated", (*test, *with_scan)
-        )
+        found["calibrated"] = Method("calibrated", (*test, *alone), claims=own)
+        label = "calibrated + wire scan" if scan else "calibrated"
+        found["ours"] = Method(label, (*test, *with_scan), claims=own)
     return found
 
 
@@ -148,11 +237,13 @@ def judge(survey: Path, method: Method) -> NDArray[np.uint8]:
 def _run(
     survey: Path, method: Method, output: str, files: list[Path], *more: str
 ) -> NDArray[np.uint8]:
+    overrides = (*method.shots, *method.settings, *more)
+    check(survey / "workflow.yaml", overrides, method.claims)
     digest = hashlib.blake2b(repr(method.settings).encode(), digest_size=4).hexdigest()
     own = f"{output}_{digest}"
     _finish(survey, method, output, "shots", *method.shots, *more)
     share_finished(Store(survey / output), Store(survey / own), SHARED)
-    _finish(survey, method, own, "denoise", *method.shots, *method.settings, *more)
+    _finish(survey, method, own, "denoise", *overrides)
     return _read_labels(files, Store(survey / own))
 
 

@@ -11,6 +11,7 @@ beneath 20 roofs that is removed.
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,13 +24,20 @@ from shapely.affinity import scale
 from benchmarks.airborne.filter import methods
 from benchmarks.airborne.filter.methods import (
     AFTERPULSE,
+    AS_W17,
     BACKGROUND,
+    BY_PLANE,
+    LEFT_IN,
+    NO_RULE,
+    OWN_FILTER,
+    PUBLISHED_PLANE,
     ROOF,
+    W17_FILTER,
     Columns,
     Method,
     is_noise,
 )
-from benchmarks.airborne.published.twins import canopy, houston
+from benchmarks.airborne.published.twins import SHAPES, canopy, houston
 from spl_batch.airborne.compare.comparison import PUBLISHED_NOISE
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, QUANTUM_M
 from spl_batch.formats.las.reader import iter_points
@@ -119,17 +127,7 @@ def _print_surfaces(means: Mapping[str, Mapping[str, float]], known: Mapping[str
 
 def roof_table(folder: Path, seeds: Sequence[int]) -> dict[str, float]:
     """Print Table 7-1 for 20 roofs of each seed; noise removed by variant [%]."""
-    tail = ("filter.method=vsaes", "filter.test=tail")
-    published = ("filter.method=vsaes", "filter.test=published")
-    ours = methods.known_methods().get("ours", Method("", tail)).settings
-    variants = {
-        "VSAES alone": Method("VSAES alone", published, PUBLISHED_NOISE),
-        "published plane, VSAES": Method(
-            "", published, ("noise.correction=published", "survey.channel_dimension=null")
-        ),
-        "ours, no afterpulse stage": Method("", ours, ("afterpulse.enabled=false",)),
-        "ours": Method("", ours),
-    }  # fmt: skip
+    variants = roof_methods()
     counts: dict[str, list[NDArray[np.int64]]] = {name: [] for name in variants}
     for seed in seeds:
         survey = methods.make_survey(houston(seed), folder / f"houston_{seed}")
@@ -141,23 +139,39 @@ def roof_table(folder: Path, seeds: Sequence[int]) -> dict[str, float]:
             kept = methods.judge(survey, method) == 0
             counts[name] += [_beneath(patch, points, kept) for patch in roofs]
     removed = {}
-    names = ("removed", "[W17]", "least", "most", "noise", "afterp.", "roof lost")
+    names = ("removed", "[W17]", "least", "most", "noise", "afterp.", "roof lost", *SHAPES)
     print("\n[W17] Table 7-1: noise 0.3-5 m beneath roofs removed [%]; least and most of a roof;")
-    print("noise counted there; true afterpulses of roofs removed at any lag; roof returns lost")
+    print("noise counted there; true afterpulses of roofs removed at any lag; roof returns lost;")
+    print("noise removed by shape of roof")
     print(f"{'':28s}" + "".join(f"{n:>10s}" for n in names))
     for name, rows in counts.items():
         table = np.array(rows)
         gone, noise, echo_gone, echo, lost, roof = table.sum(axis=0)
         each = 100.0 * table[:, 0] / np.maximum(table[:, 1], 1)
         removed[name] = 100.0 * gone / max(noise, 1)
+        shape = np.arange(len(table)) % len(roofs) % len(SHAPES)
+        sums = np.array([table[shape == k].sum(axis=0) for k in range(len(SHAPES))])
+        shares = 100.0 * sums[:, 0] / np.maximum(sums[:, 1], 1)
         said = ROOFS_REMOVED if name == "published plane, VSAES" else np.nan
         print(
             f"{name:28s}{removed[name]:10.1f}"
             + (f"{said:10.1f}" if np.isfinite(said) else f"{'-':>10s}")
             + f"{each.min():10.1f}{each.max():10.1f}{noise:10d}"
             f"{100.0 * echo_gone / max(echo, 1):10.1f}{100.0 * lost / max(roof, 1):10.2f}"
+            + "".join(f"{share:10.1f}" for share in shares)
         )
     return removed
+
+
+def roof_methods() -> dict[str, Method]:
+    """Rows of Table 7-1, and what each claims to be."""
+    ours = methods.known_methods()["ours"]
+    return {
+        "VSAES alone": Method("", W17_FILTER, PUBLISHED_NOISE, claims=AS_W17 | NO_RULE),
+        "published plane, VSAES": Method("", W17_FILTER, PUBLISHED_PLANE, claims=AS_W17 | BY_PLANE),
+        "ours, no afterpulse stage": replace(ours, shots=LEFT_IN, claims=OWN_FILTER | NO_RULE),
+        "ours": ours,
+    }
 
 
 def roof_regions(survey: Path, area_m2: float) -> list[shapely.Polygon]:

@@ -39,6 +39,10 @@ DARK_ROOF, BRIGHT_ROOF = 0.08, 0.8
 """Reflectance of the darkest and brightest roof of the Houston twin."""
 
 
+SHAPES = ("flat", "gable", "shed")
+"""Shapes of the roofs of twins, in turn."""
+
+
 def weak_wires(seed: int, extent_m: Place = (160.0, 100.0)) -> Scene:
     """Conductors at 0.1-0.3 returns per metre and flightline; two returns in five are noise."""
     return _wire_scene("weak wires", seed, extent_m, (0.3, 0.2, 0.1), background_per_m3=0.16)
@@ -180,6 +184,13 @@ def houston(seed: int, extent_m: Place = (160.0, 150.0)) -> Scene:
     )
 
 
+def houston_deep(seed: int) -> Scene:
+    """Houston's twin with lags as long as [W17] Fig. 7-6 shows terrain to be off: up to 5 m."""
+    content = houston(seed).model_dump(mode="json", by_alias=True)
+    content["detector"] |= {"afterpulse_scale_m": 2.0, "afterpulse_lag_max_m": 5.0}
+    return parse_scene(content, "houston_deep")
+
+
 def canopy(seed: int, extent_m: Place = (130.0, 130.0)) -> Scene:
     """Twin of [W17] 5.3: HRQLS over five roofs (three tilted), lawns and a grove."""
     rng = np.random.default_rng(seed)
@@ -188,7 +199,7 @@ def canopy(seed: int, extent_m: Place = (130.0, 130.0)) -> Scene:
         {
             "centre_m": [(0.14 + 0.18 * k) * east, 0.16 * north], "size_m": [16.0, 13.0],
             "heading_deg": float(rng.uniform(0, 180)), "eave_m": float(rng.uniform(4, 10)),
-            "roof": ("flat", "gable", "shed")[k % 3], "pitch_deg": float(rng.uniform(15, 30)),
+            "roof": SHAPES[k % 3], "pitch_deg": float(rng.uniform(15, 30)),
             "reflectance": float(rng.uniform(0.4, 0.7)),
         }
         for k in range(5)
@@ -217,6 +228,7 @@ TWINS: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "lufkin": lufkin,
         "lufkin bright": lufkin_bright,
         "houston": houston,
+        "houston deep": houston_deep,
         "canopy": canopy,
         "weak": weak_wires,
         "ordinary": ordinary_wires,
@@ -288,7 +300,7 @@ def _roof(rng: np.random.Generator, k: int, extent_m: Place, reflectance: float)
         "size_m": [float(rng.uniform(18, 24)), float(rng.uniform(13, 18))],
         "heading_deg": float(rng.uniform(0, 180)),
         "eave_m": float(rng.uniform(4, 15)),
-        "roof": ("flat", "gable", "shed")[k % 3],
+        "roof": SHAPES[k % 3],
         "pitch_deg": float(rng.uniform(10, 35)),
         "reflectance": reflectance,
     }

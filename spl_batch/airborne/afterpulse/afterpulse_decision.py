@@ -140,12 +140,12 @@ def resolve(
     ----------
     table : PointTable
         Points of a block and its halo in canonical order. Without ``afterpulse`` there are no
-        candidates; without ``afterpulse_rate`` the time domain decides alone.
+        candidates; without ``afterpulse_rate``, or as published, the time domain decides alone.
     density : (n,) float64
         Expected noise at each point [1/m3].
     """
     found = believed(table)
-    if "afterpulse" not in table:
+    if "afterpulse" not in table or settings.method == "published":
         return found
     dependent = dependents(table)
     rows, chance, hard, clumped, far = probability(table, density)

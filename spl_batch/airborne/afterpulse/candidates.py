@@ -9,6 +9,9 @@ the fit. A shot may hold up to three surfaces. Distances to the threshold run al
 from hard surfaces the lag gives a probability below one half, and the space domain decides
 (:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision`). Where beamlets cannot be told apart
 (:mod:`~spl_batch.airborne.beams.told_apart`), the published rule stands, down to ``lag_max_m``.
+
+``method: published`` has none of these but the distances along the beam: one plane for each shot
+that has enough candidates, and all that lies below it.
 """
 
 from typing import Final
@@ -18,7 +21,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law
 from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw, sensor_law, shot_offsets
-from spl_batch.airborne.afterpulse.hard_surfaces import Rules
+from spl_batch.airborne.afterpulse.hard_surfaces import Rules, below_planes
+from spl_batch.airborne.afterpulse.lag_counts import across_beams
 from spl_batch.airborne.afterpulse.shot_evidence import shot_probabilities
 from spl_batch.airborne.beams.bloom import find_bloom
 from spl_batch.airborne.beams.shot_runs import lag_behind, run_starts
@@ -26,6 +30,7 @@ from spl_batch.airborne.noise.gate import GATE_ASSUMED_M
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
+from spl_batch.numerics.simd import LANES
 
 DOMAIN: Final = "time"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel")
@@ -81,14 +86,17 @@ def probability(
     time, channel, range_m = table["gps_time"], table["channel"], beams.range_m[rows]
     shots = run_starts(time)
     law = law or sensor_law(sensor)
-    lag = np.empty(len(table), dtype=np.float32)
+    lag, found = np.empty((2, len(table)), dtype=np.float32)
     rules = hard_rules(settings, sensor, law, gate_m)
-    lag_behind(run_starts(time, channel), range_m, law.least_m, rules.chain_m, lag)
-    found = np.empty(len(table), dtype=np.float32)
-    shot_probabilities(
-        shots, shot_offsets(table, shots), np.ascontiguousarray(beams.direction[rows]),
-        range_m, channel, lag, rules, found,
-    )  # fmt: skip
+    offset, direction = shot_offsets(table, shots), np.ascontiguousarray(beams.direction[rows])
+    if settings.method == "published":
+        u, v, w = np.zeros((3, len(table) + LANES))
+        w[: len(table)] = range_m
+        across_beams(shots, direction, offset, u, v)
+        below_planes(shots, u, v, w, rules._replace(below_m=settings.below_plane_m), found)
+    else:
+        lag_behind(run_starts(time, channel), range_m, law.least_m, rules.chain_m, lag)
+        shot_probabilities(shots, offset, direction, range_m, channel, lag, rules, found)
     out[rows] = found
     return out
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.beams.differential_cell_count import dcc_keep
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.planes.robust_plane import percentile_68_below, spread
 from spl_batch.numerics.planes.robust_planes_simd import U0, fit_planes
@@ -110,6 +111,44 @@ def fit_surfaces(
         )
         if trusted[one]:
             spreads[one] = spread(hard[:count], rules.sigma_m)
+
+
+@njit()
+def below_planes(
+    shots: NDArray[np.int64], u: NDArray[np.float64], v: NDArray[np.float64],
+    w: NDArray[np.float64], rules: Rules, out: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """The rule as published: one plane for each shot, and all that lies below it [W17 ch. 7].
+
+    Parameters
+    ----------
+    shots : (s + 1,) int64
+        First row of each shot, then n.
+    u, v, w : (n + 8,) float64
+        Returns across and along the beam [m].
+    out : (n,) float32
+        Filled: 1 for afterpulses, else 0; shots whose plane is not trusted have none.
+    """
+    n, sets = len(out), 0
+    candidate, member = np.zeros(n, np.bool_), np.empty(n + LANES, np.uint64)
+    first, owner = np.zeros(len(shots), np.int64), np.empty(len(shots), np.int64)
+    for shot in range(len(shots) - 1):
+        low, high, end = shots[shot], shots[shot + 1], first[sets]
+        dcc_keep(w[low:high], rules.gate_m, rules.coarse_m, rules.fine_m, candidate[low:high])
+        for i in range(low, high):
+            member[end] = i
+            end += candidate[i]
+        if end - first[sets] >= RETURNS_MIN:
+            owner[sets], first[sets + 1] = shot, end
+            sets += 1
+    plane, trusted, spreads = np.empty((sets, 3)), np.empty(sets, np.bool_), np.empty(sets)
+    fit_surfaces(sets, first, member, u, v, w, rules, plane, trusted, spreads)
+    out[:] = 0.0
+    for one in range(sets):
+        if trusted[one]:
+            a, b, c = plane[one, 0], plane[one, 1], plane[one, 2]
+            for i in range(shots[owner[one]], shots[owner[one] + 1]):
+                out[i] = w[i] - (a + b * u[i] + c * v[i]) > rules.below_m
 
 
 @njit()

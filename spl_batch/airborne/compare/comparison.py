@@ -19,7 +19,7 @@ from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.plots import Profile
 from spl_batch.airborne.report.profile_strips import read_strip, tallest_strip
 from spl_batch.airborne.report.verdicts import noise_removed
-from spl_batch.airborne.settings import FilterSettings
+from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.report.number_format import (
     as_ascii,
@@ -53,6 +53,12 @@ PUBLISHED_NOISE: Final = ("noise.correction=published", "afterpulse.enabled=fals
 """What the filter looks at; the other methods have the workflow's own."""
 
 
+AFTERPULSES: Final = tuple(
+    f"afterpulse:{rule}" for rule in get_args(AfterpulseSettings.model_fields["method"].annotation)
+)
+"""Rules for afterpulses, each before the filter of the workflow."""
+
+
 def _keys(name: str, settings: Workflow) -> tuple[str, ...] | None:
     """Keys of the workflow that make a run one of a method, such as ``voxel`` or ``vsaes:tail``."""
     del settings
@@ -61,6 +67,8 @@ def _keys(name: str, settings: Workflow) -> tuple[str, ...] | None:
     if name in GROUND:
         return (f"ground.method={name}",)
     method, colon, test = name.partition(":")
+    if name in AFTERPULSES:
+        return ("afterpulse.enabled=true", f"afterpulse.method={test}")
     if method not in (*FILTERS, "none") or (colon and (method != OWN or test not in TESTS)):
         return None
     return (
@@ -80,7 +88,9 @@ def _share(source: Store, target: Store, settings: Workflow, method: str) -> set
         # The points of a tile carry the verdict of single shots, which one method alone asks for.
         # Bloom is marked for all but an unfiltered survey.
         marked = settings.noise.bloom and "none" in (settings.filter.method, method)
-        if (settings.filter.method == "dcc") == (method == "dcc") and not marked:
+        asked = settings.filter.method if method in AFTERPULSES else method
+        other = method in AFTERPULSES and not method.endswith(f":{settings.afterpulse.method}")
+        if (settings.filter.method == "dcc") == (asked == "dcc") and not (marked or other):
             stages.add("shuffle")
     points = remembered_stretch(source)
     if "shots" in stages and points is not None:
@@ -194,7 +204,7 @@ def _strips(runs: Mapping[str, Outcome], strip: Bounds) -> dict[str, Profile]:
 
 METHODS: Final = Methods(
     known=f"{', '.join(FILTERS)}, none; {', '.join(f'{OWN}:{test}' for test in TESTS)}; "
-    f"{PUBLISHED}; and {', '.join(GROUND)} for the ground",
+    f"{PUBLISHED}; {', '.join(AFTERPULSES)}; and {', '.join(GROUND)} for the ground",
     keys=_keys,
     until=_until,
     share=_share,

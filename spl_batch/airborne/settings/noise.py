@@ -37,6 +37,11 @@ class AfterpulseSettings(Section):
     """Afterpulse candidates [W17 ch. 7]."""
 
     enabled: bool = Field(True, description="Look for afterpulses.")
+    method: Literal["beamlet", "published"] = Field(
+        "beamlet",
+        description="By earlier returns of the beamlet and returns around; or as published, all "
+        "that lies below the plane of a shot.",
+    )
     coarse_bin_m: Positive = Field(30.0, description="DCC coarse range bin [m].")
     fine_bin_m: Positive = Field(5.0, description="DCC fine range bin [m].")
     weight_min: Share = Field(0.1, description="Bisquare weight that marks the hard surface.")

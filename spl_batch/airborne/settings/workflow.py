@@ -72,7 +72,8 @@ class Workflow(BaseWorkflow):
         except WorkflowError as unknown_preset:
             yield str(unknown_preset)
         else:
-            if self.afterpulse.enabled and self.afterpulse.lag_max_m <= dead_m:
+            lags = self.afterpulse.enabled and self.afterpulse.method == "beamlet"
+            if lags and self.afterpulse.lag_max_m <= dead_m:
                 yield (
                     f"afterpulse.lag_max_m: {self.afterpulse.lag_max_m:g} m end within the "
                     f"sensor's dead time, {dead_m:.3f} m: no afterpulse would be found; "

@@ -307,6 +307,17 @@ def test_a_bed_lives_although_the_time_domain_takes_it_for_echoes() -> None:
     assert echo_of(water, density)[late].mean() < echo_of(table, density)[late].mean()
 
 
+def test_as_published_the_time_domain_decides() -> None:
+    surface, bed = plate(6, 10.0, 0.0, 5), plate(12, 8.8, 0.0, 6)
+    first = np.concatenate([surface, bed])
+    published = AfterpulseSettings(method="published")
+    table, density = survey(first, followers(first, inner(surface, 30), 1.2), afterpulse=0.95)
+    found = afterpulse_decision.resolve(table, density, published)
+    assert found.echo.tolist() == (table["afterpulse"] > 0.5).tolist()
+    assert not found.dependent.any()
+    assert not echo_of(table, density)[len(first) :].any(), "ours spares the bed"
+
+
 def test_without_rates_or_noise_the_time_domain_decides() -> None:
     first = plate(10, 5.0, 0.0, 1)
     rows = inner(first, 20)

@@ -130,6 +130,26 @@ def test_without_channels_the_plane_decides() -> None:
     assert flagged[kind == 0].mean() <= 0.003
 
 
+def test_as_published_all_below_the_plane_goes_whether_or_not_beamlets_are_known() -> None:
+    published = SETTINGS.model_copy(update={"method": "published"})
+    for channels in (True, False):
+        table, track, kind = shots(level, channels=channels, noise_per_m=0.0)
+        flagged = found(table, track, published) >= 0.5
+        below = table["z"] < -320
+        assert flagged[below].all()
+        assert not flagged[table["z"] > -280].any()
+        assert flagged[kind == 1].mean() >= 0.8
+
+    def apart(_: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where(y > 0.3, 12.0, 0.0)
+
+    # Ours keeps the ground beside a roof; the source has one plane and takes what lies below.
+    table, track, kind = shots(apart, detection=0.9, afterpulses=0.0)
+    ground = (kind == 0) & (table["z"] < 1000)
+    assert not (found(table, track) >= 0.5)[ground].any()
+    assert (found(table, track, published) >= 0.5)[ground].mean() > 0.9
+
+
 def test_a_sea_bed_seen_by_first_returns_lives() -> None:
     table, track, kind = shots(level, second=lambda x, _: np.full_like(x, -1.5), afterpulses=0.0)
     flagged = found(table, track) >= 0.5

@@ -14,11 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch import api
+from spl_batch.airborne.compare.comparison import METHODS as METHODS_COMPARED
 from spl_batch.airborne.compare.contrast import Contrast, _far, _fullest_strip
 from spl_batch.airborne.compare.terrain_contrast import terrain_contrast
 from spl_batch.airborne.filter.denoise import METHODS as METHODS_KNOWN
 from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.survey_page import HOW, render
+from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.constants import NODATA
 from spl_batch.engine.store.links import share_finished
 from spl_batch.engine.store.working_store import Store, read_receipt, write_receipt
@@ -204,6 +206,14 @@ def test_methods_are_listed_once_and_have_folders() -> None:
     found = listed("vsaes:tail, voxel ,vsaes,voxel,published")
     assert found == ["vsaes:tail", "voxel", "vsaes", "published"]
     assert [folder_of(name) for name in found[:2]] == ["compare/vsaes-tail", "compare/voxel"]
+
+
+def test_rules_for_afterpulses_can_be_compared() -> None:
+    settings = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "w")
+    for rule in ("beamlet", "published"):
+        keys = METHODS_COMPARED.keys(f"afterpulse:{rule}", settings)
+        assert keys == ("afterpulse.enabled=true", f"afterpulse.method={rule}")
+    assert METHODS_COMPARED.keys("afterpulse:none", settings) is None
 
 
 @pytest.mark.parametrize(

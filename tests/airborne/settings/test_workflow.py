@@ -273,6 +273,7 @@ def test_faults_between_keys_come_all_at_once_with_the_file() -> None:
         {"filter": {"method": "aes", "wires": {"alpha": 0.01}}},
         {"filter": {"test": "published", "wires": {"alpha": 0.01}}},
         {"afterpulse": {"enabled": False, "lag_max_m": 0.1}},
+        {"afterpulse": {"method": "published", "lag_max_m": 0.1}},
     ],
 )
 def test_what_does_not_matter_is_no_fault(fine: dict[str, Any]) -> None:
