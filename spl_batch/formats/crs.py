@@ -22,6 +22,11 @@ GEO_KEYS: Final = (
 )
 """GeoTIFF key directory, doubles and text; the record id is the TIFF tag."""
 
+_VERTICAL_CRS_KEY: Final = 4096
+_VERTICAL_UNIT_KEY: Final = 4099
+_METRE: Final = 9001
+"""GeoTIFF keys of heights, and the code of metres [OGC 19-008r4, B.4]."""
+
 _TIFF_SHORT, _TIFF_ASCII, _TIFF_DOUBLE = 3, 2, 12
 
 DEGREES_ACROSS: Final = 5.0
@@ -88,7 +93,7 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     directory, doubles, text : bytes
         Records 34735, 34736, 34737; the last two may be empty.
     """
-    tiff = _one_pixel_tiff(directory, doubles, text)
+    tiff = _one_pixel_tiff(_with_heights_unit(directory), doubles, text)
     try:
         # Without the option, GDAL leaves the vertical part out of keys of version 1.0.
         env = rasterio.Env(GTIFF_REPORT_COMPD_CS=True)
@@ -100,6 +105,17 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     if found is None or heights is None or heights.name or _not_metres(found):
         return found
     return horizontal(found)  # a unit of heights alone names no vertical CRS
+
+
+def _with_heights_unit(directory: bytes) -> bytes:
+    """Keys without the vertical CRS where a unit other than metres is given, which GDAL ignores."""
+    values = np.frombuffer(directory[: len(directory) // 8 * 8], "<u2").reshape(-1, 4)
+    units = values[1:][values[1:, 0] == _VERTICAL_UNIT_KEY, 3]
+    if not np.any(units != _METRE):
+        return directory
+    kept = values[values[:, 0] != _VERTICAL_CRS_KEY]
+    header = [*kept[0, :3], len(kept) - 1]
+    return np.array([header, *kept[1:]], "<u2").tobytes()
 
 
 def _one_pixel_tiff(directory: bytes, doubles: bytes, text: bytes) -> bytes:
@@ -249,7 +265,7 @@ def crs_problems(
     if _is_world_mercator(flat):
         faults.append(
             f"CRS {crs_name(crs)} stretches lengths by 1/cos(latitude), so that areas"
-            " and densities would be wrong: reproject the files to a projected CRS of the region, e.g. UTM"
+            " and densities would be wrong: reproject the files to one of the region, e.g. UTM"
         )
     return faults
 

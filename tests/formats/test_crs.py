@@ -129,7 +129,9 @@ def _keys(*keys: tuple[int, int]) -> CRS | None:
     return crs_from_geotiff(np.array(values, "<u2").tobytes(), b"", b"")
 
 
-@pytest.mark.parametrize("vertical_keys", [((4096, 6360), (4099, 9003)), ((4099, 9003),)])
+@pytest.mark.parametrize(
+    "vertical_keys", [((4096, 6360), (4099, 9003)), ((4099, 9003),), ((4096, 5703), (4099, 9003))]
+)
 def test_heights_of_geotiff_keys_in_feet_are_refused(
     vertical_keys: tuple[tuple[int, int], ...],
 ) -> None:

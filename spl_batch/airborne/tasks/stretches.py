@@ -69,11 +69,11 @@ class Copies(NamedTuple):
 
     row: NDArray[np.intp]  #: (k,): which of the returns that count they are copies of.
     source: NDArray[np.uint64]  #: (k,): key of the file of each.
-    index: NDArray[np.uint32]  #: (k,): its number in the file.
+    number: NDArray[np.uint32]  #: (k,): its number in the file.
 
     def of(self, table: PointTable) -> PointTable:
         """Copies with all that the returns that count have, but for their own file and number."""
-        return table.take(self.row).with_columns(source=self.source, index=self.index)
+        return table.take(self.row).with_columns(source=self.source, index=self.number)
 
 
 def read_stretch(
