@@ -248,8 +248,8 @@ def crs_problems(
     ]
     if _is_world_mercator(flat):
         faults.append(
-            f"CRS {crs_name(crs)} stretches lengths by 1/cos(latitude), so areas and densities would"
-            " be wrong: reproject the files to a projected CRS of the region, e.g. UTM"
+            f"CRS {crs_name(crs)} stretches lengths by 1/cos(latitude), which falsifies"
+            " areas and densities: reproject the files to a projected CRS of the region, e.g. UTM"
         )
     return faults
 
