@@ -18,7 +18,7 @@ from spl_batch.airborne.plan.block_size import Holders, remember_stretch, rememb
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.plots import Profile
 from spl_batch.airborne.report.profile_strips import read_strip, tallest_strip
-from spl_batch.airborne.report.verdicts import noise_removed
+from spl_batch.airborne.report.verdicts import noise_removed, photon_counting
 from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.report.number_format import (
@@ -112,8 +112,9 @@ def _row(method: MethodResult) -> tuple[str, ...]:
         share(method.far_share),
         percent(method.ground / method.points if method.points else None),
         centimetres(method.dtm_rmse_m),
-        centimetres(method.dsm_rmse_m),
-        significant(method.denoise_s_per_million),
+        centimetres(method.dsm_median_m),
+        centimetres(method.dsm_nmad_m),
+        significant(method.s_per_million),
     )
     return (method.name, *map(as_ascii, values))
 
@@ -128,13 +129,16 @@ def _write(output: Path, reports: Mapping[str, Report]) -> ComparisonReport:
     found = contrast(list(runs.values()))
     terrain = terrain_contrast([output / folder_of(name) for name in reports])
     first = next(iter(reports.values()))
+    # Ground methods share the filter, or have none: they say nothing of noise.
+    far_m3 = 0 if all(name in GROUND for name in reports) else found.far_m3
     results = tuple(_result(*named, found, terrain, k) for k, named in enumerate(reports.items()))
     report = ComparisonReport(
         survey=first.survey.name,
         version=first.provenance.version,
         far_m=FAR_M,
-        far_m3=found.far_m3 or None,
-        far_recorded_per_m3=found.far_points / found.far_m3 if found.far_m3 else None,
+        photons=photon_counting(first),
+        far_m3=far_m3 or None,
+        far_recorded_per_m3=found.far_points / far_m3 if far_m3 else None,
         methods=results,
         left_out=tuple(found.left_out),
     )
@@ -148,7 +152,8 @@ def _result(
     counts, accuracy = report.counts, report.accuracy
     dtm = accuracy.dtm.get("all") if accuracy else None
     dsm = accuracy.dsm.get("all") if accuracy else None
-    kept = int(found.far_kept[k])
+    kept, of_ground = int(found.far_kept[k]), name in GROUND
+    work = "ground" if of_ground else "denoise"
     return MethodResult(
         name=name,
         folder=folder_of(name),
@@ -159,15 +164,17 @@ def _result(
         removed_share=noise_removed(report),
         kept_only=int(found.kept_only[k]),
         removed_only=int(found.removed_only[k]),
-        far_per_m3=kept / found.far_m3 if found.far_m3 else None,
-        far_share=kept / found.far_points if found.far_points else None,
+        far_per_m3=kept / found.far_m3 if found.far_m3 and not of_ground else None,
+        far_share=kept / found.far_points if found.far_points and not of_ground else None,
         ground=counts.ground,
         dtm_off_share=None if np.isnan(terrain.off_share[k]) else float(terrain.off_share[k]),
         dtm_rmse_m=dtm.rmse if dtm else None,
         dtm_mean_m=dtm.mean if dtm else None,
+        dsm_median_m=dsm.median if dsm else None,
+        dsm_nmad_m=dsm.nmad if dsm else None,
         dsm_rmse_m=dsm.rmse if dsm else None,
         shuffle_s_per_million=per_million(report.performance, "shuffle", counts.points_in),
-        denoise_s_per_million=per_million(report.performance, "denoise", counts.points_in),
+        s_per_million=per_million(report.performance, work, counts.points_in),
         failures=len(report.failures),
     )
 
@@ -212,7 +219,7 @@ METHODS: Final = Methods(
     row=_row,
     titles=(
         *("method", "signal", "background noise", "afterpulses", "far noise"),
-        *("ground", "DTM RMSE", "DSM RMSE", "s per million"),
+        *("ground", "DTM RMSE", "DSM median", "DSM NMAD", "s per million"),
     ),
 )
 """What can be compared."""

@@ -29,12 +29,16 @@ class MethodResult(ComparedMethod):
     )
     dtm_rmse_m: Number = Field(None, description="DTM against the reference [m].")
     dtm_mean_m: Number = Field(None, description="DTM minus reference, mean [m].")
+    dsm_median_m: Number = Field(None, description="DSM minus reference, median [m].")
+    dsm_nmad_m: Number = Field(None, description="DSM minus reference, NMAD [m].")
     dsm_rmse_m: Number = Field(None, description="DSM against the reference [m].")
     shuffle_s_per_million: Number = Field(
         None, description="Stage shuffle, where single shots are filtered [s per 1e6 points]."
     )
-    denoise_s_per_million: Number = Field(
-        None, description="Stage denoise, where space is [s per 1e6 points]."
+    s_per_million: Number = Field(
+        None,
+        description="Stage that does what is compared: ground for a ground method, else denoise "
+        "[s per 1e6 points].",
     )
 
 
@@ -42,6 +46,7 @@ class ComparisonReport(Compared):
     """What a comparison writes down."""
 
     survey: str = Field(description="Name of the survey.")
+    photons: bool = Field(description="Whether the survey is single-photon lidar.")
     far_m: float = Field(description="Far begins at this height difference, at most [m].")
     far_m3: Number = Field(None, description="Volume of the gate that is far [m3].")
     far_recorded_per_m3: Number = Field(None, description="Recorded there, kept or not [1/m3].")

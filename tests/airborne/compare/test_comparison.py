@@ -72,7 +72,7 @@ def test_the_table_says_what_the_clouds_hold(compared: Path) -> None:
         assert method["removed_only"] == np.count_nonzero(known & (classes != 0) & (first == 0))
         assert 0 < method["removed_share"] < 1
         assert method["dtm_rmse_m"] > 0
-        assert method["denoise_s_per_million"] > 0
+        assert method["s_per_million"] > 0
         assert 0 <= method["far_share"] < 0.2
     assert methods["dcc"]["kept_only"] > 0
     assert methods["dcc"]["removed_only"] > 0
@@ -144,6 +144,10 @@ def test_ground_methods_share_the_filter(compared: Path) -> None:
     assert ours.signal == theirs.signal
     assert ours.ground != theirs.ground > 0
     assert ours.dtm_off_share is None
+    assert found.report.photons
+    assert found.report.far_m3 is None, "ground methods say nothing of noise"
+    assert ours.far_share is theirs.far_share is None
+    assert ours.s_per_million != theirs.s_per_million, "of the ground, which each does itself"
     assert 0 <= theirs.dtm_off_share < 0.5
     assert found.titles[5] == "ground"
     assert found.rows[0][0] == "multiscale"
