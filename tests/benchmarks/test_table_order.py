@@ -67,7 +67,7 @@ def test_ellipsoids_of_the_source_expect_as_much_noise_as_there_is(
     told = aes._expected
     monkeypatch.setattr(aes, "_expected", count)
     more = replace(methods.known_methods()["aes"], label="AES, anew")
-    methods.judge(survey, replace(more, settings=(*more.settings, "filter.alpha=0.0011")))
+    methods.judge(survey, replace(more, settings=(*more.settings, "products.void_max_m=19.0")))
     background = methods.load_truth(survey)["kind"] == methods.BACKGROUND
     assert sum(expected) == pytest.approx(background.sum(), rel=0.02)
 

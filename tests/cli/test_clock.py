@@ -74,7 +74,7 @@ def test_a_command_that_leaves_at_once_loses_nothing() -> None:
     assert (ended.returncode, ended.stderr) == (0, "")
     assert ended.stdout.startswith("spl-batch, version")
     assert ended.stdout.endswith("closed\n")
-    slow = "import threading, time; work = lambda: (time.sleep(0.3), print('finished'))"
+    slow = "import threading, time; work = lambda: (time.sleep(1.5), print('finished'))"
     ended = python(f"{slow}; threading.Thread(target=work).start()")
     assert ended.stdout.endswith("finished\n"), "a thread that is at work is waited for"
 

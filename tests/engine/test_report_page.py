@@ -275,7 +275,7 @@ class TestWords:
     ) -> None:
         terrain, surface = Outline(pages["airborne"]).tables[:2]
         assert surface[:4] == ["Surface", "n", "median", "NMAD"]
-        assert terrain[:4] == ["Surface", "n", "mean", "median"]
+        assert terrain[:4] == ["Surface", "n", "RMSE", "mean"]
 
     def test_powers_of_ten_are_raised(self) -> None:
         noise = make_report().noise.model_copy(update={"mean_per_m3": 6.43e-6})

@@ -142,6 +142,7 @@ def test_a_stretch_is_read_from_the_parts_that_hold_its_flightline_then() -> Non
         points = sum(int(n) for listed in found["spans"].values() for _, _, n in listed)
         facts = {
             "timeless": 0,
+            "excluded": 0,
             "prf_hz": {},
             "fullest": {psid: [points] for psid in found["spans"]},
         }

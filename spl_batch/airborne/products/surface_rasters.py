@@ -10,7 +10,7 @@ DTM    TIN through one vertex per raster cell, evaluated at cell centres: the ro
        the spread of a range (5 cm); means of positions too keep slopes unbiased. Across
        gaps thin plates go on with the slopes of the rim
        (:mod:`~spl_batch.airborne.products.gap_surface`). Terrain ends where its ground does: the
-       outside reaches over edges longer than ``edge_max_m``, ten of the ground's spacings by
+       outside reaches over edges longer than ``edge_max_m``, 15 of the ground's spacings by
        default. Near ground neither is farther off the nearest returns than their spread. In
        water polygons ground returns are put on the water's level first
        (:mod:`~spl_batch.airborne.ground.water.level`).

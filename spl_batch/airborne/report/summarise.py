@@ -213,9 +213,8 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
 
 def _header_changes(done: Receipts) -> dict[str, int]:
     """Delivered clouds whose header has something in another way, by what that is."""
-    delivered = done.get("deliver_file", {}).values()
-    counts = Counter(chain.from_iterable(r.facts["header_changes"] for r in delivered))
-    return dict(sorted(counts.items()))
+    changes = (r.facts["header_changes"] for r in done.get("deliver_file", {}).values())
+    return dict(sorted(Counter(chain.from_iterable(changes)).items()))
 
 
 def _accuracy(found: Comparison | None) -> Accuracy | None:
@@ -337,10 +336,8 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
     inputs.extend(
         input_file(Path(path), "checkpoints" if path == own else "reference") for path in reference
     )
-    for role in ("aoi", "water", "breaklines"):
-        name = getattr(context.workflow, role)
-        if name is not None:
-            inputs.append(input_file(context.resolve(name), role))
+    files = {role: getattr(context.workflow, role) for role in ("aoi", "water", "breaklines")}
+    inputs += [input_file(context.resolve(n), role) for role, n in files.items() if n is not None]
     geoid = context.workflow.outputs.geoid
     grid = None if geoid is None else grid_file(geoid.grid, context.resolve(geoid.grid))
     if grid is not None:

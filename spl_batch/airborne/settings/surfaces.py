@@ -67,7 +67,7 @@ class ProductSettings(Section):
     )
     edge_max_m: Positive | None = Field(
         None,
-        description="Longest edge of a triangle at the rim of the terrain [m]; by default ten "
+        description="Longest edge of a triangle at the rim of the terrain [m]; by default 15 "
         "times the spacing of its ground.",
     )
     dsm_void_max_m: float = Field(3.0, ge=0, description="Farthest DSM cell that fills a void [m].")

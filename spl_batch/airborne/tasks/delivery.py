@@ -173,13 +173,8 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
         ):
             shutil.copyfile(waveforms["path"], temporary)
     broken = Counter(broken_records(header))
-    mended = Counter(
-        put_in_order(
-            header,
-            copied_format(header.point_format),
-            added_dimensions(record_layout(header), diagnostics=diagnostics),
-        )
-    )
+    added = added_dimensions(record_layout(header), diagnostics=diagnostics)
+    mended = Counter(put_in_order(header, copied_format(header.point_format), added))
     labels.copied[KEEP_BUT_GROUND:] = 0
     facts = {
         "name": args["delivered"],
@@ -195,15 +190,13 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
 
 def _of_header(records: Mapping[str, int], done: str) -> Iterator[Remark]:
     """Name what of a header a copy does without, or has in another way."""
-    for text, count in records.items():
-        times = f", {count} times" if count > 1 else ""
-        yield Remark(f"{text}{times}; {done} the delivered copy")
+    for text, n in records.items():
+        yield Remark(f"{text}{f', {n} times' if n > 1 else ''}; {done} the delivered copy")
 
 
 def _decoded(args: Mapping[str, Any], context: Context) -> Decoded | None:
     """What the index keeps of a file whose layers can be copied."""
-    arrays = read_arrays(context.store.path("index", f"{args['source']}.npz"))
-    extent = Extent.from_arrays(arrays)
+    extent = Extent.from_arrays(read_arrays(context.store.path("index", f"{args['source']}.npz")))
     return Decoded(_Given(args, context), extent) if extent.n_points else None
 
 
@@ -399,5 +392,4 @@ def _told(found: list[Void], context: Context) -> list[Remark]:
         east, north = (np.array([quanta(one[k]) for one in found], np.int64) for k in (1, 2))
         inside = contains(area, east, north)
         found = [one for one, there in zip(found, inside, strict=True) if there]
-    void_max_m = context.workflow.products.void_max_m
-    return [Remark(void_sentence(found, void_max_m))] if found else []
+    return [Remark(void_sentence(found, context.workflow.products.void_max_m))] if found else []

@@ -17,7 +17,7 @@ from spl_batch.numerics.triangulation.delaunay import triangles
 RIM = 1.5
 """So far from the centre of a cell outside the triangles a vertex lends its height [cells]."""
 
-SPACINGS = 10.0
+SPACINGS = 15.0
 """Longest edge at the rim of the triangles, by default [median of all edges]."""
 
 

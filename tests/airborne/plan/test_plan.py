@@ -62,6 +62,7 @@ def indexed(name: str, spans: Mapping[int, list[list[float]]], prf: float | None
     facts = {
         "name": name,
         "points": points,
+        "excluded": 0,
         "spans": {str(k): v for k, v in spans.items()},
         "prf_hz": {str(k): prf for k in spans},
         "fullest": {str(k): evenly(v) for k, v in spans.items()},

@@ -331,7 +331,7 @@ def test_a_receiver_that_is_not_there_is_named_with_the_nearest(tmp_path: Path) 
 def test_a_key_given_twice_is_refused_with_its_lines(tmp_path: Path) -> None:
     path = tmp_path / "w.yaml"
     path.write_text("output: a\nsurvey:\n  flightlines: a\n  flightlines: b\n")
-    with pytest.raises(WorkflowError, match="key 'flightlines' stands twice, on lines 3 and 4"):
+    with pytest.raises(WorkflowError, match="key 'flightlines' is given twice, on lines 3 and 4"):
         load_workflow(path)
 
 

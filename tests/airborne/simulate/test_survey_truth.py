@@ -83,7 +83,7 @@ def test_reflectance_explains_its_truth(survey: Path) -> None:
     west, south = (round(1000 * v) for v in SCENE.origin_m[:2])
     size = [round(1000 * v) for v in SCENE.extent_m]
     cell = Bounds(west, south, west + size[0], south + size[1])
-    found = intensity._cut(survey / "out" / "intensity.tif", cell)
+    found = intensity.cut(survey / "out" / "intensity.tif", cell)
     truth = intensity._raster(survey / "truth" / "reflectance.tif")
     patch = intensity.patches(survey, SCENE)
     # Light that comes back from clear water is its bottom's as well.

@@ -189,7 +189,7 @@ def test_blocks_stay_as_they_are_when_the_survey_grows(
 def test_polygons_are_known_by_their_content(survey: Path) -> None:
     west, south = surveys.ORIGIN_M
     path = survey.parent / "aoi.geojson"
-    corners = [(west, south - 99), (west + 99, south - 99), (west + 99, south + 99)]
+    corners = [(west, south - 99), (west + 199, south - 99), (west + 199, south + 99)]
     crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32615"}}
     place = shapely.geometry.mapping(shapely.Polygon(corners))
     feature = {"type": "Feature", "properties": {}, "geometry": place}

@@ -14,7 +14,6 @@ import pytest
 import yaml
 
 from spl_batch import api
-from spl_batch.cli import live
 from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.geiger.coincidence.formats import l1_files
@@ -120,14 +119,6 @@ def test_the_other_method_runs_too(survey: Path) -> None:
     result = api.run(survey / "workflow.yaml", workers=0, overrides=overrides)
     assert result.report.counts.points > 1000
     assert result.report.counts.surface == 0
-
-
-def test_tiles_at_work_are_drawn(survey: Path) -> None:
-    status = api.status(survey / "out")
-    assert status.tiles.keys() == {"coincide", "deliver_tile"}
-    del status.tiles["deliver_tile"]
-    title = live.maps(status)[0]
-    assert "coincide: tiles of 20 m" in str(title)
 
 
 def test_the_plan_tells_what_is_there(survey: Path) -> None:

@@ -4,7 +4,7 @@ import difflib
 import glob
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,9 @@ from spl_batch.airborne.plan.inputs.checkpoint_file import CheckpointFile
 from spl_batch.airborne.plan.inputs.file_positions import (
     degrees_as_metres,
     far_positions,
-    without_degrees,
 )
 from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles, checked_reference
+from spl_batch.airborne.plan.inputs.survey_crs import survey_crs, with_heights, without_heights
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.input_files import (
     CHECK,
@@ -33,18 +33,7 @@ from spl_batch.engine.plan.input_files import (
 from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.errors import InputError, Said, WorkflowError, as_input_fault, grouped, named, shared
 from spl_batch.formats.breaklines import read_breaklines
-from spl_batch.formats.crs import (
-    compound,
-    crs_name,
-    crs_problems,
-    horizontal,
-    other_crs,
-    parse_crs,
-    same_crs,
-    same_heights,
-    vertical,
-    with_vertical,
-)
+from spl_batch.formats.crs import with_vertical
 from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.las.convert import copied_format
@@ -118,8 +107,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         raise WorkflowError("; ".join(faults))
     good, bad = _inspect(paths)
     good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
-    crs, good, mismatched = _survey_crs(workflow, good)
-    crs, good, lowered = _with_heights(crs, workflow.survey.crs, good)
+    crs, good, mismatched = survey_crs(workflow, good)
+    crs, good, lowered = with_heights(crs, workflow.survey.crs, good)
     mismatched += lowered
     if not any(facts.n_points for facts in good):
         bad += [InputError(str(facts.path), NO_POINTS) for facts in good]
@@ -144,7 +133,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
             "no input file carries a CRS and survey.crs is not set: rasters will have none; "
             "write `crs: EPSG:...` under survey of the workflow, or --set survey.crs=EPSG:..."
         )
-    warnings += _without_heights(crs, placed)
+    warnings += without_heights(crs, placed)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
         Source(f.path, name_below(f.path, base), name, source_key(name), f)
@@ -289,113 +278,6 @@ def _with_channel(
     )
     bad = [InputError(str(facts.path), text) for facts in lacking]
     return [facts for facts in files if dimension in facts.dimensions], bad
-
-
-def _survey_crs(
-    workflow: Workflow, files: Sequence[LasFacts]
-) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
-    """CRS of the survey: the setting, else what most points say; files that differ are bad."""
-    stated = workflow.survey.crs
-    given = None if stated is None else parse_crs(stated, "survey.crs")
-    good: list[LasFacts] = []
-    bad: list[InputError] = []
-    for facts in (_without_wrong_crs(f, given) for f in files):
-        crs = facts.crs or given
-        problems = _crs_problems(facts, crs)
-        if problems:
-            bad.append(InputError(str(facts.path), problems))
-        else:
-            good.append(facts)
-    good, in_degrees = without_degrees(good, stated)
-    bad += in_degrees
-    if given is None:
-        votes: Counter[str] = Counter()
-        for facts in good:
-            if facts.crs is not None and facts.n_points:
-                votes[horizontal(facts.crs).to_wkt()] += facts.n_points
-        given = CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
-    if given is None:
-        return None, good, bad
-    agreeing: list[LasFacts] = []
-    for facts in good:
-        if facts.crs is None or not facts.n_points or same_crs(facts.crs, given):
-            agreeing.append(facts)
-        else:
-            text = f"{other_crs(facts.crs, given)}; reproject the file"
-            if stated is not None:
-                text += ", or leave out survey.crs, which is for files that carry none"
-            bad.append(InputError(str(facts.path), text))
-    return horizontal(given), agreeing, bad
-
-
-def _with_heights(
-    crs: CRS | None, stated: str | None, files: Sequence[LasFacts]
-) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
-    """The survey's CRS with its vertical one, if there is any; files that name another are bad.
-
-    It is that of the setting ``survey.crs``, else what most points say.
-    """
-    named = None if stated is None else vertical(parse_crs(stated, "survey.crs"))
-    if crs is None:
-        return None, list(files), []
-    if named is None:
-        votes: Counter[str] = Counter()
-        for facts in files:
-            heights = _heights(facts)
-            if heights is not None and facts.n_points:
-                votes[heights.to_wkt()] += facts.n_points
-        named = CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
-    if named is None:
-        return crs, list(files), []
-    good: list[LasFacts] = []
-    bad: list[InputError] = []
-    for facts in files:
-        heights = _heights(facts)
-        if heights is None or not facts.n_points or same_heights(heights, named):
-            good.append(facts)
-        else:
-            text = f"its heights are {crs_name(heights)}, the survey's {crs_name(named)}"
-            bad.append(InputError(str(facts.path), f"{text}: transform the file"))
-    return compound(crs, named), good, bad
-
-
-def _heights(facts: LasFacts) -> CRS | None:
-    """Vertical CRS that a file names."""
-    return None if facts.crs is None else vertical(facts.crs)
-
-
-def _without_heights(crs: CRS | None, files: Iterable[tuple[str, LasFacts]]) -> list[str]:
-    """What to say of files without a vertical CRS beside others that have one."""
-    named = None if crs is None else vertical(crs)
-    some = [(name, facts) for name, facts in files if facts.crs is not None and facts.n_points]
-    lacking = [name for name, facts in some if _heights(facts) is None]
-    if named is None or len(lacking) == len(some):
-        return []
-    text = f"no vertical CRS in the file; its heights are taken as {crs_name(named)}, as of others"
-    return list(shared((Said(name, text) for name in lacking), "files"))
-
-
-def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
-    """Header without its CRS where that is geocentric over projected coordinates.
-
-    Such a record is a mistake of the writer's; the user's word, if there is one, stands.
-    """
-    if given is None or facts.crs is None:
-        return facts
-    local = horizontal(facts.crs).is_engineering
-    if not local and not facts.crs.is_geocentric:
-        return facts
-    kind = "local" if local else "geocentric"
-    text = f"its CRS record is {kind}; survey.crs {given.name!r} is taken instead"
-    heights = vertical(facts.crs)
-    crs = None if heights is None else compound(given, heights)
-    return replace(facts, crs=crs, warnings=(*facts.warnings, text))
-
-
-def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
-    if crs is None or not facts.n_points:
-        return []
-    return list(crs_problems(crs, facts.mins_m, facts.maxs_m))
 
 
 def _delivered_names(paths: Sequence[Path], base: Path) -> list[str]:

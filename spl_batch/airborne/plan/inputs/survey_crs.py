@@ -1,0 +1,130 @@
+"""CRS of a survey and of its heights: the setting's, else what most points say."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from pyproj import CRS
+
+from spl_batch.airborne.plan.inputs.file_positions import without_degrees
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.errors import InputError, Said, shared
+from spl_batch.formats.crs import (
+    compound,
+    crs_name,
+    crs_problems,
+    horizontal,
+    other_crs,
+    parse_crs,
+    same_crs,
+    same_heights,
+    vertical,
+)
+from spl_batch.formats.las.reader import LasFacts
+
+
+def survey_crs(
+    workflow: Workflow, files: Sequence[LasFacts]
+) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
+    """CRS of the survey: the setting, else what most points say; files that differ are bad."""
+    stated = workflow.survey.crs
+    given = None if stated is None else parse_crs(stated, "survey.crs")
+    good: list[LasFacts] = []
+    bad: list[InputError] = []
+    for facts in (_without_wrong_crs(f, given) for f in files):
+        crs = facts.crs or given
+        problems = _crs_problems(facts, crs)
+        if problems:
+            bad.append(InputError(str(facts.path), problems))
+        else:
+            good.append(facts)
+    good, in_degrees = without_degrees(good, stated)
+    bad += in_degrees
+    if given is None:
+        votes: Counter[str] = Counter()
+        for facts in good:
+            if facts.crs is not None and facts.n_points:
+                votes[horizontal(facts.crs).to_wkt()] += facts.n_points
+        given = CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
+    if given is None:
+        return None, good, bad
+    agreeing: list[LasFacts] = []
+    for facts in good:
+        if facts.crs is None or not facts.n_points or same_crs(facts.crs, given):
+            agreeing.append(facts)
+        else:
+            text = f"{other_crs(facts.crs, given)}; reproject the file"
+            if stated is not None:
+                text += ", or leave out survey.crs, which is for files that carry none"
+            bad.append(InputError(str(facts.path), text))
+    return horizontal(given), agreeing, bad
+
+
+def with_heights(
+    crs: CRS | None, stated: str | None, files: Sequence[LasFacts]
+) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
+    """The survey's CRS with its vertical one, if there is any; files that name another are bad.
+
+    It is that of the setting ``survey.crs``, else what most points say.
+    """
+    named = None if stated is None else vertical(parse_crs(stated, "survey.crs"))
+    if crs is None:
+        return None, list(files), []
+    if named is None:
+        votes: Counter[str] = Counter()
+        for facts in files:
+            heights = _heights(facts)
+            if heights is not None and facts.n_points:
+                votes[heights.to_wkt()] += facts.n_points
+        named = CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
+    if named is None:
+        return crs, list(files), []
+    good: list[LasFacts] = []
+    bad: list[InputError] = []
+    for facts in files:
+        heights = _heights(facts)
+        if heights is None or not facts.n_points or same_heights(heights, named):
+            good.append(facts)
+        else:
+            text = f"its heights are {crs_name(heights)}, the survey's {crs_name(named)}"
+            bad.append(InputError(str(facts.path), f"{text}: transform the file"))
+    return compound(crs, named), good, bad
+
+
+def _heights(facts: LasFacts) -> CRS | None:
+    """Vertical CRS that a file names."""
+    return None if facts.crs is None else vertical(facts.crs)
+
+
+def without_heights(crs: CRS | None, files: Iterable[tuple[str, LasFacts]]) -> list[str]:
+    """What to say of files without a vertical CRS beside others that have one."""
+    named = None if crs is None else vertical(crs)
+    some = [(name, facts) for name, facts in files if facts.crs is not None and facts.n_points]
+    lacking = [name for name, facts in some if _heights(facts) is None]
+    if named is None or len(lacking) == len(some):
+        return []
+    text = f"no vertical CRS in the file; its heights are taken as {crs_name(named)}, as of others"
+    return list(shared((Said(name, text) for name in lacking), "files"))
+
+
+def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
+    """Header without its CRS where that is geocentric over projected coordinates.
+
+    Such a record is a mistake of the writer's; the user's word, if there is one, stands.
+    """
+    if given is None or facts.crs is None:
+        return facts
+    local = horizontal(facts.crs).is_engineering
+    if not local and not facts.crs.is_geocentric:
+        return facts
+    kind = "local" if local else "geocentric"
+    text = f"its CRS record is {kind}; survey.crs {given.name!r} is taken instead"
+    heights = vertical(facts.crs)
+    crs = None if heights is None else compound(given, heights)
+    return replace(facts, crs=crs, warnings=(*facts.warnings, text))
+
+
+def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
+    if crs is None or not facts.n_points:
+        return []
+    return list(crs_problems(crs, facts.mins_m, facts.maxs_m))
