@@ -144,7 +144,9 @@ def coincidence_report() -> coincidence.CoincidenceReport:
 def comparison(folder: Path) -> str:
     method = MethodResult(name="vsaes", folder="vsaes", points=10, signal=7, background=2,
                           afterpulse=1, ground=5, kept_only=0, removed_only=0)  # fmt: skip
-    report = ComparisonReport(survey="s", version="0", far_m=50.0, methods=(method, method))
+    report = ComparisonReport(
+        survey="s", version="0", photons=True, far_m=50.0, methods=(method, method)
+    )
     write_comparison(folder, report, [])
     return (folder / "compare.html").read_text(encoding="utf-8")
 
