@@ -76,6 +76,7 @@ def made_up_survey(side: int, memory_bytes: int) -> Survey:
     for source in sources:
         place = {"bounds": _bounds(side), "parts": []}
         facts = {"hash": _hash(source.name), "points": 1, "spans": {}, **place}
+        facts |= {"excluded": 0, "standard": "week"}
         survey.of("index_file").put(_receipt("index_file", str(source.key), facts, 10**8))
     for line, k in itertools.product(range(lines), range(side)):
         survey.of("scatter").put(_scatter(f"{line:05d}_371000000/{k}", line, k, side))
@@ -138,7 +139,7 @@ def _done(task: Task, side: int) -> Receipt:
         line = min(j // (SWATH_TILES // 2), max(side // (SWATH_TILES // 2), 1) - 1)
         here = line * FILES_PER_LINE + i * FILES_PER_LINE // side
         sources = [str(10**18 + max(k, 0)) for k in (here - FILES_PER_LINE, here)]
-        facts = {"points": task.points, "z": [0, 9], "outside_aoi": 0, "no_beam": 0}
+        facts = {"points": task.points, "z": [0, 9], "outside_aoi": 0, "no_beam": 0, "copies": 0}
         facts["sources"], facts["slabs"] = sources, _slabs(i, j, task.points)
     if task.kind == "surface":
         facts["rasters"] = dict.fromkeys(("dtm", "dsm", "chm", "density", "noise"), "0" * 16)

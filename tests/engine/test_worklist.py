@@ -168,7 +168,8 @@ def test_only_the_unit_that_cannot_fit_is_refused() -> None:
     full = int((usable_bytes(limit) - worker_memory.LOADED_BASE_BYTES) / 0.9)
     known = survey(limit)
     bounds = [0, 0, 0, 5_099_999, 5_099_999, 1]
-    known.of("index_file").put(receipt("index_file", "1", bounds=bounds, points=0, spans={}))
+    none = {"points": 0, "excluded": 0, "spans": {}}
+    known.of("index_file").put(receipt("index_file", "1", bounds=bounds, **none))
     for name, points in (
         ("0_0", 1000),
         ("50_50", full // task_memory.BYTES_PER_POINT["ground"] * 60),

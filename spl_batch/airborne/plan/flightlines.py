@@ -60,7 +60,7 @@ class Flightline:
 def is_timeless(receipt: Receipt, workflow: Workflow) -> bool:
     """Whether a file's points have no time to speak of: none, or all the same one."""
     facts = receipt.facts
-    if facts["points"] == facts.get("excluded", 0):
+    if facts["points"] == facts["excluded"]:
         return False
     if not facts["spans"]:
         return True

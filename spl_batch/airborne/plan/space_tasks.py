@@ -235,7 +235,7 @@ def deliver(survey: Survey) -> Iterator[Task]:
 def _header_args(source: Source, facts: Mapping[str, Any]) -> dict[str, Any]:
     """What decides the header of a delivered file: its clock, and waveforms beside the input."""
     ends = [end for mine in facts["spans"].values() for _, end, _ in mine]
-    standard = facts.get("standard")
+    standard = facts["standard"]
     found = waveform_file(source.path, source.facts.point_format)
     waveforms = found and {
         "path": str(found),

@@ -23,8 +23,7 @@ DSM    Highest return of the cell that is ground or that its peers confirm: more
        around, the highest return up to their level needs no peers. Where none is
        ground or confirmed, nor does the highest up to the level of two of them.
        Never below the DTM. A cell without such a return takes the nearest value
-       within ``dsm_void_max_m``, of several the lowest; beyond the edge of the surface only where
-       there is terrain.
+       within ``dsm_void_max_m``, of several the lowest, where there is terrain.
 CHM    DSM - DTM, hence >= 0; nodata where either is.
 sigma  Standard deviation of the DTM, by how far the nearest ground is, what that distance costs
        around, and the layer that ground returns fill, and by what the nearest returns correct
@@ -194,9 +193,9 @@ class Surfaces:
         signal, level = _signal(table, core, settings)
         near = grow(core, top_margin(settings) * size)
         support = support_of(self._refused.by_cell(near), settings)
-        dsm, beyond = top_surface(signal, level, support, core, settings)
+        dsm, lent = top_surface(signal, level, support, core, settings)
         low, high = self._honoured(table, near, shape_of(core, size))
-        made = {"dsm": dsm, "beyond": beyond.astype(np.float64), "low": low, "high": high}
+        made = {"dsm": dsm, "lent": lent.astype(np.float64), "low": low, "high": high}
         for name, values in (made | _counts(signal, core, size)).items():
             whole = self._made.setdefault(name, np.full(shape_of(self._cell, size), np.nan))
             whole[:, columns_of(core, self._cell, whole.shape[1])] = values
@@ -225,7 +224,7 @@ class Surfaces:
         """
         dtm, sigma = self._terrain()
         dsm = self._made.pop("dsm")
-        dsm[(self._made.pop("beyond") > 0) & np.isnan(dtm)] = np.nan
+        dsm[(self._made.pop("lent") > 0) & np.isnan(dtm)] = np.nan
         dsm = np.where(dsm < dtm, dtm, dsm)
         rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
         rasters["dtm_quality"] = np.where(np.isnan(dtm), np.nan, sigma)

@@ -12,7 +12,6 @@ from scipy.special import pdtrc
 from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.products.cell_values import fill_voids, ring_offsets, sort_into_cells
 from spl_batch.airborne.products.confirmed_tops import Support, confirmed_tops, lift_pits
-from spl_batch.airborne.products.flown_cells import close
 from spl_batch.airborne.products.raster_grid import cell_number, relative, shape_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import QUANTUM_M
@@ -51,7 +50,7 @@ def _support_cells(settings: ProductSettings) -> int:
 
 def top_margin(settings: ProductSettings) -> int:
     """Raster cells around a ground cell that its DSM and the check of its DTM look at [count]."""
-    tops = 2 * _void_cells(settings) + _support_cells(settings)
+    tops = _void_cells(settings) + _support_cells(settings)
     return max(tops, cells_within(HONOURED_M, settings))
 
 
@@ -90,7 +89,7 @@ def top_surface(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """DSM from the south, small voids filled [quanta], NaN in the larger ones.
 
-    And where the surface is on one side only of what was filled.
+    And which cells were filled.
     """
     size = quanta(settings.cell_m)
     near = grow(cell, top_margin(settings) * size)
@@ -110,10 +109,9 @@ def top_surface(
     tops = np.ascontiguousarray(tops[edge : rows - edge, edge : cols - edge])
     filled = np.empty_like(tops)
     fill_voids(tops, ring_offsets(settings.dsm_void_max_m / settings.cell_m), filled)
-    beyond = ~close(~np.isnan(tops), _void_cells(settings))
     rim = top_margin(settings) - edge
     core = slice(rim, filled.shape[0] - rim), slice(rim, filled.shape[1] - rim)
-    return filled[core], beyond[core]
+    return filled[core], np.isnan(tops)[core]
 
 
 def _tops(signal: PointTable, near: Bounds, size: int, support: Support) -> NDArray[np.float64]:

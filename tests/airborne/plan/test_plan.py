@@ -270,7 +270,7 @@ def test_files_without_usable_time() -> None:
 
 
 def _counted(points: int) -> dict[str, Any]:
-    facts = {"name": "a", "points": points, "spans": {}, "prf_hz": {}}
+    facts = {"name": "a", "points": points, "excluded": 0, "spans": {}, "prf_hz": {}}
     return {"facts": facts, "points": points, "wall_s": 0.0, "peak_rss_mb": 0.0}
 
 

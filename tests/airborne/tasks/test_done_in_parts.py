@@ -230,7 +230,7 @@ def test_a_surface_that_took_959_mib_of_a_worker_is_planned_with_as_much() -> No
     assert short.memory_bytes <= 0.9 * 2**30
 
 
-@pytest.mark.parametrize(("kind", "fits"), [("ground", 3_600_000), ("surface", 4_400_000)])
+@pytest.mark.parametrize(("kind", "fits"), [("ground", 3_600_000), ("surface", 4_800_000)])
 def test_a_corridor_is_cut_within_its_width_or_refused(kind: str, fits: int) -> None:
     """As many returns as in an even cell, in a tenth of its width."""
     low, high = (
