@@ -84,13 +84,13 @@ def test_reflectance_explains_its_truth(survey: Path) -> None:
     size = [round(1000 * v) for v in SCENE.extent_m]
     cell = Bounds(west, south, west + size[0], south + size[1])
     found = intensity.cut(survey / "out" / "intensity.tif", cell)
-    truth = intensity._raster(survey / "truth" / "reflectance.tif")
+    truth = intensity.raster(survey / "truth" / "reflectance.tif")
     patch = intensity.patches(survey, SCENE)
     # Light that comes back from clear water is its bottom's as well.
     patch[2:26, 28:56] = 0
     assert len(np.unique(patch[patch > 0])) >= len(ROOFS)
-    _, explained, ratio = intensity._scores(
-        intensity._means(found, patch), intensity._means(truth, patch)
+    _, explained, ratio = intensity.scores(
+        intensity.means(found, patch), intensity.means(truth, patch)
     )
     assert explained >= intensity.BAR
     assert 0.95 < ratio < 1.05
