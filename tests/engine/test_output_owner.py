@@ -110,7 +110,8 @@ def test_what_a_flightline_left_behind_is_listed_and_deleted(survey: Path, tmp_p
     (laz / "mine.laz").write_text("mine")
     shutil.copy(laz / "2.laz", tmp_path / "2.laz")
     (tmp_path / "lines" / "2.laz").unlink()
-    assert "2.laz" in " ".join(api.plan(survey).warnings)
+    (note,) = surveys.found(api.plan(survey).findings, "E01", "gone")
+    assert note.values["files"] == ["2.laz"]
     ended = command("run", survey)
     assert ended.status == 0
     flat = " ".join(ended.text.split())

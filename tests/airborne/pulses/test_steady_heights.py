@@ -5,11 +5,11 @@ from typing import NamedTuple, cast
 
 import numpy as np
 import pytest
+from spl_batch.airborne.report.fit.steady import steady_warnings
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.pulses import steady_heights as steady
 from spl_batch.airborne.pulses.level_places import places_in
-from spl_batch.airborne.report.fit.steady import steady_warnings
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.airborne.tasks.cells import pulses

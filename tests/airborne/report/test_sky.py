@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
+from spl_batch.airborne.report.fit.light import strong_light_warning
 
 from spl_batch.airborne.report.fit import places
 from spl_batch.airborne.report.fit.clouds import haze, haze_warning
 from spl_batch.airborne.report.fit.fog import fog_warning, thin_haze_warning
 from spl_batch.airborne.report.fit.layers import misfit_warning
-from spl_batch.airborne.report.fit.light import strong_light_warning
 from spl_batch.airborne.report.fit.noise_fit import float_warning, noise_fit, uniform_warning
 from spl_batch.airborne.report.fit.sky import bloom_warning, drowned_warning, kept_warning
 from spl_batch.airborne.settings import FilterSettings
