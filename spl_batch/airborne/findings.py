@@ -114,6 +114,9 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "{first_s:.3f} and {last_s:.3f}, or they do not lie below it",
                 "ends": "gps_time of the first and last points, {low_s:.0f} to {high_s:.0f} s, is "
                 "{gap_s:.1f} s or more outside {trajectory}",
+                "unit": "puts the sensor {stated_m:.0f} m above its returns in {lines}, whose "
+                "lines of sight meet {met_m:.0f} m above them: its heights seem to be in {unit}; "
+                "name its CRS with that of its heights, survey.trajectory_crs: {crs}",
                 "file": "{what}",
             },
             "noise and reflectance are computed along wrong beams, or returns stay unfiltered",

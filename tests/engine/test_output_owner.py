@@ -144,8 +144,8 @@ def test_what_an_earlier_run_delivered_stays_where_tasks_fail(
     assert {name: (out / name).read_bytes() for name in rasters} == {
         name: before[name] for name in rasters
     }
-    warnings = json.loads((out / "report.json").read_text(encoding="utf-8"))["warnings"]
-    assert any("kept as tasks of this one failed" in text for text in warnings)
+    found = json.loads((out / "report.json").read_text(encoding="utf-8"))["findings"]
+    assert "E02" in {one["code"] for one in found}
     record = json.loads((out / "delivered.json").read_text(encoding="utf-8"))
     assert rasters <= record["files"].keys(), "the next run may replace them"
 

@@ -128,6 +128,17 @@ def _check_channels(survey: Survey) -> None:
     )
 
 
+def refuse_empty_area(survey: Survey) -> None:
+    """Stop where no point lies in the area of interest: all would be delivered as outside."""
+    tiles = survey.of("build_tile").values()
+    outside = sum(receipt.facts["outside_aoi"] for receipt in tiles)
+    if outside and outside == sum(receipt.facts["points"] for receipt in tiles):
+        raise WorkflowError(
+            f"aoi: none of {grouped(outside)} points lies in {survey.workflow.aoi}, which meets "
+            "the box around them; correct its polygons or leave the key out"
+        )
+
+
 def copies(survey: Survey) -> Iterator[Finding]:
     """Say which files hold returns twice, and which ones hold returns that others hold too."""
     counts: Counter[tuple[str, str]] = Counter()
@@ -179,6 +190,31 @@ def looks_ahead(survey: Survey) -> Iterator[Finding]:
         side, late = ("behind", "early") if seconds < 0 else ("ahead of", "late")
         values = {"kind": "late", "side": side, "seconds": abs(seconds), "late": late}
         yield Finding("T02", values, line, badness=abs(seconds))
+
+
+def heights_in_other_unit(survey: Survey) -> Iterator[Finding]:
+    """Name the trajectory whose heights are feet for metres, or metres for feet."""
+    heights: dict[str, list[tuple[float, float] | None]] = {}
+    for name, receipt in survey.of("gather").items():
+        line = name.split("/", maxsplit=1)[0]
+        if "other_unit" in receipt.facts:
+            heights.setdefault(line, []).append(receipt.facts["other_unit"])
+    wrong = {line: list(filter(None, some)) for line, some in heights.items()}
+    lines = [line for line, some in wrong.items() if 2 * len(some) > len(heights[line])]
+    if not lines:
+        return
+    stated_m, met_m = np.median([both for line in lines for both in wrong[line]], axis=0).tolist()
+    (trajectory,) = survey.of("trajectory").values()
+    unit, code = ("feet", "EPSG:...+6360") if stated_m > met_m else ("metres", "EPSG:...+5703")
+    values = {
+        "kind": "unit",
+        "stated_m": stated_m,
+        "met_m": met_m,
+        "lines": lines,
+        "unit": unit,
+        "crs": code,
+    }
+    yield Finding("T02", values, str(trajectory.facts["name"]))
 
 
 def merged_shots(survey: Survey) -> Iterator[Finding]:

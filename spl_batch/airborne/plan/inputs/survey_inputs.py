@@ -181,7 +181,8 @@ def _check_shapes(
             shapes = np.array(
                 [getattr(one, "area", one) if key == "breaklines" else one for one in found]
             )
-            if len(survey) and not shapely.intersects(shapes[:, None], survey).any():
+            met = shapely.STRtree(survey).query(shapes, "intersects")
+            if len(survey) and not met.size:
                 values = {
                     "kind": "shapes", "key": key, "shapes": _extent(shapes),
                     "points": _extent(survey),
