@@ -101,7 +101,7 @@ def beam(**changes: Any) -> Beam:
 def track_report() -> TrackReport:
     return TrackReport(
         name="hills",
-        method="bayes",
+        method="likelihood",
         counts=TrackCounts(
             points_in=209_593, points_out=209_593, signal=24_238, background=185_355
         ),
@@ -152,7 +152,7 @@ def comparison(folder: Path) -> str:
 
 
 def track_comparison(folder: Path) -> str:
-    method = TrackMethod(name="bayes", title="ours", folder="compare/bayes", photons=10, signal=7,
+    method = TrackMethod(name="likelihood", title="ours", folder="compare/likelihood", photons=10, signal=7,
                          kept_only=0, removed_only=0)  # fmt: skip
     write_tracks(folder, TrackComparison(name="t", version="0", methods=(method, method)), None)
     return (folder / "compare.html").read_text(encoding="utf-8")

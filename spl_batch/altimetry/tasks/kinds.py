@@ -6,20 +6,18 @@ from typing import Final
 
 from spl_batch.engine.tasks.runner import Kind
 
-_FOUND: Final = ("rate", "signal", "reference.baseline")
-
 KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     {
         "index_file": Kind("index", "spl_batch.altimetry.tasks.index:index_file", ()),
         "take_in": Kind(
-            "index", "spl_batch.altimetry.tasks.index:take_in", ("track.prf_hz", "rate.cell_m")
+            "index",
+            "spl_batch.altimetry.tasks.index:take_in",
+            ("track.prf_hz", "rate.cell_m", "signal.window_m", "work"),
         ),
-        "rate": Kind(
-            "rate", "spl_batch.altimetry.tasks.rate:find_rate", ("rate", "signal", "work")
-        ),
-        "score": Kind("signal", "spl_batch.altimetry.tasks.photons:score", _FOUND),
-        "select": Kind(
-            "signal", "spl_batch.altimetry.tasks.photons:select", ("rate", "signal", "profile")
+        "label": Kind(
+            "signal",
+            "spl_batch.altimetry.tasks.labels:label_segment",
+            ("rate", "signal", "profile.photons_factor", "reference.baseline"),
         ),
         "profile": Kind(
             "profile",
