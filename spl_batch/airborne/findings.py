@@ -61,12 +61,19 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "linear": "this looks like linear-mode lidar ({signs}), of which the filter would "
                 "take true points for noise: write `filter: {{method: none}}` and `afterpulse: "
                 "{{enabled: false}}`, or name the instrument if single photons were counted",
-                "dead": "{dead} of {beamlets} channels without returns: {what}",
                 "more": "returns come from {alive} channels, but the sensor has {beamlets}; "
                 "{alive} are assumed; least often seen: {channels}",
             },
-            "without numbers a shot counts as one beamlet; dead ones are taken into account",
+            "without numbers a shot counts as one beamlet",
             "name the dimension that holds the numbers, or leave survey.channel_dimension out",
+        ),
+        "I07": Code(
+            "Channels without returns",
+            "{dead} of {beamlets} channels have no returns: {what}",
+            "they are taken into account",
+            "tell who maintains the instrument if it had more before",
+            "flightline",
+            "note",
         ),
         "I05": Code(
             "Place and CRS",
