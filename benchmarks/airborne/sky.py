@@ -215,7 +215,7 @@ EFFECTS: dict[str, Any] = {
 }
 """Effects by name: what strength makes of the base."""
 
-_AIR = ("N02", "N03", "N04")
+_AIR = ("N02", "N03", "N04", "N07")
 SAYS: dict[str, tuple[str, ...]] = {
     "base": (), "by tile, no ids": (), "no channel numbers": ("I04",),
     "haze 60-100 m, 5 x": _AIR, "haze 60-100 m, 20 x": _AIR, "haze 25-45 m, 30 x": _AIR,

@@ -177,18 +177,24 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "look at the profile there",
         ),
         "N04": Code(
-            "Signal fills the air, or floats",
-            {
-                "fills": "signals fill the air evenly over {area_m2:.0f} m2, {low_m:.0f} to "
-                "{high_m:.0f} m above the ground",
-                "floats": "{share:.1%} of the signal has nothing in the 15 m below it, though "
-                "something lies farther down, over {area_m2:.0f} m2",
-            },
-            "fog, haze, a cloud, stray light or noise in clusters, if no plants without gaps, many "
-            "wires or cranes are there: it stays signal, and the DSM may lie on it",
+            "Signal fills the air",
+            "signals fill the air evenly over {area_m2:.0f} m2, {low_m:.0f} to {high_m:.0f} m "
+            "above the ground",
+            "fog, haze, a cloud or noise in clusters, if no plants without gaps: it stays signal, "
+            "and the DSM may lie on it",
             "look at the profile there, and classify by hand what is no surface",
             "ground cell",
-            implied_by=("S01", "N03"),
+            implied_by=("S01",),
+        ),
+        "N07": Code(
+            "Signal floats",
+            "{share:.1%} of the signal has nothing in the 15 m below it, though something lies "
+            "farther down, over {area_m2:.0f} m2",
+            "haze, a cloud, stray light or noise in clusters, if no many wires or cranes are "
+            "there: it stays signal, and the DSM may lie on it",
+            "look at the profile there, and classify by hand what is no surface",
+            "ground cell",
+            implied_by=("S01", "N03", "N04"),
         ),
         "N05": Code(
             "P-values of noise are not uniform",
@@ -198,7 +204,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "below 1 it is thinner, and weak signals are lost",
             "look at the map of noise; see the findings on its model",
             "ground cell",
-            implied_by=("N02",),
+            implied_by=("N02", "N03", "N04"),
         ),
         "N06": Code(
             "Most points are unfiltered",

@@ -164,7 +164,8 @@ def fill_facts(filled: Marks, core: Bounds) -> dict[str, list[float]]:
     """
     beside = ndimage.convolve(filled.astype(np.int8), np.ones((3, 3, 1), np.int8), mode="constant")
     air = filled & (beside >= BESIDE)
-    found = [one for one in patches(air.any(axis=2)) if one.squares >= PLACES]
+    anywhere: Marks = np.asarray(air.any(axis=2))
+    found = [one for one in patches(anywhere) if one.squares >= PLACES]
     if not found:
         return {FILLED: []}
     own = air[found[0].marked]
@@ -236,7 +237,7 @@ def air_findings(done: Receipts, settings: FilterSettings) -> Iterator[Finding]:
     for name, receipt in done.get("surface", {}).items():
         if fact := receipt.facts.get(FILLED):
             area_m2, low_m, high_m, *box = fact
-            values = {"kind": "fills", "area_m2": area_m2, "low_m": low_m, "high_m": high_m}
+            values = {"area_m2": area_m2, "low_m": low_m, "high_m": high_m}
             yield Finding("N04", values, name, box, area_m2)
     alpha = settings.alpha if settings.method == "vsaes" else 0.0
     least = max(FLOAT_SHARE, FLOAT_TIMES * alpha)
@@ -245,8 +246,8 @@ def air_findings(done: Receipts, settings: FilterSettings) -> Iterator[Finding]:
     if sum(fact[2] for _, fact in off) < FLOAT_M2:
         return
     for name, (count, kept, area_m2, *box) in off:
-        values = {"kind": "floats", "share": count / kept, "area_m2": area_m2}
-        yield Finding("N04", values, name, box, area_m2)
+        values = {"share": count / kept, "area_m2": area_m2}
+        yield Finding("N07", values, name, box, area_m2)
 
 
 @njit()

@@ -88,7 +88,7 @@ def noise_findings(done: Receipts) -> Iterator[Finding]:
             "ratio": found.times_expected,
         }
         yield Finding("N03", values, place=found.place)
-    yield from _p_value_findings(done.get("ground", {}))
+    yield from _p_value_findings(done)
 
 
 def _layer_findings(blocks: Mapping[str, Any]) -> Iterator[Finding]:
@@ -201,7 +201,8 @@ def p_values(done: Receipts) -> NDArray[np.int64]:
     return counts
 
 
-def _p_value_findings(cells: Mapping[str, Any]) -> Iterator[Finding]:
+def _p_value_findings(done: Receipts) -> Iterator[Finding]:
+    cells = done.get("ground", {})
     known = {name: r.facts for name, r in cells.items() if "p_values" in r.facts}
     off = []
     for name, facts in known.items():
@@ -214,8 +215,8 @@ def _p_value_findings(cells: Mapping[str, Any]) -> Iterator[Finding]:
             values = {"times": times, "p_value": value, "returns": sum(facts["p_values"])}
             yield Finding("N05", values, name, place, abs(float(np.log(max(times, 1e-6)))))
         return
-    total = np.sum([facts["p_values"] for facts in known.values()], axis=0, dtype=np.int64)
-    found = uniformity(total) if known else None
+    total = p_values(done)
+    found = uniformity(total)
     if found is not None and not P_TIMES[0] < found[0] < P_TIMES[1]:
         values = {"times": found[0], "p_value": found[1], "returns": int(total.sum())}
         yield Finding("N05", values)

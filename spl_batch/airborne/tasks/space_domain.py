@@ -162,7 +162,8 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     labels = [part["ground"] for _, part in found]
     facts = {"ground": int(sum(map(np.count_nonzero, labels))), "core": list(core)}
     facts["apart"] = int(sum(np.count_nonzero(part == APART) for part in labels))
-    facts |= chances.facts() | ({} if bare is None else float_facts(bare, core))
+    facts |= chances.facts()
+    facts |= {} if bare is None else float_facts(bare, core)
     return Produced([path], facts, sum(map(len, labels)))
 
 

@@ -156,9 +156,8 @@ def test_findings_are_of_cells_that_are_filled_or_float_enough():
     (one,) = air_findings(fills, settings)
     assert (one.code, one.subject, one.values["area_m2"]) == ("N04", "0_0", 1200.0)
     floats = [{FLOATS: [300, 10_000, 400.0, *box]}, {FLOATS: [300, 10_000, 200.0, *box]}]
-    assert [one.values["kind"] for one in air_findings(receipts((), floats), settings)] == [
-        "floats", "floats"
-    ]  # fmt: skip
+    found = air_findings(receipts((), floats), settings)
+    assert [one.code for one in found] == ["N07", "N07"]
     assert not [*air_findings(receipts((), floats[:1]), settings)], "a small area"
     few = [{FLOATS: [30, 10_000, 900.0, *box]}, {FLOATS: [0, 0]}]
     assert not [*air_findings(receipts((), few), settings)], "a small share"
