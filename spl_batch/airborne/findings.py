@@ -233,8 +233,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         ),
         "S01": Code(
             "Flightlines differ in height or place",
-            "{pairs:pairs of flightlines|differ} by more than single ranges scatter: at worst "
-            "{second} lies {offset} than {first} ({patches} planar patches)",
+            "{pairs} of {of} pairs of flightlines differ by more than single ranges scatter: at "
+            "worst {second} lies {offset} than {first} ({patches} planar patches)",
             "surfaces that both have seen appear twice, and the terrain follows the lower one",
             "{remedy}",
         ),

@@ -95,18 +95,19 @@ def _layer_findings(blocks: Mapping[str, Any]) -> Iterator[Finding]:
     rows = {name: receipt.facts.get("layers", ()) for name, receipt in blocks.items()}
     whole = _bands([row for some in rows.values() for row in some], RATIO, SHARE)
     for band in sorted(whole, key=lambda one: -one.off)[:1]:
-        yield Finding("N02", _values(band), badness=band.off)
+        yield _of_band(band)
     for name, some in rows.items():
         if whole or sum(row[2] for row in some) < CELL_LEAST:
             continue
         for band in sorted(_bands(some, CELL_RATIO, CELL_SHARE), key=lambda one: -one.off)[:1]:
             core = blocks[name].facts["core"]
             place = tuple(side * QUANTUM_M for side in core)
-            yield Finding("N02", _values(band), name, place, band.off)
+            yield _of_band(band, name, place)
 
 
-def _values(band: Band) -> dict[str, float]:
-    return {"ratio": band.ratio, "low_m": band.low_m, "high_m": band.high_m}
+def _of_band(band: Band, name: str = "", place: tuple[float, ...] | None = None) -> Finding:
+    values = {"ratio": band.ratio, "low_m": band.low_m, "high_m": band.high_m}
+    return Finding("N02", values, name, place, band.off)
 
 
 def _bands(layers: Sequence[Sequence[float]], ratio: float, share: float) -> list[Band]:

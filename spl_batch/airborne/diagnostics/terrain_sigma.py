@@ -15,7 +15,7 @@ from spl_batch.lattice.tiles import Bounds
 UNSURE_M: Final = 0.5
 """Terrain that may be off by more than this is not known well [m]."""
 
-SHARE: Final = 0.02
+SHARE: Final = 0.03
 LARGEST_M2: Final = 200.0
 """Share of the terrain from which on a survey is warned of, and area of one place [1, m2]."""
 
