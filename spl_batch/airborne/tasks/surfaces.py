@@ -112,6 +112,8 @@ def _at_once(cell: Cell) -> tuple[Bounds, list[str]]:
     if cell.args["fired"] is not None:
         far = max(far, quanta(reflectance.reach_m(workflow.products)))
         columns += reflectance.COLUMNS_NEEDED
+    else:
+        columns += surfacing.COLUMNS_OF_INTENSITY
     return grow(cell.core, far), columns
 
 
