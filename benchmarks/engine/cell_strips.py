@@ -16,7 +16,7 @@ from spl_batch import api
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import space_tasks
 from spl_batch.airborne.plan.memory.cell_memory import looks_at
-from spl_batch.airborne.plan.phases import PHASES
+from spl_batch.airborne.steps import STEPS
 from spl_batch.airborne.strips import strip_comparison
 from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.airborne.tasks.cells import cell_classes
@@ -103,8 +103,7 @@ def _fullest(
     for done in ("index_file", "scatter", "build_tile", "denoise", "ground"):
         for receipt in read_receipts(context.store, done):
             survey.of(done).put(receipt)
-    phase = next(phase for phase in PHASES if phase.kind == kind)
-    task = max(phase.tasks(survey), key=lambda task: len(task.args["tiles"]))
+    task = max(STEPS[kind].planned(survey), key=lambda task: len(task.args["tiles"]))
     spread = space_tasks.spread_over(list(map(parse_cell, task.args["tiles"])), survey)
     core = Bounds(*task.args["core"])
     task = replace(task, points=round(spread(core).total))

@@ -30,11 +30,11 @@ from benchmarks.airborne.beams.trajectories import read_trajectory
 from spl_batch import api
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.noise import voxel_noise
-from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
+from spl_batch.airborne.steps import STEPS
 from spl_batch.airborne.store.voxel_parts import StoredVoxels
 from spl_batch.airborne.tasks import lines_of_sight
 from spl_batch.airborne.tasks.stretches import read_stretch
@@ -312,13 +312,12 @@ def _print_beams(folder: Path, overrides: tuple[str, ...]) -> None:
     output = f"output={_output(overrides)}"
     prepared = prepare(folder / "workflow.yaml", [*overrides, output])
     survey, context = prepared.ledger, prepared.context
-    for phase in itertools.takewhile(lambda p: p.kind != "scatter", PHASES):
-        for receipt in read_receipts(context.store, phase.kind):
-            survey.of(phase.kind).put(receipt)
-    scatter = next(phase for phase in PHASES if phase.kind == "scatter")
+    for name in itertools.takewhile(lambda name: name != "scatter", STEPS):
+        for receipt in read_receipts(context.store, name):
+            survey.of(name).put(receipt)
     loaded = read_trajectory([folder / "trajectory.csv"], survey_crs=None, trajectory_crs=None)
     angles = []
-    for task in scatter.tasks(survey):
+    for task in STEPS["scatter"].planned(survey):
         table, _ = read_stretch(task.args, context, lines_of_sight.columns(task.args))
         found = lines_of_sight.beams(table, context.store, task.args)
         true = geometry.beams(table, loaded.trajectory)
