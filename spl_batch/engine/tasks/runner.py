@@ -26,7 +26,7 @@ from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.errors import DamagedError, SplBatchError, StoppedError, one_line
 from spl_batch.formats.files.atomic import checksum, size, stop_if_full
 from spl_batch.imports import content_hash, data_files, imported, module_file
-from spl_batch.receivers import steps
+from spl_batch.receivers import HOMES, steps
 
 RASTER: Final = ".tif"
 """How names of rasters end, whose bytes carry no checksum."""
@@ -86,7 +86,8 @@ def code_version(receiver: str) -> str:
 
 def task_files(receiver: str) -> frozenset[Path]:
     """Modules that a receiver's tasks import, directly or not, and the tables that these read."""
-    homes = {step.module for step in steps(receiver).values()}
+    listed = HOMES[receiver].steps.partition(":")[0]
+    homes = {listed, *(step.module for step in steps(receiver).values())}
     files = (module_file(name) for name in (__name__, *homes))
     modules = frozenset[Path]().union(*(imported(path) for path in files if path is not None))
     return modules.union(*map(data_files, modules))
