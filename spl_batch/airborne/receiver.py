@@ -1,12 +1,11 @@
 """Airborne single-photon lidar: the receiver that the project began with."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, virtual_cloud
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.noise.line_noise import RAISE_INTERVAL
 from spl_batch.airborne.plan.block_size import (
     remember_sizes,
     remember_stretch,
@@ -18,7 +17,6 @@ from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.findings import (
     beams_without_trajectory,
     blocks_anew,
-    channels_not_named,
     copies,
     heights_in_other_unit,
     judge_index,
@@ -26,13 +24,12 @@ from spl_batch.airborne.plan.inputs.findings import (
     merged_shots,
     refuse_empty_area,
     stretches_anew,
-    times_off,
 )
 from spl_batch.airborne.plan.inputs.first_look import first_look
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.plan.memory.cell_memory import strips_cost
 from spl_batch.airborne.plan.strip_tasks import is_one_flightline
-from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
+from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.precompile import compile_share
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, NAMES, PRODUCTS
 from spl_batch.airborne.report.model import Report
@@ -43,6 +40,7 @@ from spl_batch.airborne.strips.alignment_sentences import done_sentences, plan_r
 from spl_batch.airborne.strips.pair_sentences import left_out_warnings, offset_warnings
 from spl_batch.airborne.strips.strip_comparison import pairs_of
 from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.executor import Work
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
@@ -161,7 +159,7 @@ class Imaging(Receiver[Survey, Context]):
 
     def after(
         self, step: Step, prepared: Prepared[Survey, Context], failed: Sequence[Receipt]
-    ) -> Iterable[str]:
+    ) -> Iterable[Finding]:
         """Warn of what a step has brought to light, or stop."""
         survey, store = prepared.ledger, prepared.context.store
         if step.name == "index_file":
@@ -183,14 +181,9 @@ class Imaging(Receiver[Survey, Context]):
                 raise WorkflowError(f"survey.trajectory: {'; '.join(failures)}")
         if step.name == "sensor_path" and survey.of("sensor_path"):
             yield beams_without_trajectory(survey)
-        yield from _strip_sentences(step, survey)
-        if step.name == "surface" and len(mosaic_parts(survey)) > 1:
-            yield (
-                "the survey lies in pieces far apart: each has rasters of its own "
-                "(dtm.tif, dtm_2.tif, ...), the piece with most points comes first"
-            )
+        yield from _swath_findings(step, survey)
 
-    def aside(self, step: Step, prepared: Prepared[Survey, Context]) -> Iterable[str]:
+    def aside(self, step: Step, prepared: Prepared[Survey, Context]) -> Iterable[Finding]:
         """How much of earlier runs is done again for want of memory."""
         survey = prepared.ledger
         if step.name == "index_file":
@@ -200,20 +193,6 @@ class Imaging(Receiver[Survey, Context]):
             how, receipts = survey.workflow.survey.align, survey.of("align").values()
             return [*done_sentences(how, receipts, alone=alone)]
         return blocks_anew(survey, prepared.context) if step.name == "build_tile" else ()
-
-    def follows(
-        self, step: Step, prepared: Prepared[Survey, Context]
-    ) -> Callable[[str, str], bool]:
-        """Along wrong beams no gate is what it seems; shots without beamlets hold few of them."""
-        if step.name != "fit_line":
-            return super().follows(step, prepared)
-        leaps, off = times_off(prepared.ledger)
-        one_beamlet = bool(channels_not_named(prepared.ledger))
-
-        def told(name: str, text: str) -> bool:
-            return name in leaps or name in off or (one_beamlet and text.endswith(RAISE_INTERVAL))
-
-        return told
 
     def reference(self, ledger: Survey) -> list[str]:
         """Files that the results are compared with."""
@@ -301,8 +280,8 @@ def _check_cells(workflow: Workflow, path: Path) -> None:
         raise WorkflowError(f"{path}: {'; '.join(faults)}")
 
 
-def _strip_sentences(step: Step, survey: Survey) -> Iterator[str]:
-    """What to tell of flightlines where they overlap, once it is known."""
+def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
+    """What is found of flightlines where they overlap."""
     if step.name == "strip_patches":
         cells = survey.of("strip_patches").items()
         yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})

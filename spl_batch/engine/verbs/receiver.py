@@ -6,11 +6,12 @@ same for all of them. A receiver is named by the ``kind`` of a workflow
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.executor import Work
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
@@ -63,7 +64,7 @@ class FirstLook(NamedTuple):
 
     #: What is wrong with some of them, which a run leaves out; what is odd.
     faults: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
     rows: tuple[tuple[str, str], ...] = ()  #: Label and value of what else they tell.
     #: Inputs whose points cannot be read though their headers can, and what these promise [count];
     #: ``faults`` has the reasons.
@@ -143,7 +144,7 @@ class Receiver(ABC, Generic[L, C]):
 
     def after(
         self, step: Step, prepared: Prepared[L, C], failed: Sequence[Receipt]
-    ) -> Iterable[str]:
+    ) -> Iterable[Finding]:
         """Warn of what a step has brought to light.
 
         Raises
@@ -154,15 +155,10 @@ class Receiver(ABC, Generic[L, C]):
         del step, prepared, failed
         return ()
 
-    def aside(self, step: Step, prepared: Prepared[L, C]) -> Iterable[str]:
-        """What whoever runs it should know after a step; the report is for others."""
+    def aside(self, step: Step, prepared: Prepared[L, C]) -> Iterable[Finding]:
+        """Notes for the operator after a step; they are in no report."""
         del step, prepared
         return ()
-
-    def follows(self, step: Step, prepared: Prepared[L, C]) -> Callable[[str, str], bool]:
-        """Whether a task's warning, by its name and text, follows from what is told already."""
-        del step, prepared
-        return lambda _name, _text: False
 
     def reference(self, ledger: L) -> list[str]:
         """Files that the results are compared with."""

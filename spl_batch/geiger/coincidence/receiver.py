@@ -1,10 +1,11 @@
 """Coincidence processing of Geiger-mode lidar, as the verbs need it."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.report.verdict import ending_rows
@@ -59,19 +60,15 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         step: Step,
         prepared: Prepared[L1Ledger, CoincidenceContext],
         failed: Sequence[Receipt],
-    ) -> Iterable[str]:
+    ) -> Iterable[Finding]:
         """Stop where no file could be read."""
         if step.name in {"frames", "index_file"} and not prepared.ledger.of(step.name):
             reasons = [r.reason for r in failed if r.kind == step.name]
             raise WorkflowError("no input is usable: " + "; ".join(reasons))
         if step.name == "frames":
-            yield from _twice(prepared.ledger)
+            _refuse_twice(prepared.ledger)
         if step.name == "index_file" and prepared.ledger.answered is not None:
-            yield (
-                "some detections could not be read: a frame counts only if its number lies between "
-                "those of detections that were read; all other frames are left out with all their "
-                "looks"
-            )
+            yield Finding("K01", {"kind": "unread"})
 
     def not_read(self, ledger: L1Ledger) -> int:
         """Detections that files promise which could not be read to their end [count]."""
@@ -93,7 +90,7 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
             ("looks", f"{grouped(counts.looks)} in {grouped(counts.frames)} frames"),
             ("detections", grouped(counts.detections)),
             ("points", f"{grouped(counts.points)} in {grouped(counts.tiles)} tiles"),
-            *ending_rows(report.performance, report.failures, report.warnings),
+            *ending_rows(report.performance, report.failures, report.findings),
         ]
 
     def results(self, output: Path) -> list[tuple[str, list[Path]]]:
@@ -101,7 +98,7 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         return [("report", [output / "report.html"]), ("points", [output / "points"])]
 
 
-def _twice(ledger: L1Ledger) -> Iterator[str]:
+def _refuse_twice(ledger: L1Ledger) -> None:
     """Stop where frames of two files share numbers."""
     spans = sorted(
         (*receipt.facts["numbers"], receipt.facts["name"])
@@ -114,7 +111,6 @@ def _twice(ledger: L1Ledger) -> Iterator[str]:
                 f"{one} and {other}: frames run to {last} in the one and from {first} in the "
                 "other; number frames through, file after file"
             )
-    yield from ()
 
 
 RECEIVER: Final[Receiver[Any, Any]] = Coincidence()
