@@ -10,8 +10,8 @@ hold clearly more than the median layer the returns are taken for signal as well
 highest layer of a square are left out: the gate ends in them.
 
 A square with too little such space takes the density of the nearest with more. So does one at the
-rim: slanting beams reach it at some heights only, and its empty layers tell nothing. A cloud without
-empty space, as one whose vendor has removed the noise, tells nothing.
+rim: slanting beams reach it at some heights only, and its empty layers tell nothing. A cloud
+without empty space, as one whose vendor has removed the noise, tells nothing.
 
 What this cannot know: where the gate ends, flightlines that overlap only in part of a square, and
 noise that changes with height.

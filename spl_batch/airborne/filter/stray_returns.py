@@ -55,7 +55,7 @@ KEPT_SHARE: Final = 0.002
 
 FEW: Final = 10
 DEEP: Final = 4
-"""So few returns of the widest box, its fullest cell left out, are no surface, where one stands near
+"""So few returns of the widest box, its fullest cell left out, are no surface, where one is near
 and so many layers higher: two returns of noise and their afterpulses are [count, cells]."""
 
 BESIDE_M: Final = 55.0
