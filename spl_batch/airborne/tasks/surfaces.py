@@ -114,8 +114,6 @@ def _at_once(cell: Cell) -> tuple[Bounds, list[str]]:
     else:
         far = max(far, quanta(reflectance.reach_m(workflow.products)))
         columns += reflectance.COLUMNS_NEEDED
-    else:
-        columns += surfacing.COLUMNS_OF_INTENSITY
     return grow(cell.core, far), columns
 
 
