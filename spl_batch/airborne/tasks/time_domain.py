@@ -351,7 +351,7 @@ def _input_chunks(
 ) -> Iterator[PointTable]:
     """Points of an input file that is as it was when it was indexed."""
     path = Path(source["path"])
-    with unchanged(path, as_indexed(source, context)):
+    with unchanged(path, as_indexed("index_file", source, context)):
         yield from iter_points(
             path,
             channel_dimension=context.workflow.survey.channel_dimension,
