@@ -1,4 +1,4 @@
-"""Inputs, phases and cost of ``kind: altimetry``."""
+"""Inputs, steps and cost of ``kind: altimetry``."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from typing import Any, Final
 from spl_batch.altimetry.formats.atl08 import no_atl08
 from spl_batch.altimetry.formats.photons import BeamFacts, TrackFile, inspect
 from spl_batch.altimetry.settings import TrackWorkflow
+from spl_batch.altimetry.steps import STEPS
 from spl_batch.altimetry.tasks.context import Context
 from spl_batch.altimetry.tasks.delivery import PASS_PHOTONS
 from spl_batch.engine.findings import Finding
@@ -24,24 +25,19 @@ from spl_batch.engine.plan.input_files import (
 )
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.engine.tasks.input_changes import stamp
-from spl_batch.engine.tasks.ledger import Ledger, Phase
+from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Task
 from spl_batch.errors import InputError, WorkflowError
 
 RATES_PHOTONS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
-    {"index": 2.0e6, "signal": 0.15e6, "profile": 1.0e6, "deliver": 0.8e6}
+    {"index": 2.0e6, "signal": 0.1e6, "profile": 1.0e6, "deliver": 0.8e6}
 )
 """Photons per second and worker until a store has measured its own; ``benchmarks/altimetry``."""
 
-BYTES_PER_PHOTON: Final = 400
-"""Memory of a segment's task by each of its photons, halo included [byte]."""
+_LABEL: Final = STEPS["label"]
 
 DISK_BYTES_PER_PHOTON: Final = 45
 """Working store and results [byte]."""
-
-REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
-    {"label": "lower work.segment_photons or signal.window_m"}
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +163,8 @@ def _inspect(
     return good, bad
 
 
-def _index(tracks: Tracks) -> Iterator[Task]:
+def index_file(tracks: Tracks) -> Iterator[Task]:
+    """Photon files, each to be looked through."""
     for source in tracks.inputs.sources:
         args = {
             "source": str(source.key),
@@ -178,7 +175,8 @@ def _index(tracks: Tracks) -> Iterator[Task]:
         yield Task("index_file", str(source.key), args, (), 0)
 
 
-def _take_in(tracks: Tracks) -> Iterator[Task]:
+def take_in(tracks: Tracks) -> Iterator[Task]:
+    """Beams, each to be read."""
     indexed = tracks.of("index_file")
     for source, beam, key in tracks.beams():
         if str(source.key) in indexed:
@@ -196,14 +194,16 @@ def _beam_args(source: Source, beam: BeamFacts, key: str) -> dict[str, Any]:
     }
 
 
-def _label(tracks: Tracks) -> Iterator[Task]:
+def label(tracks: Tracks) -> Iterator[Task]:
+    """Segments of track whose photons are labelled."""
     for name, receipt in tracks.of("take_in").items():
         for low, high, photons in receipt.facts["segments"]:
             args = {"key": name, "segment": f"{name}/{low}", "span": [low, high]}
             yield Task("label", f"{name}/{low}", args, (("take_in", name),), photons)
 
 
-def _profile(tracks: Tracks) -> Iterator[Task]:
+def profile(tracks: Tracks) -> Iterator[Task]:
+    """Beams of whose signal a profile is made."""
     taken = tracks.of("take_in")
     for source, _, name in tracks.beams():
         if name not in taken:
@@ -219,7 +219,8 @@ def _profile(tracks: Tracks) -> Iterator[Task]:
         yield Task("profile", name, args, needs, taken[name].points)
 
 
-def _compare(tracks: Tracks) -> Iterator[Task]:
+def compare(tracks: Tracks) -> Iterator[Task]:
+    """Beams that are compared with a reference, where there is one."""
     if tracks.workflow.reference is None:
         return
     stamps = [[str(path), *stamp(path)] for path in tracks.inputs.reference]
@@ -255,14 +256,16 @@ def _delivery_needs(args: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     return (("profile", key), *(("label", s) for s in args["segments"]))
 
 
-def _deliver_beam(tracks: Tracks) -> Iterator[Task]:
+def deliver_beam(tracks: Tracks) -> Iterator[Task]:
+    """Beams to be delivered."""
     for source, beam, key in tracks.beams():
         if key in tracks.of("profile"):
             args = _delivery(tracks, source, beam, key)
             yield Task("deliver_beam", key, args, _delivery_needs(args), args["points"])
 
 
-def _deliver_file(tracks: Tracks) -> Iterator[Task]:
+def deliver_file(tracks: Tracks) -> Iterator[Task]:
+    """Copies of HDF5 files with labels, where they are asked for."""
     if not tracks.workflow.outputs.hdf5:
         return
     for source in tracks.inputs.sources:
@@ -283,17 +286,6 @@ def _deliver_file(tracks: Tracks) -> Iterator[Task]:
         needs = tuple(need for beam in listed for need in _delivery_needs(beam))
         points = sum(beam["points"] for beam in listed)
         yield Task("deliver_file", str(source.key), args, needs, points)
-
-
-PHASES: Final = (
-    Phase("index_file", _index),
-    Phase("take_in", _take_in),
-    Phase("label", _label),
-    Phase("profile", _profile),
-    Phase("compare", _compare),
-    Phase("deliver_beam", _deliver_beam),
-    Phase("deliver_file", _deliver_file),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -326,9 +318,9 @@ def estimate(tracks: Tracks, context: Context | None = None) -> TrackCost:
         tasks=2 * files + 4 * len(photons) + segments,
         disk_bytes=sum(photons) * DISK_BYTES_PER_PHOTON
         + sum(s.file.size_bytes for s in tracks.inputs.sources),
-        memory_bytes=WORKER_BASE_BYTES + held * BYTES_PER_PHOTON,
+        memory_bytes=WORKER_BASE_BYTES + held * _LABEL.bytes_per_point,
         heaviest="the longest segment of track",
-        remedy=REMEDIES["label"],
+        remedy=_LABEL.remedy,
         stages_s={stage: sum(photons) / rate for stage, rate in rates.items()},
         workers=tracks.workers,
         measured=measured,

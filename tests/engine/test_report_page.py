@@ -92,7 +92,6 @@ def beam(**changes: Any) -> Beam:
         "photons": 131_247,
         "signal": 6_786,
         "noise_per_m2": (0.01, 0.02, 0.04),
-        "rate_basis": "product and window",
         "ground": Statistics(n=5, mean=0.1, rmse=0.4, median=-1.5, nmad=0.29),
     }
     return Beam(**{**values, **changes})

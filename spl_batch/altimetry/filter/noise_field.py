@@ -64,7 +64,7 @@ def gate(cell: NDArray[np.int64], z_m: NDArray[np.float64], cells: int) -> Gate:
     np.maximum.at(high, cell, z_m)
     key = cell * (1 << 32) + np.floor(z_m / 5.0).astype(np.int64)
     _, inverse, times = np.unique(key, return_inverse=True, return_counts=True)
-    lone = np.bincount(cell, times[inverse] <= _LONE, cells)
+    lone = np.bincount(cell, times[inverse] <= _LONE, cells).astype(np.float64)
     low_m, high_m = np.full(cells, np.nan), np.full(cells, np.nan)
     for reach in _REACHES:
         seen = around(lone, reach)

@@ -51,8 +51,12 @@ def label(
     settings : TrackWorkflow
         Cells, method, profile.
     """
-    photons = [{name: np.empty(0, dtype) for name, dtype in COLUMNS.items()}]
-    cells = [{name: np.empty(0, dtype) for name, dtype in CELLS.items()}]
+    photons: list[dict[str, NDArray[Any]]] = [
+        {name: np.empty(0, dtype) for name, dtype in COLUMNS.items()}
+    ]
+    cells: list[dict[str, NDArray[Any]]] = [
+        {name: np.empty(0, dtype) for name, dtype in CELLS.items()}
+    ]
     for mine, some in _windows(along, span, window_quanta(settings)):
         found, known = _window(along[some], height[some], settings)
         inside = slice(mine.start - some.start, mine.stop - some.start)

@@ -143,8 +143,8 @@ def assess(
         cell=cell,
         index=np.arange(start, start + cells),
         gate_m=gate_m,
-        expected=np.bincount(at, best.each, cells),
-        false=np.bincount(at, best.each * best.passed, cells),
+        expected=np.bincount(at, best.each, cells).astype(np.float64),
+        false=np.bincount(at, best.each * best.passed, cells).astype(np.float64),
     )
 
 

@@ -90,10 +90,11 @@ def _counts(done: Receipts) -> TrackCounts:
 def _beam(done: Receipts, key: str, delivered: Receipt, context: Context) -> Beam:
     source, _, name = key.partition("/")
     cells = _cells(done, key, context)
-    labelled = [done["label"][name].facts for name in _segments(done, key)]
     density = _density(cells, context)
-    photons = sum(one["photons"] for one in labelled)
-    wet = sum(one["wet"] for one in labelled)
+    photons, wet = (
+        sum(done["label"][name].facts[kind] for name in _segments(done, key))
+        for kind in ("photons", "wet")
+    )
     profile = done["profile"][key].facts
     compared: Mapping[str, Any] = (
         done["compare"][key].facts if key in done.get("compare", {}) else {}
@@ -103,8 +104,8 @@ def _beam(done: Receipts, key: str, delivered: Receipt, context: Context) -> Bea
         name=name,
         photons=delivered.facts["points"],
         signal=delivered.facts["labels"].get("1", 0),
-        estimated=max(photons - sum(one["noise"] for one in labelled), 0.0),
-        false_signal=_false(labelled, context),
+        estimated=max(photons - float(cells["expected"].sum()), 0.0),
+        false_signal=_false(cells, context),
         length_km=len(cells["index"]) * context.workflow.rate.cell_m / 1000,
         gate_m=float(np.median(cells["gate_m"])) if len(density) else None,
         noise_per_m2=_quantiles(density),
@@ -145,11 +146,11 @@ def _quantiles(density: NDArray[np.float64]) -> tuple[float, float, float] | Non
     return low, middle, high
 
 
-def _false(labelled: list[Any], context: Context) -> float | None:
+def _false(cells: Mapping[str, NDArray[Any]], context: Context) -> float | None:
     """Noise expected among the signal; the published filters estimate none."""
     if context.workflow.signal.method != "likelihood":
         return None
-    return float(sum(one["false"] for one in labelled))
+    return float(cells["false"].sum())
 
 
 def _statistics(found: Mapping[str, Any] | None) -> Statistics | None:

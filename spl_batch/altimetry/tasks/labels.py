@@ -36,7 +36,6 @@ def label_segment(args: Mapping[str, Any], context: Context) -> Produced:
     n = len(labels["row"])
     facts = {
         "signal": int(labels["signal"].sum()),
-        "noise": float(cells["expected"].sum()),
         "false": float(cells["false"].sum()),
         "photons": n,
         "wet": int(np.count_nonzero(labels["level"] != NO_WATER)),
