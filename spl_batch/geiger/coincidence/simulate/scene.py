@@ -71,6 +71,9 @@ class FlightSettings(Section):
     efficiency: Share = Field(
         0.5, description="Photo-electrons per look from a target of reflectivity 1 [count]."
     )
+    dark_rate_hz: Positive = Field(
+        1500.0, description="Dark counts and sunlight of one detector [1/s]."
+    )
     range_jitter_m: Positive = Field(0.05, description="Standard deviation of a range [m].")
     angle_jitter_rad: Positive = Field(10e-6, description="Of each angle of a look [rad].")
     range_bin_m: Positive = Field(0.05, description="Range bin [m].")

@@ -14,8 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
-from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
-from spl_batch.geiger.coincidence.surface.posterior import log_odds
+from spl_batch.geiger.coincidence.settings import (
+    ArraySettings,
+    BridgeSignSettings,
+    CoincidenceSettings,
+)
 from spl_batch.geiger.coincidence.surface.quadratic_fit import (
     NOTHING,
     drop_weaker,
@@ -62,8 +65,7 @@ def reach_q(chosen: CoincidenceSettings, array: ArraySettings) -> int:
 
 def _halo(chosen: CoincidenceSettings) -> int:
     """Voxels around a region in which there may be something that decides on its points [count]."""
-    half = chosen.window_voxels // 2
-    return half + (half + BESIDE if chosen.method == "bridge_sign" else 0)
+    return 2 * chosen.half + BESIDE
 
 
 def coincide(
@@ -101,11 +103,6 @@ def _first_voxel(edge_of_region: int, edge: int) -> int:
     return -((edge - 2 * edge_of_region) // (2 * edge))
 
 
-def least_detections(chosen: CoincidenceSettings) -> int:
-    """Detections that must coincide for anything to be found [count]."""
-    return chosen.bridge_sign.detections_min if chosen.method == "bridge_sign" else 2
-
-
 def _volumes(
     scene: Scene, low: NDArray[np.int64], high: NDArray[np.int64], chosen: CoincidenceSettings
 ) -> Iterator[Box]:
@@ -114,8 +111,9 @@ def _volumes(
     A neighbourhood of w voxels takes weight from places within w + 1 edges, in a block of two by
     two by two cells of that edge. Blocks with too few detections are left out.
     """
-    cell = chosen.window_voxels + 1
-    blocks = _crowded(scene.xyz // (cell * scene.edge_q), least_detections(chosen)) * cell
+    cell = 2 * chosen.half + 2
+    least = chosen.bridge_sign.detections_min
+    blocks = _crowded(scene.xyz // (cell * scene.edge_q), least) * cell
     if not len(blocks):
         return
     edge = chosen.volume_voxels
@@ -144,27 +142,25 @@ def _crowded(cells: NDArray[np.int64], least: int) -> NDArray[np.int64]:
 
 def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySettings) -> Points:
     """Points of one sub-volume."""
-    half = chosen.window_voxels // 2
+    half, rules = chosen.half, chosen.rules
     # Points just outside may be stronger than those inside: they are found as well.
     halo = _halo(chosen)
     corner = box.low - halo
     raster = np.zeros(tuple((box.high - box.low + 2 * halo).tolist()), np.int64)
-    near = _within(scene.xyz, Box(corner - 1, box.high + halo + 1), scene.edge_q)
-    xyz = scene.xyz[near]
-    deposit_all(xyz, scene.edge_q, corner, raster)
+    first, last = (corner - 1) * scene.edge_q, (box.high + halo + 1) * scene.edge_q
+    near = ((scene.xyz >= first) & (scene.xyz < last)).all(axis=1)
+    deposit_all(scene.xyz[near], scene.edge_q, corner, raster)
     sums = np.empty_like(raster)
     box_sum(raster, half, sums)
-    if chosen.method == "posterior":
-        return _by_posterior(scene, box, xyz, sums, chosen, array)
-    crowded = sums[half:-half, half:-half, half:-half] >= chosen.bridge_sign.detections_min * UNIT
-    voxel = np.argwhere(crowded) + half
+    voxel = np.argwhere(sums[half:-half, half:-half, half:-half] >= rules.detections_min * UNIT)
     if not len(voxel):
         return Points.joined([])
+    voxel += half
     looks = _looks(scene, voxel + corner, half, array)
-    found = _maxima(raster, voxel, looks, chosen)
+    found = _maxima(raster, voxel, looks, rules)
     keep = found.kind != NOTHING
     voxel, found = voxel[keep], _Maxima(*(column[keep] for column in found))
-    own = _strongest(raster.shape, voxel, found, chosen)
+    own = _strongest(raster.shape, voxel, found, rules)
     own &= ((voxel >= halo) & (voxel < np.array(raster.shape) - halo)).all(axis=1)
     at = (voxel[own] + corner + 0.5 + found.place[own]) * scene.edge_q
     return Points(
@@ -185,15 +181,14 @@ def _maxima(
     raster: NDArray[np.int64],
     voxel: NDArray[np.int64],
     looks: NDArray[np.int64],
-    chosen: CoincidenceSettings,
+    rules: BridgeSignSettings,
 ) -> _Maxima:
-    sign, n = chosen.bridge_sign, len(voxel)
-    half = sign.window_voxels // 2
+    n, half = len(voxel), rules.window_voxels // 2
     found = _Maxima(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.uint8))
     find_surfaces(
         *(raster, looks, voxel, half, fit_matrix(half)),
-        *(sign.threshold, sign.looks_min, sign.curvature_ratio, sign.reach_voxels),
-        edge_offset(half),
+        *(rules.threshold or 0.0, rules.looks_min, rules.curvature_ratio, rules.reach_voxels),
+        edge_offset(half) if rules.edge_rule else math.inf,
         *found,
     )
     return found
@@ -203,16 +198,17 @@ def _strongest(
     shape: tuple[int, ...],
     voxel: NDArray[np.int64],
     found: _Maxima,
-    chosen: CoincidenceSettings,
+    rules: BridgeSignSettings,
 ) -> NDArray[np.bool_]:
     """Which points nothing stronger before, behind or beside takes the place of: (n,) bool."""
-    half = chosen.window_voxels // 2
+    half = rules.window_voxels // 2
     row_of = np.full(shape, -1, np.int32)
     row_of[tuple(voxel.T)] = np.arange(len(voxel))
     keep = np.empty(len(voxel), np.bool_)
+    along = half if rules.strongest_along_normal else -1
     drop_weaker(
         *(voxel, found.place, found.normal, found.value, row_of),
-        *(half, half + BESIDE, chosen.bridge_sign.edge_share, keep),
+        *(along, half + BESIDE, rules.edge_share, keep),
     )
     return keep
 
@@ -302,42 +298,3 @@ def sight_error(frames: Frames, detections: Detections, array: ArraySettings) ->
     middle = 0.5 * (np.array([array.rows, array.columns]) - 1)
     off = at - (place - middle) * math.tan(array.ifov_rad)
     return float(np.median(np.hypot(off[:, 0], off[:, 1])) / array.ifov_rad)
-
-
-def _within(xyz: NDArray[np.int64], box: Box, edge_q: int) -> NDArray[np.bool_]:
-    """Which places lie in a box of voxels: (n,) bool."""
-    inside: NDArray[np.bool_] = np.all(
-        (xyz >= box.low * edge_q) & (xyz < box.high * edge_q), axis=1
-    )
-    return inside
-
-
-def _by_posterior(
-    scene: Scene,
-    box: Box,
-    xyz: NDArray[np.int64],
-    sums: NDArray[np.int64],
-    chosen: CoincidenceSettings,
-    array: ArraySettings,
-) -> Points:
-    """Means of the detections in each voxel that are more likely of a surface than noise."""
-    test = chosen.posterior
-    half = test.window_voxels // 2
-    xyz = xyz[_within(xyz, box, scene.edge_q)]
-    voxel = xyz // scene.edge_q
-    if not len(voxel):
-        return Points.joined([])
-    looks = _looks(scene, voxel, half, array)
-    counts = sums[tuple((voxel - box.low + half).T)]
-    odds = np.empty(len(voxel))
-    noise = array.dark_per_m * scene.edge_q * QUANTUM_M
-    log_odds(counts, looks, test.window_voxels, noise, test.detection_min, test.prior, odds)
-    keep = odds > 0
-    cells, place, n = np.unique(voxel[keep], axis=0, return_inverse=True, return_counts=True)
-    total = np.zeros((len(cells), 3), np.int64)
-    np.add.at(total, place.ravel(), xyz[keep])
-    passed = np.zeros(len(cells), np.int64)
-    np.maximum.at(passed, place.ravel(), looks[keep])
-    share = n * UNIT * test.window_voxels**3 / np.maximum(passed, 1)
-    mean = (2 * total + n[:, None]) // (2 * n[:, None])
-    return Points(mean, share.astype(np.float32), np.zeros(len(mean), np.uint8))
