@@ -89,5 +89,5 @@ def surface(given: Given) -> Iterator[Figure]:
             yield figure(f"{name}: {what}", value, unit, "more", tolerance)
         if name == "waves":
             ends = [water.floor_errors(*pair, view) for pair in pairs]
-            off = np.mean([astuple(one) for one in ends if one is not None], axis=0)
+            off = np.mean([astuple(one) for one in ends], axis=0)
             yield figure("waves: ends of rays by the surface", 100 * off[2], "cm", "more", 0.5)

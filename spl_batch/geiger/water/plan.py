@@ -22,7 +22,7 @@ from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.ledger import Ledger, Phase
 from spl_batch.engine.tasks.task import Task
-from spl_batch.errors import InputError, Said, WorkflowError, grouped, shared
+from spl_batch.errors import InputError, Said, WorkflowError, counted, grouped, shared
 from spl_batch.formats.crs import projected_crs
 from spl_batch.geiger.water.formats import PIECE_VALUES, FrameFacts, inspect_frames
 from spl_batch.geiger.water.settings import WaterWorkflow
@@ -157,6 +157,12 @@ def _remarks(source: FrameSource, per: int) -> Iterator[Said]:
     if left:
         text = f"the last {left} frames do not fill an acquisition of {per} frames and are left out"
         yield Said(source.name, text, left)
+    if missing := source.facts.missing_chunks:
+        text = (
+            f"{counted(missing, 'chunks', 'are')} missing and read as frames without a hit; copy "
+            "the file again, unless the laser paused"
+        )
+        yield Said(source.name, text, missing)
     if truth not in {0, per}:
         text = (
             f"the truth is given for acquisitions of {truth} frames, but "
@@ -219,16 +225,16 @@ def _count(ledger: WaterLedger) -> Iterator[Task]:
 
 
 def _calibrate(ledger: WaterLedger) -> Iterator[Task]:
-    counted = ledger.of("count_frames")
+    done = ledger.of("count_frames")
     inputs = ledger.inputs
-    sources = [s for s in (inputs.targets or inputs.sources) if str(s.key) in counted]
+    sources = [s for s in (inputs.targets or inputs.sources) if str(s.key) in done]
     if not sources:
         return
     args = {
         "sources": [
             {
                 "source": str(s.key),
-                "gate": counted[str(s.key)].facts["gate"],
+                "gate": done[str(s.key)].facts["gate"],
                 "frames": s.facts.frames,
             }
             for s in sources
@@ -243,19 +249,19 @@ def _calibrate(ledger: WaterLedger) -> Iterator[Task]:
 
 
 def _make(ledger: WaterLedger) -> Iterator[Task]:
-    counted, calibrated = ledger.of("count_frames"), ledger.of("calibrate")
+    done, calibrated = ledger.of("count_frames"), ledger.of("calibrate")
     if "all" not in calibrated:
         return
     facts = calibrated["all"].facts
     for source in ledger.inputs.sources:
-        if str(source.key) not in counted:
+        if str(source.key) not in done:
             continue
         needs = (("count_frames", str(source.key)), ("calibrate", "all"))
         for name, first, last in ledger.pieces(source):
             args = {
                 **_args(source),
                 "name": name,
-                "gate": counted[str(source.key)].facts["gate"],
+                "gate": done[str(source.key)].facts["gate"],
                 "acquisitions": [first, last],
                 "truth_frames": source.facts.truth_frames,
                 "calibration": facts["settings"],

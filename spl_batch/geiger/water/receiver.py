@@ -11,9 +11,8 @@ from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
-from spl_batch.errors import Said, WorkflowError, counted, grouped, shared
-from spl_batch.geiger.water.calibration_targets import WITHOUT, refuse_unusable
+from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.errors import WorkflowError, counted, grouped
 from spl_batch.geiger.water.plan import PHASES, WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
 from spl_batch.geiger.water.settings import WaterWorkflow
@@ -27,24 +26,6 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
         "deliver_rasters": "file",
     }
 )
-
-
-def _silent(counted: Iterable[Receipt]) -> Iterable[str]:
-    """Files with more frames without a hit than chance explains: a chunk that is gone reads so."""
-    found = sorted((r.facts for r in counted), key=lambda f: str(f["name"]))
-    return shared(
-        (
-            Said(
-                str(facts["name"]),
-                f"{facts['silent']} of {facts['frames']} frames have no hit in any pixel, more "
-                "than chance explains; the laser paused, or a part of the file is missing",
-                facts["silent"] / facts["frames"],
-            )
-            for facts in found
-            if facts["silent_beyond_chance"]
-        ),
-        "files",
-    )
 
 
 class Water(Receiver[WaterLedger, WaterContext]):
@@ -73,11 +54,6 @@ class Water(Receiver[WaterLedger, WaterContext]):
         """What a run is expected to cost."""
         return estimate(prepared.ledger, prepared.context)
 
-    def first_look(self, prepared: Prepared[WaterLedger, WaterContext]) -> FirstLook:
-        """Refuse frames for calibration that a run could not use."""
-        refuse_unusable(prepared.ledger, prepared.context)
-        return FirstLook()
-
     def plan_rows(
         self,
         prepared: Prepared[WaterLedger, WaterContext],
@@ -104,14 +80,14 @@ class Water(Receiver[WaterLedger, WaterContext]):
         """Stop where nothing is left to go on with."""
         ledger = prepared.ledger
         if phase.kind == "count_frames":
-            counted = ledger.of("count_frames")
-            if not any(str(s.key) in counted for s in ledger.inputs.sources):
+            done = ledger.of("count_frames")
+            if not any(str(s.key) in done for s in ledger.inputs.sources):
                 reasons = "; ".join(r.reason for r in failed if r.kind == "count_frames")
                 raise WorkflowError(f"no input is usable: {reasons}")
-            yield from _silent(counted.values())
         if phase.kind == "calibrate" and "all" not in ledger.of("calibrate"):
             reasons = "; ".join(r.reason for r in failed if r.kind == "calibrate")
-            raise WorkflowError(f"{WITHOUT}: {reasons}")
+            raise WorkflowError(f"without a calibration there are no ranges: {reasons}")
+        return ()
 
     def targets(self, task: Task, workflow: WaterWorkflow) -> Sequence[str]:
         """Names of the files, below the output, that a task delivers."""

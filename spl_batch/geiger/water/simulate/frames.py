@@ -117,7 +117,6 @@ class Instrument:
     #: changes smoothly over the array [ns].
     delay_ns: float = 0.05
     pattern_ns: float = 0.018
-    skew_ns: float = 0.0  #: How much later the last column's clock runs than the first's [ns].
     dead: int = 150  #: Dead pixels, most of them in the last three rows [count].
     hot: int = 0  #: Pixels that fire in most frames by themselves [count].
     seed: int = 1  #: Of what is fixed to the instrument.
@@ -147,7 +146,6 @@ def build_array(instrument: Instrument, camera: CameraSettings) -> Array:
     gain = np.maximum(1.0 + instrument.sensitivity_spread * rng.standard_normal(shape), 0.1)
     delay = instrument.delay_ns * rng.standard_normal(shape)
     delay += instrument.pattern_ns * _pattern(rng, row / camera.rows, col / camera.cols)
-    delay += instrument.skew_ns * (col / (camera.cols - 1) - 0.5)
     order = rng.permutation(camera.rows * camera.cols)
     last = row.ravel()[order] >= camera.rows - 3
     # Nine in ten of the dead ones lie in the last three rows, as far as there is room.
