@@ -19,15 +19,7 @@ FRAMES_OF_A_PASS = 10_000_000
 
 
 def flights(scene: SceneSettings) -> Iterator[tuple[Frames, Attitudes]]:
-    """Frames of each pass that look at the scene's part.
-
-    Yields
-    ------
-    frames : Frames
-        Ready to look through.
-    attitudes : Attitudes
-        The same as files have it.
-    """
+    """Frames of each pass that look at the scene's part, as directions and as files have them."""
     flight, array = scene.flight, scene.array
     half = 0.5 * np.array([array.rows, array.columns]) * array.ifov_rad * flight.altitude_m
     reach = 0.5 * math.hypot(*scene.extent_m) + float(half.max()) + flight.speed_m_s
@@ -56,19 +48,9 @@ def flights(scene: SceneSettings) -> Iterator[tuple[Frames, Attitudes]]:
 
 
 def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections:
-    """What the detectors record: at most one detection of each in a frame.
+    """What the detectors record in :func:`flights`: at most one detection of each in a frame.
 
-    Parameters
-    ----------
-    frames : Frames
-        From :func:`flights`.
-    targets : Targets
-        From :func:`~.scene.build`.
-
-    Returns
-    -------
-    Detections
-        In order of frame and detector; places by each detector's own line of sight.
+    In order of frame and detector; places by each detector's own line of sight.
     """
     array, flight = scene.array, scene.flight
     tangent = math.tan(array.ifov_rad)

@@ -101,17 +101,9 @@ class SceneSettings(Section):
 
 
 def bars(centre_m: tuple[float, float]) -> list[tuple[float, bool, NDArray[np.float64]]]:
-    """Tri-bar targets: three bars, two gaps of the same width, five widths long.
+    """Tri-bar targets around a place: three bars, two gaps of the same width, five widths long.
 
-    Parameters
-    ----------
-    centre_m : (float, float)
-        Middle of both sets.
-
-    Returns
-    -------
-    list of (float, bool, (3, 5) float64)
-        Width [m]; whether the bars run north; west, south, east, north, height of each [m].
+    Width [m] of each; whether its bars run north; (3, 5) west, south, east, north, height [m].
     """
     found = []
     for north, side in ((True, -1.0), (False, 1.0)):

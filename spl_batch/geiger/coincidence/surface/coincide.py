@@ -244,15 +244,10 @@ def looking_at(
     low_m: NDArray[np.float64],
     high_m: NDArray[np.float64],
 ) -> NDArray[np.intp]:
-    """Rows of frames of which a look may cross a box: (k,) intp.
+    """Rows of frames of which a look may cross a box, whose corners are (3,) each [m]: (k,) intp.
 
     Lines of sight that point downwards cross a height within the quadrilateral of the image's
     corners; frames with a corner that does not are always among them.
-
-    Parameters
-    ----------
-    low_m, high_m : (3,) float64
-        Corners of the box [m].
     """
     tangent = math.tan(array.ifov_rad)
     across, along = 0.5 * array.rows * tangent, 0.5 * array.columns * tangent
@@ -273,19 +268,9 @@ def looking_at(
 
 
 def sight_error(frames: Frames, detections: Detections, array: ArraySettings) -> float:
-    """How far detections lie from their lines of sight, typically.
+    """How far detections lie from their lines of sight: median [fields of view of a detector].
 
-    Parameters
-    ----------
-    detections : Detections
-        In order of their frames; those of other frames are left out.
-    array : ArraySettings
-        Tells where each detector looks.
-
-    Returns
-    -------
-    float
-        Median angle in fields of view of a detector; 0 without detections.
+    Detections come in order of their frames; those of other frames are left out, and 0 is none.
     """
     own = detections.of(frames)
     if not len(own):

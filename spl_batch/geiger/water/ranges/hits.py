@@ -130,15 +130,7 @@ def add_up(frames: NDArray[np.uint16], gate: Gate) -> Hits:
 
 
 def dead_pixels(hits: Hits, used: NDArray[np.bool_], settings: PixelSettings) -> NDArray[np.bool_]:
-    """Pixels that cannot be trusted: (rows, cols) bool.
-
-    Parameters
-    ----------
-    used : (rows, cols) bool
-        Pixels that may take part at all.
-    settings : PixelSettings
-        Limits, and pixels that are known to be dead.
-    """
+    """Pixels that cannot be trusted: (rows, cols) bool; ``used``: those that may take part."""
     # Where most neighbours are dead too their median is nothing to compare with.
     around = median_filter(hits.hits, size=5, mode="reflect")
     dead: NDArray[np.bool_] = (hits.hits < settings.dead_share * around) | (hits.hits == 0) | ~used

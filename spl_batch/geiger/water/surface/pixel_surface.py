@@ -161,19 +161,9 @@ def _windowed(
 
 
 def window_median(image: Floats, half: int) -> Floats:
-    """Median of a square window, edges mirrored [G15 Eq. 2-4].
+    """Median of a square window [G15 Eq. 2-4]: (rows, cols), edges mirrored.
 
-    Parameters
-    ----------
-    image : (rows, cols) float64
-        NaN takes no part.
-    half : int
-        Half edge of the window [pixel].
-
-    Returns
-    -------
-    (rows, cols) float64
-        NaN where the whole window is.
+    NaN takes no part, and is where the whole window is.
     """
     padded = np.pad(image, half, mode="symmetric")
     windows = sliding_window_view(padded, (2 * half + 1, 2 * half + 1)).reshape(*image.shape, -1)
