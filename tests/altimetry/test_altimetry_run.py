@@ -12,10 +12,12 @@ import pyarrow.csv
 import pytest
 import rasterio
 import yaml
+from matplotlib.figure import Figure
 
 from spl_batch.altimetry.filter.chance import SHARE_QUANTA
 from spl_batch.altimetry.filter.signal import score_bins
 from spl_batch.altimetry.report.beam_warnings import _like_noise
+from spl_batch.altimetry.report.pictures import TrackAxis
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.simulate import SceneFile, simulate_file
 from spl_batch.altimetry.tasks import photons as photons_runner
@@ -34,6 +36,11 @@ from tests.altimetry.tracks import (
 from tests.workflow_files import unshown
 
 ROOT = Path(__file__).parents[2]
+
+
+def sentences(report: dict) -> list[str]:
+    """What a report warns of."""
+    return [f"{one['subject']}: {one['sentence']}" for one in report["findings"]]
 
 
 def run(workflow: Path, *options: Any) -> Any:
@@ -199,7 +206,7 @@ def test_signal_that_noise_alone_gives_is_said(tmp_path: Path) -> None:
     write_csv(tmp_path / "hills.csv", small_track(3))
     workflow = write_workflow(tmp_path, "*.csv")
     assert run(workflow).status == 0
-    texts = report(workflow)["warnings"]
+    texts = sentences(report(workflow))
     assert not any("rate.buffer_m" in text for text in texts)
     found = [text for text in texts if "cannot be told from noise" in text]
     assert len(found) == 1, found
@@ -230,6 +237,39 @@ def test_few_photons_of_a_floor_are_not_called_noise(noise: int, said: str) -> N
     (text,) = _like_noise(chosen, 900, 40)
     assert said in text
     assert list(_like_noise(chosen, 900, 5)) == []
+
+
+def test_a_handful_of_photons_below_the_sea_is_no_floor(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    for name, below in (("few", 6), ("some", 30)):
+        along = np.r_[rng.uniform(0.0, 500.0, 2500), rng.uniform(200.0, 230.0, below)]
+        height = np.r_[rng.normal(12.0, 0.12, 2500), rng.normal(4.0, 0.1, below)]
+        noise = rng.uniform([0.0, -40.0], [500.0, 60.0], (150, 2))
+        photons = np.r_[np.stack([along, height], axis=1), noise]
+        rows = "".join(f"{x:.3f},{z:.3f}\n" for x, z in photons)
+        (tmp_path / f"{name}.csv").write_text("along_track,height\n" + rows)
+    workflow = write_workflow(tmp_path, "*.csv")
+    assert run(workflow).status == 0
+    few, some = report(workflow)["beams"]
+    assert few["floor"] == 0
+    assert some["floor"] >= 27
+
+
+def test_an_axis_leaves_out_gaps_that_are_longer_than_the_data() -> None:
+    at = np.r_[10.0:500.0:20.0, 400_010.0:400_340.0:20.0]
+    axis = TrackAxis.of(at)
+    shown = axis.km(at)
+    assert (np.diff(shown) > 0).all()
+    assert np.ptp(shown) == pytest.approx(0.02 * len(at))
+    x, y = axis.line(at, at)
+    assert np.flatnonzero(np.isnan(x)).tolist() == np.flatnonzero(np.isnan(y)).tolist() == [25]
+    axes = Figure().subplots()
+    axes.plot(x, y)
+    axis.mark(axes)
+    label = axes.xaxis.get_major_formatter()
+    assert float(label(shown[-1])) == pytest.approx(at[-1] / 1000, abs=0.006)
+    assert float(label(shown[3])) == pytest.approx(at[3] / 1000, abs=0.006)
+    assert len(TrackAxis.of(at[:25]).gap) == len(TrackAxis.of(at[:1]).gap) == 0
 
 
 def test_a_simulated_track_is_run_and_measured(tmp_path: Path) -> None:
@@ -289,7 +329,7 @@ def test_ground_is_compared_with_a_terrain_raster(tmp_path: Path) -> None:
     with rasterio.open(tmp_path / "dtm.tif", "r+") as raster:
         raster.transform = rasterio.Affine(step, 0, 60.0, 0, -step, 5.0)
     assert run(workflow).status == 0
-    assert "60.0000 to 60.0001 E, the ground from 0.0" in " ".join(report(workflow)["warnings"])
+    assert "60.0000 to 60.0001 E, the ground from 0.0" in " ".join(sentences(report(workflow)))
     (tmp_path / "dtm.tif").write_text("no raster")
     ended = run(workflow)
     assert ended.status == 1
@@ -309,7 +349,7 @@ def test_a_reference_that_says_nothing_is_named(granule: Path, tmp_path: Path) -
         workflow = write_workflow(tmp_path, "photons.csv", reference={key: name})
         ended = run(workflow)
         assert ended.status == 0
-        assert expected in " ".join(report(workflow)["warnings"])
+        assert expected in " ".join(sentences(report(workflow)))
     other = tmp_path / "other.h5"
     shutil.copy(atl08, other)
     with h5py.File(other, "r+") as file:
@@ -321,7 +361,7 @@ def test_a_reference_that_says_nothing_is_named(granule: Path, tmp_path: Path) -
         tmp_path, atl03, reference={"labels": "other.h5"}, output="output_of_other"
     )
     assert run(workflow).status == 0
-    said = json.loads((tmp_path / "output_of_other/report.json").read_text())["warnings"]
+    said = sentences(json.loads((tmp_path / "output_of_other/report.json").read_text()))
     assert any("name the ATL08 file of the same granule" in text for text in said)
 
 
@@ -435,8 +475,8 @@ def test_photons_without_a_height_stay_without_a_label(tmp_path: Path) -> None:
     assert ended.status == 0
     found = report(workflow)
     assert found["counts"]["not_assessed"] == 3
-    assert any("3 photons without height or place" in text for text in found["warnings"])
-    assert any("states no noise rate" in text for text in found["warnings"])
+    assert any("3 photons without height or place" in text for text in sentences(found))
+    assert any("states no noise rate" in text for text in sentences(found))
     table = labels(tmp_path / "out", "a/gt1r")
     assert (table["signal"][100:103] == 255).all()
 

@@ -3,20 +3,19 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from spl_batch.altimetry.filter.chance import SHARE_QUANTA
+from spl_batch.altimetry.filter.chance import LEAST_PHOTONS, SHARE_QUANTA
 from spl_batch.altimetry.ground.lost_floor import LostFloor
 from spl_batch.altimetry.water.level_water import UNDER_SHARE
 from spl_batch.altimetry.water.odd_layers import Layer
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
-from spl_batch.errors import Said, grouped, shared
+from spl_batch.errors import grouped
 
 UNSEEN_SHARE: Final = 0.1
 """Share of a track without any noise seen that a reader has to know of."""
 
 _FAR_TIMES: Final = 2.0
-SAID_LEAST: Final = 10
-"""Far photons among the signal, over those allowed and as such, that are no chance; fewer of any
-kind are not worth a warning."""
+"""Far photons among the signal, over those allowed, that are no chance."""
 
 _MIST_SHARE: Final = 0.03
 _OVER_SHARE: Final = 0.02
@@ -34,9 +33,9 @@ _DARK_M: Final = 500.0
 """Level track with no light from below that is worth a warning [m]."""
 
 
-def beam_warnings(done: Receipts, limit: float) -> list[str]:
+def beam_findings(done: Receipts, limit: float) -> list[Finding]:
     """What a reader has to know of each beam's labels, in sentences; alike ones once."""
-    found: list[Said] = []
+    found: list[Finding] = []
     for key, delivered in done["deliver_beam"].items():
         source, _, name = key.partition("/")
         beam = f"{done['index_file'][source].facts['name']}: {name}"
@@ -45,28 +44,34 @@ def beam_warnings(done: Receipts, limit: float) -> list[str]:
         floor = delivered.facts["floor"]
         if rate["basis"] != "product" and rate["unseen"] > UNSEEN_SHARE:
             text = f"no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
-            found.append(Said(beam, f"{text}is an upper bound"))
-        found += [Said(beam, text) for text in _cloud(rate["fog"])]
-        found += [Said(beam, text) for text in _mist(rate["mist"], delivered.facts["mist"], kept)]
-        found += [Said(beam, text) for text in _maybe_river(rate["maybe_river"])]
-        found += [Said(beam, text) for text in _dark_water(rate["dark_water"])]
-        found += [Said(beam, text) for text in _second_surface(chosen, kept, limit)]
-        found += [Said(beam, text) for text in _like_noise(chosen, kept, floor)]
-        found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
-        found += [Said(beam, text) for text in _doubt(done["profile"][key].facts)]
+            found.append(_of_beam(beam, f"{text}is an upper bound"))
+        found += [_of_beam(beam, text) for text in _cloud(rate["fog"])]
+        found += [
+            _of_beam(beam, text) for text in _mist(rate["mist"], delivered.facts["mist"], kept)
+        ]
+        found += [_of_beam(beam, text) for text in _maybe_river(rate["maybe_river"])]
+        found += [_of_beam(beam, text) for text in _dark_water(rate["dark_water"])]
+        found += [_of_beam(beam, text) for text in _second_surface(chosen, kept, limit)]
+        found += [_of_beam(beam, text) for text in _like_noise(chosen, kept, floor)]
+        found += [_of_beam(beam, text) for text in _odd_layers(delivered.facts)]
+        found += [_of_beam(beam, text) for text in _doubt(done["profile"][key].facts)]
         lost = LostFloor(*done["profile"][key].facts["lost_floor"])
         # A floor that is noise itself is lost nowhere.
         if not chosen["doubtful_floor"][0]:
-            found += [Said(beam, text) for text in floor_said(lost)]
+            found += [_of_beam(beam, text) for text in floor_said(lost)]
         if kept and not noise:
             text = f"all {grouped(kept)} photons are signal; nothing is told apart"
-            found.append(Said(beam, text))
+            found.append(_of_beam(beam, text))
         if noise and not kept:
-            found.append(Said(beam, _nothing_kept(chosen["estimated"], noise)))
+            found.append(_of_beam(beam, _nothing_kept(chosen["estimated"], noise)))
         compared = done.get("compare", {})
         said = compared[key].facts["said"] if key in compared else ()
-        found += [Said(beam, text) for text in said]
-    return list(shared(found, "beams"))
+        found += [_of_beam(beam, text) for text in said]
+    return found
+
+
+def _of_beam(beam: str, text: str) -> Finding:
+    return Finding("P02", {"what": text}, beam)
 
 
 def _nothing_kept(estimated: float, photons: int) -> str:
@@ -84,7 +89,7 @@ def _second_surface(chosen: Mapping[str, Any], kept: int, limit: float) -> Itera
     far = chosen["far_signal"]
     # What noise alone could have given is told of by itself.
     sure = kept - chosen["doubtful"]["photons"]
-    if far > _FAR_TIMES * limit * max(kept, 1) and far >= SAID_LEAST and 2.0 * sure > kept:
+    if far > _FAR_TIMES * limit * max(kept, 1) and far >= LEAST_PHOTONS and 2.0 * sure > kept:
         yield (
             f"{grouped(far)} of the {grouped(kept)} signal photons lie farther than "
             "rate.buffer_m from the surface, more than signal.false_share allows of noise; a "
@@ -103,7 +108,7 @@ def _stretch(at: Mapping[str, float]) -> str:
 
 def _cloud(fog: Mapping[str, float]) -> Iterator[str]:
     """A cloud in the gate, and what that means for its photons and those below it."""
-    if fog and fog["photons"] >= SAID_LEAST:
+    if fog and fog["photons"] >= LEAST_PHOTONS:
         yield (
             f"a layer that floats as a cloud does fills {_stretch(fog)}, most of it at heights of "
             f"{fog['low_m']:.0f} to {fog['high_m']:.0f} m: its "
@@ -133,7 +138,7 @@ def _dark_water(at: Mapping[str, float]) -> Iterator[str]:
 
 def _mist(mist: Mapping[str, float], signal: int, kept: int) -> Iterator[str]:
     """What may be fog or a low cloud, and what that means for ground and canopy."""
-    if mist and signal >= max(SAID_LEAST, _MIST_SHARE * kept):
+    if mist and signal >= max(LEAST_PHOTONS, _MIST_SHARE * kept):
         yield (
             f"{grouped(signal)} of the {grouped(kept)} signal photons lie in a layer as even as "
             f"fog or a low cloud is, on {mist['length_m'] / 1000:g} km of track between "
@@ -152,7 +157,7 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
             f"from noise, which comes in clumps ({grouped(at['noise'])} noise photons are expected "
             "among them)"
         )
-    elif at["photons"] >= SAID_LEAST:
+    elif at["photons"] >= LEAST_PHOTONS:
         yield (
             f"{grouped(at['photons'])} of the {grouped(kept)} signal photons, on "
             f"{at['length_m'] / 1000:g} km of track between {at['from_m'] / 1000:g} and "
@@ -161,7 +166,7 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
             "canopy are not to be relied on there"
         )
     photons, noise = chosen["doubtful_floor"]
-    if min(photons, floor) >= SAID_LEAST:
+    if min(photons, floor) >= LEAST_PHOTONS:
         expected = noise / SHARE_QUANTA
         among = f"{grouped(expected)} noise photons are expected among the {grouped(photons)} taken"
         if photons >= _FEW_TIMES * expected:
@@ -179,7 +184,7 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
 def _doubt(profile: Mapping[str, Any]) -> Iterator[str]:
     """Ground that may lie in the crowns of closed woods."""
     at, cells = profile["doubt"], profile["ground_cells"]
-    if at["cells"] >= max(SAID_LEAST, _DOUBT_SHARE * cells):
+    if at["cells"] >= max(LEAST_PHOTONS, _DOUBT_SHARE * cells):
         yield (
             f"{grouped(at['cells'])} of {grouped(cells)} ground heights, between "
             f"{at['from_m'] / 1000:g} and {at['to_m'] / 1000:g} km, have photons well below them, "
@@ -192,7 +197,7 @@ def _doubt(profile: Mapping[str, Any]) -> Iterator[str]:
 def floor_said(floor: LostFloor) -> Iterator[str]:
     """Water whose floor is seen close by and not there."""
     every = floor.lost + floor.found
-    if floor.lost >= max(SAID_LEAST, _LOST_SHARE * every):
+    if floor.lost >= max(LEAST_PHOTONS, _LOST_SHARE * every):
         yield (
             f"between {floor.from_m / 1000:g} and {floor.to_m / 1000:g} km the floor is lost in "
             f"{grouped(floor.lost)} of {grouped(every)} profile cells of water that show it or lie "
@@ -210,14 +215,14 @@ def _odd_layers(delivered: Mapping[str, Any]) -> Iterator[str]:
         f"{one.to_m / 1000:g} km"
         for name, one in layers.items()
     }
-    if layers["over"].photons >= max(SAID_LEAST, _OVER_SHARE * surface):
+    if layers["over"].photons >= max(LEAST_PHOTONS, _OVER_SHARE * surface):
         yield (
             f"{where['over']} lie more than 1 m above a water surface: a cloud, land or a second "
             "surface is among the signal, and heights of ground and canopy are not to be relied "
             "on there"
         )
     under = layers["under"]
-    if under.photons >= max(SAID_LEAST, UNDER_SHARE * surface):
+    if under.photons >= max(LEAST_PHOTONS, UNDER_SHARE * surface):
         yield (
             f"between {under.from_m / 1000:g} and {under.to_m / 1000:g} km, "
             f"{grouped(under.photons)} signal photons more lie {under.depth_m:g} to 1 m below the "
@@ -225,7 +230,7 @@ def _odd_layers(delivered: Mapping[str, Any]) -> Iterator[str]:
             "called surface there, and the surface may lie too low"
         )
     echo = layers["echo"]
-    if echo.photons >= max(SAID_LEAST, _ECHO_SHARE * delivered["floor"]):
+    if echo.photons >= max(LEAST_PHOTONS, _ECHO_SHARE * delivered["floor"]):
         yield (
             f"{where['echo']} lie {echo.depth_m:g} m below the water surface nearly all along it: "
             "an echo of the detector, or a flat floor; floor at that depth is not to be relied on"

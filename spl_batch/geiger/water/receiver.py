@@ -5,6 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
@@ -76,7 +77,7 @@ class Water(Receiver[WaterLedger, WaterContext]):
         phase: Phase,
         prepared: Prepared[WaterLedger, WaterContext],
         failed: Sequence[Receipt],
-    ) -> Iterable[str]:
+    ) -> Iterable[Finding]:
         """Stop where nothing is left to go on with."""
         ledger = prepared.ledger
         if phase.kind == "count_frames":

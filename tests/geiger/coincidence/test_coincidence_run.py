@@ -26,6 +26,7 @@ from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
 from spl_batch.geiger.coincidence.surface import coincide
 from spl_batch.geiger.coincidence.tables import Detections
 from spl_batch.lattice.tiles import Bounds
+from tests import surveys
 from tests.geiger.coincidence.coincidence_scene import SMALL, flown
 from tests.workflow_files import differing, unshown
 
@@ -137,7 +138,8 @@ def test_bad_files_are_named_and_the_rest_goes_on(survey: Path, tmp_path: Path) 
     reasons = failures(result)
     assert set(reasons) == {"zz_detections.parquet", "yy_detections.parquet"}
     assert "the first is 5" in reasons["yy_detections.parquet"]
-    assert any("xx_detections.parquet" in text for text in result.report.warnings)
+    (empty_file,) = surveys.found(result.report.findings, "K01", "empty")
+    assert empty_file.subjects == ("l1/xx_detections.parquet",)
     assert np.array_equal(delivered(tmp_path / "out"), delivered(survey / "out"))
 
 
@@ -147,7 +149,9 @@ def test_frames_whose_detections_cannot_be_read_are_no_looks(survey: Path, tmp_p
     bad, frames = l1 / "pass_1_detections.parquet", l1 / "pass_1_frames.parquet"
     sound, seen = bad.read_bytes(), frames.read_bytes()
     bad.write_bytes(b"PAR1 no more")
-    assert api.run(workflow, workers=0).exit_status == 1
+    result = api.run(workflow, workers=0)
+    assert result.exit_status == 1
+    assert surveys.found(result.report.findings, "K01", "unread")
     bad.unlink()
     frames.unlink()
     assert api.run(workflow, workers=0, overrides=("output=without",)).exit_status == 0
@@ -172,9 +176,10 @@ def test_frames_whose_detections_cannot_be_read_are_no_looks(survey: Path, tmp_p
 def test_wrong_attitudes_are_warned_of(survey: Path) -> None:
     changes = ("array.columns=64", "output=out_wrong", "coincidence.bridge_sign.threshold=0.5")
     result = api.run(survey / "workflow.yaml", workers=0, overrides=changes)
-    assert any("off the lines of sight" in text for text in result.report.warnings)
+    (off,) = surveys.found(result.report.findings, "K02")
+    assert any("pass_1_detections.parquet" in name for name in off.subjects)
     sound = json.loads((survey / "out" / "report.json").read_text())
-    assert sound["warnings"] == []
+    assert sound["findings"] == []
 
 
 GOOD = {

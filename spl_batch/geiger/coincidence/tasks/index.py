@@ -12,10 +12,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.tasks.context import Produced, RunContext
 from spl_batch.engine.tasks.input_changes import unchanged
-from spl_batch.errors import InputError, Remark, counted
+from spl_batch.errors import InputError, counted
 from spl_batch.formats.files.atomic import checksum
 from spl_batch.geiger.coincidence.formats import l1_files, stored
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceWorkflow
@@ -93,12 +94,12 @@ def index_file(args: Mapping[str, Any], context: CoincidenceContext) -> Produced
     """Check a detections file, keep it, and count its detections by tile."""
     path, target = Path(args["path"]), detections_path(context.store, args["source"])
     seen: list[_Seen] = []
-    remarks: list[Remark] = []
+    found: list[Finding] = []
 
     def counted_parts() -> Iterator[Detections]:
         for part in l1_files.read_detections(path, context.workflow.array):
             if not seen:
-                remarks.extend(_sight_warnings(args, context, part))
+                found.extend(_sight_findings(args, context, part))
             seen.append(_see(part, args, context))
             yield part
 
@@ -123,7 +124,7 @@ def index_file(args: Mapping[str, Any], context: CoincidenceContext) -> Produced
         if seen
         else [],
         "tiles": dict(sorted(tiles.items())),
-        "warnings": remarks,
+        "findings": found,
     }
     return Produced([target], facts, facts["points"], {args["path"]: args["stamp"]})
 
@@ -158,9 +159,9 @@ def _reason(seen: list[_Seen], unread: list[str]) -> str:
     )
 
 
-def _sight_warnings(
+def _sight_findings(
     args: Mapping[str, Any], context: CoincidenceContext, part: Detections
-) -> Iterator[Remark]:
+) -> Iterator[Finding]:
     """Warn where detections do not lie where their detectors look."""
     number = int(part.frame[len(part) // 2])
     paths = (frames_path(context.store, key) for key in args["frames"])
@@ -168,9 +169,4 @@ def _sight_warnings(
     frames = frames.take(np.abs(frames.number - number) <= SIGHT_FRAMES // 2)
     off = coincide.sight_error(frames, part, context.workflow.array)
     if off >= FAR_OFF:
-        yield Remark(
-            f"detections lie {off:.1f} fields of view off the lines of sight of their detectors, "
-            "so looks are counted in wrong places; check heading, roll and pitch of the frames, "
-            "and rows, columns and ifov_rad of the array",
-            off,
-        )
+        yield Finding("K02", {"fields": off}, badness=off)
