@@ -104,7 +104,7 @@ def _share(part: int, whole: int) -> str:
 
 def verdicts(report: CoincidenceReport) -> list[Verdict]:
     """Sentences that state whether the result can be used."""
-    counts, found = report.counts, failure_verdict(report.failures, report.warnings)
+    counts, found = report.counts, failure_verdict(report.failures, report.findings)
     if not counts.points:
         return [
             Verdict("bad", "No points: nowhere do enough detections coincide for the threshold."),
