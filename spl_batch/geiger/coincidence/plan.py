@@ -22,7 +22,7 @@ from spl_batch.errors import InputError, WorkflowError, reason_of
 from spl_batch.formats.crs import projected_crs
 from spl_batch.geiger.coincidence.formats import l1_files as files
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
-from spl_batch.geiger.coincidence.surface.coincide import reach_q
+from spl_batch.geiger.coincidence.surface.coincide import halo, reach_q
 from spl_batch.lattice import density
 from spl_batch.lattice.density import Box
 from spl_batch.lattice.tiles import Bounds, parse_cell, quanta
@@ -287,7 +287,7 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
     frames = sum(file.rows for file in inputs.frames)
     tiles, held = _tiles(ledger)
     rates, measured = measured_rates(RATES_POINTS_PER_S, context)
-    volume = BYTES_PER_VOXEL * (chosen.volume_voxels + 4 * chosen.half) ** 3
+    volume = BYTES_PER_VOXEL * (chosen.volume_voxels + 2 * halo(chosen)) ** 3
     needs = [
         (volume, "a sub-volume", "a smaller coincidence.volume_voxels"),
         (INDEX_BYTES, "a file's index", ""),

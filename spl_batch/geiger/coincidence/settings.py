@@ -42,6 +42,12 @@ class BridgeSignSettings(Section):
     window_voxels: Literal[3, 5, 7, 9] = Field(
         5, description="Edge of the neighbourhood that a polynomial is fitted to [count]; ours."
     )
+    wide_below: int = Field(
+        10,
+        ge=0,
+        description="Where fewer detections coincide, the neighbourhood is two voxels wider "
+        "[count]; 0 for nowhere; ours.",
+    )
     threshold: Share | None = Field(
         None,
         description="Least value of the polynomial at a point: detections for each look that "
@@ -93,7 +99,7 @@ class CoincidenceSettings(Section):
     method: Literal["bridge_sign", "published"] = Field(
         "bridge_sign",
         description="With our rules for edges and along the normal, or without as published: "
-        "edge_rule and strongest_along_normal false, edge_share 0.",
+        "edge_rule and strongest_along_normal false, edge_share and wide_below 0.",
     )
     voxel_m: float | None = Field(
         None,
@@ -113,13 +119,18 @@ class CoincidenceSettings(Section):
         chosen: dict[str, float] = {"threshold": self.bridge_sign.threshold or 0.01}
         if self.method == "published":
             chosen = {"edge_rule": False, "edge_share": 0.0, "strongest_along_normal": False}
+            chosen["wide_below"] = 0
             chosen["threshold"] = self.bridge_sign.threshold or 0.06
         return self.bridge_sign.model_copy(update=chosen)
 
     @property
-    def half(self) -> int:
-        """Voxels on either side of a neighbourhood's centre [count]."""
-        return self.bridge_sign.window_voxels // 2
+    def windows(self) -> dict[int, int]:
+        """Voxels beside a neighbourhood's centre, and detections from which it is taken."""
+        rules = self.rules
+        half = rules.window_voxels // 2
+        if rules.wide_below <= rules.detections_min:
+            return {half: rules.detections_min}
+        return {half: rules.wide_below, half + 1: rules.detections_min}
 
     def voxel_quanta(self, array: ArraySettings) -> int:
         """Edge of a voxel on the survey's lattice, at least 5 [quanta].

@@ -125,6 +125,21 @@ def test_the_published_method_differs_by_its_named_settings() -> None:
         assert 0 < len(fewer) < len(found)
 
 
+def test_a_wider_window_fills_faint_places() -> None:
+    frames, detections = flown()
+    faint = detections.take(np.random.default_rng(3).random(len(detections)) < 0.1)
+    low = np.array(SMALL.centre_m) - np.array(SMALL.extent_m) / 2 + 0.1
+    truth = accuracy.seen_from_above(build(SMALL), low, low + np.array(SMALL.extent_m) - 0.2, 0.05)
+    complete, spread = [], []
+    for wide_below in (0, 10):
+        chosen = CoincidenceSettings(bridge_sign={"wide_below": wide_below})
+        found = coincide.coincide(frames, faint, region(SMALL), chosen, SMALL.array)
+        complete.append(accuracy.completeness(truth, local(found.xyz), 0.09))
+        spread.append(accuracy.spoke_heights(local(found.xyz)).std())
+    assert complete[1] > complete[0] + 0.05
+    assert spread[1] < 0.8 * spread[0]
+
+
 def test_nothing_comes_of_noise() -> None:
     frames, detections = flown()
     noise = detections.take(np.abs(local(detections.xyz)[:, 2] - 1.0) > 2.0)

@@ -7,7 +7,7 @@ the survey is cut. Rasters are made only where enough detections coincide.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -60,12 +60,12 @@ class Scene(NamedTuple):
 
 def reach_q(chosen: CoincidenceSettings, array: ArraySettings) -> int:
     """How far around a region its detections are needed [quanta]."""
-    return (_halo(chosen) + 2) * chosen.voxel_quanta(array)
+    return (halo(chosen) + 2) * chosen.voxel_quanta(array)
 
 
-def _halo(chosen: CoincidenceSettings) -> int:
+def halo(chosen: CoincidenceSettings) -> int:
     """Voxels around a region in which there may be something that decides on its points [count]."""
-    return 2 * chosen.half + BESIDE
+    return min(chosen.windows) + BESIDE + max(chosen.windows)
 
 
 def coincide(
@@ -89,7 +89,7 @@ def coincide(
     edge = chosen.voxel_quanta(array)
     low = np.array([_first_voxel(region.xmin, edge), _first_voxel(region.ymin, edge)])
     high = np.array([_first_voxel(region.xmax, edge), _first_voxel(region.ymax, edge)])
-    reach = _halo(chosen) + 1
+    reach = halo(chosen) + 1
     voxel = detections.xyz[:, :2] // edge
     near = ((voxel >= low - reach) & (voxel < high + reach)).all(axis=1)
     by_frame = detections.take(np.argsort(detections.frame, kind="stable"))
@@ -111,7 +111,7 @@ def _volumes(
     A neighbourhood of w voxels takes weight from places within w + 1 edges, in a block of two by
     two by two cells of that edge. Blocks with too few detections are left out.
     """
-    cell = 2 * chosen.half + 2
+    cell = 2 * max(chosen.windows) + 2
     least = chosen.bridge_sign.detections_min
     blocks = _crowded(scene.xyz // (cell * scene.edge_q), least) * cell
     if not len(blocks):
@@ -142,52 +142,80 @@ def _crowded(cells: NDArray[np.int64], least: int) -> NDArray[np.int64]:
 
 def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySettings) -> Points:
     """Points of one sub-volume."""
-    half, rules = chosen.half, chosen.rules
+    rules, wide = chosen.rules, max(chosen.windows)
     # Points just outside may be stronger than those inside: they are found as well.
-    halo = _halo(chosen)
-    corner = box.low - halo
-    raster = np.zeros(tuple((box.high - box.low + 2 * halo).tolist()), np.int64)
-    first, last = (corner - 1) * scene.edge_q, (box.high + halo + 1) * scene.edge_q
+    rim = halo(chosen)
+    corner = box.low - rim
+    raster = np.zeros(tuple((box.high - box.low + 2 * rim).tolist()), np.int64)
+    first, last = (corner - 1) * scene.edge_q, (box.high + rim + 1) * scene.edge_q
     near = ((scene.xyz >= first) & (scene.xyz < last)).all(axis=1)
     deposit_all(scene.xyz[near], scene.edge_q, corner, raster)
-    sums = np.empty_like(raster)
-    box_sum(raster, half, sums)
-    voxel = np.argwhere(sums[half:-half, half:-half, half:-half] >= rules.detections_min * UNIT)
+    left = np.zeros(raster.shape, np.bool_)
+    left[wide:-wide, wide:-wide, wide:-wide] = True
+    crowded: dict[int, NDArray[np.int64]] = {}
+    for half, least in chosen.windows.items():
+        here = left & (_summed(raster, half) >= least * UNIT)
+        crowded[half] = np.argwhere(here)
+        left &= ~here
+    voxel = np.concatenate(list(crowded.values()))
     if not len(voxel):
         return Points.joined([])
-    voxel += half
-    looks = _looks(scene, voxel + corner, half, array)
-    found = _maxima(raster, voxel, looks, rules)
-    keep = found.kind != NOTHING
-    voxel, found = voxel[keep], _Maxima(*(column[keep] for column in found))
-    own = _strongest(raster.shape, voxel, found, rules)
-    own &= ((voxel >= halo) & (voxel < np.array(raster.shape) - halo)).all(axis=1)
-    at = (voxel[own] + corner + 0.5 + found.place[own]) * scene.edge_q
-    return Points(
-        np.rint(at).astype(np.int64), found.value[own].astype(np.float32), found.kind[own]
+    looks, at = _looks(scene, voxel + corner, wide, array)
+    found = _Maxima.joined(
+        [
+            _maxima(raster, rows, _summed(looks, half)[tuple((rows + corner - at).T)], half, rules)
+            for half, rows in crowded.items()
+        ]
     )
+    # In the order of the raster, of points alone.
+    rows = np.lexsort(voxel.T[::-1])
+    rows = rows[found.kind[rows] != NOTHING]
+    voxel, found = voxel[rows], found.take(rows)
+    own = _strongest(raster.shape, voxel, found, rules)
+    own &= ((voxel >= rim) & (voxel < np.array(raster.shape) - rim)).all(axis=1)
+    places = (voxel[own] + corner + 0.5 + found.place[own]) * scene.edge_q
+    share = found.value[own].astype(np.float32)
+    return Points(np.rint(places).astype(np.int64), share, found.kind[own])
+
+
+def _summed(raster: NDArray[np.int64], half: int) -> NDArray[np.int64]:
+    sums = np.empty_like(raster)
+    box_sum(raster, half, sums)
+    return sums
 
 
 class _Maxima(NamedTuple):
-    """Results of :func:`surface.find_surfaces`."""
+    """Results of :func:`find_surfaces`."""
 
     place: NDArray[np.float64]
     normal: NDArray[np.float64]
     value: NDArray[np.float64]
     kind: NDArray[np.uint8]
 
+    def take(self, rows: NDArray[np.intp]) -> "_Maxima":
+        """Some of them."""
+        return _Maxima(*(column[rows] for column in self))
+
+    @classmethod
+    def joined(cls, parts: "Sequence[_Maxima]") -> "_Maxima":
+        """Those of several windows."""
+        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
 
 def _maxima(
     raster: NDArray[np.int64],
     voxel: NDArray[np.int64],
     looks: NDArray[np.int64],
+    half: int,
     rules: BridgeSignSettings,
 ) -> _Maxima:
-    n, half = len(voxel), rules.window_voxels // 2
+    n = len(voxel)
+    # A thin layer's peak falls as the window grows.
+    threshold = (rules.threshold or 0.0) * rules.window_voxels / (2 * half + 1)
     found = _Maxima(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.uint8))
     find_surfaces(
         *(raster, looks, voxel, half, fit_matrix(half)),
-        *(rules.threshold or 0.0, rules.looks_min, rules.curvature_ratio, rules.reach_voxels),
+        *(threshold, rules.looks_min, rules.curvature_ratio, rules.reach_voxels),
         edge_offset(half) if rules.edge_rule else math.inf,
         *found,
     )
@@ -215,8 +243,8 @@ def _strongest(
 
 def _looks(
     scene: Scene, voxel: NDArray[np.int64], half: int, array: ArraySettings
-) -> NDArray[np.int64]:
-    """Interrogations summed over the neighbourhood of each voxel of the lattice: (n,)."""
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Raster of interrogations around voxels of the lattice, and its first voxel."""
     low, high = voxel.min(axis=0) - half, voxel.max(axis=0) + half + 1
     raster = np.zeros(tuple((high - low).tolist()), np.int64)
     edge_m = scene.edge_q * QUANTUM_M
@@ -232,10 +260,7 @@ def _looks(
         low,
         raster,
     )
-    sums = np.empty_like(raster)
-    box_sum(raster, half, sums)
-    looks: NDArray[np.int64] = sums[tuple((voxel - low).T)]
-    return looks
+    return raster, low
 
 
 def looking_at(
