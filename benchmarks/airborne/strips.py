@@ -28,10 +28,10 @@ from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.airborne.strips.pair_table import Strip, named_passes, pair_table
 from spl_batch.airborne.strips.strip_patches import find_passes, find_patches
 from spl_batch.engine.store.working_store import Store, read_receipts
-from spl_batch.engine.tasks.runner import kinds
 from spl_batch.formats.las.reader import iter_points
 from spl_batch.lattice.tables import PointTable, concat
 from spl_batch.lattice.tiles import Bounds
+from spl_batch.receivers import steps
 
 SHIFTS: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.05), (0.3, -0.2, 0.2), (-0.4, 0.1, -0.1))
 """East, north and up of the second flightline [m]."""
@@ -95,7 +95,7 @@ def _corrected(shift: tuple[float, float, float], folder: Path) -> None:
             terrain = f"{name}: " + " ".join(_cm(v) for v in (of.rmse, of.mean, of.sd))
         receipts = [
             receipt
-            for kind in kinds("imaging")
+            for kind in steps("imaging")
             for receipt in read_receipts(Store(result.output), kind)
         ]
         aligning = sum(r.wall_s for r in receipts if r.kind in {"recorded_patches", "align"})

@@ -7,7 +7,7 @@ the survey is cut. Rasters are made only where enough detections coincide.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -161,12 +161,11 @@ def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySet
     if not len(voxel):
         return Points.joined([])
     looks, at = _looks(scene, voxel + corner, wide, array)
-    found = _Maxima.joined(
-        [
-            _maxima(raster, rows, _summed(looks, half)[tuple((rows + corner - at).T)], half, rules)
-            for half, rows in crowded.items()
-        ]
-    )
+    parts = [
+        _maxima(raster, rows, _summed(looks, half)[tuple((rows + corner - at).T)], half, rules)
+        for half, rows in crowded.items()
+    ]
+    found = _Maxima(*map(np.concatenate, zip(*parts, strict=True)))
     # In the order of the raster, of points alone.
     rows = np.lexsort(voxel.T[::-1])
     rows = rows[found.kind[rows] != NOTHING]
@@ -194,12 +193,7 @@ class _Maxima(NamedTuple):
 
     def take(self, rows: NDArray[np.intp]) -> "_Maxima":
         """Some of them."""
-        return _Maxima(*(column[rows] for column in self))
-
-    @classmethod
-    def joined(cls, parts: "Sequence[_Maxima]") -> "_Maxima":
-        """Those of several windows."""
-        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        return _Maxima(self.place[rows], self.normal[rows], self.value[rows], self.kind[rows])
 
 
 def _maxima(

@@ -88,7 +88,8 @@ def growing_windows(
     chosen : (rows, cols, 2) int64
         Half edges for value and slopes; 0 without a plane.
     """
-    y, x = np.indices(value.shape, dtype=np.float64)
+    index: Floats = np.indices(value.shape, dtype=np.float64)
+    y, x = index[0], index[1]
     found, chosen = np.full((*value.shape, 3), np.nan), np.zeros((*value.shape, 2), np.int64)
     low, high = np.full(found.shape, -np.inf), np.full(found.shape, np.inf)
     for half in halves:
