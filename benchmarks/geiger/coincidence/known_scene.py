@@ -222,7 +222,8 @@ def draw(path: Path, before: Cloud, after: Cloud) -> None:
             places = (rows[k, 0], rows[k, 1], rows[2 + k, :])
             for (title, (west, east, south, north)), place in zip(parts, places, strict=True):
                 panel = drawn.add_subplot(place)
-                panel.scatter(*level[:, :2].T, s=0.35, c=style.SIGNAL, lw=0, rasterized=True)
+                east_m, north_m = level[:, 0], level[:, 1]
+                panel.scatter(east_m, north_m, s=0.35, c=style.SIGNAL, lw=0, rasterized=True)
                 panel.set(aspect="equal", xlim=(west, east), ylim=(south, north))
                 panel.set(xticks=(), yticks=(), title=f"{title}: {name}")
         write_bytes(path, style.to_png(drawn, LARGEST)[0])

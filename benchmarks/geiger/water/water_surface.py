@@ -309,9 +309,10 @@ def main(seeds: Sequence[int], count: int) -> None:
                 for way, surface in zip(ways, results, strict=True):
                     found[way].append(errors(acquired, surface))
                     floor[way].append(astuple(floor_errors(acquired, surface, view)))
-            for table, rows in ((name, found), *([("floor", floor)] if name == "waves" else [])):
-                for way, values in rows.items():
-                    tables[table].setdefault(way, []).append(np.mean(values, axis=0))
+            for way in ways:
+                tables[name].setdefault(way, []).append(np.mean(found[way], axis=0))
+                if name == "waves":
+                    tables["floor"].setdefault(way, []).append(np.mean(floor[way], axis=0))
     stacked = {t: {w: np.array(v) for w, v in rows.items()} for t, rows in tables.items()}
     print_errors("Flat hard target [table 4.2]", PUBLISHED_HARD, stacked["hard"])
     print_errors("Calm water [table 4.4]", PUBLISHED_CALM, stacked["calm"])
