@@ -44,9 +44,9 @@ from spl_batch.lattice.tiles import Bounds
 SETTINGS: Final[Mapping[str, Mapping[str, Any]]] = {
     "published": {"method": "published"},
     "bridge_sign": {},
-    "threshold 0.04": {"bridge_sign": {"threshold": 0.04}},
+    "wide_below 0": {"bridge_sign": {"wide_below": 0}},
+    "wide_below 10": {"bridge_sign": {"wide_below": 10}},
     "window 7": {"bridge_sign": {"window_voxels": 7}},
-    "window 9": {"bridge_sign": {"window_voxels": 9}},
 }
 """Keys of ``coincidence`` that differ from their defaults."""
 

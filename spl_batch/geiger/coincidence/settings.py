@@ -43,7 +43,7 @@ class BridgeSignSettings(Section):
         5, description="Edge of the neighbourhood that a polynomial is fitted to [count]; ours."
     )
     wide_below: int = Field(
-        0,
+        6,
         ge=0,
         description="Where fewer detections coincide, the neighbourhood is two voxels wider "
         "[count]; 0 for nowhere; ours.",
