@@ -1,6 +1,7 @@
 """Costs and failures of one run as they come in; what happens is told and logged."""
 
 import os
+import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -10,7 +11,7 @@ from typing import Any, Final
 
 from spl_batch.engine.findings import Finding, settled
 from spl_batch.engine.report.parts import FindingReport
-from spl_batch.engine.report.reported import texts
+from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.store.deliveries import Deliveries
 from spl_batch.engine.store.working_store import append_log
@@ -55,6 +56,7 @@ class Progress:
     ignored: tuple[str, ...] = ()  #: Codes that the report is silent about.
     findings: list[Finding] = field(default_factory=list)
     logged_s: float = -1e9
+    lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self) -> None:
         end_last_line(self.output / "log.jsonl")
@@ -65,15 +67,16 @@ class Progress:
 
     def tell(self, event: Event) -> None:
         """Pass an event on, to the log as well."""
-        append_log(self.output, as_record(event))
-        self.listener(event)
+        with self.lock:  # workers report their beginnings in another thread
+            append_log(self.output, as_record(event))
+            self.listener(event)
 
     def warn(self, findings: Iterable[Finding]) -> None:
         """Report what was found, alike ones together, once."""
         new = settled(findings, self.ignored, self.findings)
         self.findings += new
-        for text in texts(new):
-            self.tell(Note("warning", text))
+        for one in reported(new, notes=True):
+            self.tell(Note("info" if one.severity == "note" else one.severity, one.text))
 
     def late(self, findings: Iterable[FindingReport]) -> None:
         """Report what only the whole survey shows; the rest was reported as it was found."""
