@@ -151,8 +151,8 @@ def comparison(folder: Path) -> str:
 
 
 def track_comparison(folder: Path) -> str:
-    method = TrackMethod(name="mdbscan", title="mDBSCAN", folder="compare/mdbscan", photons=10, signal=7,
-                         kept_only=0, removed_only=0)  # fmt: skip
+    method = TrackMethod(name="mdbscan", title="mDBSCAN", folder="compare/mdbscan", photons=10,
+                         signal=7, kept_only=0, removed_only=0)  # fmt: skip
     write_tracks(folder, TrackComparison(name="t", version="0", methods=(method, method)), None)
     return (folder / "compare.html").read_text(encoding="utf-8")
 
