@@ -24,8 +24,8 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 
-from benchmarks.airborne.filter import methods
-from benchmarks.airborne.filter.methods import (
+from benchmarks.airborne.published import methods
+from benchmarks.airborne.published.methods import (
     AFTERPULSE,
     AS_W17,
     BY_BEAMLET,

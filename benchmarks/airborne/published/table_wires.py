@@ -24,10 +24,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.airborne.filter import methods
-from benchmarks.airborne.filter.methods import BACKGROUND, Method
-from benchmarks.airborne.published import corridors
+from benchmarks.airborne.published import corridors, methods
 from benchmarks.airborne.published.corridors import Counts
+from benchmarks.airborne.published.methods import BACKGROUND, Method
 from benchmarks.airborne.published.twins import TWINS
 
 PUBLISHED: Mapping[tuple[str, str], Mapping[str, Counts]] = {

@@ -1,4 +1,4 @@
-"""What handing out tasks costs: ``python -m benchmarks.engine.scheduler client|cluster``.
+"""What handing out tasks costs: ``python -m benchmarks.scheduler client|cluster``.
 
 ``client --tiles N`` takes a made-up survey of N tiles through the phases of the space domain
 with tasks that end at once, and prints the client's time for a task and its memory.
