@@ -4,8 +4,7 @@ Domain: space, on the points that a ground cell owns, after the filter. No sourc
 among the returns of a surface has signal for neighbours, so any filter keeps it. Its number is the
 volume of the cubes of :data:`EDGE_M` that hold a kept return, times the noise density there. The
 cubes are as thick as the neighbourhood in which our filter keeps half of the noise
-(``benchmarks.airborne.filter.near_surface``); ``benchmarks.airborne.quality`` prints how near that
-comes.
+(``docs/evidence/noise.md``); ``benchmarks.quality`` prints how near that comes.
 """
 
 from typing import Final

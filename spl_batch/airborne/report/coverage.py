@@ -43,7 +43,7 @@ LISTED: Final = 20
 """The largest so many are listed one by one [count]."""
 
 VEGETATION_PER_M2: Final = 1.0
-"""Below this density shrubs become ground (``benchmarks.airborne.classes.vegetation``) [1/m2]."""
+"""Below this density shrubs become ground (``docs/delivery.md``) [1/m2]."""
 
 
 def area_km2(done: Receipts) -> float | None:
