@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components
 from spl_batch.airborne.beams.crosstalk_pairs import count_pairs
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.sensors.sensor import Sensor
-from spl_batch.errors import Remark
+from spl_batch.engine.findings import Finding
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 DOMAIN: Final = "time"
@@ -131,18 +131,11 @@ def share_of_returns(found: float) -> float:
     return NEIGHBOURS * found / (1.0 + NEIGHBOURS * found)
 
 
-def told(found: float) -> tuple[Remark, ...]:
+def told(found: float) -> tuple[Finding, ...]:
     """What to tell of the :func:`chance` of a flightline; nothing where there is none."""
     if not found:
         return ()
-    text = (
-        "away from the surface a return sets off each channel beside its own with a chance of at "
-        f"least {100 * found:.1f} %, at the same range: crosstalk, about "
-        f"{100 * share_of_returns(found):.0f} % of all returns. Those that stand alone with such "
-        "neighbours count as one and share its label; beside surfaces they stay and blur edges by "
-        "a beamlet"
-    )
-    return (Remark(text, found),)
+    return (Finding("A01", {"kind": "crosstalk", "chance": found}, badness=found),)
 
 
 def set_off(table: PointTable, beams: BeamTable, sensor: Sensor) -> NDArray[np.bool_]:

@@ -3,26 +3,23 @@
 from collections.abc import Iterable, Iterator, Sequence
 
 from spl_batch.airborne.strips.alignment import ALONE, MOST_M, TOO_FAR, Alignment
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.errors import grouped, named
+from spl_batch.errors import grouped
 
 
-def stay_warnings(lines: Sequence[Alignment]) -> Iterator[str]:
-    """Sentences on flightlines that stay where they should perhaps not."""
+def stay_findings(lines: Sequence[Alignment]) -> Iterator[Finding]:
+    """Flightlines that stay where they should perhaps not."""
     alone = [one.name for one in lines if one.stays == ALONE]
-    if alone and len(alone) == len(lines):
-        yield "no two flightlines share enough planar patches: none is shifted"
-    elif alone:
-        noun = "flightline shares" if len(alone) == 1 else "flightlines share"
-        yield f"{len(alone)} {noun} too few planar patches with others and stay: {named(alone)}"
+    if alone:
+        yield Finding("S02", {"kind": "alone", "count": len(alone), "names": alone})
     for one in lines:
         if one.stays == TOO_FAR:
             east, north, up = (0.0 if value is None else value for value in one.found_m)
-            yield (
-                f"{one.name} would have to be shifted by {east:.2f} m east, {north:.2f} m north "
-                f"and {up:.2f} m up, more than the {MOST_M:g} m that are allowed: it stays, and "
-                "the others are aligned without it; look at its trajectory and its datum"
-            )
+            values = {
+                "kind": "far", "east_m": east, "north_m": north, "up_m": up, "most_m": MOST_M
+            }  # fmt: skip
+            yield Finding("S02", values, one.name)
 
 
 def plan_row(how: str) -> Iterator[tuple[str, str]]:
@@ -37,7 +34,7 @@ def plan_row(how: str) -> Iterator[tuple[str, str]]:
         yield "alignment", text
 
 
-def done_sentences(how: str, receipts: Iterable[Receipt], *, alone: bool) -> Iterator[str]:
+def done_sentences(how: str, receipts: Iterable[Receipt], *, alone: bool) -> Iterator[Finding]:
     """What was done, once it is known; nothing where all flightlines fit.
 
     ``alone``: whether there is one flightline.
@@ -45,9 +42,10 @@ def done_sentences(how: str, receipts: Iterable[Receipt], *, alone: bool) -> Ite
     found = [[Alignment(*line) for line in receipt.facts["lines"]] for receipt in receipts]
     for lines in found:
         if not all(one.stays for one in lines):
-            yield done_sentence(how, lines)
+            yield Finding("E01", {"kind": "memory", "what": done_sentence(how, lines)})
     if alone and how != "none":
-        yield f"survey.align: {how}: there is one flightline, nothing is shifted"
+        text = f"survey.align: {how}: there is one flightline, nothing is shifted"
+        yield Finding("E01", {"kind": "memory", "what": text})
 
 
 def done_sentence(how: str, lines: Sequence[Alignment]) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from spl_batch.airborne.strips.pair_table import TILT_PER_M, PairDifference
 from spl_batch.airborne.strips.strip_patches import MOST_PASSES
-from spl_batch.errors import counted, grouped
+from spl_batch.engine.findings import Finding
 
 NEXT_TO: Final = 0.1
 """Part of the larger of two horizontal differences below which the smaller is not told."""
@@ -27,8 +27,8 @@ REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
 
 def offset_warnings(
     pairs: Sequence[PairDifference], align: str = "none", apart: int = 0
-) -> Iterator[str]:
-    """A sentence on pairs whose flightlines differ by more than a single range does.
+) -> Iterator[Finding]:
+    """Pairs whose flightlines differ by more than a single range does.
 
     ``align``: how flightlines were shifted before they were compared. ``apart``: returns of the
     ground of flightlines that lie apart from the terrain [count]. The worst pair is told, as
@@ -38,35 +38,27 @@ def offset_warnings(
     if not off:
         return
     _, pair = min(off, key=lambda found: (-found[0], found[1].first, found[1].second))
-    which = "flightline "
-    if len(off) > 1:
-        which = (
-            f"{len(off)} of {len(pairs)} pairs of flightlines do not fit together (strips in "
-            "report.json): at worst "
-        )
-    yield (
-        f"{which}{pair.second} lies {' and '.join(_parts(pair))} than {pair.first}, around "
-        f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar patches; "
-        f"single ranges scatter by {100 * pair.noise_m:.1f} cm){_tilt(pair)}. Surfaces that "
-        "both have seen appear twice, and the terrain follows the lower one"
-        f"{_ground(apart)}: {REMEDIES[align]}"
-    )
+    values = {
+        "pairs": len(off), "first": pair.first, "second": pair.second, "patches": pair.patches,
+        "offset": " and ".join(_parts(pair)) + _tilt(pair), "up_m": pair.up_m,
+        "noise_m": pair.noise_m, "apart": apart, "remedy": REMEDIES[align],
+    }  # fmt: skip
+    yield Finding("S01", values, place=(pair.x_m, pair.y_m, pair.x_m, pair.y_m))
 
 
-def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[str]:
-    """A sentence where a ground cell holds more passes than are compared.
+def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[Finding]:
+    """Where a ground cell holds more passes than are compared.
 
     ``left_out``: passes that are not compared, of each ground cell [count].
     """
     cells = {cell: count for cell, count in left_out.items() if count}
     if cells:
         worst = max(sorted(cells), key=lambda cell: cells[cell])
-        yield (
-            f"in {counted(len(cells), 'ground cells')} more than {MOST_PASSES} passes overlap, "
-            f"{grouped(cells[worst] + MOST_PASSES)} in {worst}: those with most returns are "
-            "compared, the others are not; survey.gap_s may be shorter than pauses within a "
-            "flightline, or gps_time jumps"
-        )
+        values = {
+            "kind": "passes", "cells": len(cells), "most": MOST_PASSES,
+            "worst": cells[worst] + MOST_PASSES, "cell": worst,
+        }  # fmt: skip
+        yield Finding("S02", values)
 
 
 def _away(pair: PairDifference) -> float:
@@ -78,14 +70,6 @@ def _away(pair: PairDifference) -> float:
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
         horizontal = float(np.hypot(pair.east_m, pair.north_m))
     return max(vertical, horizontal) / max(pair.noise_m, 1e-3)
-
-
-def _ground(apart: int) -> str:
-    """What is told of the ground of the others."""
-    if not apart:
-        return ""
-    lie = f"{grouped(apart)} of its returns {'lie' if apart > 1 else 'lies'}"
-    return f"; class 2 holds the ground of both, and {lie} off the terrain"
 
 
 def _tilt(pair: PairDifference) -> str:

@@ -17,7 +17,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.label_tables import read_region
 from spl_batch.airborne.store.line_moves import PLACE, LineMove, LineMoves, read_moves
 from spl_batch.airborne.strips.alignment import Alignment, align_lines
-from spl_batch.airborne.strips.alignment_sentences import stay_warnings
+from spl_batch.airborne.strips.alignment_sentences import stay_findings
 from spl_batch.airborne.strips.pair_table import (
     PairDifference,
     Strip,
@@ -34,7 +34,6 @@ from spl_batch.airborne.strips.strip_patches import (
 )
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.errors import Remark
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.eastings import once, strips_between
 from spl_batch.lattice.tables import EXCLUDED, PointTable
@@ -136,7 +135,7 @@ def align(args: Mapping[str, Any], context: Context) -> Produced:
         "name": f"survey.align: {how}",
         "pairs": [list(pair) for pair in pairs],
         "lines": [list(one) for one in found],
-        "warnings": [Remark(text) for text in stay_warnings(found)],
+        "findings": [*stay_findings(found)],
     }
     return Produced([path], facts)
 
