@@ -63,7 +63,8 @@ def middle(laz: Path, wanted: int) -> NDArray[np.int64]:
     xyz = np.rint(np.asarray(cloud.xyz) * 1000.0).astype(np.int64)
     aside = np.abs(xyz[:, :2] - np.median(xyz[:, :2], axis=0)).max(axis=1)
     wanted = min(wanted, len(xyz))
-    return xyz[aside <= np.partition(aside, wanted - 1)[wanted - 1]]
+    found: NDArray[np.int64] = xyz[aside <= np.partition(aside, wanted - 1)[wanted - 1]]
+    return found
 
 
 def searches(xyz: NDArray[np.int64]) -> Iterator[tuple[str, float]]:

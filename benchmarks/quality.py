@@ -91,7 +91,7 @@ def _terrain(folder: Path) -> dict[str, float]:
         "DTM mean |difference| everywhere cm": 100 * float(np.abs(off[valid]).mean()),
         "DTM worst difference cm": 100 * float(np.abs(off[valid]).max()),
     }
-    inner = valid & ndimage.binary_erosion(wet, np.ones((3, 3)))
+    inner = valid & ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))
     if inner.any():
         found["DTM RMSE within water cm"] = 100 * truth.rms(off[inner])
         found["DTM mean difference within water cm"] = 100 * float(off[inner].mean())
@@ -115,7 +115,8 @@ def _water(folder: Path) -> Mask:
     polygons = _polygons(folder)
     if not polygons:
         return np.zeros(shape, np.bool_)
-    return rasterize(polygons, shape, transform=at, all_touched=True).astype(np.bool_)
+    found: Mask = rasterize(polygons, shape, transform=at, all_touched=True).astype(np.bool_)
+    return found
 
 
 def _spikes(folder: Path, table: Points) -> dict[str, float]:
@@ -154,7 +155,7 @@ def _density_ratio(table: Points) -> float:
     expected[at[known]] = table["noise_density"][known] * VOXEL_M**3
     ground = np.zeros(shape[:2], dtype=np.bool_)
     ground[tuple(voxel[:2])] = True
-    inner = ndimage.binary_erosion(ground, np.ones((5, 5)))
+    inner = ndimage.binary_erosion(ground, np.ones((5, 5), np.bool_))
     used = (expected > 0) & np.broadcast_to(inner[:, :, None], shape).reshape(-1)
     return float(expected[used].sum() / count[used].sum())
 

@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Iterator
 from dataclasses import astuple, replace
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -84,7 +84,8 @@ def surface(given: Given) -> Iterator[Figure]:
     seed = 1
     instrument = Instrument(seed=seed)
     ways, dead = water.calibrated_ways(instrument, seed)
-    wet = replace(instrument, **water.ON_WATER)
+    on_water: dict[str, Any] = dict(water.ON_WATER)
+    wet = replace(instrument, **on_water)
     for name, target, receiver, view in (
         ("hard", water.HARD, instrument, water.HARD_VIEW),
         ("calm", water.CALM, wet, water.WATER_VIEW),

@@ -91,10 +91,10 @@ def hashes(out: Path, name: str) -> Iterator[Figure]:
     for path in sorted((out / "laz").rglob("*.laz")):
         las = laspy.read(path)
         for dimension in ("classification", "noise_class"):
-            labels.update(np.ascontiguousarray(las[dimension], dtype=np.uint8))
+            labels.update(np.asarray(las[dimension]).astype(np.uint8).tobytes())
     yield Figure(f"{name}: labels", labels.hexdigest()[:HASH_DIGITS])
     for path in sorted(out.glob("*.tif")):
         with rasterio.open(path) as source:
             cells = hashlib.sha256(repr((source.shape, tuple(source.transform))).encode())
-            cells.update(np.ascontiguousarray(source.read()))
+            cells.update(source.read().tobytes())
         yield Figure(f"{name}: {path.stem}", cells.hexdigest()[:HASH_DIGITS])

@@ -54,7 +54,8 @@ class Tile(NamedTuple):
     @property
     def ground(self) -> Mask:
         """The producer's ground."""
-        return self.classes == CLASS_GROUND
+        found: Mask = self.classes == CLASS_GROUND
+        return found
 
 
 def read(path: Path) -> Tile | None:

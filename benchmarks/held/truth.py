@@ -1,6 +1,5 @@
 """What a run delivered of a simulated survey, beside the truth that the simulation kept."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -106,6 +105,6 @@ def around(values: Grid) -> Grid:
     return found
 
 
-def rms(values: Iterable[float] | Grid) -> float:
+def rms(values: Grid) -> float:
     """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
