@@ -31,7 +31,7 @@ def points(survey: Path, out: str = "out") -> Points:
         table = pq.read_table(truth, columns=["kind", "parent"])
         columns = {name: table[name].to_numpy() for name in table.column_names}
         columns |= {axis: np.asarray(las[axis]) for axis in "xyz"}
-        names = las.point_format.dimension_names
+        names = set(las.point_format.dimension_names)
         columns |= {name: np.asarray(las[name]) for name in GIVEN if name in names}
         for name, values in columns.items():
             parts.setdefault(name, []).append(values)
