@@ -14,7 +14,7 @@ from benchmarks import peers
 from benchmarks.held import surveys
 from benchmarks.held.figures import Figure, figure
 from benchmarks.held.surveys import Given
-from spl_batch.engine.tasks.runner import kinds, run_task
+from spl_batch.engine.tasks.runner import run_task
 from spl_batch.engine.verbs.preparing import prepare
 
 ROUNDS: Final = 2
@@ -48,18 +48,16 @@ def by_stage(workflow: Path, output: Path) -> dict[str, float]:
     prepared = prepare(workflow, [f"output={output}"])
     survey, context = prepared.ledger, prepared.context
     context.store.local.mkdir(parents=True)
-    stage_of = {kind: of.stage for kind, of in kinds("imaging").items()}
     spent: dict[str, float] = {}
-    for phase in prepared.receiver.phases:
-        prepared.receiver.before(phase, prepared)
+    for step in prepared.steps.values():
+        prepared.receiver.before(step, prepared)
         start = time.process_time()
-        for task in list(phase.tasks(survey)):
+        for task in list(step.planned(survey)):
             receipt = run_task(task, "", context)
             if receipt.failed:
                 sys.exit(f"{task.kind} {task.name}: {receipt.reason}")
             survey.of(task.kind).put(receipt)
-        stage = stage_of[phase.kind]
-        spent[stage] = spent.get(stage, 0.0) + time.process_time() - start
+        spent[step.stage] = spent.get(step.stage, 0.0) + time.process_time() - start
     millions = sum(source.facts.n_points for source in survey.inputs.sources) / 1e6
     return {stage: value / millions for stage, value in spent.items()}
 
