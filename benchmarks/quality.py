@@ -53,7 +53,6 @@ def figures(folder: Path) -> dict[str, float]:
     """Figures of one processed survey by name."""
     table = truth.points(folder)
     found = {**_kept(folder, table), **_terrain(folder), **_spikes(folder, table)}
-    found |= _noise_kept(folder, table)
     if "noise_density" in table:
         found["expected / true noise density"] = _density_ratio(table)
     return found
@@ -158,16 +157,6 @@ def _density_ratio(table: Points) -> float:
     inner = ndimage.binary_erosion(ground, np.ones((5, 5), np.bool_))
     used = (expected > 0) & np.broadcast_to(inner[:, :, None], shape).reshape(-1)
     return float(expected[used].sum() / count[used].sum())
-
-
-def _noise_kept(folder: Path, table: Points) -> dict[str, float]:
-    """Background that is kept, and what the report expects of it."""
-    kept = truth.of(table, "background") & (table["noise_class"] == 0)
-    noise = json.loads((folder / "out" / "report.json").read_text(encoding="utf-8"))["noise"]
-    if noise["kept_within_signal"] is None:
-        return {}
-    expected = noise["kept_within_signal"] + (noise["kept_by_chance"] or 0.0)
-    return {"expected / true background kept": expected / float(np.count_nonzero(kept))}
 
 
 if __name__ == "__main__":

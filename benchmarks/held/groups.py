@@ -42,7 +42,6 @@ QUALITY: Final[Moves] = {
     "DSM cells set by noise per 10 000": ("1e-4", "more", 0.5),
     "DSM cells above their own returns per 10 000": ("1e-4", "more", 5.0),
     "expected / true noise density": ("", "either", 0.005),
-    "expected / true background kept": ("", "either", 0.1),
 }
 
 
