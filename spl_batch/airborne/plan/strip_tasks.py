@@ -53,7 +53,7 @@ def _patches(kind: str, folder: str, survey: Survey) -> Iterator[Task]:
         return
     moved, first = aligned(survey) if not folder else ({}, ())
     halo = quanta(SQUARE_M)
-    holders = survey.holders()
+    holders = survey.holders
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
         args = {**cell_args(cell), **moved, "noise": named_units("noise", noise), "folder": folder}
