@@ -8,6 +8,7 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
+from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
@@ -74,6 +75,11 @@ class Water(Receiver[WaterLedger, WaterContext]):
             reasons = "; ".join(r.reason for r in failed if r.kind == "calibrate")
             raise WorkflowError(f"without a calibration there are no ranges: {reasons}")
         return ()
+
+    def decisive(self, prepared: Prepared[WaterLedger, WaterContext]) -> list[Any]:
+        """Frames for calibration."""
+        targets = prepared.ledger.inputs.targets
+        return [[str(target.path), *stamp_if_there(target.path)] for target in targets]
 
     def report(self, done: Receipts, context: WaterContext, facts: RunFacts) -> WaterReport:
         """Write ``report.json`` and ``report.html``."""
