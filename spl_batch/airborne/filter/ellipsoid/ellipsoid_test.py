@@ -4,8 +4,7 @@
 ``tail`` deviates in four points:
 
 - it uses P(K >= k), the probability of a count at least as large as the one found;
-- alpha is divided by ``selection``, because an ellipsoid is fitted to the points that it counts
-  (``benchmarks/airborne/filter/denoise.py`` prints what is kept);
+- alpha is divided by ``selection``, because an ellipsoid is fitted to the points that it counts;
 - only peers count: neighbours whose spacing is at least the point's over ``peer_ratio``
   (:mod:`~spl_batch.airborne.filter.ellipsoid.spacing`), so noise does not live on a surface near
   by;
@@ -15,7 +14,7 @@
 ``calibrated``, the default, keeps peers and hysteresis, and replaces the division. It compares the
 score, ties broken, with what pure noise of the same density scores
 (:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`), so a share alpha of noise is kept
-at any density (``benchmarks/airborne/filter/null_calibration.py``). Links may add ``link_share`` of
+at any density (``python -m benchmarks.held --only alpha``). Links may add ``link_share`` of
 alpha: in dense noise they are shorter.
 
 Borders: neighbours within the cap shape the ellipsoid; fewer than four leave the sphere. With no
