@@ -24,8 +24,8 @@ PARTS: Final = {
     "crosstalk": ("beams.crosstalk:observe", "beams.crosstalk:set_off"),
     "bloom": ("afterpulse.candidates:find_bloom", "tasks.time_domain:find_bloom"),
     "strips beside each other": (
-        "strips.strip_comparison:strip_patches",
-        "strips.strip_comparison:strip_pairs",
+        "lines.comparison:strip_patches",
+        "lines.comparison:strip_pairs",
     ),
     "mist and sheets near the ground, kept noise": (
         "products.air.near_ground:placed",

@@ -254,7 +254,7 @@ ONCE: tuple[str, ...] = (
 SETTINGS: dict[str, list[str]] = {
     "no channel numbers": ["survey.channel_dimension=null"],
     "60 kHz, times to 10 us": ["acquisition.prf_hz=null"],
-    "the same strips, aligned": ["survey.align=rigid"],
+    "the same strips, aligned": ["survey.align=vertical"],
 }
 """Settings that an effect is run with."""
 

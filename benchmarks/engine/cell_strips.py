@@ -14,10 +14,10 @@ from unittest import mock
 from benchmarks.engine.peak import Peak
 from spl_batch import api
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.lines import comparison
 from spl_batch.airborne.plan import space_tasks
 from spl_batch.airborne.plan.memory.cell_memory import looks_at
 from spl_batch.airborne.plan.phases import PHASES
-from spl_batch.airborne.strips import strip_comparison
 from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.airborne.tasks.cells import cell_classes
 from spl_batch.engine.store.working_store import read_receipts
@@ -31,7 +31,7 @@ STRIPS = (1, 4, 8, 16, 28)
 
 CELL_TASKS = {
     "ground": space_domain.ground,
-    "strip_patches": strip_comparison.strip_patches,
+    "strip_patches": comparison.strip_patches,
     "surface": surfaces.surface,
 }
 """Tasks of a cell that may be done in strips."""

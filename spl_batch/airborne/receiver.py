@@ -7,6 +7,8 @@ from typing import Any, ClassVar, Final
 
 from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, virtual_cloud
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
+from spl_batch.airborne.lines.sentences import done_sentence, left_out_warnings, offset_warnings
 from spl_batch.airborne.noise.line_noise import RAISE_INTERVAL
 from spl_batch.airborne.plan.block_size import (
     remember_sizes,
@@ -40,9 +42,6 @@ from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store
-from spl_batch.airborne.strips.alignment_sentences import done_sentences, plan_row
-from spl_batch.airborne.strips.pair_sentences import left_out_warnings, offset_warnings
-from spl_batch.airborne.strips.strip_comparison import pairs_of
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.flow.executor import Work
 from spl_batch.engine.report.run_record import Receipts, RunFacts
@@ -68,14 +67,13 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
         "ground": "ground cell",
         "surface": "ground cell",
         "strip_patches": "ground cell",
-        "recorded_patches": "ground cell",
         "accuracy": "square of the reference",
         "checkpoints": "file",
     }
 )
 
 
-_CELL_KINDS: Final = frozenset({"ground", "surface", "strip_patches", "recorded_patches"})
+_CELL_KINDS: Final = frozenset({"ground", "surface", "strip_patches"})
 """Kinds of task that work on a ground cell."""
 
 FEW_PIECES: Final = 2
@@ -148,15 +146,17 @@ class Imaging(Receiver[Survey, Context]):
                     f"; --memory allows {what} in strips, up to {strips} of a cell: that takes "
                     f"{strips_cost(strips):.1f} times as long as at once"
                 )
-        return [
+        rows = [
             ("area", f"{grouped(area_km2, 3)} km2 of tiles"),
             ("stretches", f"{grouped(cost.stretches)} of flightlines"),
             ("tiles", grouped(cost.tiles)),
             ("blocks", blocks),
             ("ground cells", cells),
             ("halo", halo),
-            *plan_row(settings.survey.align),
         ]
+        if settings.survey.align == "vertical":
+            rows.append(("alignment", "survey.align: vertical: heights of flightlines are shifted"))
+        return rows
 
     def first_look(self, prepared: Prepared[Survey, Context]) -> FirstLook:
         """What both ends of the files tell of their times and channels, and of the trajectory's."""
@@ -236,10 +236,11 @@ class Imaging(Receiver[Survey, Context]):
         survey = prepared.ledger
         if phase.kind == "index_file":
             return stretches_anew(survey)
-        if phase.kind == "align":
-            alone = bool(survey.of("index_file")) and is_one_flightline(survey)
-            how, receipts = survey.workflow.survey.align, survey.of("align").values()
-            return [*done_sentences(how, receipts, alone=alone)]
+        if phase.kind == "strip_pairs" and survey.workflow.survey.align != "none":
+            if bool(survey.of("index_file")) and is_one_flightline(survey):
+                return ["survey.align: there is one flightline, nothing is shifted"]
+            found = (shifts_of(r.facts) for r in survey.of("strip_pairs").values())
+            return [done_sentence(lines) for lines in found if not all(one.stays for one in lines)]
         return blocks_anew(survey, prepared.context) if phase.kind == "build_tile" else ()
 
     def follows(
@@ -360,7 +361,7 @@ def _strip_sentences(phase: Phase, survey: Survey) -> Iterator[str]:
     if phase.kind == "strip_patches":
         cells = survey.of("strip_patches").items()
         yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
-    if phase.kind == "strip_pairs":
+    if phase.kind == "ground":
         apart = sum(r.facts.get("apart", 0) for r in survey.of("ground").values())
         for receipt in survey.of("strip_pairs").values():
             align = survey.workflow.survey.align

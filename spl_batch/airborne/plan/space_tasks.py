@@ -151,8 +151,7 @@ def surface(survey: Survey) -> Iterator[Task]:
             continue
         noise = holders.of(cell.tiles)
         ground_of = survey.ground_cells.owners(cell.tiles, survey.tile_q, survey.of("ground"))
-        reach = halo + survey.ground_cells.moved
-        parts = None if index is None else index.overlapping(grow(cell.core, reach))
+        parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
             **cell_args(cell),
             **moved,
@@ -316,10 +315,10 @@ def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
 
 
 def aligned(survey: Survey) -> tuple[dict[str, object], tuple[tuple[str, str], ...]]:
-    """What tasks that read shifted points are told, and the task that tells the shifts."""
-    if "all" not in survey.of("align"):
+    """Argument of tasks that read shifted points, and the task that finds the shifts."""
+    if survey.workflow.survey.align == "none" or "all" not in survey.of("strip_pairs"):
         return {}, ()
-    return {"aligned": True}, (("align", "all"),)
+    return {"aligned": True}, (("strip_pairs", "all"),)
 
 
 def cell_args(cell: Unit) -> dict[str, object]:

@@ -1,13 +1,10 @@
-"""Tasks that compare flightlines with each other: by ground cell, then all together.
-
-Where flightlines are aligned they are compared before the ground is looked for as well.
-"""
+"""Tasks that compare flightlines with each other: by ground cell, then all together."""
 
 from collections.abc import Iterator
 
+from spl_batch.airborne.lines.patches import SQUARE_M
 from spl_batch.airborne.plan.flightlines import is_timeless
 from spl_batch.airborne.plan.space_tasks import (
-    aligned,
     cell_args,
     cell_in_memory,
     label_needs,
@@ -16,57 +13,35 @@ from spl_batch.airborne.plan.space_tasks import (
 )
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.products.product_table import SWATH_DIFFERENCES
-from spl_batch.airborne.strips.strip_comparison import RECORDED
-from spl_batch.airborne.strips.strip_patches import SQUARE_M
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import quanta
 
 
-def recorded_patches(survey: Survey) -> Iterator[Task]:
-    """Ground cells whose flightlines are to be aligned."""
-    if survey.workflow.survey.align != "none":
-        yield from _patches("recorded_patches", RECORDED, survey)
-
-
 def is_one_flightline(survey: Survey) -> bool:
     """Whether there is nothing to compare; known once the index is complete."""
-    return len(_strips(survey)) < 2 and not _has_timeless(survey)
-
-
-def align(survey: Survey) -> Iterator[Task]:
-    """One task that finds the shifts of all flightlines."""
-    done = survey.of("recorded_patches")
-    if len(done):
-        cells = sorted(name for name, r in done.items() if r.facts["patches"])
-        needs = tuple(("recorded_patches", name) for name in cells)
-        yield Task("align", "all", {"strips": _strips(survey), "cells": cells}, needs)
+    return len(survey.flown) < 2 and not _has_timeless(survey)
 
 
 def patches(survey: Survey) -> Iterator[Task]:
-    """Ground cells, with flightlines as they are delivered."""
-    return _patches("strip_patches", "", survey)
-
-
-def _patches(kind: str, folder: str, survey: Survey) -> Iterator[Task]:
     """Ground cells, where there can be more than one flightline."""
     if is_one_flightline(survey):
         return
-    moved, first = aligned(survey) if not folder else ({}, ())
     halo = quanta(SQUARE_M)
     holders = survey.holders()
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
-        args = {**cell_args(cell), **moved, "noise": named_units("noise", noise), "folder": folder}
-        needs = (*tile_needs(cell), *label_needs("denoise", noise), *first)
+        args = {**cell_args(cell), "noise": named_units("noise", noise), "lines": _lines(survey)}
+        needs = (*tile_needs(cell), *label_needs("denoise", noise))
         refused, how = cell_in_memory("strip_patches", cell, survey)
-        yield Task(kind, cell.name, args, needs, 0, refused, how)
+        yield Task("strip_patches", cell.name, args, needs, 0, refused, how)
 
 
 def pairs(survey: Survey) -> Iterator[Task]:
-    """One task that puts all cells together."""
-    cells = sorted(name for name, r in survey.of("strip_patches").items() if r.facts["patches"])
-    if cells:
-        args = {"strips": _strips(survey), "cells": cells}
+    """One task that puts all cells together, and finds the shifts where they are asked for."""
+    compared = survey.of("strip_patches")
+    cells = sorted(name for name, r in compared.items() if r.facts["patches"])
+    if cells or (len(compared) and survey.workflow.survey.align != "none"):
+        args = {"lines": _lines(survey), "cells": cells}
         yield Task("strip_pairs", "all", args, tuple(("strip_patches", name) for name in cells))
 
 
@@ -84,6 +59,6 @@ def _has_timeless(survey: Survey) -> bool:
     return any(is_timeless(r, survey.workflow) for r in survey.of("index_file").values())
 
 
-def _strips(survey: Survey) -> list[list[object]]:
+def _lines(survey: Survey) -> list[list[object]]:
     """Flightlines with times."""
     return [[line.name, line.psid, line.first_s, line.last_s] for line in survey.flown]

@@ -33,8 +33,7 @@ from spl_batch.airborne.report.model import (
     Swath,
 )
 from spl_batch.airborne.report.model import Requirement as RequirementReport
-from spl_batch.airborne.report.strip_pairs import strip_pairs
-from spl_batch.airborne.strips.strip_report import StripPair
+from spl_batch.airborne.report.strip_pairs import StripPair, strip_pairs
 from spl_batch.airborne.tasks import checkpoints
 from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.constants import QUANTUM_M

@@ -9,7 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from spl_batch.airborne.report.noise_model import Noise
-from spl_batch.airborne.strips.strip_report import Alignment, LineShift, StripPair
+from spl_batch.airborne.report.strip_pairs import Alignment, StripPair
 from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
@@ -311,13 +311,8 @@ class Report(Part):
     strips_not_compared: tuple[tuple[str, str], ...] = Field(
         (), description="Pairs of flightlines that overlap without planar patches enough."
     )
-    strip_shifts: tuple[LineShift, ...] = Field(
-        (),
-        description="Robust least squares over these pairs; of flightlines that overlap one is "
-        "held, the one to which the others, weighted by their returns, come by the shortest way.",
-    )
     alignment: Alignment | None = Field(
-        None, description="Shifts that were applied; null with survey.align: none."
+        None, description="Shifts that were applied; null without survey.align."
     )
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")

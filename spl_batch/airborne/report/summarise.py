@@ -47,7 +47,6 @@ from spl_batch.airborne.report.strip_pairs import (
     pairs_not_compared,
     strip_map,
     strip_pairs,
-    strip_shifts,
 )
 from spl_batch.airborne.report.survey_files import write_report
 from spl_batch.airborne.report.survey_pieces import PICTURED, cropped, find_pieces, in_words
@@ -101,8 +100,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         swaths=swath_reports(done, context),
         strips=strip_pairs(done),
         strips_not_compared=pairs_not_compared(done),
-        strip_shifts=strip_shifts(done),
-        alignment=alignment(done, context),
+        alignment=alignment(done),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
         warnings=(

@@ -74,23 +74,15 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
             "spl_batch.airborne.tasks.space_domain:denoise",
             ("filter", "noise", "afterpulse", "outputs.diagnostics"),
         ),
-        "recorded_patches": Kind(
-            "ground", "spl_batch.airborne.strips.strip_comparison:strip_patches", ("survey.gap_s",)
-        ),
-        "align": Kind(
-            "ground", "spl_batch.airborne.strips.strip_comparison:align", ("survey.align",)
+        "strip_patches": Kind("ground", "spl_batch.airborne.lines.comparison:strip_patches", ()),
+        "strip_pairs": Kind(
+            "ground", "spl_batch.airborne.lines.comparison:strip_pairs", ("survey.align",)
         ),
         "ground": Kind("ground", "spl_batch.airborne.tasks.space_domain:ground", ("ground",)),
-        "strip_patches": Kind(
-            "ground", "spl_batch.airborne.strips.strip_comparison:strip_patches", ("survey.gap_s",)
-        ),
         "surface": Kind(
             "surfaces",
             "spl_batch.airborne.tasks.surfaces:surface",
             ("ground.cell_m", "products", "classes", "aoi", "water", "breaklines"),
-        ),
-        "strip_pairs": Kind(
-            "surfaces", "spl_batch.airborne.strips.strip_comparison:strip_pairs", ()
         ),
         "deliver_file": Kind(
             "deliver",

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from spl_batch.airborne.lines.strip_report import StripPair
 
 from spl_batch.airborne.report.good_enough import (
     _swaths,
@@ -13,7 +14,6 @@ from spl_batch.airborne.report.good_enough import (
 )
 from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
 from spl_batch.airborne.settings.requirements import RequirementSettings
-from spl_batch.airborne.strips.strip_report import StripPair
 
 
 def pair(first: str, second: str, patches: int, rmsd: float | None, largest: float) -> StripPair:

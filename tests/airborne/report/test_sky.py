@@ -7,6 +7,7 @@ import pytest
 import rasterio
 from affine import Affine
 
+from spl_batch.airborne.lines.pair_table import PairDifference
 from spl_batch.airborne.report.fit import places
 from spl_batch.airborne.report.fit.clouds import haze, haze_warning
 from spl_batch.airborne.report.fit.fog import fog_warning, thin_haze_warning
@@ -15,7 +16,6 @@ from spl_batch.airborne.report.fit.light import strong_light_warning
 from spl_batch.airborne.report.fit.noise_fit import float_warning, noise_fit, uniform_warning
 from spl_batch.airborne.report.fit.sky import bloom_warning, drowned_warning, kept_warning
 from spl_batch.airborne.settings import FilterSettings
-from spl_batch.airborne.strips.pair_table import PairDifference
 from spl_batch.formats.rasters.parts import read_overview
 
 

@@ -7,11 +7,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from spl_batch.airborne.lines.comparison import pairs_of
+from spl_batch.airborne.lines.pair_table import PairDifference
 from spl_batch.airborne.noise.haze import CUBE_M
 from spl_batch.airborne.products.air import near_ground
 from spl_batch.airborne.products.air.thin_haze import PLACES_LEAST
-from spl_batch.airborne.strips.pair_table import PairDifference
-from spl_batch.airborne.strips.strip_comparison import pairs_of
 from spl_batch.airborne.tasks.cells.pulses import SWATHS
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant

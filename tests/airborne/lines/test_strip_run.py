@@ -9,7 +9,7 @@ import rasterio
 
 from spl_batch.airborne.report.fit import noise_warnings
 from tests import surveys
-from tests.airborne.strips.two_strips import Returns, Shift, ground
+from tests.airborne.lines.two_strips import Returns, Shift, ground
 
 LINEAR = {"filter": {"method": "none"}, "afterpulse": {"enabled": False}}
 FINE = {"ground": {"cell_m": 25, "buffer_m": 20}, "tiling": {"tile_m": 20}}
