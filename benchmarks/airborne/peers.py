@@ -1,13 +1,10 @@
 """What others take for a part of the work, on points of the same survey and in the same run.
 
-For :mod:`benchmarks.engine.stages` and :mod:`benchmarks.airborne.end_to_end`. Seconds of processor
+For :mod:`benchmarks.airborne.end_to_end`. Seconds of processor
 time per million points on one core:
 
 - the search for 15 neighbours alone, without any decision: scipy's cKDTree, and pykdtree and
   pgeof (nanoflann) in float32 where they are installed, with the points in the order of a tree;
-- a subset of the filter written plainly with scipy and numpy: spacings, ellipsoids with full counts
-  in float64, test ``tail`` and links, for one constant density; no voxel noise, calibration, scan
-  for conductors, followers or afterpulses;
 - PDAL's outlier filters and its ground filter, all files together and from LAZ to LAZ, where
   ``pdal`` is on the PATH; and, where the survey was simulated, what they find of its noise.
 """
@@ -31,7 +28,6 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from benchmarks.airborne.filter.denoise import TAIL, slow_labels
 from benchmarks.airborne.filter.methods import AFTERPULSE, BACKGROUND
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE
 from spl_batch.numerics.neighbours.kdtree import build
@@ -39,8 +35,8 @@ from spl_batch.numerics.neighbours.kdtree import build
 K: Final = 16
 """Neighbours that libraries are asked for: 15 and the point itself."""
 
-SEARCHED, JUDGED = 400_000, 10_000
-"""Points for the searches, and for the plain filter [count]."""
+SEARCHED = 400_000
+"""Points for the searches [count]."""
 
 STATISTICAL: Final = {
     "type": "filters.outlier", "method": "statistical", "mean_k": 15, "multiplier": 2.0
@@ -89,11 +85,6 @@ def installed() -> Iterator[tuple[str, Callable[[NDArray[np.float32]], None]]]:
             print(f"{library} is not installed")
             continue
         yield f"{library.split('.')[0]} float32, k = 15", functools.partial(call, module)
-
-
-def plain_filter(xyz: NDArray[np.int64]) -> tuple[str, float]:
-    """Name and seconds per million of the test with its links in scipy and numpy."""
-    return "scipy and numpy, test and links", _rate(len(xyz), lambda: slow_labels(xyz, TAIL))
 
 
 def pipeline(clouds: Sequence[Path], filters: list[dict[str, Any]], to: Path) -> dict[str, Any]:
@@ -166,14 +157,14 @@ def print_ratios(output: Path, ours: Mapping[str, float]) -> None:
     Parameters
     ----------
     output : Path
-        Folder of a finished run. Searches and the plain filter take points of its largest cloud.
+        Folder of a finished run. Searches take points of its largest cloud.
     ours : mapping of str to float
         What parts of the chain took [s / million].
     """
     os.environ["OMP_NUM_THREADS"] = "1"
     clouds = sorted((output / "laz").rglob("*.laz"))
     largest = max(clouds, key=lambda cloud: cloud.stat().st_size)
-    found = [*searches(middle(largest, SEARCHED)), plain_filter(middle(largest, JUDGED))]
+    found = list(searches(middle(largest, SEARCHED)))
     theirs = list(pdal(clouds))
     print(f"{'in the same run':36s}{'s / M':>9s}" + "".join(f"{f'{n} /':>12s}" for n in ours))
     for name, rate in [*found, *((name, rate) for name, rate, _ in theirs)]:

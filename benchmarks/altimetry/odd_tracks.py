@@ -43,7 +43,7 @@ from benchmarks.altimetry.labelled_tracks import (
 )
 from benchmarks.altimetry.photon_beams import Beam, Mask, lattice
 from benchmarks.altimetry.told_noise import LEAST, Told, by_part, judged
-from spl_batch.altimetry.report.beam_warnings import SAID_LEAST
+from spl_batch.altimetry.filter.chance import LEAST_PHOTONS
 from spl_batch.altimetry.water.level_water import SURFACE_M
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.report import style
@@ -325,14 +325,14 @@ def null(number: int, seed: int) -> None:
         beam = Beam(lattice(x, rng.uniform(-gate_m / 2.0, gate_m / 2.0, n)), None)
         taken = np.count_nonzero(beam.keep(beam.score()))
         kept += taken > 0
-        told += taken > 0 and (beam.doubtful == taken or beam.doubtful >= SAID_LEAST)
+        told += taken > 0 and (beam.doubtful == taken or beam.doubtful >= LEAST_PHOTONS)
     print(f"noise alone: {number} tracks, {kept} keep photons, told of {told}")
     told = kept = 0
     for track in synthetic(1):
         if (track.label > NOISE).any():
             beam = Beam(track.photons, None)
-            kept += np.count_nonzero(beam.keep(beam.score())) >= SAID_LEAST
-            if beam.doubtful >= SAID_LEAST:
+            kept += np.count_nonzero(beam.keep(beam.score())) >= LEAST_PHOTONS
+            if beam.doubtful >= LEAST_PHOTONS:
                 told += 1
                 print(f"told of {track.name}, {beam.doubtful} photons")
     print(f"signal in noise: {kept} tracks that keep as many, told of {told}")

@@ -1,27 +1,15 @@
 """What tasks hold in memory.
 
-Run ``python -m benchmarks.engine.memory tasks|strips|areas|trajectory|coincidence``.
+Run ``python -m benchmarks.engine.memory tasks|areas``.
 
 ``tasks WORKFLOW [KEY=VALUE ...]`` runs a workflow in this process, into a folder of its
 own, and prints for each kind of task the highest resident memory above what the process
 held before it, by the points that the plan counts for it: what the constants of
 :mod:`spl_batch.airborne.plan.task_memory` are taken from.
 
-``strips WORKFLOW [KEY=VALUE ...]`` runs a workflow up to its surfaces and does the ground, the
-comparison of flightlines and the surfaces of its fullest cell again, at once and in more and more
-strips: points that the cell owns and that the fullest strip reads, memory above what the process
-held before, processor time, and whether the bytes are the same. Lines through these give the bytes
-of a point of the cell and of a strip in :mod:`spl_batch.airborne.plan.memory.cell_memory`.
-
-``areas FOLDER`` flies strips of once, twice, four and eight times the area and runs each
-with two workers under a limit: peak memory by stage, which follows the largest stretch or block
+``areas FOLDER`` simulates surveys of once, twice, four and eight times the area and runs each
+with two workers under a limit: peak memory by stage, which follows the largest stretch or cell
 and must not grow with the survey.
-
-``trajectory [--records 6000000]`` gathers SBET files of an eighth of the records up to all of
-them, 200 each second: memory and time.
-
-``coincidence [--rows 16000000]`` indexes Geiger-mode detections files of an eighth of the rows up
-to all of them, and their frames, in order and in disorder: memory, time, bytes in the store.
 """
 
 import argparse
@@ -29,7 +17,6 @@ import contextlib
 import os
 import sys
 import tempfile
-import time
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,13 +24,8 @@ from typing import Any
 from unittest import mock
 
 import laspy
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import yaml
-from pyproj import CRS
 
-from benchmarks.engine.cell_strips import strips
 from benchmarks.engine.peak import Peak
 from spl_batch import api
 from spl_batch.airborne.context import Context
@@ -56,11 +38,6 @@ from spl_batch.engine.flow import job
 from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.formats.trajectory.positions import PointExtent, gathering, write_trajectory
-from spl_batch.formats.trajectory.sbet import BLOCK_RECORDS, SBET_RECORD
-from spl_batch.geiger.coincidence.formats import l1_files
-from spl_batch.geiger.coincidence.settings import ArraySettings
-from spl_batch.geiger.coincidence.tables import Attitudes
 
 AREAS = (1, 2, 4, 8)
 """Lengths of the strips, in lengths of the shortest."""
@@ -70,12 +47,6 @@ LENGTH_M, WIDTH_M = 200.0, 100.0
 
 FILE_POINTS = 250_000
 """Points of a file [count]."""
-
-FRAME_DETECTIONS = 800
-"""Detections of a frame of the source's array, about [count]."""
-
-GROUP_ROWS = 1_000_000
-"""Rows of a row group of a detections file [count]."""
 
 
 def tasks(workflow: Path, overrides: Sequence[str]) -> None:
@@ -169,89 +140,6 @@ def _cut_files(folder: Path) -> None:
         path.unlink()
 
 
-def trajectory(records: int) -> None:
-    """Print what gathering trajectories of several lengths takes."""
-    print(f"{'records':>12s}{'MiB':>8s}{'s':>8s}")
-    for count in (65_536, records // 8, records // 4, records // 2, records):
-        with tempfile.TemporaryDirectory() as folder:
-            path, start = Path(folder, "track.sbet"), 371_000_000.0
-            with path.open("wb") as file:
-                for first in range(0, count, BLOCK_RECORDS):
-                    part = np.zeros(min(BLOCK_RECORDS, count - first), SBET_RECORD)
-                    part["time"] = start + (first + np.arange(len(part))) / 200
-                    part["longitude"], part["latitude"] = np.radians(-93.0), np.radians(29.7)
-                    part.tofile(file)
-            points = PointExtent((start + 1, start + 2), (5e5, 3.28e6, 5.01e5, 3.29e6))
-            begin = time.perf_counter()
-            with (
-                Peak().watching() as peak,
-                gathering(
-                    [path], survey_crs=CRS.from_epsg(32615), trajectory_crs=None, points=points
-                ) as found,
-            ):
-                write_trajectory(Path(folder, "track.parquet"), found)
-            spent = time.perf_counter() - begin
-            print(f"{found.records:12,d}{(peak.highest - peak.before) / 2**20:8.0f}{spent:8.1f}")
-
-
-def coincidence(rows: int) -> None:
-    """Print what indexing L1 files of several lengths takes."""
-    print(f"{'order':10s}{'detections':>12s}{'MiB':>8s}{'s':>8s}{'rows/s':>12s}"
-          f"{'file B/row':>12s}{'store B/row':>12s}")  # fmt: skip
-    for shuffled in (False, True):
-        for count in (rows // 16, rows // 8, rows // 4, rows // 2, rows):
-            with tempfile.TemporaryDirectory() as folder:
-                workflow = _write_l1(Path(folder), count, shuffled=shuffled)
-                begin = time.perf_counter()
-                with Peak().watching() as peak:
-                    result = api.run(workflow, workers=0, until="index")
-                spent = time.perf_counter() - begin
-                kept = sum(f.stat().st_size for f in result.output.glob("store/det*/*.parquet"))
-                given = (Path(folder) / "detections.parquet").stat().st_size
-            if count == rows // 16 and not shuffled:
-                continue  # the first one loads and compiles
-            name = "disorder" if shuffled else "order"
-            print(f"{name:10s}{count:12,d}{(peak.highest - peak.before) / 2**20:8.0f}{spent:8.1f}"
-                  f"{count / spent:12,.0f}{given / count:12.1f}{kept / count:12.1f}",
-                  flush=True)  # fmt: skip
-
-
-def _write_l1(folder: Path, rows: int, *, shuffled: bool) -> Path:
-    """A straight flight over level ground with 800 detections in each frame, a million in a group.
-
-    In order a row group has frames one after the other, in disorder frames of the whole flight.
-    """
-    array, n = ArraySettings(), rows // FRAME_DETECTIONS
-    step_m, height_m, tangent = 0.05, 3000.0, array.ifov_rad
-    place = np.column_stack([5e5 + np.arange(n) * step_m, np.full(n, 4e6), np.full(n, height_m)])
-    attitude = np.column_stack([np.full(n, 0.5 * np.pi), np.zeros((n, 2))])
-    l1_files.write_frames(folder / "frames.parquet", Attitudes(np.arange(n), place, attitude))
-    detector = np.arange(FRAME_DETECTIONS) * (array.detectors // FRAME_DETECTIONS)
-    across, along = np.divmod(detector, array.columns)
-    x = (along - 0.5 * (array.columns - 1)) * tangent * height_m
-    y = -(across - 0.5 * (array.rows - 1)) * tangent * height_m
-    rng, groups = np.random.default_rng(1), -(-rows // GROUP_ROWS)
-    kinds = {"frame": "int64", "detector": "int32", **dict.fromkeys("xyz", "float64")}
-    schema = pa.schema(list(kinds.items()))
-    with pq.ParquetWriter(folder / "detections.parquet", schema, compression="zstd") as writer:
-        for group, frame in enumerate(np.array_split(np.arange(n), groups)):
-            if shuffled:
-                frame = np.arange(group, n, groups)  # noqa: PLW2901
-            columns = [
-                np.repeat(frame, FRAME_DETECTIONS),
-                np.tile(detector, len(frame)).astype(np.int32),
-                (place[frame, :1] + x).ravel(),
-                (place[frame, 1:2] + y).ravel(),
-                rng.normal(0.0, 0.05, len(frame) * FRAME_DETECTIONS),
-            ]
-            writer.write_table(pa.table(columns, schema=schema), row_group_size=GROUP_ROWS)
-    workflow = folder / "workflow.yaml"
-    survey = {"frames": "frames.parquet", "detections": "detections.parquet"}
-    content = {"kind": "coincidence", "survey": survey, "output": "out"}
-    workflow.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return workflow
-
-
 def _give_back_freed_memory() -> None:
     """Start again with an allocator that keeps nothing: what is in use is what is counted."""
     wanted = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
@@ -266,27 +154,14 @@ def main() -> None:
     of_tasks = verbs.add_parser("tasks")
     of_tasks.add_argument("workflow", type=Path)
     of_tasks.add_argument("overrides", nargs="*")
-    of_strips = verbs.add_parser("strips")
-    of_strips.add_argument("workflow", type=Path)
-    of_strips.add_argument("overrides", nargs="*")
     of_areas = verbs.add_parser("areas")
     of_areas.add_argument("folder", type=Path)
     of_areas.add_argument("--memory", default="1GiB")
-    of_coincidence = verbs.add_parser("coincidence")
-    of_coincidence.add_argument("--rows", type=int, default=16_000_000)
-    of_trajectory = verbs.add_parser("trajectory")
-    of_trajectory.add_argument("--records", type=int, default=6_000_000)
     given = parser.parse_args()
     if given.verb != "areas":
         _give_back_freed_memory()
     if given.verb == "tasks":
         tasks(given.workflow, given.overrides)
-    elif given.verb == "strips":
-        strips(given.workflow, given.overrides)
-    elif given.verb == "trajectory":
-        trajectory(given.records)
-    elif given.verb == "coincidence":
-        coincidence(given.rows)
     else:
         areas(given.folder, given.memory)
 

@@ -1,18 +1,14 @@
-"""What handing out tasks costs: ``python -m benchmarks.engine.scheduler client|cluster|receipts``.
+"""What handing out tasks costs: ``python -m benchmarks.engine.scheduler client|cluster``.
 
 ``client --tiles N`` takes a made-up survey of N tiles through the phases of the space domain
 with tasks that end at once, and prints the client's time for a task and its memory.
 ``cluster`` hands tasks to two local workers: empty ones a second for several settings, the
 share of the time that workers are busy with longer ones, and the scheduler's memory over many.
-``receipts --count N`` writes N small files into one folder and into folders by hash: time to
-write, to find and to list them.
 """
 
 import argparse
 import hashlib
 import itertools
-import json
-import os
 import pickle
 import resource
 import tempfile
@@ -253,41 +249,6 @@ def _seconds(
         running -= 1
 
 
-def receipts(count: int) -> None:
-    """Print what so many receipts cost in one folder and in folders by hash."""
-    names = [f"{2720 + k % 1000}_{32900 + k // 1000}.json" for k in range(count)]
-    content = json.dumps(
-        {"facts": {"points": 1}, "outputs": {}, "key": "0" * 32}, indent=1
-    ).encode()
-    print(f"{count:,} files{'us to write':>14s}{'us to find':>12s}{'us each to list':>17s}")
-    for digits in (0, 2):
-        with tempfile.TemporaryDirectory() as folder:
-            paths = [Path(folder, _hash(n)[:digits], n) for n in names]
-            for parent in {p.parent for p in paths}:
-                parent.mkdir(exist_ok=True)
-            spans = []
-            for work in (_write_all, _find_all, _list_all):
-                start = time.process_time()
-                work(paths, content, Path(folder))
-                spans.append(1e6 * (time.process_time() - start) / count)
-        print(f"{'by hash' if digits else 'one folder':14s}" + "".join(f"{s:12.1f}" for s in spans))
-
-
-def _write_all(paths: list[Path], content: bytes, _folder: Path) -> None:
-    for path in paths:
-        path.write_bytes(content)
-
-
-def _find_all(paths: list[Path], _content: bytes, _folder: Path) -> None:
-    for path in paths:
-        path.read_bytes()
-
-
-def _list_all(_paths: list[Path], _content: bytes, folder: Path) -> None:
-    for _, _, files in os.walk(folder):
-        sorted(files)
-
-
 def main() -> None:
     """Read the arguments."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -298,15 +259,11 @@ def main() -> None:
     of_cluster = verbs.add_parser("cluster")
     of_cluster.add_argument("--count", type=int, default=500)
     of_cluster.add_argument("--many", type=int, default=50_000)
-    of_receipts = verbs.add_parser("receipts")
-    of_receipts.add_argument("--count", type=int, default=1_000_000)
     given = parser.parse_args()
     if given.verb == "client":
         client(given.tiles, int(given.memory_gib * 2**30))
-    elif given.verb == "cluster":
-        cluster(given.count, given.many)
     else:
-        receipts(given.count)
+        cluster(given.count, given.many)
 
 
 if __name__ == "__main__":

@@ -23,9 +23,11 @@ from spl_batch.airborne.plan.inputs.findings import (
     blocks_anew,
     channels_not_named,
     copies,
+    heights_in_other_unit,
     judge_index,
     looks_ahead,
     merged_shots,
+    refuse_empty_area,
     stretches_anew,
     times_off,
 )
@@ -200,7 +202,9 @@ class Imaging(Receiver[Survey, Context]):
                 remember_stretch(store, survey.stretch_points)
             yield from merged_shots(survey)
             yield from looks_ahead(survey)
+            yield from heights_in_other_unit(survey)
         if phase.kind == "build_tile":
+            refuse_empty_area(survey)
             yield from copies(survey)
         if phase.kind in {"trajectory_file", "trajectory"} and not survey.of(phase.kind):
             failures = [r.reason for r in failed if r.kind == phase.kind]

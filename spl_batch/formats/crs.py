@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 import rasterio
+from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
@@ -26,6 +27,9 @@ _VERTICAL_CRS_KEY: Final = 4096
 _VERTICAL_UNIT_KEY: Final = 4099
 _METRE: Final = 9001
 """GeoTIFF keys of heights, and the code of metres [OGC 19-008r4, B.4]."""
+
+_NAMELESS: Final = ("", "unknown")
+"""Names that GDAL gives to a vertical CRS of which keys have the unit only."""
 
 _TIFF_SHORT, _TIFF_ASCII, _TIFF_DOUBLE = 3, 2, 12
 
@@ -102,14 +106,33 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     except (RasterioError, RasterioIOError) as error:
         raise CRSError(str(error)) from None
     heights = None if found is None else vertical(found)
-    if found is None or heights is None or heights.name or _not_metres(found):
+    if found is None or _not_metres(found) or (heights is not None and heights.to_epsg()):
         return found
-    return horizontal(found)  # a unit of heights alone names no vertical CRS
+    named = _named_heights(_entries(directory))
+    if named is not None:  # GDAL leaves it out beside a local CRS
+        return compound(found, named)
+    # A unit of heights alone names no vertical CRS.
+    return horizontal(found) if heights is not None and heights.name in _NAMELESS else found
+
+
+def _entries(directory: bytes) -> NDArray[np.uint16]:
+    """Header and keys of a directory, (n, 4) uint16."""
+    return np.frombuffer(directory[: len(directory) // 8 * 8], "<u2").reshape(-1, 4)
+
+
+def _named_heights(entries: NDArray[np.uint16]) -> CRS | None:
+    """Vertical CRS by its code, if keys have one."""
+    codes = entries[1:][entries[1:, 0] == _VERTICAL_CRS_KEY, 3].tolist()
+    try:
+        found = CRS.from_epsg(codes[0]) if codes else None
+    except CRSError:
+        return None
+    return found if found is not None and found.is_vertical else None
 
 
 def _with_heights_unit(directory: bytes) -> bytes:
     """Keys without the vertical CRS where a unit other than metres is given, which GDAL ignores."""
-    values = np.frombuffer(directory[: len(directory) // 8 * 8], "<u2").reshape(-1, 4)
+    values = _entries(directory)
     units = values[1:][values[1:, 0] == _VERTICAL_UNIT_KEY, 3]
     if not np.any(units != _METRE):
         return directory

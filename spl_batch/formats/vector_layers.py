@@ -19,6 +19,7 @@ COORDINATE_MAX: Final = 1e9
 """No projection has coordinates beyond, in metres, feet or degrees."""
 
 POLYGONS: Final = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+POINTS: Final = (shapely.GeometryType.POINT, shapely.GeometryType.MULTIPOINT)
 LINES: Final = (shapely.GeometryType.LINESTRING, shapely.GeometryType.MULTILINESTRING)
 
 Geometries = NDArray[Any]
@@ -40,7 +41,8 @@ def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> It
     Parameters
     ----------
     kinds : sequence of int
-        Types of geometry that are wanted; sound ones of other types are left out.
+        Types of geometry that are wanted. Layers of others are left out, and points; lines and
+        collections among polygons, unless wanted, are faults: they may be meant as areas.
     fields : bool
         Whether columns are read.
 
@@ -52,7 +54,7 @@ def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> It
     for name, kind in _layers(path):
         meta, fids, shapes, columns = _read(path, name, fields=fields)
         chosen = np.isin(shapely.get_type_id(shapes), kinds) & ~shapely.is_empty(shapes)
-        faults = _faults(kind, shapes, chosen)
+        faults = _faults(kind, shapes, chosen, kinds)
         if told := [f"feature {named(fids[bad].tolist(), 3)}: {x}" for x, bad in faults]:
             text = f"layer {name}: {'; '.join(told)}: mend or delete it, or copy the file again"
             raise InputError(str(path), text)
@@ -82,16 +84,24 @@ def _read(path: Path, layer: str, *, fields: bool) -> tuple[Any, Any, Geometries
     return meta, fids, shapes, columns
 
 
-def _faults(kind: str, shapes: Geometries, chosen: Mask) -> Iterator[tuple[str, Mask]]:
+def _faults(
+    kind: str, shapes: Geometries, chosen: Mask, kinds: Sequence[int]
+) -> Iterator[tuple[str, Mask]]:
     """What is wrong with shapes of a layer, and with which; ``chosen``: those that are wanted."""
     types = shapely.get_type_id(shapes)
     xy, owner = shapely.get_coordinates(shapes, return_index=True)
     # A comparison with NaN is false.
     nowhere = owner[~(np.abs(xy) <= COORDINATE_MAX).all(axis=1)]
-    strange = (types >= 0) & ~np.isin(types, POLYGONS) & ~shapely.is_empty(shapes)
+    there = (types >= 0) & ~shapely.is_empty(shapes)
+    # A layer of polygons by its declaration holds nothing else; one of no declared kind may hold
+    # what is wanted, and points.
+    declared = "Polygon" in kind
+    fitting = POLYGONS if declared else (*kinds, *POINTS)
+    strange = there & ~np.isin(types, fitting)
+    strange &= declared or np.isin(types[chosen], POLYGONS).any()
     faults = {
         "has no geometry that can be decoded": shapely.is_missing(shapes) & ("Point" not in kind),
-        "is no polygon, in a layer of polygons": strange & ("Polygon" in kind),
+        "is no polygon, in a layer of polygons": strange,
         "has a coordinate that is no number, or beyond 1e9": chosen
         & np.isin(np.arange(len(shapes)), nowhere),
     }

@@ -12,10 +12,12 @@ import pyarrow.csv
 import pytest
 import rasterio
 import yaml
+from matplotlib.figure import Figure
 
 from spl_batch.altimetry.filter.chance import SHARE_QUANTA
 from spl_batch.altimetry.filter.signal import score_bins
 from spl_batch.altimetry.report.beam_warnings import _like_noise
+from spl_batch.altimetry.report.pictures import TrackAxis
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.simulate import SceneFile, simulate_file
 from spl_batch.altimetry.tasks import photons as photons_runner
@@ -230,6 +232,39 @@ def test_few_photons_of_a_floor_are_not_called_noise(noise: int, said: str) -> N
     (text,) = _like_noise(chosen, 900, 40)
     assert said in text
     assert list(_like_noise(chosen, 900, 5)) == []
+
+
+def test_a_handful_of_photons_below_the_sea_is_no_floor(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    for name, below in (("few", 6), ("some", 30)):
+        along = np.r_[rng.uniform(0.0, 500.0, 2500), rng.uniform(200.0, 230.0, below)]
+        height = np.r_[rng.normal(12.0, 0.12, 2500), rng.normal(4.0, 0.1, below)]
+        noise = rng.uniform([0.0, -40.0], [500.0, 60.0], (150, 2))
+        photons = np.r_[np.stack([along, height], axis=1), noise]
+        rows = "".join(f"{x:.3f},{z:.3f}\n" for x, z in photons)
+        (tmp_path / f"{name}.csv").write_text("along_track,height\n" + rows)
+    workflow = write_workflow(tmp_path, "*.csv")
+    assert run(workflow).status == 0
+    few, some = report(workflow)["beams"]
+    assert few["floor"] == 0
+    assert some["floor"] >= 27
+
+
+def test_an_axis_leaves_out_gaps_that_are_longer_than_the_data() -> None:
+    at = np.r_[10.0:500.0:20.0, 400_010.0:400_340.0:20.0]
+    axis = TrackAxis.of(at)
+    shown = axis.km(at)
+    assert (np.diff(shown) > 0).all()
+    assert np.ptp(shown) == pytest.approx(0.02 * len(at))
+    x, y = axis.line(at, at)
+    assert np.flatnonzero(np.isnan(x)).tolist() == np.flatnonzero(np.isnan(y)).tolist() == [25]
+    axes = Figure().subplots()
+    axes.plot(x, y)
+    axis.mark(axes)
+    label = axes.xaxis.get_major_formatter()
+    assert float(label(shown[-1])) == pytest.approx(at[-1] / 1000, abs=0.006)
+    assert float(label(shown[3])) == pytest.approx(at[3] / 1000, abs=0.006)
+    assert len(TrackAxis.of(at[:25]).gap) == len(TrackAxis.of(at[:1]).gap) == 0
 
 
 def test_a_simulated_track_is_run_and_measured(tmp_path: Path) -> None:

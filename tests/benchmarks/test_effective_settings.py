@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.airborne.afterpulse.afterpulse_dtm import terrain_methods
 from benchmarks.airborne.filter.methods import (
     AS_W17,
     BY_PLANE,
@@ -16,6 +15,7 @@ from benchmarks.airborne.filter.methods import (
     unmet,
 )
 from benchmarks.airborne.published.table_surfaces import roof_methods
+from benchmarks.airborne.published.table_terrain import terrain_methods
 from benchmarks.airborne.published.twins import houston_deep
 from spl_batch.airborne.settings.workflow import load_workflow
 

@@ -11,7 +11,6 @@ import socket
 import subprocess
 import sys
 import zipfile
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,6 @@ import psutil
 import pytest
 import yaml
 
-from benchmarks import faults
 from spl_batch.cli.lines import LINE_MAX
 from spl_batch.engine.flow import executor
 from spl_batch.engine.flow.cluster import local_cluster
@@ -34,7 +32,6 @@ from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water.formats import inspect_frames, iter_frames
 from tests import clusters, surveys
 from tests.clusters import ROOT
-from tests.fuzz import __main__ as fuzz
 
 PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
 LOOPBACK = {"127.0.0.1", "::1"}
@@ -272,75 +269,6 @@ def test_the_numbers_of_the_page_are_those_that_hold() -> None:
         f"a line on the screen has at most {LINE_MAX} characters",
     ):
         assert words in text
-
-
-NONE = "No known vulnerabilities found"
-UNKNOWN = "Dependency not found on PyPI and could not be audited:"
-FOLLOWS = "look at what follows; without a network no faults are known"
-AUDITS = {
-    "nothing is known": (
-        f"{NONE}\nName Skip Reason\n---- ----\nnumpy {UNKNOWN} numpy (2)\ndask {UNKNOWN} dask (1)",
-        0,
-        "faults are not known of 2 packages, which the registry's list of faults does not have",
-    ),
-    "no faults": (NONE, 0, NONE),
-    "a fault": (
-        "numpy 2 PYSEC-1",
-        1,
-        f"{FOLLOWS}\nnumpy 2 PYSEC-1",
-    ),
-    "no network": (
-        "Traceback (most recent call last):\n  File\nSSLError: no key",
-        1,
-        f"{FOLLOWS}\nfaults are not known: the list of faults was not reached: SSLError: no key",
-    ),
-}
-
-
-@pytest.mark.parametrize("kind", AUDITS)
-def test_ci_tells_known_faults_and_where_none_are_known(tmp_path: Path, kind: str) -> None:
-    """The step never fails, and says in one line that a registry tells nothing."""
-    table, status, says = AUDITS[kind]
-    text = (ROOT / ".ci/run").read_text(encoding="utf-8")
-    (step,) = re.findall(r"^audit\(\) \{.*?^\}", text, re.DOTALL | re.MULTILINE)
-    for name, said, code in (("pip", "", 0), ("pip-licenses", "", 0), ("pip-audit", table, status)):
-        command = tmp_path / name
-        command.write_text(f"#!/bin/sh\nprintf '%s' \"{said}\"\nexit {code}\n")
-        command.chmod(0o755)
-    script = f'set -euo pipefail; work={tmp_path}; PATH="$work:$PATH"; {step}; audit'
-    ended = subprocess.run(["bash", "-c", script], capture_output=True, check=False, text=True)  # noqa: S603, S607
-    assert (ended.returncode, ended.stdout.strip(), ended.stderr) == (0, says, "")
-
-
-def test_faults_tried_and_survived_are_those_that_scripts_have_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert faults.table() in PAGE
-    for row in faults.rows():
-        assert 0 < row["survived"] <= row["tried"]
-        module = row["command"].split()[2].replace(".", "/")
-        assert any((ROOT / f"{module}{end}").exists() for end in (".py", "/__main__.py"))
-    (tmp_path / "faults.json").write_text("[]")
-    monkeypatch.setattr(faults, "RECORD", tmp_path / "faults.json")
-    faults.add("kills", 1200, 1198, ["python", "-m", "x y"])
-    assert (
-        faults.table().splitlines()[-1]
-        == "| kills | 1 200 | all but 2, mended | `python -m 'x y'` |"
-    )
-
-
-def test_the_fuzzer_records_what_it_has_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "faults.json").write_text("[]")
-    monkeypatch.setattr(faults, "RECORD", tmp_path / "faults.json")
-    options = ["--only", "geojson", "--mutants", "5", "--folder", str(tmp_path), "--record", "few"]
-    monkeypatch.setattr("tests.fuzz.__main__.rounds", lambda *_: (Counter(sound=3, broken=2), []))
-    monkeypatch.setattr(sys, "argv", ["fuzz", *options])
-    assert fuzz.main() == 2
-    (row,) = faults.rows()
-    assert (row["what"], row["tried"], row["survived"]) == ("few", 5, 3)
-    assert row["command"] == "python -m tests.fuzz --mutants 5 --seed 1 --only geojson"
 
 
 def test_the_page_says_what_is_trusted() -> None:

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
-from benchmarks.airborne.beams.trajectories import read_trajectory
 from spl_batch.errors import InputError, WorkflowError, counted
 from spl_batch.formats.gps_clock import bit_warning, clock, time_standard
 from spl_batch.formats.trajectory import merge
@@ -25,6 +24,7 @@ from spl_batch.formats.trajectory.positions import (
 from spl_batch.formats.trajectory.records import COLUMNS, conversions, read_records
 from spl_batch.formats.trajectory.sbet import SBET_RECORD
 from spl_batch.lattice.tables import Trajectory
+from tests.formats.whole_trajectory import read_trajectory
 
 UTM = CRS.from_epsg(32615)
 ADJUSTED = 2.5e8

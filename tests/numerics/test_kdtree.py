@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from benchmarks.numerics.searches import nearest, nearest_sets
 from spl_batch.numerics.neighbours.kdtree import LEAF, build, leaf_of, leaf_slots
 from spl_batch.numerics.neighbours.nearest import CROWD
+from tests.numerics.searches import nearest, nearest_sets
 
 
 def brute_nearest(

@@ -9,12 +9,9 @@ background returns that truth counts in them. A stratum is a set of voxels chose
 each ratio stands what the published correction for silent beamlets, gamma = 100 n_u / n
 [W18 2.2.2], makes of it. The error is that of the number of true returns, all seeds together; the
 ratios of single seeds stand last.
-
-For the surveys without a trajectory the beams are compared with the true ones as well.
 """
 
 import argparse
-import itertools
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,20 +23,13 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from benchmarks.airborne.beams.trajectories import read_trajectory
 from spl_batch import api
-from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.noise import voxel_noise
-from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.airborne.store.voxel_parts import StoredVoxels
-from spl_batch.airborne.tasks import lines_of_sight
-from spl_batch.airborne.tasks.stretches import read_stretch
-from spl_batch.engine.store.working_store import read_receipts
-from spl_batch.engine.verbs.preparing import prepare
 
 BAR = 0.03
 """Largest relative error that is asked for."""
@@ -156,7 +146,6 @@ def main(seeds: Sequence[int], names: Sequence[str]) -> None:
                 found.setdefault(name, []).append(sums)
                 ratio = sums.expected / sums.true
                 print(f"seed {seed}, {name}: {ratio:.4f} of {sums.true:.0f}", flush=True)
-            print_settings(seed, Path(temporary))
     print(
         f"{'stratum':32s}{'noise returns':>14s}{'expected/true':>15s}{'+-':>8s}{'published':>11s}"
         "   by seed"
@@ -196,20 +185,6 @@ def simulated(scene: str, seed: int, scratch: Path) -> Path:
         content = {"name": scene, "seed": seed, **BASE, **SCENES[scene]}
         simulate(parse_scene(content, scene), folder)
     return folder
-
-
-def print_settings(seed: int, scratch: Path) -> None:
-    """Print how few beamlets return, and how well beams are known without a trajectory."""
-    for folder in sorted(scratch.iterdir()):
-        receipts = folder.glob("out*/store/receipts/fit_line/*")
-        seen = [json.loads(path.read_text())["facts"]["seen_fraction"] for path in receipts]
-        if seen:
-            low, high = 100 * min(seen), 100 * max(seen)
-            print(f"seed {seed}, {folder.name}: {low:.1f} to {high:.1f} % of beamlets seen")
-    blind, alike = ("survey.trajectory=null",), ("survey.channel_dimension=null",)
-    for name, overrides in (("edges", blind), ("low", blind), ("edges", (*blind, *alike))):
-        if (scratch / name / _output(overrides)).exists():
-            _print_beams(scratch / name, overrides)
 
 
 def voxels(folder: Path, overrides: tuple[str, ...]) -> Voxels:
@@ -305,30 +280,6 @@ def _gate_ends(truth: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[n
         end[i, j, high - 1 : high + 3] = True
         middle[i, j, low + 3 : high - 2] = True
     return end, middle
-
-
-def _print_beams(folder: Path, overrides: tuple[str, ...]) -> None:
-    """Angle between the beams that were found without a trajectory and the true ones."""
-    output = f"output={_output(overrides)}"
-    prepared = prepare(folder / "workflow.yaml", [*overrides, output])
-    survey, context = prepared.ledger, prepared.context
-    for phase in itertools.takewhile(lambda p: p.kind != "scatter", PHASES):
-        for receipt in read_receipts(context.store, phase.kind):
-            survey.of(phase.kind).put(receipt)
-    scatter = next(phase for phase in PHASES if phase.kind == "scatter")
-    loaded = read_trajectory([folder / "trajectory.csv"], survey_crs=None, trajectory_crs=None)
-    angles = []
-    for task in scatter.tasks(survey):
-        table, _ = read_stretch(task.args, context, lines_of_sight.columns(task.args))
-        found = lines_of_sight.beams(table, context.store, task.args)
-        true = geometry.beams(table, loaded.trajectory)
-        angles.append(np.linalg.norm(np.cross(found.direction, true.direction), axis=1))
-    angle = 1000.0 * np.concatenate(angles)
-    channels = "without" if "survey.channel_dimension=null" in overrides else "with"
-    print(
-        f"no trajectory, {folder.name}, {channels} channels: beams are off by "
-        f"{np.median(angle):.4f} mrad (median), {np.quantile(angle, 0.99):.4f} mrad (99 %)"
-    )
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Ground points and rasters of an array, by the ground cells of a run."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -197,7 +198,8 @@ def rasterize(
     table = table.with_columns(ground=is_ground.astype(np.uint8))
     size = quanta(workflow.products.cell_m)
     edge = quanta(workflow.ground.cell_m)
-    if size == 0 or edge % size:
+    exact = math.isclose(size * QUANTUM_M, workflow.products.cell_m)
+    if size == 0 or edge % size or not exact:
         raise InputError(
             "cell_m",
             f"{workflow.products.cell_m:g} m; {edge * QUANTUM_M:g} m, the edge of ground.cell_m, "

@@ -61,6 +61,9 @@ SPEED_M_S: Final = 150.0
 ABOVE_M: Final = (2500.0, 2500.0)
 """Height above the points, and its spread [m]."""
 
+FOOT_M: Final = 0.3048
+"""Length of a foot [m]."""
+
 ROUNDS: Final = 15
 """Rounds of re-weighting [count]."""
 
@@ -144,6 +147,34 @@ def _best(
     starts = run_starts(interval[order])
     rank = np.arange(len(order)) - np.repeat(starts[:-1], np.diff(starts))
     return np.sort(order[rank < PER_INTERVAL])
+
+
+def other_unit(lines: Lines, sensor_m: NDArray[np.float64]) -> tuple[float, float] | None:
+    """Height of a sensor above its returns [m], and that at which lines of sight meet below it.
+
+    Parameters
+    ----------
+    lines : Lines
+        Some lines of sight.
+    sensor_m : (n, 3) float64
+        Where a trajectory has the sensor at their times [m]; NaN where it has not.
+
+    Returns
+    -------
+    (float, float) or None
+        None where they agree better than metres with feet, or too few lines agree.
+    """
+    aside = np.sum((sensor_m[:, :2] - lines.across) * lines.slope, axis=1)
+    square = np.sum(lines.slope**2, axis=1)
+    seen = (aside > 0.0) & (square > 0.0) & np.isfinite(sensor_m).all(axis=1)
+    if np.count_nonzero(seen) < max(LINES_MIN, len(seen) / 2):
+        return None
+    met = aside[seen] / square[seen]
+    stated = (sensor_m[:, 2] - lines.height)[seen]
+    low, high = np.quantile(stated / met, (0.25, 0.75))
+    if high > np.sqrt(FOOT_M) and low < 1.0 / np.sqrt(FOOT_M):
+        return None
+    return float(np.median(stated)), float(np.median(met))
 
 
 def merge(parts: Sequence[dict[str, NDArray[Any]]]) -> Lines:

@@ -5,7 +5,7 @@ place where they meet, and only then can the stretches be observed.
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from spl_batch.formats.gps_clock import leap_seconds
 from spl_batch.formats.trajectory.positions import read_slice, write_trajectory
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import BeamTable, PointTable, Trajectory
+
+SIGHT_RETURNS: Final = 262_144
+"""Returns of a stretch whose lines of sight are compared with the trajectory [count]."""
 
 
 def columns(args: Mapping[str, Any]) -> tuple[str, ...]:
@@ -89,6 +92,17 @@ def collect(table: PointTable, args: Mapping[str, Any], context: Context) -> Pro
     return Produced([path], {"uncovered": 0}, len(table))
 
 
+def _other_unit(
+    table: PointTable, known: BeamTable, args: Mapping[str, Any], context: Context
+) -> tuple[float, float] | None:
+    """Heights of the sensor by the trajectory and by lines of sight, where units differ [m]."""
+    some = table.take(slice(0, SIGHT_RETURNS))
+    interval = context.workflow.noise.interval_shots
+    lines = sensor_path.Lines(**sensor_path.collect(some, args["beamlets"], interval))
+    row = np.searchsorted(some["gps_time"], lines.time_s)
+    return sensor_path.other_unit(lines, known.origin_m[row])
+
+
 def _leap(table: PointTable, store: Store) -> int | None:
     """Whole leap seconds that, added to the trajectory's times, bring the sensor above its returns.
 
@@ -127,6 +141,8 @@ def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) 
     unknown_part = len(unknown) / len(table)
     if args["trajectory"] and (unknown_part > 0.5 or (ahead is not None and not ahead.is_above)):
         facts["leap_s"] = _leap(table, context.store)
+    if args["trajectory"]:
+        facts["other_unit"] = _other_unit(table, known, args, context)
     sensor, noise = context.workflow.sensor, context.workflow.noise
     observed = line_noise.observe(table, known, noise)
     if args["trajectory"] or args["sensor_path"]:

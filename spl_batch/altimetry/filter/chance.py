@@ -48,6 +48,9 @@ _BATCH: Final = 65_536
 LIKE_NOISE: Final = 1e-6
 """Photons that noise alone would give as often as this are no sure signal [probability]."""
 
+LEAST_PHOTONS: Final = 10
+"""Photons that are worth a warning, and that are a floor [count]."""
+
 _LEAST_LIKE_SIGNAL: Final = 0.9
 """Part of the noise expected, of the lowest scores, whose photons are counted."""
 

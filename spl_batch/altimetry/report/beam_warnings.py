@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from spl_batch.altimetry.filter.chance import SHARE_QUANTA
+from spl_batch.altimetry.filter.chance import LEAST_PHOTONS, SHARE_QUANTA
 from spl_batch.altimetry.ground.lost_floor import LostFloor
 from spl_batch.altimetry.water.level_water import UNDER_SHARE
 from spl_batch.altimetry.water.odd_layers import Layer
@@ -14,9 +14,7 @@ UNSEEN_SHARE: Final = 0.1
 """Share of a track without any noise seen that a reader has to know of."""
 
 _FAR_TIMES: Final = 2.0
-SAID_LEAST: Final = 10
-"""Far photons among the signal, over those allowed and as such, that are no chance; fewer of any
-kind are not worth a warning."""
+"""Far photons among the signal, over those allowed, that are no chance."""
 
 _MIST_SHARE: Final = 0.03
 _OVER_SHARE: Final = 0.02
@@ -84,7 +82,7 @@ def _second_surface(chosen: Mapping[str, Any], kept: int, limit: float) -> Itera
     far = chosen["far_signal"]
     # What noise alone could have given is told of by itself.
     sure = kept - chosen["doubtful"]["photons"]
-    if far > _FAR_TIMES * limit * max(kept, 1) and far >= SAID_LEAST and 2.0 * sure > kept:
+    if far > _FAR_TIMES * limit * max(kept, 1) and far >= LEAST_PHOTONS and 2.0 * sure > kept:
         yield (
             f"{grouped(far)} of the {grouped(kept)} signal photons lie farther than "
             "rate.buffer_m from the surface, more than signal.false_share allows of noise; a "
@@ -103,7 +101,7 @@ def _stretch(at: Mapping[str, float]) -> str:
 
 def _cloud(fog: Mapping[str, float]) -> Iterator[str]:
     """A cloud in the gate, and what that means for its photons and those below it."""
-    if fog and fog["photons"] >= SAID_LEAST:
+    if fog and fog["photons"] >= LEAST_PHOTONS:
         yield (
             f"a layer that floats as a cloud does fills {_stretch(fog)}, most of it at heights of "
             f"{fog['low_m']:.0f} to {fog['high_m']:.0f} m: its "
@@ -133,7 +131,7 @@ def _dark_water(at: Mapping[str, float]) -> Iterator[str]:
 
 def _mist(mist: Mapping[str, float], signal: int, kept: int) -> Iterator[str]:
     """What may be fog or a low cloud, and what that means for ground and canopy."""
-    if mist and signal >= max(SAID_LEAST, _MIST_SHARE * kept):
+    if mist and signal >= max(LEAST_PHOTONS, _MIST_SHARE * kept):
         yield (
             f"{grouped(signal)} of the {grouped(kept)} signal photons lie in a layer as even as "
             f"fog or a low cloud is, on {mist['length_m'] / 1000:g} km of track between "
@@ -152,7 +150,7 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
             f"from noise, which comes in clumps ({grouped(at['noise'])} noise photons are expected "
             "among them)"
         )
-    elif at["photons"] >= SAID_LEAST:
+    elif at["photons"] >= LEAST_PHOTONS:
         yield (
             f"{grouped(at['photons'])} of the {grouped(kept)} signal photons, on "
             f"{at['length_m'] / 1000:g} km of track between {at['from_m'] / 1000:g} and "
@@ -161,7 +159,7 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
             "canopy are not to be relied on there"
         )
     photons, noise = chosen["doubtful_floor"]
-    if min(photons, floor) >= SAID_LEAST:
+    if min(photons, floor) >= LEAST_PHOTONS:
         expected = noise / SHARE_QUANTA
         among = f"{grouped(expected)} noise photons are expected among the {grouped(photons)} taken"
         if photons >= _FEW_TIMES * expected:
@@ -179,7 +177,7 @@ def _like_noise(chosen: Mapping[str, Any], kept: int, floor: int) -> Iterator[st
 def _doubt(profile: Mapping[str, Any]) -> Iterator[str]:
     """Ground that may lie in the crowns of closed woods."""
     at, cells = profile["doubt"], profile["ground_cells"]
-    if at["cells"] >= max(SAID_LEAST, _DOUBT_SHARE * cells):
+    if at["cells"] >= max(LEAST_PHOTONS, _DOUBT_SHARE * cells):
         yield (
             f"{grouped(at['cells'])} of {grouped(cells)} ground heights, between "
             f"{at['from_m'] / 1000:g} and {at['to_m'] / 1000:g} km, have photons well below them, "
@@ -192,7 +190,7 @@ def _doubt(profile: Mapping[str, Any]) -> Iterator[str]:
 def floor_said(floor: LostFloor) -> Iterator[str]:
     """Water whose floor is seen close by and not there."""
     every = floor.lost + floor.found
-    if floor.lost >= max(SAID_LEAST, _LOST_SHARE * every):
+    if floor.lost >= max(LEAST_PHOTONS, _LOST_SHARE * every):
         yield (
             f"between {floor.from_m / 1000:g} and {floor.to_m / 1000:g} km the floor is lost in "
             f"{grouped(floor.lost)} of {grouped(every)} profile cells of water that show it or lie "
@@ -210,14 +208,14 @@ def _odd_layers(delivered: Mapping[str, Any]) -> Iterator[str]:
         f"{one.to_m / 1000:g} km"
         for name, one in layers.items()
     }
-    if layers["over"].photons >= max(SAID_LEAST, _OVER_SHARE * surface):
+    if layers["over"].photons >= max(LEAST_PHOTONS, _OVER_SHARE * surface):
         yield (
             f"{where['over']} lie more than 1 m above a water surface: a cloud, land or a second "
             "surface is among the signal, and heights of ground and canopy are not to be relied "
             "on there"
         )
     under = layers["under"]
-    if under.photons >= max(SAID_LEAST, UNDER_SHARE * surface):
+    if under.photons >= max(LEAST_PHOTONS, UNDER_SHARE * surface):
         yield (
             f"between {under.from_m / 1000:g} and {under.to_m / 1000:g} km, "
             f"{grouped(under.photons)} signal photons more lie {under.depth_m:g} to 1 m below the "
@@ -225,7 +223,7 @@ def _odd_layers(delivered: Mapping[str, Any]) -> Iterator[str]:
             "called surface there, and the surface may lie too low"
         )
     echo = layers["echo"]
-    if echo.photons >= max(SAID_LEAST, _ECHO_SHARE * delivered["floor"]):
+    if echo.photons >= max(LEAST_PHOTONS, _ECHO_SHARE * delivered["floor"]):
         yield (
             f"{where['echo']} lie {echo.depth_m:g} m below the water surface nearly all along it: "
             "an echo of the detector, or a flat floor; floor at that depth is not to be relied on"

@@ -40,20 +40,59 @@ class BeamPictures:
     differences: NDArray[np.float64] | None
 
 
+@dataclass(frozen=True, slots=True)
+class TrackAxis:
+    """Distance along the track without gaps that are longer than all of its data."""
+
+    gap: NDArray[np.float64]  #: (g,): where gaps begin that are left out [m].
+    left_out: NDArray[np.float64]  #: (g + 1,): length left out before each piece [m].
+
+    @classmethod
+    def of(cls, at: NDArray[np.float64]) -> "TrackAxis":
+        """Axis of cells by their middles [m], in order."""
+        step = np.diff(at)
+        cell = float(np.median(step)) if len(step) else 0.0
+        long = np.flatnonzero(step > cell * len(at))
+        return cls(at[long] + cell, np.cumsum(np.r_[0.0, step[long] - 2.0 * cell]))
+
+    def km(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Places of distances [m] on the axis [km]."""
+        shown: NDArray[np.float64] = at - self.left_out[np.searchsorted(self.gap, at)]
+        return shown / 1000
+
+    def line(self, at: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
+        """Points of a line that is drawn across no gap."""
+        stop = np.searchsorted(at, self.gap)
+        return np.insert(self.km(at), stop, np.nan), np.insert(values, stop, np.nan)
+
+    def mark(self, axes: Any) -> None:
+        """Draw a dotted line for each gap, and label ticks by their distances."""
+        if not len(self.gap):
+            return
+        ends = (self.gap - self.left_out[:-1]) / 1000
+        for end in ends:
+            axes.axvline(end, color=style.MUTED, linewidth=0.8, linestyle=":")
+        left_out = self.left_out / 1000
+        axes.xaxis.set_major_formatter(
+            lambda km, _: f"{km + left_out[np.searchsorted(ends, km)]:.2f}"
+        )
+
+
 def draw(beam: BeamPictures) -> dict[str, Picture]:
-    """Pictures of a beam, by what they show."""
+    """Pictures of a beam, by what they show; without the gaps that are longer than its data."""
+    axis = TrackAxis.of(beam.rate[:, 0])
     drawn = {
         "profile": _picture(
             f"Profile of {beam.name}",
             "Dots are photons, lines what is drawn through them.",
-            lambda: _profile(beam),
+            lambda: _profile(beam, axis),
             there=len(beam.photons) > 0,
         ),
         "rate": _picture(
             f"Noise along {beam.name}",
             "Noise photons per metre of track and metre of height; the along-track axis is "
             "scaled by it before neighbours are counted.",
-            lambda: _rate(beam),
+            lambda: _rate(beam, axis),
             there=len(beam.rate) > 0,
         ),
     }
@@ -62,7 +101,7 @@ def draw(beam: BeamPictures) -> dict[str, Picture]:
         drawn["differences"] = _picture(
             f"Ground of {beam.name} minus reference",
             "Blue ours, red mDBSCAN's, where both were run; beyond the axis at its edge.",
-            lambda: _differences(beam),
+            lambda: _differences(beam, axis),
             there=bool(found),
         )
     return drawn
@@ -86,7 +125,7 @@ def _axes(xlabel: str, ylabel: str, height_in: float) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def _profile(beam: BeamPictures) -> Figure:
+def _profile(beam: BeamPictures, axis: TrackAxis) -> Figure:
     figure, axes = _axes("distance along track [km]", "height [m]", 4.2)
     x, z, label, water = beam.photons.T
     for mine, colour, size, name in (
@@ -97,24 +136,27 @@ def _profile(beam: BeamPictures) -> Figure:
     ):
         if mine.any():
             axes.scatter(
-                x[mine] / 1000, z[mine], s=size, c=colour, linewidths=0, rasterized=True, label=name
-            )
+                axis.km(x[mine]), z[mine], s=size, c=colour, linewidths=0, rasterized=True,
+                label=name,
+            )  # fmt: skip
     at, *lines = beam.profile.T
     for line, (colour, name) in zip(lines, _LINES, strict=True):
         if np.isfinite(line).any():
-            axes.plot(at / 1000, line, color=colour, linewidth=0.8, label=f"{name} line")
+            axes.plot(*axis.line(at, line), color=colour, linewidth=0.8, label=f"{name} line")
+    axis.mark(axes)
     axes.legend(loc="upper right", markerscale=6)
     return figure
 
 
-def _rate(beam: BeamPictures) -> Figure:
+def _rate(beam: BeamPictures, axis: TrackAxis) -> Figure:
     figure, axes = _axes("distance along track [km]", "noise [photons/m\N{SUPERSCRIPT TWO}]", 2.0)
-    axes.plot(beam.rate[:, 0] / 1000, beam.rate[:, 1], color=style.NOISE, linewidth=0.8)
+    axes.plot(*axis.line(*beam.rate.T), color=style.NOISE, linewidth=0.8)
+    axis.mark(axes)
     axes.set_ylim(bottom=0)
     return figure
 
 
-def _differences(beam: BeamPictures) -> Figure:
+def _differences(beam: BeamPictures, axis: TrackAxis) -> Figure:
     figure, axes = _axes("distance along track [km]", "ground minus reference [m]", 2.4)
     if beam.differences is None:
         return figure
@@ -122,7 +164,8 @@ def _differences(beam: BeamPictures) -> Figure:
     known = np.abs(ours[np.isfinite(ours)])
     limit = max(float(np.percentile(known, 99)) * 2.0, 1.0)
     for values, colour in ((theirs, style.NOISE), (ours, style.SIGNAL)):
-        axes.plot(at / 1000, np.clip(values, -limit, limit), ".", color=colour, markersize=2.5)
+        axes.plot(axis.km(at), np.clip(values, -limit, limit), ".", color=colour, markersize=2.5)
     axes.axhline(0.0, color=style.MUTED, linewidth=0.6)
+    axis.mark(axes)
     axes.set_ylim(-limit * 1.05, limit * 1.05)
     return figure

@@ -180,6 +180,9 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
                 around = passed, part[:, 0, i].sum(axis=1)
                 if zone == 0 and _like_noise(*around, workflow.signal.neighbours):
                     doubtful[:, first + i] = own[[0, 2]]
+    if workflow.signal.method == "bayes" and taken[1, 0] < chance.LEAST_PHOTONS:
+        # A handful of photons below a surface is no floor.
+        least[:, 1], taken[1] = signals.SCORE_BINS, 0.0
     path = place(context, "selection", beam, ".npz")
     arrays = {"window": window, "label": least[0], "ground": least[1], "far": far_too}
     write_arrays(path, arrays)

@@ -102,8 +102,8 @@ def test_terrain_of_a_cloud_that_nobody_filtered() -> None:
     assert repr(made).startswith("Rasters(dtm, dsm, chm, density: 20 x 20 cells of 2 m from west 0")
 
 
-@pytest.mark.parametrize("cell_m", [0.001, 1e-4, 0.3])
-def test_cells_that_are_too_small_are_refused(cell_m: float) -> None:
+@pytest.mark.parametrize("cell_m", [0.001, 1e-4, 0.3, 1.0004])
+def test_cells_that_are_too_small_or_no_part_of_the_grid_are_refused(cell_m: float) -> None:
     with pytest.raises(InputError, match="cell_m"):
         spl_batch.rasterize(CLOUD, ground=np.ones(len(CLOUD), np.bool_), cell_m=cell_m)
 

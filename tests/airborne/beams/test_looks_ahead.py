@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pyproj import CRS, Transformer
 
 from spl_batch.airborne.beams.geometry import look_ahead
 from spl_batch.airborne.plan.inputs import findings
@@ -83,6 +84,40 @@ def test_leap_seconds_are_told_as_such(
 )
 def test_leap_seconds(time_s: float, leap_s: int) -> None:
     assert leap_seconds(time_s) == leap_s
+
+
+@pytest.mark.parametrize(
+    ("crs", "height_unit_m", "seem"),
+    [
+        (None, 0.3048, "feet"),
+        ("EPSG:2278", 1.0, "metres"),
+        ("EPSG:2278", 0.3048, None),
+        ("EPSG:2278+5703", 1.0, None),
+        ("EPSG:32615+6360", 0.3048, None),
+    ],
+)
+def test_heights_of_a_trajectory_in_another_unit_are_named(
+    tmp_path: Path, crs: str | None, height_unit_m: float, seem: str | None
+) -> None:
+    line = surveys.flightline(shots=1500)
+    surveys.write_cloud(tmp_path / "lines" / "line.laz", line)
+    surveys.write_trajectory(tmp_path / "trajectory.csv")
+    time, x, y, z = np.loadtxt(tmp_path / "trajectory.csv", delimiter=",", skiprows=1).T
+    given = CRS.from_user_input(crs or surveys.CRS_NAME)
+    flat = given.sub_crs_list[0] if given.is_compound else given
+    to_given = Transformer.from_crs(surveys.CRS_NAME, flat, always_xy=True)
+    rows = np.column_stack([time, *to_given.transform(x, y), z / height_unit_m])
+    np.savetxt(
+        tmp_path / "trajectory.csv", rows, "%.6f", delimiter=",", header="gps_time,x,y,z",
+        comments="",
+    )  # fmt: skip
+    events: list[Event] = []
+    workflow = surveys.write_workflow(tmp_path, survey={"trajectory_crs": crs})
+    surveys.run(workflow, until="shots", listener=events.append)
+    texts = [e.text for e in events if isinstance(e, Note)]
+    texts = [text for text in texts if text.startswith("trajectory.csv: puts the sensor")]
+    assert len(texts) == (seem is not None)
+    assert all(f"seem to be in {seem}." in text for text in texts)
 
 
 @pytest.mark.parametrize("shift_m", [0.0, 15.0, -15.0])

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.numerics.searches import spacings
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import count_inside
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
 from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, enough_peers, peer_distances
 from spl_batch.numerics.neighbours.kdtree import build
 from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
+from tests.numerics.searches import spacings
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.integers(1, 8))

@@ -2,13 +2,15 @@
 
 from pathlib import Path
 
+import laspy
+import numpy as np
 import pytest
 from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, gather_inputs
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import vertical
+from spl_batch.formats.crs import horizontal, vertical
 from tests import surveys
 
 UTM, NAVD88, EGM96 = "EPSG:32615", "EPSG:32615+5703", "EPSG:32615+5773"
@@ -61,3 +63,43 @@ def test_files_of_another_datum_are_bad_and_those_of_none_are_told(tmp_path: Pat
 def test_a_named_datum_contradicts_no_file(tmp_path: Path) -> None:
     with pytest.raises(WorkflowError, match="vertical_crs: the files say 'NAVD88 height'"):
         gathered(tmp_path, [NAVD88], vertical_crs="EPSG:5773")
+
+
+LOCAL, FOOT, US_FOOT = (1024, 32767), 9002, 9003
+
+
+@pytest.mark.parametrize(
+    ("keys", "survey", "wanted"),
+    [
+        ([LOCAL], UTM, (32615, None)),
+        ([LOCAL, (3076, 9001)], NAVD88, (32615, 5703)),
+        ([LOCAL, (4096, 5703)], UTM, (32615, 5703)),
+        ([LOCAL, (4096, 5703), (4099, 9001)], UTM, (32615, 5703)),
+        ([(1024, 3)], UTM, (32615, None)),
+        ([LOCAL, (3076, FOOT)], UTM, None),
+        ([LOCAL, (4096, 6360)], UTM, None),
+        ([LOCAL, (4099, US_FOOT)], UTM, None),
+        ([LOCAL, (4096, 5703)], NAVD88.replace("5703", "5773"), None),
+    ],
+)
+def test_survey_crs_stands_for_a_record_that_names_none_unless_that_is_in_feet(
+    tmp_path: Path,
+    keys: list[tuple[int, int]],
+    survey: str,
+    wanted: tuple[int, int | None] | None,
+) -> None:
+    path = surveys.write_cloud(tmp_path / "0.las", surveys.flightline(shots=5), crs=None)
+    cloud = laspy.read(path)
+    entries = [1, 1, 0, len(keys), *(v for key, value in keys for v in (key, 0, 1, value))]
+    record = np.array(entries, "<u2").tobytes()
+    cloud.header.vlrs.append(laspy.VLR("LASF_Projection", 34735, "", record))
+    cloud.header.global_encoding.wkt = False
+    cloud.write(path)
+    inputs = gathered(tmp_path, [], flightlines="*.las", crs=survey)
+    if wanted is None:
+        assert not inputs.sources
+        assert len(inputs.bad) == 1
+    else:
+        assert horizontal(inputs.crs).to_epsg() == wanted[0]
+        assert code(inputs.crs) == wanted[1]
+        assert [text for text in inputs.warnings if "survey.crs" in text]

@@ -136,6 +136,17 @@ def _check_channels(survey: Survey) -> None:
     )
 
 
+def refuse_empty_area(survey: Survey) -> None:
+    """Stop where no point lies in the area of interest: all would be delivered as outside."""
+    tiles = survey.of("build_tile").values()
+    outside = sum(receipt.facts["outside_aoi"] for receipt in tiles)
+    if outside and outside == sum(receipt.facts["points"] for receipt in tiles):
+        raise WorkflowError(
+            f"aoi: none of {grouped(outside)} points lies in {survey.workflow.aoi}, which meets "
+            "the box around them; correct its polygons or leave the key out"
+        )
+
+
 def copies(survey: Survey) -> Iterator[str]:
     """Say which files hold returns twice, and which ones hold returns that others hold too."""
     counts: Counter[tuple[str, str]] = Counter()
@@ -222,6 +233,28 @@ def looks_ahead(survey: Survey) -> Iterator[str]:
                 f"{late}, and noise and reflectance are computed along wrong beams; correct its "
                 "times. If the files hold only a part of each scan, ignore this"
             )
+
+
+def heights_in_other_unit(survey: Survey) -> Iterator[str]:
+    """Name the trajectory whose heights are feet for metres, or metres for feet."""
+    heights: dict[str, list[tuple[float, float] | None]] = {}
+    for name, receipt in survey.of("gather").items():
+        line = name.split("/", maxsplit=1)[0]
+        if "other_unit" in receipt.facts:
+            heights.setdefault(line, []).append(receipt.facts["other_unit"])
+    wrong = {line: list(filter(None, some)) for line, some in heights.items()}
+    lines = [line for line, some in wrong.items() if 2 * len(some) > len(heights[line])]
+    if not lines:
+        return
+    stated_m, met_m = np.median([both for line in lines for both in wrong[line]], axis=0).tolist()
+    (trajectory,) = survey.of("trajectory").values()
+    unit, code = ("feet", "EPSG:...+6360") if stated_m > met_m else ("metres", "EPSG:...+5703")
+    yield (
+        f"{trajectory.facts['name']}: puts the sensor {grouped(stated_m)} m above its returns in "
+        f"{named(lines)}, whose lines of sight meet {grouped(met_m)} m above them: its heights "
+        f"seem to be in {unit}. In this run noise and reflectance are computed along wrong beams; "
+        f"name its CRS with that of its heights, survey.trajectory_crs: {code}, and run again"
+    )
 
 
 def merged_shots(survey: Survey) -> Iterator[str]:

@@ -108,14 +108,17 @@ def without_heights(crs: CRS | None, files: Iterable[tuple[str, LasFacts]]) -> l
 
 
 def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
-    """Header without its CRS where that is geocentric over projected coordinates.
+    """Header with the user's CRS, if there is one, for a local or a geocentric one.
 
-    Such a record is a mistake of the writer's; the user's word, if there is one, stands.
+    A geocentric record over projected coordinates is a mistake of the writer's, and a local one
+    names no place; one in feet still says so.
     """
     if given is None or facts.crs is None:
         return facts
     local = horizontal(facts.crs).is_engineering
     if not local and not facts.crs.is_geocentric:
+        return facts
+    if local and _crs_problems(facts, facts.crs):
         return facts
     kind = "local" if local else "geocentric"
     text = f"its CRS record is {kind}; survey.crs {given.name!r} is taken instead"

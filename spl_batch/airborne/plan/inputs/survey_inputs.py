@@ -180,7 +180,8 @@ def _check_shapes(
             shapes = np.array(
                 [getattr(one, "area", one) if key == "breaklines" else one for one in found]
             )
-            if len(survey) and not shapely.intersects(shapes[:, None], survey).any():
+            met = shapely.STRtree(survey).query(shapes, "intersects")
+            if len(survey) and not met.size:
                 text = (
                     f"{key}: {base / name}: none of its polygons meets the survey: they lie within "
                 )

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.airborne.filter.null_table import smoothed_between_steps
 from spl_batch.airborne.filter.wires import wire_null
 from spl_batch.airborne.filter.wires.wire_null import DENSITIES, WireNull, fitted, spent
 from spl_batch.airborne.settings import FilterSettings, WireSettings
@@ -72,14 +71,6 @@ def test_smoothing_keeps_what_is_even() -> None:
     np.testing.assert_allclose(wire_null.smoothed(np.full(5, 0.3)), 0.3)
     np.testing.assert_allclose(wire_null.smoothed(np.array([0, 0, 9, 0, 0.0])), [1, 2, 3, 2, 1])
     np.testing.assert_allclose(wire_null.smoothed(np.array([9, 0, 0, 0, 0.0])), [6, 3, 1, 0, 0])
-
-
-def test_smoothing_between_steps_leaves_the_steps() -> None:
-    share = np.array([1, 1.2, 1.4, 1.5, 0.3, 0.36, 0, 0.5, 0.9])
-    found = smoothed_between_steps(share)
-    np.testing.assert_allclose(
-        found, [1.2, 1.275, 1.275, 4.1 / 3, 0.33, 1.16 / 3, 0, 0.43 + 0.47 / 3, 0.7], atol=0.01
-    )
 
 
 def test_the_shipped_table_has_the_steps_of_whole_counts() -> None:

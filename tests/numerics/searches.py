@@ -1,7 +1,6 @@
 """Neighbours and spacings of every point of a table, which filters ask for leaf by leaf.
 
-The kernels that find them are the filters' own; tests compare them with all pairs, and
-``benchmarks/airborne/filter/denoise.py`` times them alone.
+The kernels that find them are the filters' own; tests compare them with all pairs.
 """
 
 from collections.abc import Callable

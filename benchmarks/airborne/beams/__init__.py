@@ -1,1 +1,0 @@
-"""Measurements of beam geometry and light."""

@@ -1,1 +1,0 @@
-"""Classes of delivered points, against producers and simulated truth."""
