@@ -5,7 +5,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from spl_batch.airborne.lines.strip_report import StripPair
 
 from spl_batch.airborne.report.good_enough import (
     _swaths,
@@ -13,6 +12,7 @@ from spl_batch.airborne.report.good_enough import (
     checkpoint_warnings,
 )
 from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
+from spl_batch.airborne.report.strip_pairs import StripPair
 from spl_batch.airborne.settings.requirements import RequirementSettings
 
 
