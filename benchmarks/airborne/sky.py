@@ -21,15 +21,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pyarrow.parquet as pq
-
 from benchmarks.airborne.other_version import OUT, run_by
 from benchmarks.airborne.sky_figures import measure
 from benchmarks.airborne.told import kinds, new_warnings, telling, told_by
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
-from spl_batch.airborne.simulate.survey import KINDS as ALL_KINDS
 from spl_batch.engine.verbs.running import run
 
 BASE: dict[str, Any] = {
@@ -80,17 +76,6 @@ def small_patches(times: float) -> dict[str, Any]:
     """The same in patches half as large that drift faster."""
     (layer,) = haze(50 * times, 30, 50, 0.4)["sky"]["haze"]
     return {"sky": {"haze": [{**layer, "patch_m": 30, "drift_m_s": [4, -2]}]}}
-
-
-def reflectors(count: float, electrons: float = 5) -> dict[str, Any]:
-    """Retro-reflectors here and there, some on poles; photo-electrons that each channel gets."""
-    rng = np.random.default_rng(5)
-    places = rng.uniform(10, 100, (max(round(count), 1), 2))
-    return {"reflectors": [
-        {"place_m": list(map(float, place)), "height_m": float(1 + 1.5 * (k % 4)),
-         "electrons": electrons}
-        for k, place in enumerate(places)
-    ]}  # fmt: skip
 
 
 def tail(times: float) -> dict[str, Any]:
@@ -174,10 +159,6 @@ EFFECTS: dict[str, Any] = {
     "tapering cloud 46-70 m, 20 x": lambda t: tapering(20 * t),
     "fog, 1.5 m, 60 x": lambda t: {"sky": {"fog": [{"times_noise": 60 * t, "scale_m": 1.5}]}},
     "noise falls along the gate": lambda t: {"sky": {"gate_fall": 0.4 * t}},
-    "12 reflectors": lambda t: reflectors(12 * t),
-    "12 reflectors, 1 electron": lambda t: reflectors(12, t),
-    "60 reflectors, 3 electrons": lambda t: reflectors(60, 3 * t),
-    "crosstalk 5 %": lambda t: {"acquisition": {"crosstalk": 0.05 * t}},
     "afterpulses, tail of 40 %": tail,
     "afterpulses, two exponentials": two_exponentials,
     "ranging noise 15 cm": lambda t: {"detector": {"range_sigma_m": 0.15 * t}},
@@ -223,9 +204,8 @@ SAYS: dict[str, tuple[str, ...]] = {
     "haze 60-100 m, 5 x": _AIR, "haze 60-100 m, 20 x": _AIR, "haze 25-45 m, 30 x": _AIR,
     "closed cloud 70-110 m, 20 x": _AIR, "tapering cloud 46-70 m, 20 x": _AIR,
     "fog, 1.5 m, 60 x": ("fog", "mist"),
-    "noise falls along the gate": ("noise by height",), "12 reflectors": ("bloom",),
-    "12 reflectors, 1 electron": ("bloom",), "60 reflectors, 3 electrons": ("bloom",),
-    "crosstalk 5 %": ("crosstalk",), "afterpulses, tail of 40 %": ("late afterpulses",),
+    "noise falls along the gate": ("noise by height",),
+    "afterpulses, tail of 40 %": ("late afterpulses",),
     "afterpulses, two exponentials": ("late afterpulses",), "ranging noise 15 cm": ("ranges",),
     "strips 0.3 m east, 0.2 m up": ("flightlines",), "the same strips, aligned": ("flightlines",),
     "lake, 0.2 % reflected": ("gaps", "unsure"),
@@ -287,14 +267,12 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=list(EFFECTS), default=list(EFFECTS))
     parser.add_argument("--times", nargs="+", type=float, default=[1.0])
     parser.add_argument("--without", action="store_true", help="noise.haze: false")
-    parser.add_argument("--bloom", action="store_true", help="noise.bloom: true")
     parser.add_argument("--say", action="store_true", help="print the warnings")
     parser.add_argument("--fit", action="store_true", help="print p-values and what floats")
     parser.add_argument("--before", type=Path, metavar="CHECKOUT", help="another version")
     given = parser.parse_args()
     folder = given.folder or Path(tempfile.mkdtemp())
     settings = ["noise.haze=false"] if given.without else []
-    settings += ["noise.bloom=true"] if given.bloom else []
     rows = [
         (name, times)
         for name in dict.fromkeys(("base", *given.only))
@@ -321,10 +299,6 @@ def main() -> None:
             _print(name, title, figures, said, usual[out], say=given.say)
         if given.fit:
             print(f"    {fit(survey)}")
-        if name.startswith("crosstalk"):
-            print(f"    {stray(survey, 'crosstalk')}")
-        elif "reflectors" in name:
-            print(f"    {stray(survey, 'bloom')}")
 
 
 def simulated(folder: Path, name: str, times: float) -> Path:
@@ -354,17 +328,6 @@ def _print(
     print(f"{title:34s}{row} {words}{listed}", flush=True)
     for text in new if say else []:
         print(f"    {text}")
-
-
-def stray(survey: Path, of: str) -> str:
-    """Returns of crosstalk or bloom: in truth, and in the report [count]."""
-    noise = json.loads((survey / "out" / "report.json").read_text())["noise"]
-    true = 0
-    for path in sorted((survey / "out" / "laz").rglob("*.laz")):
-        kind = pq.read_table(survey / "truth" / f"{path.stem}.parquet")["kind"].to_numpy()
-        true += int(np.count_nonzero(kind == ALL_KINDS.index(of)))
-    reckoned = noise.get(f"{of}_expected")
-    return f"{true} are {of}, {noise[of]} counted" + (f", {reckoned} reckoned" if reckoned else "")
 
 
 def fit(survey: Path) -> str:

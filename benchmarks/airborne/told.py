@@ -21,8 +21,6 @@ KINDS: Final[Mapping[str, str]] = MappingProxyType({
     "kept noise": "clusters that its model does not know",
     "p-values": "have a p-value up to",
     "floats": "the DSM may rest on it",
-    "bloom": "Bright points such as retro-reflectors",
-    "crosstalk": "at the same range: crosstalk",
     "late afterpulses": "m behind the return that",
     "uneven afterpulses": "less often than the law of the flightline says",
     "ranges": "returns of hard surfaces spread by",

@@ -1,7 +1,7 @@
 """Weak and ordinary wires: what each filter keeps, against point truth.
 
 ``python -m benchmarks.airborne.filter.wires [--folder FOLDER] [--seeds 1 2 3] [--scenes weak
-ordinary] [--methods published tail ours] [--classes]`` simulates the scenes of
+ordinary] [--methods published ours] [--classes]`` simulates the scenes of
 :mod:`benchmarks.airborne.published.twins` for
 each seed (into FOLDER, where what is there is used again), runs each filter and prints percentages:
 wire returns kept, of each line and of all; background returns kept, all of them and those farther
@@ -193,7 +193,7 @@ def _row(method: Method, which: str, tallies: Sequence[Tally]) -> None:
 def parse() -> argparse.Namespace:
     """Arguments of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    known = [name for name in ("published", "tail", "ours") if name in methods.known_methods()]
+    known = [name for name in ("published", "ours") if name in methods.known_methods()]
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--scenes", nargs="+", choices=CLASSED, help="all by default")

@@ -5,9 +5,6 @@ hypothesis of [W18] Eq. 6-8 expects one, and pairs of pairs pass the test. So a 
 afterpulse with a probability of :data:`DEPENDENT_MIN` or more does not count as a neighbour, and
 shares the label of the return in front of it in its beamlet.
 
-Returns that crosstalk may have set off (:mod:`~spl_batch.airborne.beams.crosstalk`) are no evidence
-either, and share the label of the one beside them.
-
 Deviation: the sources count every return.
 """
 
@@ -28,9 +25,6 @@ DEPENDENT_MIN: Final = 0.3
 
 LAG_M: Final = 5.0
 """Farthest parent [m]; [W17] 7.2 finds afterpulses within 2-3 m of it."""
-
-BESIDE_M: Final = 2.0
-"""Largest difference in height to a return of the same range two beamlets off [m]."""
 
 
 def dependents(table: PointTable) -> NDArray[np.bool_]:
@@ -84,43 +78,3 @@ def follow(
     inherit(order, same, table["z"], dependent, quanta(LAG_M), out, NOISE_NOT_ASSESSED)
     out[dependent & (out == NOISE_BACKGROUND)] = NOISE_AFTERPULSE
     return out
-
-
-def follow_beside(
-    table: PointTable,
-    set_off: NDArray[np.bool_],
-    asked: NDArray[np.bool_],
-    label: NDArray[np.uint8],
-) -> None:
-    """Give returns that others have set off the label of the nearest in height of their shot.
-
-    Parameters
-    ----------
-    table : PointTable
-        Points with ``gps_time, z``, what is beside those asked among them.
-    set_off : (n,) bool
-        Returns whose own label does not count.
-    asked : (n,) bool
-        Those of them that are wanted are among these.
-    label : (n,) uint8
-        ``noise_class``, changed in place; kept where nothing of the shot is near and assessed.
-    """
-    wanted = set_off & asked
-    if not wanted.any():
-        return
-    keys = (table["gps_time"] + 0.0).view(np.uint64)
-    kin = np.flatnonzero(may_share(keys, np.zeros(len(keys), np.uint8), wanted))
-    kin = kin[wanted[kin] | (~set_off[kin] & (label[kin] != NOISE_NOT_ASSESSED))]
-    order = np.lexsort((table["z"][kin], table["gps_time"][kin]))
-    row = kin[order]
-    time, z, given = table["gps_time"][row], table["z"][row].astype(np.int64), ~wanted[row]
-    place = np.arange(len(row))
-    before = np.maximum.accumulate(np.where(given, place, -1))
-    after = np.minimum.accumulate(np.where(given, place, len(row))[::-1])[::-1]
-    best, nearest = np.full(len(row), -1), np.full(len(row), quanta(BESIDE_M) + 1)
-    for found in (before, np.where(after < len(row), after, -1)):
-        gap = np.abs(z - z[found])
-        better = (found >= 0) & (time == time[found]) & (gap < nearest)
-        best, nearest = np.where(better, found, best), np.where(better, gap, nearest)
-    takes = ~given & (best >= 0)
-    label[row[takes]] = label[row[best[takes]]]

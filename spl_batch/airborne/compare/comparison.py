@@ -60,7 +60,7 @@ AFTERPULSES: Final = tuple(
 
 
 def _keys(name: str, settings: Workflow) -> tuple[str, ...] | None:
-    """Keys of the workflow that make a run one of a method, such as ``voxel`` or ``vsaes:tail``."""
+    """Keys of the workflow that make a run one of a method, such as ``vsaes:published``."""
     del settings
     if name == PUBLISHED:
         return (*PUBLISHED_FILTER, *PUBLISHED_NOISE)
@@ -86,11 +86,9 @@ def _share(source: Store, target: Store, settings: Workflow, method: str) -> set
     elif method != PUBLISHED:
         stages.add("shots")
         # The points of a tile carry the verdict of single shots, which one method alone asks for.
-        # Bloom is marked for all but an unfiltered survey.
-        marked = settings.noise.bloom and "none" in (settings.filter.method, method)
         asked = settings.filter.method if method in AFTERPULSES else method
         other = method in AFTERPULSES and not method.endswith(f":{settings.afterpulse.method}")
-        if (settings.filter.method == "dcc") == (asked == "dcc") and not (marked or other):
+        if (settings.filter.method == "dcc") == (asked == "dcc") and not other:
             stages.add("shuffle")
     points = remembered_stretch(source)
     if "shots" in stages and points is not None:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_decision
-from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow, follow_beside
+from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow
 from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
 from spl_batch.airborne.filter.published import aes, cylinder, dcc, multilevel, voxel
@@ -206,17 +206,11 @@ def judge(
         p_value[rows] = verdict.p_value
         noise_class[echo] = NOISE_AFTERPULSE
         noise_class[dependent & ~table.has(EXCLUDED | PointFlag.NO_BEAM)] = NOISE_SIGNAL
-        set_off = dependent & table.has(PointFlag.SET_OFF)
-        follow_beside(table, set_off, query, noise_class)
-        behind = dependent & ~set_off
-        if behind.any():
-            kin = np.flatnonzero(families(table, behind & query) & ~excluded)
+        if dependent.any():
+            kin = np.flatnonzero(families(table, dependent & query) & ~excluded)
             family = table.select(("gps_time", "channel", "z")).take(kin)
-            noise_class[kin] = follow(family, behind[kin], noise_class[kin])
-            # What stands beside a follower has its label now.
-            follow_beside(table, set_off, query, noise_class)
+            noise_class[kin] = follow(family, dependent[kin], noise_class[kin])
         noise_class[table.has(UNFILTERED) & ~echo] = NOISE_NOT_ASSESSED
-        noise_class[table.has(PointFlag.BLOOM) & ~table.has(_GIVEN)] = NOISE_BACKGROUND
     noise_class[echo] = NOISE_AFTERPULSE
     outside = table.has(PointFlag.OUTSIDE_AOI)
     noise_class[outside] = NOISE_NOT_ASSESSED
@@ -280,8 +274,7 @@ def resolve(
         return afterpulse_decision.believed(table)
     found = afterpulse_decision.resolve(table, density, afterpulse)
     if _independent(settings):
-        set_off = table.has(PointFlag.SET_OFF) & ~found.echo & ~table.has(EXCLUDED)
-        return found._replace(dependent=found.dependent | set_off)
+        return found
     return afterpulse_decision.Echoes(found.echo, np.zeros(len(table), np.bool_))
 
 

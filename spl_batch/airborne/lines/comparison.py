@@ -71,7 +71,7 @@ def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
         "line_returns": seen.returns,
         "overlaps": np.array(sorted(overlaps), np.int64).reshape(-1, 2),
     }
-    path = context.store.path("lines", f"{args['cell']}.npz")
+    path = context.store.path("overlaps", f"{args['cell']}.npz")
     write_arrays(path, {**found, **of_lines})
     return Produced([path], {"patches": len(found["rise"]), "left_out": seen.left_out})
 
@@ -88,7 +88,7 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     cells = [_read_cell(name, context) for name in args["cells"]]
     pairs = pair_table((cell.names, cell.patches) for cell in cells)
     facts: dict[str, Any] = {}
-    outputs = [context.store.path("lines", "map.npz")]
+    outputs = [context.store.path("overlaps", "map.npz")]
     if context.workflow.survey.align == "vertical":
         psid = {name: int(name) for cell in cells for name in cell.names if name.isdigit()}
         psid |= {one.name: one.psid for one in flown}
@@ -117,7 +117,7 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
 
 def _read_cell(name: str, context: Context) -> _Cell:
     """What :func:`strip_patches` has left of a ground cell."""
-    arrays = read_arrays(context.store.path("lines", f"{name}.npz"))
+    arrays = read_arrays(context.store.path("overlaps", f"{name}.npz"))
     names, returns, overlaps = (
         arrays.pop(key).tolist() for key in ("names", "line_returns", "overlaps")
     )
@@ -150,7 +150,7 @@ def difference_map(context: Context) -> tuple[NDArray[np.float32], tuple[float, 
     DamagedError
         If the file is damaged: who writes a report has it made again.
     """
-    arrays = read_arrays(context.store.path("lines", "map.npz"))
+    arrays = read_arrays(context.store.path("overlaps", "map.npz"))
     if not arrays["values"].size:
         return None
     return arrays["values"], tuple(map(float, arrays["extent_m"]))

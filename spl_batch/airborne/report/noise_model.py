@@ -73,28 +73,12 @@ class Noise(Part):
     kept_by_chance: Number = Field(
         None,
         description="Background returns that the test is expected to have kept away from surfaces, "
-        "by alpha; by test tail at most; null where the filter fixes no share [count].",
+        "by alpha; null where the filter fixes no share [count].",
     )
     kept_within_signal: Number = Field(
         None,
         description="Background returns expected in the cubes of 1.2 m that hold kept returns, "
         "where nothing tells them apart: kept as well, and not in kept_by_chance [count].",
-    )
-    bloom: Count = Field(
-        0,
-        description="Returns that look as if a bright point had lit the whole array; in background "
-        "where noise.bloom is true [count].",
-    )
-    crosstalk: Count = Field(
-        0,
-        description="Returns of flightlines with crosstalk that one beside them may have set off: "
-        "no evidence of their own, with the label of that one. Those beside surfaces are not among "
-        "them [count].",
-    )
-    crosstalk_expected: Count = Field(
-        0,
-        description="Returns that others have set off, by the chance of it that flightlines show "
-        "far from surfaces [count].",
     )
     fit: NoiseFit | None = Field(None, description="Null where nothing was filtered.")
     haze: Haze | None = Field(None, description="Haze or cloud that was found; null without.")

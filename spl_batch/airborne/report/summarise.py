@@ -24,7 +24,6 @@ from spl_batch.airborne.report.coverage import (
 from spl_batch.airborne.report.fit.clouds import haze
 from spl_batch.airborne.report.fit.noise_fit import noise_fit
 from spl_batch.airborne.report.fit.noise_warnings import noise_warnings
-from spl_batch.airborne.report.fit.sky import bloom, crosstalk, crosstalk_expected
 from spl_batch.airborne.report.good_enough import (
     checkpoint_report,
     checkpoint_warnings,
@@ -242,9 +241,6 @@ def _noise(done: Receipts, context: Context, removed: int) -> Noise:
         p95_per_m3=high,
         kept_by_chance=_kept_by_chance(settings, removed),
         kept_within_signal=_kept_within_signal(done, settings),
-        bloom=bloom(done)[1],
-        crosstalk=crosstalk(done),
-        crosstalk_expected=crosstalk_expected(done),
         fit=noise_fit(done),
         haze=haze(done, context),
         dsm_support=context.workflow.products.dsm_support,

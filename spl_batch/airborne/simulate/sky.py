@@ -1,4 +1,4 @@
-"""Air and stray light of a scene as numbers for the kernels."""
+"""Air of a scene as numbers for the kernels."""
 
 import math
 
@@ -6,9 +6,7 @@ import numpy as np
 from scipy.stats import norm
 
 from spl_batch.airborne.simulate.haze import WAVES, Air
-from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays, bilinear
 from spl_batch.airborne.simulate.scene.scene_file import Scene
-from spl_batch.airborne.simulate.stray_light import StrayLight
 
 
 def make_air(scene: Scene, noise_per_m: float) -> Air:
@@ -32,25 +30,3 @@ def make_air(scene: Scene, noise_per_m: float) -> Air:
         )
     fog = np.array([(f.times_noise * noise_per_m, f.scale_m) for f in sky.fog])
     return Air(layers, waves, fog.reshape(-1, 2), sky.gate_fall)
-
-
-def make_stray_light(scene: Scene, arrays: SceneArrays) -> StrayLight:
-    """Reflectors and crosstalk of a scene.
-
-    ``arrays``: its ground is what reflectors stand on.
-    """
-    sensor = scene.instrument
-    reflectors = [
-        (
-            *r.place_m,
-            bilinear(arrays.ground_z, arrays.grid, *r.place_m)[0] + r.height_m,
-            r.electrons,
-        )
-        for r in scene.reflectors
-    ]
-    return StrayLight(
-        np.array(reflectors, dtype=np.float64).reshape(-1, 4),
-        sensor.array_columns * sensor.beamlet_pitch_urad * 1e-6 / 2,
-        scene.acquisition.crosstalk,
-        sensor.array_columns,
-    )

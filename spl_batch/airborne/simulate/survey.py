@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.simulate.beamlet_room import empty_beamlets, event_room, layer_room
+from spl_batch.airborne.simulate.beamlet_room import empty_beamlet, event_room, layer_room
 from spl_batch.airborne.simulate.brightness import (
     Noise,
     make_optics,
@@ -43,8 +43,7 @@ from spl_batch.airborne.simulate.shots import (
     fire,
     first_rows,
 )
-from spl_batch.airborne.simulate.sky import make_air, make_stray_light
-from spl_batch.airborne.simulate.stray_light import StrayLight
+from spl_batch.airborne.simulate.sky import make_air
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.numerics.attitude import rotations
 
@@ -64,8 +63,6 @@ KINDS = (
     "afterpulse",
     "other",
     "bottom",
-    "bloom",
-    "crosstalk",
 )
 """Names of the values of the truth column ``kind``."""
 
@@ -97,7 +94,6 @@ class _Rig:
     receiver: Receiver
     noise: Noise
     air: Air
-    stray: StrayLight
     grid: NoiseGrid
 
 
@@ -146,7 +142,6 @@ def simulate(
         receiver,
         noise,
         make_air(scene, float(noise.at(np.ones(1))[0])),
-        make_stray_light(scene, layout.arrays),
         _noise_grid(scene),
     )
     shots = max(sum(len(p.shot) for chunk_list in pieces for p in chunk_list), 1)
@@ -207,13 +202,10 @@ def _fly(
     brightest = gain * rig.optics.signal_m2 / max(nearest, 1.0) ** 2
     # tuned wires may send back more than falls on them
     brightest *= max(1.0, float(rig.arrays.wire[:, 9].max(initial=0.0)))
-    brightest += gain * float(rig.stray.reflectors[:, 3].sum())
     noise = gate * gain * (float(peak[0]) * (1 + abs(rig.air.gate_fall)) + _thickest(rig.air))
-    # what the channels beside set off comes on top
-    brightest, noise = (mean * (1 + 4 * rig.stray.crosstalk) for mean in (brightest, noise))
     room = event_room(noise, brightest, layer_room(rig.arrays))
     channels = len(rig.optics.gain)
-    beamlets = empty_beamlets(rig.arrays, channels, room, len(rig.stray.reflectors))
+    beamlet = empty_beamlet(rig.arrays, room)
     buffers = _buffers(max(BUFFER_POINTS, 2 * room * channels))
     for piece in pieces:
         centre = centres[int(piece.index * CHUNK_S / GATE_S)]
@@ -228,10 +220,9 @@ def _fly(
                 rig.optics,
                 rig.receiver,
                 rig.air,
-                rig.stray,
                 shots,
                 first,
-                beamlets,
+                beamlet,
                 rig.grid,
                 buffers,
             )

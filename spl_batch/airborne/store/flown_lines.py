@@ -24,7 +24,7 @@ NEEDED: Final = ("point_source_id", "gps_time")
 MARGIN_S: Final = 1.0
 """A return so much before or after those of a flightline is still its own [s]."""
 
-SHIFTS: Final = ("lines", "shifts.npz")
+SHIFTS: Final = ("overlaps", "shifts.npz")
 """File of the store with what a run adds."""
 
 KEY: Final = (b"spl-batch", 1)

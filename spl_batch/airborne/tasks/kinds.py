@@ -28,10 +28,10 @@ _INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
 
 
 _OBSERVED: Final = (
-    *(f"noise.{key}" for key in NoiseSettings.model_fields if key not in ("haze", "bloom")),
+    *(f"noise.{key}" for key in NoiseSettings.model_fields if key != "haze"),
     *("acquisition", "survey.sensor"),
 )
-"""Haze is looked for in the space domain; bloom is an argument of the one kind that marks it."""
+"""Haze is looked for in the space domain."""
 
 
 _TIME: Final = (

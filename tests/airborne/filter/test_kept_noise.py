@@ -77,7 +77,6 @@ def test_what_passes_by_chance_goes_with_what_is_removed() -> None:
     [
         ({"test": "calibrated", "alpha": 0.001, "kept_by_chance": 40.0, "kept_within_signal": 60.0},
          ("about 40 background returns, 0.10 %", "about 60 more", "10.0 % of the signal")),
-        ({"test": "tail", "alpha": 0.001, "kept_by_chance": 40.0}, ("at most 40 background",)),
         ({"test": "published", "kept_within_signal": 60.0}, ("one point in ten", "at least 60")),
         ({"method": "voxel", "kept_within_signal": 60.0}, ("by this filter", "at least 60")),
     ],

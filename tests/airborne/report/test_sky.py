@@ -14,7 +14,7 @@ from spl_batch.airborne.report.fit.fog import fog_warning, thin_haze_warning
 from spl_batch.airborne.report.fit.layers import misfit_warning
 from spl_batch.airborne.report.fit.light import strong_light_warning
 from spl_batch.airborne.report.fit.noise_fit import float_warning, noise_fit, uniform_warning
-from spl_batch.airborne.report.fit.sky import bloom_warning, drowned_warning, kept_warning
+from spl_batch.airborne.report.fit.sky import drowned_warning, kept_warning
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.formats.rasters.parts import read_overview
 
@@ -250,21 +250,6 @@ def test_thin_haze_is_told_with_its_place_and_not_beside_fog():
     (text,) = thin_haze_warning({"surface": cells})
     assert "1 thin layer above the ground, 1 200 m2 in all" in text
     assert not list(thin_haze_warning({"surface": {"a": receipt(thin_haze=[])}}))
-
-
-def test_bloom_is_counted_in_one_sentence():
-    parts = {
-        "a": receipt(bloom=[2, 180, 10_000, 20_000, 30_000, 40_000]),
-        "b": receipt(),
-        "c": receipt(bloom=[1, 95, 5_000, 60_000, 8_000, 70_000]),
-    }
-    for removed, fate in ((True, "are noise"), (False, "stay signal")):
-        (text,) = bloom_warning({"scatter": parts}, removed=removed)
-        assert text.startswith(
-            "3 shots in 2 places, the largest within x 10 to 30 and y 20 to 40: "
-        )
-        assert f"275 returns at that range {fate}" in text
-        assert list(bloom_warning({"scatter": {"b": receipt()}}, removed=removed)) == []
 
 
 def test_dense_noise_that_leaves_no_surface_is_told_with_place_and_area():

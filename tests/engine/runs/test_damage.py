@@ -320,7 +320,7 @@ def test_a_raster_of_the_store_that_was_written_to_is_made_again(survey: Path) -
     [
         ("store/noise.tif", True),
         ("store/accuracy/*.npz", True),
-        ("store/lines/map.npz", True),
+        ("store/overlaps/map.npz", True),
         ("store/receipts/mosaic/dtm.json", True),
         ("store/run.json", False),
         ("dtm.tif", True),

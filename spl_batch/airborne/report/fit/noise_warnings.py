@@ -9,7 +9,7 @@ from spl_batch.airborne.report.fit.fog import fog_warning, thin_haze_warning
 from spl_batch.airborne.report.fit.layers import misfit_warning
 from spl_batch.airborne.report.fit.light import strong_light_warning
 from spl_batch.airborne.report.fit.noise_fit import float_warning, uniform_warning
-from spl_batch.airborne.report.fit.sky import bloom_warning, drowned_warning, kept_warning
+from spl_batch.airborne.report.fit.sky import drowned_warning, kept_warning
 from spl_batch.airborne.report.fit.steady import steady_warnings
 from spl_batch.airborne.report.noise_model import Haze
 from spl_batch.engine.report.run_record import Receipts
@@ -21,8 +21,6 @@ def noise_warnings(done: Receipts, context: Context, haze: Haze | None) -> Itera
     ``haze``: that of :func:`~spl_batch.airborne.report.fit.clouds.haze`.
     """
     workflow = context.workflow
-    removed = workflow.noise.bloom and workflow.filter.method != "none"
-    yield from bloom_warning(done, removed=removed)
     yield from haze_warning(haze)
     yield from fog_warning(done)
     yield from thin_haze_warning(done)

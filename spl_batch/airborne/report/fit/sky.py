@@ -1,4 +1,4 @@
-"""Bright points that light the whole array, crosstalk, noise that is dense, and noise kept."""
+"""Noise that is dense, and noise kept."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -10,7 +10,7 @@ from spl_batch.airborne.report.fit.places import largest
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
-from spl_batch.errors import counted, grouped
+from spl_batch.errors import grouped
 
 DROWNED_M2: Final = 500.0
 """Area from which dense noise is told [m2]."""
@@ -22,49 +22,6 @@ KEPT_TOLD: Final = 5.0
 KEPT_LEAST: Final = 100
 """Times ``filter.alpha`` of the noise below all surfaces that is kept, from which on that is told,
 and the returns that it takes [1, count]."""
-
-
-def bloom(done: Receipts) -> tuple[int, int]:
-    """Shots that one bright point lit wholly, and their returns at its range [count]."""
-    found = _bloom(done)
-    return sum(one[0] for one in found), sum(one[1] for one in found)
-
-
-def _bloom(done: Receipts) -> list[list[int]]:
-    """Shots, returns, and west, south, east and north of these [quanta], by stretch."""
-    return [r.facts["bloom"] for r in done.get("scatter", {}).values() if "bloom" in r.facts]
-
-
-def crosstalk(done: Receipts) -> int:
-    """Returns that one beside them in their shot may have set off [count]."""
-    return sum(r.facts.get("crosstalk", 0) for r in done.get("scatter", {}).values())
-
-
-def crosstalk_expected(done: Receipts) -> int:
-    """How many returns others have set off, by the chance of it that flightlines show [count]."""
-    facts = [r.facts for r in done.get("fit_line", {}).values()]
-    found = [float(some["points"]) * float(some.get("crosstalk", 0.0)) for some in facts]
-    return round(sum(found))
-
-
-def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
-    """Sentence on shots in which a bright point lit the whole array."""
-    shots, returns = bloom(done)
-    if not shots:
-        return
-    fate = (
-        "are noise, class 18 or 7"
-        if removed
-        else "stay signal and may raise the DSM: set noise.bloom: true to make them noise"
-    )
-    lit = [one for one in _bloom(done) if one[0]]
-    place = largest([one[2:] for one in lit], [one[1] for one in lit])
-    yield as_ascii(
-        f"{counted(shots, 'shots')} {place}: many channels "
-        "have a return at one and the same range, and others behind it. Bright points such as "
-        "retro-reflectors light the whole array so, or a small surface "
-        f"that lets light pass; the {grouped(returns)} returns at that range {fate}"
-    )
 
 
 def drowned_warning(done: Receipts) -> Iterator[str]:
