@@ -62,15 +62,6 @@ class Flightline(Part):
     noise_per_m: Number = Field(None, description="Mean noise returns per metre of beamlet [1/m].")
 
 
-class Piece(Part):
-    """One of several parts of a survey that lie far apart."""
-
-    extent_m: tuple[Number, Number, Number, Number] = Field(
-        description="West, east, south, north of what was found there [m]."
-    )
-    rasters: tuple[str, ...] = Field(description="Rasters that hold it, beside the report.")
-
-
 class Survey(Part):
     """What was processed."""
 
@@ -87,9 +78,6 @@ class Survey(Part):
         None, description="West, east, south, north [m]."
     )
     cell_m: Number = Field(None, description="Edge of a raster cell [m].")
-    pieces: tuple[Piece, ...] = Field(
-        (), description="Parts that lie far apart, the largest first; none where it is one."
-    )
     flightlines: tuple[Flightline, ...] = ()
 
 
