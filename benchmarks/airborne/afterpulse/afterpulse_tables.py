@@ -139,7 +139,7 @@ def _line(
     beams = geometry.beams(table, trajectory)
     observed = line_noise.observe(table, beams, workflow.noise)
     model = line_noise.fit(line_noise.merge([observed]), workflow.noise, sensor)
-    lags = candidates.observe(table, beams, sensor, workflow.noise.interval_shots)
+    lags = candidates.observe(table, beams, sensor)
     law = afterpulse_law.fit([lags], model.mean_rate, sensor)
     chance = candidates.probability(
         table, beams, workflow.afterpulse, sensor, gate_m=model.gate_m, law=law

@@ -308,7 +308,7 @@ def estimate_prf(steps: NDArray[np.int64]) -> float | None:
     Returns
     -------
     float or None
-        PRF [Hz]; None where no step is common enough, or half the commonest is there too: then
+        PRF [Hz]; None where no step is common enough, or half or twice the commonest is there as well: then
         times are rounded to most of a period, and the rate has to be stated.
     """
     total = int(steps.sum())
@@ -326,7 +326,8 @@ def estimate_prf(steps: NDArray[np.int64]) -> float | None:
     mode = int(np.argmax(window / np.sqrt(high - low)))
     if window[mode] < max(5.0, 0.05 * total):
         return None
-    if window[min(mode // 2, len(window) - 1)] > 0.05 * window[mode]:
+    halves, doubles = (steps[round(0.95 * k * mode) : round(1.05 * k * mode)] for k in (0.5, 2))
+    if halves.sum() > 0.05 * window[mode] or doubles.sum() > window[mode]:
         return None
     near = slice(math.ceil(mode / LONGER), math.floor(mode * LONGER) + 1)
     period = float(np.dot(steps[near], centre[near]) / steps[near].sum())

@@ -39,7 +39,7 @@ def flat(x: np.ndarray, _: np.ndarray) -> np.ndarray:
 def observed(number: int = 400, **keys: float) -> dict[str, np.ndarray]:
     table, trajectory, _ = shots(flat, number=number, **keys)  # type: ignore[arg-type]
     table = table.with_columns(shot=np.rint(table["gps_time"] / 2e-5).astype(np.int64))
-    return candidates.observe(table, geometry.beams(table, trajectory), SENSOR, 60)
+    return candidates.observe(table, geometry.beams(table, trajectory), SENSOR)
 
 
 def counted(
@@ -80,7 +80,7 @@ def test_without_hard_surfaces_the_sensor_is_believed() -> None:
     heights = iter(rng.uniform(0, 12, 100_000))
     table, trajectory, _ = shots(lambda x, _: np.full(len(x), 30 + next(heights)), number=40)
     table = table.with_columns(shot=np.rint(table["gps_time"] / 2e-5).astype(np.int64))
-    part = candidates.observe(table, geometry.beams(table, trajectory), SENSOR, 60)
+    part = candidates.observe(table, geometry.beams(table, trajectory), SENSOR)
     assert part["afterpulse_entries"].sum() == 0
     law, stated = afterpulse_law.fit([part], 1e-3, SENSOR), sensor_law(SENSOR)
     assert law.probability == pytest.approx(SENSOR.afterpulse_probability, rel=1e-3)
