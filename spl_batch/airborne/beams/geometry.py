@@ -308,8 +308,8 @@ def estimate_prf(steps: NDArray[np.int64]) -> float | None:
     Returns
     -------
     float or None
-        PRF [Hz]; None where no step is common enough, or half or twice the commonest is there as well: then
-        times are rounded to most of a period, and the rate has to be stated.
+        PRF [Hz]; None where no step is common enough, or half or twice the commonest is there as
+        well: then times are rounded to most of a period, and the rate has to be stated.
     """
     total = int(steps.sum())
     if total < 10:
