@@ -21,7 +21,7 @@ class Home:
 
     #: Model of its workflow file, a :class:`~spl_batch.engine.settings.base.BaseWorkflow`.
     workflow: str
-    kinds: str  #: What its tasks do: a mapping of :class:`~spl_batch.engine.tasks.runner.Kind`.
+    steps: str  #: What its tasks do: a table of :class:`~spl_batch.engine.tasks.step.Step`.
     receiver: str  #: What the verbs need: a :class:`~spl_batch.engine.verbs.receiver.Receiver`.
     report: str
     #: Makes synthetic data: a function of a scene file, an output folder and, by name, of
@@ -44,7 +44,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
     {
         IMAGING: Home(
             "spl_batch.airborne.settings.workflow:Workflow",
-            "spl_batch.airborne.tasks.kinds:KINDS",
+            "spl_batch.airborne.steps:STEPS",
             "spl_batch.airborne.receiver:RECEIVER",
             "spl_batch.airborne.report.model:Report",
             "spl_batch.airborne.simulate:simulate_file",
@@ -55,7 +55,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
         ),
         "altimetry": Home(
             "spl_batch.altimetry.settings:TrackWorkflow",
-            "spl_batch.altimetry.tasks.kinds:KINDS",
+            "spl_batch.altimetry.steps:STEPS",
             "spl_batch.altimetry.receiver:RECEIVER",
             "spl_batch.altimetry.report.model:TrackReport",
             "spl_batch.altimetry.simulate:simulate_file",
@@ -68,7 +68,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
         ),
         "coincidence": Home(
             "spl_batch.geiger.coincidence.settings:CoincidenceWorkflow",
-            "spl_batch.geiger.coincidence.tasks.points:KINDS",
+            "spl_batch.geiger.coincidence.steps:STEPS",
             "spl_batch.geiger.coincidence.receiver:RECEIVER",
             "spl_batch.geiger.coincidence.report.model:CoincidenceReport",
             "spl_batch.geiger.coincidence.simulate:simulate_file",
@@ -77,7 +77,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
         ),
         "water_surface": Home(
             "spl_batch.geiger.water.settings:WaterWorkflow",
-            "spl_batch.geiger.water.tasks.kinds:KINDS",
+            "spl_batch.geiger.water.steps:STEPS",
             "spl_batch.geiger.water.receiver:RECEIVER",
             "spl_batch.geiger.water.report.model:WaterReport",
             "spl_batch.geiger.water.simulate:simulate_file",
@@ -94,9 +94,9 @@ def workflow_model(kind: str) -> Any:
     return _part(kind, HOMES[kind].workflow)
 
 
-def task_kinds(kind: str) -> Any:
-    """What a receiver's tasks do, by kind of task."""
-    return _part(kind, HOMES[kind].kinds)
+def steps(kind: str) -> Any:
+    """What a receiver's tasks do, by name of the step, in order."""
+    return _part(kind, HOMES[kind].steps)
 
 
 def receiver(kind: str) -> Any:

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from spl_batch.airborne import steps
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.tasks import kinds
 from spl_batch.engine.tasks.context import Produced
 
 VARIABLE = "SPL_BATCH_TEST_FAULTS"
@@ -31,9 +31,9 @@ PIECE_BYTES = 32 << 20
 def dask_setup(_worker: object) -> None:
     """Put the faults around every kind of task."""
     plan = Path(os.environ[VARIABLE])
-    kinds.KINDS = {  # type: ignore[misc]
-        kind: dataclasses.replace(entry, function=_faulty(kind, entry.loaded(), plan))
-        for kind, entry in kinds.KINDS.items()
+    steps.STEPS = {  # type: ignore[misc]
+        name: dataclasses.replace(step, run=_faulty(name, step.loaded(), plan))
+        for name, step in steps.STEPS.items()
     }
 
 

@@ -11,7 +11,7 @@ from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
 from spl_batch.airborne.simulate import load_scene
 from spl_batch.airborne.simulate.scene import scene_file
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
-from spl_batch.airborne.tasks.kinds import STAGES
+from spl_batch.airborne.steps import STAGES
 from spl_batch.engine.settings.workflow_file import parse_any
 from tests.workflow_files import differing, unshown
 

@@ -24,9 +24,9 @@ from distributed import Client, LocalCluster, as_completed
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
-from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.settings.workflow import parse_workflow
+from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.formats.las.reader import LasFacts
@@ -155,9 +155,9 @@ def client(tiles: int, memory_bytes: int) -> None:
     )
     with tempfile.TemporaryDirectory() as folder:
         context = Context(survey.workflow, Path(folder), Path(folder), "", "code")
-        for phase in (p for p in PHASES if p.kind in SPACE):
+        for step in map(STEPS.__getitem__, SPACE):
             start = time.process_time()
-            work = Worklist(phase, survey, context)
+            work = Worklist(step, survey, context)
             for _ in work.look():
                 pass
             largest = 0
@@ -165,11 +165,11 @@ def client(tiles: int, memory_bytes: int) -> None:
                 if k % MEASURED == 0:
                     largest = max(largest, len(pickle.dumps(replace(task, needs=()))))
                 work.ended(_done(task, side))
-            survey.of(phase.kind).sort()
+            survey.of(step.name).sort()
             spent = time.process_time() - start
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             print(
-                f"{phase.kind:14s}{work.left:10,d}{1e6 * spent / max(work.left, 1):12.0f}"
+                f"{step.name:14s}{work.left:10,d}{1e6 * spent / max(work.left, 1):12.0f}"
                 f"{spent:8.1f}{resident_mib():12.0f}{peak:8.0f}{largest / 1024:21.1f}",
                 flush=True,
             )

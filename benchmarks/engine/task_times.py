@@ -36,15 +36,15 @@ def round_of(workflow: Path, output: Path) -> tuple[dict[str, Cost], int]:
     survey, context = prepared.ledger, prepared.context
     context.store.local.mkdir(parents=True)
     cost: dict[str, Cost] = {}
-    for phase in prepared.receiver.phases:
-        prepared.receiver.before(phase, prepared)
+    for step in prepared.steps.values():
+        prepared.receiver.before(step, prepared)
         before = used()
-        for task in list(phase.tasks(survey)):
+        for task in list(step.planned(survey)):
             receipt = run_task(task, "", context)
             if receipt.failed:
                 sys.exit(f"{task.kind} {task.name}: {receipt.reason}")
             survey.of(task.kind).put(receipt)
-        cost[phase.kind] = tuple(b - a for a, b in zip(before, used(), strict=True))
+        cost[step.name] = tuple(b - a for a, b in zip(before, used(), strict=True))
     return cost, sum(source.facts.n_points for source in survey.inputs.sources)
 
 

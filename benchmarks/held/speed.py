@@ -11,7 +11,7 @@ from benchmarks.held import surveys
 from benchmarks.held.figures import Figure, figure
 from benchmarks.held.surveys import Given
 from benchmarks.numerics import compiling
-from spl_batch.engine.tasks.runner import kinds
+from spl_batch.receivers import steps
 
 ROUNDS: Final = 2
 """Rounds of tasks and of searches of which the least counts; kernels are compiled before."""
@@ -25,7 +25,7 @@ def stages(given: Given) -> Iterator[Figure]:
     survey = surveys.quickstart(given)
     cloud = max((survey / "flightlines").glob("*.laz"), key=lambda path: path.stat().st_size)
     xyz = peers.middle(cloud, peers.SEARCHED)
-    stage_of = {kind: of.stage for kind, of in kinds("imaging").items()}
+    stage_of = {kind: of.stage for kind, of in steps("imaging").items()}
     seconds: dict[str, float] = {}
     searches: dict[str, float] = {}
     with mock.patch.dict(os.environ, OMP_NUM_THREADS="1"):

@@ -1,8 +1,7 @@
 """Airborne single-photon lidar: the receiver that the project began with."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, virtual_cloud
@@ -31,10 +30,8 @@ from spl_batch.airborne.plan.inputs.findings import (
 from spl_batch.airborne.plan.inputs.first_look import first_look
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.plan.memory.cell_memory import strips_cost
-from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.plan.strip_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey
-from spl_batch.airborne.plan.task_memory import REMEDIES
 from spl_batch.airborne.precompile import compile_share
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, NAMES, PRODUCTS
 from spl_batch.airborne.report.model import Report
@@ -47,34 +44,13 @@ from spl_batch.engine.flow.executor import Work
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.store.working_store import Store, read_receipts
-from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
-from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.tasks.step import Step
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.formats.las.reader import promised_points
 from spl_batch.lattice.tiles import quanta
-
-_WORDS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "index_file": "file",
-        "build_tile": "tile",
-        "gather": "stretch",
-        "gather_range": "stretch",
-        "scatter": "stretch",
-        "fit_line": "flightline",
-        "denoise": "block",
-        "ground": "ground cell",
-        "surface": "ground cell",
-        "strip_patches": "ground cell",
-        "accuracy": "square of the reference",
-        "checkpoints": "file",
-    }
-)
-
-
-_CELL_KINDS: Final = frozenset({"ground", "surface", "strip_patches"})
-"""Kinds of task that work on a ground cell."""
 
 FEW_PIECES: Final = 2
 """Further pieces of a survey whose rasters the console names [count]."""
@@ -85,10 +61,6 @@ class Imaging(Receiver[Survey, Context]):
 
     workflow: ClassVar[type[BaseWorkflow]] = Workflow
     noun: ClassVar[str] = "airborne survey"
-    phases: ClassVar[Sequence[Phase]] = PHASES
-    words: ClassVar[Mapping[str, str]] = _WORDS
-    remedies: ClassVar[Mapping[str, str]] = REMEDIES
-    essential: ClassVar[frozenset[str]] = frozenset({"trajectory"})
     delivered: ClassVar[tuple[str, ...]] = (
         *("laz/**/*", "tiles/*", "copc/**/*", f"{stac.FOLDER}/*.json"),
         *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml"),
@@ -163,7 +135,7 @@ class Imaging(Receiver[Survey, Context]):
         survey = prepared.ledger
         return first_look(survey.inputs, survey.workflow, prepared.context.base)
 
-    def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
+    def before(self, step: Step, prepared: Prepared[Survey, Context]) -> None:
         """Settle the size of stretches and blocks; make room for the raster cells of ``surfaces``.
 
         What is remembered is read again: the run may have begun with emptying the store. It
@@ -172,13 +144,13 @@ class Imaging(Receiver[Survey, Context]):
         """
         survey, store = prepared.ledger, prepared.context.store
         workflow = survey.workflow
-        if phase.kind == PHASES[0].kind:
+        if step == next(iter(prepared.steps.values())):
             _recall(survey, store)
-        if phase.kind == "gather" and survey.filtering and survey.remembered_stretch is None:
+        if step.name == "gather" and survey.filtering and survey.remembered_stretch is None:
             remember_stretch(store, survey.stretch_points)
-        if phase.kind == "denoise" and survey.remembered is None:
+        if step.name == "denoise" and survey.remembered is None:
             _remember_blocks(survey, store)
-        if phase.kind == "surface":
+        if step.name == "surface":
             create_raster_store(
                 prepared.context.rasters,
                 NAMES,
@@ -187,66 +159,44 @@ class Imaging(Receiver[Survey, Context]):
             )
 
     def after(
-        self, phase: Phase, prepared: Prepared[Survey, Context], failed: Sequence[Receipt]
+        self, step: Step, prepared: Prepared[Survey, Context], failed: Sequence[Receipt]
     ) -> Iterable[Finding]:
-        """Warn of what a phase has brought to light, or stop."""
+        """Warn of what a step has brought to light, or stop."""
         survey, store = prepared.ledger, prepared.context.store
-        if phase.kind == "index_file":
+        if step.name == "index_file":
             yield from judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
-        if phase.kind == "denoise" and survey.has_other_blocks():
+        if step.name == "denoise" and survey.has_other_blocks():
             _remember_blocks(survey, store)
-        if phase.kind == "gather":
+        if step.name == "gather":
             if survey.has_other_stretches():
                 remember_stretch(store, survey.stretch_points)
             yield from merged_shots(survey)
             yield from looks_ahead(survey)
             yield from heights_in_other_unit(survey)
-        if phase.kind == "build_tile":
+        if step.name == "build_tile":
             refuse_empty_area(survey)
             yield from copies(survey)
-        if phase.kind in {"trajectory_file", "trajectory"} and not survey.of(phase.kind):
-            failures = [r.reason for r in failed if r.kind == phase.kind]
+        if step.name in {"trajectory_file", "trajectory"} and not survey.of(step.name):
+            failures = [r.reason for r in failed if r.kind == step.name]
             if failures:  # nothing tells where the sensor was
                 raise WorkflowError(f"survey.trajectory: {'; '.join(failures)}")
-        if phase.kind == "sensor_path" and survey.of("sensor_path"):
+        if step.name == "sensor_path" and survey.of("sensor_path"):
             yield beams_without_trajectory(survey)
-        yield from _swath_findings(phase, survey)
+        yield from _swath_findings(step, survey)
 
-    def targets(self, task: Task, workflow: Workflow) -> Sequence[str]:
-        """Names of the files, below the output, that a task delivers."""
-        if task.kind == "deliver_file":
-            files = [task.args, *filter(None, [task.args["waveforms"]])]
-            return [f"laz/{file['delivered']}" for file in files]
-        if task.kind == "deliver_tile":
-            copc = ".copc" if workflow.outputs.tiles == "copc" else ""
-            return [f"tiles/{task.name}{copc}.laz"]
-        if task.kind == "mosaic" and task.args["delivered"]:
-            return [f"{task.name}.tif"]
-        if "target" in task.args and task.kind.startswith("deliver_"):
-            return [task.args["target"]]
-        if task.kind == "deliver_catalogue":
-            return _catalogue_files(task)
-        return []
-
-    def aside(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Iterable[Finding]:
+    def aside(self, step: Step, prepared: Prepared[Survey, Context]) -> Iterable[Finding]:
         """How much of earlier runs is done again for want of memory."""
         survey = prepared.ledger
-        if phase.kind == "index_file":
+        if step.name == "index_file":
             return stretches_anew(survey)
-        if phase.kind == "strip_pairs" and survey.workflow.survey.align != "none":
+        if step.name == "strip_pairs" and survey.workflow.survey.align != "none":
             if bool(survey.of("index_file")) and is_one_flightline(survey):
                 texts = ["survey.align: there is one flightline, nothing is shifted"]
             else:
                 found = (shifts_of(r.facts) for r in survey.of("strip_pairs").values())
                 texts = [done_sentence(s) for s in found if not all(one.stays for one in s)]
             return [Finding("E01", {"kind": "memory", "what": text}) for text in texts]
-        return blocks_anew(survey, prepared.context) if phase.kind == "build_tile" else ()
-
-    def edge_m(self, kind: str, ledger: Survey) -> float:
-        """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
-        if kind in {"build_tile", "denoise", "deliver_tile"}:
-            return ledger.tile_q / QUANTA_PER_M
-        return ledger.cell_q / QUANTA_PER_M if kind in _CELL_KINDS else 0.0
+        return blocks_anew(survey, prepared.context) if step.name == "build_tile" else ()
 
     def reference(self, ledger: Survey) -> list[str]:
         """Files that the results are compared with."""
@@ -283,13 +233,6 @@ class Imaging(Receiver[Survey, Context]):
             ),
             ("clouds", [output / "laz"]),
         ]
-
-
-def _catalogue_files(task: Task) -> list[str]:
-    clouds = [cloud["href"] for cloud in task.args["clouds"]]
-    rasters = task.args["rasters"]
-    files = (virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME)
-    return [*stac.stac_files(clouds, rasters), *files, *map(qgis.style_name, rasters)]
 
 
 def _of_further_pieces(output: Path) -> list[Path]:
@@ -341,12 +284,12 @@ def _check_cells(workflow: Workflow, path: Path) -> None:
         raise WorkflowError(f"{path}: {'; '.join(faults)}")
 
 
-def _swath_findings(phase: Phase, survey: Survey) -> Iterator[Finding]:
+def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
     """What is found of flightlines where they overlap."""
-    if phase.kind == "strip_patches":
+    if step.name == "strip_patches":
         cells = survey.of("strip_patches").items()
         yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
-    if phase.kind == "ground":
+    if step.name == "ground":
         apart = sum(r.facts.get("apart", 0) for r in survey.of("ground").values())
         for receipt in survey.of("strip_pairs").values():
             align = survey.workflow.survey.align

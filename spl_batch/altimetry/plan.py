@@ -1,4 +1,4 @@
-"""Inputs, phases and cost of ``kind: altimetry``."""
+"""Inputs, steps and cost of ``kind: altimetry``."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from spl_batch.altimetry.filter.peer_filters import PEERS
 from spl_batch.altimetry.formats.atl08 import no_atl08
 from spl_batch.altimetry.formats.photons import BeamFacts, TrackFile, inspect
 from spl_batch.altimetry.settings import TrackWorkflow
+from spl_batch.altimetry.steps import STEPS
 from spl_batch.altimetry.tasks.context import Context
 from spl_batch.altimetry.tasks.delivery import PASS_PHOTONS
 from spl_batch.engine.findings import Finding
@@ -25,7 +26,7 @@ from spl_batch.engine.plan.input_files import (
 )
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.engine.tasks.input_changes import stamp
-from spl_batch.engine.tasks.ledger import Ledger, Phase
+from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Task
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.lattice.tiles import quanta
@@ -35,18 +36,13 @@ RATES_PHOTONS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
 )
 """Photons per second and worker until a store has measured its own; ``benchmarks/altimetry``."""
 
-BYTES_PER_PHOTON: Final = 400
-"""Memory of a segment's task by each of its photons, halo included [byte]."""
-
 PEER_BYTES_PER_PHOTON: Final = 2000
 """The same where a published filter holds a whole beam and each photon's neighbours [byte]."""
 
+_SCORE: Final = STEPS["score"]
+
 DISK_BYTES_PER_PHOTON: Final = 45
 """Working store and results [byte]."""
-
-REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
-    {"score": "lower work.segment_photons or signal.reach_m"}
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +171,8 @@ def _inspect(
     return good, bad, [Finding("P01", {"kind": "rate"}, name) for name in without]
 
 
-def _index(tracks: Tracks) -> Iterator[Task]:
+def index_file(tracks: Tracks) -> Iterator[Task]:
+    """Photon files, each to be looked through."""
     for source in tracks.inputs.sources:
         args = {
             "source": str(source.key),
@@ -186,7 +183,8 @@ def _index(tracks: Tracks) -> Iterator[Task]:
         yield Task("index_file", str(source.key), args, (), 0)
 
 
-def _take_in(tracks: Tracks) -> Iterator[Task]:
+def take_in(tracks: Tracks) -> Iterator[Task]:
+    """Beams, each to be read."""
     indexed = tracks.of("index_file")
     for source, beam, key in tracks.beams():
         if str(source.key) in indexed:
@@ -204,13 +202,15 @@ def _beam_args(source: Source, beam: BeamFacts, key: str) -> dict[str, Any]:
     }
 
 
-def _rate(tracks: Tracks) -> Iterator[Task]:
+def rate(tracks: Tracks) -> Iterator[Task]:
+    """Beams whose noise rate is found."""
     for name, receipt in tracks.of("take_in").items():
         args = {"key": name, "background": receipt.facts["background"]}
         yield Task("rate", name, args, (("take_in", name),), receipt.points)
 
 
-def _score(tracks: Tracks) -> Iterator[Task]:
+def score(tracks: Tracks) -> Iterator[Task]:
+    """Segments of track whose photons are scored."""
     for name, receipt in tracks.of("rate").items():
         for low, high, photons in receipt.facts["segments"]:
             args = {"key": name, "segment": f"{name}/{low}", "cells": [low, high]}
@@ -218,14 +218,16 @@ def _score(tracks: Tracks) -> Iterator[Task]:
             yield Task("score", f"{name}/{low}", args, needs, photons)
 
 
-def _select(tracks: Tracks) -> Iterator[Task]:
+def select(tracks: Tracks) -> Iterator[Task]:
+    """Beams whose signal is chosen."""
     for name, receipt in tracks.of("rate").items():
         segments = tracks.segments(name)
         needs = (("rate", name), *(("score", s) for s, _, _ in segments))
         yield Task("select", name, {"key": name, "segments": segments}, needs, receipt.points)
 
 
-def _profile(tracks: Tracks) -> Iterator[Task]:
+def profile(tracks: Tracks) -> Iterator[Task]:
+    """Beams of whose signal a profile is made."""
     layouts = {key: source.file.layout for source, _, key in tracks.beams()}
     for name, receipt in tracks.of("select").items():
         segments = tracks.segments(name)
@@ -243,7 +245,8 @@ def _profile(tracks: Tracks) -> Iterator[Task]:
         yield Task("profile", name, args, needs, receipt.points)
 
 
-def _compare(tracks: Tracks) -> Iterator[Task]:
+def compare(tracks: Tracks) -> Iterator[Task]:
+    """Beams that are compared with a reference, where there is one."""
     if tracks.workflow.reference is None:
         return
     stamps = [[str(path), *stamp(path)] for path in tracks.inputs.reference]
@@ -280,14 +283,16 @@ def _delivery_needs(args: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     return (("select", key), ("profile", key), *(("score", s) for s in args["segments"]))
 
 
-def _deliver_beam(tracks: Tracks) -> Iterator[Task]:
+def deliver_beam(tracks: Tracks) -> Iterator[Task]:
+    """Beams to be delivered."""
     for source, beam, key in tracks.beams():
         if key in tracks.of("profile"):
             args = _delivery(tracks, source, beam, key)
             yield Task("deliver_beam", key, args, _delivery_needs(args), args["points"])
 
 
-def _deliver_file(tracks: Tracks) -> Iterator[Task]:
+def deliver_file(tracks: Tracks) -> Iterator[Task]:
+    """Copies of HDF5 files with labels, where they are asked for."""
     if not tracks.workflow.outputs.hdf5:
         return
     for source in tracks.inputs.sources:
@@ -308,19 +313,6 @@ def _deliver_file(tracks: Tracks) -> Iterator[Task]:
         needs = tuple(need for beam in listed for need in _delivery_needs(beam))
         points = sum(beam["points"] for beam in listed)
         yield Task("deliver_file", str(source.key), args, needs, points)
-
-
-PHASES: Final = (
-    Phase("index_file", _index),
-    Phase("take_in", _take_in),
-    Phase("rate", _rate),
-    Phase("score", _score),
-    Phase("select", _select),
-    Phase("profile", _profile),
-    Phase("compare", _compare),
-    Phase("deliver_beam", _deliver_beam),
-    Phase("deliver_file", _deliver_file),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -344,7 +336,7 @@ def estimate(tracks: Tracks, context: Context | None = None) -> TrackCost:
     segments = sum(-(-n // workflow.work.segment_photons) for n in photons)
     longest = max(photons, default=0)
     if workflow.signal.method in PEERS:
-        held = longest * PEER_BYTES_PER_PHOTON // BYTES_PER_PHOTON
+        held = longest * PEER_BYTES_PER_PHOTON // _SCORE.bytes_per_point
     else:
         held = max(min(longest, workflow.work.segment_photons), PASS_PHOTONS // 10)
     rates, measured = measured_rates(RATES_PHOTONS_PER_S, context)
@@ -356,9 +348,9 @@ def estimate(tracks: Tracks, context: Context | None = None) -> TrackCost:
         tasks=2 * files + 6 * len(photons) + segments,
         disk_bytes=sum(photons) * DISK_BYTES_PER_PHOTON
         + sum(s.file.size_bytes for s in tracks.inputs.sources),
-        memory_bytes=WORKER_BASE_BYTES + held * BYTES_PER_PHOTON,
+        memory_bytes=WORKER_BASE_BYTES + held * _SCORE.bytes_per_point,
         heaviest="the longest segment of track",
-        remedy=REMEDIES["score"],
+        remedy=_SCORE.remedy,
         stages_s={stage: sum(photons) / rate for stage, rate in rates.items()},
         workers=tracks.workers,
         measured=measured,

@@ -2,12 +2,11 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from spl_batch.altimetry.filter.peer_filters import PEERS, require
 from spl_batch.altimetry.first_look import first_look
-from spl_batch.altimetry.plan import PHASES, REMEDIES, TrackCost, Tracks, estimate, gather_inputs
+from spl_batch.altimetry.plan import TrackCost, Tracks, estimate, gather_inputs
 from spl_batch.altimetry.report.model import TrackReport
 from spl_batch.altimetry.report.page import screen_summary
 from spl_batch.altimetry.settings import TrackWorkflow
@@ -15,24 +14,11 @@ from spl_batch.altimetry.tasks.context import Context
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
-from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
-from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.tasks.step import Step
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped
-
-_WORDS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "index_file": "file",
-        "take_in": "beam",
-        "rate": "beam",
-        "score": "segment",
-        "select": "beam",
-        "profile": "beam",
-        "compare": "beam",
-        "deliver_beam": "beam",
-    }
-)
 
 
 class Altimetry(Receiver[Tracks, Context]):
@@ -40,9 +26,6 @@ class Altimetry(Receiver[Tracks, Context]):
 
     workflow: ClassVar[type[BaseWorkflow]] = TrackWorkflow
     noun: ClassVar[str] = "photon profiles"
-    phases: ClassVar[Sequence[Phase]] = PHASES
-    words: ClassVar[Mapping[str, str]] = _WORDS
-    remedies: ClassVar[Mapping[str, str]] = REMEDIES
     delivered: ClassVar[tuple[str, ...]] = ("photons/**/*", "profiles/**/*", "hdf5/**/*")
 
     def prepare(
@@ -77,11 +60,11 @@ class Altimetry(Receiver[Tracks, Context]):
         ]
 
     def after(
-        self, phase: Phase, prepared: Prepared[Tracks, Context], failed: Sequence[Receipt]
+        self, step: Step, prepared: Prepared[Tracks, Context], failed: Sequence[Receipt]
     ) -> Iterable[Finding]:
-        """Warn of what a phase has brought to light, or stop."""
+        """Warn of what a step has brought to light, or stop."""
         tracks = prepared.ledger
-        if phase.kind != "take_in":
+        if step.name != "take_in":
             return
         taken = tracks.of("take_in")
         if not any(receipt.facts["placed"] for receipt in taken.values()):
@@ -91,14 +74,6 @@ class Altimetry(Receiver[Tracks, Context]):
                 "no input is usable: " + ("; ".join(reasons) or "they hold no photons")
             )
         yield from _unplaced(tracks, taken)
-
-    def targets(self, task: Task, workflow: TrackWorkflow) -> Sequence[str]:
-        """Names of the files, below the output, that a task delivers."""
-        del workflow
-        if task.kind == "deliver_beam":
-            name = task.args["delivered"]
-            return [f"photons/{name}.parquet", f"profiles/{name}.csv"]
-        return [f"hdf5/{task.args['delivered']}"] if task.kind == "deliver_file" else []
 
     def reference(self, ledger: Tracks) -> list[str]:
         """Files that the results are compared with."""

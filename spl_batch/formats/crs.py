@@ -179,7 +179,7 @@ def _one_pixel_tiff(directory: bytes, doubles: bytes, text: bytes) -> bytes:
 def horizontal(crs: CRS) -> CRS:
     """The CRS without its heights: the horizontal part of a compound or 3D one."""
     if crs.is_compound:
-        return crs.sub_crs_list[0]
+        return horizontal(crs.sub_crs_list[0])
     if crs.is_bound and crs.source_crs is not None:
         return horizontal(crs.source_crs)
     return crs.to_2d() if len(crs.axis_info) > 2 and not crs.is_geocentric else crs

@@ -16,7 +16,7 @@ import click
 import pytest
 
 import spl_batch
-from spl_batch.airborne.tasks.kinds import STAGES
+from spl_batch.airborne.steps import STAGES
 from spl_batch.cli import _STAGES, cli, live, main
 from spl_batch.cli.clock import saying_if_slow
 from spl_batch.engine.flow import cluster

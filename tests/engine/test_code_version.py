@@ -10,17 +10,17 @@ import pytest
 
 import spl_batch
 from spl_batch.engine.tasks import runner
-from spl_batch.engine.tasks.runner import kinds, task_files
+from spl_batch.engine.tasks.runner import task_files
 from spl_batch.imports import content_hash, data_files, imported, module_file
-from spl_batch.receivers import HOMES
+from spl_batch.receivers import HOMES, steps
 
 PACKAGE = Path(spl_batch.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 LOADED = """
 import sys
-from spl_batch.engine.tasks.runner import kinds
-for kind in kinds(sys.argv[1]).values():
+from spl_batch.receivers import steps
+for kind in steps(sys.argv[1]).values():
     kind.loaded()
 names = [name for name in sys.modules if name.split(".")[0] == "spl_batch"]
 print("\\n".join(str(sys.modules[name].__file__) for name in names))
@@ -88,7 +88,7 @@ def test_all_that_tasks_load_is_hashed(receiver: str) -> None:
 @pytest.mark.parametrize("receiver", HOMES)
 def test_code_of_simulators_and_of_other_receivers_is_not(receiver: str) -> None:
     names = {str(path.relative_to(PACKAGE)) for path in task_files(receiver)}
-    own = str(module_file(next(iter(kinds(receiver).values())).module))
+    own = str(module_file(next(iter(steps(receiver).values())).module))
     rooms = ("airborne/", "altimetry/", "geiger/coincidence/", "geiger/water/")
     others = tuple(room for room in rooms if room not in own)
     assert not [name for name in names if name.startswith(others)]

@@ -13,7 +13,8 @@ from numba.core.errors import TypingError
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.context import Produced, RunContext
-from spl_batch.engine.tasks.runner import Kind, run_task
+from spl_batch.engine.tasks.runner import run_task
+from spl_batch.engine.tasks.step import Step, table
 from spl_batch.engine.tasks.task import Task
 from spl_batch.errors import DamagedError, InputError, StoppedError, StoreError
 from tests import surveys
@@ -63,14 +64,17 @@ def context(tmp_path: Path) -> RunContext[Any]:
     return RunContext(workflow, tmp_path, tmp_path / "out", "", "code")
 
 
+def step(run: Any) -> Step:
+    return Step(name="index_file", stage="index", run=run, tasks=lambda _: iter(()))
+
+
 def ended(error: BaseException, context: RunContext[Any], monkeypatch: pytest.MonkeyPatch) -> Any:
     """A task whose function raises."""
 
     def raising(*_: object) -> None:
         raise error
 
-    kinds = {"index_file": Kind("index", raising, ())}
-    monkeypatch.setattr(runner, "kinds", lambda _: kinds)
+    monkeypatch.setattr(runner, "steps", lambda _: table(step(raising)))
     return run_task(Task("index_file", "1", {}, ()), "key", context)
 
 
@@ -79,8 +83,8 @@ def test_freed_memory_is_given_back_before_a_task(
 ) -> None:
     done: list[str] = []
     monkeypatch.setattr(runner, "give_back", lambda: done.append("given back"))
-    work = Kind("index", lambda *_: done.append("task") or Produced(), ())  # type: ignore[func-returns-value]
-    monkeypatch.setattr(runner, "kinds", lambda _: {"index_file": work})
+    work = step(lambda *_: done.append("task") or Produced())  # type: ignore[func-returns-value]
+    monkeypatch.setattr(runner, "steps", lambda _: table(work))
     assert not run_task(Task("index_file", "1", {}, ()), "key", context).failed
     assert done == ["given back", "task"]
 

@@ -1,6 +1,7 @@
 """Tasks are made one by one, finished ones are kept small, and what cannot fit is refused."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,6 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import task_memory
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs
 from spl_batch.airborne.plan.memory.heaviest_tasks import needs
-from spl_batch.airborne.plan.phases import PHASES, Phase
 from spl_batch.airborne.plan.space_tasks import build
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import (
@@ -20,6 +20,7 @@ from spl_batch.airborne.plan.task_memory import (
     task_bytes,
 )
 from spl_batch.airborne.settings.workflow import parse_workflow
+from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.plan import budget, worker_memory
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
@@ -55,7 +56,7 @@ def tasks(_: Survey) -> Iterator[Task]:
 
 def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> None:
     known = survey()
-    work = Worklist(Phase("ground", tasks), known, context(tmp_path))
+    work = Worklist(replace(STEPS["ground"], tasks=tasks), known, context(tmp_path))
     key = work.key(Task("ground", "b", {"cell": "b"}))
     write_receipt(Store(tmp_path), receipt("ground", "b", key, ground=3))
     looked = [(task.name, found is not None) for task, found in work.look()]
@@ -78,14 +79,14 @@ def test_of_some_tasks_the_largest_is_done_first(tmp_path: Path) -> None:
         for number in range(SORTED + 2):
             yield Task("ground", str(number), {}, (), number)
 
-    work = Worklist(Phase("ground", growing), survey(), context(tmp_path))
+    work = Worklist(replace(STEPS["ground"], tasks=growing), survey(), context(tmp_path))
     order = [int(task.name) for task, _ in work.jobs()]
     assert order == [*range(SORTED - 1, -1, -1), SORTED + 1, SORTED]
 
 
 def test_another_need_is_another_key(tmp_path: Path) -> None:
     known = survey()
-    work = Worklist(Phase("ground", tasks), known, context(tmp_path))
+    work = Worklist(replace(STEPS["ground"], tasks=tasks), known, context(tmp_path))
     task = Task("ground", "a", {}, (("build_tile", "0_0"),))
     keys = []
     for name in ("x", "y"):
@@ -98,13 +99,13 @@ def test_a_shelf_keeps_what_later_phases_read() -> None:
     facts = {"points": 3, "z": [1, 2], "sources": ["7", "9"], "share": 0.1}
     outputs = {"store/tiles/0_0.parquet": "c"}
     given = Receipt("build_tile", "0_0", "key", "0fd", "", outputs, facts, 3, 1.0, 9.0)
-    shelf = Shelf("build_tile")
+    shelf = Shelf(STEPS["build_tile"])
     shelf.put(given)
     kept = shelf["0_0"]
     assert (kept.digest, shelf.digest("0_0"), kept.points) == ("0fd", "0fd", 3)
     assert kept.facts == {k: v for k, v in facts.items() if k != "z"}
     assert (kept.outputs, len(shelf), "0_0" in shelf, "1_0" in shelf) == ({}, 1, True, False)
-    delivered = Shelf("mosaic")
+    delivered = Shelf(STEPS["mosaic"])
     delivered.put(Receipt("mosaic", "dtm", "", "d", "", {"dtm.tif": "c"}, {}, 0, 0.0, 0.0))
     assert delivered["dtm"].outputs == {"dtm.tif": "c"}
     with pytest.raises(KeyError):
@@ -147,9 +148,8 @@ def test_a_stretch_is_read_from_the_parts_that_hold_its_flightline_then() -> Non
             "fullest": {psid: [points] for psid in found["spans"]},
         }
         known.of("index_file").put(receipt("index_file", name, points=points, **found, **facts))
-    gather = next(phase for phase in PHASES if phase.kind == "gather")
     read: dict[str, set[str]] = {}
-    for task in gather.tasks(known):
+    for task in STEPS["gather"].planned(known):
         read.setdefault(task.name.split("/")[0], set()).update(task.args["sources"])
     assert read == {
         "00007_0": {"1", "2-0", "2-1"},
@@ -178,8 +178,7 @@ def test_only_the_unit_that_cannot_fit_is_refused() -> None:
         tile = {"points": points, "slabs": [slab], "sources": [], "outside_aoi": 0, "no_beam": 0}
         known.of("build_tile").put(receipt("build_tile", name, **tile))
     for kind in ("denoise", "ground", "surface"):
-        phase = next(p for p in PHASES if p.kind == kind)
-        refused = {task.name: task.refused for task in phase.tasks(known)}
+        refused = {task.name: task.refused for task in STEPS[kind].planned(known)}
         told = [text for text in refused.values() if text]
         assert 0 < len(told) < len(refused), kind
         assert all("--memory 1 024 MiB" in text and "lower" in text for text in told)

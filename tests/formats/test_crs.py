@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 import rasterio
 from pyproj import CRS
+from pyproj.crs import BoundCRS, CompoundCRS
+from pyproj.crs.coordinate_operation import ToWGS84Transformation
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
+    compound,
     crs_from_geotiff,
     crs_problems,
     horizontal,
@@ -155,3 +158,15 @@ def test_a_unit_of_heights_alone_is_no_vertical_crs() -> None:
     assert crs is not None
     assert crs.to_epsg() == 32615
     assert vertical(crs) is None
+
+
+def test_the_horizontal_part_of_a_compound_crs_with_a_datum_shift_is_no_bound_one() -> None:
+    flat = CRS.from_epsg(28992)
+    shift = ToWGS84Transformation(flat.geodetic_crs, 565.2, 50.0, 465.7, 0.4, -0.35, 1.87, 4.08)
+    bound = BoundCRS(flat, CRS.from_epsg(4326), shift)
+    whole = CompoundCRS("RD New + NAP", [bound, CRS.from_epsg(5709)])
+    assert horizontal(whole).to_epsg() == 28992
+    assert same_crs(whole, horizontal(whole))
+    heights = vertical(whole)
+    assert heights is not None
+    assert compound(whole, heights).is_compound

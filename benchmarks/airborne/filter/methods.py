@@ -22,7 +22,7 @@ from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import Scene
-from spl_batch.airborne.tasks.kinds import KINDS as TASK_KINDS
+from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.store.links import share_finished
 from spl_batch.engine.store.working_store import Store
@@ -33,7 +33,7 @@ BACKGROUND, GROUND, ROOF, VEGETATION, WIRE, WATER, AFTERPULSE, OTHER = range(len
 
 Columns = dict[str, NDArray[Any]]
 
-SHARED = tuple(name for name, kind in TASK_KINDS.items() if kind.stage in {"index", "shots"})
+SHARED = tuple(name for name, step in STEPS.items() if step.stage in {"index", "shots"})
 """Kinds of tasks that do not depend on the filter."""
 
 

@@ -9,8 +9,9 @@ layers of :data:`LAYER_M`. The density of a square is that of its layers that pa
 hold clearly more than the median layer the returns are taken for signal as well. The lowest and the
 highest layer of a square are left out: the gate ends in them.
 
-A square with too little such space takes the density of those around it. A cloud without any,
-as one whose vendor has removed the noise, tells nothing.
+A square with too little such space takes the density of the nearest with more. So does one at the
+rim: slanting beams reach it at some heights only, and its empty layers tell nothing. A cloud
+without empty space, as one whose vendor has removed the noise, tells nothing.
 
 What this cannot know: where the gate ends, flightlines that overlap only in part of a square, and
 noise that changes with height.
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.arrays.checked import refuse_large
+from spl_batch.airborne.filter.stray_returns import BESIDE_M
 from spl_batch.errors import grouped
 from spl_batch.lattice.tiles import quanta
 
@@ -53,6 +55,9 @@ UNEVEN: Final = 1.5
 
 LEAST_M: Final = 15.0
 """Height of empty space that a square needs to tell its density [m]."""
+
+RIM: Final = 1 + math.ceil(BESIDE_M / SQUARE_M)
+"""A square farther in than beams go aside was flown over at every height [squares]."""
 
 
 class EmptySpace(NamedTuple):
@@ -127,7 +132,10 @@ def empty_space(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.intege
     if not own.any():
         return EmptySpace(np.zeros(n), 0.0, 0.0)
     grid = np.where(own, count / np.maximum(volume, 1e-9), 0.0).reshape(shape)
-    told = own.reshape(shape)
+    held = (np.bincount(number, minlength=squares) > 0).reshape(shape)
+    within = own.reshape(shape) * ndimage.distance_transform_cdt(np.pad(held, 1))[1:-1, 1:-1]
+    deepest = ndimage.maximum_filter(within, 2 * RIM + 1, mode="constant")
+    told = (within > 0) & (within >= np.minimum(deepest, RIM))
     nearest = ndimage.distance_transform_edt(~told, return_distances=False, return_indices=True)
     filled = grid[tuple(nearest)]
     return EmptySpace(

@@ -8,8 +8,9 @@ refused ones. Our own rule asks twice:
 - of boxes around the return: does anything stand at this height? A cluster a hundred metres below a
   surface rests on nothing. A floor of a quarry or canyon fills its own box; ground that is seen
   through gaps of a canopy continues, and fills a wider one. At the rim of a swath little was
-  refused, so deep below a surface a box must hold :data:`FEW` returns in any case. As the gate
-  widens downwards, that rim may lie :data:`BESIDE_M` outside of all ground.
+  refused, so deep below a surface a box must hold :data:`FEW` returns beside its fullest cell in
+  any case: one cluster is no surface. As the gate widens downwards, that rim may lie
+  :data:`BESIDE_M` outside of all ground.
 
 Where clusters of dense noise reach any such number, the ground has to fill the place too
 (:mod:`~spl_batch.airborne.filter.drowned_surfaces`).
@@ -54,8 +55,8 @@ KEPT_SHARE: Final = 0.002
 
 FEW: Final = 10
 DEEP: Final = 4
-"""So few returns of the widest box are no surface, where one stands near and so many layers higher:
-two returns of noise and their afterpulses are [count, cells]."""
+"""So few returns of the widest box, its fullest cell left out, are no surface, where one is near
+and so many layers higher: two returns of noise and their afterpulses are [count, cells]."""
 
 BESIDE_M: Final = 55.0
 """How far beside it that surface may stand, in whole cells: a beam 20 degrees off nadir goes so far
@@ -249,7 +250,9 @@ def bare_cells(
     occupied = kept + gone > 0
     odds = _kept_of_noise(*(count[occupied] for count in held[-1]))
     bare = _bare_boxes(held, odds)
-    bare |= (held[-1][0] < FEW) & _deep_below((kept > 0) & ~bare)
+    width = 2 * BOXES[-1].reach + 1
+    beside = held[-1][0] - ndimage.maximum_filter(kept, (width, width, 3), mode="constant")
+    bare |= (beside < FEW) & _deep_below((kept > 0) & ~bare)
     if spare_above:
         bare &= ~np.logical_or.accumulate((kept > 0) & ~bare, axis=2)
     else:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
+from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.plan.worker_memory import (
     LOADED_BASE_BYTES,
     USABLE_SHARE,
@@ -19,21 +20,9 @@ from spl_batch.lattice.tiles import quanta
 
 BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
     {
-        "index_file": 300,
-        "gather": 380,
-        "gather_range": 300,
-        "observe": 380,
-        "scatter": 540,
-        "build_tile": 280,
-        "denoise": 150,
+        **{name: step.bytes_per_point for name, step in STEPS.items() if step.bytes_per_point},
         "denoise_air": 90,
-        "ground": 215,
-        "strip_patches": 80,
-        "surface": 175,
         "surface_held": 225,
-        "deliver_tile": 280,
-        "deliver_copc": 280,
-        "accuracy": 300,
     }
 )
 """Peak memory of a task by each of the points that it holds at once [byte]. A worker keeps what it
@@ -93,19 +82,6 @@ def stretch_points(limit: int) -> int:
     return points
 
 
-REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "build_tile": "lower tiling.tile_m",
-        "denoise": "lower tiling.tile_m",
-        "ground": "lower ground.cell_m or ground.buffer_m",
-        "strip_patches": "lower ground.cell_m",
-        "surface": "lower ground.cell_m or products.void_max_m",
-        "accuracy": "cut the reference into files that fill their bounding boxes evenly",
-        "deliver_copc": "set outputs.copc: false, and outputs.tiles: copc for octrees by tile",
-    }
-)
-"""What makes a task lighter, by its kind."""
-
 NAMES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "build_tile": "a tile",
@@ -136,5 +112,5 @@ def refusal(kind: str, points: float, limit: int, needed: int | None = None) -> 
     return (
         f"{NAMES[kind]} with {grouped(points)} points in reach needs about "
         f"{grouped(needed / 2**20)} MiB, more than {100 * USABLE_SHARE:.0f} % of --memory "
-        f"{grouped(limit / 2**20)} MiB; raise it to {enough_mib(needed)}MiB or {REMEDIES[kind]}"
+        f"{grouped(limit / 2**20)} MiB; raise it to {enough_mib(needed)}MiB or {STEPS[kind].remedy}"
     )

@@ -148,7 +148,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     labels, classes = _FileLabels(args, context, names), np.zeros(256, np.int64)
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
-    stamp = as_indexed(args, context)
+    stamp = as_indexed("index_file", args, context)
     with unchanged(source, stamp):
         written = write_classified(
             source,

@@ -109,7 +109,9 @@ def _at_once(cell: Cell) -> tuple[Bounds, list[str]]:
     workflow, far = cell.context.workflow, cell.args["halo"]
     columns = [*surfacing.COLUMNS_NEEDED, "afterpulse", *pulses.COLUMNS]
     columns += cell_classes.columns(workflow)
-    if cell.args["fired"] is not None:
+    if cell.args["fired"] is None:
+        columns += surfacing.COLUMNS_OF_INTENSITY
+    else:
         far = max(far, quanta(reflectance.reach_m(workflow.products)))
         columns += reflectance.COLUMNS_NEEDED
     return grow(cell.core, far), columns

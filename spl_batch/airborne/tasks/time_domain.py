@@ -27,6 +27,7 @@ from spl_batch.airborne.tasks.index import CHUNK_POINTS
 from spl_batch.airborne.tasks.stretches import read_stretch, repeats, without_copies
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
+from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.las.reader import iter_points
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import (
@@ -55,7 +56,8 @@ GROUP_POINTS = 16_384
 """Points of a row group of a tile [count]: a halo is read from few."""
 
 ALIKE = (*CANONICAL_ORDER[:-2], "point_source_id", "intensity")
-"""Sort keys of a tile, first one first; points alike in all of them are copies."""
+"""Sort keys of a tile, first one first. Points alike in all of them are copies, and where they have
+times those alike in all but intensity, which a later delivery may scale."""
 
 _POINT_COLUMNS = tuple(name for name in TILE_COLUMNS if name in SOURCE_COLUMNS)
 
@@ -177,7 +179,9 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
     ]
     table = concat(pieces, TILE_COLUMNS)
     table = table.take(lexicographic_order([table[name] for name in ALIKE]))
-    table, copies = without_copies(table, repeats(table, ALIKE))
+    timed = usable_times(table["gps_time"]) & (table["gps_time"] != 0.0)
+    again = repeats(table, ALIKE[:-1]) & (timed | repeats(table, ALIKE[-1:]))
+    table, copies = without_copies(table, again)
     path = context.store.tile(args["tile"])
     outputs = [path]
     if len(copies.row):
@@ -309,7 +313,7 @@ def _input_chunks(
 ) -> Iterator[PointTable]:
     """Points of an input file that is as it was when it was indexed."""
     path = Path(source["path"])
-    with unchanged(path, as_indexed(source, context)):
+    with unchanged(path, as_indexed("index_file", source, context)):
         yield from iter_points(
             path,
             channel_dimension=context.workflow.survey.channel_dimension,

@@ -149,7 +149,10 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     source = Path(args["path"])
     target = context.output / "hdf5" / args["delivered"]
     points = 0
-    with unchanged(source, as_indexed(args, context)), labelled_copy(source, target) as file:
+    with (
+        unchanged(source, as_indexed("index_file", args, context)),
+        labelled_copy(source, target) as file,
+    ):
         for beam in args["beams"]:
             group = file[beam["group"]]
             made = {

@@ -95,7 +95,10 @@ def take_in(args: Mapping[str, Any], context: Context) -> Produced:
     cells = _Cells(quanta(workflow.rate.cell_m))
     read = placed = 0
     target = place(context, "photons", args["key"], ".parquet")
-    with unchanged(path, as_indexed(args, context)), writing(target, PHOTONS) as writer:
+    with (
+        unchanged(path, as_indexed("index_file", args, context)),
+        writing(target, PHOTONS) as writer,
+    ):
         for photons in iter_photons(path, args["layout"], beam, CHUNK_PHOTONS):
             read += photons.read
             placed += len(photons.row)

@@ -7,8 +7,8 @@ from typing import Any, Final, NamedTuple
 from spl_batch.engine.plan.worker_memory import enough_mib, usable_bytes
 from spl_batch.engine.store.working_store import Store, read_receipt, receipt_names
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.runner import kinds
 from spl_batch.errors import PlanError, grouped
+from spl_batch.receivers import steps
 
 SAMPLE: Final = 1000
 """Receipts of a kind that measured rates are taken from, at most [count]."""
@@ -86,7 +86,7 @@ def measured_rates(
         return typical, False
     rates = dict(typical)
     measured = False
-    known = kinds(context.workflow.kind)
+    known = steps(context.workflow.kind)
     for stage in rates:
         works = [_work(context.store, k) for k, v in known.items() if v.stage == stage]
         # The kinds of a stage handle the same points, one after the other.

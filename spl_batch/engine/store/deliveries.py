@@ -14,8 +14,7 @@ from typing import Any, Final
 from spl_batch.engine.store.working_store import read_json, read_receipts, write_json
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.ledger import Ledger
-from spl_batch.engine.tasks.receipt_index import delivers
-from spl_batch.engine.tasks.runner import kinds
+from spl_batch.engine.tasks.step import delivering
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import DamagedError, named
 from spl_batch.formats.files.atomic import checksum
@@ -51,7 +50,7 @@ class Deliveries:
 
     def __init__(self, context: RunContext[Any]) -> None:
         self.output = context.output
-        self._kinds = [*filter(delivers, kinds(context.workflow.kind))]
+        self._kinds = delivering(context.workflow.kind)
         self.survey: Mapping[str, Any] | None = None
         self.files: dict[str, Stamp] = {}
         self.begun: set[str] = set()
@@ -115,7 +114,7 @@ class Deliveries:
 
     def wrote(self, receipt: Receipt) -> None:
         """Take note of what a task has delivered, or is known to have."""
-        for name, content in receipt.outputs.items() if delivers(receipt.kind) else ():
+        for name, content in receipt.outputs.items() if receipt.kind in self._kinds else ():
             # A map for the report lies in the store.
             if name in receipt.written_ns and not name.removeprefix("./").startswith("store/"):
                 self.files[name] = [receipt.sizes[name], receipt.written_ns[name], content]

@@ -31,11 +31,11 @@ def unchanged(path: Path, then: Sequence[int]) -> Iterator[None]:
     _compare(path, then)
 
 
-def as_indexed(args: Mapping[str, Any], context: RunContext[Any]) -> Sequence[int]:
-    """Stamp of an input when it was indexed; ``args`` name its ``source`` and ``path``."""
-    receipt = read_receipt(context.store, "index_file", args["source"])
+def as_indexed(step: str, args: Mapping[str, Any], context: RunContext[Any]) -> Sequence[int]:
+    """Stamp of an input when a step read it; ``args`` name its ``source`` and ``path``."""
+    receipt = read_receipt(context.store, step, args["source"])
     if receipt is None:
-        path = context.store.receipt("index_file", args["source"])
+        path = context.store.receipt(step, args["source"])
         raise DamagedError(path, "no receipt of the index")
     return receipt.inputs[args["path"]]
 

@@ -1,18 +1,15 @@
-"""Ledger of a run: its inputs, what is finished, and how phases make tasks of that.
+"""Ledger of a run: its inputs, its limits, and what is finished."""
 
-Every receiver's plan is a list of :class:`Phase` over a :class:`Ledger` of its own.
-"""
-
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.receipt_index import Shelf
-from spl_batch.engine.tasks.task import Task
 from spl_batch.errors import InputError
+from spl_batch.receivers import steps
 
 
 class AnySource(Protocol):
@@ -67,29 +64,8 @@ class Ledger(Generic[I, W]):
     shared: bool = False
     remarks: tuple[Finding, ...] = ()
 
-    def of(self, kind: str) -> Shelf:
-        """Finished tasks of a kind, by name."""
-        return self.done.setdefault(kind, Shelf(kind))
-
-
-@dataclass(frozen=True, slots=True)
-class Phase:
-    """Tasks of one kind, made when everything before them is finished."""
-
-    kind: str
-    #: Makes them of the receiver's ledger; it looks at earlier phases only.
-    tasks: Callable[[Any], Iterator[Task]]
-    #: Whether it does not look at the phase before it either: both are done at once.
-    beside: bool = False
-
-
-def waves(phases: Iterable[Phase]) -> Iterator[list[Phase]]:
-    """Phases that are done at once, in order."""
-    wave: list[Phase] = []
-    for phase in phases:
-        if wave and not phase.beside:
-            yield wave
-            wave = []
-        wave.append(phase)
-    if wave:
-        yield wave
+    def of(self, step: str) -> Shelf:
+        """Finished tasks of a step, by name."""
+        if step not in self.done:
+            self.done[step] = Shelf(steps(self.workflow.kind)[step])
+        return self.done[step]

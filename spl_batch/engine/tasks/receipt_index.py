@@ -1,4 +1,4 @@
-"""Finished tasks of a kind in little memory: what later phases need of their receipts.
+"""Finished tasks of a step in little memory: what later steps need of their receipts.
 
 A survey has a tile for every 10 000 m2, and a receipt with its mappings takes kilobytes. The shelf
 keeps digest, points and the facts that something reads as one short string for each task, and makes
@@ -7,39 +7,26 @@ receipts of them on demand.
 
 import json
 from collections.abc import Iterator, Mapping
-from typing import Final
 
+from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
-
-UNREAD_FACTS: Final[Mapping[str, frozenset[str]]] = {
-    "build_tile": frozenset({"z"}),
-    "denoise": frozenset({"noise_class"}),
-    "surface": frozenset({"rasters"}),
-}
-"""Facts that only the receipts on disk have, by kind of task."""
-
-
-def delivers(kind: str) -> bool:
-    """Whether a user sees outputs of a kind: the end asks which ones there are."""
-    return kind.startswith("deliver_") or kind == "mosaic"
 
 
 class Shelf(Mapping[str, Receipt]):
-    """Receipts of the finished tasks of one kind, by name.
+    """Receipts of the finished tasks of one step, by name.
 
-    They lack the key, the cost and what :data:`UNREAD_FACTS` names, and the outputs too, unless
-    :func:`delivers` says that a user sees them.
+    They lack the key, the cost and the step's unread facts, and the outputs too unless a user sees
+    them.
     """
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
+    def __init__(self, step: Step) -> None:
+        self._step = step
         self._kept: dict[str, bytes] = {}
 
     def put(self, receipt: Receipt) -> None:
         """Keep a receipt, in place of an earlier one of that name."""
-        unread = UNREAD_FACTS.get(self.kind, frozenset())
-        facts = {k: v for k, v in receipt.facts.items() if k not in unread}
-        outputs = dict(receipt.outputs) if delivers(self.kind) else {}
+        facts = {k: v for k, v in receipt.facts.items() if k not in self._step.unread}
+        outputs = {} if self._step.delivers is None else dict(receipt.outputs)
         content = [receipt.digest, receipt.points, outputs, facts]
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
         self._kept[receipt.name] = text.encode()
@@ -55,7 +42,7 @@ class Shelf(Mapping[str, Receipt]):
 
     def __getitem__(self, name: str) -> Receipt:
         digest, points, outputs, facts = json.loads(self._kept[name])
-        return Receipt(self.kind, name, "", digest, "", outputs, facts, points, 0.0, 0.0)
+        return Receipt(self._step.name, name, "", digest, "", outputs, facts, points, 0.0, 0.0)
 
     def __contains__(self, name: object) -> bool:
         return name in self._kept

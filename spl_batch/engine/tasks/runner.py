@@ -1,9 +1,8 @@
 """One task: read, run the stage, write atomically, leave a receipt.
 
-Each receiver lists its kinds of task; :func:`kinds` finds the list of a workflow's receiver.
+What there is to do is declared by :mod:`spl_batch.engine.tasks.step`.
 """
 
-import dataclasses
 import hashlib
 import json
 import resource
@@ -20,40 +19,14 @@ from typing import Any, Final
 import spl_batch
 from spl_batch import __version__
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt, write_receipt
-from spl_batch.engine.tasks.context import RunContext, TaskFunction
-from spl_batch.engine.tasks.receipt_index import delivers
+from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.spare_memory import give_back
+from spl_batch.engine.tasks.step import Step, delivering
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.errors import DamagedError, InputError, SplBatchError, StoppedError, one_line
 from spl_batch.formats.files.atomic import checksum, size, stop_if_full
 from spl_batch.imports import content_hash, data_files, imported, module_file
-from spl_batch.receivers import HOMES, load, task_kinds
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Kind:
-    """A kind of task."""
-
-    stage: str  #: Stage of the command line that it belongs to.
-    #: Its function, or where that lies, as ``module:name``: planning and looking at a run load no
-    #: kernels.
-    function: TaskFunction | str
-    settings: tuple[str, ...]  #: Parts of the workflow that its result depends on.
-
-    @property
-    def module(self) -> str:
-        """Name of the module that holds the function."""
-        if isinstance(self.function, str):
-            return self.function.partition(":")[0]
-        return self.function.__module__
-
-    def loaded(self) -> TaskFunction:
-        """The function itself."""
-        if not isinstance(self.function, str):
-            return self.function
-        found: TaskFunction = load(self.function)
-        return found
-
+from spl_batch.receivers import HOMES, steps
 
 RASTER: Final = ".tif"
 """How names of rasters end, whose bytes carry no checksum."""
@@ -77,17 +50,6 @@ PACKAGE: Final = Path(spl_batch.__file__).parent
 
 LIBRARIES: Final = (*DECISIVE, "dask", "distributed", "h5py", "pyarrow", "pyogrio")
 """Libraries whose versions a report tells."""
-
-
-def kinds(receiver: str) -> Mapping[str, Kind]:
-    """What the tasks of a receiver do, by kind of task."""
-    found: Mapping[str, Kind] = task_kinds(receiver)
-    return found
-
-
-def stages(receiver: str) -> tuple[str, ...]:
-    """Stages of a receiver's run, in order; the report comes last."""
-    return (*dict.fromkeys((*(kind.stage for kind in kinds(receiver).values()), "report")),)
 
 
 @cache
@@ -124,8 +86,8 @@ def code_version(receiver: str) -> str:
 
 def task_files(receiver: str) -> frozenset[Path]:
     """Modules that a receiver's tasks import, directly or not, and the tables that these read."""
-    listed = HOMES[receiver].kinds.partition(":")[0]
-    homes = {listed, *(kind.module for kind in kinds(receiver).values())}
+    listed = HOMES[receiver].steps.partition(":")[0]
+    homes = {listed, *(step.module for step in steps(receiver).values())}
     files = (module_file(name) for name in (__name__, *homes))
     modules = frozenset[Path]().union(*(imported(path) for path in files if path is not None))
     return modules.union(*map(data_files, modules))
@@ -137,14 +99,15 @@ def task_key(task: Task, context: RunContext[Any], digests: Iterable[str]) -> st
     ``digests``: digests of the receipts that the task needs, in the order of ``task.needs``.
     """
     content = context.workflow.model_dump(mode="json")
-    settings = {path: _at(content, path) for path in _kind(task, context).settings}
+    settings = {path: _at(content, path) for path in _step(task, context).settings}
     parts = [task.kind, task.name, task.args, settings, context.crs_wkt, context.code]
     text = json.dumps([*parts, list(digests)], sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def _kind(task: Task, context: RunContext[Any]) -> Kind:
-    return kinds(context.workflow.kind)[task.kind]
+def _step(task: Task, context: RunContext[Any]) -> Step:
+    found: Step = steps(context.workflow.kind)[task.kind]
+    return found
 
 
 def finished(
@@ -203,7 +166,7 @@ def damaged_rasters(
 
     ``done``: finished tasks by kind and name.
     """
-    for kind in filter(delivers, done):
+    for kind in filter(done.__contains__, delivering(context.workflow.kind)):
         # Of many thousand tiles none is looked up in the store.
         made = (r.name for r in done[kind].values() if any(o.endswith(RASTER) for o in r.outputs))
         for receipt in filter(None, (read_receipt(context.store, kind, name) for name in made)):
@@ -236,7 +199,7 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
     forget_receipt(context.store, task.kind, task.name)
     try:
         give_back()
-        function = _kind(task, context).loaded()
+        function = _step(task, context).loaded()
         start = time.perf_counter()  # what loads a module for the first time is no work of a task
         produced = function({**task.args, **task.how}, context)
         paths = {context.store.name_of(path): path for path in produced.outputs}

@@ -1,4 +1,4 @@
-"""The tasks of a phase one by one: which are finished, which are left, none kept.
+"""The tasks of a step one by one: which are finished, which are left, none kept.
 
 A survey has as many tasks of a kind as tiles, and each with its arguments takes kilobytes. So they
 are made twice: once to see which are finished, once to be done. Only those on their way to a
@@ -10,24 +10,25 @@ from itertools import islice
 from typing import Any, Final
 
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.ledger import Ledger, Phase
+from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.runner import failure, finished, task_key
+from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt, Task
 
 SORTED: Final = 64
 """Tasks of which the largest is handed out first [count]: in a small survey the last ones decide
-when a phase ends, and so are small."""
+when a step ends, and so are small."""
 
 
 class Worklist:
-    """What one phase has to do.
+    """What one step has to do.
 
     Parameters
     ----------
-    phase : Phase
-        The phase; those before it are done.
+    step : Step
+        The step; those before it are done.
     ledger : Ledger
-        What is finished so far; what this phase finishes is added to it.
+        What is finished so far; what this step finishes is added to it.
     verify : bool
         Whether finished outputs are compared with their checksums.
 
@@ -45,7 +46,7 @@ class Worklist:
 
     def __init__(
         self,
-        phase: Phase,
+        step: Step,
         ledger: Ledger[Any, Any],
         context: RunContext[Any],
         *,
@@ -54,9 +55,9 @@ class Worklist:
         self.left = self.ready = self.points = 0
         self.refused: list[Receipt] = []
         self.altered: list[str] = []
-        self._phase, self._ledger, self._context = phase, ledger, context
+        self._step, self._ledger, self._context = step, ledger, context
         self._verify = verify
-        self._done = ledger.of(phase.kind)
+        self._done = ledger.of(step.name)
         self._out: dict[str, Task] = {}
 
     def look(self) -> Iterator[tuple[Task, Receipt | None]]:
@@ -64,7 +65,7 @@ class Worklist:
         self.left = self.ready = self.points = 0
         self.refused.clear()
         self.altered.clear()
-        for task in self._phase.tasks(self._ledger):
+        for task in self._step.planned(self._ledger):
             key = self.key(task)
             receipt = finished(task, key, self._context, verify=self._verify, altered=self.altered)
             if receipt is not None:
@@ -80,7 +81,7 @@ class Worklist:
 
     def jobs(self) -> Iterator[tuple[Task, str]]:
         """Tasks to do, and their keys, made when they are asked for; of some the largest first."""
-        made = self._phase.tasks(self._ledger)
+        made = self._step.planned(self._ledger)
         left = (task for task in made if not task.refused and task.name not in self._done)
         while some := list(islice(left, SORTED)):
             for task in sorted(some, key=lambda task: -task.points):

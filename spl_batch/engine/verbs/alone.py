@@ -9,7 +9,7 @@ from spl_batch.engine.flow.executor import Job
 from spl_batch.engine.store.output_lock import locked
 from spl_batch.engine.store.output_owner import this_survey, usable
 from spl_batch.engine.store.store_owner import claim
-from spl_batch.engine.tasks.runner import kinds, run_task
+from spl_batch.engine.tasks.runner import run_task
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.engine.verbs.preparing import prepare
@@ -77,9 +77,9 @@ def run_alone(
         claim(prepared.context.store)
         deliveries.begin(this_survey(prepared))
         job, key = _find(task, prepared)
-        phases = {phase.kind: phase for phase in prepared.receiver.phases}
-        prepared.receiver.before(phases[job.kind], prepared)
-        moved = deliveries.make_room(prepared.receiver.targets(job, prepared.context.workflow))
+        step = prepared.steps[job.kind]
+        prepared.receiver.before(step, prepared)
+        moved = deliveries.make_room(step.targets(job, prepared.context.workflow))
         notes = tuple(moved)
         receipt = run_task(job, key, prepared.context)
         deliveries.wrote(receipt)
@@ -95,21 +95,20 @@ def run_alone(
 def _find(wanted: str, prepared: Prepared[Any, Any]) -> Job:
     """The task of a name, made from what is finished."""
     kind, _, name = wanted.strip().partition(" ")
-    known = kinds(prepared.context.workflow.kind)
-    if kind not in known or not name:
+    if kind not in prepared.steps or not name:
         raise WorkflowError(
             f"--only {wanted!r}: write kind and name of a task, such as 'ground 3_4'; kinds are "
-            f"{', '.join(known)}"
+            f"{', '.join(prepared.steps)}"
         )
-    for phase in prepared.receiver.phases:
-        work = Worklist(phase, prepared.ledger, prepared.context)
-        if phase.kind == kind:
+    for step in prepared.steps.values():
+        work = Worklist(step, prepared.ledger, prepared.context)
+        if step.name == kind:
             break
         for _ in work.look():
-            pass  # what is finished is put where later phases find it
-        prepared.ledger.of(phase.kind).sort()
+            pass  # what is finished is put where later steps find it
+        prepared.ledger.of(step.name).sort()
     jobs = []
-    for task in phase.tasks(prepared.ledger):
+    for task in step.planned(prepared.ledger):
         if task.name == name:
             return task, work.key(task)
         jobs.append(task.name)

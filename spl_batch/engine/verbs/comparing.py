@@ -29,7 +29,7 @@ from spl_batch.engine.watch.earlier_runs import share_time
 from spl_batch.engine.watch.events import Event, Listener, Note, ignore
 from spl_batch.errors import DamagedError, WorkflowError
 from spl_batch.formats.files.atomic import real_path
-from spl_batch.receivers import HOMES, comparison, task_kinds
+from spl_batch.receivers import HOMES, comparison, steps
 
 FOLDER: Final = "compare"
 """Where the methods' results lie, below the output folder."""
@@ -137,7 +137,7 @@ def compare(
     usable(prepare(path, overrides, memory=memory, workers=workers))  # before the lock's file
     listener = _once(listener)
     process = partial(run, path, workers=workers, memory=memory, listener=listener)
-    source, tasks = Store(output, url), task_kinds(settings.kind)
+    source, tasks = Store(output, url), steps(settings.kind)
     stores = {name: store_of(output, name, url) for name in keys}
 
     def each() -> tuple[int, Any]:
@@ -147,7 +147,7 @@ def compare(
         for count, (name, own) in enumerate(keys.items(), start=1):
             listener(Note("info", f"{name}, {count} of {len(keys)}"))
             stages = found.share(source, stores[name], settings, name)
-            shared = [task for task, kind in tasks.items() if kind.stage in stages]
+            shared = [name for name, step in tasks.items() if step.stage in stages]
             share_finished(source, stores[name], shared)
             share_time(output, stores[name].output, stages)
             result = process(overrides=own)

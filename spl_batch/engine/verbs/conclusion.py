@@ -9,7 +9,8 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.number_format import as_ascii, duration
 from spl_batch.engine.report.run_record import REPORT_FILES, RunFacts, stands
 from spl_batch.engine.tasks.ledger import Ledger
-from spl_batch.engine.tasks.runner import damaged_rasters, stages
+from spl_batch.engine.tasks.runner import damaged_rasters
+from spl_batch.engine.tasks.step import delivering, stages
 from spl_batch.engine.verbs.failures import failures
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.watch.earlier_runs import earlier_wall_s, log_bytes
@@ -90,7 +91,8 @@ def _conclude(
     """
     ledger, context, receiver = prepared.ledger, prepared.context, prepared.receiver
     order = stages_of(prepared)
-    if until is None or order.index(until) >= order.index("deliver"):
+    first = prepared.steps[delivering(kind_of(prepared))[0]].stage
+    if until is None or order.index(until) >= order.index(first):
         _withdraw(progress, ledger)
     if until is not None and until != "report":
         status = int(bool(progress.failures or ledger.inputs.bad))

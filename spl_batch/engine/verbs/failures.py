@@ -8,6 +8,7 @@ from typing import Any
 
 from spl_batch.engine.findings import table
 from spl_batch.engine.report.parts import Failure
+from spl_batch.engine.tasks.step import Step, Steps
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.receiver import Prepared
 
@@ -50,11 +51,11 @@ class Failed:
 
 def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator[Failure]:
     """What did not make it, inputs first."""
-    ledger, receiver = prepared.ledger, prepared.receiver
+    ledger, first = prepared.ledger, next(iter(prepared.steps.values()))
     for bad in ledger.inputs.bad:
         yield Failure(
             code="F01",
-            stage="index",
+            stage=first.stage,
             place=bad.path,
             reason="; ".join(bad.faults),
             remedy=table()["F01"].remedy,
@@ -62,17 +63,17 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
         )
     names = {str(s.key): s.name for s in ledger.inputs.sources}
     for one in failed:
-        task = one.task
-        edge_m = receiver.edge_m(task.kind, ledger)
+        task, step = one.task, prepared.steps[one.task.kind]
+        edge_m = step.edge_m(ledger) if step.edge_m else 0.0
         yield Failure(
             code=one.receipt.facts.get("code", "F04"),
             stage=one.stage,
             place=names.get(task.name) or str(task.args.get("path", task.name)),
             reason=one.receipt.reason,
-            remedy=_remedy(one, receiver.remedies),
+            remedy=_remedy(one, step),
             task=f"{task.kind} {task.name}",
             extent_m=extent_m(task.name, edge_m) if edge_m else None,
-            inputs=tuple(inputs(task, names, receiver.words)),
+            inputs=tuple(inputs(task, names, prepared.steps)),
             command=one.command,
         )
 
@@ -88,7 +89,7 @@ def extent_m(name: str, edge_m: float) -> tuple[float, float, float, float]:
     return (west, west + wide, south, south + high)
 
 
-def inputs(task: Task, names: Mapping[str, str], words: Mapping[str, str]) -> list[str]:
+def inputs(task: Task, names: Mapping[str, str], steps: Steps) -> list[str]:
     """Files, tiles and stretches that a task reads, in the words of a user.
 
     Parameters
@@ -97,18 +98,18 @@ def inputs(task: Task, names: Mapping[str, str], words: Mapping[str, str]) -> li
         The task.
     names : mapping of str to str
         Names of the input files by key.
-    words : mapping of str to str
-        What a user calls the result of a kind of task.
+    steps : mapping of str to Step
+        What the receiver does.
     """
     found = [names[str(task.args["source"])]] if task.args.get("source") in names else []
     found += [str(path) for path in task.args.get("paths", ())]
-    if task.kind == "reference":
+    if "path" in task.args and not found:
         found.append(str(task.args["path"]))
     for kind, name in task.needs:
-        word = words.get(kind)
-        if word == "file":
-            found.append(names.get(name, name))
-        elif word is not None:
+        word = steps[kind].unit
+        if name in names:
+            found.append(names[name])
+        elif word:
             found.append(f"{word} {name}")
     return list(dict.fromkeys(found))
 
@@ -128,14 +129,14 @@ def plain_name(task: Task, names: Mapping[str, str]) -> str:
         known = names.get(str(task.args.get("source"))) or names.get(task.name)
         read = Path(str(task.args["path"])).name if "path" in task.args else ""
         parts.append(known or read or task.name)
-    if task.kind.endswith("_part") and "part" in task.args:
+    if "part" in task.args:
         parts.append(str(task.args["part"]))
     return " ".join(parts)
 
 
-def _remedy(one: Failed, remedies: Mapping[str, str]) -> str:
+def _remedy(one: Failed, step: Step) -> str:
     """What its code advises, with what makes its kind of task lighter where memory was short."""
     code = one.receipt.facts.get("code", "F04")
-    lighter = remedies.get(one.task.kind) if code == "F02" else None
+    lighter = step.remedy if code == "F02" else ""
     remedy = table()[code].remedy
     return f"{lighter}, or {remedy}" if lighter else remedy

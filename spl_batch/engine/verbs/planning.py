@@ -13,7 +13,7 @@ from spl_batch.engine.report.parts import FindingReport
 from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import REPORT_FILES
 from spl_batch.engine.store.output_owner import gone_inputs, usable
-from spl_batch.engine.tasks.runner import kinds, stages
+from spl_batch.engine.tasks.step import Step, stages
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.receiver import Prepared
@@ -36,7 +36,7 @@ class Left:
     stage : str
         First stage that has something to do; empty where nothing is left.
     tasks, of : int
-        Tasks of its first unfinished kind that are left, and all of them [count].
+        Tasks of its first unfinished step that are left, and all of them [count].
     time_s : float
         Time that this stage and those behind it take at most, with the run's workers [s].
     counted : bool
@@ -161,7 +161,11 @@ def plan(
                 *inputs.warnings,
                 *gone_inputs(prepared, deliveries),
                 *look.warnings,
-                *(one for phase in receiver.phases for one in receiver.aside(phase, prepared)),
+                *(
+                    one
+                    for step in prepared.steps.values()
+                    for one in receiver.aside(step, prepared)
+                ),
                 *_too_full(output, cost.disk_bytes if whole else 0),
             ),
             prepared.context.workflow.report.ignore,
@@ -200,36 +204,33 @@ def _existing(path: Path) -> Path:
 
 
 def _left(prepared: Prepared[Any, Any], cost: Cost) -> Left | None:
-    """What a run would find finished, phase after phase up to the first that has work to do."""
+    """What a run would find finished, step after step up to the first that has work to do."""
     context, done = prepared.context, 0
-    folders = [context.store.path("receipts", kind) for kind in kinds(context.workflow.kind)]
+    folders = [context.store.path("receipts", kind) for kind in prepared.steps]
     receipts = sum(len(names_in(folder, ".json")) for folder in folders)
     if receipts > LOOKED_AT:
         return Left(receipts, counted=False)
-    for phase in prepared.receiver.phases:
-        work = Worklist(phase, prepared.ledger, context)
+    for step in prepared.steps.values():
+        work = Worklist(step, prepared.ledger, context)
         deque(work.look(), maxlen=0)
         done += work.ready
         if work.left and not done:
             return None
         if work.left:
-            return _left_from(phase.kind, work, done, prepared, cost)
+            return _left_from(step, work, done, prepared, cost)
     if all((context.output / name).exists() for name in REPORT_FILES):
         return Left(done)
     return Left(done, "report", 1, 1)
 
 
 def _left_from(
-    kind: str, work: Worklist, done: int, prepared: Prepared[Any, Any], cost: Cost
+    first: Step, work: Worklist, done: int, prepared: Prepared[Any, Any], cost: Cost
 ) -> Left:
-    """What is left where a kind of task is the first that is not finished."""
-    receiver = prepared.context.workflow.kind
-    known, order = kinds(receiver), stages(receiver)
-    stage, whole = known[kind].stage, work.left + work.ready
-    last = [phase.kind for phase in prepared.receiver.phases if known[phase.kind].stage == stage][
-        -1
-    ]
-    share = work.left / whole if kind == last else 1.0
+    """What is left where a step is the first that is not finished."""
+    order = stages(prepared.context.workflow.kind)
+    stage, whole = first.stage, work.left + work.ready
+    *_, last = (step for step in prepared.steps.values() if step.stage == stage)
+    share = work.left / whole if first == last else 1.0
     after = order[order.index(stage) + 1 :]
     left_s = share * cost.stages_s.get(stage, 0.0) + sum(cost.stages_s.get(s, 0.0) for s in after)
     return Left(done, stage, work.left, whole, left_s / cost.workers)

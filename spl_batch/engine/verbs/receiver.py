@@ -1,4 +1,4 @@
-"""What the verbs need of a receiver: inputs, phases, cost, remarks on the way, a report.
+"""What the verbs need of a receiver: inputs, cost, remarks on the way, a report.
 
 Everything else, tasks on workers, receipts, resume, isolation of failures, progress, is the
 same for all of them. A receiver is named by the ``kind`` of a workflow
@@ -6,10 +6,9 @@ same for all of them. A receiver is named by the ``kind`` of a workflow
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from spl_batch.engine.findings import Finding
@@ -18,9 +17,11 @@ from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.ledger import Ledger, Phase
-from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.tasks.ledger import Ledger
+from spl_batch.engine.tasks.step import Step, Steps
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import WorkflowError
+from spl_batch.receivers import steps
 
 L = TypeVar("L", bound=Ledger[Any, Any])
 C = TypeVar("C", bound=RunContext[Any])
@@ -33,6 +34,12 @@ class Prepared(Generic[L, C]):
     receiver: "Receiver[L, C]"
     ledger: L
     context: C
+
+    @property
+    def steps(self) -> Steps:
+        """What its tasks do."""
+        found: Steps = steps(self.context.workflow.kind)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,24 +83,12 @@ class Receiver(ABC, Generic[L, C]):
         Model of its workflows.
     noun : str
         What its workflows are about.
-    phases : sequence of Phase
-        Every phase of a run, in order.
-    words : mapping of str to str
-        What a user calls the result of a kind of task.
-    remedies : mapping of str to str
-        What makes a kind of task lighter, where memory was too little.
-    essential : frozenset of str
-        Kinds of task whose failure stops a run: :meth:`after` raises what it says.
     delivered : tuple of str
         Patterns of the files that its runs deliver, below the output.
     """
 
     workflow: ClassVar[type[BaseWorkflow]]
     noun: ClassVar[str]
-    phases: ClassVar[Sequence[Phase]]
-    words: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    remedies: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    essential: ClassVar[frozenset[str]] = frozenset()
     delivered: ClassVar[tuple[str, ...]] = ()
 
     @property
@@ -144,39 +139,26 @@ class Receiver(ABC, Generic[L, C]):
         del prepared
         return FirstLook()
 
-    def before(self, phase: Phase, prepared: Prepared[L, C]) -> None:
-        """Get ready for the tasks of a phase."""
+    def before(self, step: Step, prepared: Prepared[L, C]) -> None:
+        """Get ready for the tasks of a step."""
 
     def after(
-        self, phase: Phase, prepared: Prepared[L, C], failed: Sequence[Receipt]
+        self, step: Step, prepared: Prepared[L, C], failed: Sequence[Receipt]
     ) -> Iterable[Finding]:
-        """Warn of what a phase has brought to light.
+        """Warn of what a step has brought to light.
 
         Raises
         ------
         WorkflowError
             If nothing is left to go on with.
         """
-        del phase, prepared, failed
+        del step, prepared, failed
         return ()
 
-    def targets(self, task: Task, workflow: Any) -> Sequence[str]:
-        """Names of the files, below the output, that a task delivers.
-
-        One that ends in ``/`` stands for all files in a folder.
-        """
-        del task, workflow
+    def aside(self, step: Step, prepared: Prepared[L, C]) -> Iterable[Finding]:
+        """Notes for the operator after a step; they are in no report."""
+        del step, prepared
         return ()
-
-    def aside(self, phase: Phase, prepared: Prepared[L, C]) -> Iterable[Finding]:
-        """Notes for the operator after a phase; they are in no report."""
-        del phase, prepared
-        return ()
-
-    def edge_m(self, kind: str, ledger: L) -> float:
-        """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
-        del kind, ledger
-        return 0.0
 
     def reference(self, ledger: L) -> list[str]:
         """Files that the results are compared with."""

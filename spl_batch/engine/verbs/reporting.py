@@ -11,13 +11,13 @@ from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.engine.store.working_store import Store, read_receipt
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.receipt_index import Shelf
-from spl_batch.engine.tasks.runner import code_version, damaged_rasters, kinds
+from spl_batch.engine.tasks.runner import code_version, damaged_rasters
 from spl_batch.engine.verbs.conclusion import RunResult
 from spl_batch.engine.verbs.receiver import Place, Receiver
 from spl_batch.engine.verbs.repair import forget_makers
 from spl_batch.errors import DamagedError, SplBatchError, StoreError, WorkflowError, refuse_without
 from spl_batch.formats.files.atomic import real_path
-from spl_batch.receivers import receiver
+from spl_batch.receivers import receiver, steps
 
 
 def report(output: Path | str) -> RunResult:
@@ -50,7 +50,7 @@ def report(output: Path | str) -> RunResult:
     except DamagedError as error:
         # A run that finds all finished would not look at it.
         names = [context.store.name_of(error.path)]
-        forget_makers(context.store, kinds(context.workflow.kind), names)
+        forget_makers(context.store, steps(context.workflow.kind), names)
         raise
 
 
@@ -101,11 +101,12 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
         kept.get("log_bytes", 0),
         kept.get("compile_s"),
     )
-    return _receipts(context.store, kept["done"]), context, facts
+    return _receipts(context, kept["done"]), context, facts
 
 
-def _receipts(store: Store, names: dict[str, list[str]]) -> dict[str, Shelf]:
-    found = {kind: Shelf(kind) for kind in names}
+def _receipts(context: RunContext[Any], names: dict[str, list[str]]) -> dict[str, Shelf]:
+    store, declared = context.store, steps(context.workflow.kind)
+    found = {step: Shelf(declared[step]) for step in names}
     for kind, listed in names.items():
         for name in listed:
             receipt = read_receipt(store, kind, name)

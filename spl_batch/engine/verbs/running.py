@@ -1,4 +1,4 @@
-"""Run a workflow: phase after phase, skipping what is finished, isolating what fails."""
+"""Run a workflow: step after step, skipping what is finished, isolating what fails."""
 
 import threading
 import time
@@ -17,9 +17,7 @@ from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.store.output_lock import lock_file, locked
 from spl_batch.engine.store.output_owner import gone_inputs, this_survey, usable
 from spl_batch.engine.store.store_owner import claim
-from spl_batch.engine.tasks.ledger import Phase, waves
-from spl_batch.engine.tasks.receipt_index import delivers
-from spl_batch.engine.tasks.runner import kinds
+from spl_batch.engine.tasks.step import Step, waves
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.engine.verbs.conclusion import RunResult, concluded, kind_of, stages_of
@@ -124,13 +122,12 @@ def run(
             invocation,
             repairs,
             deliveries,
-            kinds(kind_of(prepared)),
+            prepared.steps,
             {str(source.key): source.name for source in prepared.ledger.inputs.sources},
-            prepared.receiver.essential,
             ignored=prepared.context.workflow.report.ignore,
         )
         code = prepared.context.code
-        phases = Counter(progress.stage(phase.kind) for phase in prepared.receiver.phases)
+        phases = Counter(step.stage for step in prepared.steps.values())
         anew = not prepared.context.store.path("receipts").exists()
         unusable = [
             {"path": bad.path, "reason": "; ".join(bad.faults)}
@@ -215,13 +212,13 @@ def _process(
     *,
     verify: bool,
 ) -> None:
-    """Go through the phases, and once more where a file of the store had to be made again."""
-    _run_phases(prepared, pool, progress, until, verify=verify)
+    """Go through the steps, and once more where a file of the store had to be made again."""
+    _run_steps(prepared, pool, progress, until, verify=verify)
     while progress.repair(prepared.ledger):
-        _run_phases(prepared, pool, progress, until, verify=verify)
+        _run_steps(prepared, pool, progress, until, verify=verify)
 
 
-def _run_phases(
+def _run_steps(
     prepared: Prepared[Any, Any],
     pool: Executor,
     progress: Progress,
@@ -232,19 +229,19 @@ def _run_phases(
     ledger, receiver, order = prepared.ledger, prepared.receiver, stages_of(prepared)
     last = order.index(until) if until else len(order)
     reports = _reports(until)
-    for wave in waves(receiver.phases):
-        phases = [p for p in wave if order.index(progress.stage(p.kind)) <= last]
-        _run_wave(phases, prepared, pool, progress, verify=verify, reports=reports)
+    for wave in waves(prepared.steps):
+        steps = [step for step in wave if order.index(step.stage) <= last]
+        _run_wave(steps, prepared, pool, progress, verify=verify, reports=reports)
         if progress.repairs.wanted(progress.failed, ledger):
             return
-        for phase in phases:
-            progress.warn(receiver.after(phase, prepared, progress.failed))
-            progress.warn(receiver.aside(phase, prepared))
-            progress.warn(of_receipts(ledger.of(phase.kind)))
+        for step in steps:
+            progress.warn(receiver.after(step, prepared, progress.failed))
+            progress.warn(receiver.aside(step, prepared))
+            progress.warn(of_receipts(ledger.of(step.name)))
 
 
 def _run_wave(
-    phases: Sequence[Phase],
+    steps: Sequence[Step],
     prepared: Prepared[Any, Any],
     pool: Executor,
     progress: Progress,
@@ -252,15 +249,13 @@ def _run_wave(
     verify: bool,
     reports: bool,
 ) -> None:
-    """Do what phases that do not wait for each other have left to do."""
+    """Do what steps that do not wait for each other have left to do."""
     work: dict[str, Worklist] = {}
     targets: list[str] = []
-    for phase in phases:
-        prepared.receiver.before(phase, prepared)
-        work[phase.kind] = Worklist(phase, prepared.ledger, prepared.context, verify=verify)
-        targets += _begin_phase(
-            work[phase.kind], phase.kind, prepared, pool, progress, reports=reports
-        )
+    for step in steps:
+        prepared.receiver.before(step, prepared)
+        work[step.name] = Worklist(step, prepared.ledger, prepared.context, verify=verify)
+        targets += _begin_step(work[step.name], step, prepared, pool, progress, reports=reports)
     for text in progress.deliveries.make_room(targets):
         progress.tell(Note("info", text))
 
@@ -276,28 +271,27 @@ def _run_wave(
         pool.run(jobs, prepared.context, on_receipt)
     for kind in work:
         prepared.ledger.of(kind).sort()
-    if any(map(delivers, work)):
+    if any(step.delivers for step in steps):
         progress.deliveries.save()
 
 
-def _begin_phase(
+def _begin_step(
     work: Worklist,
-    kind: str,
+    step: Step,
     prepared: Prepared[Any, Any],
     pool: Executor,
     progress: Progress,
     *,
     reports: bool,
 ) -> list[str]:
-    """See what one phase has left to do, and tell of it; the files that it will deliver."""
+    """See what one step has left to do, and tell of it; the files that it will deliver."""
     targets: list[str] = []
-    stage = progress.stage(kind)
     for task, receipt in work.look():
-        if receipt is None:
-            targets += prepared.receiver.targets(task, prepared.context.workflow)
-        else:
+        if receipt is not None:
             progress.deliveries.wrote(receipt)
-            progress.costs.setdefault(stage, StageCost()).skip(receipt)
+            progress.costs.setdefault(step.stage, StageCost()).skip(receipt)
+        else:
+            targets += step.targets(task, prepared.context.workflow)
     if work.altered:
         progress.altered(work.altered)
     if not work.left and not work.ready:
@@ -306,7 +300,7 @@ def _begin_phase(
         pool.make_ready()
         if reports and progress.invocation.workers:
             _load_meanwhile(prepared.receiver)
-    progress.tell(PhaseStarted(stage, kind, work.left, work.ready, work.points))
+    progress.tell(PhaseStarted(step.stage, step.name, work.left, work.ready, work.points))
     return targets
 
 

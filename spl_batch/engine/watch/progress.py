@@ -15,7 +15,7 @@ from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.store.deliveries import Deliveries
 from spl_batch.engine.store.working_store import append_log
 from spl_batch.engine.tasks.ledger import Ledger
-from spl_batch.engine.tasks.runner import Kind
+from spl_batch.engine.tasks.step import Steps
 from spl_batch.engine.tasks.task import Receipt, Task, WorkersSeen
 from spl_batch.engine.verbs.failures import Failed, Invocation, plain_name
 from spl_batch.engine.verbs.repair import Repairs
@@ -48,9 +48,8 @@ class Progress:
     invocation: Invocation  #: How the run was started.
     repairs: Repairs
     deliveries: Deliveries  #: What this run and those before it have written into the output.
-    kinds: Mapping[str, Kind]  #: What each kind of task is.
+    steps: Steps  #: What the receiver does.
     names: Mapping[str, str] = field(default_factory=dict)  #: Names of the input files by key.
-    essential: frozenset[str] = frozenset()  #: Kinds of task that the run cannot go on without.
     costs: dict[str, StageCost] = field(default_factory=dict)
     failures: list[Failed] = field(default_factory=list)
     ignored: tuple[str, ...] = ()  #: Codes that the report is silent about.
@@ -62,7 +61,7 @@ class Progress:
 
     def stage(self, kind: str) -> str:
         """Stage that a kind of task belongs to."""
-        return self.kinds[kind].stage
+        return self.steps[kind].stage
 
     def tell(self, event: Event) -> None:
         """Pass an event on, to the log as well."""
@@ -159,7 +158,7 @@ class Progress:
                 command,
                 receipt.facts.get("traceback", ""),
                 plain_name(task, self.names),
-                receipt.failed and task.kind in self.essential,
+                receipt.failed and self.steps[task.kind].essential,
                 self.repairs.may(receipt),
             )
         )

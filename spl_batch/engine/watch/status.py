@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from spl_batch.engine.tasks.runner import stages as stages_of
+from spl_batch.engine.tasks.step import stages as stages_of
 from spl_batch.engine.watch.listing import listed
 from spl_batch.engine.watch.log_lines import seconds
 from spl_batch.receivers import IMAGING

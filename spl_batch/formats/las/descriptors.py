@@ -25,14 +25,20 @@ from spl_batch.formats.las.header import (
     waveform_file,
 )
 from spl_batch.formats.las.records import (
+    ADDED,
+    FIRST_CLASS,
     OFFSET_BIT,
     SCALE_BIT,
     ExtraDimension,
+    added,
     descriptors,
     is_misread,
     record_layout,
     standard_dtype,
 )
+
+_REPLACED: Final = frozenset(added(name).descriptor for name in ADDED if name != FIRST_CLASS)
+"""Descriptors of what an earlier run added and no copy keeps."""
 
 _NAME: Final = slice(4, 36)
 _SCALE, _OFFSET = 112, 136
@@ -59,7 +65,7 @@ def in_order(
     Parameters
     ----------
     extra : sequence of ExtraDimension
-        Of the input; those that are described as one of ``added`` are left out.
+        Of the input; labels of an earlier run, but for its first classes, are left out.
     point_format : int
         Of the copy.
     added : sequence of ExtraDimension
@@ -67,9 +73,8 @@ def in_order(
     """
     standard = laspy.PointFormat(point_format).standard_dimension_names
     taken = {*standard, *(standard_dtype(point_format).names or ()), *(d.name for d in added)}
-    replaced = {d.descriptor for d in added}
     for dimension in extra:
-        if dimension.descriptor not in replaced:
+        if dimension.descriptor not in _REPLACED:
             mended, faults = _mended(dimension, taken)
             taken.add(mended.name)
             yield dimension, mended, faults

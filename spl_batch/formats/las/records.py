@@ -33,6 +33,9 @@ ADDED: Final[Mapping[str, tuple[str, str]]] = {
 }
 """Extra bytes that this project adds: dtype and description."""
 
+FIRST_CLASS: Final = "input_classification"
+"""Of these, what a copy keeps of an earlier output."""
+
 _TYPES: Final = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
 SCALE_BIT: Final = 8
 OFFSET_BIT: Final = 16

@@ -49,6 +49,7 @@ from spl_batch.formats.las.reader import header_crs
 from spl_batch.formats.las.records import (
     ADDED,
     EXTRA_BYTES_KEY,
+    FIRST_CLASS,
     SCAN_ANGLE_STEP_DEG,
     ExtraDimension,
     RecordLayout,
@@ -77,7 +78,6 @@ revisions dropped it for rules on single fields and reserve the bit [LAS 1.4 R15
 _ONLY_RETURN: Final = 0x11
 """First of one return."""
 
-_FIRST_CLASS: Final = "input_classification"
 _DIAGNOSTICS: Final = ("noise_density", "p_value")
 _CHUNK: Final = 500_000
 _POINT_FORMAT: Final = 6
@@ -107,7 +107,7 @@ def added_dimensions(layout: RecordLayout, *, diagnostics: bool) -> list[ExtraDi
     """Extra bytes that a copy of records gets: of an earlier output the first classes stay."""
     there = {d.descriptor for d in layout.extra}
     found = (added(n) for n in ADDED if diagnostics or n not in _DIAGNOSTICS)
-    return [d for d in found if d.name != _FIRST_CLASS or d.descriptor not in there]
+    return [d for d in found if d.name != FIRST_CLASS or d.descriptor not in there]
 
 
 def write_classified(
@@ -131,7 +131,7 @@ def write_classified(
     (LASzip, COPC) or that no reader could parse
     (:func:`~spl_batch.formats.las.known_records.broken_records`). Formats 6-10 know no GeoTIFF
     keys: a CRS in these is given as WKT as well. Of an earlier output of this function
-    ``input_classification`` is kept and other dimensions of :data:`ADDED` are replaced.
+    ``input_classification`` is kept; other dimensions of :data:`ADDED` are replaced or left out.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def _label(
     if "set_flags" in values:
         out["classification_flags"] |= values["set_flags"]
     for name in names:
-        out[field[name]] = classes if name == _FIRST_CLASS else values[name]
+        out[field[name]] = classes if name == FIRST_CLASS else values[name]
 
 
 def _records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr], bool]:
@@ -324,7 +324,7 @@ def write_points(
     """
     labels: dict[str, NDArray[Any]] = {n: table[n] for n in ADDED if n in table}
     if "input_class" in table and "classification" in table:
-        labels[_FIRST_CLASS] = table["input_class"]
+        labels[FIRST_CLASS] = table["input_class"]
     labels |= extra or {}
     described = [
         new_dimension(n, np.asarray(v).dtype, ADDED[n][1] if n in ADDED else "")

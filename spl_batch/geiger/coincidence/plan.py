@@ -1,4 +1,4 @@
-"""Plan of coincidence processing: inputs, phases, cost."""
+"""Plan of coincidence processing: inputs, steps, cost."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from spl_batch.engine.plan.input_files import check_keys, expand, name_below, re
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp
-from spl_batch.engine.tasks.ledger import Ledger, Phase
+from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.errors import InputError, WorkflowError, reason_of
 from spl_batch.formats.crs import projected_crs
@@ -199,12 +199,14 @@ def _with_halo(tile: str, own: Mapping[str, int]) -> int:
     return sum(own.get(f"{p}_{q}", 0) for p in (i - 1, i, i + 1) for q in (j - 1, j, j + 1))
 
 
-def _frames(ledger: L1Ledger) -> Iterator[Task]:
+def frames(ledger: L1Ledger) -> Iterator[Task]:
+    """Files of frames, each to be read."""
     for file in ledger.inputs.frames:
         yield Task("frames", str(file.key), file.args, (), file.rows)
 
 
-def _index(ledger: L1Ledger) -> Iterator[Task]:
+def index_file(ledger: L1Ledger) -> Iterator[Task]:
+    """Files of detections, each to be read."""
     done, inputs = ledger.of("frames"), ledger.inputs
     unread = [*inputs.unread_frames, *(f.name for f in inputs.frames if str(f.key) not in done)]
     shared = {"frames": sorted(done), "unread_frames": sorted(unread)}
@@ -213,7 +215,8 @@ def _index(ledger: L1Ledger) -> Iterator[Task]:
         yield Task("index_file", str(file.key), {**file.args, **shared}, needs, file.rows)
 
 
-def _coincide(ledger: L1Ledger) -> Iterator[Task]:
+def coincide(ledger: L1Ledger) -> Iterator[Task]:
+    """Tiles whose points are made."""
     frames = {k: r for k, r in ledger.of("frames").items() if r.facts["frames"]}
     files = {k: r for k, r in ledger.of("index_file").items() if r.facts["points"]}
     if not files:
@@ -257,20 +260,12 @@ def _shares(numbers: Sequence[int], spans: Sequence[Sequence[int]]) -> bool:
     return any(numbers[0] <= last and first <= numbers[1] for first, last in spans)
 
 
-def _deliver(ledger: L1Ledger) -> Iterator[Task]:
+def deliver_tile(ledger: L1Ledger) -> Iterator[Task]:
+    """Tiles that are delivered."""
     for tile, receipt in ledger.of("coincide").items():
         n = receipt.facts["points"]
         if n:
             yield Task("deliver_tile", tile, {"tile": tile}, (("coincide", tile),), n)
-
-
-PHASES: Final = (
-    Phase("frames", _frames),
-    Phase("index_file", _index),
-    Phase("coincide", _coincide),
-    Phase("deliver_tile", _deliver),
-)
-"""The whole chain, in order."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

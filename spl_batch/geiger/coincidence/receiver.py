@@ -1,9 +1,8 @@
 """Coincidence processing of Geiger-mode lidar, as the verbs need it."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from spl_batch.engine.findings import Finding
@@ -12,12 +11,12 @@ from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.report.verdict import ending_rows
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
-from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.tasks.step import Step
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped
-from spl_batch.geiger.coincidence.plan import PHASES, CoincidenceCost, L1Ledger, estimate, gather
+from spl_batch.geiger.coincidence.plan import CoincidenceCost, L1Ledger, estimate, gather
 from spl_batch.geiger.coincidence.report.model import CoincidenceReport
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
 from spl_batch.geiger.coincidence.tasks.index import CoincidenceContext
@@ -28,13 +27,6 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
 
     workflow: ClassVar[type[BaseWorkflow]] = CoincidenceWorkflow
     noun: ClassVar[str] = "coincidence processing"
-    phases: ClassVar[Sequence[Phase]] = PHASES
-    words: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {"frames": "file", "index_file": "file", "coincide": "tile"}
-    )
-    remedies: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {"coincide": "take a smaller tiling.tile_m or coincidence.volume_voxels"}
-    )
     delivered: ClassVar[tuple[str, ...]] = ("points/*",)
 
     def prepare(
@@ -65,27 +57,18 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
 
     def after(
         self,
-        phase: Phase,
+        step: Step,
         prepared: Prepared[L1Ledger, CoincidenceContext],
         failed: Sequence[Receipt],
     ) -> Iterable[Finding]:
         """Stop where no file could be read."""
-        if phase.kind in {"frames", "index_file"} and not prepared.ledger.of(phase.kind):
-            reasons = [r.reason for r in failed if r.kind == phase.kind]
+        if step.name in {"frames", "index_file"} and not prepared.ledger.of(step.name):
+            reasons = [r.reason for r in failed if r.kind == step.name]
             raise WorkflowError("no input is usable: " + "; ".join(reasons))
-        if phase.kind == "frames":
+        if step.name == "frames":
             _refuse_twice(prepared.ledger)
-        if phase.kind == "index_file" and prepared.ledger.answered is not None:
+        if step.name == "index_file" and prepared.ledger.answered is not None:
             yield Finding("K01", {"kind": "unread"})
-
-    def targets(self, task: Task, workflow: CoincidenceWorkflow) -> Sequence[str]:
-        """Names of the files, below the output, that a task delivers."""
-        del workflow
-        return [f"points/{task.args['tile']}.laz"] if task.kind == "deliver_tile" else []
-
-    def edge_m(self, kind: str, ledger: L1Ledger) -> float:
-        """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
-        return ledger.workflow.tiling.tile_m if kind in {"coincide", "deliver_tile"} else 0.0
 
     def not_read(self, ledger: L1Ledger) -> int:
         """Detections that files promise which could not be read to their end [count]."""

@@ -7,7 +7,8 @@ words.
 
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.errors import InputError, WorkflowError
-from spl_batch.geiger.water.plan import PHASES, WaterLedger
+from spl_batch.geiger.water.plan import WaterLedger
+from spl_batch.geiger.water.steps import STEPS
 from spl_batch.geiger.water.tasks.surfaces import WaterContext, calibrated, read_through
 
 WITHOUT = "without a calibration there are no ranges"
@@ -48,8 +49,8 @@ def _is_calibrated(ledger: WaterLedger, context: WaterContext) -> bool:
     spare = WaterLedger(ledger.inputs, ledger.workflow, ledger.memory_bytes, ledger.workers)
     found = [
         receipt is not None
-        for phase in PHASES[:2]
-        for task, receipt in Worklist(phase, spare, context).look()
+        for step in (STEPS["count_frames"], STEPS["calibrate"])
+        for task, receipt in Worklist(step, spare, context).look()
         if task.kind == "calibrate"
     ]
     return found == [True]

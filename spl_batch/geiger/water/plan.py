@@ -21,7 +21,7 @@ from spl_batch.engine.plan.input_files import (
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.ledger import Ledger, Phase
+from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Task
 from spl_batch.errors import InputError, WorkflowError, grouped
 from spl_batch.formats.crs import projected_crs
@@ -206,14 +206,16 @@ def _by_key(sources: Sequence[FrameSource]) -> dict[int, FrameSource]:
     return {s.key: s for s in sources}
 
 
-def _count(ledger: WaterLedger) -> Iterator[Task]:
+def count_frames(ledger: WaterLedger) -> Iterator[Task]:
+    """Files whose frames are counted, each once."""
     inputs = ledger.inputs
     for key, source in _by_key((*inputs.targets, *inputs.sources)).items():
         args = {**_args(source), "role": "target" if source.distance_m else "water"}
         yield Task("count_frames", str(key), args, (), source.facts.frames)
 
 
-def _calibrate(ledger: WaterLedger) -> Iterator[Task]:
+def calibrate(ledger: WaterLedger) -> Iterator[Task]:
+    """One task that finds the calibration."""
     counted = ledger.of("count_frames")
     inputs = ledger.inputs
     sources = [s for s in (inputs.targets or inputs.sources) if str(s.key) in counted]
@@ -237,7 +239,8 @@ def _calibrate(ledger: WaterLedger) -> Iterator[Task]:
     yield Task("calibrate", "all", args, needs, 0, refused)
 
 
-def _make(ledger: WaterLedger) -> Iterator[Task]:
+def make_surfaces(ledger: WaterLedger) -> Iterator[Task]:
+    """Pieces of files whose surfaces are made."""
     counted, calibrated = ledger.of("count_frames"), ledger.of("calibrate")
     if "all" not in calibrated:
         return
@@ -271,19 +274,11 @@ def _deliver(kind: str, ledger: WaterLedger) -> Iterator[Task]:
             yield Task(kind, str(source.key), args, needs, source.facts.frames)
 
 
-def _points(ledger: WaterLedger) -> Iterator[Task]:
+def deliver_points(ledger: WaterLedger) -> Iterator[Task]:
+    """Tables of points, one for each file."""
     yield from _deliver("deliver_points", ledger)
 
 
-def _rasters(ledger: WaterLedger) -> Iterator[Task]:
+def deliver_rasters(ledger: WaterLedger) -> Iterator[Task]:
+    """Rasters, one set for each file."""
     yield from _deliver("deliver_rasters", ledger)
-
-
-PHASES: Final = (
-    Phase("count_frames", _count),
-    Phase("calibrate", _calibrate),
-    Phase("make_surfaces", _make),
-    Phase("deliver_points", _points),
-    Phase("deliver_rasters", _rasters),
-)
-"""Every phase of a run, in order."""

@@ -1,33 +1,23 @@
 """Water surface from a Geiger-mode array, as the verbs see it."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
-from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
-from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.tasks.step import Step
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, counted, grouped
 from spl_batch.geiger.water.calibration_targets import WITHOUT, refuse_unusable
-from spl_batch.geiger.water.plan import PHASES, WaterLedger, estimate, gather_inputs
+from spl_batch.geiger.water.plan import WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.geiger.water.tasks.surfaces import WaterContext
-
-_WORDS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "count_frames": "file",
-        "make_surfaces": "acquisitions",
-        "deliver_points": "file",
-        "deliver_rasters": "file",
-    }
-)
 
 
 def _silent(counted: Iterable[Receipt]) -> Iterable[Finding]:
@@ -45,11 +35,6 @@ class Water(Receiver[WaterLedger, WaterContext]):
 
     workflow: ClassVar[type[BaseWorkflow]] = WaterWorkflow
     noun: ClassVar[str] = "water surface"
-    phases: ClassVar[Sequence[Phase]] = PHASES
-    words: ClassVar[Mapping[str, str]] = _WORDS
-    remedies: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {"make_surfaces": "store frames in smaller chunks"}
-    )
     delivered: ClassVar[tuple[str, ...]] = ("points/*", "surfaces/**/*")
 
     def prepare(
@@ -90,31 +75,21 @@ class Water(Receiver[WaterLedger, WaterContext]):
 
     def after(
         self,
-        phase: Phase,
+        step: Step,
         prepared: Prepared[WaterLedger, WaterContext],
         failed: Sequence[Receipt],
     ) -> Iterable[Finding]:
         """Stop where nothing is left to go on with."""
         ledger = prepared.ledger
-        if phase.kind == "count_frames":
+        if step.name == "count_frames":
             counted = ledger.of("count_frames")
             if not any(str(s.key) in counted for s in ledger.inputs.sources):
                 reasons = "; ".join(r.reason for r in failed if r.kind == "count_frames")
                 raise WorkflowError(f"no input is usable: {reasons}")
             yield from _silent(counted.values())
-        if phase.kind == "calibrate" and "all" not in ledger.of("calibrate"):
+        if step.name == "calibrate" and "all" not in ledger.of("calibrate"):
             reasons = "; ".join(r.reason for r in failed if r.kind == "calibrate")
             raise WorkflowError(f"{WITHOUT}: {reasons}")
-
-    def targets(self, task: Task, workflow: WaterWorkflow) -> Sequence[str]:
-        """Names of the files, below the output, that a task delivers."""
-        del workflow
-        if task.kind == "deliver_points":
-            return [f"points/{task.args['delivered']}.parquet"]
-        if task.kind == "deliver_rasters":
-            name = task.args["delivered"]
-            return [f"surfaces/{name}.tif", f"surfaces/{name}/"]
-        return []
 
     def report(self, done: Receipts, context: WaterContext, facts: RunFacts) -> WaterReport:
         """Write ``report.json`` and ``report.html``."""

@@ -10,7 +10,7 @@ from spl_batch.airborne.afterpulse import afterpulse_decision, foliage
 from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane
 from spl_batch.airborne.afterpulse.weighted_counts import UNIT, columns, weigh_around
 from spl_batch.airborne.settings import AfterpulseSettings
-from spl_batch.airborne.tasks.kinds import KINDS
+from spl_batch.airborne.steps import STEPS
 from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
 from tests.airborne.filter.test_denoise import as_table
 
@@ -283,11 +283,11 @@ def test_a_larger_budget_takes_more() -> None:
 
 
 def test_another_budget_leaves_the_time_domain_as_it_is() -> None:
-    used = {name for kind in ("fit_line", "scatter") for name in KINDS[kind].settings}
+    used = {name for kind in ("fit_line", "scatter") for name in STEPS[kind].settings}
     ours = {f"afterpulse.{key}" for key in AfterpulseSettings.model_fields}
     assert ours - used == {"afterpulse.vegetation_loss"}
     assert "afterpulse" not in used
-    assert "afterpulse" in KINDS["denoise"].settings
+    assert "afterpulse" in STEPS["denoise"].settings
 
 
 def test_a_bed_lives_although_the_time_domain_takes_it_for_echoes() -> None:

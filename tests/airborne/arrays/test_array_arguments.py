@@ -227,3 +227,20 @@ def test_the_package_itself_loads_nothing() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert said.stdout.split() == ["[]", "True"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 3])
+def test_terrain_of_a_cloud_alone_lies_on_its_ground_at_the_rim_of_slanting_beams(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    edge_m = 150.0
+    ground = np.c_[rng.uniform(0, edge_m, (60_000, 2)), rng.normal(40, 0.05, 60_000)]
+    noise = rng.uniform([0, 0, -80], [edge_m, edge_m, 160], (100_000, 3))
+    noise[:, 0] += 0.3 * (noise[:, 2] - 40)
+    followers = rng.choice(noise, 15_000) - rng.uniform(0, 2, (15_000, 1)) * [0.3, 0, 1]
+    cloud = np.vstack([ground, noise, followers])
+    labels = spl_batch.filter_points(cloud)
+    made = spl_batch.rasterize(cloud, labels, spl_batch.ground_points(cloud, labels))
+    assert 39 < np.nanmin(made.dtm) < np.nanmax(made.dtm) < 41

@@ -1,5 +1,6 @@
 """Returns that two files hold count once."""
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -189,3 +190,21 @@ def test_copies_in_linear_mode_count_once(tmp_path: Path, point_format: int) -> 
     for name in ("lines/a.laz", "lines/b.laz"):
         got = again[name]["classification"].reshape(2, size)
         assert np.array_equal(got, np.tile(once["lines/a.laz"]["classification"], (2, 1)))
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_intensity_tells_copies_apart_only_where_times_are_none(
+    tmp_path: Path, *, timed: bool
+) -> None:
+    columns = surveys.flightline(shots=20, psid=1, seed=1, noise=0.0)
+    size = len(columns["x"])
+    if not timed:
+        columns["gps_time"] = np.zeros(size)
+    scaled = {**columns, "intensity": columns["intensity"] * np.uint16(128)}
+    for name, cloud in (("a", columns), ("b", scaled)):
+        surveys.write_cloud(tmp_path / f"lines/{name}.laz", cloud, channel=False)
+    survey = surveys.write_workflow(tmp_path, survey={"channel_dimension": None})
+    surveys.run(survey, "filter.method=none", "afterpulse.enabled=false", until="shuffle")
+    tiles = (tmp_path / "out/store/receipts/build_tile").glob("*.json")
+    points = sum(json.loads(path.read_text())["facts"]["points"] for path in tiles)
+    assert points == (size if timed else 2 * size)

@@ -3,14 +3,14 @@
 import pytest
 
 from spl_batch.airborne.settings import NoiseSettings
-from spl_batch.airborne.tasks.kinds import KINDS
+from spl_batch.airborne.steps import STEPS
 
 
 @pytest.mark.parametrize("kind", ["gather", "observe", "fit_line", "scatter"])
 def test_the_time_domain_depends_on_all_of_the_noise_but_haze(kind):
-    keys = {key.removeprefix("noise.") for key in KINDS[kind].settings if key.startswith("noise")}
+    keys = {key.removeprefix("noise.") for key in STEPS[kind].settings if key.startswith("noise")}
     assert keys == set(NoiseSettings.model_fields) - {"haze"}
 
 
 def test_the_filter_depends_on_haze():
-    assert "noise" in KINDS["denoise"].settings
+    assert "noise" in STEPS["denoise"].settings

@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.plan import phases
 from spl_batch.airborne.plan.block_size import Sizes, count_blocks
 from spl_batch.airborne.plan.ground_cells import GroundCells
 from spl_batch.airborne.plan.memory.block_parts import parts_of
@@ -22,6 +21,7 @@ from spl_batch.airborne.plan.memory.heaviest_tasks import needs
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import task_bytes
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
+from spl_batch.airborne.steps import STEPS
 from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.engine.plan.worker_memory import USABLE_SHARE
 from spl_batch.engine.store.working_store import read_receipts
@@ -106,8 +106,7 @@ def finished(tiny_output: Path, tmp_path_factory: pytest.TempPathFactory) -> tup
 
 
 def only_task(survey: Survey, kind: str) -> Task:
-    phase = next(phase for phase in phases.PHASES if phase.kind == kind)
-    return max(phase.tasks(survey), key=lambda task: task.points)
+    return max(STEPS[kind].planned(survey), key=lambda task: task.points)
 
 
 def cuts_of(task: Task, context: Context, count: int) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pytest
 from numba.core.errors import TypingError
 
-from spl_batch.airborne.tasks import kinds
+from spl_batch.airborne import steps
 from spl_batch.engine.tasks.context import Produced
 from tests import surveys
 from tests.faulty_worker import place
@@ -70,7 +70,7 @@ def test_an_exception_is_the_failure_of_its_place(
 
 def failing(survey: Path, kind: str, patch: pytest.MonkeyPatch) -> None:
     """Run while one task of a kind fails."""
-    function, met = kinds.KINDS[kind].loaded(), []
+    function, met = steps.STEPS[kind].loaded(), []
 
     def raising(args: Mapping[str, Any], context: Any) -> Produced:
         name = place(args)
@@ -79,8 +79,8 @@ def failing(survey: Path, kind: str, patch: pytest.MonkeyPatch) -> None:
             raise FAULTS[kind]
         return function(args, context)
 
-    faulty = {**kinds.KINDS, kind: dataclasses.replace(kinds.KINDS[kind], function=raising)}
-    patch.setattr(kinds, "KINDS", faulty)
+    faulty = {**steps.STEPS, kind: dataclasses.replace(steps.STEPS[kind], run=raising)}
+    patch.setattr(steps, "STEPS", faulty)
     # Whatever rests on tasks of this kind is done already, and waits for them all the same.
     for receipt in (survey.parent / "out/store/receipts" / kind).rglob("*.json"):
         receipt.unlink()

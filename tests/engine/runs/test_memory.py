@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spl_batch import api
-from spl_batch.airborne.tasks.kinds import KINDS
+from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.store.working_store import Store, read_receipts
 from tests import surveys
 
@@ -36,7 +36,7 @@ def test_memory_does_not_grow_with_the_survey(tmp_path: Path) -> None:
         )
         assert result.exit_status == 0
         store = Store(result.output)
-        done = [r for kind in KINDS for r in read_receipts(store, kind)]
+        done = [r for kind in STEPS for r in read_receipts(store, kind)]
         assert {"denoise", "ground", "surface", "deliver_file"} <= {r.kind for r in done}
         peaks.append(max(r.peak_rss_mb for r in done))
         stretches.append(sum(r.kind == "gather" for r in done))

@@ -12,7 +12,6 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.plan.inputs.channel_dimension import unnamed_channels
 from spl_batch.airborne.plan.inputs.first_look import holds_few, in_files, too_few
-from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
 from spl_batch.airborne.plan.task_memory import stretch_bytes
 from spl_batch.engine.findings import Finding
@@ -21,6 +20,7 @@ from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.errors import WorkflowError, counted, grouped, named, told_together
 from spl_batch.formats.las.number_dimensions import Numbers
+from spl_batch.receivers import steps
 
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
@@ -78,8 +78,8 @@ def blocks_anew(survey: Survey, context: Context) -> Iterator[Finding]:
     then = survey.with_memory_of_blocks()
     if then is None:
         return
-    phase = next(phase for phase in PHASES if phase.kind == "denoise")
-    deque(Worklist(phase, then, context).look(), maxlen=0)
+    denoise = steps(context.workflow.kind)["denoise"]
+    deque(Worklist(denoise, then, context).look(), maxlen=0)
     finished = set(then.of("denoise"))
     if lost := finished - {unit.name for unit in survey.blocks()}:
         yield _cut_smaller(

@@ -12,12 +12,12 @@ from spl_batch.airborne.plan.memory.cell_memory import cell_parts
 from spl_batch.airborne.plan.task_memory import (
     LEAST_PART_Q,
     NAMES,
-    REMEDIES,
     UNEVEN,
     part_bytes,
     task_bytes,
 )
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.steps import STEPS
 from spl_batch.airborne.tasks.delivery import PASS_POINTS
 from spl_batch.airborne.tasks.index import CHUNK_POINTS
 from spl_batch.constants import QUANTUM_M
@@ -95,7 +95,7 @@ def needs(
     if workflow.outputs.copc:
         octree = max(files, default=0)
         task = f"{NAMES['deliver_copc']} with {grouped(octree)} points"
-        found.append(Need(task, task_bytes("deliver_copc", octree), REMEDIES["deliver_copc"]))
+        found.append(Need(task, task_bytes("deliver_copc", octree), STEPS["deliver_copc"].remedy))
     return [
         *found,
         Need("reading a file", task_bytes("index_file", chunk), ""),
@@ -156,7 +156,7 @@ def _part(pieces: Sequence[Piece], workflow: Workflow, limit: int) -> Need:
 def _need(kind: str, peak: Peak, needed: int | None = None) -> Need:
     """What the fullest task of a kind needs."""
     most = task_bytes(kind, peak.points) if needed is None else needed
-    return Need(_place(kind, peak), most, REMEDIES[kind])
+    return Need(_place(kind, peak), most, STEPS[kind].remedy)
 
 
 def _place(kind: str, peak: Peak) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.engine.tasks.runner import Kind
 from spl_batch.formats.las.writer import write_points
 from spl_batch.formats.verified.parquet_npz import write_arrays
 from spl_batch.geiger.coincidence.formats import stored
@@ -21,8 +19,6 @@ from spl_batch.geiger.coincidence.tasks.index import (
     CoincidenceContext,
     detections_path,
     frames_path,
-    index_file,
-    index_frames,
 )
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, cell_bounds, grow, parse_cell
@@ -154,16 +150,3 @@ def deliver_tile(args: Mapping[str, Any], context: CoincidenceContext) -> Produc
         aggregate_bit=context.workflow.outputs.aggregate_bit,
     )
     return Produced([target], {"points": n}, n)
-
-
-_FILTER: Final = ("array", "coincidence", "tiling.tile_m")
-
-KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
-    {
-        "frames": Kind("index", index_frames, ("array",)),
-        "index_file": Kind("index", index_file, ("array.rows", "array.columns", "tiling.tile_m")),
-        "coincide": Kind("coincidence", coincide_tile, _FILTER),
-        "deliver_tile": Kind("deliver", deliver_tile, ("outputs.aggregate_bit",)),
-    }
-)
-"""Tasks of coincidence processing."""

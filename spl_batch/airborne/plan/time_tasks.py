@@ -1,7 +1,7 @@
-"""The chain as a list of phases; each turns what is finished into the next tasks.
+"""Tasks of the index and of the time domain: files, trajectory, flightlines, stretches.
 
-A phase looks only at receipts of the phases before it. What failed there is left out:
-its points stay unlabelled, the rest goes on.
+Each function turns what is finished into the next tasks, and looks only at receipts of earlier
+steps. What failed there is left out: its points stay unlabelled, the rest goes on.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,14 +9,12 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Final
 
-from spl_batch.airborne.plan import catalogue_tasks, reference_tasks, space_tasks, strip_tasks
 from spl_batch.airborne.plan.flightlines import Flightline
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.tasks.index import POSITIONS_S, part_range, parts_of
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.task import Task
 
 RANGE_POINTS = 2_000_000
@@ -29,7 +27,7 @@ FEW_POINTS: Final = 0.001
 """Share of points at either end of all times that may be wrong ones."""
 
 
-def _trajectory_file(survey: Survey) -> Iterator[Task]:
+def trajectory_file(survey: Survey) -> Iterator[Task]:
     """Trajectory files, each by itself: before hours of work rest on them."""
     for path in survey.inputs.trajectory if survey.filtering else ():
         args = {"path": str(path), "stamp": stamp_if_there(path)}
@@ -41,7 +39,8 @@ def _file_task(path: Path) -> str:
     return str(source_key(str(path)))
 
 
-def _index_part(survey: Survey) -> Iterator[Task]:
+def index_part(survey: Survey) -> Iterator[Task]:
+    """Parts of input files, each to be read."""
     for source in survey.inputs.sources:
         n_points, stamp = source.facts.n_points, stamp_if_there(source.path)
         for part in range(parts_of(n_points)):
@@ -50,7 +49,8 @@ def _index_part(survey: Survey) -> Iterator[Task]:
             yield Task("index_part", f"{source.key}/{part}", args, (), stop - start)
 
 
-def _index(survey: Survey) -> Iterator[Task]:
+def index_file(survey: Survey) -> Iterator[Task]:
+    """Input files, each joined of its parts."""
     done = survey.of("index_part")
     for source in survey.inputs.sources:
         parts = [f"{source.key}/{part}" for part in range(parts_of(source.facts.n_points))]
@@ -73,7 +73,8 @@ def _index(survey: Survey) -> Iterator[Task]:
         yield Task("index_file", str(source.key), args, needs, points)
 
 
-def _trajectory(survey: Survey) -> Iterator[Task]:
+def trajectory(survey: Survey) -> Iterator[Task]:
+    """One task that joins the trajectory's files."""
     lines = survey.flightlines
     checked = survey.of("trajectory_file")
     sound = [path for path in survey.inputs.trajectory if _file_task(path) in checked]
@@ -109,7 +110,8 @@ def _time_of_most(lines: Sequence[Flightline]) -> list[float]:
     return [most[0].first_s, max(line.last_s for line in most)]
 
 
-def _heading(survey: Survey) -> Iterator[Task]:
+def heading(survey: Survey) -> Iterator[Task]:
+    """Flightlines whose heading is looked for, without a trajectory."""
     if survey.inputs.trajectory:
         return
     for line in survey.flightlines:
@@ -121,7 +123,8 @@ def _heading(survey: Survey) -> Iterator[Task]:
         yield Task("heading", line.name, args, tuple(("index_file", k) for k in line.sources))
 
 
-def _gather(survey: Survey) -> Iterator[Task]:
+def gather(survey: Survey) -> Iterator[Task]:
+    """Stretches of flightlines."""
     positions = _positions(survey)
     for line in survey.flightlines:
         stretches = list(line.stretches())
@@ -133,7 +136,8 @@ def _gather(survey: Survey) -> Iterator[Task]:
             yield Task("gather", name, args, _files(line), line.points // len(stretches))
 
 
-def _gather_range(survey: Survey) -> Iterator[Task]:
+def gather_range(survey: Survey) -> Iterator[Task]:
+    """Stretches of files without times, where nothing filters."""
     if survey.filtering:
         return
     for source in survey.inputs.sources:
@@ -153,7 +157,8 @@ def _gathered(survey: Survey, line: Flightline) -> list[tuple[str, int]]:
     return [(n, k) for n, k in line.stretches() if n in gathered and gathered[n].facts["points"]]
 
 
-def _sensor_path(survey: Survey) -> Iterator[Task]:
+def sensor_path(survey: Survey) -> Iterator[Task]:
+    """Flightlines whose sensor's path is looked for, without a trajectory."""
     if survey.inputs.trajectory:
         return
     for line in survey.flightlines:
@@ -169,7 +174,8 @@ def _sensor_path(survey: Survey) -> Iterator[Task]:
             yield Task("sensor_path", line.name, args, needs)
 
 
-def _observe(survey: Survey) -> Iterator[Task]:
+def observe(survey: Survey) -> Iterator[Task]:
+    """Stretches that are observed once the path is known."""
     if survey.inputs.trajectory:
         return
     for line in survey.flightlines:
@@ -179,7 +185,8 @@ def _observe(survey: Survey) -> Iterator[Task]:
             yield Task("observe", name, args, needs, survey.of("gather")[name].points)
 
 
-def _fit(survey: Survey) -> Iterator[Task]:
+def fit_line(survey: Survey) -> Iterator[Task]:
+    """Flightlines whose noise and afterpulses are fitted."""
     observing = "gather" if survey.inputs.trajectory else "observe"
     for line in survey.flightlines:
         names = [n for n, _ in _gathered(survey, line) if n in survey.of(observing)]
@@ -195,7 +202,8 @@ def _fit(survey: Survey) -> Iterator[Task]:
             yield Task("fit_line", line.name, args, tuple((observing, n) for n in names))
 
 
-def _scatter(survey: Survey) -> Iterator[Task]:
+def scatter(survey: Survey) -> Iterator[Task]:
+    """Stretches that are shared among tiles."""
     filtering = survey.workflow.filter
     # Only that one filter reads what shots say: the others share the points as they are.
     dcc = filtering.dcc.model_dump() if filtering.method == "dcc" else None
@@ -214,39 +222,6 @@ def _scatter(survey: Survey) -> Iterator[Task]:
     for name, receipt in sorted(survey.of("gather_range").items()):
         args = {"stretch": name, "timeless": True, "polygons": list(survey.inputs.polygons)}
         yield Task("scatter", name, args, (("gather_range", name),), receipt.points)
-
-
-PHASES = (
-    Phase("trajectory_file", _trajectory_file),
-    Phase("index_part", _index_part),
-    Phase("index_file", _index),
-    Phase("trajectory", _trajectory),
-    Phase("heading", _heading),
-    Phase("gather", _gather),
-    Phase("gather_range", _gather_range, beside=True),
-    Phase("sensor_path", _sensor_path),
-    Phase("observe", _observe),
-    Phase("fit_line", _fit),
-    Phase("scatter", _scatter),
-    Phase("build_tile", space_tasks.build),
-    Phase("denoise", space_tasks.denoise),
-    Phase("strip_patches", strip_tasks.patches),
-    Phase("strip_pairs", strip_tasks.pairs),
-    Phase("ground", space_tasks.ground),
-    Phase("surface", space_tasks.surface),
-    Phase("deliver_file", space_tasks.deliver),
-    Phase("deliver_tile", space_tasks.deliver_tiles, beside=True),
-    Phase("mosaic", space_tasks.mosaic, beside=True),
-    Phase("reference", reference_tasks.reference, beside=True),
-    Phase("deliver_copc", catalogue_tasks.deliver_copc),
-    Phase("deliver_hillshade", space_tasks.hillshade, beside=True),
-    Phase("deliver_differences", strip_tasks.differences, beside=True),
-    Phase("deliver_geoid", space_tasks.geoid, beside=True),
-    Phase("accuracy", reference_tasks.accuracy, beside=True),
-    Phase("checkpoints", reference_tasks.checkpoints, beside=True),
-    Phase("deliver_catalogue", catalogue_tasks.catalogue),
-)
-"""Every phase of a run, in order."""
 
 
 def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:

@@ -1,0 +1,308 @@
+"""Steps of an airborne survey, in the order in which they are done."""
+
+from functools import partial
+from typing import Any, Final
+
+from spl_batch.airborne.settings import AfterpulseSettings, NoiseSettings
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.tasks.step import Step, Steps, table
+from spl_batch.engine.tasks.task import Task
+
+STAGES: Final = (
+    "index",
+    "shots",
+    "shuffle",
+    "denoise",
+    "ground",
+    "surfaces",
+    "deliver",
+    "report",
+)
+"""Stages of an airborne survey's run, in order."""
+
+_INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
+
+_OBSERVED: Final = (
+    *(f"noise.{key}" for key in NoiseSettings.model_fields if key != "haze"),
+    *("acquisition", "survey.sensor"),
+)
+"""Haze is looked for in the space domain."""
+
+_TIME: Final = (
+    *_OBSERVED,
+    *(f"afterpulse.{key}" for key in AfterpulseSettings.model_fields if key != "vegetation_loss"),
+)
+"""How many returns may go with the afterpulses is decided later, in the space domain."""
+
+_CLASSES: Final = ("outputs.classes", "classes.overlap", "classes.withheld")
+
+
+_HOME: Final = "spl_batch.airborne"
+
+
+def _step(name: str, stage: str, run: str, *, tasks: str, **options: Any) -> Step:
+    """A step whose places begin where they do here."""
+    return Step(
+        name=name,
+        stage=stage,
+        run=f"{_HOME}.{run}",
+        tasks=f"{_HOME}.plan.{tasks}",
+        **options,
+    )
+
+
+def _tile_m(survey: Any) -> float:
+    edge_m: float = survey.tile_q / QUANTA_PER_M
+    return edge_m
+
+
+def _cell_m(survey: Any) -> float:
+    edge_m: float = survey.cell_q / QUANTA_PER_M
+    return edge_m
+
+
+def _clouds(task: Task, _: Any) -> list[str]:
+    files = [task.args, *filter(None, [task.args["waveforms"]])]
+    return [f"laz/{file['delivered']}" for file in files]
+
+
+def _tiles(task: Task, workflow: Any) -> list[str]:
+    copc = ".copc" if workflow.outputs.tiles == "copc" else ""
+    return [f"tiles/{task.name}{copc}.laz"]
+
+
+def _rasters(task: Task, _: Any) -> list[str]:
+    return [f"{task.name}.tif"] if task.args["delivered"] else []
+
+
+def _target(task: Task, _: Any) -> list[str]:
+    return [task.args["target"]]
+
+
+_cell = partial(_step, unit="ground cell", edge_m=_cell_m)
+_delivery = partial(_step, stage="deliver", delivers=_target)
+
+STEPS: Final[Steps] = table(
+    _step(
+        "trajectory_file",
+        "index",
+        "tasks.index:look_through",
+        tasks="time_tasks:trajectory_file",
+        settings=("survey.trajectory_crs",),
+    ),
+    _step(
+        "index_part",
+        "index",
+        "tasks.index:index_part",
+        tasks="time_tasks:index_part",
+        settings=_INDEXED,
+    ),
+    _step(
+        "index_file",
+        "index",
+        "tasks.index:index_file",
+        tasks="time_tasks:index_file",
+        settings=_INDEXED,
+        unit="file",
+        bytes_per_point=300,
+    ),
+    _step(
+        "trajectory",
+        "index",
+        "tasks.index:gather_trajectory",
+        tasks="time_tasks:trajectory",
+        settings=("survey.trajectory_crs",),
+        essential=True,
+    ),
+    _step("heading", "shots", "tasks.index:find_heading", tasks="time_tasks:heading"),
+    _step(
+        "gather",
+        "shots",
+        "tasks.time_domain:gather",
+        tasks="time_tasks:gather",
+        settings=_OBSERVED,
+        unit="stretch",
+        bytes_per_point=380,
+    ),
+    _step(
+        "gather_range",
+        "shots",
+        "tasks.time_domain:gather_range",
+        tasks="time_tasks:gather_range",
+        settings=("survey.channel_dimension",),
+        unit="stretch",
+        beside=True,
+        bytes_per_point=300,
+    ),
+    _step("sensor_path", "shots", "tasks.lines_of_sight:find_path", tasks="time_tasks:sensor_path"),
+    _step(
+        "observe",
+        "shots",
+        "tasks.lines_of_sight:observe",
+        tasks="time_tasks:observe",
+        settings=_OBSERVED,
+        bytes_per_point=380,
+    ),
+    _step(
+        "fit_line",
+        "shots",
+        "tasks.time_domain:fit_line",
+        tasks="time_tasks:fit_line",
+        settings=_TIME,
+        unit="flightline",
+    ),
+    _step(
+        "scatter",
+        "shuffle",
+        "tasks.time_domain:scatter",
+        tasks="time_tasks:scatter",
+        settings=(*_TIME, "tiling.tile_m", "aoi", "water"),
+        unit="stretch",
+        bytes_per_point=540,
+    ),
+    _step(
+        "build_tile",
+        "shuffle",
+        "tasks.time_domain:build_tile",
+        tasks="space_tasks:build",
+        unit="tile",
+        edge_m=_tile_m,
+        unread=frozenset({"z"}),
+        bytes_per_point=280,
+        remedy="lower tiling.tile_m",
+    ),
+    _step(
+        "denoise",
+        "denoise",
+        "tasks.space_domain:denoise",
+        tasks="space_tasks:denoise",
+        settings=("filter", "noise", "afterpulse", "outputs.diagnostics"),
+        unit="block",
+        edge_m=_tile_m,
+        unread=frozenset({"noise_class"}),
+        bytes_per_point=150,
+        remedy="lower tiling.tile_m",
+    ),
+    _cell(
+        "strip_patches",
+        "ground",
+        "lines.comparison:strip_patches",
+        tasks="strip_tasks:patches",
+        bytes_per_point=80,
+        remedy="lower ground.cell_m",
+    ),
+    _step(
+        "strip_pairs",
+        "ground",
+        "lines.comparison:strip_pairs",
+        tasks="strip_tasks:pairs",
+        settings=("survey.align",),
+    ),
+    _cell(
+        "ground",
+        "ground",
+        "tasks.space_domain:ground",
+        tasks="space_tasks:ground",
+        settings=("ground",),
+        bytes_per_point=215,
+        remedy="lower ground.cell_m or ground.buffer_m",
+    ),
+    _cell(
+        "surface",
+        "surfaces",
+        "tasks.surfaces:surface",
+        tasks="space_tasks:surface",
+        settings=("ground.cell_m", "products", "classes", "aoi", "water", "breaklines"),
+        unread=frozenset({"rasters"}),
+        bytes_per_point=175,
+        remedy="lower ground.cell_m or products.void_max_m",
+    ),
+    _delivery(
+        "deliver_file",
+        run="tasks.delivery:deliver_file",
+        tasks="space_tasks:deliver",
+        settings=("outputs.diagnostics", *_CLASSES),
+        delivers=_clouds,
+    ),
+    _delivery(
+        "deliver_tile",
+        run="tasks.delivery:deliver_tile",
+        tasks="space_tasks:deliver_tiles",
+        settings=("outputs.tiles", *_CLASSES),
+        beside=True,
+        edge_m=_tile_m,
+        delivers=_tiles,
+        bytes_per_point=280,
+    ),
+    _delivery(
+        "mosaic",
+        run="tasks.delivery:mosaic",
+        tasks="space_tasks:mosaic",
+        settings=("ground.cell_m", "products.cell_m", "products.void_max_m", "aoi"),
+        beside=True,
+        delivers=_rasters,
+    ),
+    _step(
+        "reference",
+        "report",
+        "tasks.reference:reference",
+        tasks="reference_tasks:reference",
+        beside=True,
+    ),
+    _delivery(
+        "deliver_copc",
+        run="tasks.delivery:deliver_copc",
+        tasks="catalogue_tasks:deliver_copc",
+        bytes_per_point=280,
+        remedy="set outputs.copc: false, and outputs.tiles: copc for octrees by tile",
+    ),
+    _delivery(
+        "deliver_hillshade",
+        run="tasks.delivery:deliver_hillshade",
+        tasks="space_tasks:hillshade",
+        beside=True,
+    ),
+    _delivery(
+        "deliver_differences",
+        run="tasks.delivery:deliver_differences",
+        tasks="strip_tasks:differences",
+        beside=True,
+    ),
+    _delivery(
+        "deliver_geoid",
+        run="tasks.delivery:deliver_geoid",
+        tasks="space_tasks:geoid",
+        settings=("outputs.geoid",),
+        beside=True,
+    ),
+    _step(
+        "accuracy",
+        "report",
+        "tasks.accuracy:accuracy",
+        tasks="reference_tasks:accuracy",
+        settings=("products.cell_m",),
+        unit="square of the reference",
+        beside=True,
+        bytes_per_point=300,
+        remedy="cut the reference into files that fill their bounding boxes evenly",
+    ),
+    _step(
+        "checkpoints",
+        "report",
+        "tasks.checkpoints:checkpoints",
+        tasks="reference_tasks:checkpoints",
+        settings=("reference.checkpoints_crs", "reference.checkpoints_accuracy_m"),
+        unit="file",
+        beside=True,
+    ),
+    # It lists everything that is delivered, the checkpoints too: so it comes last.
+    _step(
+        "deliver_catalogue",
+        "report",
+        "tasks.delivery:deliver_catalogue",
+        tasks="catalogue_tasks:catalogue",
+        settings=("survey.name",),
+        delivers=f"{_HOME}.plan.catalogue_tasks:catalogue_files",
+    ),
+)
+"""What an airborne survey's tasks do."""

@@ -1,0 +1,98 @@
+"""Steps of ``kind: altimetry``, in the order in which they are done."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+from spl_batch.engine.tasks.step import Step, Steps, table
+from spl_batch.engine.tasks.task import Task
+
+
+def _beam_files(task: Task, _: Any) -> Sequence[str]:
+    name = task.args["delivered"]
+    return [f"photons/{name}.parquet", f"profiles/{name}.csv"]
+
+
+def _copies(task: Task, _: Any) -> Sequence[str]:
+    return [f"hdf5/{task.args['delivered']}"]
+
+
+_TASKS: Final = "spl_batch.altimetry.tasks"
+_FOUND: Final = ("rate", "signal", "reference.baseline")
+
+STEPS: Final[Steps] = table(
+    Step(
+        name="index_file",
+        stage="index",
+        run=f"{_TASKS}.index:index_file",
+        tasks="spl_batch.altimetry.plan:index_file",
+        unit="file",
+    ),
+    Step(
+        name="take_in",
+        stage="index",
+        run=f"{_TASKS}.index:take_in",
+        tasks="spl_batch.altimetry.plan:take_in",
+        settings=("track.prf_hz", "rate.cell_m"),
+        unit="beam",
+    ),
+    Step(
+        name="rate",
+        stage="rate",
+        run=f"{_TASKS}.rate:find_rate",
+        tasks="spl_batch.altimetry.plan:rate",
+        settings=("rate", "signal", "work"),
+        unit="beam",
+    ),
+    Step(
+        name="score",
+        stage="signal",
+        run=f"{_TASKS}.photons:score",
+        tasks="spl_batch.altimetry.plan:score",
+        settings=_FOUND,
+        unit="segment",
+        bytes_per_point=400,
+        remedy="lower work.segment_photons or signal.reach_m",
+    ),
+    Step(
+        name="select",
+        stage="signal",
+        run=f"{_TASKS}.photons:select",
+        tasks="spl_batch.altimetry.plan:select",
+        settings=("rate", "signal", "profile"),
+        unit="beam",
+    ),
+    Step(
+        name="profile",
+        stage="profile",
+        run=f"{_TASKS}.heights:profile_beam",
+        tasks="spl_batch.altimetry.plan:profile",
+        settings=("profile", "reference.baseline"),
+        unit="beam",
+    ),
+    Step(
+        name="compare",
+        stage="profile",
+        run=f"{_TASKS}.reference:compare",
+        tasks="spl_batch.altimetry.plan:compare",
+        settings=("reference",),
+        unit="beam",
+    ),
+    Step(
+        name="deliver_beam",
+        stage="deliver",
+        run=f"{_TASKS}.delivery:deliver_beam",
+        tasks="spl_batch.altimetry.plan:deliver_beam",
+        settings=("outputs.refraction", "track.off_nadir_deg"),
+        unit="beam",
+        delivers=_beam_files,
+    ),
+    Step(
+        name="deliver_file",
+        stage="deliver",
+        run=f"{_TASKS}.delivery:deliver_file",
+        tasks="spl_batch.altimetry.plan:deliver_file",
+        settings=("outputs.hdf5",),
+        delivers=_copies,
+    ),
+)
+"""What is done, in the order in which it is done."""

@@ -1,0 +1,98 @@
+"""Steps of a receiver: what kinds of task there are, declared once.
+
+Plan, run, status, report, the keys of receipts, progress, cost and remedies read this table.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+from spl_batch.engine.tasks.context import TaskFunction
+from spl_batch.engine.tasks.task import Task
+from spl_batch.receivers import load, steps
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """A kind of task."""
+
+    name: str  #: What its receipts and the log call it.
+    stage: str  #: Stage of the command line that it belongs to.
+    #: Its function, or where that lies, as ``module:name``: planning and looking at a run load no
+    #: kernels, and workers load no plan.
+    run: TaskFunction | str
+    #: Makes its tasks of the receiver's ledger, of what earlier steps have finished; likewise.
+    tasks: Callable[[Any], Iterator[Task]] | str
+    settings: tuple[str, ...] = ()  #: Parts of the workflow that its result depends on.
+    #: Whether its tasks are made without a look at the step before it: both are done at once.
+    beside: bool = False
+    unit: str = ""  #: What a user calls that which one of its tasks works on, such as ``tile``.
+    #: Edge of that, where it is a square, by the receiver's ledger [m].
+    edge_m: Callable[[Any], float] | None = None
+    #: Names below the output of the files that one of its tasks delivers, by task and workflow; a
+    #: name that ends in ``/`` stands for all files of a folder. None where users see none.
+    delivers: Callable[[Task, Any], Sequence[str]] | str | None = None
+    #: Facts that are read from receipts on disk alone: memory does without them.
+    unread: frozenset[str] = frozenset()
+    bytes_per_point: int = 0  #: Peak memory by each point that a task holds at once [byte].
+    remedy: str = ""  #: What makes its tasks lighter where memory is short.
+    essential: bool = False  #: Whether a run cannot go on where one of its tasks fails.
+
+    @property
+    def module(self) -> str:
+        """Name of the module that holds its function."""
+        if isinstance(self.run, str):
+            return self.run.partition(":")[0]
+        return self.run.__module__
+
+    def loaded(self) -> TaskFunction:
+        """The function itself."""
+        if not isinstance(self.run, str):
+            return self.run
+        found: TaskFunction = load(self.run)
+        return found
+
+    def planned(self, ledger: Any) -> Iterator[Task]:
+        """Its tasks."""
+        make = load(self.tasks) if isinstance(self.tasks, str) else self.tasks
+        yield from make(ledger)
+
+    def targets(self, task: Task, workflow: Any) -> Sequence[str]:
+        """Names of the files, below the output, that a task delivers."""
+        if self.delivers is None:
+            return ()
+        name = load(self.delivers) if isinstance(self.delivers, str) else self.delivers
+        found: Sequence[str] = name(task, workflow)
+        return found
+
+
+Steps = Mapping[str, Step]
+"""Steps of a receiver by name, in order."""
+
+
+def table(*declared: Step) -> Steps:
+    """Steps by name, in the order in which they are done."""
+    return MappingProxyType({step.name: step for step in declared})
+
+
+def stages(receiver: str) -> tuple[str, ...]:
+    """Stages of a receiver's run, in order; the report comes last."""
+    return (*dict.fromkeys((*(step.stage for step in steps(receiver).values()), "report")),)
+
+
+def delivering(receiver: str) -> list[str]:
+    """Names of the steps of a receiver whose outputs a user sees."""
+    return [step.name for step in steps(receiver).values() if step.delivers is not None]
+
+
+def waves(declared: Steps) -> Iterator[list[Step]]:
+    """Steps that are done at once, in order."""
+    wave: list[Step] = []
+    for step in declared.values():
+        if wave and not step.beside:
+            yield wave
+            wave = []
+        wave.append(step)
+    if wave:
+        yield wave

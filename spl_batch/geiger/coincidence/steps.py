@@ -1,0 +1,57 @@
+"""Steps of the coincidence processing, in the order in which they are done."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+from spl_batch.engine.tasks.step import Step, Steps, table
+from spl_batch.engine.tasks.task import Task
+
+
+def _points(task: Task, _: Any) -> Sequence[str]:
+    return [f"points/{task.args['tile']}.laz"]
+
+
+def _tile_m(ledger: Any) -> float:
+    return float(ledger.workflow.tiling.tile_m)
+
+
+_TASKS: Final = "spl_batch.geiger.coincidence.tasks"
+
+STEPS: Final[Steps] = table(
+    Step(
+        name="frames",
+        stage="index",
+        run=f"{_TASKS}.index:index_frames",
+        tasks="spl_batch.geiger.coincidence.plan:frames",
+        settings=("array",),
+        unit="file",
+    ),
+    Step(
+        name="index_file",
+        stage="index",
+        run=f"{_TASKS}.index:index_file",
+        tasks="spl_batch.geiger.coincidence.plan:index_file",
+        settings=("array.rows", "array.columns", "tiling.tile_m"),
+        unit="file",
+    ),
+    Step(
+        name="coincide",
+        stage="coincidence",
+        run=f"{_TASKS}.points:coincide_tile",
+        tasks="spl_batch.geiger.coincidence.plan:coincide",
+        settings=("array", "coincidence", "tiling.tile_m"),
+        unit="tile",
+        edge_m=_tile_m,
+        remedy="take a smaller tiling.tile_m or coincidence.volume_voxels",
+    ),
+    Step(
+        name="deliver_tile",
+        stage="deliver",
+        run=f"{_TASKS}.points:deliver_tile",
+        tasks="spl_batch.geiger.coincidence.plan:deliver_tile",
+        settings=("outputs.aggregate_bit",),
+        edge_m=_tile_m,
+        delivers=_points,
+    ),
+)
+"""The whole chain, in order."""
