@@ -1,19 +1,17 @@
 """The project's own exceptions.
 
 Every message is one clear line that names the file, the value and the remedy.
-The command line prints it without a traceback and exits with ``exit_status``. So do warnings
-say all at once whom they concern.
+The command line prints it without a traceback and exits with ``exit_status``.
 """
 
 import math
-import re
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
 from os import fsdecode
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 
 def named(names: Sequence[object], most: int = 5) -> str:
@@ -81,62 +79,17 @@ def brief(text: str, most: int) -> str:
     return f"{text[:head]} … {text[len(text) - (most - head - 3) :]}"
 
 
-class Remark(NamedTuple):
-    """A warning, and how bad it is."""
+def shared(faults: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Give each fault once, behind the names of all files that have it.
 
-    text: str
-    #: Orders warnings that differ only in their numbers, the highest first; a user is given them as
-    #: one. None where only equal warnings are given as one.
-    badness: float | None = None
-
-
-class Said(NamedTuple):
-    """A warning about one of many; text and badness are those of a :class:`Remark`."""
-
-    name: str  #: Whom it concerns: a file, a flightline.
-    text: str
-    badness: float | None = None
-
-
-_NUMBER: Final = re.compile(r"\d+(?:(?:[ .]|, )\d+)*")
-
-
-def shared(told: Iterable[Said], nouns: str = "", noun: str = "") -> Iterator[str]:
-    """Give each warning once, behind the names of all that it concerns, worst first.
-
-    Parameters
-    ----------
-    told : iterable of Said
-        Names, and what is said of each.
-    nouns : str
-        What several of them are counted as, e.g. ``files``; not counted without.
-    noun : str
-        What a single one is called before its name, e.g. ``flightline``.
+    ``faults``: name and fault of each.
     """
-    alike: dict[tuple[bool, str], list[Said]] = {}
-    for one in told:
-        graded = one.badness is not None
-        wording = _NUMBER.sub("0", one.text) if graded else one.text
-        alike.setdefault((graded, wording), []).append(one)
-    for those in alike.values():
-        # Stable: equally bad ones stay in the order in which they were told.
-        ordered = sorted(those, key=lambda one: -(one.badness or 0.0))
-        worst = ordered[0]
-        if len(ordered) == 1:
-            yield f"{noun} {worst.name}: {worst.text}".lstrip()
-            continue
-        yield _together(ordered, f"{len(ordered)} {nouns}" if nouns else "")
-
-
-def _together(ordered: list[Said], count: str) -> str:
-    """What is said of several, the worst of them first; ``count`` of them, or nothing."""
-    names, worst = named([one.name for one in ordered], 3), ordered[0]
-    if any(one.text != worst.text for one in ordered):
-        listed = f"{count} ({names})" if count else names
-        return f"{listed}; of {worst.name}, the worst: {worst.text}"
-    if count and worst.badness is not None and _NUMBER.search(worst.text):
-        return f"each of {count} ({names}): {worst.text}"
-    return ": ".join(part for part in (count, names, worst.text) if part)
+    alike: dict[str, list[str]] = {}
+    for name, fault in faults:
+        alike.setdefault(fault, []).append(name)
+    for fault, names in alike.items():
+        before = "" if len(names) == 1 else f"{len(names)} files: "
+        yield f"{before}{named(names, 3)}: {fault}"
 
 
 class SplBatchError(Exception):
@@ -225,7 +178,7 @@ def as_input_fault(path: object) -> Iterator[None]:
 
 def told_together(errors: Iterable[InputError]) -> Iterator[str]:
     """What is wrong with files, once for those that share it."""
-    return shared((Said(error.path, "; ".join(error.faults)) for error in errors), "files")
+    return shared((error.path, "; ".join(error.faults)) for error in errors)
 
 
 class MissingPackageError(SplBatchError, ImportError):

@@ -4,7 +4,7 @@ A workflow's ``kind`` names its receiver. Its parts are loaded when they are ask
 processes an airborne survey needs nothing of the others.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
@@ -36,6 +36,8 @@ class Home:
     inputs: str = ""
     #: Extra of this project that installs what it needs beside an airborne survey.
     extra: str = "report"
+    #: What its codes mean: a mapping of :class:`~spl_batch.engine.findings.Code`.
+    codes: str = ""
 
 
 HOMES: Final[Mapping[str, Home]] = MappingProxyType(
@@ -49,6 +51,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.airborne.compare.comparison:METHODS",
             "spl_batch.airborne.first_use.commented:begin",
             "LAS, LAZ or COPC file",
+            codes="spl_batch.airborne.findings:CODES",
         ),
         "altimetry": Home(
             "spl_batch.altimetry.settings:TrackWorkflow",
@@ -61,6 +64,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "file of photons along a track (ATL03 or MABEL-like HDF5, CSV with the columns "
             "along_track and height)",
             extra="altimetry",
+            codes="spl_batch.altimetry.findings:CODES",
         ),
         "coincidence": Home(
             "spl_batch.geiger.coincidence.settings:CoincidenceWorkflow",
@@ -69,6 +73,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.geiger.coincidence.report.model:CoincidenceReport",
             "spl_batch.geiger.coincidence.simulate:simulate_file",
             extra="geiger",
+            codes="spl_batch.geiger.coincidence.findings:CODES",
         ),
         "water_surface": Home(
             "spl_batch.geiger.water.settings:WaterWorkflow",
@@ -77,6 +82,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.geiger.water.report.model:WaterReport",
             "spl_batch.geiger.water.simulate:simulate_file",
             extra="geiger",
+            codes="spl_batch.geiger.water.findings:CODES",
         ),
     }
 )
@@ -118,6 +124,13 @@ def beginner(kind: str) -> Any:
     """What writes a first workflow for a receiver's files; None where nothing does."""
     place = HOMES[kind].begin
     return _part(kind, place) if place else None
+
+
+def findings() -> Iterator[Any]:
+    """What the codes of each receiver mean."""
+    for home in HOMES.values():
+        if home.codes:
+            yield load(home.codes)
 
 
 def _part(kind: str, place: str) -> Any:

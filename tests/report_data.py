@@ -22,6 +22,7 @@ from spl_batch.airborne.report.model import (
 )
 from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report import style
 from spl_batch.engine.report.parts import (
     Failure,
@@ -31,8 +32,15 @@ from spl_batch.engine.report.parts import (
     StagePerformance,
     Statistics,
 )
+from spl_batch.engine.report.reported import reported
 
 EXTENT = (500_000.0, 500_400.0, 3_300_000.0, 3_300_300.0)
+
+
+def make_finding(count: int) -> Finding:
+    """A trajectory that ends too early."""
+    values = {"kind": "uncovered", "count": count, "first_s": 1.0, "last_s": 3.1}
+    return Finding("T02", values, "00003_1000")
 
 
 def statistics(differences: NDArray[Any]) -> Statistics:
@@ -225,9 +233,7 @@ def make_report(**changes: Any) -> Report:
                 for name, (w, t, p, m) in stages.items()
             },
         ),
-        "warnings": (
-            "flightline 3: the trajectory ends 2.1 s early; 118 402 beams are from scan_angle",
-        ),
+        "findings": reported([make_finding(118_402)]),
         "provenance": Provenance(
             version="0.1.0",
             created="2026-05-04T06:12:44+00:00",

@@ -5,7 +5,7 @@ import fcntl
 import io
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -297,3 +297,12 @@ def made_once(places: pytest.TempPathFactory, name: str, make: Callable[[Path], 
             make(folder)
             done.touch()
     return folder
+
+
+def found(findings: Iterable[Any], code: str, kind: str | None = None) -> list[Any]:
+    """Findings of a report or a plan with a code, and a kind if one is given."""
+    return [
+        one
+        for one in findings
+        if one.code == code and (kind is None or one.values.get("kind") == kind)
+    ]

@@ -47,7 +47,8 @@ _NUMBER = re.compile(r"[\d\s.,]*\d")
 
 def told_by(report: Mapping[str, Any]) -> list[str]:
     """What a report warns of, and why it lacks files."""
-    return [*report["warnings"], *(failure["reason"] for failure in report["failures"])]
+    found = [one["sentence"] for one in report["findings"]]
+    return [*found, *(failure["reason"] for failure in report["failures"])]
 
 
 def new_warnings(said: Iterable[str], usual: Iterable[str]) -> list[str]:

@@ -1,6 +1,6 @@
 """Airborne single-photon lidar: the receiver that the project began with."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
@@ -9,7 +9,6 @@ from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, vir
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
 from spl_batch.airborne.lines.sentences import done_sentence, left_out_warnings, offset_warnings
-from spl_batch.airborne.noise.line_noise import RAISE_INTERVAL
 from spl_batch.airborne.plan.block_size import (
     remember_sizes,
     remember_stretch,
@@ -21,7 +20,6 @@ from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.findings import (
     beams_without_trajectory,
     blocks_anew,
-    channels_not_named,
     copies,
     heights_in_other_unit,
     judge_index,
@@ -29,14 +27,13 @@ from spl_batch.airborne.plan.inputs.findings import (
     merged_shots,
     refuse_empty_area,
     stretches_anew,
-    times_off,
 )
 from spl_batch.airborne.plan.inputs.first_look import first_look
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.plan.memory.cell_memory import strips_cost
 from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.plan.strip_tasks import is_one_flightline
-from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
+from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import REMEDIES
 from spl_batch.airborne.precompile import compile_share
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, NAMES, PRODUCTS
@@ -45,6 +42,7 @@ from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store
 from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.executor import Work
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
@@ -190,7 +188,7 @@ class Imaging(Receiver[Survey, Context]):
 
     def after(
         self, phase: Phase, prepared: Prepared[Survey, Context], failed: Sequence[Receipt]
-    ) -> Iterable[str]:
+    ) -> Iterable[Finding]:
         """Warn of what a phase has brought to light, or stop."""
         survey, store = prepared.ledger, prepared.context.store
         if phase.kind == "index_file":
@@ -212,12 +210,7 @@ class Imaging(Receiver[Survey, Context]):
                 raise WorkflowError(f"survey.trajectory: {'; '.join(failures)}")
         if phase.kind == "sensor_path" and survey.of("sensor_path"):
             yield beams_without_trajectory(survey)
-        yield from _strip_sentences(phase, survey)
-        if phase.kind == "surface" and len(mosaic_parts(survey)) > 1:
-            yield (
-                "the survey lies in pieces far apart: each has rasters of its own "
-                "(dtm.tif, dtm_2.tif, ...), the piece with most points comes first"
-            )
+        yield from _swath_findings(phase, survey)
 
     def targets(self, task: Task, workflow: Workflow) -> Sequence[str]:
         """Names of the files, below the output, that a task delivers."""
@@ -235,31 +228,19 @@ class Imaging(Receiver[Survey, Context]):
             return _catalogue_files(task)
         return []
 
-    def aside(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Iterable[str]:
+    def aside(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Iterable[Finding]:
         """How much of earlier runs is done again for want of memory."""
         survey = prepared.ledger
         if phase.kind == "index_file":
             return stretches_anew(survey)
         if phase.kind == "strip_pairs" and survey.workflow.survey.align != "none":
             if bool(survey.of("index_file")) and is_one_flightline(survey):
-                return ["survey.align: there is one flightline, nothing is shifted"]
-            found = (shifts_of(r.facts) for r in survey.of("strip_pairs").values())
-            return [done_sentence(lines) for lines in found if not all(one.stays for one in lines)]
+                texts = ["survey.align: there is one flightline, nothing is shifted"]
+            else:
+                found = (shifts_of(r.facts) for r in survey.of("strip_pairs").values())
+                texts = [done_sentence(s) for s in found if not all(one.stays for one in s)]
+            return [Finding("E01", {"kind": "memory", "what": text}) for text in texts]
         return blocks_anew(survey, prepared.context) if phase.kind == "build_tile" else ()
-
-    def follows(
-        self, phase: Phase, prepared: Prepared[Survey, Context]
-    ) -> Callable[[str, str], bool]:
-        """Along wrong beams no gate is what it seems; shots without beamlets hold few of them."""
-        if phase.kind != "fit_line":
-            return super().follows(phase, prepared)
-        leaps, off = times_off(prepared.ledger)
-        one_beamlet = bool(channels_not_named(prepared.ledger))
-
-        def told(name: str, text: str) -> bool:
-            return name in leaps or name in off or (one_beamlet and text.endswith(RAISE_INTERVAL))
-
-        return told
 
     def edge_m(self, kind: str, ledger: Survey) -> float:
         """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
@@ -360,8 +341,8 @@ def _check_cells(workflow: Workflow, path: Path) -> None:
         raise WorkflowError(f"{path}: {'; '.join(faults)}")
 
 
-def _strip_sentences(phase: Phase, survey: Survey) -> Iterator[str]:
-    """What to tell of flightlines where they overlap, once it is known."""
+def _swath_findings(phase: Phase, survey: Survey) -> Iterator[Finding]:
+    """What is found of flightlines where they overlap."""
     if phase.kind == "strip_patches":
         cells = survey.of("strip_patches").items()
         yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})

@@ -13,6 +13,7 @@ from spl_batch.altimetry.formats.photons import BeamFacts, TrackFile, inspect
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.tasks.context import Context
 from spl_batch.altimetry.tasks.delivery import PASS_PHOTONS
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.engine.plan.input_files import (
     check_keys,
@@ -26,7 +27,7 @@ from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.engine.tasks.input_changes import stamp
 from spl_batch.engine.tasks.ledger import Ledger, Phase
 from spl_batch.engine.tasks.task import Task
-from spl_batch.errors import InputError, Said, WorkflowError, shared
+from spl_batch.errors import InputError, WorkflowError
 from spl_batch.lattice.tiles import quanta
 
 RATES_PHOTONS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
@@ -65,7 +66,7 @@ class Inputs:
 
     sources: tuple[Source, ...]
     bad: tuple[InputError, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Finding, ...]
     reference: tuple[Path, ...]
     labels: tuple[Path, ...]  #: Those of the reference that are files of ATL08.
 
@@ -136,33 +137,25 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
 
 def _atl08(
     files: Sequence[Path], base: Path, sources: Sequence[Source]
-) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
     """Files that are of ATL08, and what to say of the others."""
     good, said = [], []
     for path in files:
         why = no_atl08(path)
         if why:
             name = f"reference.labels {name_below(path, base)}"
-            said.append(f"{name} {why}: nothing is compared with it; name files of ATL08")
+            said.append(Finding("P01", {"kind": "labels", "what": why}, name))
         else:
             good.append(path)
     if good and sources and not any(s.file.layout == "atl03" for s in sources):
-        said.append(
-            "reference.labels: ATL08 speaks of ATL03's photons alone, and track.photons has none: "
-            "nothing is compared with it; use reference.points or reference.dtm"
-        )
+        text = "ATL08 is of ATL03's photons alone, and track.photons has none"
+        said.append(Finding("P01", {"kind": "labels", "what": text}, "reference.labels"))
     return tuple(good), tuple(said)
-
-
-_NO_RATE: Final = (
-    "rate.source is product, but the file states no noise rate; the rate is taken from the empty "
-    "part of the gate"
-)
 
 
 def _inspect(
     paths: Sequence[Path], workflow: TrackWorkflow
-) -> tuple[list[tuple[Path, TrackFile, tuple[BeamFacts, ...]]], list[InputError], list[str]]:
+) -> tuple[list[tuple[Path, TrackFile, tuple[BeamFacts, ...]]], list[InputError], list[Finding]]:
     good, bad, without = [], [], []
     wanted = workflow.track.beams
     for path in paths:
@@ -179,8 +172,7 @@ def _inspect(
         if workflow.rate.source == "product":
             without += [f"{path.name} {b.name}" for b in beams if not b.background]
         good.append((path, file, beams))
-    said = (Said(name, _NO_RATE) for name in without)
-    return good, bad, list(shared(said, "beams"))
+    return good, bad, [Finding("P01", {"kind": "rate"}, name) for name in without]
 
 
 def _index(tracks: Tracks) -> Iterator[Task]:

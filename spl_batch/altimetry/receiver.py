@@ -12,13 +12,14 @@ from spl_batch.altimetry.report.model import TrackReport
 from spl_batch.altimetry.report.page import screen_summary
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.tasks.context import Context
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
-from spl_batch.errors import Said, WorkflowError, counted, grouped, shared
+from spl_batch.errors import WorkflowError, grouped
 
 _WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -77,7 +78,7 @@ class Altimetry(Receiver[Tracks, Context]):
 
     def after(
         self, phase: Phase, prepared: Prepared[Tracks, Context], failed: Sequence[Receipt]
-    ) -> Iterable[str]:
+    ) -> Iterable[Finding]:
         """Warn of what a phase has brought to light, or stop."""
         tracks = prepared.ledger
         if phase.kind != "take_in":
@@ -89,7 +90,7 @@ class Altimetry(Receiver[Tracks, Context]):
             raise WorkflowError(
                 "no input is usable: " + ("; ".join(reasons) or "they hold no photons")
             )
-        yield from shared(_unplaced(tracks, taken), "beams")
+        yield from _unplaced(tracks, taken)
 
     def targets(self, task: Task, workflow: TrackWorkflow) -> Sequence[str]:
         """Names of the files, below the output, that a task delivers."""
@@ -127,13 +128,13 @@ class Altimetry(Receiver[Tracks, Context]):
         ]
 
 
-def _unplaced(tracks: Tracks, taken: Mapping[str, Receipt]) -> Iterator[Said]:
+def _unplaced(tracks: Tracks, taken: Mapping[str, Receipt]) -> Iterator[Finding]:
     """Beams with photons that lie nowhere."""
     for source, beam, key in tracks.beams():
         lost = taken[key].points - taken[key].facts["placed"] if key in taken else 0
         if lost:
-            text = f"{counted(lost, 'photons')} without height or place, delivered unlabelled"
-            yield Said(f"{source.name} {beam.name}", text, lost)
+            values = {"kind": "unplaced", "count": lost}
+            yield Finding("P01", values, f"{source.name} {beam.name}", badness=lost)
 
 
 RECEIVER: Final[Receiver[Any, Any]] = Altimetry()

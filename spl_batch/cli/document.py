@@ -49,7 +49,7 @@ def of_plan(summary: "PlanSummary") -> dict[str, Any]:
         "cost": cost,
         "limit_bytes": summary.limit_bytes,
         "left": None if summary.left is None else asdict(summary.left),
-        "warnings": summary.warnings,
+        "findings": [one.model_dump(mode="json") for one in summary.findings],
         "faults": summary.faults,
     }
 
@@ -57,7 +57,7 @@ def of_plan(summary: "PlanSummary") -> dict[str, Any]:
 def of_result(result: "RunResult") -> dict[str, Any]:
     """How a run ended: its numbers as the report has them, and where the files are."""
     told = {} if result.report is None else result.report.model_dump(mode="json")
-    parts = ("counts", "accuracy", "performance", "warnings", "failures")
+    parts = ("counts", "accuracy", "performance", "findings", "failures")
     return {
         "exit_status": result.exit_status,
         "output": str(result.output),

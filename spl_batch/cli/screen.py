@@ -104,8 +104,8 @@ def print_plan(summary: "PlanSummary") -> None:
             ("time", f"{_expected(cost.time_s)} ({basis}){_time_left(summary.left)}"),
         ]
     )
-    for text in summary.warnings:
-        _lines(f"warning: {text}", "yellow")
+    for one in summary.findings:
+        _lines(f"warning: {one.text}", "yellow")
     for text in summary.faults:
         _lines(f"unusable: {text}", "red")
 

@@ -71,12 +71,12 @@ def leap_seconds(time_s: float) -> int:
     return next((leap for since_s, leap in reversed(_LEAPS) if gps_s >= since_s), _LEAPS[0][1])
 
 
-def bit_warning(standard: TimeStandard, *, adjusted_bit: bool) -> str | None:
-    """Sentence about a header bit that contradicts the values; none where they agree."""
+def contradicted_bit(standard: TimeStandard, *, adjusted_bit: bool) -> tuple[str, str] | None:
+    """What a header's bit states and what the values are; None where they agree."""
     if standard == "week" and adjusted_bit:
-        return "the header says adjusted standard time, gps_time holds seconds of the GPS week"
+        return "adjusted standard time", "seconds of the GPS week"
     if standard == "adjusted" and not adjusted_bit:
-        return "the header says GPS week time, gps_time holds adjusted standard time"
+        return "GPS week time", "adjusted standard time"
     return None
 
 

@@ -38,6 +38,11 @@ from tests.workflow_files import unshown
 ROOT = Path(__file__).parents[2]
 
 
+def sentences(report: dict) -> list[str]:
+    """What a report warns of."""
+    return [f"{one['subject']}: {one['sentence']}" for one in report["findings"]]
+
+
 def run(workflow: Path, *options: Any) -> Any:
     return surveys.command("run", workflow, "--workers", 0, *options)
 
@@ -201,7 +206,7 @@ def test_signal_that_noise_alone_gives_is_said(tmp_path: Path) -> None:
     write_csv(tmp_path / "hills.csv", small_track(3))
     workflow = write_workflow(tmp_path, "*.csv")
     assert run(workflow).status == 0
-    texts = report(workflow)["warnings"]
+    texts = sentences(report(workflow))
     assert not any("rate.buffer_m" in text for text in texts)
     found = [text for text in texts if "cannot be told from noise" in text]
     assert len(found) == 1, found
@@ -324,7 +329,7 @@ def test_ground_is_compared_with_a_terrain_raster(tmp_path: Path) -> None:
     with rasterio.open(tmp_path / "dtm.tif", "r+") as raster:
         raster.transform = rasterio.Affine(step, 0, 60.0, 0, -step, 5.0)
     assert run(workflow).status == 0
-    assert "60.0000 to 60.0001 E, the ground from 0.0" in " ".join(report(workflow)["warnings"])
+    assert "60.0000 to 60.0001 E, the ground from 0.0" in " ".join(sentences(report(workflow)))
     (tmp_path / "dtm.tif").write_text("no raster")
     ended = run(workflow)
     assert ended.status == 1
@@ -344,7 +349,7 @@ def test_a_reference_that_says_nothing_is_named(granule: Path, tmp_path: Path) -
         workflow = write_workflow(tmp_path, "photons.csv", reference={key: name})
         ended = run(workflow)
         assert ended.status == 0
-        assert expected in " ".join(report(workflow)["warnings"])
+        assert expected in " ".join(sentences(report(workflow)))
     other = tmp_path / "other.h5"
     shutil.copy(atl08, other)
     with h5py.File(other, "r+") as file:
@@ -356,7 +361,7 @@ def test_a_reference_that_says_nothing_is_named(granule: Path, tmp_path: Path) -
         tmp_path, atl03, reference={"labels": "other.h5"}, output="output_of_other"
     )
     assert run(workflow).status == 0
-    said = json.loads((tmp_path / "output_of_other/report.json").read_text())["warnings"]
+    said = sentences(json.loads((tmp_path / "output_of_other/report.json").read_text()))
     assert any("name the ATL08 file of the same granule" in text for text in said)
 
 
@@ -470,8 +475,8 @@ def test_photons_without_a_height_stay_without_a_label(tmp_path: Path) -> None:
     assert ended.status == 0
     found = report(workflow)
     assert found["counts"]["not_assessed"] == 3
-    assert any("3 photons without height or place" in text for text in found["warnings"])
-    assert any("states no noise rate" in text for text in found["warnings"])
+    assert any("3 photons without height or place" in text for text in sentences(found))
+    assert any("states no noise rate" in text for text in sentences(found))
     table = labels(tmp_path / "out", "a/gt1r")
     assert (table["signal"][100:103] == 255).all()
 

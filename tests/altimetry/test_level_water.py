@@ -58,6 +58,11 @@ class WaterTrack(NamedTuple):
     kind: np.ndarray
 
 
+def sentences(report: dict) -> list[str]:
+    """What a report warns of."""
+    return [f"{one['subject']}: {one['sentence']}" for one in report["findings"]]
+
+
 def water_track(
     noise_per_m2: float,
     seed: int = 1,
@@ -569,7 +574,7 @@ def test_a_rate_that_is_not_seen_is_said(tmp_path: Path) -> None:
     (tmp_path / "photons.csv").write_text("\n".join(["along_track,height", *rows]) + "\n")
     workflow = write_workflow(tmp_path, "photons.csv")
     assert surveys.command("run", workflow, "--workers", 0).status == 0
-    said = " ".join(json.loads((tmp_path / "out/report.json").read_text())["warnings"])
+    said = " ".join(sentences(json.loads((tmp_path / "out/report.json").read_text())))
     assert "no noise is seen" in said
     assert "photons are signal; nothing is told apart" in said
 
@@ -581,7 +586,7 @@ def test_a_track_of_few_photons_far_apart_is_said(tmp_path: Path) -> None:
     assert surveys.command("run", workflow, "--workers", 0).status == 0
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["counts"]["signal"] == 0
-    assert "no photon is signal: nothing but noise is seen" in " ".join(report["warnings"])
+    assert "no photon is signal: nothing but noise is seen" in " ".join(sentences(report))
 
 
 def test_a_bright_cloud_over_water_is_said_and_hides_no_surface(tmp_path: Path) -> None:
@@ -593,7 +598,7 @@ def test_a_bright_cloud_over_water_is_said_and_hides_no_surface(tmp_path: Path) 
     (tmp_path / "photons.csv").write_text(text + "\n")
     workflow = write_workflow(tmp_path, "photons.csv")
     assert surveys.command("run", workflow, "--workers", 0).status == 0
-    said = " ".join(json.loads((tmp_path / "out/report.json").read_text())["warnings"])
+    said = " ".join(sentences(json.loads((tmp_path / "out/report.json").read_text())))
     assert "a layer that floats as a cloud does" in said
     kept = labels(tmp_path / "out", "photons/track")["signal"] == 1
     assert kept[: len(track.x)][track.kind == SURFACE].mean() > 0.9

@@ -635,7 +635,6 @@ def test_what_headers_tell_is_said_once_and_for_all_files(survey: Path) -> None:
     lines = survey.parent / "lines"
     for name in ("first", "good", "third"):
         surveys.write_cloud(lines / f"{name}.laz", surveys.flightline(shots=120), scale=0.00025)
-    (said,) = [text for text in surveys.run(survey).report.warnings if "rounded" in text]
-    names = "3 files: lines/first.laz, lines/good.laz, lines/third.laz: the scale (0.00025, "
-    assert said.startswith(names)
-    assert [text for text in api.plan(survey).warnings if "rounded" in text] == [said]
+    (said,) = surveys.found(surveys.run(survey).report.findings, "I01", "header")
+    assert said.subjects == ("lines/first.laz", "lines/good.laz", "lines/third.laz")
+    assert surveys.found(api.plan(survey).findings, "I01") == [said]

@@ -171,7 +171,11 @@ def test_hostile_records_are_named_and_counted(hostile: tuple[Path, surveys.Ende
     folder, ended = hostile
     report = json.loads((folder / "out/report.json").read_text(encoding="utf-8"))
     assert report["counts"]["records_left_out"] == 2
-    told = [text for text in report["warnings"] if "left out of the delivered copy" in text]
+    told = [
+        one["sentence"]
+        for one in report["findings"]
+        if (one["code"], one["values"].get("kind")) == ("I01", "left_out")
+    ]
     assert ["LASF_Projection 2111" in told[0], "\\x1b[31m\\xff 1 cannot" in told[1]] == [True, True]
     assert ended.err.count("left out of the delivered copy") == 2
 

@@ -110,7 +110,8 @@ def test_what_a_flightline_left_behind_is_listed_and_deleted(survey: Path, tmp_p
     (laz / "mine.laz").write_text("mine")
     shutil.copy(laz / "2.laz", tmp_path / "2.laz")
     (tmp_path / "lines" / "2.laz").unlink()
-    assert "2.laz" in " ".join(api.plan(survey).warnings)
+    (note,) = surveys.found(api.plan(survey).findings, "E01", "gone")
+    assert note.values["files"] == ["2.laz"]
     ended = command("run", survey)
     assert ended.status == 0
     flat = " ".join(ended.text.split())
@@ -143,8 +144,8 @@ def test_what_an_earlier_run_delivered_stays_where_tasks_fail(
     assert {name: (out / name).read_bytes() for name in rasters} == {
         name: before[name] for name in rasters
     }
-    warnings = json.loads((out / "report.json").read_text(encoding="utf-8"))["warnings"]
-    assert any("kept as tasks of this one failed" in text for text in warnings)
+    found = json.loads((out / "report.json").read_text(encoding="utf-8"))["findings"]
+    assert "E02" in {one["code"] for one in found}
     record = json.loads((out / "delivered.json").read_text(encoding="utf-8"))
     assert rasters <= record["files"].keys(), "the next run may replace them"
 

@@ -119,7 +119,7 @@ def run(survey: Path, name: str, told: Sequence[str] = ()) -> tuple[Path, list[s
     result = api.run(survey / "workflow.yaml", overrides=overrides, workers=0)
     if result.exit_status:
         raise SystemExit(f"{survey}: the run failed; see {name}/log.jsonl")
-    return survey / name, list(result.report.warnings)
+    return survey / name, [one.sentence for one in result.report.findings]
 
 
 def made(detector: Mapping[str, Any], folder: Path) -> Path:

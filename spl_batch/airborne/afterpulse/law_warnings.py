@@ -15,7 +15,7 @@ from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw, added, o
 from spl_batch.airborne.afterpulse.hard_surfaces import STEP_M
 from spl_batch.airborne.afterpulse.lag_counts import LAG_EDGES_M
 from spl_batch.airborne.sensors.sensor import Sensor
-from spl_batch.errors import Remark, grouped
+from spl_batch.engine.findings import Finding
 
 LATE_MIN: Final = 0.02
 """Share of afterpulses beyond the sensor's longest lag from which on a user is told."""
@@ -54,7 +54,7 @@ UNEVEN_SIGMA: Final = 6.0
 def uneven(
     parts: Sequence[Mapping[str, NDArray[Any]]], spans_s: Sequence[tuple[float, float]],
     law: AfterpulseLaw, noise_per_m: float, sensor: Sensor,
-) -> tuple[Remark, ...]:  # fmt: skip
+) -> tuple[Finding, ...]:  # fmt: skip
     """What to tell of stretches of a flightline that do not follow its law.
 
     Parameters
@@ -77,41 +77,33 @@ def uneven(
     if not odd:
         return ()
     ratio, (first, last) = max(odd, key=lambda one: abs(math.log(one[0])))
-    text = (
-        f"in {len(odd)} of {len(parts)} stretches returns of hard surfaces are followed more or "
-        f"less often than the law of the flightline says, {ratio:.1f} times as often between "
-        f"gps_time {first:.0f} and {last:.0f}: there afterpulses among leaves are told worse"
-    )
-    return (Remark(text, abs(math.log(ratio))),)
+    values = {
+        "kind": "uneven", "count": len(odd), "of": len(parts), "times": float(ratio),
+        "first_s": float(first), "last_s": float(last),
+    }  # fmt: skip
+    return (Finding("A01", values, badness=abs(math.log(ratio))),)
 
 
-def disagreements(law: AfterpulseLaw, sensor: Sensor) -> tuple[Remark, ...]:
+def disagreements(law: AfterpulseLaw, sensor: Sensor) -> tuple[Finding, ...]:
     """What to tell of a flightline's law and ranging spread."""
     return (*_late(law, sensor), *_spread(law, sensor))
 
 
-def _late(law: AfterpulseLaw, sensor: Sensor) -> tuple[Remark, ...]:
+def _late(law: AfterpulseLaw, sensor: Sensor) -> tuple[Finding, ...]:
     stated, late = sensor.afterpulse_lag_max_m, law.later_than(sensor.afterpulse_lag_max_m)
     if law.longest_m <= stated or late < LATE_MIN:
         return ()
-    ends = "" if law.longest_m < LAG_EDGES_M[-1] else " and farther, which is not looked for"
-    text = (
-        f"{100 * late:.0f} % of the afterpulses lie more than {stated:g} m behind the return that "
-        f"started them, up to {law.longest_m:.0f} m{ends}, and the sensor states {stated:g} m "
-        f"({grouped(law.parents)} returns of hard surfaces show it). Behind hard surfaces they are "
-        "taken away as deep; among leaves more of them stay than usual"
-    )
-    return (Remark(text, late),)
+    values = {
+        "kind": "late", "share": float(late), "stated_m": stated,
+        "longest_m": float(law.longest_m),
+    }  # fmt: skip
+    return (Finding("A01", values, badness=float(late)),)
 
 
-def _spread(law: AfterpulseLaw, sensor: Sensor) -> tuple[Remark, ...]:
+def _spread(law: AfterpulseLaw, sensor: Sensor) -> tuple[Finding, ...]:
     stated = sensor.range_sigma_m
     if law.sigma_m <= stated:
         return ()
-    text = (
-        f"returns of hard surfaces spread by {100 * law.sigma_m:.0f} cm along the beam, and the "
-        f"sensor states {100 * stated:.0f} cm: so thick are surfaces taken, afterpulses within "
-        f"{250 * law.sigma_m:.0f} cm behind them stay, and heights of single returns are as "
-        "uncertain"
-    )
-    return (Remark(text, law.sigma_m),)
+    sigma_m = float(law.sigma_m)
+    values = {"kind": "spread", "sigma_m": sigma_m, "stated_m": stated}
+    return (Finding("A01", values, badness=sigma_m),)

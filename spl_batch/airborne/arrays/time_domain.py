@@ -20,7 +20,8 @@ from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import QUANTUM_M
-from spl_batch.errors import Said, shared
+from spl_batch.engine.findings import Finding
+from spl_batch.engine.report.reported import texts
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable, ShotClock, VoxelPart
@@ -83,25 +84,24 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
     added = {name: np.zeros(len(table), np.float32) for name in _ADDED}
     added["channel"] = channels.copy()
     flags = np.where(known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
-    lines, bases, said = [], set(), []
+    lines, bases, found = [], set(), list[Finding]()
     for name, rows in _flightlines(table, np.flatnonzero(known), settings.survey.gap_s):
         one = _Line(
             table.take(rows), None if origin_m is None else origin_m[rows], sensor, settings
         )
         bases.add(one.basis)
-        said += [Said(name, warning.text, warning.badness) for warning in one.model.warnings]
+        found += [finding._replace(subject=name) for finding in one.model.findings]
         if one.rate_is_assumed:
-            text = f"gps_time does not tell the pulse rate, so {FALLBACK_PRF_HZ:.0f} Hz is assumed"
-            said.append(Said(name, f"{text}; state acquisition.prf_hz"))
+            assumed = {"kind": "assumed", "prf_hz": FALLBACK_PRF_HZ}
+            found.append(Finding("T01", assumed, name))
         columns, parts = one.assess()
         for key, values in columns.items():
             added[key][rows] = values
         flags[rows] |= ~one.beams.known * np.uint8(PointFlag.NO_BEAM)
         lines.append(parts)
     basis = "vertical" if "vertical" in bases else next(iter(bases), "beams")
-    warnings = tuple(shared(said, "flightlines", "flightline"))
     return Assessed(
-        table.with_columns(flags=flags, **added), lines, sensor.beamlets, basis, warnings
+        table.with_columns(flags=flags, **added), lines, sensor.beamlets, basis, texts(found)
     )
 
 

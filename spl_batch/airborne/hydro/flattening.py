@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from spl_batch.constants import NODATA, QUANTUM_M
-from spl_batch.errors import grouped
+from spl_batch.engine.findings import Finding
 from spl_batch.formats.breaklines import CentreLine, Water
 from spl_batch.lattice.tiles import Bounds
 
@@ -135,8 +135,8 @@ def _highest_beside(water: Raster, wet: NDArray[np.bool_]) -> Raster:
     return found
 
 
-def bank_warnings(found: Iterable[Sequence[int]]) -> Iterator[str]:
-    """Sentence on breaklines that do not fit the terrain.
+def bank_findings(found: Iterable[Sequence[int]]) -> Iterator[Finding]:
+    """Breaklines that do not fit the terrain.
 
     ``found``: iterable of (int, int, int), :class:`Banks` of each ground cell that was flattened.
     """
@@ -145,10 +145,7 @@ def bank_warnings(found: Iterable[Sequence[int]]) -> Iterator[str]:
         return
     cells, banks, flooded = np.sum(listed, axis=0).tolist()
     if not cells:
-        yield "breaklines: no lake and no river covers a cell of the survey; check their CRS"
+        yield Finding("G04", {"kind": "none"})
     elif flooded > FLOODED_SHARE * banks:
-        yield (
-            f"breaklines: water stands more than {ABOVE_M:g} m above {grouped(flooded)} of "
-            f"{grouped(banks)} cells of terrain beside it, which it would flood: check heights, "
-            "vertical datum and banks"
-        )
+        values = {"kind": "flooded", "above_m": ABOVE_M, "count": flooded, "of": banks}
+        yield Finding("G04", values)

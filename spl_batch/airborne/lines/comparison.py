@@ -22,12 +22,11 @@ from spl_batch.airborne.lines.patches import (
     region,
     seen_lines,
 )
-from spl_batch.airborne.lines.sentences import stay_warnings
+from spl_batch.airborne.lines.sentences import stay_findings
 from spl_batch.airborne.store.flown_lines import SHIFTS, FlownLine, FlownLines
 from spl_batch.airborne.store.label_tables import read_region
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.errors import Remark
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.eastings import once, strips_between
 from spl_batch.lattice.tables import EXCLUDED, PointTable
@@ -98,7 +97,7 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
             "name": "survey.align",
             "before": [list(pair) for pair in pairs],
             "shifts": [list(one) for one in shifts],
-            "warnings": [Remark(text) for text in stay_warnings(shifts)],
+            "findings": [*stay_findings(shifts)],
         }
         spans = {one.name: (one.first_s, one.last_s) for one in flown}
         moved = [

@@ -8,7 +8,8 @@ import numpy as np
 from spl_batch.airborne.lines.alignment import ALONE, MOST_M, TOO_FAR, LineShift
 from spl_batch.airborne.lines.pair_table import TILT_PER_M, PairDifference
 from spl_batch.airborne.lines.patches import MOST_LINES
-from spl_batch.errors import counted, grouped, named
+from spl_batch.engine.findings import Finding
+from spl_batch.errors import grouped
 
 NEXT_TO: Final = 0.1
 """Part of the larger of two horizontal differences below which the smaller is not told."""
@@ -16,8 +17,8 @@ NEXT_TO: Final = 0.1
 
 def offset_warnings(
     pairs: Sequence[PairDifference], align: str = "none", apart: int = 0
-) -> Iterator[str]:
-    """A sentence on pairs whose flightlines differ by more than a single range does.
+) -> Iterator[Finding]:
+    """Pairs whose flightlines differ by more than a single range does.
 
     ``align``: how flightlines were shifted before they were compared. ``apart``: returns of the
     ground of flightlines that lie apart from the terrain [count]. It names the worst pair, as one
@@ -27,35 +28,27 @@ def offset_warnings(
     if not off:
         return
     _, pair = min(off, key=lambda found: (-found[0], found[1].first, found[1].second))
-    which = "flightline "
-    if len(off) > 1:
-        which = (
-            f"{len(off)} of {len(pairs)} pairs of flightlines do not fit together (strips in "
-            "report.json): at worst "
-        )
-    yield (
-        f"{which}{pair.second} lies {' and '.join(_parts(pair))} than {pair.first}, around "
-        f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar patches; "
-        f"single ranges scatter by {100 * pair.noise_m:.1f} cm){_tilt(pair)}. Surfaces that "
-        "both have seen appear twice, and the terrain follows the lower one"
-        f"{_ground(apart)}: {_remedy(pair, align)}"
-    )
+    values = {
+        "pairs": len(off), "first": pair.first, "second": pair.second, "patches": pair.patches,
+        "offset": " and ".join(_parts(pair)) + _tilt(pair), "up_m": pair.up_m,
+        "noise_m": pair.noise_m, "apart": apart, "remedy": _remedy(pair, align),
+    }  # fmt: skip
+    yield Finding("S01", values, place=(pair.x_m, pair.y_m, pair.x_m, pair.y_m))
 
 
-def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[str]:
-    """A sentence where a ground cell holds more flightlines than are compared.
+def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[Finding]:
+    """Where a ground cell holds more flightlines than are compared.
 
     ``left_out``: flightlines that are not compared, of each ground cell [count].
     """
     cells = {cell: count for cell, count in left_out.items() if count}
     if cells:
         worst = max(sorted(cells), key=lambda cell: cells[cell])
-        yield (
-            f"in {counted(len(cells), 'ground cells')} more than {MOST_LINES} flightlines overlap, "
-            f"{grouped(cells[worst] + MOST_LINES)} in {worst}: those with most returns are "
-            "compared, the others are not; survey.gap_s may be shorter than pauses within a "
-            "flightline, or gps_time jumps"
-        )
+        values = {
+            "kind": "passes", "cells": len(cells), "most": MOST_LINES,
+            "worst": cells[worst] + MOST_LINES, "cell": worst,
+        }  # fmt: skip
+        yield Finding("S02", values)
 
 
 def _away(pair: PairDifference) -> float:
@@ -78,14 +71,6 @@ def _remedy(pair: PairDifference, align: str) -> str:
         f"{above}adjust the flightlines with other software and run again; look for a wrong "
         "mounting angle, a drift or another datum"
     )
-
-
-def _ground(apart: int) -> str:
-    """What is told of the ground of the others."""
-    if not apart:
-        return ""
-    lie = f"{grouped(apart)} of its returns {'lie' if apart > 1 else 'lies'}"
-    return f"; class 2 holds the ground of both, and {lie} off the terrain"
 
 
 def _tilt(pair: PairDifference) -> str:
@@ -112,21 +97,14 @@ def _parts(pair: PairDifference) -> Iterator[str]:
                 yield f"{100 * abs(way_m):.0f} cm farther {ahead if way_m > 0 else back}"
 
 
-def stay_warnings(lines: Sequence[LineShift]) -> Iterator[str]:
-    """Sentences on flightlines that stay where they should perhaps not."""
+def stay_findings(lines: Sequence[LineShift]) -> Iterator[Finding]:
+    """Flightlines that stay where they should perhaps not."""
     alone = [one.name for one in lines if one.stays == ALONE]
-    if alone and len(alone) == len(lines):
-        yield "no two flightlines share enough planar patches: none is shifted"
-    elif alone:
-        noun = "flightline shares" if len(alone) == 1 else "flightlines share"
-        yield f"{len(alone)} {noun} too few planar patches with others and stay: {named(alone)}"
+    if alone:
+        yield Finding("S02", {"kind": "alone", "count": len(alone), "names": alone})
     for one in lines:
         if one.stays == TOO_FAR:
-            yield (
-                f"{one.name} would have to be shifted by {one.found_m:.2f} m up, more than the "
-                f"{MOST_M:g} m that are allowed: it stays, and the others are aligned without it; "
-                "look at its trajectory and its datum"
-            )
+            yield Finding("S02", {"kind": "far", "up_m": one.found_m, "most_m": MOST_M}, one.name)
 
 
 def done_sentence(lines: Sequence[LineShift]) -> str:

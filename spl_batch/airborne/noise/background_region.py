@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from spl_batch.airborne.noise.gate import Gate
 from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, PROFILE_BINS, SUMMARY
-from spl_batch.errors import Remark
+from spl_batch.engine.findings import Finding
 
 REGION_MIN: Final = 0.2
 """Least share of the gate in a noise region."""
@@ -28,7 +28,7 @@ class Region(NamedTuple):
 
     buffer: int
     side: Side
-    warnings: tuple[Remark, ...]
+    warnings: tuple[Finding, ...]
 
 
 def offered_lengths(
@@ -87,33 +87,16 @@ def choose_region(
         return Region(b, "both", notes)
     side: Side = "below" if up > down else "above"
     more, times = ("above", up / down) if up > down else ("below", down / up)
-    text = (
-        f"where noise is counted, {times:.1f} times as many returns {more} the surface as on its "
-        f"other side: {_CAUSES[more]}; noise is counted {side} the surface only"
-    )
-    return Region(b, side, (*notes, Remark(text, times)))
+    values = {"kind": "side", "times": float(times), "more": more, "side": side}
+    return Region(b, side, (*notes, Finding("N01", values, badness=float(times))))
 
 
-_CAUSES: Final = {
-    "above": "haze, a cloud or signal lies there, or the noise falls along the gate",
-    "below": "afterpulses or signal lie there, or the noise rises along the gate",
-}
-"""What may make more returns on a side of the surface."""
+def _short(share: float) -> Finding:
+    """The part of the gate taken for signal had to shrink to this share."""
+    return Finding("N01", {"kind": "short", "share": share}, badness=-share)
 
 
-def _short(share: float) -> Remark:
-    """Remark that the part of the gate taken for signal had to shrink to this share."""
-    text = (
-        "the range gate is short: noise is counted from "
-        f"{100 * share:.0f} % of noise.buffer_m away from the surface on"
-    )
-    return Remark(text, -share)
-
-
-_NO_REGION: Final = Remark(
-    "the range gate leaves no part without signal to count noise in; the noise rate is fitted to "
-    "the histogram of heights"
-)
+_NO_REGION: Final = Finding("N01", {"kind": "fitted"})
 
 
 def profile_rate(

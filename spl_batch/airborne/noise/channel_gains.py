@@ -9,14 +9,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import Remark, named
+from spl_batch.engine.findings import Finding
+from spl_batch.errors import named
 
 DOMAIN: Final = "time"
 
 
 def active_channels(
     seen: NDArray[np.int64], beamlets: int
-) -> tuple[int, NDArray[np.float64], tuple[Remark, ...]]:
+) -> tuple[int, NDArray[np.float64], tuple[Finding, ...]]:
     """Beamlets per shot, and gains as far as live and dead channels decide them.
 
     Parameters
@@ -32,34 +33,32 @@ def active_channels(
         Beamlets per shot.
     gain : (256,) float64
         0 for dead channels, equal for all others; mean one over the beamlets.
-    warnings : tuple of Remark
+    warnings : tuple of Finding
     """
     live = seen > 0
     alive = int(live.sum())
     if alive > beamlets:
         least = np.argsort(np.where(live, seen, seen.max() + 1), kind="stable")[: alive - beamlets]
-        text = (
-            f"returns come from {alive} channels, but the sensor has {beamlets}; {alive} are "
-            f"assumed; least often seen: {named(least.tolist())}"
-        )
-        return alive, live.astype(np.float64), (Remark(text, alive),)
+        values = {"kind": "more", "alive": alive, "beamlets": beamlets, "channels": least.tolist()}
+        return alive, live.astype(np.float64), (Finding("I04", values, badness=alive),)
     if seen.sum() < 10 * beamlets or alive == beamlets:
         return beamlets, np.ones(256), ()
     gain = live.astype(np.float64) * (beamlets / alive)
-    return beamlets, gain, (Remark(_dead(np.flatnonzero(live), beamlets), beamlets - alive),)
+    dead = beamlets - alive
+    which = _dead(np.flatnonzero(live), beamlets)
+    values = {"kind": "dead", "dead": dead, "beamlets": beamlets, "what": which}
+    return beamlets, gain, (Finding("I04", values, badness=dead),)
 
 
 def _dead(live: NDArray[np.int64], beamlets: int) -> str:
-    """Name the channels without returns, as far as their neighbours tell their numbers."""
+    """Channels without returns, as far as their neighbours show their numbers."""
     within = np.setdiff1d(np.arange(live[0], live[-1]), live).tolist()
     dead, ends = beamlets - len(live), f"below {live[0]} or above {live[-1]}"
-    verb = "gives" if dead == 1 else "give"
-    text = f"{dead} of {beamlets} channels {verb} no returns: "
     if not within:
-        return f"{text}{dead} {ends}"
+        return f"{dead} {ends}"
     if len(within) > dead:
-        return f"{text}{dead} among {named(within)}"
-    return text + named(within) + (f", and {dead - len(within)} {ends}" * (dead > len(within)))
+        return f"{dead} among {named(within)}"
+    return named(within) + (f", and {dead - len(within)} {ends}" * (dead > len(within)))
 
 
 def channel_gains(

@@ -24,7 +24,7 @@ from spl_batch.airborne.noise.line_statistics import (
     spacing_m,
     without_lone,
 )
-from spl_batch.errors import Remark
+from spl_batch.engine.findings import Finding
 
 WINDOW_INTERVALS: Final = 64
 """Intervals whose extremes are read together [count]."""
@@ -51,7 +51,7 @@ class Gate(NamedTuple):
     near: NDArray[np.float64]
     far: NDArray[np.float64]
     length_m: float
-    warnings: tuple[Remark, ...]  #: What the report has to say.
+    warnings: tuple[Finding, ...]  #: What the report has to say.
     #: Source of its length: ``stated``, ``estimated`` from the returns, or ``assumed``.
     basis: Basis
 
@@ -243,17 +243,10 @@ def _basis(length_m: float, stated_m: float | None, *, seen: bool) -> Basis:
     return "stated" if math.isclose(length_m, stated_m, rel_tol=1e-6) else "estimated"
 
 
-def _remarks(length_m: float, stated_m: float | None, basis: Basis) -> Iterator[Remark]:
-    """Remarks on a gate, by the one length that everything else uses."""
+def _remarks(length_m: float, stated_m: float | None, basis: Basis) -> Iterator[Finding]:
+    """Findings on a gate, by the one length that everything else uses."""
     if basis == "assumed":
-        text = (
-            "too few returns lie away from the surface to show the range gate, so "
-            f"{length_m:.0f} m is assumed; state acquisition.gate_m"
-        )
-        yield Remark(text, length_m)
+        yield Finding("N01", {"kind": "assumed", "gate_m": length_m}, badness=length_m)
     elif stated_m is not None and _differ(length_m, stated_m):
-        text = (
-            f"the returns fill a gate of {length_m:.0f} m, not the {stated_m:.0f} m stated; "
-            f"{length_m:.0f} m is used"
-        )
-        yield Remark(text, abs(length_m - stated_m))
+        values = {"kind": "gate", "gate_m": length_m, "stated_m": stated_m}
+        yield Finding("N01", values, badness=abs(length_m - stated_m))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.shot_runs import interval_rows
 from spl_batch.airborne.noise.gate import Basis, Kind
-from spl_batch.errors import Remark
+from spl_batch.engine.findings import Finding
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +32,8 @@ class LineModel:
     interval_shots: int
     seen_shots: int  #: Shots over which beamlets that are seen stand in for silent ones.
     gate_basis: Basis  #: "stated", "estimated" or "assumed": where ``gate_m`` comes from.
-    #: What the report has to say; the way to disk keeps their texts only.
-    warnings: tuple[Remark, ...]
+    #: What the report warns of; a model from disk has none, its task's receipt has them.
+    findings: tuple[Finding, ...] = ()
 
     def row(self, shot: NDArray[np.int64]) -> NDArray[np.int64]:
         """Row of each shot's interval, or of the nearest one before it: (n,) int64; 0 for none."""
@@ -53,9 +53,8 @@ class LineModel:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays without Python objects, as npz files hold them."""
-        return {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)} | {
-            "warnings": np.array([one.text for one in self.warnings], dtype=np.str_)
-        }
+        kept = (f.name for f in fields(self) if f.name != "findings")
+        return {name: np.asarray(getattr(self, name)) for name in kept}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "LineModel":
@@ -63,8 +62,8 @@ class LineModel:
         content: dict[str, Any] = {
             f.name: arrays[f.name] if arrays[f.name].ndim else arrays[f.name].item()
             for f in fields(cls)
+            if f.name != "findings"
         }
-        content["warnings"] = tuple(Remark(str(text)) for text in np.atleast_1d(arrays["warnings"]))
         content["kind"] = cast("Kind", content["kind"])
         content["gate_basis"] = cast("Basis", content["gate_basis"])
         return cls(**content)

@@ -29,7 +29,7 @@ from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, SUMMARY, merge, observe
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
-from spl_batch.errors import Remark, grouped
+from spl_batch.engine.findings import Finding
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 __all__ = ["LineModel", "fit", "gate_of", "line_density", "merge", "observe"]
@@ -43,9 +43,6 @@ SEEN_TARGET: Final = 15.0
 
 RETURNS_MIN: Final = 20.0
 """Least seen beamlets per interval: with fewer, the median is one of the noise returns."""
-
-RAISE_INTERVAL: Final = "raise noise.interval_shots"
-"""Remedy where few beamlets of an interval are seen."""
 
 CLIP_SIGMA: Final = 4.0
 """Poisson deviations above its neighbourhood from which on an interval's count holds signal."""
@@ -125,31 +122,25 @@ def fit(
         interval_shots=settings.interval_shots,
         seen_shots=_seen_window(looks, last - first + 1, settings.interval_shots),
         gate_basis=gate.basis,
-        warnings=(*warnings, *gate.warnings, *region.warnings, *_few(merged), *_strays(merged)),
+        findings=(*warnings, *gate.warnings, *region.warnings, *_few(merged), *_strays(merged)),
     )
 
 
-def _strays(merged: dict[str, NDArray[Any]]) -> Iterator[Remark]:
+def _strays(merged: dict[str, NDArray[Any]]) -> Iterator[Finding]:
     """Warn of returns that are far beyond the gate."""
     if count := int(merged["strays"][0]):
-        noun = "return lies" if count == 1 else "returns lie"
-        text = (
-            f"{grouped(count)} {noun} far beyond the range gate, which noise does not reach, as "
-            "where ranges are wrong; they do not count for the gate and the noise: leave them out"
-        )
-        yield Remark(text, count)
+        yield Finding("N01", {"kind": "strays", "count": count}, badness=count)
 
 
-def _few(merged: dict[str, NDArray[Any]]) -> tuple[Remark, ...]:
+def _few(merged: dict[str, NDArray[Any]]) -> tuple[Finding, ...]:
     """Warn of intervals with so few returns that noise is taken for signal."""
     per_interval = float(merged["beamlets"].mean())
     if per_interval >= RETURNS_MIN:
         return ()
-    text = (
-        f"an interval holds only {per_interval:.1f} beamlets with a return, so the noise rate is "
-        f"too low by about {100 / max(per_interval, 1.0):.0f} %; {RAISE_INTERVAL}"
-    )
-    return (Remark(text, -per_interval),)
+    values = {
+        "kind": "few", "per_interval": per_interval, "low": 1.0 / max(per_interval, 1.0)
+    }  # fmt: skip
+    return (Finding("N01", values, badness=-per_interval),)
 
 
 def _nothing(settings: NoiseSettings, sensor: Sensor) -> LineModel:
@@ -158,7 +149,7 @@ def _nothing(settings: NoiseSettings, sensor: Sensor) -> LineModel:
         none, empty, none, none, empty, empty, np.ones(256), empty, "range",
         sensor.gate_m or 0.0, 0.0, sensor.beamlets, settings.interval_shots, 1,
         "stated" if sensor.gate_m else "assumed",
-        (Remark("no return has a known beam, so there is no noise model"),),
+        (Finding("N01", {"kind": "none"}),),
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ Large rasters are looked at in squares of several cells. A square is void where 
 areas are those of the cells.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, distance_transform_edt, find_objects, label
 
 from spl_batch.constants import NODATA
-from spl_batch.errors import grouped
 
 DOMAIN: Final = "space"
 
@@ -117,28 +116,3 @@ def _pieces(area: NDArray[np.bool_], void: NDArray[np.int64]) -> Iterable[tuple[
         deepest = np.where(mine, depth[place], -1.0).argmax()
         row, column = np.unravel_index(deepest, mine.shape)
         yield int(void[place][mine].sum()), place[0].start + row, place[1].start + column
-
-
-def void_sentence(found: Sequence[Void], void_max_m: float) -> str:
-    """What to say of voids.
-
-    Parameters
-    ----------
-    found : sequence of Void
-        At least one, the largest first.
-    void_max_m : float
-        How far ground is interpolated [m].
-    """
-    largest, total = found[0], sum(void.area_m2 for void in found)
-    said = f"{len(found)} void{'s' * (len(found) > 1)} of the terrain, {_area(total)}"
-    if len(found) > 1:
-        said += f" in all, the largest {_area(largest.area_m2)}"
-    return (
-        f"{said} at {grouped(largest.east_m)} E, {grouped(largest.north_m)} N: no ground within "
-        f"products.void_max_m ({void_max_m:g} m), so that there are no heights. Water gets its "
-        "level by breaklines; a larger products.void_max_m fills roofs and woods"
-    )
-
-
-def _area(area_m2: float) -> str:
-    return f"{grouped(max(round(area_m2), 1))} m2"

@@ -2,9 +2,8 @@
 
 Domain: space, on first signal returns. Squares of :data:`SQUARE_M` lie on an absolute grid, so that
 no tiling changes them. What holds a few returns of a flightline is a place; the plane by least
-squares tells how it leans and how thick it is. Smooth surfaces
-(:mod:`~spl_batch.airborne.pulses.smooth_surfaces`) and steady heights
-(:mod:`~spl_batch.airborne.pulses.steady_heights`) are told on the same places.
+squares has its slope and thickness. Smooth surfaces
+(:mod:`~spl_batch.airborne.pulses.smooth_surfaces`) are judged on such places.
 """
 
 from collections.abc import Iterator

@@ -31,7 +31,7 @@ from spl_batch.airborne.report.model import (
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.tasks.cells.pulses import _CELLS, _HEIGHTS, _SQUARES, _UNSURE, _VOIDS
 from spl_batch.constants import QUANTUM_M
-from spl_batch.engine.report.number_format import significant
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.errors import grouped
 
@@ -88,17 +88,13 @@ def unsure_terrain(done: Receipts) -> tuple[str, ...]:
     return (text,)
 
 
-def sparse_vegetation(found: Density, asked: ClassSettings) -> tuple[str, ...]:
-    """A warning where classes of low and medium vegetation are asked of too few returns."""
+def sparse_vegetation(found: Density, asked: ClassSettings) -> tuple[Finding, ...]:
+    """Whether classes of low and medium vegetation are asked of too few returns."""
     density_m2 = found.mean_per_m2
     if asked.vegetation is None or density_m2 is None or density_m2 >= VEGETATION_PER_M2:
         return ()
-    text = (
-        f"{significant(density_m2)} returns per m2 are too few for classes 3 and 4 of "
-        f"classes.vegetation: below {VEGETATION_PER_M2:g} per m2 the ground takes shrubs and "
-        f"hedges lower than {asked.vegetation.high:g} m; do not rest anything on these two classes"
-    )
-    return (text,)
+    values = {"per_m2": density_m2, "high_m": asked.vegetation.high}
+    return (Finding("G03", values),)
 
 
 def _unsure_share(done: Receipts) -> float | None:

@@ -37,8 +37,9 @@ from spl_batch.airborne.report.strip_pairs import StripPair, strip_pairs
 from spl_batch.airborne.tasks import checkpoints
 from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.constants import QUANTUM_M
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
-from spl_batch.errors import counted, grouped, named
+from spl_batch.errors import grouped
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
 
@@ -112,20 +113,19 @@ def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
     )
 
 
-def checkpoint_warnings(tested: Checkpoints | None, context: Context) -> Iterator[str]:
-    """A sentence on checkpoints with a blunder: outliers beyond three times the class's RMSE_V."""
+def checkpoint_findings(tested: Checkpoints | None, context: Context) -> Iterator[Finding]:
+    """Checkpoints with a blunder: outliers beyond three times the class's RMSE_V."""
     limit_m = OUTLIER_SIGMA * _class_m(context)
     points = tested.points if tested else ()
     gross = [one for one in points if one.outlier and abs(one.error_m or 0.0) > limit_m]
     if gross:
         worst = max(gross, key=lambda one: abs(one.error_m or 0.0))
-        yield (
-            f"{counted(len(gross), 'checkpoints')} of {len(points)} differ from the terrain by "
-            f"more than {100 * limit_m:.0f} cm and far from the others: "
-            f"{named([one.id for one in gross])}; at worst {worst.id}, DTM minus checkpoint "
-            f"{100 * (worst.error_m or 0.0):.1f} cm. They count in every RMSE: look for a wrong "
-            "height or position in the file of checkpoints, then at the terrain there"
-        )
+        values = {
+            "kind": "blunder", "count": len(gross), "of": len(points), "limit_cm": 100 * limit_m,
+            "names": [one.id for one in gross], "worst": worst.id,
+            "error_cm": 100 * (worst.error_m or 0.0),
+        }  # fmt: skip
+        yield Finding("C01", values)
 
 
 def _class_m(context: Context) -> float:

@@ -14,6 +14,7 @@ from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
     Failure,
+    FindingReport,
     Number,
     Part,
     Performance,
@@ -304,5 +305,5 @@ class Report(Part):
     )
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")
-    warnings: tuple[str, ...] = Field((), description="What a reader has to know, in sentences.")
+    findings: tuple[FindingReport, ...] = Field((), description="What a reader has to know.")
     provenance: Provenance

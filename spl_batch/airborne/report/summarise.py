@@ -1,7 +1,7 @@
 """Stage ``report``: what all receipts say together, as one report with its pictures."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import cast
@@ -10,7 +10,7 @@ import numpy as np
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.kept_noise import PARTS
-from spl_batch.airborne.hydro.flattening import bank_warnings
+from spl_batch.airborne.hydro.flattening import bank_findings
 from spl_batch.airborne.report.clip_view import cut_clip
 from spl_batch.airborne.report.coverage import (
     area_km2,
@@ -25,8 +25,8 @@ from spl_batch.airborne.report.fit.clouds import haze
 from spl_batch.airborne.report.fit.noise_fit import noise_fit
 from spl_batch.airborne.report.fit.noise_warnings import noise_warnings
 from spl_batch.airborne.report.good_enough import (
+    checkpoint_findings,
     checkpoint_report,
-    checkpoint_warnings,
     judged,
     swath_reports,
 )
@@ -53,9 +53,10 @@ from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.accuracy import Comparison, compared, not_compared, own_points
 from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.maps import Raster
-from spl_batch.engine.report.number_format import as_ascii
 from spl_batch.engine.report.parts import InputFile, Provenance, Statistics
+from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import (
     Receipts,
     RunFacts,
@@ -64,7 +65,6 @@ from spl_batch.engine.report.run_record import (
     provenance,
     remember,
 )
-from spl_batch.errors import Said, counted, shared
 from spl_batch.formats.geoid import grid_file
 from spl_batch.formats.rasters.parts import Part, read_overview
 
@@ -85,6 +85,12 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
     tested = checkpoint_report(done, context)
     noise = _noise(done, context, counts.background)
     covered, doubted = density(done, context, counts.ground), terrain_doubts(done)
+    places = (
+        *noise_warnings(done, context, noise.haze),
+        *unsure_terrain(done),
+        *doubt_warnings(doubted),
+        *block_warning(doubted),
+    )
     report = Report(
         survey=_survey(done, context),
         counts=counts,
@@ -101,21 +107,21 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         alignment=alignment(done),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
-        warnings=(
-            *_unfiltered(counts, context),
-            *facts.notes,
-            *_uncovered(done),
-            *noise_warnings(done, context, noise.haze),
-            *unsure_terrain(done),
-            *doubt_warnings(doubted),
-            *block_warning(doubted),
-            *sparse_vegetation(covered, context.workflow.classes),
-            *bank_warnings(
-                r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts
+        findings=reported(
+            (
+                *_unfiltered(counts, context),
+                *facts.findings,
+                *_uncovered(done),
+                *(Finding("N90", {"what": text}) for text in places),
+                *sparse_vegetation(covered, context.workflow.classes),
+                *bank_findings(
+                    r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts
+                ),
+                *checkpoint_findings(tested, context),
+                *not_compared(done, context, facts),
+                *own_points(None if found is None else found.own_share),
             ),
-            *checkpoint_warnings(tested, context),
-            *not_compared(done, context, facts),
-            *own_points(None if found is None else found.own_share),
+            context.workflow.report.ignore,
         ),
         provenance=_provenance(done, context, facts.reference),
     )
@@ -280,14 +286,15 @@ def _kept_within_signal(done: Receipts, settings: FilterSettings) -> float | Non
     return sum(int(facts["kept_noise"]) for facts in found) / PARTS
 
 
-def _unfiltered(counts: Counts, context: Context) -> list[str]:
-    """That most of a survey was not filtered, if so; as any text of the log, in plain spaces."""
-    said = mostly_unfiltered(counts, context.workflow.filter.method)
-    return [as_ascii(said)] if said else []
+def _unfiltered(counts: Counts, context: Context) -> list[Finding]:
+    """That most of a survey was not filtered, if so."""
+    if not mostly_unfiltered(counts, context.workflow.filter.method):
+        return []
+    return [Finding("N06", {"share": counts.no_beam / counts.points_in})]
 
 
-def _uncovered(done: Receipts) -> Iterable[str]:
-    """One sentence for each flightline that the trajectory does not cover."""
+def _uncovered(done: Receipts) -> Iterator[Finding]:
+    """Flightlines that the trajectory does not cover."""
     spans: dict[str, tuple[int, float, float]] = {}
     for name, receipt in done.get("gather", {}).items():
         if receipt.facts["uncovered"]:
@@ -295,16 +302,9 @@ def _uncovered(done: Receipts) -> Iterable[str]:
             line = name.split("/", maxsplit=1)[0]
             n, low, high = spans.get(line, (0, first, last))
             spans[line] = (n + receipt.facts["uncovered"], min(low, first), max(high, last))
-    said = (
-        Said(
-            line,
-            f"the trajectory does not cover {counted(n, 'returns')} between gps_time {low:.3f} and "
-            f"{high:.3f}, or they do not lie below it; they are delivered unfiltered",
-            n,
-        )
-        for line, (n, low, high) in spans.items()
-    )
-    return shared(said, "flightlines", "flightline")
+    for line, (n, low, high) in spans.items():
+        values = {"kind": "uncovered", "count": n, "first_s": low, "last_s": high}
+        yield Finding("T02", values, line, badness=n)
 
 
 def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> Provenance:

@@ -37,7 +37,7 @@ def verdicts(report: Report) -> list[Verdict]:
     found = [
         _accuracy_verdict(report),
         _conservation_verdict(report),
-        failure_verdict(report.failures, report.warnings),
+        failure_verdict(report.failures, report.findings),
     ]
     return sorted(found, key=lambda verdict: verdict.tone != "bad")
 
@@ -128,13 +128,15 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
         rows.append((what, f"{significant(report.density.mean_per_m2)} per m2{of_it}"))
     accuracy = terrain_accuracy(report) or _at_checkpoints(report)
     if accuracy is None:
-        told = any(warning.endswith("`spl-batch run` computes it") for warning in report.warnings)
-        remedy = "; `spl-batch run` does it" if told else ""
+        missing = any(
+            one.code == "C02" and one.values["kind"] == "missing" for one in report.findings
+        )
+        remedy = "; `spl-batch run` does it" if missing else ""
         rows.append(("accuracy", _without_accuracy(report) + remedy))
     else:
         rows.append(("DTM accuracy", accuracy))
     return [(label, as_ascii(value)) for label, value in rows] + ending_rows(
-        work, report.failures, report.warnings
+        work, report.failures, report.findings
     )
 
 

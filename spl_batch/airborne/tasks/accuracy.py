@@ -26,6 +26,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.label_tables import read_region
 from spl_batch.airborne.tasks.reference import read_square
 from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
@@ -178,28 +179,21 @@ def _own_share(done: Receipts) -> float | None:
     return own / asked if asked else None
 
 
-def own_points(share: float | None) -> Iterator[str]:
-    """What to say of a reference that holds the survey's own points."""
+def own_points(share: float | None) -> Iterator[Finding]:
+    """Whether a reference holds the survey's own points."""
     if share is not None and share > OWN_SHARE:
-        yield (
-            f"reference.points holds the survey's own points: {share:.0%} of those looked at lie "
-            "in the survey at the same x, y and z. DTM and DSM are compared with what they were "
-            "made of, which tells no accuracy; name points of another survey"
-        )
+        yield Finding("C02", {"kind": "own", "share": share})
 
 
-def not_compared(done: Receipts, context: Context, facts: RunFacts) -> Iterator[str]:
-    """One sentence where a comparison is missing that did not fail: nobody has asked for it yet."""
+def not_compared(done: Receipts, context: Context, facts: RunFacts) -> Iterator[Finding]:
+    """Whether a comparison is missing that did not fail: nobody has asked for it yet."""
     settings = context.workflow.reference
     if settings is None or settings.points is None:
         return
     if not _comparable(context) or _looked_at(done):
         return
     if not facts.failures:  # without the rasters of this run it is not made either
-        yield (
-            "reference: the store holds no comparison with it, as of an output of an earlier "
-            "version; `spl-batch run` computes it"
-        )
+        yield Finding("C02", {"kind": "missing"})
 
 
 def _comparable(context: Context) -> bool:

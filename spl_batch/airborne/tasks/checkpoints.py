@@ -10,8 +10,8 @@ from pyproj import CRS
 from spl_batch.airborne.accuracy import Raster
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.settings import ReferenceSettings
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.errors import Remark, named
 from spl_batch.formats.checkpoints import Checkpoint, read_checkpoints
 from spl_batch.formats.crs import parse_crs
 from spl_batch.formats.rasters.parts import read_part
@@ -23,18 +23,11 @@ def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
     known, _ = read_named(Path(args["path"]), context.crs, context.workflow.reference)
     found = [_record(point, _terrain_m(point, args["rasters"], context)) for point in known]
     beyond = [one["id"] for one in found if one["error_m"] is None]
-    remarks: list[str] = []
-    if beyond:
-        noun = "checkpoint lies" if len(beyond) == 1 else "checkpoints lie"
-        remarks.append(
-            f"{len(beyond)} {noun} where the terrain model has no value, outside of the survey or "
-            f"in a void, and {'counts' if len(beyond) == 1 else 'count'} for nothing: "
-            f"{named(beyond)}"
-        )
+    lost = Finding("C01", {"kind": "beyond", "count": len(beyond), "names": beyond})
     facts = {
         "name": args["name"],
         "checkpoints": found,
-        "warnings": [Remark(text) for text in remarks],
+        "findings": [lost] if beyond else [],
     }
     return Produced([], facts, len(known))
 

@@ -17,7 +17,7 @@ from spl_batch.airborne.lines.comparison import difference_map
 from spl_batch.airborne.products import hillshade
 from spl_batch.airborne.products.hillshade import BLOCK
 from spl_batch.airborne.products.product_table import HILLSHADE, SWATH_DIFFERENCES
-from spl_batch.airborne.products.wide_voids import Void, void_sentence, wide_voids
+from spl_batch.airborne.products.wide_voids import Void, wide_voids
 from spl_batch.airborne.pulses.swath_coverage import Outlined, outlines
 from spl_batch.airborne.store.flown_lines import read_shifts, record_of
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
@@ -26,10 +26,11 @@ from spl_batch.airborne.tasks import index
 from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.airborne.tasks.stretches import Copies
 from spl_batch.constants import FLAG_WITHHELD, NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
-from spl_batch.errors import Remark, WorkflowError, counted
+from spl_batch.errors import WorkflowError
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.convert import copied_format
@@ -182,15 +183,15 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
         "classes": _nonzero(classes - labels.copied),
         "records_left_out": broken.total(),
         "header_changes": header_changes(header, copy),
-        "warnings": [*_of_header(broken, "left out of"), *_of_header(mended, "so in")],
+        "findings": [*_of_header(broken, "left_out"), *_of_header(mended, "changed")],
     }
     return Produced(outputs, facts, written)
 
 
-def _of_header(records: Mapping[str, int], done: str) -> Iterator[Remark]:
+def _of_header(records: Mapping[str, int], kind: str) -> Iterator[Finding]:
     """Name what of a header a copy does without, or has in another way."""
     for text, n in records.items():
-        yield Remark(f"{text}{f', {n} times' if n > 1 else ''}; {done} the delivered copy")
+        yield Finding("I01", {"kind": kind, "what": f"{text}{f', {n} times' if n > 1 else ''}"})
 
 
 def _decoded(args: Mapping[str, Any], context: Context) -> Decoded | None:
@@ -269,7 +270,7 @@ def deliver_catalogue(args: Mapping[str, Any], context: Context) -> Produced:
         [(one["id"], one["psid"], one["first_s"], one["last_s"]) for one in args["flightlines"]],
     )
     written, remarks = write_catalogues(context.output, name, context.crs, args, drawn)
-    facts = {"name": "catalogue", "warnings": [Remark(text) for text in remarks]}
+    facts = {"name": "catalogue", "findings": [Finding("D01", {"what": text}) for text in remarks]}
     return Produced(written, facts)
 
 
@@ -351,8 +352,8 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
             description=args["meaning"],
             unit=args["unit"],
         )
-    lost = f"{args['target']}: {counted(beyond, 'cells', 'lie')} beyond the grid {named.grid}: void"
-    facts = {"name": args["target"], "warnings": [Remark(lost)] if beyond else []}
+    lost = Finding("I05", {"kind": "geoid", "count": beyond, "grid": named.grid})
+    facts = {"name": args["target"], "findings": [lost] if beyond else []}
     return Produced([target], facts)
 
 
@@ -380,15 +381,23 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {"name": target.name, "rows": shape[0], "columns": shape[1]}
     if args["product"] == "dtm":
         found = wide_voids(stored("dtm"), stored("density"), shape, origin_xy_m, products.cell_m)
-        facts["warnings"] = _told(found, context)
+        facts["findings"] = _voids(found, context)
     return Produced([target], facts)
 
 
-def _told(found: list[Void], context: Context) -> list[Remark]:
-    """A warning of voids in the terrain; holes of the area of interest are none."""
+def _voids(found: list[Void], context: Context) -> list[Finding]:
+    """A finding on voids in the terrain; holes of the area of interest are none."""
     if found and context.workflow.aoi is not None:
         area = read_polygons(context.resolve(context.workflow.aoi), context.crs)
         east, north = (np.array([quanta(one[k]) for one in found], np.int64) for k in (1, 2))
         inside = contains(area, east, north)
         found = [one for one, there in zip(found, inside, strict=True) if there]
-    return [Remark(void_sentence(found, context.workflow.products.void_max_m))] if found else []
+    if not found:
+        return []
+    largest = found[0]
+    values = {
+        "count": len(found), "area_m2": float(sum(void.area_m2 for void in found)),
+        "largest_m2": float(largest.area_m2), "east_m": float(largest.east_m),
+        "north_m": float(largest.north_m), "void_max_m": context.workflow.products.void_max_m,
+    }  # fmt: skip
+    return [Finding("G02", values)]

@@ -16,11 +16,12 @@ from spl_batch.airborne.beams.geometry import heading_from_track, merge_track
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.tasks.file_tally import SPANS_FEW, Tally, spans_of
 from spl_batch.airborne.tasks.stretches import KEPT_COLUMNS, add_points
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import unchanged
-from spl_batch.errors import InputError, Remark, grouped, named
+from spl_batch.errors import InputError, named
 from spl_batch.formats.files.atomic import checksum
-from spl_batch.formats.gps_clock import bit_warning
+from spl_batch.formats.gps_clock import contradicted_bit
 from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.layers import GIVEN, given_of
 from spl_batch.formats.las.number_dimensions import Numbers
@@ -89,7 +90,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
     write_arrays(index, tracks | found.extent.to_arrays())
-    contradiction = bit_warning(tally.standard, adjusted_bit=header.adjusted_standard_bit)
+    contradiction = contradicted_bit(tally.standard, adjusted_bit=header.adjusted_standard_bit)
     known = tally.facts()
     facts = {
         "name": args["name"],
@@ -101,13 +102,20 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "standard": tally.standard,
         "numbers": _numbers(path, context),
         # What the header alone tells, the plan has said.
-        "warnings": [*([Remark(contradiction)] if contradiction else []), *_without_time(known)],
+        "findings": [*_contradicted(contradiction), *_without_time(known)],
     }
     inputs = {str(path): args["stamp"]}
     return Produced([index, *found.outputs], facts, tally.counts["points"], inputs)
 
 
-def _without_time(known: Mapping[str, Any]) -> list[Remark]:
+def _contradicted(found: tuple[str, str] | None) -> list[Finding]:
+    """That a header's bit contradicts the times, if so."""
+    if found is None:
+        return []
+    return [Finding("I01", {"kind": "times", "stated": found[0], "found": found[1]})]
+
+
+def _without_time(known: Mapping[str, Any]) -> list[Finding]:
     """That some points of a file have no usable time, if so and others have one."""
     if not known["timeless"] or not known["spans"]:
         return []
@@ -121,12 +129,8 @@ def _without_time(known: Mapping[str, Any]) -> list[Remark]:
         )
     if known["lone"]:
         why = f"scattered over more than {SPANS_FEW} times, with few points at each"
-    many = known["timeless"] > 1
-    text = (
-        f"{grouped(known['timeless'])} point{'s have' if many else ' has'} no usable gps_time "
-        f"({why}); delivered with noise_class 255, not assessed"
-    )
-    return [Remark(text, known["timeless"])]
+    count = int(known["timeless"])
+    return [Finding("I02", {"kind": "points", "count": count, "what": why}, badness=count)]
 
 
 def _numbers(path: Path, context: Context) -> dict[str, Numbers]:
@@ -284,7 +288,7 @@ def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
         "records": found.records,
         "span_s": list(found.span_s),
         "positions": hashes.found(),
-        "warnings": [Remark(text) for text in found.warnings],
+        "findings": [Finding("T02", {"kind": "file", "what": text}) for text in found.warnings],
         "inputs": [{"path": p, "hash": checksum(Path(p))} for p in args["paths"]],
     }
     return Produced([path], facts)

@@ -115,7 +115,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
             "sigma_m": law.sigma_m,
             "seen": law.seen,
         },
-        "warnings": [*model.warnings, *told],
+        "findings": [*model.findings, *told],
     }
     return Produced([path], facts, args["points"])
 

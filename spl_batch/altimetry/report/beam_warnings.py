@@ -7,8 +7,9 @@ from spl_batch.altimetry.filter.chance import LEAST_PHOTONS, SHARE_QUANTA
 from spl_batch.altimetry.ground.lost_floor import LostFloor
 from spl_batch.altimetry.water.level_water import UNDER_SHARE
 from spl_batch.altimetry.water.odd_layers import Layer
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
-from spl_batch.errors import Said, grouped, shared
+from spl_batch.errors import grouped
 
 UNSEEN_SHARE: Final = 0.1
 """Share of a track without any noise seen that a reader has to know of."""
@@ -32,9 +33,9 @@ _DARK_M: Final = 500.0
 """Level track with no light from below that is worth a warning [m]."""
 
 
-def beam_warnings(done: Receipts, limit: float) -> list[str]:
+def beam_findings(done: Receipts, limit: float) -> list[Finding]:
     """What a reader has to know of each beam's labels, in sentences; alike ones once."""
-    found: list[Said] = []
+    found: list[Finding] = []
     for key, delivered in done["deliver_beam"].items():
         source, _, name = key.partition("/")
         beam = f"{done['index_file'][source].facts['name']}: {name}"
@@ -43,28 +44,34 @@ def beam_warnings(done: Receipts, limit: float) -> list[str]:
         floor = delivered.facts["floor"]
         if rate["basis"] != "product" and rate["unseen"] > UNSEEN_SHARE:
             text = f"no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
-            found.append(Said(beam, f"{text}is an upper bound"))
-        found += [Said(beam, text) for text in _cloud(rate["fog"])]
-        found += [Said(beam, text) for text in _mist(rate["mist"], delivered.facts["mist"], kept)]
-        found += [Said(beam, text) for text in _maybe_river(rate["maybe_river"])]
-        found += [Said(beam, text) for text in _dark_water(rate["dark_water"])]
-        found += [Said(beam, text) for text in _second_surface(chosen, kept, limit)]
-        found += [Said(beam, text) for text in _like_noise(chosen, kept, floor)]
-        found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
-        found += [Said(beam, text) for text in _doubt(done["profile"][key].facts)]
+            found.append(_of_beam(beam, f"{text}is an upper bound"))
+        found += [_of_beam(beam, text) for text in _cloud(rate["fog"])]
+        found += [
+            _of_beam(beam, text) for text in _mist(rate["mist"], delivered.facts["mist"], kept)
+        ]
+        found += [_of_beam(beam, text) for text in _maybe_river(rate["maybe_river"])]
+        found += [_of_beam(beam, text) for text in _dark_water(rate["dark_water"])]
+        found += [_of_beam(beam, text) for text in _second_surface(chosen, kept, limit)]
+        found += [_of_beam(beam, text) for text in _like_noise(chosen, kept, floor)]
+        found += [_of_beam(beam, text) for text in _odd_layers(delivered.facts)]
+        found += [_of_beam(beam, text) for text in _doubt(done["profile"][key].facts)]
         lost = LostFloor(*done["profile"][key].facts["lost_floor"])
         # A floor that is noise itself is lost nowhere.
         if not chosen["doubtful_floor"][0]:
-            found += [Said(beam, text) for text in floor_said(lost)]
+            found += [_of_beam(beam, text) for text in floor_said(lost)]
         if kept and not noise:
             text = f"all {grouped(kept)} photons are signal; nothing is told apart"
-            found.append(Said(beam, text))
+            found.append(_of_beam(beam, text))
         if noise and not kept:
-            found.append(Said(beam, _nothing_kept(chosen["estimated"], noise)))
+            found.append(_of_beam(beam, _nothing_kept(chosen["estimated"], noise)))
         compared = done.get("compare", {})
         said = compared[key].facts["said"] if key in compared else ()
-        found += [Said(beam, text) for text in said]
-    return list(shared(found, "beams"))
+        found += [_of_beam(beam, text) for text in said]
+    return found
+
+
+def _of_beam(beam: str, text: str) -> Finding:
+    return Finding("P02", {"what": text}, beam)
 
 
 def _nothing_kept(estimated: float, photons: int) -> str:

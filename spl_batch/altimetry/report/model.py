@@ -11,6 +11,7 @@ from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
     Failure,
+    FindingReport,
     Number,
     Part,
     Performance,
@@ -98,5 +99,5 @@ class TrackReport(Part):
     beams: tuple[Beam, ...] = ()
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")
-    warnings: tuple[str, ...] = Field((), description="What a reader has to know, in sentences.")
+    findings: tuple[FindingReport, ...] = Field((), description="What a reader has to know.")
     provenance: Provenance

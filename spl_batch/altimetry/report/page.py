@@ -63,7 +63,7 @@ def _verdicts(report: TrackReport) -> Iterator[Verdict]:
             f"Ground minus reference: median {middle}, NMAD {spread}, "
             f"RMSE {text.metres(report.ground.rmse)}.",
         )
-    yield failure_verdict(report.failures, report.warnings)
+    yield failure_verdict(report.failures, report.findings)
 
 
 def _compared(report: TrackReport) -> list[tuple[str, Statistics | None, Statistics | None]]:
@@ -121,7 +121,7 @@ def screen_summary(report: TrackReport) -> list[tuple[str, str]]:
             if agreement.f1 is not None:
                 rows.append((f"{beam.name} labels, {method}", f"F1 {agreement.f1:.3f}"))
     plain = [(label, text.as_ascii(value)) for label, value in rows]
-    return plain + ending_rows(work, report.failures, report.warnings, "photons")
+    return plain + ending_rows(work, report.failures, report.findings, "photons")
 
 
 def _with_share(part: int, whole: int) -> str:

@@ -7,7 +7,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.report.beam_warnings import beam_warnings
+from spl_batch.altimetry.report.beam_warnings import beam_findings
 from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, TrackReport
 from spl_batch.altimetry.report.page import render
 from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
@@ -15,6 +15,7 @@ from spl_batch.altimetry.tasks.context import Context, place
 from spl_batch.altimetry.tasks.rate import read_rate
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
+from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import (
     Receipts,
     RunFacts,
@@ -45,10 +46,8 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
     inputs = [indexed_file(r.facts, "photons") for r in done["index_file"].values()]
     inputs += [input_file(Path(p), "reference") for p in facts.reference]
     parts = common_parts(context, facts, counts.points_in, inputs)
-    parts["warnings"] = (
-        *parts["warnings"],
-        *beam_warnings(done, context.workflow.signal.false_share),
-    )
+    found = beam_findings(done, context.workflow.signal.false_share)
+    parts["findings"] = reported((*facts.findings, *found), context.workflow.report.ignore)
     ground = _overall(done, "ground", context)
     report = TrackReport(
         name=context.workflow.track.name,

@@ -32,7 +32,6 @@ TICK_S: Final = 2.0
 PATIENCE_S: Final = 300.0
 """How long local workers may all be gone before the run stops [s]."""
 
-OUT_OF_MEMORY: Final = "OutOfMemory"
 """First word of the reason of a task that took more memory than its workers had."""
 
 _MEMORY_TOPIC: Final = "worker-restart-memory"
@@ -210,13 +209,15 @@ class _Flow:
         self._hear(0.5)
         if last.address in self.starved:
             limit = f"{last.memory_limit / 2**20:.0f} MiB"
-            why = f"{OUT_OF_MEMORY}: its worker needed more than {limit}, on each of {tries} tries"
+            code = "F02"
+            why = f"OutOfMemory: its worker needed more than {limit}, on each of {tries} tries"
         else:
+            code = "F04"
             why = (
                 f"LostWorker: {tries} workers died with it, by a signal, the system's "
                 "memory or a crash"
             )
-        receipt = failure(*trial.job, why)
+        receipt = failure(*trial.job, why, code=code)
         write_receipt(self.context.store, receipt)
         # It may have waited behind the guilty one, or run beside it in another thread.
         alone = trial.began_on == last.address and last.nthreads == 1

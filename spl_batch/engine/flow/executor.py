@@ -18,14 +18,13 @@ from spl_batch.engine.flow.cluster import (
     machine_memory,
     silent,
 )
-from spl_batch.engine.flow.dask_flow import OUT_OF_MEMORY, OnDask
+from spl_batch.engine.flow.dask_flow import OnDask
 from spl_batch.engine.flow.job import Executor, Footing, InProcess, Job, Observer, OnReceipt
 from spl_batch.engine.flow.warm_up import Ahead, Work
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.errors import StoppedError, WorkflowError
 
 __all__ = [
-    "OUT_OF_MEMORY",
     "Ahead",
     "Executor",
     "Footing",

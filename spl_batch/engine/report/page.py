@@ -17,7 +17,13 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from spl_batch import errors
 from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.parameters import changed, without
-from spl_batch.engine.report.parts import Failure, Performance, Provenance, StagePerformance
+from spl_batch.engine.report.parts import (
+    Failure,
+    FindingReport,
+    Performance,
+    Provenance,
+    StagePerformance,
+)
 from spl_batch.engine.report.table_names import named_tables
 from spl_batch.engine.report.verdict import Verdict
 
@@ -40,8 +46,8 @@ class AnyReport(Protocol):
         """Everything that did not make it."""
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a reader has to know, in sentences."""
+    def findings(self) -> tuple[FindingReport, ...]:
+        """What a reader has to know."""
 
     @property
     def provenance(self) -> Provenance:

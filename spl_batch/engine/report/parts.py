@@ -7,7 +7,7 @@ reader takes the file.
 import math
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Final, SupportsIndex
+from typing import Annotated, Any, Final, Literal, SupportsIndex
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
 
@@ -121,6 +121,7 @@ class Performance(Part):
 class Failure(Part):
     """One task or file that did not make it."""
 
+    code: str = Field("F04", description="Its code; docs/troubleshooting.md has all of them.")
     stage: str = Field(description="Stage that failed.")
     place: str = Field(description="File, flightline stretch or tile.")
     reason: str = Field(description="What went wrong, in one line.")
@@ -133,6 +134,30 @@ class Failure(Part):
     command: str | None = Field(
         None, description="Command that does this task alone, to reproduce the failure."
     )
+
+
+class FindingReport(Part):
+    """Something to warn of; findings that are alike are one, with the values of the worst."""
+
+    code: str = Field(description="Its code; docs/troubleshooting.md has all of them.")
+    severity: Literal["note", "warning"] = Field("warning", description="How much it matters.")
+    title: str = Field(description="What the code means.")
+    subject: str = Field("", description="What it concerns; empty for all of the survey.")
+    subjects: tuple[str, ...] = Field((), description="All that it concerns, the worst first.")
+    place: tuple[Number, Number, Number, Number] | None = Field(
+        None, description="West, south, east, north of the worst place [m]."
+    )
+    values: Parameters = Field({}, description="Numbers of the sentence, by name.")
+    sentence: str = Field(description="What is so.")
+    consequence: str = Field("", description="What that means.")
+    remedy: str = Field("", description="What to do.")
+
+    @property
+    def text(self) -> str:
+        """All of it in one line."""
+        opening = f"{self.code} {self.subject}: " if self.subject else f"{self.code} "
+        ending = "; ".join(filter(None, (self.consequence, self.remedy)))
+        return f"{opening}{self.sentence}" + (f": {ending}" if ending else "")
 
 
 class InputFile(Part):

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from spl_batch import __version__
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.parts import (
     Failure,
     InputFile,
@@ -19,6 +20,7 @@ from spl_batch.engine.report.parts import (
     Provenance,
     StagePerformance,
 )
+from spl_batch.engine.report.reported import reported
 from spl_batch.engine.store.working_store import Store, read_json, write_json
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
@@ -80,7 +82,7 @@ class RunFacts:
     workers: int
     costs: Mapping[str, StageCost] = field(default_factory=dict)
     failures: Iterable[Failure] = ()  #: What did not make it.
-    notes: Iterable[str] = ()
+    findings: Iterable[Finding] = ()  #: What the run has warned of.
     reference: Iterable[str] = ()
     not_read: int = 0  #: Points that unreadable files promise [count].
     #: The part of its duration that earlier runs took [s]; None where they did something and
@@ -104,7 +106,7 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
         "workers": facts.workers,
         "costs": {k: asdict(v) for k, v in facts.costs.items()},
         "failures": [f.model_dump() for f in facts.failures],
-        "notes": list(facts.notes),
+        "findings": list(facts.findings),
         "reference": list(facts.reference),
         "not_read": facts.not_read,
         "earlier_s": facts.earlier_s,
@@ -133,7 +135,7 @@ def _standing(done: Receipts, context: RunContext[Any], facts: RunFacts) -> dict
     beside = [*map(Path, facts.reference), *map(context.resolve, polygons)]
     says = [
         *(workflow, context.crs_wkt, context.code, _report_code(context.workflow.kind)),
-        *(list(facts.notes), list(facts.reference), facts.not_read),
+        *(list(facts.findings), list(facts.reference), facts.not_read),
         [failure.model_dump() for failure in facts.failures],
         [stamp_if_there(path) for path in beside],
         {kind: [[name, r.digest] for name, r in found.items()] for kind, found in done.items()},
@@ -184,7 +186,7 @@ def common_parts(
     return {
         "performance": performance(facts, points),
         "failures": tuple(facts.failures),
-        "warnings": tuple(facts.notes),
+        "findings": reported(facts.findings, context.workflow.report.ignore),
         "provenance": provenance(context, inputs),
     }
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
 from spl_batch.engine.report.number_format import as_ascii, duration, large, number
-from spl_batch.engine.report.parts import Failure, Performance
+from spl_batch.engine.report.parts import Failure, FindingReport, Performance
 
 Tone = Literal["good", "attention", "bad", "neutral"]
 
@@ -23,7 +23,7 @@ class Verdict(NamedTuple):
 def ending_rows(
     work: Performance,
     failures: Sequence[Failure],
-    warnings: Sequence[str],
+    findings: Sequence[FindingReport],
     noun: str = "points",
 ) -> list[tuple[str, str]]:
     """Label and value of what the console shows last, whatever the receiver."""
@@ -34,8 +34,8 @@ def ending_rows(
     rows += [("failed", _failed(failure)) for failure in failures[:FAILURES_NAMED]]
     if more := failures[FAILURES_NAMED:]:
         rows.append(("", f"and {number(len(more))} more, see the report"))
-    if warnings:
-        rows.append(("warnings", number(len(warnings))))
+    if findings:
+        rows.append(("warnings", number(len(findings))))
     return [(label, as_ascii(value)) for label, value in rows]
 
 
@@ -72,9 +72,9 @@ def speed_remark(work: Performance, noun: str = "points") -> str:
     return f"{large(work.points_per_s)} {noun}/s{runs}{_compiling(work)}"
 
 
-def failure_verdict(failures: Sequence[Failure], warnings: Sequence[str]) -> Verdict:
+def failure_verdict(failures: Sequence[Failure], findings: Sequence[FindingReport]) -> Verdict:
     """Sentence that says what has failed."""
-    failed, warned = len(failures), len(warnings)
+    failed, warned = len(failures), len(findings)
     remarks = f"{number(warned)} warning{'s' * (warned != 1)}" if warned else "no warnings"
     if failed:
         return Verdict(

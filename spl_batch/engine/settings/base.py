@@ -3,7 +3,10 @@
 from collections.abc import Iterable
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from spl_batch.engine.findings import table
+from spl_batch.errors import named
 
 Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(gt=0, lt=1)]
@@ -26,12 +29,30 @@ class StoreSettings(Section):
     )
 
 
+class ReportSettings(Section):
+    """What a report says."""
+
+    ignore: tuple[str, ...] = Field(
+        (),
+        description="Codes of findings that are not reported, as docs/troubleshooting.md has them.",
+    )
+
+    @field_validator("ignore")
+    @classmethod
+    def _known(cls, codes: tuple[str, ...]) -> tuple[str, ...]:
+        unknown = [code for code in codes if code not in table()]
+        if unknown:
+            raise ValueError(f"no code {named(unknown)}; there are {', '.join(sorted(table()))}")
+        return codes
+
+
 class BaseWorkflow(Section):
     """What the engine needs to know of a workflow, whatever its receiver."""
 
     kind: str = Field(description="Receiver that the workflow is for.")
     output: str = Field(description="Folder of the results, relative to this file.")
     outputs: StoreSettings = StoreSettings()
+    report: ReportSettings = ReportSettings()
 
     def faults(self) -> Iterable[str]:
         """Faults that no single key shows, each with key, value and remedy."""

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import REPORT_FILES
 from spl_batch.engine.store.deliveries import RECORD, Deliveries
 from spl_batch.engine.store.output_lock import refuse_lost, refuse_unwritable
@@ -81,7 +82,7 @@ def this_survey(prepared: Prepared[Any, Any]) -> dict[str, Any]:
     return {"name": _name(prepared), "inputs": inputs}
 
 
-def gone_inputs(prepared: Prepared[Any, Any], deliveries: Deliveries) -> Iterator[str]:
+def gone_inputs(prepared: Prepared[Any, Any], deliveries: Deliveries) -> Iterator[Finding]:
     """Say which inputs of the run before are not among this one's; their results go."""
     if deliveries.survey is None:
         return
@@ -89,11 +90,7 @@ def gone_inputs(prepared: Prepared[Any, Any], deliveries: Deliveries) -> Iterato
     here = {path.name for path in _paths(prepared)}
     gone = [path for path, *_ in deliveries.survey["inputs"] if Path(path).name not in here]
     if gone and len(gone) < len(deliveries.survey["inputs"]):
-        yield (
-            f"no longer an input of this survey: {named([Path(p).name for p in gone])}; what "
-            f"earlier runs delivered of {'it' if len(gone) == 1 else 'them'} is deleted when this "
-            "run has delivered"
-        )
+        yield Finding("E01", {"kind": "gone", "files": [Path(p).name for p in gone]})
 
 
 def _name(prepared: Prepared[Any, Any]) -> str:

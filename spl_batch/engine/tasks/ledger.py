@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.receipt_index import Shelf
 from spl_batch.engine.tasks.task import Task
@@ -42,7 +43,7 @@ class AnyInputs(Protocol):
         """Input files that cannot."""
 
     @property
-    def warnings(self) -> Sequence[str]:
+    def warnings(self) -> Sequence[Finding]:
         """What a user should know before the work starts."""
 
 
@@ -64,7 +65,7 @@ class Ledger(Generic[I, W]):
     workers: int
     done: dict[str, Shelf] = field(default_factory=dict)
     shared: bool = False
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Finding, ...] = ()
 
     def of(self, kind: str) -> Shelf:
         """Finished tasks of a kind, by name."""

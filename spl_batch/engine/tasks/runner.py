@@ -24,7 +24,7 @@ from spl_batch.engine.tasks.context import RunContext, TaskFunction
 from spl_batch.engine.tasks.receipt_index import delivers
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.errors import DamagedError, SplBatchError, StoppedError, one_line
+from spl_batch.errors import DamagedError, InputError, SplBatchError, StoppedError, one_line
 from spl_batch.formats.files.atomic import checksum, size, stop_if_full
 from spl_batch.imports import content_hash, data_files, imported, module_file
 from spl_batch.receivers import HOMES, load, task_kinds
@@ -259,14 +259,17 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
     except (StoppedError, KeyboardInterrupt):
         raise
     except DamagedError as error:
-        receipt = failure(task, key, error.told, time.perf_counter() - start, damaged=error.path)
+        wall_s = time.perf_counter() - start
+        receipt = failure(task, key, error.told, wall_s, code="F03", damaged=error.path)
     except SplBatchError as error:
-        trace = traceback.format_exc()
-        receipt = failure(task, key, str(error), time.perf_counter() - start, trace=trace)
+        code = "F01" if isinstance(error, InputError) else "F04"
+        wall_s, trace = time.perf_counter() - start, traceback.format_exc()
+        receipt = failure(task, key, str(error), wall_s, code=code, trace=trace)
     except BaseException as error:  # noqa: BLE001 - a library may even end the program
         stop_if_full(error, context.output)
-        trace = traceback.format_exc()
-        receipt = failure(task, key, one_line(error), time.perf_counter() - start, trace=trace)
+        code = "F02" if isinstance(error, MemoryError) else "F04"
+        wall_s, trace = time.perf_counter() - start, traceback.format_exc()
+        receipt = failure(task, key, one_line(error), wall_s, code=code, trace=trace)
     write_receipt(context.store, receipt)
     return receipt
 
@@ -277,15 +280,18 @@ def failure(
     reason: str,
     wall_s: float = 0.0,
     *,
+    code: str = "F04",
     damaged: str = "",
     trace: str = "",
 ) -> Receipt:
     """Receipt of a task that was not done.
 
-    Its facts name the file of the store that is at fault, and where in the code it failed.
+    Its facts have its code, the file of the store that is at fault, and where in the code it
+    failed.
     """
     line = " ".join(reason.split()) or "failed without a message"
-    facts = {k: v for k, v in (("damaged", damaged), ("traceback", trace)) if v}
+    facts = {"code": code, "damaged": damaged, "traceback": trace}
+    facts = {name: value for name, value in facts.items() if value}
     return Receipt(task.kind, task.name, key, "", line, {}, facts, 0, wall_s, _peak_rss_mb())
 
 

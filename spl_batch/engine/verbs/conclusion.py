@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.number_format import as_ascii, duration
 from spl_batch.engine.report.run_record import REPORT_FILES, RunFacts, stands
 from spl_batch.engine.tasks.ledger import Ledger
@@ -15,7 +16,7 @@ from spl_batch.engine.watch.earlier_runs import earlier_wall_s, log_bytes
 from spl_batch.engine.watch.events import Note, ReportStarted
 from spl_batch.engine.watch.listing import listed
 from spl_batch.engine.watch.progress import Progress
-from spl_batch.errors import DamagedError, named
+from spl_batch.errors import DamagedError
 from spl_batch.receivers import report_model
 
 
@@ -101,7 +102,7 @@ def _conclude(
         progress.invocation.workers,
         progress.costs,
         tuple(failures(prepared, progress.failures)),
-        progress.notes,
+        progress.findings,
         receiver.reference(ledger),
         receiver.not_read(ledger),
         earlier_s,
@@ -115,8 +116,7 @@ def _conclude(
             raise damaged
         progress.tell(ReportStarted())
         written = receiver.report(ledger.done, context, facts)
-        for text in written.warnings:  # those that only the whole tells were not said before
-            progress.warn(text)
+        progress.late(written.findings)
     else:
         seconds = as_ascii(duration(time.perf_counter() - took[0]))
         now = [("now", f"nothing was left to do: looked at in {seconds}")]
@@ -130,10 +130,7 @@ def _withdraw(progress: Progress, ledger: Ledger[Any, Any]) -> None:
     for text in deliveries.withdraw(ledger, failed=bool(progress.failures)):
         progress.tell(Note("info", text))
     if deliveries.spared:
-        progress.warn(
-            f"of an earlier run, kept as tasks of this one failed: {named(deliveries.spared)}; "
-            "mend what failed and run again, or delete what is of no use"
-        )
+        progress.warn([Finding("E02", {"files": list(deliveries.spared)})])
 
 
 def _standing(prepared: Prepared[Any, Any], facts: RunFacts) -> Any:

@@ -1,13 +1,12 @@
 """What did not make it: what it needed, what to do, and how to see it fail alone."""
 
-import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from spl_batch.engine.flow.executor import OUT_OF_MEMORY
+from spl_batch.engine.findings import table
 from spl_batch.engine.report.parts import Failure
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.receiver import Prepared
@@ -49,22 +48,16 @@ class Failed:
     command: str  #: Command that does it alone.
 
 
-AGAIN: Final = "run again: only what failed is tried"
-
-COPY: Final = re.compile(r"[,;:]? copy it again(, or rewrite it)?")
-"""What a reason says that names a damaged file: it is told as the remedy, once."""
-
-
 def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator[Failure]:
     """What did not make it, inputs first."""
     ledger, receiver = prepared.ledger, prepared.receiver
     for bad in ledger.inputs.bad:
-        reason = "; ".join(bad.faults)
         yield Failure(
+            code="F01",
             stage="index",
             place=bad.path,
-            reason=COPY.sub("", reason),
-            remedy=_damaged(reason) or f"mend or remove it, then {AGAIN}",
+            reason="; ".join(bad.faults),
+            remedy=table()["F01"].remedy,
             inputs=(bad.path,),
         )
     names = {str(s.key): s.name for s in ledger.inputs.sources}
@@ -72,9 +65,10 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
         task = one.task
         edge_m = receiver.edge_m(task.kind, ledger)
         yield Failure(
+            code=one.receipt.facts.get("code", "F04"),
             stage=one.stage,
             place=names.get(task.name) or str(task.args.get("path", task.name)),
-            reason=COPY.sub("", one.receipt.reason),
+            reason=one.receipt.reason,
             remedy=_remedy(one, receiver.remedies),
             task=f"{task.kind} {task.name}",
             extent_m=extent_m(task.name, edge_m) if edge_m else None,
@@ -139,20 +133,9 @@ def plain_name(task: Task, names: Mapping[str, str]) -> str:
     return " ".join(parts)
 
 
-def _damaged(reason: str) -> str:
-    """What helps with a file of which a reason says that it is damaged; empty for others."""
-    found = COPY.search(reason)
-    if found is None:
-        return ""
-    return f"copy it again{', rewrite it' if found[1] else ''} or remove it, then {AGAIN}"
-
-
 def _remedy(one: Failed, remedies: Mapping[str, str]) -> str:
-    if damaged := _damaged(one.receipt.reason):
-        return damaged
-    if one.receipt.reason.startswith(f"{one.task.args.get('path', '')}: "):  # a fault of that file
-        return f"mend or remove it, then {AGAIN}"
-    if not one.receipt.reason.startswith(OUT_OF_MEMORY):
-        return AGAIN
-    helping = filter(None, ("raise --memory", remedies.get(one.task.kind)))
-    return f"{' or '.join(helping)}, and {AGAIN}"
+    """What its code advises, with what makes its kind of task lighter where memory was short."""
+    code = one.receipt.facts.get("code", "F04")
+    lighter = remedies.get(one.task.kind) if code == "F02" else None
+    remedy = table()[code].remedy
+    return f"{lighter}, or {remedy}" if lighter else remedy

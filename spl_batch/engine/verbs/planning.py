@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, refuse_too_large
+from spl_batch.engine.report.parts import FindingReport
+from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import REPORT_FILES
 from spl_batch.engine.store.output_owner import gone_inputs, usable
 from spl_batch.engine.tasks.runner import kinds, stages
@@ -66,8 +69,10 @@ class PlanSummary:
         Whether it is the workers' share of this machine, as nobody has said otherwise.
     rows : tuple of (str, str)
         Label and value of what the receiver tells beside them.
-    faults, warnings : tuple of str
-        What is wrong with the inputs and the output; what is odd about them.
+    faults : tuple of str
+        What is wrong with the inputs and the output.
+    findings : tuple of FindingReport
+        What is odd about them.
     left : Left or None
         What is left to do; None where nothing of this work is finished.
     unusable : int
@@ -81,7 +86,7 @@ class PlanSummary:
     shared: bool
     rows: tuple[tuple[str, str], ...]
     faults: tuple[str, ...]
-    warnings: tuple[str, ...]
+    findings: tuple[FindingReport, ...]
     left: Left | None = None
     unusable: int = 0
 
@@ -96,7 +101,7 @@ class PlanSummary:
             ("memory", f"{needed} of each worker's {limit} MiB"),
             ("time", f"{grouped(self.cost.time_s)} s"),
         )
-        odd = (("warning", text) for text in self.warnings)
+        odd = (("warning", one.text) for one in self.findings)
         return listed("PlanSummary", (*own, *odd, *(("unusable", text) for text in self.faults)))
 
     @property
@@ -150,13 +155,17 @@ def plan(
         prepared.ledger.shared,
         (*look.rows, *receiver.plan_rows(prepared, cost)),
         (*told_together(inputs.bad), *look.faults, *look.late),
-        (
-            *prepared.ledger.remarks,
-            *inputs.warnings,
-            *gone_inputs(prepared, deliveries),
-            *look.warnings,
-            *(text for phase in receiver.phases for text in receiver.aside(phase, prepared)),
-            *_too_full(output, cost.disk_bytes if whole else 0),
+        reported(
+            (
+                *prepared.ledger.remarks,
+                *inputs.warnings,
+                *gone_inputs(prepared, deliveries),
+                *look.warnings,
+                *(one for phase in receiver.phases for one in receiver.aside(phase, prepared)),
+                *_too_full(output, cost.disk_bytes if whole else 0),
+            ),
+            prepared.context.workflow.report.ignore,
+            notes=True,
         ),
         left,
         len(inputs.bad) + look.unreadable,
@@ -177,12 +186,12 @@ def fitting_cost(prepared: Prepared[Any, Any]) -> Cost:
     return cost
 
 
-def _too_full(output: Path, needed: int) -> list[str]:
-    """A warning where the file system of the output has less room than is expected to be taken."""
+def _too_full(output: Path, needed: int) -> list[Finding]:
+    """A note where the file system of the output has less room than is expected to be taken."""
     free = shutil.disk_usage(_existing(output)).free
     if needed <= free:
         return []
-    return [f"output: a run takes about {storage(needed)}, its disk has {storage(free)} left"]
+    return [Finding("E01", {"kind": "disk", "needed": storage(needed), "free": storage(free)})]
 
 
 def _existing(path: Path) -> Path:

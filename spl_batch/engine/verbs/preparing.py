@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.executor import machine_memory
 from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
@@ -90,16 +91,17 @@ def limit_bytes(memory: str | int | None, workers: int, *, remote: bool = False)
     return REMOTE_BYTES if remote else usual_bytes(workers)
 
 
-def _more_than_there_is(limit: int, workers: int) -> Iterator[str]:
+def _more_than_there_is(limit: int, workers: int) -> Iterator[Finding]:
     """A remark where workers of this machine may take more memory than it has."""
     there = machine_memory()
     if workers * limit > there:
         total, have = (grouped(size / 2**30, 1) for size in (workers * limit, there))
-        yield (
+        text = (
             f"--memory: {grouped(workers)} worker{'s' if workers > 1 else ''} may take {total} GiB "
             f"together, this machine has {have} GiB and ends what asks for more; lower --memory "
             "or --workers"
         )
+        yield Finding("E01", {"kind": "memory", "what": text})
 
 
 def usual_bytes(workers: int) -> int:

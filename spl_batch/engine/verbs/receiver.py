@@ -6,12 +6,13 @@ same for all of them. A receiver is named by the ``kind`` of a workflow
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.executor import Work
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
@@ -56,7 +57,7 @@ class FirstLook(NamedTuple):
 
     #: What is wrong with some of them, which a run leaves out; what is odd.
     faults: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
     rows: tuple[tuple[str, str], ...] = ()  #: Label and value of what else they tell.
     #: Inputs whose points cannot be read though their headers can, and what these promise [count];
     #: ``faults`` has the reasons.
@@ -148,7 +149,7 @@ class Receiver(ABC, Generic[L, C]):
 
     def after(
         self, phase: Phase, prepared: Prepared[L, C], failed: Sequence[Receipt]
-    ) -> Iterable[str]:
+    ) -> Iterable[Finding]:
         """Warn of what a phase has brought to light.
 
         Raises
@@ -167,15 +168,10 @@ class Receiver(ABC, Generic[L, C]):
         del task, workflow
         return ()
 
-    def aside(self, phase: Phase, prepared: Prepared[L, C]) -> Iterable[str]:
-        """What whoever runs it should know after a phase; the report is for others."""
+    def aside(self, phase: Phase, prepared: Prepared[L, C]) -> Iterable[Finding]:
+        """Notes for the operator after a phase; they are in no report."""
         del phase, prepared
         return ()
-
-    def follows(self, phase: Phase, prepared: Prepared[L, C]) -> Callable[[str, str], bool]:
-        """Whether a task's warning, by its name and text, follows from what is told already."""
-        del phase, prepared
-        return lambda _name, _text: False
 
     def edge_m(self, kind: str, ledger: L) -> float:
         """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.parts import Failure
 from spl_batch.engine.report.run_record import RUN, RunFacts, StageCost, recall
 from spl_batch.engine.settings.mistaken_file import no_output
@@ -93,7 +94,7 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
         kept["workers"],
         {stage: StageCost(**cost) for stage, cost in kept["costs"].items()},
         [Failure(**failure) for failure in kept["failures"]],
-        kept["notes"],
+        [Finding(*one) for one in kept["findings"]],
         kept["reference"],
         kept["not_read"],
         kept.get("earlier_s", 0.0),  # of a run before there was such a thing

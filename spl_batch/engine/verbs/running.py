@@ -3,13 +3,14 @@
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
+from spl_batch.engine.findings import of_receipts
 from spl_batch.engine.flow.executor import Ahead, Executor, Footing, executor, refuse_no_address
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import StageCost
@@ -30,12 +31,10 @@ from spl_batch.engine.verbs.repair import Repairs
 from spl_batch.engine.watch.events import Listener, Note, PhaseStarted, RunEnded, RunStarted, ignore
 from spl_batch.engine.watch.progress import Progress
 from spl_batch.errors import (
-    Said,
     SplBatchError,
     StoppedError,
     WorkflowError,
     refuse_without,
-    shared,
     told_by_system,
     told_together,
 )
@@ -128,6 +127,7 @@ def run(
             kinds(kind_of(prepared)),
             {str(source.key): source.name for source in prepared.ledger.inputs.sources},
             prepared.receiver.essential,
+            ignored=prepared.context.workflow.report.ignore,
         )
         code = prepared.context.code
         phases = Counter(progress.stage(phase.kind) for phase in prepared.receiver.phases)
@@ -146,10 +146,8 @@ def run(
         with _telling_the_end(progress), _stopped_by_system():
             if new and not output.is_relative_to(prepared.context.base):  # a slip would show
                 progress.tell(Note("info", f"created folder {output}"))
-            for text in (*prepared.ledger.remarks, *gone):
-                progress.aside(text)
-            for text in prepared.ledger.inputs.warnings:
-                progress.warn(text)
+            progress.warn((*prepared.ledger.remarks, *gone))
+            progress.warn(prepared.ledger.inputs.warnings)
             for text in (*told_together(prepared.ledger.inputs.bad), *look.late):
                 progress.tell(Note("error", text))
             workforce = partial(
@@ -240,15 +238,9 @@ def _run_phases(
         if progress.repairs.wanted(progress.failed, ledger):
             return
         for phase in phases:
-            for text in receiver.after(phase, prepared, progress.failed):
-                progress.warn(text)
-            for text in receiver.aside(phase, prepared):
-                progress.aside(text)
-            told = _told(ledger.of(phase.kind), receiver.follows(phase, prepared))
-            word = receiver.words.get(phase.kind, "")
-            # A file's name says that it is one.
-            for text in shared(told, f"{word}s" if word else "", word if word != "file" else ""):
-                progress.warn(text)
+            progress.warn(receiver.after(phase, prepared, progress.failed))
+            progress.warn(receiver.aside(phase, prepared))
+            progress.warn(of_receipts(ledger.of(phase.kind)))
 
 
 def _run_wave(
@@ -322,11 +314,3 @@ def _begin_phase(
 def _load_meanwhile(receiver: Receiver[Any, Any]) -> None:
     """Once, load what is needed in the end, as long as workers do the work."""
     threading.Thread(target=receiver.load_report, name="load report", daemon=True).start()
-
-
-def _told(receipts: Mapping[str, Receipt], follows: Callable[[str, str], bool]) -> Iterator[Said]:
-    """What tasks warn of, but for what follows from something that is told already."""
-    for name, receipt in receipts.items():
-        for text, badness in receipt.facts.get("warnings", ()):
-            if not follows(name, text):
-                yield Said(str(receipt.facts.get("name", receipt.name)), text, badness)

@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from spl_batch.engine.findings import Finding, settled
+from spl_batch.engine.report.parts import FindingReport
+from spl_batch.engine.report.reported import texts
 from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.store.deliveries import Deliveries
 from spl_batch.engine.store.working_store import append_log
@@ -50,8 +53,8 @@ class Progress:
     essential: frozenset[str] = frozenset()  #: Kinds of task that the run cannot go on without.
     costs: dict[str, StageCost] = field(default_factory=dict)
     failures: list[Failed] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    asides: list[str] = field(default_factory=list)
+    ignored: tuple[str, ...] = ()  #: Codes that the report is silent about.
+    findings: list[Finding] = field(default_factory=list)
     logged_s: float = -1e9
 
     def __post_init__(self) -> None:
@@ -66,18 +69,19 @@ class Progress:
         append_log(self.output, as_record(event))
         self.listener(event)
 
-    def warn(self, text: str) -> None:
-        """Note something that the report repeats."""
-        self._warn_once(text, self.notes)
-
-    def aside(self, text: str) -> None:
-        """Say what is for whoever runs it; the report is for others."""
-        self._warn_once(text, self.asides)
-
-    def _warn_once(self, text: str, said: list[str]) -> None:
-        if text not in said:
-            said.append(text)
+    def warn(self, findings: Iterable[Finding]) -> None:
+        """Report what was found, alike ones together, once."""
+        new = settled(findings, self.ignored, self.findings)
+        self.findings += new
+        for text in texts(new):
             self.tell(Note("warning", text))
+
+    def late(self, findings: Iterable[FindingReport]) -> None:
+        """Report what only the whole survey shows; the rest was reported as it was found."""
+        known = {(one.code, one.values.get("kind")) for one in self.findings}
+        for one in findings:
+            if (one.code, one.values.get("kind")) not in known:
+                self.tell(Note("warning", one.text))
 
     def tidy(self) -> None:
         """Remove what a killed run has left unfinished."""

@@ -10,6 +10,7 @@ from typing import Any, Final
 from pyproj import CRS
 
 from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
@@ -17,7 +18,7 @@ from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp
 from spl_batch.engine.tasks.ledger import Ledger, Phase
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.errors import InputError, Said, WorkflowError, reason_of, shared
+from spl_batch.errors import InputError, WorkflowError, reason_of
 from spl_batch.formats.crs import projected_crs
 from spl_batch.geiger.coincidence.formats import l1_files as files
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
@@ -86,7 +87,7 @@ class L1Inputs:
     frames: tuple[L1File, ...]
     detections: tuple[L1File, ...]
     bad: tuple[InputError, ...]  #: Files that cannot.
-    warnings: tuple[str, ...]  #: What a user should know before the work starts.
+    warnings: tuple[Finding, ...]  #: What a user should know before the work starts.
     crs: CRS | None
     #: Names of the files that cannot be used.
     unread_frames: tuple[str, ...]
@@ -127,10 +128,10 @@ def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
     if not frames or not detections:
         reasons = "; ".join(map(str, bad)) or "survey.frames and survey.detections hold no rows"
         raise WorkflowError(f"no input is usable: {reasons}")
-    warnings = [] if crs is not None else ["survey.crs is not set: the points will have no CRS"]
+    warnings = [] if crs is not None else [Finding("K01", {"kind": "crs"})]
     usable = {file.path for file in (*frames, *detections)} | {Path(e.path) for e in bad}
     empty = [path for paths in named.values() for path in paths if path not in usable]
-    warnings += shared((Said(name_below(p, base), "holds no rows") for p in empty), "files")
+    warnings += [Finding("K01", {"kind": "empty"}, name_below(p, base)) for p in empty]
     return L1Inputs(
         frames=frames,
         detections=detections,

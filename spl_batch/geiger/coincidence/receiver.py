@@ -1,11 +1,12 @@
 """Coincidence processing of Geiger-mode lidar, as the verbs need it."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.report.verdict import ending_rows
@@ -67,19 +68,15 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         phase: Phase,
         prepared: Prepared[L1Ledger, CoincidenceContext],
         failed: Sequence[Receipt],
-    ) -> Iterable[str]:
+    ) -> Iterable[Finding]:
         """Stop where no file could be read."""
         if phase.kind in {"frames", "index_file"} and not prepared.ledger.of(phase.kind):
             reasons = [r.reason for r in failed if r.kind == phase.kind]
             raise WorkflowError("no input is usable: " + "; ".join(reasons))
         if phase.kind == "frames":
-            yield from _twice(prepared.ledger)
+            _refuse_twice(prepared.ledger)
         if phase.kind == "index_file" and prepared.ledger.answered is not None:
-            yield (
-                "some detections could not be read: a frame counts only if its number lies between "
-                "those of detections that were read; all other frames are left out with all their "
-                "looks"
-            )
+            yield Finding("K01", {"kind": "unread"})
 
     def targets(self, task: Task, workflow: CoincidenceWorkflow) -> Sequence[str]:
         """Names of the files, below the output, that a task delivers."""
@@ -110,7 +107,7 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
             ("looks", f"{grouped(counts.looks)} in {grouped(counts.frames)} frames"),
             ("detections", grouped(counts.detections)),
             ("points", f"{grouped(counts.points)} in {grouped(counts.tiles)} tiles"),
-            *ending_rows(report.performance, report.failures, report.warnings),
+            *ending_rows(report.performance, report.failures, report.findings),
         ]
 
     def results(self, output: Path) -> list[tuple[str, list[Path]]]:
@@ -118,7 +115,7 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         return [("report", [output / "report.html"]), ("points", [output / "points"])]
 
 
-def _twice(ledger: L1Ledger) -> Iterator[str]:
+def _refuse_twice(ledger: L1Ledger) -> None:
     """Stop where frames of two files share numbers."""
     spans = sorted(
         (*receipt.facts["numbers"], receipt.facts["name"])
@@ -131,7 +128,6 @@ def _twice(ledger: L1Ledger) -> Iterator[str]:
                 f"{one} and {other}: frames run to {last} in the one and from {first} in the "
                 "other; number frames through, file after file"
             )
-    yield from ()
 
 
 RECEIVER: Final[Receiver[Any, Any]] = Coincidence()

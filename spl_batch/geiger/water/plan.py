@@ -8,6 +8,7 @@ from typing import Final
 
 from pyproj import CRS
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.engine.plan.input_files import (
     check_keys,
@@ -22,7 +23,7 @@ from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.ledger import Ledger, Phase
 from spl_batch.engine.tasks.task import Task
-from spl_batch.errors import InputError, Said, WorkflowError, grouped, shared
+from spl_batch.errors import InputError, WorkflowError, grouped
 from spl_batch.formats.crs import projected_crs
 from spl_batch.geiger.water.formats import PIECE_VALUES, FrameFacts, inspect_frames
 from spl_batch.geiger.water.settings import WaterWorkflow
@@ -67,7 +68,7 @@ class WaterInputs:
     targets: tuple[FrameSource, ...]  #: Files for calibration, as the workflow lists them.
     bad: tuple[InputError, ...]  #: Files that cannot be used.
     crs: CRS | None
-    warnings: tuple[str, ...]  #: What a user should know before the work starts.
+    warnings: tuple[Finding, ...]  #: What a user should know before the work starts.
 
 
 class WaterLedger(Ledger[WaterInputs, WaterWorkflow]):
@@ -116,7 +117,7 @@ def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInp
         raise WorkflowError("; ".join(faults))
     sources: list[FrameSource] = []
     bad: list[InputError] = []
-    said: list[Said] = []
+    warnings: list[Finding] = []
     per = workflow.surface.frames_per_acquisition
     for path in paths:
         try:
@@ -125,10 +126,9 @@ def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInp
             bad.append(error)
             continue
         sources.append(source)
-        said += _remarks(source, per)
-    warnings = [*shared(said, "files")]
+        warnings += _left_out(source, per)
     if crs is None and sources:
-        warnings.append("survey.crs is not set: the rasters will carry no CRS")
+        warnings.append(Finding("W02"))
     check_keys((*sources, *targets))
     return WaterInputs(
         tuple(sorted(sources, key=lambda s: s.name)),
@@ -152,17 +152,12 @@ def _source(path: Path, base: Path, workflow: WaterWorkflow, distance_m: float) 
     return FrameSource(path, name, source_key(name), facts, distance_m)
 
 
-def _remarks(source: FrameSource, per: int) -> Iterator[Said]:
+def _left_out(source: FrameSource, per: int) -> Iterator[Finding]:
     left, truth = source.facts.frames % per, source.facts.truth_frames
     if left:
-        text = f"the last {left} frames do not fill an acquisition of {per} frames and are left out"
-        yield Said(source.name, text, left)
+        yield Finding("W01", {"kind": "rest", "count": left, "per": per}, source.name, None, left)
     if truth not in {0, per}:
-        text = (
-            f"the truth is given for acquisitions of {truth} frames, but "
-            f"surface.frames_per_acquisition is {per}: accuracy is not measured against it"
-        )
-        yield Said(source.name, text)
+        yield Finding("W01", {"kind": "truth", "truth": truth, "per": per}, source.name)
 
 
 def estimate(ledger: WaterLedger, context: RunContext[WaterWorkflow] | None = None) -> Cost:

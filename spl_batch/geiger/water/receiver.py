@@ -5,6 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
@@ -12,7 +13,7 @@ from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
-from spl_batch.errors import Said, WorkflowError, counted, grouped, shared
+from spl_batch.errors import WorkflowError, counted, grouped
 from spl_batch.geiger.water.calibration_targets import WITHOUT, refuse_unusable
 from spl_batch.geiger.water.plan import PHASES, WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
@@ -29,22 +30,14 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
 )
 
 
-def _silent(counted: Iterable[Receipt]) -> Iterable[str]:
+def _silent(counted: Iterable[Receipt]) -> Iterable[Finding]:
     """Files with more frames without a hit than chance explains: a chunk that is gone reads so."""
     found = sorted((r.facts for r in counted), key=lambda f: str(f["name"]))
-    return shared(
-        (
-            Said(
-                str(facts["name"]),
-                f"{facts['silent']} of {facts['frames']} frames have no hit in any pixel, more "
-                "than chance explains; the laser paused, or a part of the file is missing",
-                facts["silent"] / facts["frames"],
-            )
-            for facts in found
-            if facts["silent_beyond_chance"]
-        ),
-        "files",
-    )
+    for facts in found:
+        if facts["silent_beyond_chance"]:
+            values = {"kind": "silent", "count": facts["silent"], "of": facts["frames"]}
+            badness = facts["silent"] / facts["frames"]
+            yield Finding("W01", values, str(facts["name"]), badness=badness)
 
 
 class Water(Receiver[WaterLedger, WaterContext]):
@@ -100,7 +93,7 @@ class Water(Receiver[WaterLedger, WaterContext]):
         phase: Phase,
         prepared: Prepared[WaterLedger, WaterContext],
         failed: Sequence[Receipt],
-    ) -> Iterable[str]:
+    ) -> Iterable[Finding]:
         """Stop where nothing is left to go on with."""
         ledger = prepared.ledger
         if phase.kind == "count_frames":

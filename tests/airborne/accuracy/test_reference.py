@@ -199,15 +199,13 @@ def test_a_report_of_what_was_never_compared_says_so(tmp_path: Path) -> None:
     again = api.report(first.output)
     assert again.report is not None
     assert again.report.accuracy is None
-    said = [text for text in again.report.warnings if "`spl-batch run` computes it" in text]
-    assert len(said) == 1
-    assert said[0] in (first.output / "report.html").read_text()
+    assert len(surveys.found(again.report.findings, "C02", "missing")) == 1
     assert "not compared" in dict(again.screen)["accuracy"]
     repaired = api.run(survey, workers=0)
     assert first.report is not None
     assert repaired.report is not None
     assert repaired.report.accuracy == first.report.accuracy
-    assert repaired.report.warnings == first.report.warnings
+    assert repaired.report.findings == first.report.findings
 
 
 def test_what_failed_to_be_compared_is_no_earlier_versions(
@@ -224,7 +222,7 @@ def test_what_failed_to_be_compared_is_no_earlier_versions(
     assert found is not None
     assert [str(one.task).split()[0] for one in found.failures] == ["reference"]
     assert found.accuracy is None
-    assert not [text for text in found.warnings if "comparison" in text]
+    assert not surveys.found(found.findings, "C02")
 
 
 def test_an_empty_reference_says_nothing(tmp_path: Path) -> None:
@@ -272,8 +270,8 @@ def test_a_survey_is_no_reference_of_itself(tmp_path: Path) -> None:
     assert result.report is not None
     assert result.report.accuracy is not None
     assert result.report.accuracy.own_points
-    (said,) = (text for text in result.report.warnings if "survey's own points" in text)
-    assert said.startswith("reference.points holds the survey's own points: 100% of those")
+    (one,) = surveys.found(result.report.findings, "C02", "own")
+    assert one.values["share"] == 1.0
     assert dict(result.screen)["accuracy"] == "the reference holds the survey's own points"
     away = {"z": part["z"] + 0.05}
     surveys.write_cloud(tmp_path / "ref.laz", part | ground | away)
@@ -281,4 +279,4 @@ def test_a_survey_is_no_reference_of_itself(tmp_path: Path) -> None:
     assert again is not None
     assert again.accuracy is not None
     assert not again.accuracy.own_points
-    assert not any("own points" in text for text in again.warnings)
+    assert not surveys.found(again.findings, "C02", "own")

@@ -196,5 +196,5 @@ def test_a_plan_doubts_linear_mode_lidar_unless_the_instrument_is_named(tmp_path
     ):
         workflow = tmp_path / "workflow.yaml"
         workflow.write_text(f"survey: {{flightlines: {cloud.name}}}\noutput: out\n")
-        said = " ".join(api.plan(workflow, overrides=overrides).warnings)
-        assert ("this looks like linear-mode lidar" in said) == doubted
+        found = api.plan(workflow, overrides=overrides).findings
+        assert bool(surveys.found(found, "I04", "linear")) == doubted

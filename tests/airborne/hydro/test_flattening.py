@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from matplotlib.path import Path as Outline
 from pyproj import CRS
 
-from spl_batch.airborne.hydro.flattening import bank_warnings, flatten, water_heights
+from spl_batch.airborne.hydro.flattening import bank_findings, flatten, water_heights
 from spl_batch.constants import NODATA
 from spl_batch.errors import InputError
 from spl_batch.formats.breaklines import read_breaklines
@@ -113,10 +113,11 @@ def test_what_rests_on_water_is_no_lower_and_banks_are_counted() -> None:
     assert rasters["chm"][1, 2] == pytest.approx(2.1, abs=1e-6)
     assert (rasters["dtm_quality"][wet] == NODATA).all()
     assert np.array_equal(rasters["dtm"][~wet], dtm[~wet])
-    assert "2 of 13 cells" in next(bank_warnings([banks, (0, 0, 0)]))
-    assert "covers a cell" in next(bank_warnings([(0, 0, 0)]))
-    assert not [*bank_warnings([(600, 100, 5)])]
-    assert not [*bank_warnings([])]
+    one = next(bank_findings([banks, (0, 0, 0)]))
+    assert (one.values["kind"], one.values["count"], one.values["of"]) == ("flooded", 2, 13)
+    assert next(bank_findings([(0, 0, 0)])).values["kind"] == "none"
+    assert not [*bank_findings([(600, 100, 5)])]
+    assert not [*bank_findings([])]
 
 
 def test_terrain_that_reaches_over_water_off_the_survey_is_water_too() -> None:
@@ -203,7 +204,7 @@ def test_a_run_is_flattened(tmp_path: Path) -> None:
     assert wet.sum() == 35
     assert set(dtm[wet].tolist()) == {31.25}
     assert 31.25 not in dtm[~wet]
-    assert any("water stands more than 0.25 m above" in text for text in result.report.warnings)
+    assert surveys.found(result.report.findings, "G04", "flooded")
     assert "breaklines" in {item.role for item in result.report.provenance.inputs}
 
 

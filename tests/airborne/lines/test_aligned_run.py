@@ -50,7 +50,7 @@ def test_shifts_bring_them_together_and_the_report_has_them(vertical: api.RunRes
     first, second = report["alignment"]["lines"]
     assert (first["stays"], first["up_m"]) == ("kept", 0.0)
     assert second["up_m"] == pytest.approx(-before["up_m"], abs=6e-4)
-    assert not [text for text in vertical.report.warnings if "appear twice" in text]
+    assert not surveys.found(vertical.report.findings, "S01")
     page = (vertical.output / "report.html").read_text()
     assert f"<td>{100 * second['up_m']:.1f}</td>" in page.replace("\N{MINUS SIGN}", "-")
     for name in ("metadata.xml", "log.jsonl"):

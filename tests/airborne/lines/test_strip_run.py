@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import rasterio
 
-from spl_batch.airborne.report.fit import noise_warnings
 from tests import surveys
 from tests.airborne.lines.two_strips import Returns, Shift, ground
 
@@ -32,11 +31,7 @@ def write(path: Path, line: Returns, *, timed: bool) -> None:
 
 
 @pytest.mark.pictures
-def test_an_offset_is_in_warnings_report_and_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = ["what only the report of the whole survey tells"]
-    monkeypatch.setattr(noise_warnings, "misfit_warning", lambda *_: whole)
+def test_an_offset_is_in_findings_report_and_page(tmp_path: Path) -> None:
     result = surveys.run(survey(tmp_path, Shift(0.3, -0.2, 0.2)))
     (pair,) = json.loads((result.output / "report.json").read_text())["strips"]
     assert pair["up_m"] == pytest.approx(0.2, abs=0.01)
@@ -44,14 +39,14 @@ def test_an_offset_is_in_warnings_report_and_page(
     assert pair["north_m"] == pytest.approx(-0.2, abs=0.08)
     assert pair["noise_m"] == pytest.approx(0.05, abs=0.01)
     assert (pair["first"][:5], pair["second"][:5]) == ("00001", "00002")
-    (said,) = [text for text in result.report.warnings if "appear twice" in text]
+    (said,) = surveys.found(result.report.findings, "S01")
     log = (result.output / "log.jsonl").read_text(encoding="utf-8")
     events = [json.loads(line) for line in log.splitlines()]
     told = [event["text"] for event in events if event.get("level") == "warning"]
-    assert sorted(told) == sorted(result.report.warnings)
-    assert set(whole) < set(told)
-    assert said.startswith(f"flightline {pair['second']} lies ")
-    assert "class 2 holds the ground of both" in said
+    assert sorted(told) == sorted(one.text for one in result.report.findings)
+    assert said.values["up_m"] == pytest.approx(0.2, abs=0.01)
+    assert said.values["second"] == pair["second"]
+    assert said.values["apart"] > 0
     page = (result.output / "report.html").read_text()
     assert "Between flightlines" in page
     assert f"<td>{100 * pair['up_m']:.1f}</td>" in page
@@ -62,7 +57,7 @@ def test_aligned_flightlines_raise_no_warning_and_tiling_does_not_count(tmp_path
     found = []
     for name, sections in (("whole", {}), ("fine", FINE)):
         result = surveys.run(survey(tmp_path / name, Shift(), **sections))
-        assert not [text for text in result.report.warnings if "appear twice" in text]
+        assert not surveys.found(result.report.findings, "S01")
         (pair,) = result.report.strips
         found.append(pair)
     whole, fine = found

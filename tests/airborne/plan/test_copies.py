@@ -9,7 +9,6 @@ import pytest
 
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.watch.events import Event, Note
-from spl_batch.errors import grouped
 from tests import surveys
 
 
@@ -44,8 +43,8 @@ def test_a_file_that_is_delivered_twice_counts_once(small: Path, small_output: P
     size = len(surveys.cloud(path)["X"])
     assert counts.points_in == counts.points_out
     assert counts.not_assessed >= size
-    (said,) = [text for text in result.report.warnings if "returns are in" in text]
-    assert said.startswith(f"{copy} and {kept}: {grouped(size)} returns are in both")
+    (one,) = surveys.found(result.report.findings, "I03", "files")
+    assert (one.subject, one.values["count"]) == (f"{copy} and {kept}", size)
 
 
 def test_a_copy_whose_times_are_broken_is_not_the_original(small: Path, small_output: Path) -> None:
@@ -104,10 +103,10 @@ def test_points_that_a_file_holds_twice_count_once(
     assert not found[size:].any()
     for raster_name, raster in surveys.rasters(small_output).items():
         assert np.array_equal(surveys.rasters(result.output)[raster_name][0], raster[0])
-    (said,) = [text for text in result.report.warnings if "repeat an earlier one" in text]
+    (one,) = surveys.found(result.report.findings, "I03", "repeated")
     more = int(np.count_nonzero(alone[40:60])) * times
-    assert said.startswith(f"{name}: {more} of {grouped(size + 20 * times)} points")
-    assert "each counts once" in said
+    assert (one.subject, one.values["count"]) == (name, more)
+    assert one.values["points"] == size + 20 * times
 
 
 def test_points_that_differ_in_anything_are_no_copies(small: Path) -> None:
@@ -131,10 +130,8 @@ def test_of_many_files_that_overlap_few_are_named(small: Path) -> None:
     events: list[Event] = []
     surveys.run(small, until="shuffle", listener=events.append)
     texts = [e.text for e in events if isinstance(e, Note)]
-    (said,) = [text for text in texts if "returns are in both" in text]
-    assert said.startswith("7 pairs of files (lines/tile_")
-    worst = "of lines/tile_6.laz and lines/tile_7.laz, the worst: 16 returns are in both"
-    assert f" and 4 more); {worst}" in said
+    (text,) = [text for text in texts if "I03" in text]
+    assert "at worst lines/tile_6.laz and lines/tile_7.laz: 16 returns" in text
 
 
 def warned(survey: Path, until: str) -> list[str]:
@@ -145,12 +142,11 @@ def warned(survey: Path, until: str) -> list[str]:
 
 
 def test_a_flightline_and_its_copy_of_another_number_are_told(small: Path) -> None:
-    assert not [text for text in warned(small, "index") if "as a flightline and its copy" in text]
+    assert not [text for text in warned(small, "index") if "I03" in text]
     twin = surveys.flightline(shots=120, psid=7, seed=1)
     surveys.write_cloud(lines(small)[0].with_name("twin.laz"), twin)
-    (said,) = [text for text in warned(small, "index") if "as a flightline and its copy" in text]
-    assert said.startswith("00001_371000000, 00007_371000000: ")
-    assert f"each has {grouped(len(twin['x']))} returns" in said
+    (text,) = [text for text in warned(small, "index") if "I03" in text]
+    assert "00001_371000000, 00007_371000000" in text
 
 
 def test_a_copy_in_another_place_is_called_so(tmp_path: Path) -> None:
@@ -160,9 +156,8 @@ def test_a_copy_in_another_place_is_called_so(tmp_path: Path) -> None:
     line["x"] = line["x"] + 40_000.0
     surveys.write_cloud(tmp_path / "lines/moved.laz", line)
     texts = warned(survey, "shots")
-    (said,) = [text for text in texts if "same time and channel" in text]
-    assert "lie more than 10 km apart, as where a file is a copy in another place" in said
-    assert not any("afterpulses" in text for text in texts)
+    assert len([text for text in texts if "I03" in text and "10 km" in text]) == 1
+    assert not [text for text in texts if "T01" in text]
 
 
 def linear_mode(survey: Path) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from spl_batch.airborne.plan.inputs.channel_dimension import are_beamlets, unnam
 from spl_batch.airborne.plan.inputs.findings import beams_without_trajectory
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.engine.watch.events import Note
-from spl_batch.errors import InputError, Said, counted, shared, told_together
+from spl_batch.errors import InputError, counted, told_together
 from spl_batch.formats.las.number_dimensions import Numbers
 from spl_batch.geiger.water.ranges.silence import CHANCE_MIN, empty_share, too_many_empty
 from tests import surveys
@@ -28,24 +28,6 @@ def notes_of(workflow: Path) -> list[str]:
     told: list[Any] = []
     api.run(workflow, workers=0, until="shots", listener=told.append)
     return [e.text for e in told if isinstance(e, Note) and e.level == "warning"]
-
-
-def test_equal_warnings_are_given_once_with_a_count() -> None:
-    told = [Said("b", "is late"), Said("a", "is late"), Said("c", "is early")]
-    assert [*shared(told, "lines", "line")] == ["2 lines: b, a: is late", "line c: is early"]
-    assert [*shared(told)] == ["b, a: is late", "c: is early"]
-
-
-def test_warnings_that_differ_in_numbers_are_given_once_the_worst_first() -> None:
-    told = [
-        Said(name, f"{n} of 1 000 are lost", n)
-        for name, n in zip("abcde", (3, 9, 1, 4, 2), strict=True)
-    ]
-    said = shared([*told, Said("f", "7 of 1 000 are found", 7)], "files")
-    assert [*said] == [
-        "5 files (b, d, a and 2 more); of b, the worst: 9 of 1 000 are lost",
-        "f: 7 of 1 000 are found",
-    ]
 
 
 def test_faults_with_other_numbers_stay_apart() -> None:
@@ -62,16 +44,16 @@ def ledger(found: Sequence[bool], headings: Sequence[float | None]) -> Any:
 
 
 MIXED = (
-    "taken from where lines of sight meet on 1 of 3 flightlines, "
-    "taken from scan_angle and the flight direction on 1, taken as vertical on 1"
+    "from where lines of sight meet on 1, "
+    "from scan_angle and the flight direction on 1, as vertical on 1 of 3 flightlines"
 )
 
 
 @pytest.mark.parametrize(
     ("found", "headings", "said"),
     [
-        ([False] * 8, [None] * 8, "taken as vertical on all 8 flightlines"),
-        ([False], [None], "taken as vertical on the only flightline"),
+        ([False] * 8, [None] * 8, "as vertical on 8 of 8 flightlines"),
+        ([False], [None], "as vertical on 1 of 1 flightline"),
         (
             [True, False, False],
             [0.1, 0.2, None],
@@ -82,7 +64,8 @@ MIXED = (
 def test_what_beams_are_taken_from(
     found: list[bool], headings: list[float | None], said: str
 ) -> None:
-    assert beams_without_trajectory(ledger(found, headings)) == f"no trajectory: beams {said}"
+    one = beams_without_trajectory(ledger(found, headings))
+    assert (one.code, one.values["how"]) == ("T03", said)
 
 
 def survey_without_channels(folder: Path, first: int) -> Path:
@@ -99,14 +82,12 @@ def survey_without_channels(folder: Path, first: int) -> Path:
 @pytest.mark.parametrize("first", [0, 1])
 def test_beamlet_numbers_that_are_not_named_are_proposed_once(tmp_path: Path, first: int) -> None:
     survey = survey_without_channels(tmp_path, first)
-    (planned,) = [text for text in api.plan(survey).warnings if "channel" in text]
-    assert (
-        f"user_data holds {first} to {first + 24} in lines/line_1.laz, lines/line_2.laz" in planned
-    )
-    assert planned.endswith("write `channel_dimension: user_data` under survey")
+    (planned,) = surveys.found(api.plan(survey).findings, "I04", "unnamed")
+    ranges = f"{first} to {first + 24} in lines/line_1.laz, lines/line_2.laz"
+    assert (planned.values["dimension"], planned.values["ranges"]) == ("user_data", ranges)
     told = notes_of(survey)
-    assert [text for text in told if "channel" in text] == [planned]
-    assert not [text for text in told if "interval_shots" in text]
+    assert [text for text in told if planned.code in text] == [planned.text]
+    assert not [text for text in told if "N01" in text], "it explains what follows from it"
 
 
 def test_intervals_with_few_returns_are_told_where_no_beamlets_explain_it(tmp_path: Path) -> None:
@@ -116,10 +97,8 @@ def test_intervals_with_few_returns_are_told_where_no_beamlets_explain_it(tmp_pa
             las = reader.read()
         las["user_data"] = np.zeros(len(las), np.uint8)
         las.write(path)
-    told = [text for text in notes_of(survey) if "raise noise.interval_shots" in text]
+    told = [text for text in notes_of(survey) if "N01" in text and "interval_shots" in text]
     assert len(told) == 1, "two flightlines, one warning"
-    assert told[0].startswith("2 flightlines (")
-    assert ", the worst: an interval holds only" in told[0]
 
 
 def test_extra_bytes_may_hold_beamlet_numbers(small: Path) -> None:
@@ -127,8 +106,8 @@ def test_extra_bytes_may_hold_beamlet_numbers(small: Path) -> None:
     del content["survey"]["channel_dimension"]
     content["survey"]["sensor"] = {"beamlets": 25, "array_columns": 5}
     small.write_text(yaml.safe_dump(content))
-    (said,) = [text for text in api.plan(small).warnings if "channel_dimension" in text]
-    assert "but channel holds 1 to 25 in lines/line_1.laz" in said
+    (one,) = surveys.found(api.plan(small).findings, "I04", "unnamed")
+    assert one.values["dimension"] == "channel"
 
 
 @pytest.mark.parametrize(
@@ -154,8 +133,8 @@ def test_files_that_count_from_0_and_from_1_are_told_together() -> None:
         "b.laz": {"user_data": Numbers(0, 99, 100, 8192, 120)},
         "c.laz": {"user_data": Numbers(0, 0, 1, 8192, 8192)},
     }
-    (said,) = unnamed_channels(held, SENSOR)
-    assert "user_data holds 1 to 100 in a.laz and 0 to 99 in b.laz, as the 100 beamlets" in said
+    (one,) = unnamed_channels(held, SENSOR)
+    assert one.values["ranges"] == "1 to 100 in a.laz and 0 to 99 in b.laz"
     assert unnamed_channels({"c.laz": held["c.laz"]}, SENSOR) == ()
 
 

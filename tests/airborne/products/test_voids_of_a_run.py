@@ -84,8 +84,9 @@ def test_voids_across_ground_cells_are_told_once_and_whole(tmp_path: Path) -> No
     row, column = round((80 - 41) / 0.5), round(82 / 0.5)
     area_m2 = np.count_nonzero(pieces == pieces[row, column]) * 0.25
     assert 100 < area_m2 < 32 * 28
-    (said,) = [text for text in result.report.warnings if "of the terrain" in text]
-    assert said.startswith(f"dtm.tif: 1 void of the terrain, {round(area_m2)} m2 at ")
+    (one,) = surveys.found(result.report.findings, "G02")
+    assert (one.subject, one.values["count"]) == ("dtm.tif", 1)
+    assert one.values["area_m2"] == pytest.approx(area_m2)
     rows = json.loads((result.output / "report.json").read_text())["requirements"]
     (voids,) = [row for row in rows if row["name"] == "Data voids"]
     assert voids["verdict"] == "cannot tell"

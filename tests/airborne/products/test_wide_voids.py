@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from spl_batch.airborne.products import wide_voids as module
-from spl_batch.airborne.products.wide_voids import Void, void_sentence, wide_voids
+from spl_batch.airborne.products.wide_voids import Void, wide_voids
 from spl_batch.constants import NODATA
 
 CORNER_XY_M = (500_000.0, 4_000_100.0)
@@ -55,14 +55,3 @@ def test_a_lake_at_the_edge_is_told_where_it_was_flown() -> None:
     (lake,) = voids(terrain, flown)
     assert lake.area_m2 == pytest.approx(20.0 * 23.0, rel=0.1)
     assert voids(terrain, flown & terrain) == []  # nobody was there: the survey ends
-
-
-def test_the_sentence_names_number_place_consequence_and_remedy() -> None:
-    found = [Void(1234.4, 500_060.2, 4_000_062.5), Void(0.25, 1.0, 1.0)]
-    said = void_sentence(found, 20.0)
-    for words in (
-        "2 voids", "1 235 m2 in all", "the largest 1 234 m2 at 500 060 E, 4 000 062 N", "(20 m)",
-        "no heights", "breaklines", "larger products.void_max_m",
-    ):  # fmt: skip
-        assert words in said.replace("\N{NARROW NO-BREAK SPACE}", " "), said
-    assert void_sentence(found[1:], 20.0).startswith("1 void of the terrain, 1 m2 at 1 E, 1 N: ")

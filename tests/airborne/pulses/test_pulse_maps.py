@@ -80,7 +80,7 @@ def test_the_map_of_voids_is_what_the_table_of_requirements_counts(tmp_path: Pat
     made = pulses.Pulses(core, [], cast("Context", context))
     xyz = np.column_stack([x, y, np.zeros(len(x), np.int64)])[kept]
     times, ids = np.zeros(len(xyz)), np.ones(len(xyz), np.uint16)
-    made.add(pulses.PulseReturns(xyz, xyz[:, :2], times, ids, ids), core)
+    made.add(pulses.PulseReturns(xyz, xyz[:, :2], times, ids), core)
     judged = made.judged(np.ones((240, 240), np.bool_))
     voids = made.rasters(np.zeros((60, 60), np.float32), judged)["voids"][::-1]
     for level, edge_m in (("QL1", 1.4), ("QL2", 2.84)):

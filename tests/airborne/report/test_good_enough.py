@@ -9,7 +9,7 @@ import pytest
 from spl_batch.airborne.report.good_enough import (
     _swaths,
     _time_standard,
-    checkpoint_warnings,
+    checkpoint_findings,
 )
 from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
 from spl_batch.airborne.report.strip_pairs import StripPair
@@ -56,7 +56,8 @@ def test_a_checkpoint_with_a_blunder_is_warned_of(error_m: float, *, warned: boo
         ),
     )  # fmt: skip
     context: Any = SimpleNamespace(workflow=SimpleNamespace(requirements=RequirementSettings()))
-    said = list(checkpoint_warnings(tested, context))
+    said = list(checkpoint_findings(tested, context))
     assert len(said) == warned
-    assert all("p17" in text and f"{100 * error_m:.1f} cm" in text for text in said)
-    assert not list(checkpoint_warnings(None, context))
+    assert all(one.values["worst"] == "p17" for one in said)
+    assert all(one.values["error_cm"] == pytest.approx(100 * error_m) for one in said)
+    assert not list(checkpoint_findings(None, context))

@@ -32,6 +32,7 @@ from spl_batch.airborne.report.verdicts import (
     terrain_statistics,
     verdicts,
 )
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.parts import (
     Number,
@@ -41,6 +42,7 @@ from spl_batch.engine.report.parts import (
     Statistics,
     finite_or_none,
 )
+from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.write import report_json
 from tests.report_data import make_failures, make_report
 
@@ -194,8 +196,8 @@ class TestVerdicts:
         assert first.tone == "attention"
         assert first.text.startswith("The rasters were not compared with the reference")
         assert not dict(screen_summary(report))["accuracy"].endswith("does it")
-        told = ["reference: the store holds no comparison; `spl-batch run` computes it"]
-        asked = report.model_copy(update={"warnings": told})
+        missing = reported([Finding("C02", {"kind": "missing"})])
+        asked = report.model_copy(update={"findings": missing})
         assert dict(screen_summary(asked))["accuracy"].endswith("; `spl-batch run` does it")
         shown = render(report, {})
         assert "were not compared with the reference.</p>" in shown

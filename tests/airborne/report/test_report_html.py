@@ -19,10 +19,12 @@ from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
 from spl_batch.airborne.report.survey_files import write_report
 from spl_batch.airborne.report.survey_page import render
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report import maps, style
 from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.parts import Performance, Statistics
 from spl_batch.engine.report.picture import Picture
+from spl_batch.engine.report.reported import reported
 from spl_batch.errors import StoppedError
 from tests.report_data import (
     EXTENT,
@@ -162,7 +164,7 @@ class TestPage:
         report = make_report(
             survey=make_report().survey.model_copy(update={"name": evil, "crs_name": evil}),
             failures=failures,
-            warnings=(evil,),
+            findings=reported([Finding("I06", {"what": evil}, evil)]),
             provenance=make_report().provenance.model_copy(
                 update={"parameters": {evil: evil}, "command": evil}
             ),
@@ -210,7 +212,8 @@ class TestPage:
         assert "copy the file again" in parsed.text
 
     def test_long_tables_are_cut_and_say_so(self) -> None:
-        report = make_report(warnings=tuple(f"warning number {n}" for n in range(350)))
+        many = [Finding("I06", {"what": f"warning number {n}"}) for n in range(350)]
+        report = make_report(findings=reported(many))
         shown = Page(render(report, {})).text
         assert "warning number 199" in shown
         assert "warning number 200" not in shown
@@ -257,7 +260,7 @@ class TestWrite:
 
         monkeypatch.setattr("os.fsync", full)
         with pytest.raises(StoppedError, match="disk full"):
-            write_report(tmp_path, make_report(warnings=()), {})
+            write_report(tmp_path, make_report(findings=()), {})
         assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 

@@ -61,8 +61,8 @@ def left(workflow: Path, limit: str) -> str:
 
 def warning(workflow: Path, limit: str) -> str:
     """What a plan says of a memory limit."""
-    said = api.plan(workflow, workers=0, memory=limit).warnings
-    return " ".join(text for text in said if "--memory" in text)
+    said = api.plan(workflow, workers=0, memory=limit).findings
+    return " ".join(one.text for one in surveys.found(said, "E01", "memory"))
 
 
 @pytest.mark.usefixtures("_long_stretches")

@@ -208,8 +208,8 @@ def test_a_plan_says_what_is_left(survey: Path) -> None:
 
 def test_a_plan_warns_of_what_has_no_effect(survey: Path) -> None:
     wanted = ["filter.method=aes", "filter.wires.classify=true"]
-    assert any("no point gets class 14" in w for w in api.plan(survey, overrides=wanted).warnings)
-    assert not any("class 14" in w for w in api.plan(survey, overrides=wanted[1:]).warnings)
+    assert len(surveys.found(api.plan(survey, overrides=wanted).findings, "I06")) == 1
+    assert not surveys.found(api.plan(survey, overrides=wanted[1:]).findings, "I06")
 
 
 def test_a_plan_looks_at_the_place_of_the_output(
@@ -226,8 +226,8 @@ def test_a_plan_looks_at_the_place_of_the_output(
         assert f"{name} cannot be written: nothing can be made in" in said[0].err
     usage = shutil.disk_usage(survey.parent)._replace(free=2**16)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-    (warning,) = api.plan(survey).warnings
-    assert warning.endswith("KiB, its disk has 64 KiB left")
+    (note,) = api.plan(survey).findings
+    assert (note.code, note.values["kind"], note.values["free"]) == ("E01", "disk", "64 KiB")
 
 
 def test_a_pulse_rate_that_times_contradict_is_told(survey: Path) -> None:

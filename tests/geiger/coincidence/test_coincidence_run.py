@@ -25,6 +25,7 @@ from spl_batch.geiger.coincidence.settings import (
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
 from spl_batch.geiger.coincidence.surface import coincide
 from spl_batch.lattice.tiles import Bounds
+from tests import surveys
 from tests.geiger.coincidence.coincidence_scene import SMALL, flown
 from tests.workflow_files import differing, unshown
 
@@ -155,7 +156,7 @@ def test_frames_whose_detections_cannot_be_read_are_no_looks(survey: Path, tmp_p
     first.write_bytes(b"PAR1 no more")
     result = api.run(tmp_path / "workflow.yaml", workers=0)
     assert result.exit_status == 1
-    assert any("left out with all their looks" in text for text in result.report.warnings)
+    assert surveys.found(result.report.findings, "K01", "unread")
     for path in (first, first.with_name(first.name.replace("detections", "frames"))):
         path.unlink()
     again = api.run(tmp_path / "workflow.yaml", workers=0, overrides=("output=without",))
@@ -171,12 +172,12 @@ def test_wrong_attitudes_and_empty_files_are_warned_of(survey: Path) -> None:
         result = api.run(survey / "workflow.yaml", workers=0, overrides=changes)
     finally:
         (survey / "l1" / "none_detections.parquet").unlink()
-    warnings = "\n".join(result.report.warnings)
-    assert "l1/none_detections.parquet: holds no rows" in warnings
-    assert "pass_1_detections.parquet" in warnings
-    assert "fields of view off the lines of sight" in warnings
+    (empty_file,) = surveys.found(result.report.findings, "K01", "empty")
+    assert empty_file.subjects == ("l1/none_detections.parquet",)
+    (off,) = surveys.found(result.report.findings, "K02")
+    assert any("pass_1_detections.parquet" in name for name in off.subjects)
     sound = json.loads((survey / "out" / "report.json").read_text())
-    assert sound["warnings"] == []
+    assert sound["findings"] == []
 
 
 GOOD = {

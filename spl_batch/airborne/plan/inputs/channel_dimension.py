@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.engine.findings import Finding
 from spl_batch.errors import named
 from spl_batch.formats.las.number_dimensions import Numbers
 
@@ -62,8 +63,10 @@ def numbered_dimension(
     return chosen, ranges
 
 
-def unnamed_channels(files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor) -> tuple[str, ...]:
-    """Propose the dimension that holds the beamlet numbers of most files, in one sentence.
+def unnamed_channels(
+    files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor
+) -> tuple[Finding, ...]:
+    """Propose the dimension that holds the beamlet numbers of most files.
 
     The arguments are those of :func:`numbered_dimension`.
     """
@@ -72,10 +75,8 @@ def unnamed_channels(files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor)
         return ()
     chosen, ranges = found
     listed = " and ".join(f"{span} in {named(names, 3)}" for span, names in ranges.items())
-    text = (
-        f"survey.channel_dimension is not set, but {chosen} holds {listed}, as the "
-        f"{sensor.beamlets} beamlets of {sensor.name} are numbered; without it each shot counts "
-        f"as one beamlet, and light that is too strong is not told: write "
-        f"`channel_dimension: {chosen}` under survey"
-    )
-    return (text,)
+    values = {
+        "kind": "unnamed", "dimension": chosen, "ranges": listed, "beamlets": sensor.beamlets,
+        "sensor": sensor.name,
+    }  # fmt: skip
+    return (Finding("I04", values),)

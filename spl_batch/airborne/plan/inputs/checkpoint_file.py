@@ -8,6 +8,7 @@ from pyproj import CRS
 
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.airborne.tasks.checkpoints import read_named
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.input_files import name_below
 from spl_batch.errors import InputError, WorkflowError, as_input_fault, grouped
 from spl_batch.formats.checkpoints import Checkpoint
@@ -35,8 +36,8 @@ def looked_into(
     crs: CRS | None,
     settings: ReferenceSettings | None,
     files: Sequence[LasFacts],
-) -> list[str]:
-    """What to say of the file before the work starts.
+) -> list[Finding]:
+    """Findings on the file before the work starts.
 
     ``files``: those of the survey; without any nothing is read.
 
@@ -56,7 +57,7 @@ def looked_into(
     within = [any(_inside(point, *box) for box in boxes) for point in known]
     if known and not any(within):
         told.append(_elsewhere(known, boxes))
-    return [f"{file.name}: {text}" for text in told]
+    return [Finding("C01", {"kind": "file", "what": text}, file.name) for text in told]
 
 
 def _inside(point: Checkpoint, low_m: Sequence[float], high_m: Sequence[float]) -> bool:

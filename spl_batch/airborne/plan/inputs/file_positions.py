@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError, counted, grouped, named
+from spl_batch.engine.findings import Finding
+from spl_batch.errors import InputError, named
 from spl_batch.formats.crs import like_degrees, look_like_degrees
 from spl_batch.formats.las.reader import LasFacts
 
@@ -23,9 +24,6 @@ FEWEST_PER_M: Final = 1.0
 
 THINNEST: Final = 1e-3
 """The same for points over the bounding box, as a share of the other files' median."""
-
-TOLD: Final = 3
-"""Parts, or files, that get a sentence of their own [count]."""
 
 
 def without_degrees(
@@ -54,24 +52,19 @@ def without_degrees(
     return [facts for facts in files if facts.path not in found], bad
 
 
-def degrees_as_metres(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
-    """A sentence on files whose coordinates look like degrees but are taken as metres.
+def degrees_as_metres(files: Sequence[tuple[str, LasFacts]]) -> Iterator[Finding]:
+    """Files whose coordinates look like degrees but are taken as metres.
 
     ``files``: sequence of (str, LasFacts), name and header of each file that the survey takes.
     """
     alike = [(n, f) for n, f in files if f.n_points and look_like_degrees(f.mins_m, f.maxs_m)]
     corners = [corner[:2] for _, facts in alike for corner in (facts.mins_m, facts.maxs_m)]
     found = [n for n, f in alike if look_like_degrees(f.mins_m, f.maxs_m, corners)]
-    if found:
-        yield (
-            f"{named(found, TOLD)}: the coordinates look like degrees, but the CRS is in metres, "
-            "so they are taken as metres: areas and densities are wrong if they are degrees; "
-            "reproject the files then"
-        )
+    yield from (Finding("I05", {"kind": "degrees"}, name) for name in found)
 
 
-def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
-    """Sentences on points far from the rest of a survey, the farthest first.
+def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[Finding]:
+    """Points far from the rest of a survey, the farthest first.
 
     Two kinds: a file whose own points span more than a flight does, and files that lie
     farther from all others than any file is long.
@@ -85,14 +78,9 @@ def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
     points = np.array([facts.n_points for _, facts in held], np.float64)
     wide = too_wide([facts for _, facts in held])
     length_m = _sides(boxes).max(axis=1)
-    for k in wide[:TOLD]:
-        yield (
-            f"{held[k][0]}: its {grouped(points[k])} points span {grouped(length_m[k] / 1000)} km; "
-            "some of them must lie astray: check its CRS and coordinates"
-        )
-    more = len(wide) - TOLD
-    if more > 0:
-        yield f"{counted(more, 'more files', 'span')} too much for their points: check them as well"
+    for k in wide:
+        values = {"kind": "wide", "points": int(points[k]), "km": float(length_m[k] / 1000)}
+        yield Finding("I05", values, held[k][0], badness=float(length_m[k]))
     rest = [k for k in range(len(held)) if k not in set(wide)]
     yield from _distant([held[k][0] for k in rest], boxes[rest], points[rest])
 
@@ -123,7 +111,7 @@ def _too_wide(boxes: NDArray[np.float64], points: NDArray[np.float64]) -> NDArra
 
 def _distant(
     names: Sequence[str], boxes: NDArray[np.float64], points: NDArray[np.float64]
-) -> Iterator[str]:
+) -> Iterator[Finding]:
     """Parts of a survey that lie farther from the main one than files are long."""
     if not len(boxes):
         return
@@ -132,16 +120,12 @@ def _distant(
     main = max(parts, key=lambda part: (points[part].sum(), len(part), -part[0]))
     others = [part for part in parts if part is not main]
     away = [min(float(_gaps(boxes[main], boxes[k]).min()) for k in part) for part in others]
-    ranked = sorted(zip(away, others, strict=True), key=lambda found: -found[0])
-    for gap_m, part in ranked[:TOLD]:
-        yield (
-            f"{named([names[k] for k in part], 3)}: {grouped(gap_m / 1000)} km from the rest of "
-            f"the survey ({named([names[k] for k in main], 1)}), farther than its files are long "
-            f"({grouped(math.ceil(longest_m))} m): check "
-            f"{'its' if len(part) == 1 else 'their'} CRS and coordinates"
-        )
-    if len(ranked) > TOLD:
-        yield f"{grouped(len(ranked) - TOLD)} more parts of the survey lie as far apart"
+    for gap_m, part in zip(away, others, strict=True):
+        values = {
+            "kind": "far", "km": gap_m / 1000, "main": named([names[k] for k in main], 1),
+            "length_m": math.ceil(longest_m),
+        }  # fmt: skip
+        yield from (Finding("I05", values, names[k], badness=gap_m) for k in part)
 
 
 def _sides(boxes: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,6 @@
 import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
-from statistics import median
 from typing import Final
 
 import numpy as np
@@ -16,10 +15,11 @@ from spl_batch.airborne.plan.inputs.first_look import holds_few, in_files, too_f
 from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
 from spl_batch.airborne.plan.task_memory import stretch_bytes
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.worker_memory import enough_mib
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.tasks.worklist import Worklist
-from spl_batch.errors import Said, WorkflowError, counted, grouped, named, shared, told_together
+from spl_batch.errors import WorkflowError, counted, grouped, named, told_together
 from spl_batch.formats.las.number_dimensions import Numbers
 
 PRF_APART: Final = 0.05
@@ -30,13 +30,7 @@ MERGED: Final = 0.01
 there is none."""
 
 
-_TIMELESS: Final = (
-    "no usable gps_time (none, not finite, scattered, or the same for every point); such points "
-    "are delivered unfiltered and are used for nothing else"
-)
-
-
-def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
+def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[Finding]:
     """Stop where no input is usable; say which ones have no time."""
     usable = survey.of("index_file")
     if not usable or not any(r.points for r in usable.values()):
@@ -47,17 +41,14 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
     if sum(r.points for r in unused) == sum(r.points for r in usable.values()):
         names = named([str(r.facts["name"]) for r in unused])
         raise WorkflowError(f"{names}: {text}; clear the flag or the class of those that are valid")
-    yield from shared((Said(str(r.facts["name"]), text) for r in unused), "files")
+    yield from (Finding("I01", {"kind": "withheld"}, str(r.facts["name"])) for r in unused)
     _check_channels(survey)
     yield from channels_not_named(survey)
     timeless = timeless_sources(survey)
-    yield from shared((Said(source.name, _TIMELESS) for source in timeless), "files")
-    guessed = [line.name for line in survey.flightlines if line.prf_basis == "assumed"]
-    if guessed:
-        yield (
-            f"{named(guessed)}: gps_time does not tell the pulse rate, so "
-            f"{FALLBACK_PRF_HZ:.0f} Hz is assumed; state acquisition.prf_hz"
-        )
+    yield from (Finding("I02", {"kind": "file"}, source.name) for source in timeless)
+    for line in survey.flightlines:
+        if line.prf_basis == "assumed":
+            yield Finding("T01", {"kind": "assumed", "prf_hz": FALLBACK_PRF_HZ}, line.name)
     yield from _contradicted_rates(survey)
     yield from _flown_twice(survey)
     if survey.filtering and not survey.flightlines:
@@ -68,7 +59,7 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
         )
 
 
-def stretches_anew(survey: Survey) -> Iterator[str]:
+def stretches_anew(survey: Survey) -> Iterator[Finding]:
     """Which flightlines this run cuts anew for want of memory, and what helps."""
     before = survey.remembered_stretch
     if before is None or not survey.cut_anew:
@@ -82,7 +73,7 @@ def stretches_anew(survey: Survey) -> Iterator[str]:
     )
 
 
-def blocks_anew(survey: Survey, context: Context) -> Iterator[str]:
+def blocks_anew(survey: Survey, context: Context) -> Iterator[Finding]:
     """Which finished blocks this run cuts anew for want of memory, and what helps."""
     then = survey.with_memory_of_blocks()
     if then is None:
@@ -99,15 +90,16 @@ def blocks_anew(survey: Survey, context: Context) -> Iterator[str]:
         )
 
 
-def _cut_smaller(survey: Survey, what: str, enough_bytes: int) -> str:
+def _cut_smaller(survey: Survey, what: str, enough_bytes: int) -> Finding:
     """What less memory than earlier runs had does, and with how much it does not."""
-    return (
+    text = (
         f"a worker has {grouped(survey.memory_bytes / 2**20)} MiB, less than in earlier runs: "
         f"{what}; with --memory {math.ceil(enough_bytes / 2**20)}MiB they are used as they are"
     )
+    return Finding("E01", {"kind": "memory", "what": text})
 
 
-def channels_not_named(survey: Survey) -> tuple[str, ...]:
+def channels_not_named(survey: Survey) -> tuple[Finding, ...]:
     """Propose the dimension that holds beamlet numbers, where none is named."""
     if survey.workflow.survey.channel_dimension is not None or not survey.filtering:
         return ()
@@ -147,45 +139,21 @@ def refuse_empty_area(survey: Survey) -> None:
         )
 
 
-def copies(survey: Survey) -> Iterator[str]:
+def copies(survey: Survey) -> Iterator[Finding]:
     """Say which files hold returns twice, and which ones hold returns that others hold too."""
     counts: Counter[tuple[str, str]] = Counter()
     for receipt in survey.of("build_tile").values():
         for copy, kept, count in receipt.facts["copies"]:
             counts[copy, kept] += count
     files = {str(source.key): source for source in survey.inputs.sources}
-    twice = sorted(
-        (files[copy].name, files[copy], n) for (copy, kept), n in counts.items() if copy == kept
-    )
-    yield from shared(
-        (
-            Said(
-                name,
-                f"{grouped(count)} of {grouped(source.facts.n_points)} points repeat an "
-                "earlier one, with the same time, channel, return number and place; each counts "
-                "once, and its copies are delivered as not assessed; write the file without them",
-                count,
-            )
-            for name, source, count in twice
-        ),
-        "files",
-    )
-    others = sorted(
-        (files[c].name, files[kept].name, n) for (c, kept), n in counts.items() if c != kept
-    )
-    yield from shared(
-        (
-            Said(
-                f"{copy} and {kept}",
-                f"{counted(count, 'returns', 'are')} in both, at the same time and place; each "
-                "counts once, and its copy in the first is delivered as not assessed; leave out "
-                "one of the files, or cut their overlap off",
-                count,
-            )
-            for copy, kept, count in others
-        ),
-        "pairs of files",
-    )
+    named_pairs = ((files[copy], files[kept], n) for (copy, kept), n in counts.items())
+    for copy, kept, count in sorted(named_pairs, key=lambda one: (one[0].name, one[1].name)):
+        if copy is kept:
+            values = {"kind": "repeated", "count": count, "points": copy.facts.n_points}
+            yield Finding("I03", values, copy.name, badness=count)
+        else:
+            values = {"kind": "files", "count": count}
+            yield Finding("I03", values, f"{copy.name} and {kept.name}", badness=count)
 
 
 def times_off(survey: Survey) -> tuple[dict[str, int], dict[str, float]]:
@@ -212,30 +180,19 @@ def times_off(survey: Survey) -> tuple[dict[str, int], dict[str, float]]:
     return leaps, off
 
 
-def looks_ahead(survey: Survey) -> Iterator[str]:
+def looks_ahead(survey: Survey) -> Iterator[Finding]:
     """Say where the trajectory's times are off, and by how much."""
     leaps, off = times_off(survey)
-    for leap in sorted(set(leaps.values())):
-        said = "early, as UTC is" if leap > 0 else "late, as GPS time is for UTC"
-        yield (
-            f"{named([line for line in leaps if leaps[line] == leap])}: the trajectory's times are "
-            f"{abs(leap)} s {said}: with {abs(leap)} s {'added' if leap > 0 else 'subtracted'} the "
-            "sensor is above its returns. In this run noise and reflectance are computed along "
-            "wrong beams, or returns stay unfiltered; correct gps_time in survey.trajectory and "
-            "run again"
-        )
-    for side, late in (("behind", "early"), ("ahead of", "late")):
-        those = [line for line, seconds in off.items() if (seconds < 0) == (late == "early")]
-        if those:
-            yield (
-                f"{named(those)}: the returns lie {side} the sensor on average, so the "
-                f"trajectory's times seem about {abs(median(off[line] for line in those)):.1f} s "
-                f"{late}, and noise and reflectance are computed along wrong beams; correct its "
-                "times. If the files hold only a part of each scan, ignore this"
-            )
+    for line, leap in leaps.items():
+        late = "early, as UTC is" if leap > 0 else "late, as GPS time is for UTC"
+        yield Finding("T02", {"kind": "leap", "leap_s": abs(leap), "late": late}, line)
+    for line, seconds in off.items():
+        side, late = ("behind", "early") if seconds < 0 else ("ahead of", "late")
+        values = {"kind": "late", "side": side, "seconds": abs(seconds), "late": late}
+        yield Finding("T02", values, line, badness=abs(seconds))
 
 
-def heights_in_other_unit(survey: Survey) -> Iterator[str]:
+def heights_in_other_unit(survey: Survey) -> Iterator[Finding]:
     """Name the trajectory whose heights are feet for metres, or metres for feet."""
     heights: dict[str, list[tuple[float, float] | None]] = {}
     for name, receipt in survey.of("gather").items():
@@ -249,64 +206,47 @@ def heights_in_other_unit(survey: Survey) -> Iterator[str]:
     stated_m, met_m = np.median([both for line in lines for both in wrong[line]], axis=0).tolist()
     (trajectory,) = survey.of("trajectory").values()
     unit, code = ("feet", "EPSG:...+6360") if stated_m > met_m else ("metres", "EPSG:...+5703")
-    yield (
-        f"{trajectory.facts['name']}: puts the sensor {grouped(stated_m)} m above its returns in "
-        f"{named(lines)}, whose lines of sight meet {grouped(met_m)} m above them: its heights "
-        f"seem to be in {unit}. In this run noise and reflectance are computed along wrong beams; "
-        f"name its CRS with that of its heights, survey.trajectory_crs: {code}, and run again"
-    )
+    values = {
+        "kind": "unit",
+        "stated_m": stated_m,
+        "met_m": met_m,
+        "lines": lines,
+        "unit": unit,
+        "crs": code,
+    }
+    yield Finding("T02", values, str(trajectory.facts["name"]))
 
 
-def merged_shots(survey: Survey) -> Iterator[str]:
+def merged_shots(survey: Survey) -> Iterator[Finding]:
     """Say where several shots share one time, or channels are none."""
     counts: dict[str, list[tuple[int, int, int]]] = {}
     for name, receipt in survey.of("gather").items():
         if "off_one_beam" in receipt.facts:
             line = name.split("/", maxsplit=1)[0]
             counts.setdefault(line, []).append(receipt.facts["off_one_beam"])
-    shares: dict[str, float] = {}
-    copied: list[str] = []
     for line, stretches in counts.items():
         together, apart, elsewhere = np.sum(stretches, axis=0).tolist()
         if 2 * elsewhere > apart:
-            copied.append(line)
+            yield Finding("I03", {"kind": "elsewhere", "km": ELSEWHERE_M / 1000}, line)
         elif apart > MERGED * max(together, 1):
-            shares[line] = apart / together
-    if copied:
-        yield (
-            f"{named(copied)}: returns of the same time and channel lie more than "
-            f"{ELSEWHERE_M / 1000:.0f} km apart, as where a file is a copy in another place; leave "
-            "out the one that is wrong"
-        )
-    if shares:
-        yield (
-            f"{named([*shares])}: of returns with the same time and channel up to "
-            f"{100 * max(shares.values()):.0f} % do not lie on one beam: gps_time is rounded to "
-            "more than the time between shots, or survey.channel_dimension holds no beamlet "
-            "numbers. In this run ground, roofs and leaves may be lost as afterpulses; deliver "
-            "times that tell shots apart, or name the dimension that numbers the beamlets"
-        )
+            share = apart / together
+            yield Finding("T01", {"kind": "merged", "share": share}, line, badness=share)
 
 
-def _contradicted_rates(survey: Survey) -> Iterator[str]:
+def _contradicted_rates(survey: Survey) -> Iterator[Finding]:
     """Say where gps_time tells another pulse rate than the one that is stated."""
     told = survey.of("index_file")
-    wrong: dict[str, float] = {}
     for line in survey.flightlines:
         seen = [told[key].facts["prf_hz"].get(str(line.psid)) for key in line.sources]
         far = [hz for hz in seen if hz and abs(hz / line.clock.prf_hz - 1.0) > PRF_APART]
         if line.prf_basis == "given" and far and len(far) == sum(map(bool, seen)):
-            wrong[line.name] = float(far[0])
-    if wrong:
-        yield (
-            f"{named([*wrong])}: gps_time tells a pulse rate of about "
-            f"{min(wrong.values()):.0f} Hz, not the {survey.workflow.sensor.prf_hz:.0f} Hz stated, "
-            "and noise is computed with the stated one; leave prf_hz out of acquisition and "
-            "sensor, and the rate from gps_time is used"
-        )
+            values = {
+                "kind": "contradicted", "prf_hz": float(far[0]), "stated_hz": line.clock.prf_hz
+            }  # fmt: skip
+            yield Finding("T01", values, line.name)
 
 
-def _flown_twice(survey: Survey) -> Iterator[str]:
+def _flown_twice(survey: Survey) -> Iterator[Finding]:
     """Say which flightlines begin and end in the same moments, and hold as many returns."""
     alike: dict[tuple[float, float, int], list[str]] = {}
     for line in survey.flightlines:
@@ -314,15 +254,13 @@ def _flown_twice(survey: Survey) -> Iterator[str]:
             alike.setdefault((line.first_s, line.last_s, line.points), []).append(line.name)
     for (first_s, last_s, points), names in alike.items():
         if len(names) > 1:
-            yield (
-                f"{named(names)}: flightlines with other point source ids begin and end at the "
-                f"same times ({first_s:.6f} to {last_s:.6f} s), and each has {grouped(points)} "
-                "returns, as a flightline and its copy would; each counts as a look of its own, "
-                "so density is told too high; leave the copies out"
-            )
+            values = {
+                "kind": "flightlines", "first_s": first_s, "last_s": last_s, "points": points
+            }  # fmt: skip
+            yield Finding("I03", values, named(names))
 
 
-def beams_without_trajectory(survey: Survey) -> str:
+def beams_without_trajectory(survey: Survey) -> Finding:
     """What beams are taken from where there is no trajectory."""
     paths = survey.of("sensor_path")
     found = [name for name, receipt in paths.items() if receipt.facts["found"]]
@@ -330,14 +268,9 @@ def beams_without_trajectory(survey: Survey) -> str:
     left = [headings[name] for name in paths if name not in found and name in headings]
     angled = sum(r.facts["heading_rad"] is not None for r in left)
     counts = {
-        "taken from where lines of sight meet": len(found),
-        "taken from scan_angle and the flight direction": angled,
-        "taken as vertical": len(paths) - len(found) - angled,
+        "from where lines of sight meet": len(found),
+        "from scan_angle and the flight direction": angled,
+        "as vertical": len(paths) - len(found) - angled,
     }
-    (how, most), *rest = [(how, count) for how, count in counts.items() if count]
-    if rest:
-        said = ", ".join(f"{how} on {count}" for how, count in rest)
-        return f"no trajectory: beams {how} on {most} of {len(paths)} flightlines, {said}"
-    if most > 1:
-        return f"no trajectory: beams {how} on all {most} flightlines"
-    return f"no trajectory: beams {how} on the only flightline"
+    listed = ", ".join(f"{how} on {count}" for how, count in counts.items() if count)
+    return Finding("T03", {"how": f"{listed} of {counted(len(paths), 'flightlines')}"})

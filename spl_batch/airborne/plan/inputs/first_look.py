@@ -20,17 +20,16 @@ from spl_batch.airborne.plan.inputs.linear_mode import Density
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.input_files import name_below
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.verbs.receiver import FirstLook
 from spl_batch.errors import (
     InputError,
-    Said,
     WorkflowError,
     as_input_fault,
     grouped,
     named,
-    shared,
     told_together,
 )
 from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard, usable_times
@@ -114,10 +113,11 @@ def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
         reasons = told_together([*inputs.bad, *seen.unreadable])
         raise WorkflowError("; ".join((*reasons, *faults, *apart)))
     warnings += _few_channels(seen, workflow)
+    warnings += [Finding("T02", {"kind": "file", "what": text}) for text in left_out]
     warnings += unnamed_channels(seen.numbers, workflow.sensor) or _linear_mode(seen, workflow)
     rows = (*_flightlines(seen, workflow), *_missing(inputs, workflow))
     told = (*found.faults, *told_together(unread))
-    return found._replace(faults=told, warnings=(*warnings, *left_out, *missed), rows=rows)
+    return found._replace(faults=told, warnings=(*warnings, *missed), rows=rows)
 
 
 def _flightlines(seen: _Seen, workflow: Workflow) -> Iterator[tuple[str, str]]:
@@ -152,18 +152,12 @@ def _missing(inputs: Inputs, workflow: Workflow) -> Iterator[tuple[str, str]]:
         yield "beamlets", text
 
 
-def _linear_mode(seen: _Seen, workflow: Workflow) -> tuple[str, ...]:
+def _linear_mode(seen: _Seen, workflow: Workflow) -> tuple[Finding, ...]:
     """That the filter may be wrong for the clouds, unless somebody has named the instrument."""
     signs = seen.density.signs
     if not signs or "sensor" in workflow.survey.model_fields_set:
         return ()
-    text = (
-        f"this looks like linear-mode lidar ({signs}), of which the filter would take true points "
-        "for noise: write `filter: {method: none}` and `afterpulse: {enabled: false}`, as "
-        "workflows/linear_mode.yaml has them; if single photons were counted, name the "
-        f"instrument: `sensor: {workflow.survey.sensor}` under survey"
-    )
-    return (text,)
+    return (Finding("I04", {"kind": "linear", "signs": signs}),)
 
 
 def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
@@ -225,22 +219,29 @@ def _look_into(source: Source, workflow: Workflow, count: int, seen: _Seen) -> N
 
 def _without_time(
     formats: Sequence[Source], seen: _Seen, *, all_of_them: bool
-) -> tuple[list[str], list[str]]:
+) -> tuple[list[str], list[Finding]]:
     """Faults where no file has times, else warnings."""
     otherwise = "or set filter.method: none and afterpulse.enabled: false for ground and surfaces"
-    said = []
+    if not (all_of_them or (seen.whole and seen.untimed and not seen.spans)):
+        kind = "file" if seen.whole else "ends"
+        return [], [
+            *(
+                Finding("I02", {"kind": "format", "format": s.facts.point_format}, s.name)
+                for s in formats
+            ),
+            *(Finding("I02", {"kind": kind}, name) for name in seen.untimed),
+        ]
+    faults = []
     if formats:
         kinds = ", ".join(map(str, sorted({source.facts.point_format for source in formats})))
         names = named([source.name for source in formats], 3)
         remedy = f"write point format 1, 3 or 6 to 10 with times, {otherwise}"
-        said.append((f"{names}: point format {kinds} has no gps_time", remedy))
+        faults.append((f"{names}: point format {kinds} has no gps_time", remedy))
     if seen.untimed:
         whom = "no point has a" if seen.whole else "the first and last points have no"
         text = f"{named(seen.untimed, 3)}: {whom} usable gps_time (not finite, or the same for all)"
-        said.append((text, f"give the files their times, {otherwise}"))
-    if all_of_them or (seen.whole and seen.untimed and not seen.spans):
-        return [f"{text}, so there are no shots to filter by; {best}" for text, best in said], []
-    return [], [f"{text}, and such points are delivered unfiltered; {best}" for text, best in said]
+        faults.append((text, f"give the files their times, {otherwise}"))
+    return [f"{text}, so there are no shots to filter by; {best}" for text, best in faults], []
 
 
 def _no_channels(held: Sequence[Source], seen: _Seen, workflow: Workflow) -> list[str]:
@@ -274,14 +275,15 @@ def _spread(source: Source, workflow: Workflow) -> Iterator[PointTable]:
         )
 
 
-def _few_channels(seen: _Seen, workflow: Workflow) -> Iterator[str]:
-    """Which files have fewer channels than others, as far as their ends tell."""
-
-    def told(name: str) -> Said:
-        values = seen.channels[name]
-        return Said(name, too_few(values, "the first and last points", workflow), -len(values))
-
-    yield from shared(map(told, seen.few), "files")
+def _few_channels(seen: _Seen, workflow: Workflow) -> Iterator[Finding]:
+    """Which files have fewer channels than others, as far as their ends show."""
+    for name in seen.few:
+        numbers = sorted(seen.channels[name])
+        values = {
+            "kind": "few", "dimension": workflow.survey.channel_dimension, "numbers": numbers,
+            "sensor": workflow.sensor.name, "beamlets": workflow.sensor.beamlets,
+        }  # fmt: skip
+        yield Finding("I04", values, name, badness=-len(numbers))
 
 
 def _ends(trajectory: Sequence[Path]) -> tuple[list[Span | None], list[InputError], list[str]]:
@@ -306,7 +308,7 @@ def _ends(trajectory: Sequence[Path]) -> tuple[list[Span | None], list[InputErro
 
 def _apart(
     spans: dict[str, Span], ends_s: Sequence[Span | None], trajectory: Sequence[Path], base: Path
-) -> tuple[list[str], list[str]]:
+) -> tuple[list[str], list[Finding]]:
     """Faults where no file's ends lie in the time of a trajectory, else what is odd."""
     known = [span for span in ends_s if span is not None]
     if not known or not spans or len(known) < len(ends_s):
@@ -316,20 +318,32 @@ def _apart(
         known = in_time_of(list(spans.values()), known)
     except ValueError as error:
         # A single wrong time may be among the first and last ones; the index knows all of them.
-        return [], [f"survey.trajectory: {names}: {error}, if the first and last times are right"]
+        text = f"{error}, if the first and last times are right"
+        return [], [Finding("T02", {"kind": "file", "what": text}, names)]
     far = {name: gap for name, span in spans.items() if (gap := gap_s(span, known)) > 0}
     if not far:
         return [], []
     low, high = (choose(spans[name][k] for name in far) for k, choose in enumerate((min, max)))
-    none = len(far) == len(spans)
-    follows = "no point could be filtered" if none else "such points stay unfiltered"
+    if len(far) < len(spans):
+        return [], [
+            Finding(
+                "T02",
+                {
+                    "kind": "ends", "low_s": spans[name][0], "high_s": spans[name][1],
+                    "gap_s": gap, "trajectory": names,
+                },
+                name,
+                badness=gap,
+            )
+            for name, gap in far.items()
+        ]  # fmt: skip
     text = (
         f"{named(list(far), 3)}: gps_time of the first and last points, {grouped(low)} to "
         f"{grouped(high)} s, is {grouped(min(far.values()), 1)} s or more outside {names}, "
         f"{grouped(min(known)[0])} to {grouped(max(end for _, end in known))} s: "
-        f"{follows}; name the trajectory of this flight, or none"
+        "no point could be filtered; name the trajectory of this flight, or none"
     )
-    return ([f"survey.trajectory: {text}"], []) if none else ([], [text])
+    return [f"survey.trajectory: {text}"], []
 
 
 def in_time_of(points: Sequence[Span], known: Sequence[Span]) -> list[Span]:

@@ -8,7 +8,8 @@ from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.file_positions import without_degrees
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.errors import InputError, Said, shared
+from spl_batch.engine.findings import Finding
+from spl_batch.errors import InputError
 from spl_batch.formats.crs import (
     compound,
     crs_name,
@@ -96,15 +97,15 @@ def _heights(facts: LasFacts) -> CRS | None:
     return None if facts.crs is None else vertical(facts.crs)
 
 
-def without_heights(crs: CRS | None, files: Iterable[tuple[str, LasFacts]]) -> list[str]:
-    """What to say of files without a vertical CRS beside others that have one."""
+def without_heights(crs: CRS | None, files: Iterable[tuple[str, LasFacts]]) -> list[Finding]:
+    """Files without a vertical CRS beside others that have one."""
     named = None if crs is None else vertical(crs)
     some = [(name, facts) for name, facts in files if facts.crs is not None and facts.n_points]
     lacking = [name for name, facts in some if _heights(facts) is None]
     if named is None or len(lacking) == len(some):
         return []
-    text = f"no vertical CRS in the file; its heights are taken as {crs_name(named)}, as of others"
-    return list(shared((Said(name, text) for name in lacking), "files"))
+    values = {"kind": "vertical", "crs": crs_name(named)}
+    return [Finding("I05", values, name) for name in lacking]
 
 
 def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:

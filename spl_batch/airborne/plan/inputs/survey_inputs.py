@@ -22,6 +22,7 @@ from spl_batch.airborne.plan.inputs.file_positions import (
 from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles, checked_reference
 from spl_batch.airborne.plan.inputs.survey_crs import survey_crs, with_heights, without_heights
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.input_files import (
     CHECK,
     check_keys,
@@ -31,7 +32,7 @@ from spl_batch.engine.plan.input_files import (
     source_key,
 )
 from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.errors import InputError, Said, WorkflowError, as_input_fault, grouped, named, shared
+from spl_batch.errors import InputError, WorkflowError, as_input_fault, grouped, named, shared
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.crs import with_vertical
 from spl_batch.formats.files.atomic import checksum
@@ -70,7 +71,7 @@ class Inputs:
     trajectory: tuple[Path, ...]  #: Files that exist.
     reference: ReferenceFiles  #: Files of reference points.
     crs: CRS | None
-    warnings: tuple[str, ...]  #: What a user should know before the work starts.
+    warnings: tuple[Finding, ...]  #: What a user should know before the work starts.
     #: Key and checksum of each polygon file, or of all the files that it is made of.
     polygons: tuple[tuple[str, str], ...] = ()
     checkpoints: CheckpointFile | None = None  #: Checkpoints of a field survey.
@@ -115,24 +116,24 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         good = []
     if workflow.survey.vertical_crs is not None and good:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
-    apart: list[str] = []
+    apart: list[Finding] = []
     if good:
         apart = _check_shapes(workflow, base, crs, good)
     if workflow.outputs.geoid is not None and good:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
     _refuse_no_copc(workflow, good, base)
-    warnings = [*workflow.remarks(), *apart]
-    said = (Said(name_below(facts.path, base), text) for facts in good for text in facts.warnings)
-    warnings += shared(said, "files")
+    warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart]
+    warnings += [
+        Finding("I01", {"kind": "header", "what": text}, name_below(facts.path, base))
+        for facts in good
+        for text in facts.warnings
+    ]
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed)]
     warnings += checkpoint_file.looked_into(checkpoints, crs, workflow.reference, good)
     if crs is None and good:
-        warnings.append(
-            "no input file carries a CRS and survey.crs is not set: rasters will have none; "
-            "write `crs: EPSG:...` under survey of the workflow, or --set survey.crs=EPSG:..."
-        )
+        warnings.append(Finding("I05", {"kind": "none"}))
     warnings += without_heights(crs, placed)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
@@ -156,14 +157,14 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
 
 def _check_shapes(
     workflow: Workflow, base: Path, crs: CRS | None, files: Sequence[LasFacts]
-) -> list[str]:
+) -> list[Finding]:
     """Read every polygon and breakline once: whatever is wrong is told here, of all files.
 
     An area of interest beyond the points would mark all of them as outside and is a fault; water
     there has no effect, and is a warning.
     """
     faults: list[str] = []
-    warnings: list[str] = []
+    warnings: list[Finding] = []
     survey = shapely.box(
         *np.transpose([[*f.mins_m[:2], *f.maxs_m[:2]] for f in files if f.n_points])
     )
@@ -182,12 +183,18 @@ def _check_shapes(
             )
             met = shapely.STRtree(survey).query(shapes, "intersects")
             if len(survey) and not met.size:
-                text = (
+                values = {
+                    "kind": "shapes", "key": key, "shapes": _extent(shapes),
+                    "points": _extent(survey),
+                }  # fmt: skip
+                if key != "aoi":
+                    warnings.append(Finding("I05", values, name))
+                    continue
+                faults.append(
                     f"{key}: {base / name}: none of its polygons meets the survey: they lie within "
+                    f"{_extent(shapes)}, its points within {_extent(survey)}; "
+                    "check its CRS and the order of its axes"
                 )
-                text += f"{_extent(shapes)}, its points within {_extent(survey)}; "
-                text += "check its CRS and the order of its axes"
-                (faults if key == "aoi" else warnings).append(text)
         except InputError as fault:
             faults.append(f"{key}: {fault}")
     if faults:
@@ -206,11 +213,11 @@ def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -
     if not workflow.outputs.copc:
         return
     said = (
-        Said(name_below(facts.path, base), fault)
+        (name_below(facts.path, base), fault)
         for facts in files
         if (fault := copc_fault(copied_format(facts.point_format), facts.scales)) is not None
     )
-    faults = list(shared(said, "files"))
+    faults = list(shared(said))
     if faults:
         raise WorkflowError("outputs.copc: " + "; ".join(faults))
 

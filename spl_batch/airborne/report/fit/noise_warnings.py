@@ -3,14 +3,11 @@
 from collections.abc import Iterator
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.plan.flightlines import find_flightlines, spans_flown
 from spl_batch.airborne.report.fit.clouds import haze_warning
 from spl_batch.airborne.report.fit.fog import fog_warning, thin_haze_warning
 from spl_batch.airborne.report.fit.layers import misfit_warning
-from spl_batch.airborne.report.fit.light import strong_light_warning
 from spl_batch.airborne.report.fit.noise_fit import float_warning, uniform_warning
 from spl_batch.airborne.report.fit.sky import drowned_warning, kept_warning
-from spl_batch.airborne.report.fit.steady import steady_warnings
 from spl_batch.airborne.report.noise_model import Haze
 from spl_batch.engine.report.run_record import Receipts
 
@@ -29,6 +26,3 @@ def noise_warnings(done: Receipts, context: Context, haze: Haze | None) -> Itera
     yield from kept_warning(done, workflow.filter)
     yield from uniform_warning(done)
     yield from float_warning(done, workflow.filter)
-    yield from strong_light_warning(done)
-    flown = spans_flown(find_flightlines(done.get("index_file", {}), workflow))
-    yield from steady_warnings(done, flown, workflow.sensor.range_sigma_m)

@@ -18,7 +18,6 @@ from spl_batch.airborne.pulses.pulse_maps import PulseMaps, flightline_of
 from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, Ends
 from spl_batch.airborne.pulses.smooth_surfaces import STEPS, smooth_sums
 from spl_batch.airborne.pulses.square_kernels import count_squares
-from spl_batch.airborne.pulses.steady_heights import Counts, add_counts, as_facts, unsteady_places
 from spl_batch.airborne.pulses.swath_coverage import Swaths, at_places, pass_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -70,11 +69,7 @@ STEP_Q: Final = quanta(SQUARE_M)
 """Parts of a cell are cut at multiples of this: a place of smooth ground is judged as one
 [quanta]."""
 
-STEADY: Final = "steady"
-"""Fact of a ground cell: hard places by how steady their heights are, by the number of the pass
-(:mod:`~spl_batch.airborne.pulses.steady_heights`)."""
-
-COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id", "intensity")
+COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id")
 """What is looked at, and ``noise_class, flags``."""
 
 
@@ -118,7 +113,6 @@ class PulseReturns(NamedTuple):
     last: NDArray[np.int64]  #: (n, 2): where the last ones are [quanta].
     time_s: NDArray[np.float64]  #: (n,): times of the first ones [s].
     point_source_id: NDArray[np.uint16]  #: (n,): theirs.
-    intensity: NDArray[np.uint16]  #: (n,): theirs, as delivered.
 
 
 def usable(table: PointTable) -> NDArray[np.bool_]:
@@ -149,7 +143,7 @@ def returns_of(table: PointTable, ends: Ends) -> PulseReturns:
     first, last = ends
     xyz = np.column_stack([table[axis][first] for axis in "xyz"]).astype(np.int64)
     xy = np.column_stack([table[axis][last] for axis in "xy"])
-    of_first = (table[name][first] for name in ("gps_time", "point_source_id", "intensity"))
+    of_first = (table[name][first] for name in ("gps_time", "point_source_id"))
     return PulseReturns(xyz, xy, *of_first)
 
 
@@ -184,7 +178,6 @@ class Pulses:
         self._signal, self._empty = Covered(core, workflow.products), EmptySquares(self._region)
         self._count = np.zeros(self._signal.squares().shape, np.int64)
         self._smooth = {level: np.zeros((STEPS, 3), np.int64) for level in SPACINGS}
-        self._steady: dict[int, Counts] = {}
         self._swaths = Swaths(core, reach(workflow.products))
         size = quanta(workflow.products.cell_m)
         self._maps = PulseMaps(core, size) if workflow.products.maps else None
@@ -201,13 +194,9 @@ class Pulses:
         number = pass_of(returns.time_s, returns.point_source_id)
         self._swaths.add(x, y, number)
         own = shared(part, self._core)
-        sigma_m = self._context.workflow.sensor.range_sigma_m
         for places in places_in(returns.first, number, own):
             for level, sums in smooth_sums(places).items():
                 self._smooth[level] += sums
-            found = unsteady_places(places, returns.time_s, returns.intensity, sigma_m)
-            for pass_number, counts in found.items():
-                add_counts(self._steady, pass_number, counts)
         if self._maps is None and not self._overlap:
             return
         line = flightline_of(returns.point_source_id, returns.time_s, self._passes)
@@ -245,7 +234,6 @@ class Pulses:
                 level: list(self._empty.coverage(flown, spacing)[0])
                 for level, spacing in SPACINGS.items()
             },
-            STEADY: as_facts(self._steady),
             SWATHS: self._swaths.facts(dry, self._region),
             OUTLINES: self._swaths.outlines(),
             SMOOTH: {

@@ -4,7 +4,15 @@ from typing import Literal
 
 from pydantic import Field
 
-from spl_batch.engine.report.parts import Count, Failure, Number, Part, Performance, Provenance
+from spl_batch.engine.report.parts import (
+    Count,
+    Failure,
+    FindingReport,
+    Number,
+    Part,
+    Performance,
+    Provenance,
+)
 
 
 class Scene(Part):
@@ -47,5 +55,5 @@ class CoincidenceReport(Part):
     intensity: Intensity = Intensity()
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")
-    warnings: tuple[str, ...] = Field((), description="What a reader has to know, in sentences.")
+    findings: tuple[FindingReport, ...] = Field((), description="What a reader has to know.")
     provenance: Provenance

@@ -124,5 +124,5 @@ def verdicts(report: CoincidenceReport) -> list[Verdict]:
         )
     else:
         said = Verdict("bad", "No points: nowhere do enough detections coincide for the threshold.")
-    found = [said, failure_verdict(report.failures, report.warnings)]
+    found = [said, failure_verdict(report.failures, report.findings)]
     return sorted(found, key=lambda verdict: verdict.tone != "bad")

@@ -7,10 +7,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.tasks.context import Produced, RunContext
 from spl_batch.engine.tasks.input_changes import unchanged
-from spl_batch.errors import InputError, Remark, counted
+from spl_batch.errors import InputError, counted
 from spl_batch.formats.files.atomic import checksum
 from spl_batch.geiger.coincidence.formats import l1_files, stored
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceWorkflow
@@ -122,7 +123,7 @@ def index_file(args: Mapping[str, Any], context: CoincidenceContext) -> Produced
         "numbers": tally.numbers,
         "bounds": tally.bounds,
         "tiles": {f"{i}_{j}": n for (i, j), n in sorted(tally.tiles.items())},
-        "warnings": _sight_warnings(args, context, target, tally.frame),
+        "findings": _sight_findings(args, context, target, tally.frame),
     }
     return Produced([target], facts, tally.detections, {args["path"]: args["stamp"]})
 
@@ -183,9 +184,9 @@ class _DetectionTally:
         return f"{said}{self._first}; name the file with it in survey.frames"
 
 
-def _sight_warnings(
+def _sight_findings(
     args: Mapping[str, Any], context: CoincidenceContext, target: Path, number: int
-) -> list[Remark]:
+) -> list[Finding]:
     """Warn where detections do not lie where their detectors look."""
     paths = (frames_path(context.store, key) for key in args["frames"])
     frames = Frames.joined([stored.frames_around(path, number) for path in paths])
@@ -195,9 +196,4 @@ def _sight_warnings(
     off = coincide.sight_error(frames, detections, context.workflow.array)
     if off < FAR_OFF:
         return []
-    said = (
-        f"detections lie {off:.1f} fields of view off the lines of sight of their detectors, so "
-        "looks are counted in wrong places; check heading, roll and pitch of the frames, and rows, "
-        "columns and ifov_rad of the array"
-    )
-    return [Remark(said, off)]
+    return [Finding("K02", {"fields": float(off)}, badness=float(off))]

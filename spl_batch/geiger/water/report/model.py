@@ -4,7 +4,15 @@ from typing import Literal
 
 from pydantic import Field
 
-from spl_batch.engine.report.parts import Count, Failure, Number, Part, Performance, Provenance
+from spl_batch.engine.report.parts import (
+    Count,
+    Failure,
+    FindingReport,
+    Number,
+    Part,
+    Performance,
+    Provenance,
+)
 
 
 class WaterFile(Part):
@@ -100,5 +108,5 @@ class WaterReport(Part):
     floor: FloorErrors | None = Field(None, description="Null without truth or a way in water.")
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")
-    warnings: tuple[str, ...] = Field((), description="What a reader has to know, in sentences.")
+    findings: tuple[FindingReport, ...] = Field((), description="What a reader has to know.")
     provenance: Provenance

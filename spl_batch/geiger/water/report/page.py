@@ -25,7 +25,7 @@ def render(report: WaterReport, pictures: Mapping[str, Picture]) -> str:
             sections=sections,
             verdicts=(
                 _accuracy_verdict(report),
-                failure_verdict(report.failures, report.warnings),
+                failure_verdict(report.failures, report.findings),
             ),
             cards=tuple(_cards(report)),
         ),
@@ -101,4 +101,4 @@ def screen_summary(report: WaterReport) -> list[tuple[str, str]]:
     if report.floor is not None:
         rows.append(("sea floor", text.millimetres(report.floor.refracted_beam_m)))
     plain = [(label, text.as_ascii(value)) for label, value in rows]
-    return plain + ending_rows(report.performance, report.failures, report.warnings)
+    return plain + ending_rows(report.performance, report.failures, report.findings)

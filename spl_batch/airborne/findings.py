@@ -1,0 +1,251 @@
+"""What each code of an airborne survey's findings means (:mod:`spl_batch.engine.findings`)."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from spl_batch.engine.findings import Code
+
+CODES: Final[Mapping[str, Code]] = MappingProxyType(
+    {
+        "I01": Code(
+            "An input file is odd",
+            {
+                "header": "{what}",
+                "times": "the header says {stated}, gps_time holds {found}",
+                "withheld": "every point is withheld or of class 7 or 18, so none of them is used",
+                "left_out": "{what}; left out of the delivered copy",
+                "changed": "{what}; so in the delivered copy",
+            },
+            noun="file",
+        ),
+        "I02": Code(
+            "Points without a usable time",
+            {
+                "file": "no usable gps_time (none, not finite, scattered, or the same for every "
+                "point)",
+                "points": "{count:points|have} no usable gps_time ({what})",
+                "ends": "the first and last points have no usable gps_time (not finite, or the "
+                "same for all)",
+                "format": "point format {format} has no gps_time",
+            },
+            "such points are delivered with noise_class 255, not assessed, and used for nothing "
+            "else",
+            "give the files their times, or set filter.method: none and afterpulse.enabled: false "
+            "for ground and surfaces",
+            "file",
+        ),
+        "I03": Code(
+            "Returns are there twice",
+            {
+                "repeated": "{count} of {points} points repeat an earlier one, with the same time, "
+                "channel, return number and place",
+                "files": "{count:returns|are} in both files, at the same time and place",
+                "flightlines": "flightlines with other point source ids begin and end at the same "
+                "times ({first_s:.6f} to {last_s:.6f} s), and each has {points} returns",
+                "elsewhere": "returns of the same time and channel lie more than {km:.0f} km "
+                "apart, as where a file is a copy in another place",
+            },
+            "copies of single returns count once and are delivered as not assessed; whole copies "
+            "count as a look of their own, and density is too high",
+            "leave the copies out",
+        ),
+        "I04": Code(
+            "Numbers of the beamlets",
+            {
+                "unnamed": "survey.channel_dimension is not set, but {dimension} holds {ranges}, "
+                "as the {beamlets} beamlets of {sensor} are numbered: write `channel_dimension: "
+                "{dimension}` under survey",
+                "few": "survey.channel_dimension: {dimension} holds only {numbers} in the first "
+                "and last points, and {sensor} has {beamlets} beamlets",
+                "linear": "this looks like linear-mode lidar ({signs}), of which the filter would "
+                "take true points for noise: write `filter: {{method: none}}` and `afterpulse: "
+                "{{enabled: false}}`, or name the instrument if single photons were counted",
+                "dead": "{dead} of {beamlets} channels without returns: {what}",
+                "more": "returns come from {alive} channels, but the sensor has {beamlets}; "
+                "{alive} are assumed; least often seen: {channels}",
+            },
+            "without numbers a shot counts as one beamlet; dead ones are taken into account",
+            "name the dimension that holds the numbers, or leave survey.channel_dimension out",
+        ),
+        "I05": Code(
+            "Place and CRS",
+            {
+                "none": "no input file carries a CRS and survey.crs is not set: rasters will have "
+                "none; write `crs: EPSG:...` under survey",
+                "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
+                "others",
+                "degrees": "the coordinates look like degrees, but the CRS is in metres, so they "
+                "are taken as metres",
+                "wide": "its {points} points span {km:.0f} km; some of them must lie astray",
+                "far": "{km:.0f} km from the rest of the survey ({main}), farther than its files "
+                "are long ({length_m:.0f} m)",
+                "shapes": "{key}: none of its polygons meets the survey: they lie within {shapes}, "
+                "its points within {points}",
+                "geoid": "{count:cells|lie} beyond the grid {grid}: void",
+            },
+            remedy="check the CRS, the order of its axes and the coordinates",
+            noun="file",
+        ),
+        "I06": Code("A setting is without effect", "{what}"),
+        "T01": Code(
+            "Pulse rate and shots",
+            {
+                "assumed": "gps_time does not show the pulse rate, so {prf_hz:.0f} Hz is assumed",
+                "contradicted": "gps_time shows a pulse rate of about {prf_hz:.0f} Hz, not the "
+                "{stated_hz:.0f} Hz stated, and noise is computed with the stated one",
+                "merged": "{share:.0%} of the returns with the same time and channel do not lie on "
+                "one beam: gps_time is rounded to more than the time between shots, or "
+                "survey.channel_dimension holds no beamlet numbers",
+            },
+            "afterpulses and noise are counted along wrong shots: ground, roofs and leaves may be "
+            "lost",
+            "state acquisition.prf_hz as it was flown, and deliver times that separate shots",
+            "flightline",
+        ),
+        "T02": Code(
+            "The trajectory does not fit the points",
+            {
+                "leap": "the trajectory's times are {leap_s} s {late}: shifted by that the sensor "
+                "is above its returns",
+                "late": "the returns lie {side} the sensor on average, so the trajectory's times "
+                "seem about {seconds:.1f} s {late}; a part of each scan alone looks so, too",
+                "uncovered": "the trajectory does not cover {count:returns} between gps_time "
+                "{first_s:.3f} and {last_s:.3f}, or they do not lie below it",
+                "ends": "gps_time of the first and last points, {low_s:.0f} to {high_s:.0f} s, is "
+                "{gap_s:.1f} s or more outside {trajectory}",
+                "unit": "puts the sensor {stated_m:.0f} m above its returns in {lines}, whose "
+                "lines of sight meet {met_m:.0f} m above them: its heights seem to be in {unit}; "
+                "name its CRS with that of its heights, survey.trajectory_crs: {crs}",
+                "file": "{what}",
+            },
+            "noise and reflectance are computed along wrong beams, or returns stay unfiltered",
+            "correct gps_time in survey.trajectory, or name the trajectory of this flight",
+        ),
+        "T03": Code(
+            "No trajectory",
+            "beams taken {how}",
+            "noise near the ends of the gate is known less well",
+            "name it in survey.trajectory if there is one",
+        ),
+        "N01": Code(
+            "Noise or gate of a flightline are poorly known",
+            {
+                "none": "no return has a known beam, so there is no noise model",
+                "few": "an interval holds only {per_interval:.1f} beamlets with a return, so the "
+                "noise rate is too low by about {low:.0%}: raise noise.interval_shots",
+                "strays": "{count:returns|lie} far beyond the range gate, which noise does not "
+                "reach, as where ranges are wrong; they do not count",
+                "short": "the range gate is short: noise is counted from {share:.0%} of "
+                "noise.buffer_m away from the surface on",
+                "fitted": "the range gate leaves no part without signal to count noise in; the "
+                "rate is fitted to the histogram of heights",
+                "side": "{times:.1f} times as many returns {more} the surface as on its other "
+                "side; noise is counted {side} it only",
+                "assumed": "too few returns lie away from the surface to show the range gate, so "
+                "{gate_m:.0f} m is assumed",
+                "gate": "the returns fill a gate of {gate_m:.0f} m, not the {stated_m:.0f} m "
+                "stated; {gate_m:.0f} m is used",
+            },
+            "more noise may stay, or weak signals may be lost",
+            "state acquisition.gate_m as it was flown; look at the map of noise",
+            "flightline",
+            implied_by=("I04:unnamed", "T02:leap", "T02:late"),
+        ),
+        "N06": Code(
+            "Most points are unfiltered",
+            "{share:.0%} of the points have no usable time or no trajectory there",
+            "they stay unfiltered, noise among them",
+            "mend the times or the trajectory and run again",
+        ),
+        "N90": Code("A place or flightline does not fit", "{what}"),
+        "A01": Code(
+            "Afterpulses do not follow their law",
+            {
+                "late": "{share:.0%} of the afterpulses lie more than {stated_m:g} m behind the "
+                "return that started them, up to {longest_m:.0f} m, and the sensor states "
+                "{stated_m:g} m",
+                "uneven": "in {count} of {of} stretches returns of hard surfaces are followed more "
+                "or less often than the law of the flightline expects, {times:.1f} times as often "
+                "between gps_time {first_s:.0f} and {last_s:.0f}",
+                "spread": "returns of hard surfaces spread by {sigma_m:.2f} m along the beam, and "
+                "the sensor states {stated_m:.2f} m: surfaces are taken as thick as that",
+            },
+            "among leaves more afterpulses stay, or true returns are lost as such; heights of "
+            "single returns are less certain",
+            "correct afterpulse_lag_max_m or range_sigma_m of the sensor if they are known better",
+            "flightline",
+        ),
+        "S01": Code(
+            "Flightlines differ in height or place",
+            "{pairs:pairs of flightlines|differ} by more than single ranges scatter: at worst "
+            "{second} lies {offset} than {first} ({patches} planar patches)",
+            "surfaces that both have seen appear twice, and the terrain follows the lower one",
+            "{remedy}",
+        ),
+        "S02": Code(
+            "Flightlines are not compared",
+            {
+                "passes": "in {cells:ground cells} more than {most} flightlines overlap, {worst} "
+                "in {cell}: those with most returns are compared, the others are not",
+                "alone": "{count:flightlines|share} too few planar patches with others and stay: "
+                "{names}",
+                "far": "would have to be shifted by {up_m:.2f} m up, more than the {most_m:g} m "
+                "that are allowed: it stays",
+            },
+            remedy="look at the trajectory and its datum; survey.gap_s may be shorter than pauses "
+            "within a flightline",
+            noun="flightline",
+        ),
+        "G02": Code(
+            "Voids in the terrain",
+            "{count:voids} of the terrain, {area_m2:.0f} m2, the largest {largest_m2:.0f} m2 at "
+            "{east_m:.0f} E, {north_m:.0f} N: no ground within products.void_max_m "
+            "({void_max_m:g} m)",
+            "there are no heights",
+            "breaklines give water its level; a larger products.void_max_m fills roofs and woods",
+        ),
+        "G03": Code(
+            "Classes of vegetation",
+            "{per_m2:.2g} returns per m2 are too few for classes 3 and 4 of classes.vegetation",
+            "the ground takes shrubs and hedges lower than {high_m:g} m",
+            "rest nothing on these two classes",
+        ),
+        "G04": Code(
+            "Breaklines do not fit",
+            {
+                "none": "no lake and no river covers a cell of the survey",
+                "flooded": "water stands more than {above_m:g} m above {count} of {of} cells of "
+                "terrain beside it",
+            },
+            "such water is not in the rasters, or floods them",
+            "check CRS, heights, vertical datum and banks of the breaklines",
+        ),
+        "C01": Code(
+            "Checkpoints",
+            {
+                "file": "{what}",
+                "beyond": "{count:checkpoints|lie} where the terrain model has no value: {names}",
+                "blunder": "{count} of {of} checkpoints differ from the terrain by more than "
+                "{limit_cm:.0f} cm and far from the others: {names}; at worst {worst}, DTM minus "
+                "checkpoint {error_cm:.1f} cm",
+            },
+            "checkpoints without a value count for nothing, all others in every RMSE",
+            "look for a wrong height or position in the file of checkpoints, then at the terrain",
+            "file",
+        ),
+        "C02": Code(
+            "The reference does not serve",
+            {
+                "missing": "the store holds no comparison with the reference; `spl-batch run` "
+                "computes it",
+                "own": "reference.points holds the survey's own points: {share:.0%} of those "
+                "looked at lie in the survey at the same x, y and z",
+            },
+            "there is no figure of accuracy",
+            "name points of another survey and run again",
+        ),
+        "D01": Code("A catalogue is not complete", "{what}"),
+    }
+)
+"""Codes by room: inputs, times, noise, afterpulses, swaths, ground, checks, delivery."""

@@ -1,0 +1,99 @@
+"""Findings as a report has them: alike ones as one, in words."""
+
+from collections.abc import Collection, Iterable, Sequence
+from string import Formatter
+from typing import Any, Final
+
+from spl_batch.engine.findings import Box, Finding, settled, table
+from spl_batch.engine.report.parts import FindingReport
+from spl_batch.errors import counted, grouped, named
+
+
+def reported(
+    findings: Iterable[Finding], ignored: Collection[str] = (), *, notes: bool = False
+) -> tuple[FindingReport, ...]:
+    """Findings of a report, alike ones as one.
+
+    Those of the same code, kind and wording are alike; values, place and sentence are those of the
+    worst.
+
+    Parameters
+    ----------
+    findings : iterable of Finding
+        All of a run, in the order in which the report has them.
+    ignored : collection of str
+        Codes that are left out (``report.ignore``).
+    notes : bool
+        Whether notes for the operator are wanted, too.
+    """
+    alike: dict[tuple[str, object, object], list[Finding]] = {}
+    for one in settled(findings, ignored):
+        if notes or table()[one.code].severity != "note":
+            key = one.code, one.values.get("kind"), one.values.get("what")
+            alike.setdefault(key, []).append(one)
+    return tuple(map(_as_one, alike.values()))
+
+
+def texts(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Lines for a screen or a log, notes included."""
+    return tuple(one.text for one in reported(findings, notes=True))
+
+
+def _as_one(alike: list[Finding]) -> FindingReport:
+    worst = max(alike, key=lambda one: one.badness or 0.0)
+    ordered = sorted(alike, key=lambda one: -(one.badness or 0.0))
+    subjects = tuple(dict.fromkeys(one.subject for one in ordered if one.subject))
+    code = table()[worst.code]
+    template = code.sentences
+    if not isinstance(template, str):
+        template = template[worst.values["kind"]]
+    sentence, consequence, remedy = (
+        _WORDS.vformat(text, (), worst.values) for text in (template, code.consequence, code.remedy)
+    )
+    if worst.place is not None:
+        sentence = f"{sentence}, {_within(worst.place)}"
+    return FindingReport(
+        code=worst.code,
+        severity=code.severity,
+        title=code.title,
+        subject=_subject(subjects, code.noun, graded=worst.badness is not None),
+        subjects=subjects,
+        place=worst.place,
+        values=dict(worst.values),
+        sentence=sentence,
+        consequence=consequence,
+        remedy=remedy,
+    )
+
+
+def _subject(subjects: Sequence[str], noun: str, *, graded: bool) -> str:
+    """What findings concern, in words; a file's name shows that it is one."""
+    if len(subjects) < 2:
+        before = "" if noun in {"", "file"} else f"{noun} "
+        return f"{before}{subjects[0]}" if subjects else ""
+    names = named(subjects, 3)
+    listed = f"{len(subjects)} {noun}s ({names})" if noun else names
+    return f"{listed}, at worst {subjects[0]}" if graded else listed
+
+
+def _within(place: Box) -> str:
+    west, south, east, north = (grouped(round(side)) for side in place)
+    return f"within x {west} to {east} and y {south} to {north}"
+
+
+class _Words(Formatter):
+    """Numbers as every message has them."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """A value in words; a specification of letters counts what it names."""
+        if isinstance(value, list | tuple):
+            return named(value)
+        if isinstance(value, int) and not isinstance(value, bool):
+            noun, _, verb = format_spec.partition("|")
+            if len(noun) > 1 and noun.replace(" ", "").isalpha():
+                return counted(value, noun, verb)
+            return format(value, format_spec) if format_spec else grouped(value)
+        return format(value, format_spec)
+
+
+_WORDS: Final = _Words()
