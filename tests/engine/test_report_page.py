@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from spl_batch.airborne.compare.comparison_page import ComparisonReport, MethodResult
-from spl_batch.airborne.compare.comparison_page import write as write_comparison
+from spl_batch.airborne.compare.comparison import ComparisonReport, MethodResult
+from spl_batch.airborne.compare.comparison import write as write_comparison
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures

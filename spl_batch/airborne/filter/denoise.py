@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_decision
 from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow
+from spl_batch.airborne.filter import published
 from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
-from spl_batch.airborne.filter.published import aes, cylinder, dcc, multilevel, voxel
 from spl_batch.airborne.filter.wires import wire_null, wire_scan
 from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings, NoiseSettings
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -51,11 +51,11 @@ class Method(NamedTuple):
 METHODS: Final = MappingProxyType(
     {
         "vsaes": Method(ellipsoid_test.judge, ellipsoid_test.reach_m),
-        "aes": Method(aes.judge, aes.reach_m, by_voxel=True),
-        "dcc": Method(dcc.judge, dcc.reach_m),
-        "voxel": Method(voxel.judge, voxel.reach_m),
-        "multilevel": Method(multilevel.judge, multilevel.reach_m),
-        "cylinder": Method(cylinder.judge, cylinder.reach_m),
+        "aes": Method(published.aes, published.aes_reach_m, by_voxel=True),
+        "dcc": Method(published.dcc, published.dcc_reach_m),
+        "voxel": Method(published.voxel, published.voxel_reach_m),
+        "multilevel": Method(published.multilevel, published.multilevel_reach_m),
+        "cylinder": Method(published.cylinder, published.cylinder_reach_m),
     }
 )
 """The filters of the space domain by the name that ``filter.method`` has."""

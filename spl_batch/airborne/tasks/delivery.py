@@ -17,7 +17,7 @@ from spl_batch.airborne.lines.comparison import difference_map
 from spl_batch.airborne.products import hillshade
 from spl_batch.airborne.products.hillshade import BLOCK
 from spl_batch.airborne.products.product_table import HILLSHADE, SWATH_DIFFERENCES
-from spl_batch.airborne.products.wide_voids import Void, wide_voids
+from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
 from spl_batch.airborne.pulses.swath_coverage import Outlined, outlines
 from spl_batch.airborne.store.flown_lines import read_shifts, record_of
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
@@ -392,12 +392,4 @@ def _voids(found: list[Void], context: Context) -> list[Finding]:
         east, north = (np.array([quanta(one[k]) for one in found], np.int64) for k in (1, 2))
         inside = contains(area, east, north)
         found = [one for one, there in zip(found, inside, strict=True) if there]
-    if not found:
-        return []
-    largest = found[0]
-    values = {
-        "count": len(found), "area_m2": float(sum(void.area_m2 for void in found)),
-        "largest_m2": float(largest.area_m2), "east_m": float(largest.east_m),
-        "north_m": float(largest.north_m), "void_max_m": context.workflow.products.void_max_m,
-    }  # fmt: skip
-    return [Finding("G02", values)]
+    return void_findings(found, context.workflow.products.void_max_m)

@@ -16,7 +16,7 @@ from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.filter.published import dcc
+from spl_batch.airborne.filter.published import shot_noise
 from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.sensors.sensor import Sensor
@@ -229,7 +229,7 @@ def _assess(
     if workflow.afterpulse.enabled:
         table = _with_afterpulses(table, known, beams, law, model.gate_m, args, context)
     if args["dcc"] is not None:
-        noise = dcc.shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
+        noise = shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
         flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
     parts = voxel_noise.deposit_apart(subset, beams, model, workflow.noise)

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from spl_batch import api
 from spl_batch.airborne.compare.comparison import METHODS as METHODS_COMPARED
-from spl_batch.airborne.compare.contrast import Contrast, _far, _fullest_strip
-from spl_batch.airborne.compare.terrain_contrast import terrain_contrast
+from spl_batch.airborne.compare.contrast import Contrast, _far, _fullest_strip, terrain_contrast
 from spl_batch.airborne.filter.denoise import METHODS as METHODS_KNOWN
 from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.survey_page import HOW, render
