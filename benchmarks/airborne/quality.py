@@ -48,7 +48,6 @@ def main(folder: Path) -> dict[str, float]:
     """Measure one processed survey and print the figures."""
     points = _load(folder)
     figures = {**_kept(folder, points), **_terrain(folder), **_spikes(folder, points)}
-    figures |= _noise_kept(folder, points)
     if "noise_density" in points:
         figures["expected / true noise density"] = _density_ratio(folder, points)
     for name, value in figures.items():
@@ -219,21 +218,6 @@ def _density_ratio(folder: Path, points: dict[str, NDArray[np.generic]]) -> floa
     used = (expected > 0) & inner
     print(f"{'true noise returns pooled':48s} {count[used].sum():10.0f}")
     return float(expected[used].sum() / count[used].sum())
-
-
-def _noise_kept(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
-    """Background that is kept, and what the report expects of it."""
-    kept = points["noise_class"][points["kind"] == methods.BACKGROUND] == 0
-    noise = json.loads((folder / "out" / "report.json").read_text())["noise"]
-    if noise["kept_within_signal"] is None:
-        return {}
-    expected = noise["kept_within_signal"] + (noise["kept_by_chance"] or 0.0)
-    print(f"{'true background kept':48s} {np.count_nonzero(kept):10d}")
-    return {
-        "expected by chance": noise["kept_by_chance"] or 0.0,
-        "expected within the signal": noise["kept_within_signal"],
-        "expected / true background kept": expected / float(np.count_nonzero(kept)),
-    }
 
 
 def _interior(

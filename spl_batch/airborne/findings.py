@@ -61,12 +61,19 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "linear": "this looks like linear-mode lidar ({signs}), of which the filter would "
                 "take true points for noise: write `filter: {{method: none}}` and `afterpulse: "
                 "{{enabled: false}}`, or name the instrument if single photons were counted",
-                "dead": "{dead} of {beamlets} channels without returns: {what}",
                 "more": "returns come from {alive} channels, but the sensor has {beamlets}; "
                 "{alive} are assumed; least often seen: {channels}",
             },
-            "without numbers a shot counts as one beamlet; dead ones are taken into account",
+            "without numbers a shot counts as one beamlet",
             "name the dimension that holds the numbers, or leave survey.channel_dimension out",
+        ),
+        "I07": Code(
+            "Channels without returns",
+            "{dead} of {beamlets} channels have no returns: {what}",
+            "they are taken into account",
+            "tell who maintains the instrument if it had more before",
+            "flightline",
+            "note",
         ),
         "I05": Code(
             "Place and CRS",
@@ -152,13 +159,59 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "flightline",
             implied_by=("I04:unnamed", "T02:leap", "T02:late"),
         ),
+        "N02": Code(
+            "Noise is not what its model expects",
+            "away from all surfaces there is {ratio:.2f} times the noise that its model expects "
+            "between {low_m:.0f} and {high_m:.0f} m in height",
+            "where there is more, the filter keeps more than filter.alpha; where there is less, "
+            "weak signals are lost",
+            "look at the profile there; if this is linear-mode lidar, which has no such noise, set "
+            "filter.method: none",
+            "block",
+        ),
+        "N03": Code(
+            "Haze or cloud was taken for noise",
+            "between {low_m:.0f} and {high_m:.0f} m in height {area_m2:.0f} m2 of air send back "
+            "{ratio:.1f} times what the model of the noise expects",
+            "its returns are class 18 (7 below ground), and weak signals among them are lost",
+            "look at the profile there",
+        ),
+        "N04": Code(
+            "Signal fills the air",
+            "signals fill the air evenly over {area_m2:.0f} m2, {low_m:.0f} to {high_m:.0f} m "
+            "above the ground",
+            "fog, haze, a cloud or noise in clusters, if no plants without gaps: it stays signal, "
+            "and the DSM may lie on it",
+            "look at the profile there, and classify by hand what is no surface",
+            "ground cell",
+            implied_by=("S01",),
+        ),
+        "N07": Code(
+            "Signal floats",
+            "{share:.1%} of the signal has nothing in the 15 m below it, though something lies "
+            "farther down, over {area_m2:.0f} m2",
+            "haze, a cloud, stray light or noise in clusters, if no many wires or cranes are "
+            "there: it stays signal, and the DSM may lie on it",
+            "look at the profile there, and classify by hand what is no surface",
+            "ground cell",
+            implied_by=("S01", "N03", "N04"),
+        ),
+        "N05": Code(
+            "P-values of noise are not uniform",
+            "below all surfaces, where noise lies alone, {times:.2f} times as many of {returns} "
+            "returns as expected have a p-value up to {p_value:g}",
+            "above 1 the noise comes in clusters or is denser than expected, and more of it stays; "
+            "below 1 it is thinner, and weak signals are lost",
+            "look at the map of noise; see the findings on its model",
+            "ground cell",
+            implied_by=("N02", "N03", "N04"),
+        ),
         "N06": Code(
             "Most points are unfiltered",
             "{share:.0%} of the points have no usable time or no trajectory there",
             "they stay unfiltered, noise among them",
             "mend the times or the trajectory and run again",
         ),
-        "N90": Code("A place or flightline does not fit", "{what}"),
         "A01": Code(
             "Afterpulses do not follow their law",
             {
@@ -178,8 +231,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         ),
         "S01": Code(
             "Flightlines differ in height or place",
-            "{pairs:pairs of flightlines|differ} by more than single ranges scatter: at worst "
-            "{second} lies {offset} than {first} ({patches} planar patches)",
+            "{pairs} of {of} pairs of flightlines differ by more than single ranges scatter: at "
+            "worst {second} lies {offset} than {first} ({patches} planar patches)",
             "surfaces that both have seen appear twice, and the terrain follows the lower one",
             "{remedy}",
         ),
@@ -196,6 +249,14 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             remedy="look at the trajectory and its datum; survey.gap_s may be shorter than pauses "
             "within a flightline",
             noun="flightline",
+        ),
+        "G01": Code(
+            "Terrain is known poorly",
+            "{share:.1%} of the terrain model has a standard deviation of more than {sigma_m:g} m; "
+            "the largest place has {area_m2:.0f} m2",
+            "ground returns are far there for ground so rough, or what stood there was cut off",
+            "measure no heights or volumes where dtm_quality.tif says so; classify bridges, dams "
+            "and crests by hand if they matter",
         ),
         "G02": Code(
             "Voids in the terrain",

@@ -11,8 +11,7 @@ Places = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
 NEAREST = 5
 """Points that bound the height of a surface [count]."""
 
-_DAMPING = 1e-4
-"""Added to the scatter of their places [cells2]."""
+_ROUNDING = np.sqrt(np.finfo(np.float64).eps)
 
 
 @njit()
@@ -101,10 +100,12 @@ def _allowed(
                 for k, value in enumerate((u, v, w, u * u, u * v, v * v, u * w, v * w)):
                     sums[k] += value
     u, v, w, uu, uv, vv, uw, vw = sums / n
-    # The damping keeps returns on one line from telling a slope across it.
-    damping = _DAMPING * size * size
-    uu, uv, vv = uu - u * u + damping, uv - u * v, vv - v * v + damping
+    uu, uv, vv = uu - u * u, uv - u * v, vv - v * v
+    # Returns on one line, up to rounding, give no slope across it.
+    rounding = _ROUNDING * (uu + vv)
+    uu, vv = uu + rounding, vv + rounding
     uw, vw = uw - u * w, vw - v * w
-    rise = np.hypot(vv * uw - uv * vw, uu * vw - uv * uw) / (uu * vv - uv * uv)
+    scale = uu * vv - uv * uv
+    rise = np.hypot(vv * uw - uv * vw, uu * vw - uv * uw) / scale if scale > 0.0 else 0.0
     share = rise * np.sqrt(farthest2)
     return low - share, high + share

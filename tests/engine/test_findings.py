@@ -91,14 +91,14 @@ def dictionary(call: ast.Call, scope: ast.AST) -> ast.Dict | None:
     given = call.args[1] if len(call.args) > 1 else ast.Dict([], [])
     if isinstance(given, ast.Name):
         before = [
-            one.value
+            (one.lineno, one.value)
             for one in ast.walk(scope)
             if isinstance(one, ast.Assign)
             and isinstance(one.targets[0], ast.Name)
             and one.targets[0].id == given.id
             and one.lineno < call.lineno
         ]
-        given = before[-1] if before else given
+        given = max(before, key=lambda one: one[0])[1] if before else given
     return given if isinstance(given, ast.Dict) else None
 
 

@@ -43,7 +43,7 @@ from benchmarks.airborne.ground.ground_tiles import Tile as Points
 from benchmarks.airborne.ground.steep_scenes import SCENES, content
 from benchmarks.airborne.other_version import OUT, run_by
 from benchmarks.airborne.quality import KINDS
-from benchmarks.airborne.told import kinds, new_warnings, telling, told_by
+from benchmarks.airborne.told import new_warnings, telling, told_by
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.constants import CLASS_GROUND, QUANTUM_M
@@ -63,10 +63,8 @@ the valley's floor [m], and of small forms the share of cells that are off by mo
 
 
 _CUT_OFF: Final = ("steep", "block", "gaps", "unsure")
-SAYS: Final = {
-    name: ("deck", "dam", "steep", "roof") if of.deck_m else _CUT_OFF for name, of in SCENES.items()
-}
-"""Kinds of warnings that say what is off: of what was cut off, or a deck that stayed."""
+SAYS: Final = dict.fromkeys(SCENES, ("G01", "G02"))
+"""Codes of findings that say what is off."""
 
 
 Grid = NDArray[np.float64]
@@ -295,7 +293,7 @@ def _print(
     found = figures(truth, kept, kept.called, delivered(survey, truth, out))
     new = new_warnings(warnings(survey, out), usual)
     words = verdict(found, name, telling(new, SAYS[name]))
-    print(f"{_row(method, found)}  {words} [{', '.join(kinds(new))}]", flush=True)
+    print(f"{_row(method, found)}  {words} [{', '.join(dict.fromkeys(new))}]", flush=True)
     for text in new if say else []:
         print(f"    {text}")
 

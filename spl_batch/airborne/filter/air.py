@@ -144,7 +144,7 @@ def noise_in_air(
 
 
 def facts_of(looks: Sequence[Look]) -> dict[str, Any]:
-    """Report entries of a block from those of its parts: ``air`` of :func:`_summary`, ``layers``.
+    """Report entries of a block from those of its parts: ``air`` of :func:`_listed`, ``layers``.
 
     ``layers`` has index, returns and expected returns of each; none where nothing was looked at.
     """
@@ -154,19 +154,11 @@ def facts_of(looks: Sequence[Look]) -> dict[str, Any]:
             before = layers.get(layer, (0, 0.0))
             layers[layer] = before[0] + returns, before[1] + expected
     listed = [[layer, *both] for layer, both in sorted(layers.items()) if any(both)]
-    return {"air": _summary(looks), "layers": listed}
+    return {"air": _listed(looks), "layers": listed}
 
 
-def _summary(looks: Sequence[Look]) -> dict[str, Any] | None:
-    """Report entry on the air over what a block owns; None where there is none.
-
-    Returns
-    -------
-    dict or None
-        ``squares``, seen from above, and ``cubes`` [count]; ``returns`` in them [count];
-        ``expected`` by the model [count]; ``low`` and ``high``, heights between which nine tenths
-        of the returns lie [quanta]; ``box`` around them [quanta]; ``places`` of :func:`_places`.
-    """
+def _listed(looks: Sequence[Look]) -> list[list[float]]:
+    """Air over what a block owns, by :func:`_places`."""
     edge = quanta(CUBE_M)
     own = []
     for core, air, _ in looks:
@@ -175,24 +167,10 @@ def _summary(looks: Sequence[Look]) -> dict[str, Any] | None:
             mine = air.held & inside(centre[:, 0], centre[:, 1], core)
             own.append((air.cube[mine], air.returns[mine], air.expected[mine]))
     if not sum(len(cube) for cube, _, _ in own):
-        return None
+        return []
     cube, count, expected = (np.concatenate(some) for some in zip(*own, strict=True))
     order = np.lexsort(cube.T[::-1])  # the same sums, however many parts
-    cube, count, expected = cube[order], count[order], expected[order]
-    order = np.argsort(cube[:, 2], kind="stable")
-    share = np.cumsum(count[order]) / count.sum()
-    low, high = (cube[order[np.searchsorted(share, at)], 2] for at in (0.05, 0.95))
-    (west, south), (east, north) = (cube[:, :2].min(axis=0), cube[:, :2].max(axis=0) + 1)
-    return {
-        "squares": len(np.unique(cube[:, :2], axis=0)),
-        "cubes": len(cube),
-        "returns": int(count.sum()),
-        "expected": float(expected.sum() * CUBE_M**3),
-        "low": int(low) * edge,
-        "high": (int(high) + 1) * edge,
-        "box": [int(side) * edge for side in (west, south, east, north)],
-        "places": list(_places(cube, count, expected)),
-    }
+    return list(_places(cube[order], count[order], expected[order]))
 
 
 def _places(

@@ -121,12 +121,6 @@ def lonely(
     return out
 
 
-def drowned_columns(signal: Marks, standing: Marks) -> Marks:
-    """Columns with signal that neither hold nor adjoin anything that stands out: (a, b) bool."""
-    near: Marks = ndimage.maximum_filter(standing, 3, mode="constant")
-    return signal & ~near
-
-
 def below_surfaces(surface: Marks) -> Marks:
     """Cells well below the lowest surface of their column and its neighbours: (a, b, c) bool.
 

@@ -21,7 +21,7 @@ share of pure noise that is kept: by the boxes of which least was kept, which ho
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +37,8 @@ from spl_batch.airborne.filter.box_counts import (
 from spl_batch.airborne.filter.drowned_surfaces import (
     below_surfaces,
     dense_noise,
-    drowned_columns,
     unfilled,
 )
-from spl_batch.airborne.filter.judged_fit import P_VALUES, float_facts
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
@@ -101,11 +99,8 @@ class Bare(NamedTuple):
     place: tuple[Count, Count, Count]  #: Number of a cell along each axis, gaps closed.
     marked: NDArray[np.bool_]  #: (a, b, c): the cells.
     dense: NDArray[np.float32]  #: (a, b, c): noise where it is dense, 0 elsewhere [1/m3].
-    signal: NDArray[np.bool_]  #: (a, b): columns with signal in dense noise.
     lowest: NDArray[np.bool_]  #: (a, b, c): cells below all surfaces of their columns.
     kept: Count  #: (a, b, c): signals [count].
-    #: (a, b), (a, b): kept and refused returns below all surfaces of a column [count].
-    below: tuple[Count, Count]
 
     def columns(self, region: Bounds) -> tuple[Count, Count]:
         """Numbers along x and y of the columns whose corner lies in a region, and holds points."""
@@ -125,37 +120,20 @@ class Bare(NamedTuple):
             found.append(np.flatnonzero(known & (low <= at) & (at < high)))
         return found[0], found[1]
 
-    def facts(self, region: Bounds, standing: NDArray[np.bool_]) -> dict[str, Any]:
-        """What a report says of the columns of a region.
-
-        Parameters
-        ----------
-        standing : (a, b) bool
-            Columns with what may be ground, from :meth:`mark_columns`.
-
-        Returns
-        -------
-        dict
-            ``below``, kept and refused returns below all surfaces [count]; where noise is dense
-            ``dense``, the number of columns, of those that lose all signal to it, and the sum of
-            the densest noise of each [1/m3]; and those of
-            :func:`~spl_batch.airborne.filter.judged_fit.float_facts`.
-        """
-        at = np.ix_(*self.columns(region))
-        most = self.dense[at].max(axis=2, initial=0.0).astype(np.float64)
-        found: dict[str, Any] = {"below": [int(count[at].sum()) for count in self.below]}
+    def corners(self, region: Bounds) -> tuple[Count, Count]:
+        """Where the corners of these columns lie along x and y [quanta]."""
         x, y = (
             self.corner[axis] + index * quanta(CELL_M)
             for axis, index in enumerate(self._within(region))
         )
-        found |= float_facts(self.kept, self.marked, at, (x, y))
-        if most.any():
-            drowned = int(np.count_nonzero(drowned_columns(self.signal, standing)[at]))
-            found["dense"] = [int(np.count_nonzero(most)), drowned, float(most.sum())]
-        return found
+        return x, y
 
     def count_chances(
-        self, table: PointTable, owned: NDArray[np.bool_], counts: NDArray[np.int64]
+        self,
+        table: PointTable,
+        owned: NDArray[np.bool_],
+        values: Sequence[float],
+        counts: NDArray[np.int64],
     ) -> None:
         """Add p-values of noise below all surfaces to a histogram.
 
@@ -165,21 +143,15 @@ class Bare(NamedTuple):
             Points with ``x, y, z, noise_class, p_value``.
         owned : (n,) bool
             Those that count.
+        values : sequence of m floats
+            Values up to which p-values are counted.
         counts : (m + 1,) int64, added to
-            Returns up to each of the m :data:`P_VALUES` and not up to the one before, and beyond.
+            Returns up to each value and not up to the one before, and beyond.
         """
         count_values(
             _xyz(table), (table["noise_class"], owned), _KINDS, table["p_value"], self.corner,
-            float(quanta(CELL_M)), self.place, self.lowest, np.array(P_VALUES), counts,
+            float(quanta(CELL_M)), self.place, self.lowest, np.array(values), counts,
         )  # fmt: skip
-
-    def mark_columns(
-        self, table: PointTable, chosen: NDArray[np.bool_], standing: NDArray[np.bool_]
-    ) -> None:
-        """Mark the columns, (a, b) bool, that hold some chosen signals of a table."""
-        if self.dense.any():
-            number = self._cells(table)[chosen]
-            standing.ravel()[number[number >= 0] // self.dense.shape[2]] = True
 
     def noise(self, table: PointTable) -> NDArray[np.float32]:
         """Noise around points where it is dense, 0 elsewhere: (n,) [1/m3]."""
@@ -259,10 +231,7 @@ def bare_cells(
         bare |= unfilled(kept, gone)
     bare |= _bare_columns(kept, gone, odds)[:, :, None]
     lowest = below_surfaces((kept > 0) & ~bare)
-    below = np.where(lowest, kept, 0).sum(axis=2), np.where(lowest, gone, 0).sum(axis=2)
-    dense = dense_noise(kept, gone)
-    signal: NDArray[np.bool_] = np.any((kept > 0) & (dense > 0), axis=2)
-    return Bare(corner, place, bare, dense, signal, lowest, kept, below)
+    return Bare(corner, place, bare, dense_noise(kept, gone), lowest, kept)
 
 
 def _xyz(table: PointTable) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:

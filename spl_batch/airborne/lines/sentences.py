@@ -29,10 +29,17 @@ def offset_warnings(
         return
     _, pair = min(off, key=lambda found: (-found[0], found[1].first, found[1].second))
     values = {
-        "pairs": len(off), "first": pair.first, "second": pair.second, "patches": pair.patches,
-        "offset": " and ".join(_parts(pair)) + _tilt(pair), "up_m": pair.up_m,
-        "noise_m": pair.noise_m, "apart": apart, "remedy": _remedy(pair, align),
-    }  # fmt: skip
+        "pairs": len(off),
+        "of": len(pairs),
+        "first": pair.first,
+        "second": pair.second,
+        "patches": pair.patches,
+        "offset": " and ".join(_parts(pair)) + _tilt(pair),
+        "up_m": pair.up_m,
+        "noise_m": pair.noise_m,
+        "apart": apart,
+        "remedy": _remedy(pair, align),
+    }
     yield Finding("S01", values, place=(pair.x_m, pair.y_m, pair.x_m, pair.y_m))
 
 

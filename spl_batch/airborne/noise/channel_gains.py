@@ -46,8 +46,8 @@ def active_channels(
     gain = live.astype(np.float64) * (beamlets / alive)
     dead = beamlets - alive
     which = _dead(np.flatnonzero(live), beamlets)
-    values = {"kind": "dead", "dead": dead, "beamlets": beamlets, "what": which}
-    return beamlets, gain, (Finding("I04", values, badness=dead),)
+    values = {"dead": dead, "beamlets": beamlets, "what": which}
+    return beamlets, gain, (Finding("I07", values, badness=dead),)
 
 
 def _dead(live: NDArray[np.int64], beamlets: int) -> str:

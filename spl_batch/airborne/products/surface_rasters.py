@@ -41,7 +41,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.water.level import REACH_M, Levels, flattened, in_water
 from spl_batch.airborne.products.cell_values import robust_cell_means, sort_into_cells
-from spl_batch.airborne.products.doubts.terrain_doubts import Doubts, doubts
 from spl_batch.airborne.products.flown_cells import (
     Heights,
     about_ground,
@@ -164,7 +163,6 @@ class Surfaces:
         self._refused = RefusedReturns(self.region, size)
         self._held = np.zeros((rows, cols), np.bool_)
         self._made: dict[str, NDArray[np.float64]] = {}
-        self._lowest = np.empty((0, 0))
 
     def look(self, table: PointTable, part: Bounds) -> None:
         """Gather what a part tells of the whole: points of it, with :data:`COLUMNS_NEEDED`."""
@@ -228,19 +226,12 @@ class Surfaces:
         dsm = np.where(dsm < dtm, dtm, dsm)
         rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
         rasters["dtm_quality"] = np.where(np.isnan(dtm), np.nan, sigma)
-        self._lowest = self._made.pop("lowest")
         rasters |= self._made
         margin = margin_cells(self._settings)
         over = close(self._held, quanta(self._settings.void_max_m) // self._size)
         over = over[margin:-margin, margin:-margin] | (rasters["density"] > 0)
         rasters["density"] = np.where(over, rasters["density"], np.nan)
         return {name: _delivered(values) for name, values in rasters.items()}
-
-    def doubts(self) -> Doubts:
-        """What speaks against the terrain that :meth:`rasters` has made."""
-        margin, cell_m = margin_cells(self._settings), self._settings.cell_m
-        heights = self._means[:, 2].reshape(shape_of(self.region, self._size))
-        return doubts(heights * QUANTUM_M, margin, cell_m)._replace(lowest=self._lowest[::-1])
 
     def _of_terrain(self, table: PointTable, part: Bounds) -> tuple[PointTable, NDArray[np.bool_]]:
         """Ground of a part, and what of it waits until the level of all water is known.
@@ -367,7 +358,7 @@ def _signal(
 
 
 def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np.float64]]:
-    """Signal returns per m2, the lowest one [m], mean intensity; or NaN.
+    """Signal returns per m2, mean intensity; or NaN.
 
     Intensity is that of first returns, and of all returns of a cell that has no first one.
     """
@@ -377,10 +368,7 @@ def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np
     cells = shape[0] * shape[1]
     number = cell_number(core, cell, size)
     density = np.bincount(number, minlength=cells) / (size * QUANTUM_M) ** 2
-    lowest = np.full(cells, np.inf)
-    np.minimum.at(lowest, number, core["z"] * QUANTUM_M)
-    lowest[np.isinf(lowest)] = np.nan
-    found = {"density": density.reshape(shape), "lowest": lowest.reshape(shape)}
+    found = {"density": density.reshape(shape)}
     if "intensity" not in core:
         return found
     first = core["return_number"] <= 1

@@ -22,10 +22,6 @@ PIT_M: Final = 2.0
 """Cells so far below most of those around are pits [m]."""
 
 
-HONOURED_M: Final = 6.0
-"""Ground returns that tell how high a cell of the DTM is are no farther [m]."""
-
-
 def _void_cells(settings: ProductSettings) -> int:
     return quanta(settings.dsm_void_max_m) // quanta(settings.cell_m)
 
@@ -50,8 +46,7 @@ def _support_cells(settings: ProductSettings) -> int:
 
 def top_margin(settings: ProductSettings) -> int:
     """Raster cells around a ground cell that its DSM and the check of its DTM look at [count]."""
-    tops = _void_cells(settings) + _support_cells(settings)
-    return max(tops, cells_within(HONOURED_M, settings))
+    return _void_cells(settings) + _support_cells(settings)
 
 
 def _critical(expected: float, settings: ProductSettings) -> int:

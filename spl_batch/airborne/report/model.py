@@ -150,65 +150,6 @@ class Density(Part):
     )
 
 
-class TerrainGap(Part):
-    """A place where ground is far, and too rough for its heights to be known from there."""
-
-    area_m2: Number = Field(description="Area [m2].")
-    at_m: tuple[Number, Number] = Field(description="Easting and northing of its middle [m].")
-    away_m: Number = Field(description="Largest distance to the nearest ground in it [m].")
-    sd_m: Number = Field(description="Standard deviation of its heights [m].")
-
-
-class RaisedPatch(Part):
-    """Raised in the terrain: a flat patch with walls, a strip between two, or a dam over a gap."""
-
-    area_m2: Number = Field(description="Area [m2].")
-    at_m: tuple[Number, Number] = Field(description="Easting and northing of its middle [m].")
-    height_m: Number = Field(description="How far it stands above the ground around [m].")
-
-
-class SteepPatch(Part):
-    """A steep place in the terrain that holds no ground return."""
-
-    area_m2: Number = Field(description="Area [m2].")
-    at_m: tuple[Number, Number] = Field(description="Easting and northing of its middle [m].")
-    rise_m: Number = Field(description="From its lowest to its highest cell [m].")
-
-
-class CutOffBlock(Part):
-    """A raised block that was cut off as a building is, and has no walls."""
-
-    area_m2: Number = Field(description="Area with its sides [m2].")
-    at_m: tuple[Number, Number] = Field(description="Easting and northing of its middle [m].")
-    height_m: Number = Field(description="How far it stands above the terrain model [m].")
-
-
-class TerrainDoubts(Part):
-    """Where the terrain model may be wrong."""
-
-    gaps: Count = Field(0, description="Gaps without ground; one is counted in each ground cell.")
-    gaps_m2: Number = Field(0.0, description="Area of all of them [m2].")
-    largest_gaps: tuple[TerrainGap, ...] = Field((), description="The largest of them.")
-    raised: Count = Field(0, description="Raised flat patches: probably roofs.")
-    raised_m2: Number = Field(0.0, description="Area of all of them [m2].")
-    largest_raised: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
-    decks: Count = Field(0, description="Raised strips between two walls: probably bridges.")
-    decks_m2: Number = Field(0.0, description="Area of all of them [m2].")
-    largest_decks: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
-    dams: Count = Field(0, description="Gaps that the terrain spans as a dam.")
-    dams_m2: Number = Field(0.0, description="Area of all of them [m2].")
-    largest_dams: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
-    deck_ends: Count = Field(0, description="Ends of decks that were cut off in their middle.")
-    deck_ends_m2: Number = Field(0.0, description="Area of all of them [m2].")
-    largest_deck_ends: tuple[RaisedPatch, ...] = Field((), description="The largest of them.")
-    steep: Count = Field(0, description="Steep patches that hold no ground return.")
-    steep_m2: Number = Field(0.0, description="Area of all of them [m2].")
-    largest_steep: tuple[SteepPatch, ...] = Field((), description="The largest of them.")
-    blocks: Count = Field(0, description="Raised blocks, without walls or long, that were cut off.")
-    blocks_m2: Number = Field(0.0, description="Area of all of them [m2].")
-    largest_blocks: tuple[CutOffBlock, ...] = Field((), description="The largest of them.")
-
-
 class Requirement(Part):
     """One requirement of a contract, and whether it is met."""
 
@@ -291,7 +232,6 @@ class Report(Part):
     requirements: tuple[Requirement, ...] = Field((), description="Is it good enough?")
     checkpoints: Checkpoints | None = Field(None, description="Null without checkpoints.")
     density: Density = Density()
-    terrain: TerrainDoubts = TerrainDoubts()
     noise: Noise = Noise()
     swaths: tuple[Swath, ...] = Field((), description="Density of each flightline by itself.")
     strips: tuple[StripPair, ...] = Field(

@@ -9,21 +9,16 @@ from typing import cast
 import numpy as np
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.filter.kept_noise import PARTS
+from spl_batch.airborne.diagnostics.air_fill import air_findings
+from spl_batch.airborne.diagnostics.noise_fit import noise_findings, p_values, uniformity
+from spl_batch.airborne.diagnostics.terrain_sigma import terrain_findings
 from spl_batch.airborne.hydro.flattening import bank_findings
 from spl_batch.airborne.report.clip_view import cut_clip
 from spl_batch.airborne.report.coverage import (
     area_km2,
-    block_warning,
     density,
-    doubt_warnings,
     sparse_vegetation,
-    terrain_doubts,
-    unsure_terrain,
 )
-from spl_batch.airborne.report.fit.clouds import haze
-from spl_batch.airborne.report.fit.noise_fit import noise_fit
-from spl_batch.airborne.report.fit.noise_warnings import noise_warnings
 from spl_batch.airborne.report.good_enough import (
     checkpoint_findings,
     checkpoint_report,
@@ -38,7 +33,7 @@ from spl_batch.airborne.report.model import (
     Report,
     Survey,
 )
-from spl_batch.airborne.report.noise_model import Noise
+from spl_batch.airborne.report.noise_model import Noise, NoiseFit
 from spl_batch.airborne.report.pictures import OF_PRODUCTS, PictureInputs, make_pictures
 from spl_batch.airborne.report.profile_strips import cut_profile
 from spl_batch.airborne.report.strip_pairs import (
@@ -84,13 +79,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
     found, counts = compared(done, context), _counts(done, context, facts)
     tested = checkpoint_report(done, context)
     noise = _noise(done, context, counts.background)
-    covered, doubted = density(done, context, counts.ground), terrain_doubts(done)
-    places = (
-        *noise_warnings(done, context, noise.haze),
-        *unsure_terrain(done),
-        *doubt_warnings(doubted),
-        *block_warning(doubted),
-    )
+    covered = density(done, context, counts.ground)
     report = Report(
         survey=_survey(done, context),
         counts=counts,
@@ -99,7 +88,6 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         requirements=judged(done, context),
         checkpoints=tested,
         density=covered,
-        terrain=doubted,
         noise=noise,
         swaths=swath_reports(done, context),
         strips=strip_pairs(done),
@@ -112,7 +100,9 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
                 *_unfiltered(counts, context),
                 *facts.findings,
                 *_uncovered(done),
-                *(Finding("N90", {"what": text}) for text in places),
+                *noise_findings(done),
+                *air_findings(done, context.workflow.filter),
+                *terrain_findings(done),
                 *sparse_vegetation(covered, context.workflow.classes),
                 *bank_findings(
                     r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts
@@ -244,9 +234,7 @@ def _noise(done: Receipts, context: Context, removed: int) -> Noise:
         p05_per_m3=low,
         p95_per_m3=high,
         kept_by_chance=_kept_by_chance(settings, removed),
-        kept_within_signal=_kept_within_signal(done, settings),
-        fit=noise_fit(done),
-        haze=haze(done, context),
+        fit=_noise_fit(done),
         dsm_support=context.workflow.products.dsm_support,
     )
 
@@ -276,14 +264,13 @@ def _kept_by_chance(settings: FilterSettings, removed: int) -> float | None:
     return removed * settings.alpha / (1 - settings.alpha)
 
 
-def _kept_within_signal(done: Receipts, settings: FilterSettings) -> float | None:
-    """Background that lies among what any filter by neighbours keeps [count]."""
-    if settings.method == "none":
+def _noise_fit(done: Receipts) -> NoiseFit | None:
+    """How p-values lie below all surfaces; None where none were counted."""
+    counts = p_values(done)
+    found = uniformity(counts)
+    if found is None:
         return None
-    found = [receipt.facts for receipt in done.get("surface", {}).values()]
-    if any("kept_noise" not in facts for facts in found):  # of a run before it was counted
-        return None
-    return sum(int(facts["kept_noise"]) for facts in found) / PARTS
+    return NoiseFit(returns_below=int(counts.sum()), p_value_times=found[0], p_value=found[1])
 
 
 def _unfiltered(counts: Counts, context: Context) -> list[Finding]:

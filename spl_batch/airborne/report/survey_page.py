@@ -134,7 +134,6 @@ def render(report: Report, pictures: Mapping[str, Picture], clip: Clip | None = 
         script_hash="" if clip is None else SCRIPT_HASH,
         shares=_shares(report.counts),
         set_aside=_set_aside(report.counts),
-        kept_noise_share=_kept_noise_share(report),
         how=HOW,
         answers=answers(row.verdict for row in report.requirements),
         level=_asked_level(report),
@@ -261,11 +260,3 @@ def _set_aside(counts: Counts) -> list[tuple[str, int]]:
         ("in files that could not be read", counts.not_read),
     )
     return [(reason, count) for reason, count in reasons if count]
-
-
-def _kept_noise_share(report: Report) -> float | None:
-    """Share of the signal that is expected to be background, 0..1."""
-    noise, signal = report.noise, report.counts.signal
-    if noise.kept_by_chance is None or noise.kept_within_signal is None or not signal:
-        return None
-    return (noise.kept_by_chance + noise.kept_within_signal) / signal

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.diagnostics.air_fill import float_facts
+from spl_batch.airborne.diagnostics.noise_fit import P_VALUES
 from spl_batch.airborne.filter import denoise as denoising
 from spl_batch.airborne.filter.air import COLUMNS_NEEDED as AIR_COLUMNS
 from spl_batch.airborne.filter.air import Look, facts_of, look_at_air, noise_in_air
 from spl_batch.airborne.filter.drowned_surfaces import NEAR_M
 from spl_batch.airborne.filter.expected_noise import noise_model
-from spl_batch.airborne.filter.judged_fit import P_VALUES
 from spl_batch.airborne.filter.stray_returns import Bare, bare_cells
 from spl_batch.airborne.ground import ground_bands as bands
 from spl_batch.airborne.ground import ground_methods as grounding
@@ -136,8 +137,6 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     def points(part: Bounds, bare: Bare | None, off: Marks) -> bands.Band:
         table, usable, origin = _standing(part, region, read, bare, chances.with_them(part))
         usable &= ~off.holds(origin)
-        if bare is not None:
-            bare.mark_columns(table, usable, standing)
         mine = inside(table["x"], table["y"], shared(core, part))
         lines, table = _lines(chances.counted(table, mine, bare, part), args)
         return bands.Band(table, usable, mine, origin, lines)
@@ -145,10 +144,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     if len(parts) == 1:
         table, origin = read(region, chances.with_them(region))
         bare = bare_cells(lambda: (table,))
-        standing = _no_column(bare)
         usable = surface_points.holds_ground(table, bare)
-        if bare is not None:
-            bare.mark_columns(table, usable, standing)
         owned = inside(table["x"], table["y"], core)
         table = chances.counted(table, owned, bare, region)
         lines, table = _lines(table, args)
@@ -156,7 +152,6 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         found = [_owned((bands.Band(table, usable, owned, origin), mask))]
     else:
         bare = bare_cells(lambda: (read(part, ("x", "y", "z"))[0] for part in parts))
-        standing = _no_column(bare)
         wet = strips_between(region, args["cuts"].get("water", ()))
         off = Marks() if context.workflow.water is None else _off_water(wet, region, read, bare)
         given = partial(points, bare=bare, off=off)
@@ -167,7 +162,8 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     labels = [part["ground"] for _, part in found]
     facts = {"ground": int(sum(map(np.count_nonzero, labels))), "core": list(core)}
     facts["apart"] = int(sum(np.count_nonzero(part == APART) for part in labels))
-    facts |= chances.facts() | ({} if bare is None else bare.facts(core, standing))
+    facts |= chances.facts()
+    facts |= {} if bare is None else float_facts(bare, core)
     return Produced([path], facts, sum(map(len, labels)))
 
 
@@ -190,7 +186,7 @@ class _Chances:
     ) -> PointTable:
         """The table of a part without them; those of its points that are mine count, once."""
         if bare is not None and "p_value" in table:
-            bare.count_chances(table, mine, self._counts)
+            bare.count_chances(table, mine, P_VALUES, self._counts)
         self._seen.add(part)
         return table.select([name for name in table.columns if name != "p_value"])
 
@@ -236,11 +232,6 @@ def _off_water(parts: Sequence[Bounds], region: Bounds, read: Read, bare: Bare |
         look(part)
     found = map(judge, parts) if waters.seen else ()
     return Marks([origin.of(waters.off(layer)) for origin, layer in list(found)])
-
-
-def _no_column(bare: Bare | None) -> NDArray[np.bool_]:
-    """For marks of the columns in which a surface stands: none yet."""
-    return np.zeros((0, 0) if bare is None else bare.signal.shape, np.bool_)
 
 
 def _owned(

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.diagnostics.terrain_sigma import terrain_facts
 from spl_batch.airborne.filter.stray_returns import bare_cells
 from spl_batch.airborne.ground.water.level import CELL_M
 from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
-from spl_batch.airborne.products.doubts.terrain_doubts import Doubts, block_facts, doubt_facts
 from spl_batch.airborne.products.footprint import Footprint
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
@@ -81,15 +81,13 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
         cell = cell.holding(*_at_once(cell))
     reflected = {} if args["fired"] is None else _reflectance(cell)
     give_back()
-    arrays, squares, doubted = _surfaces(cell)
+    arrays, squares = _surfaces(cell)
     arrays |= reflected
     banks = _flatten(arrays, core, context)
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
-    size = quanta(workflow.products.cell_m)
-    blocks = block_facts(doubted, arrays, core, size)
-    counted = pulses.covered(squares, arrays, context) | blocks
-    counted |= doubt_facts(doubted, arrays, core, size)
+    counted = pulses.covered(squares, arrays, context)
+    counted |= terrain_facts(arrays["dtm_quality"], arrays["dtm"], core)
     give_back()
     found = _pulses(cell)
     judged = found.judged(squares)
@@ -138,8 +136,8 @@ def _reflectance(cell: Cell) -> Rasters:
     return {"intensity": values}
 
 
-def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_], Doubts]:
-    """Rasters of a ground cell, its squares that returns cover, and what speaks against it."""
+def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_]]:
+    """Rasters of a ground cell, and its squares that returns cover."""
     products = cell.context.workflow.products
     # The intensity raster is of detections or of what was delivered.
     seen = surfacing.COLUMNS_OF_INTENSITY if cell.args["fired"] is None else ()
@@ -169,7 +167,7 @@ def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_], Doubts]:
         for part in parts:
             take(part)
     squares = flown.squares(pulses.of_interest(cell.context))
-    return made.rasters(), squares, made.doubts()
+    return made.rasters(), squares
 
 
 def _pulses(cell: Cell) -> pulses.Pulses:

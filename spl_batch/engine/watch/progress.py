@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from spl_batch.engine.findings import Finding, settled
 from spl_batch.engine.report.parts import FindingReport
-from spl_batch.engine.report.reported import texts
+from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.store.deliveries import Deliveries
 from spl_batch.engine.store.working_store import append_log
@@ -72,8 +72,8 @@ class Progress:
         """Report what was found, alike ones together, once."""
         new = settled(findings, self.ignored, self.findings)
         self.findings += new
-        for text in texts(new):
-            self.tell(Note("warning", text))
+        for one in reported(new, notes=True):
+            self.tell(Note("info" if one.severity == "note" else one.severity, one.text))
 
     def late(self, findings: Iterable[FindingReport]) -> None:
         """Report what only the whole survey shows; the rest was reported as it was found."""

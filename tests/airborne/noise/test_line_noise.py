@@ -248,7 +248,7 @@ def test_dead_and_weak_channels() -> None:
     per_channel = model.gain[1:101] * model.mean_rate / 1.3e-3
     assert per_channel[[7, 8]] == pytest.approx([0.1, 0.1], abs=0.04)
     assert per_channel[20:50] == pytest.approx(np.ones(30), abs=0.15)
-    (dead,) = (one.values for one in model.findings if one.code == "I04")
+    (dead,) = (one.values for one in model.findings if one.code == "I07")
     assert (dead["dead"], dead["what"]) == (2, "4, 53")
 
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.classes import point_classes
 from spl_batch.airborne.classes.buildings import CELLS_M, REACH_M, Floor, buildings
 from spl_batch.airborne.classes.overlap import overlapping
-from spl_batch.airborne.filter import kept_noise
-from spl_batch.airborne.products.air import near_ground, thin_haze, thin_sheets
+from spl_batch.airborne.diagnostics import air_fill
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of
 from spl_batch.airborne.settings import ClassSettings
@@ -44,7 +43,7 @@ class _Known(NamedTuple):
     level_m : float
         Stands for the surface where the DTM is void [m].
     highest : (rows, cols) float32
-        Highest ground of raster cells (:func:`~.near_ground.highest_ground`) [m].
+        Highest ground of raster cells (:func:`~.air_fill.highest_ground`) [m].
     floor : Floor, optional
         The ground around buildings, where these are looked for.
     lines : sequence of (2, k) int64
@@ -60,23 +59,22 @@ class _Known(NamedTuple):
     noise_m3: float | None
 
 
-class _Told(NamedTuple):
-    """Labels of the points of a part, and places and blocks of air that returns fill."""
+class _Labelled(NamedTuple):
+    """Labels of the points of a part, and blocks of air that returns fill."""
 
     labels: Labelled
-    filled: list[int]
-    air: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None
+    air: NDArray[np.bool_] | None
 
 
 def step_q(asked: ClassSettings) -> int:
     """Parts of a cell are cut at multiples of this: places that are judged as one [quanta]."""
-    squares_m = (near_ground.SQUARE_M, *(CELLS_M if asked.building else ()))
+    squares_m = (air_fill.PLACE_M, *(CELLS_M if asked.building else ()))
     return lcm(*map(quanta, squares_m))
 
 
 def reach_q(asked: ClassSettings) -> int:
     """What a part of a cell reads around it [quanta]."""
-    return quanta(max(kept_noise.EDGE_M, REACH_M if asked.building else 0.0))
+    return quanta(REACH_M if asked.building else 0.0)
 
 
 def columns(workflow: Workflow) -> tuple[str, ...]:
@@ -117,20 +115,14 @@ def classes(
         noise.add(points(part)[0], part)
     arrays["noise"] = noise.raster()
     floor = _floor(cell) if building else None
-    highest = near_ground.highest_ground(arrays["dtm"])
+    highest = air_fill.highest_ground(arrays["dtm"])
     known = _Known(noise.level_m(), highest, floor, lines, _median(arrays["noise"]))
-    told = [_tell(cell, points(part), part, arrays["dtm"], known) for part in parts]
-    facts: dict[str, Any] = {"kept_noise": noise.kept}
-    if known.noise_m3 is not None:
-        facts["filled"] = np.sum([part.filled for part in told], axis=0).tolist()
-        air = [part.air for part in told if part.air is not None]
-        if air:
-            blocks, low = (np.concatenate(parts, axis=1) for parts in zip(*air, strict=True))
-            facts["thin_haze"] = thin_haze.layers(blocks, cell.core)
-            facts["mist"] = thin_haze.mist(low, cell.core)
+    found = [_label(cell, points(part), part, arrays["dtm"], known) for part in parts]
+    air = [part.air for part in found if part.air is not None]
+    facts = air_fill.fill_facts(np.concatenate(air, axis=1), cell.core) if air else {}
     path = cell.context.store.labels("classes", cell.args["cell"])
-    write_labels(path, [part.labels for part in told])
-    return path, facts, sum(len(part.labels[0].row) for part in told)
+    write_labels(path, [part.labels for part in found])
+    return path, facts, sum(len(part.labels[0].row) for part in found)
 
 
 class _Noise:
@@ -143,11 +135,9 @@ class _Noise:
         self._count = np.zeros(len(self._total), np.int64)
         # Heights of signal and how many have each: few, however many points there are.
         self._heights: list[tuple[NDArray[np.int32], NDArray[np.int64]]] = []
-        self.kept = 0
 
     def add(self, table: PointTable, part: Bounds) -> None:
         """Take in the points of a part, those around it among them."""
-        self.kept += kept_noise.within_signal(table, part)
         owned = inside(table["x"], table["y"], part)
         mine = table.select(("x", "y", "noise_density")).take(owned)
         # Sums in 64 bits of so few values of 24 bits each are exact: their order does not count.
@@ -195,13 +185,13 @@ def _usable(table: PointTable) -> NDArray[np.bool_]:
     return usable & ~table.has(EXCLUDED)
 
 
-def _tell(
+def _label(
     cell: Cell,
     found: tuple[PointTable, Origin],
     part: Bounds,
     dtm: NDArray[np.float32],
     known: _Known,
-) -> _Told:
+) -> _Labelled:
     """Classes and flags of the points of a part."""
     table, origin = found
     asked = cell.context.workflow.classes
@@ -222,14 +212,7 @@ def _tell(
             flags[noise] |= FLAG_WITHHELD
         if asked.overlap:
             flags[overlapping(known.lines, mine["x"], mine["y"])] |= FLAG_OVERLAP
-    filled: list[int] = []
     air = None
     if known.noise_m3 is not None:
-        placed = near_ground.placed(mine, part, known.highest[:, within])
-        filled = near_ground.filled_places(placed, known.noise_m3)
-        if placed is not None:
-            air = (
-                thin_haze.filled_blocks(placed, known.noise_m3) | thin_sheets.sheets(placed),
-                near_ground.low_places(placed, known.noise_m3),
-            )
-    return _Told((origin.of(owned), labels), filled, air)
+        air = air_fill.filled_blocks(mine, part, known.highest[:, within], known.noise_m3)
+    return _Labelled((origin.of(owned), labels), air)

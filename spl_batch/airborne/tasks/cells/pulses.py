@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.classes.overlap import lines_by_square
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.products.doubts.terrain_doubts import UNSURE_M
 from spl_batch.airborne.products.footprint import SQUARE_Q, Covered, Within, refused, whole_squares
 from spl_batch.airborne.products.surface_rasters import margin_cells
 from spl_batch.airborne.pulses.level_places import SQUARE_M, places_in
@@ -33,12 +32,6 @@ _CELLS: Final = "cells_by_returns"
 
 _VOIDS: Final = "voids"
 """Fact of a ground cell: raster cells that were flown and have no terrain height [count]."""
-
-_HEIGHTS: Final = "heights"
-"""Fact of a ground cell: raster cells with a terrain height [count]."""
-
-_UNSURE: Final = "unsure"
-"""Fact of a ground cell: those whose standard deviation is more than :data:`UNSURE_M` [count]."""
 
 PULSES: Final = "pulses"
 """Fact of a ground cell: first returns on flown squares with signal around, no water [count]."""
@@ -91,7 +84,7 @@ def covered(
     squares : (rows, cols) bool
         Its squares that returns cover, within the area of interest.
     arrays : mapping of str to (rows, cols) float32
-        Its rasters; ``dtm``, ``dtm_quality`` and ``density`` are looked at.
+        Its rasters; ``dtm`` and ``density`` are looked at.
     """
     products = context.workflow.products
     flown = arrays["density"] != NODATA
@@ -101,8 +94,6 @@ def covered(
         _SQUARES: int(np.count_nonzero(squares)),
         _CELLS: dict(zip(map(str, values.tolist()), counts.tolist(), strict=True)),
         _VOIDS: int(np.count_nonzero(arrays["dtm"][flown] == NODATA)),
-        _HEIGHTS: int(np.count_nonzero(arrays["dtm"] != NODATA)),
-        _UNSURE: int(np.count_nonzero(arrays["dtm_quality"] > UNSURE_M)),
     }
 
 

@@ -1,0 +1,223 @@
+"""Whether noise is what its model expects: by layer, in haze, and where it lies alone.
+
+*Layers*: away from surfaces and haze cubes of 5 m hold noise alone. Their returns are compared with
+the model's, in bands of 20 m of height, for the whole survey and for each block.
+
+*Haze*: cubes that hold much more noise, evenly, are taken for haze
+(:mod:`spl_batch.airborne.noise.haze`); their returns are class 18.
+
+*P-values*: below all surfaces noise lies alone. There small p-values of the calibrated test are
+uniform if its model holds: clusters, or denser noise, have too many of them, thinner noise too few.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.diagnostics.patches import largest_of_squares
+from spl_batch.airborne.noise.haze import CUBE_M, WINDOW
+from spl_batch.constants import QUANTUM_M
+from spl_batch.engine.findings import Finding
+from spl_batch.engine.report.run_record import Receipts
+
+RATIO: Final = 1.25
+SHARE: Final = 0.15
+"""Times more, or less, noise than expected that a survey is warned of, and the part of the noise
+that it must concern; the model is within 1.03 in all strata that were simulated."""
+
+CELL_RATIO: Final = 1.5
+CELL_SHARE: Final = 0.3
+"""The same two of a block: those of 100 m of a scene that fits had 0.71 to 1.16 times the noise."""
+
+CELL_LEAST: Final = 300.0
+"""Noise that a block must be expected to hold to be judged alone [count]."""
+
+SIGMAS: Final = 5.0
+"""Standard deviations of a number of returns within which a difference is chance."""
+
+BAND: Final = 4
+"""Layers of cubes in a band: 20 m."""
+
+HAZE_M2: Final = 500.0
+"""Area of haze that is warned of [m2]."""
+
+P_VALUES: Final = (0.01, 0.02, 0.05, 0.1, 0.2)
+"""Values up to which p-values are counted. Larger ones are not resolved where noise is thin."""
+
+P_LEAST: Final = 200
+"""Returns that a value must have by the model: p-values of neighbours hang together, so that chance
+makes twice the difference that it makes otherwise [count]."""
+
+P_TIMES: Final = (0.5, 1.5)
+"""Small p-values over uniform ones that are no reason to warn: without beamlet numbers they are
+0.64, and nothing is lost."""
+
+
+class Band(NamedTuple):
+    """Noise between two heights."""
+
+    low_m: float
+    high_m: float
+    ratio: float  #: Returns over those that are expected.
+    off: float  #: Returns too many or too few, over all that are expected at any height [1].
+
+
+class Haze(NamedTuple):
+    """Air that sends light back before the surface does, of a whole survey."""
+
+    low_m: float  #: Height above which 95 % of its returns lie.
+    high_m: float  #: Height below which 95 % of them lie.
+    area_m2: float
+    place: tuple[float, float, float, float]  #: Box around its largest place [m].
+    returns: int
+    per_m3: float  #: Mean density of these [1/m3].
+    times_expected: float  #: These over the number that the model expects, of at least one.
+
+
+def noise_findings(done: Receipts) -> Iterator[Finding]:
+    """Noise that differs from what is expected, haze, and p-values that are not uniform."""
+    yield from _layer_findings(done.get("denoise", {}))
+    found = haze(done)
+    if found is not None:
+        values = {
+            "low_m": found.low_m,
+            "high_m": found.high_m,
+            "area_m2": found.area_m2,
+            "ratio": found.times_expected,
+        }
+        yield Finding("N03", values, place=found.place)
+    yield from _p_value_findings(done)
+
+
+def _layer_findings(blocks: Mapping[str, Any]) -> Iterator[Finding]:
+    rows = {name: receipt.facts.get("layers", ()) for name, receipt in blocks.items()}
+    whole = _bands([row for some in rows.values() for row in some], RATIO, SHARE)
+    for band in sorted(whole, key=lambda one: -one.off)[:1]:
+        yield _of_band(band)
+    for name, some in rows.items():
+        if whole or sum(row[2] for row in some) < CELL_LEAST:
+            continue
+        for band in sorted(_bands(some, CELL_RATIO, CELL_SHARE), key=lambda one: -one.off)[:1]:
+            core = blocks[name].facts["core"]
+            place = tuple(side * QUANTUM_M for side in core)
+            yield _of_band(band, name, place)
+
+
+def _of_band(band: Band, name: str = "", place: tuple[float, ...] | None = None) -> Finding:
+    values = {"ratio": band.ratio, "low_m": band.low_m, "high_m": band.high_m}
+    return Finding("N02", values, name, place, band.off)
+
+
+def _bands(layers: Sequence[Sequence[float]], ratio: float, share: float) -> list[Band]:
+    """Heights in which noise differs from what is expected, joined where they touch.
+
+    ``layers``: index, returns and expected returns of each.
+    """
+    rows = np.array(layers, dtype=np.float64).reshape(-1, 3)
+    if not len(rows):
+        return []
+    band, at = np.unique(np.floor(rows[:, 0] / BAND), return_inverse=True)
+    seen, expected = (np.bincount(at, rows[:, k]).astype(np.float64) for k in (1, 2))
+    differs = np.abs(seen - expected) > SIGMAS * np.sqrt(np.maximum(expected, 1.0))
+    differs &= (seen > ratio * expected) | (seen < expected / ratio)
+    total = float(expected.sum())
+    if expected[differs].sum() < share * total:
+        return []
+    more, edge = seen > expected, BAND * CUBE_M
+    same = (np.diff(band) == 1) & (differs[1:] == differs[:-1]) & (more[1:] == more[:-1])
+    found = []
+    for run in np.split(np.arange(len(band)), np.flatnonzero(~same) + 1):
+        if differs[run[0]]:
+            here, model = float(seen[run].sum()), float(expected[run].sum())
+            low_m, high_m = float(band[run[0]]) * edge, float(band[run[-1]] + 1) * edge
+            off = abs(here - model) / total
+            found.append(Band(low_m, high_m, min(here / max(model, 1e-3), 999.0), off))
+    return found
+
+
+def haze(done: Receipts) -> Haze | None:
+    """Haze of a whole survey; None where there is less than :data:`HAZE_M2`."""
+    listed = [
+        place
+        for receipt in done.get("denoise", {}).values()
+        for place in receipt.facts.get("air", ())
+        if place[8] >= RATIO * place[9]
+    ]
+    if not listed:
+        return None
+    rows = np.array(listed)
+    area_m2 = float(rows[:, 6].sum()) * CUBE_M**2
+    if area_m2 < HAZE_M2:
+        return None
+    at = (rows[:, :2] // WINDOW).astype(np.int64)
+    _, place = largest_of_squares(at, WINDOW * CUBE_M)
+    returns, expected = float(rows[:, 8].sum()), float(rows[:, 9].sum())
+    low_m, high_m = (
+        CUBE_M * _weighted(rows[:, k], rows[:, 8], share) for k, share in ((4, 0.05), (5, 0.95))
+    )
+    return Haze(
+        low_m,
+        high_m + CUBE_M,
+        area_m2,
+        place,
+        int(returns),
+        returns / (float(rows[:, 7].sum()) * CUBE_M**3),
+        returns / max(expected, 1.0),
+    )
+
+
+def _weighted(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
+    """Value that so much of the weight does not exceed."""
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order]) / weights.sum()
+    return float(values[order[np.searchsorted(below, share)]])
+
+
+def uniformity(counts: NDArray[np.int64]) -> tuple[float, float] | None:
+    """Small p-values over uniform ones, where they are farthest from 1, and up to which value.
+
+    None where too few returns show it.
+
+    Parameters
+    ----------
+    counts : (len(P_VALUES) + 1,) int64
+        Returns up to each value and not up to the one before, and beyond all.
+    """
+    total, value = int(counts.sum()), np.array(P_VALUES)
+    times = np.cumsum(counts)[:-1] / (max(total, 1) * value)
+    enough = total * value >= P_LEAST
+    if not enough.any():
+        return None
+    worst = int(np.where(enough, np.abs(np.log(np.maximum(times, 1e-6))), -1.0).argmax())
+    return float(times[worst]), P_VALUES[worst]
+
+
+def p_values(done: Receipts) -> NDArray[np.int64]:
+    """Returns of a whole survey by p-value, where noise lies alone."""
+    counts = np.zeros(len(P_VALUES) + 1, np.int64)
+    for receipt in done.get("ground", {}).values():
+        counts += np.array(receipt.facts.get("p_values", counts * 0), np.int64)
+    return counts
+
+
+def _p_value_findings(done: Receipts) -> Iterator[Finding]:
+    cells = done.get("ground", {})
+    known = {name: r.facts for name, r in cells.items() if "p_values" in r.facts}
+    off = []
+    for name, facts in known.items():
+        found = uniformity(np.array(facts["p_values"], np.int64))
+        if found is not None and not P_TIMES[0] < found[0] < P_TIMES[1]:
+            off.append((name, found, facts))
+    if off:
+        for name, (times, value), facts in off:
+            place = tuple(side * QUANTUM_M for side in facts["core"])
+            values = {"times": times, "p_value": value, "returns": sum(facts["p_values"])}
+            yield Finding("N05", values, name, place, abs(float(np.log(max(times, 1e-6)))))
+        return
+    total = p_values(done)
+    found = uniformity(total)
+    if found is not None and not P_TIMES[0] < found[0] < P_TIMES[1]:
+        values = {"times": found[0], "p_value": found[1], "returns": int(total.sum())}
+        yield Finding("N05", values)

@@ -1,1 +1,0 @@
-"""Air that the filter takes for signal: fog, mist, layers and sheets of haze, which are told."""

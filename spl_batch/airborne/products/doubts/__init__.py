@@ -1,1 +1,0 @@
-"""Terrain that may be wrong: gaps in the ground, and roofs that stay."""

@@ -1,1 +1,0 @@
-"""What a report says of noise that does not fit its model."""
