@@ -353,8 +353,7 @@ def in_spheres(tree: cKDTree, places: NDArray[np.int32], radius: int) -> NDArray
     A point at the radius is outside; squares of distances are whole numbers.
     """
     reach = math.sqrt(radius * radius - 0.5)
-    found: NDArray[np.int64] = tree.query_ball_point(places, reach, return_length=True)
-    return found.astype(np.int64)
+    return np.asarray(tree.query_ball_point(places, reach, return_length=True), np.int64)
 
 
 def in_cylinders(
@@ -375,8 +374,8 @@ def in_cylinders(
     open_ = open_[in_spheres(tree, xyz[rows[open_]], math.ceil(around) + 1) >= least]
     for first in range(0, len(open_), BATCH):
         some = open_[first : first + BATCH]
-        near = tree.query_ball_point(xyz[rows[some]], around)
-        place = np.repeat(np.arange(len(some)), [len(one) for one in near])
+        near: list[list[int]] = list(tree.query_ball_point(xyz[rows[some]], around))
+        place = np.repeat(np.arange(len(some)), list(map(len, near)))
         away = xyz[np.concatenate(near).astype(np.intp)].astype(np.int64) - xyz[rows[some]][place]
         inside = away[:, 0] ** 2 + away[:, 1] ** 2 < radius**2
         inside &= 2 * np.abs(away[:, 2]) < height
