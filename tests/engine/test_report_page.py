@@ -172,7 +172,7 @@ def linear_report(**changes: Any) -> Report:
     }
     made = whole.provenance.model_copy(update={"parameters": parameters})
     values = {"survey": survey, "counts": counts, "noise": Noise(), "accuracy": None,
-              "provenance": made, "warnings": ()}  # fmt: skip
+              "provenance": made, "findings": ()}  # fmt: skip
     return make_report(**{**values, **changes})
 
 
