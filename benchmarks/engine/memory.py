@@ -34,7 +34,6 @@ from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.store import label_tables
 from spl_batch.airborne.tasks import space_domain
 from spl_batch.airborne.tasks.cells import ground_cell
-from spl_batch.engine.flow import job
 from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt, Task
@@ -60,16 +59,16 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
         region.append(len(found[0]))
         return found
 
-    def watched(task: Task, key: str, context: Context) -> Receipt:
+    def watched(task: Task, key: str, context: Context, run: str = "") -> Receipt:
         region.clear()
         with Peak().watching() as peak:
-            receipt = plain(task, key, context)
+            receipt = plain(task, key, context, run)
         held = region[0] if region else max(task.points, receipt.points)
         seen[task.kind].append((peak.highest - peak.before, held, peak.before))
         return receipt
 
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
-        stack.enter_context(mock.patch.object(job, "run_task", watched))
+        stack.enter_context(mock.patch.object(runner, "run_task", watched))
         for tasks in (space_domain, ground_cell):
             stack.enter_context(mock.patch.object(tasks, "read_region", counted))
         for attempt in ("first", "second"):  # the first one loads and compiles

@@ -161,10 +161,10 @@ def client(tiles: int, memory_bytes: int) -> None:
             for _ in work.look():
                 pass
             largest = 0
-            for k, (task, _) in enumerate(work.jobs()):
+            for k, task in enumerate(work.tasks()):
                 if k % MEASURED == 0:
                     largest = max(largest, len(pickle.dumps(replace(task, needs=()))))
-                work.ended(_done(task, side))
+                survey.of(step.name).put(_done(task, side))
             survey.of(step.name).sort()
             spent = time.process_time() - start
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -189,11 +189,11 @@ class Imaging(Receiver[Survey, Context]):
         survey = prepared.ledger
         if step.name == "index_file":
             return stretches_anew(survey)
-        if step.name == "strip_pairs" and survey.workflow.survey.align != "none":
+        if step.name == "align" and survey.workflow.survey.align != "none":
             if bool(survey.of("index_file")) and is_one_flightline(survey):
                 texts = ["survey.align: there is one flightline, nothing is shifted"]
             else:
-                found = (shifts_of(r.facts) for r in survey.of("strip_pairs").values())
+                found = (shifts_of(r.facts) for r in survey.of("align").values())
                 texts = [done_sentence(s) for s in found if not all(one.stays for one in s)]
             return [Finding("E01", {"kind": "memory", "what": text}) for text in texts]
         return blocks_anew(survey, prepared.context) if step.name == "build_tile" else ()
@@ -289,7 +289,7 @@ def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
     if step.name == "strip_patches":
         cells = survey.of("strip_patches").items()
         yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
-    if step.name == "ground":
+    if step.name == "strip_pairs":
         apart = sum(r.facts.get("apart", 0) for r in survey.of("ground").values())
         for receipt in survey.of("strip_pairs").values():
             align = survey.workflow.survey.align

@@ -79,6 +79,9 @@ def _target(task: Task, _: Any) -> list[str]:
     return [task.args["target"]]
 
 
+_SHUFFLED: Final = ("build_tile", "align")
+"""What the space domain is planned from: its points by tile, and whether flightlines are moved."""
+
 _cell = partial(_step, unit="ground cell", edge_m=_cell_m)
 _delivery = partial(_step, stage="deliver", delivers=_target)
 
@@ -89,6 +92,7 @@ STEPS: Final[Steps] = table(
         "tasks.index:look_through",
         tasks="time_tasks:trajectory_file",
         settings=("survey.trajectory_crs",),
+        after=(),
     ),
     _step(
         "index_part",
@@ -96,6 +100,7 @@ STEPS: Final[Steps] = table(
         "tasks.index:index_part",
         tasks="time_tasks:index_part",
         settings=_INDEXED,
+        after=(),
     ),
     _step(
         "index_file",
@@ -105,6 +110,7 @@ STEPS: Final[Steps] = table(
         settings=_INDEXED,
         unit="file",
         bytes_per_point=300,
+        after=("index_part",),
     ),
     _step(
         "trajectory",
@@ -113,6 +119,7 @@ STEPS: Final[Steps] = table(
         tasks="time_tasks:trajectory",
         settings=("survey.trajectory_crs",),
         essential=True,
+        after=("trajectory_file", "index_file"),
     ),
     _step("heading", "shots", "tasks.index:find_heading", tasks="time_tasks:heading"),
     _step(
@@ -131,8 +138,8 @@ STEPS: Final[Steps] = table(
         tasks="time_tasks:gather_range",
         settings=("survey.channel_dimension",),
         unit="stretch",
-        beside=True,
         bytes_per_point=300,
+        after=("index_file",),
     ),
     _step("sensor_path", "shots", "tasks.lines_of_sight:find_path", tasks="time_tasks:sensor_path"),
     _step(
@@ -182,14 +189,15 @@ STEPS: Final[Steps] = table(
         unread=frozenset({"noise_class"}),
         bytes_per_point=150,
         remedy="lower tiling.tile_m",
+        after=("build_tile",),
     ),
     _cell(
         "strip_patches",
         "ground",
         "lines.comparison:strip_patches",
-        tasks="strip_tasks:patches",
-        bytes_per_point=80,
-        remedy="lower ground.cell_m",
+        tasks="strip_tasks:recorded_patches",
+        after=("build_tile",),
+        bind=f"{_HOME}.tasks.bindings:labelled",
     ),
     _step(
         "strip_pairs",
@@ -197,6 +205,7 @@ STEPS: Final[Steps] = table(
         "lines.comparison:strip_pairs",
         tasks="strip_tasks:pairs",
         settings=("survey.align",),
+        after=("recorded_patches",),
     ),
     _cell(
         "ground",
@@ -206,6 +215,18 @@ STEPS: Final[Steps] = table(
         settings=("ground",),
         bytes_per_point=215,
         remedy="lower ground.cell_m or ground.buffer_m",
+        after=_SHUFFLED,
+        bind=f"{_HOME}.tasks.bindings:labelled",
+    ),
+    _cell(
+        "strip_patches",
+        "ground",
+        "lines.comparison:strip_patches",
+        tasks="strip_tasks:patches",
+        bytes_per_point=80,
+        remedy="lower ground.cell_m",
+        after=_SHUFFLED,
+        bind=f"{_HOME}.tasks.bindings:labelled",
     ),
     _cell(
         "surface",
@@ -216,6 +237,15 @@ STEPS: Final[Steps] = table(
         unread=frozenset({"rasters"}),
         bytes_per_point=175,
         remedy="lower ground.cell_m or products.void_max_m",
+        after=_SHUFFLED,
+        bind=f"{_HOME}.tasks.bindings:on_ground",
+    ),
+    _step(
+        "strip_pairs",
+        "surfaces",
+        "lines.comparison:strip_pairs",
+        tasks="strip_tasks:pairs",
+        after=("strip_patches", "align"),
     ),
     _delivery(
         "deliver_file",
@@ -223,31 +253,34 @@ STEPS: Final[Steps] = table(
         tasks="space_tasks:deliver",
         settings=("outputs.diagnostics", *_CLASSES),
         delivers=_clouds,
+        after=_SHUFFLED,
+        bind=f"{_HOME}.tasks.bindings:delivered",
     ),
     _delivery(
         "deliver_tile",
         run="tasks.delivery:deliver_tile",
         tasks="space_tasks:deliver_tiles",
         settings=("outputs.tiles", *_CLASSES),
-        beside=True,
         edge_m=_tile_m,
         delivers=_tiles,
         bytes_per_point=280,
+        after=_SHUFFLED,
+        bind=f"{_HOME}.tasks.bindings:delivered_tile",
     ),
     _delivery(
         "mosaic",
         run="tasks.delivery:mosaic",
         tasks="space_tasks:mosaic",
         settings=("ground.cell_m", "products.cell_m", "products.void_max_m", "aoi"),
-        beside=True,
         delivers=_rasters,
+        after=("surface",),
     ),
     _step(
         "reference",
         "report",
         "tasks.reference:reference",
         tasks="reference_tasks:reference",
-        beside=True,
+        after=("surface",),
     ),
     _delivery(
         "deliver_copc",
@@ -255,25 +288,26 @@ STEPS: Final[Steps] = table(
         tasks="catalogue_tasks:deliver_copc",
         bytes_per_point=280,
         remedy="set outputs.copc: false, and outputs.tiles: copc for octrees by tile",
+        after=("deliver_file",),
     ),
     _delivery(
         "deliver_hillshade",
         run="tasks.delivery:deliver_hillshade",
         tasks="space_tasks:hillshade",
-        beside=True,
+        after=("mosaic",),
     ),
     _delivery(
         "deliver_differences",
         run="tasks.delivery:deliver_differences",
         tasks="strip_tasks:differences",
-        beside=True,
+        after=("strip_pairs",),
     ),
     _delivery(
         "deliver_geoid",
         run="tasks.delivery:deliver_geoid",
         tasks="space_tasks:geoid",
         settings=("outputs.geoid",),
-        beside=True,
+        after=("mosaic",),
     ),
     _step(
         "accuracy",
@@ -282,9 +316,9 @@ STEPS: Final[Steps] = table(
         tasks="reference_tasks:accuracy",
         settings=("products.cell_m",),
         unit="square of the reference",
-        beside=True,
         bytes_per_point=300,
         remedy="cut the reference into files that fill their bounding boxes evenly",
+        after=("reference", "mosaic"),
     ),
     _step(
         "checkpoints",
@@ -293,7 +327,7 @@ STEPS: Final[Steps] = table(
         tasks="reference_tasks:checkpoints",
         settings=("reference.checkpoints_crs", "reference.checkpoints_accuracy_m"),
         unit="file",
-        beside=True,
+        after=("mosaic",),
     ),
     # It lists everything that is delivered, the checkpoints too: so it comes last.
     _step(

@@ -8,6 +8,7 @@ import pytest
 
 from spl_batch.engine.flow import executor
 from spl_batch.engine.flow.job import Footing
+from spl_batch.engine.tasks.task import Job, Task
 
 
 class Heard:
@@ -51,10 +52,21 @@ class Client:
         """There is nothing to let go of."""
 
 
+class Idle:
+    """Takes jobs and does none."""
+
+    def submit(self, *_: object) -> None:
+        """Nothing is done."""
+
+    def close(self) -> None:
+        """There is nothing to let go of."""
+
+
 @pytest.fixture
 def heard(monkeypatch: pytest.MonkeyPatch) -> Heard:
     monkeypatch.setattr(executor, "local_cluster", slow_to_end)
     monkeypatch.setattr("distributed.Client", Client)
+    monkeypatch.setattr(executor, "OnDask", lambda *_, **__: Idle())
     return Heard()
 
 
@@ -68,12 +80,17 @@ def enter(heard: Heard) -> Any:
     )
 
 
+def begin(pool: Any) -> None:
+    """Submit a job; nobody does it."""
+    pool.submit(Job(Task("ground", "0_0", {}), "key"), None)
+
+
 READY = "ready: here without a dashboard"
 
 
 def test_what_is_done_stays_done(heard: Heard) -> None:
     with enter(heard) as pool:
-        pool.make_ready()
+        begin(pool)
     said = "the workers did not end in time; they end with this process"
     assert heard.notes == [READY, said]
 
@@ -85,7 +102,7 @@ def test_where_nothing_is_to_be_done_no_worker_is_started(heard: Heard) -> None:
 
 
 def fail(pool: Any) -> None:
-    pool.make_ready()
+    begin(pool)
     raise TimeoutError("of the task")
 
 

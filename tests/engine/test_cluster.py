@@ -1,21 +1,20 @@
 """Workers that were started elsewhere: what they must find, and how work flows to them."""
 
 import ast
-import dataclasses
 import logging
 import re
-import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from distributed import Client, LocalCluster, get_worker
+from distributed import Client, LocalCluster
 
-from spl_batch.engine.flow import cluster, dask_flow
-from spl_batch.engine.flow import job as work
+from spl_batch.engine.flow import cluster, dask_flow, job
 from spl_batch.engine.flow.executor import Footing, OnDask
-from spl_batch.engine.tasks.task import Receipt, Task, WorkersSeen
+from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task, WorkersSeen
 from spl_batch.errors import StoppedError
 from tests import clusters
 
@@ -71,7 +70,7 @@ class Watcher:
 @pytest.fixture
 def threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
     monkeypatch.setattr(dask_flow, "TICK_S", 0.05)
-    monkeypatch.setattr(work, "misfit", lambda _: "")
+    monkeypatch.setattr(job, "misfit", lambda _: "")
     with LocalCluster(
         n_workers=1,
         threads_per_worker=1,
@@ -86,43 +85,71 @@ def receipt(task: Task, key: str, reason: str = "") -> Receipt:
     return Receipt(task.kind, task.name, key, "", reason, {}, {}, 0, 0.0, 0.0)
 
 
-def jobs(count: int) -> list[tuple[Task, str]]:
-    return [(Task("denoise", f"{k}_0", {}), f"key {k}") for k in range(count)]
+def jobs(count: int) -> list[Job]:
+    return [Job(Task("denoise", f"{k}_0", {}), f"key {k}") for k in range(count)]
 
 
 def flow_through(
-    threads: LocalCluster, todo: Any, monkeypatch: pytest.MonkeyPatch, do: Any
-) -> tuple[list[Receipt], Watcher]:
-    """Let jobs flow; ``do`` is what workers do with a task, its key and the context."""
-    monkeypatch.setattr(work, "run_task", do)
+    threads: LocalCluster, todo: list[Job], monkeypatch: pytest.MonkeyPatch, do: Any
+) -> tuple[list[Outcome], Watcher]:
+    """Let jobs flow; ``do`` is what workers do with a job and with what it waited for."""
+    before: dict[Any, Receipt] = {}
+
+    def done(one: Job, _context: object, needed: Any, run: str) -> Outcome:
+        outcome: Outcome = do(one, needed)
+        if outcome.receipt and outcome.receipt.failed:
+            before[one.need] = replace(outcome.receipt, facts={"run": run})
+        return outcome
+
+    monkeypatch.setattr(job, "do", done)
+    monkeypatch.setattr(job, "read_receipt", lambda _store, *need: before.get(need))
     watcher, found = Watcher(), []
+    context = SimpleNamespace(store=None)
     with Client(threads) as client:
-        on_dask = OnDask(client, watcher, Footing("", "", "", ""), local=False)
-        on_dask.run(todo, None, found.append)  # type: ignore[arg-type]
+        on_dask = OnDask(client, watcher, Footing("", "", "", "mark"), local=False)
+        try:
+            for one in todo:
+                on_dask.submit(one, context)  # type: ignore[arg-type]
+            found = [on_dask.ended() for _ in todo]
+        finally:
+            on_dask.close()
     return found, watcher
 
 
-def test_a_failure_is_tried_once_more_on_another_worker(
+def test_a_failure_is_tried_once_more(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    threads.scale(2)
-    threads.wait_for_workers(2)
-    tries: list[tuple[str, str]] = []
+    tries: list[str] = []
 
-    def do(task: Task, key: str, _: object) -> Receipt:
-        tries.append((task.name, get_worker().address))
-        before = [name for name, _ in tries].count(task.name)
-        bad = task.name == "3_0" or (task.name == "5_0" and before == 1)
-        return receipt(task, key, "RuntimeError: no" if bad else "")
+    def do(one: Job, _: object) -> Outcome:
+        tries.append(one.task.name)
+        before = tries.count(one.task.name)
+        bad = one.task.name == "3_0" or (one.task.name == "5_0" and before == 1)
+        made = receipt(one.task, one.key, "RuntimeError: no" if bad else "")
+        return Outcome(one.need, made)
 
     found, watcher = flow_through(threads, jobs(8), monkeypatch, do)
-    assert sorted(r.name for r in found) == sorted(task.name for task, _ in jobs(8))
-    assert [r.name for r in found if r.failed] == ["3_0"]
-    for name in ("3_0", "5_0"):
-        workers = [worker for tried, worker in tries if tried == name]
-        assert len(workers) == len(set(workers)) == 2
+    assert sorted(o.need[1] for o in found) == sorted(one.task.name for one in jobs(8))
+    assert [o.need[1] for o in found if o.receipt and o.receipt.failed] == ["3_0"]
     assert len(tries) == 10
-    assert {name for name, _ in watcher.began} == {task.name for task, _ in jobs(8)}
+    assert {name for name, _ in watcher.began} == {one.task.name for one in jobs(8)}
+
+
+def test_a_job_is_given_what_it_waits_for_as_a_value(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = jobs(2)
+    later = Job(Task("ground", "0_0", {}), "", tuple(one.need for one in first))
+    given: list[Any] = []
+
+    def do(one: Job, needed: Any) -> Outcome:
+        if one.task.kind == "ground":
+            given.extend(needed)
+        return Outcome(one.need, receipt(one.task, one.key))
+
+    found, _ = flow_through(threads, [*first, later], monkeypatch, do)
+    assert [o.need for o in given] == [one.need for one in first]
+    assert found[-1].need == later.need
 
 
 def test_what_a_task_needs_is_not_sent(
@@ -130,105 +157,36 @@ def test_what_a_task_needs_is_not_sent(
 ) -> None:
     sent: list[Task] = []
 
-    def do(task: Task, key: str, _: object) -> Receipt:
-        sent.append(task)
-        return receipt(task, key)
+    def do(one: Job, _: object) -> Outcome:
+        sent.append(one.task)
+        return Outcome(one.need, receipt(one.task, one.key))
 
     given = Task("mosaic", "dtm", {"name": "dtm"}, (("surface", "0_0"),) * 1000, 7)
-    flow_through(threads, [(given, "key")], monkeypatch, do)
-    assert sent == [dataclasses.replace(given, needs=())]
+    flow_through(threads, [Job(given, "key")], monkeypatch, do)
+    assert sent == [replace(given, needs=())]
 
 
 def test_a_task_knows_the_limit_of_its_worker(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[int | None] = []
-    monkeypatch.setattr(work, "limit_memory", told.append)
-    flow_through(threads, jobs(1), monkeypatch, lambda task, key, _: receipt(task, key))
-    limits = {worker.memory_manager.memory_limit for worker in threads.workers.values()}
-    assert {*told} == limits
+    limits: list[int | None] = []
+    monkeypatch.setattr(job, "limit_memory", limits.append)
+    done = lambda one, _: Outcome(one.need, receipt(one.task, one.key))  # noqa: E731
+    flow_through(threads, jobs(1), monkeypatch, done)
+    assert {*limits} == {w.memory_manager.memory_limit for w in threads.workers.values()}
 
 
-def test_few_jobs_are_in_flight_and_workers_that_join_are_used(
-    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    taken = 0
-    most = 0
-    done = 0
-    seen: set[str] = set()
-    lock = threading.Lock()
-
-    def todo() -> Iterator[tuple[Task, str]]:
-        nonlocal taken, most
-        for job in jobs(60):
-            taken += 1
-            most = max(most, taken - done)
-            yield job
-
-    def do(task: Task, key: str, _: object) -> Receipt:
-        nonlocal done
-        time.sleep(0.03)
-        with lock:
-            seen.add(get_worker().address)
-            if len(seen) == 1 and task.name == "5_0":
-                threads.sync(threads.scale, 2, asynchronous=True)
-            done += 1
-        return receipt(task, key)
-
-    found, watcher = flow_through(threads, todo(), monkeypatch, do)
-    assert len(found) == 60
-    assert len(seen) == 2
-    assert watcher.looks[-1].threads == 2
-    # What is done may not have been heard of yet.
-    assert most <= 2 * dask_flow.IN_FLIGHT_PER_THREAD + 4
-
-
-def test_a_large_task_waits_for_a_worker_and_not_behind_another_task(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The second largest of what is left goes to whoever is free first."""
-    large, small = dask_flow.LARGE_POINTS, dask_flow.LARGE_POINTS - 1
-    points = [large, large, large, *[small] * 9]
-    todo = ((Task("denoise", str(k), {}, (), n), str(k)) for k, n in enumerate(points))
-    given = dask_flow._Flow(OnDask(None, None, None, local=True), None, todo)  # type: ignore[arg-type]
-    given.threads = {"a": 1, "b": 1}
-
-    def submit(_: object, trial: dask_flow._Try) -> None:
-        given.running[trial.job[1]] = trial
-
-    monkeypatch.setattr(dask_flow._Flow, "_submit", submit)
-    given._feed()
-    assert list(given.running) == ["0", "1"]
-    del given.running["1"]
-    given._feed()
-    assert list(given.running) == ["0", "2", "3", "4", "5", "6"], "small ones go ahead"
-    given.running.clear()
-    given._feed()
-    given._feed()
-    assert list(given.running) == ["7", "8", "9", "10", "11"], "none is lost or done twice"
-
-
-def test_a_second_try_does_not_wait_for_workers_that_are_gone(
-    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    threads.scale(2)
-    threads.wait_for_workers(2)
-    tries: list[str] = []
-
-    def do(task: Task, key: str, _: object) -> Receipt:
-        tries.append(get_worker().address)
-        if len(tries) == 1:
-            other = next(name for name, w in threads.workers.items() if w.address != tries[0])
-            threads.sync(threads.workers[other].close)
-            return receipt(task, key, "RuntimeError: no")
-        return receipt(task, key)
-
-    # The look at the workers that finds one gone comes after the second try is sent.
-    monkeypatch.setattr(dask_flow, "TICK_S", 0.3)
-    found, watcher = flow_through(threads, jobs(1), monkeypatch, do)
-    assert [r.reason for r in found] == [""]
-    assert len(tries) == 2
-    assert any("is lost" in note for note in watcher.notes)
+def test_the_window_follows_the_workers(threads: LocalCluster) -> None:
+    with Client(threads) as client:
+        on_dask = OnDask(client, Watcher(), Footing("", "", "", ""), local=False)
+        assert on_dask.window == dask_flow.HELD_LEAST
+        threads.scale(6)
+        threads.wait_for_workers(6)
+        until = time.monotonic() + 20
+        while on_dask.window == dask_flow.HELD_LEAST and time.monotonic() < until:
+            time.sleep(0.05)
+        assert on_dask.window == 6 * dask_flow.HELD_PER_THREAD
+        on_dask.close()
 
 
 def test_workers_are_found_whatever_the_client_holds(threads: LocalCluster) -> None:
@@ -240,7 +198,7 @@ def test_workers_are_found_whatever_the_client_holds(threads: LocalCluster) -> N
 def test_what_concerns_everything_stops_everything(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*_: object) -> Receipt:
+    def full(*_: object) -> Outcome:
         raise StoppedError("disk full; free some space and run again")
 
     with pytest.raises(StoppedError, match="disk full"):
@@ -250,23 +208,22 @@ def test_what_concerns_everything_stops_everything(
 def test_a_worker_that_joins_with_other_code_stops_the_run(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(work, "misfit", lambda _: "has spl_batch 0.0, here it is 0.1")
+    monkeypatch.setattr(job, "misfit", lambda _: "has spl_batch 0.0, here it is 0.1")
     with pytest.raises(StoppedError, match=r"worker inproc://.* has spl_batch 0.0.*run again"):
-        flow_through(threads, jobs(3), monkeypatch, receipt)
+        flow_through(threads, jobs(3), monkeypatch, print)
 
 
-def test_a_task_that_cannot_be_sent_fails_alone(
+def test_a_task_that_cannot_be_done_fails_alone(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def do(task: Task, key: str, _: object) -> Receipt:
-        if task.name == "1_0":
+    def do(one: Job, _: object) -> Outcome:
+        if one.task.name == "1_0":
             raise LookupError("nothing of the kind here")
-        return receipt(task, key)
+        return Outcome(one.need, receipt(one.task, one.key))
 
     found, _ = flow_through(threads, jobs(3), monkeypatch, do)
-    assert {r.name: r.reason for r in found if r.failed} == {
-        "1_0": "LookupError: nothing of the kind here"
-    }
+    failed = {o.need[1]: o.receipt.reason for o in found if o.receipt and o.receipt.failed}
+    assert failed == {"1_0": "LookupError: nothing of the kind here"}
 
 
 def test_dask_says_nothing_while_a_run_works() -> None:

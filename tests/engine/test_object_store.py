@@ -14,8 +14,8 @@ import pytest
 from moto.server import ThreadedMotoServer
 
 from spl_batch import api
-from spl_batch.engine.flow import job
 from spl_batch.engine.store.working_store import Store, read_receipts
+from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import StoppedError, WorkflowError
 from spl_batch.formats.files import remote
@@ -70,7 +70,7 @@ def test_results_are_those_of_a_local_store(
     survey: Path, expected: Results, bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     url = f"outputs.store={bucket}/one"
-    run_task = job.run_task
+    run_task = runner.run_task
     calls = 0
 
     def killed(*args: Any) -> Receipt:
@@ -81,7 +81,7 @@ def test_results_are_those_of_a_local_store(
         return run_task(*args)
 
     with monkeypatch.context() as patch:
-        patch.setattr(job, "run_task", killed)
+        patch.setattr(runner, "run_task", killed)
         with pytest.raises(KeyboardInterrupt):
             surveys.run(survey, url, until="deliver")
     result = surveys.run(survey, url)

@@ -28,7 +28,7 @@ from spl_batch.engine.store import working_store
 from spl_batch.engine.store.working_store import Store, write_receipt
 from spl_batch.engine.tasks.receipt_index import Shelf
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.engine.tasks.worklist import SORTED, Worklist
+from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.formats.files import atomic
 from spl_batch.lattice.density import from_counts
 from spl_batch.lattice.tiles import CellId, cell_bounds, parse_cell
@@ -62,26 +62,51 @@ def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> Non
     looked = [(task.name, found is not None) for task, found in work.look()]
     assert looked == [("a", False), ("b", True), ("c", False), ("heavy", False)]
     assert (work.left, work.ready, work.points) == (3, 1, 30)
-    assert [(r.name, r.reason) for r in work.refused] == [("heavy", "too large")]
-    jobs = work.jobs()
-    first, _ = next(jobs)
-    assert first.name == "a"
-    assert [t.name for t, _ in jobs] == ["c"]
-    assert work.ended(receipt("ground", "a")).points == 10
-    assert work.ended(work.refused[0]).name == "heavy"
-    assert list(known.of("ground")) == ["b", "a"], "a failed task is not finished"
-    known.of("ground").sort()
-    assert list(known.of("ground")) == ["a", "b"]
+    jobs = [work.job(task) for task in work.tasks()]
+    assert [(job.task.name, bool(job.key)) for job in jobs if job] == [
+        ("a", True),
+        ("c", True),
+        ("heavy", True),
+    ]
+    refused = [work.refusal(job) for job in jobs if job]
+    assert [r.facts["code"] for r in refused if r] == ["F02"]
 
 
-def test_of_some_tasks_the_largest_is_done_first(tmp_path: Path) -> None:
-    def growing(_: Survey) -> Iterator[Task]:
-        for number in range(SORTED + 2):
-            yield Task("ground", str(number), {}, (), number)
+def test_what_a_task_needs_decides_whether_it_waits_or_is_left_out(tmp_path: Path) -> None:
+    known, over = survey(), False
+    step = replace(STEPS["ground"], tasks=tasks, bind=None)
+    work = Worklist(step, known, context(tmp_path), is_over=lambda _: over)
+    task = Task("ground", "a", {}, (("denoise", "0_0"), ("denoise", "1_0")))
+    known.of("denoise").put(receipt("denoise", "0_0"))
+    job = work.job(task)
+    assert job is not None
+    assert (job.key, job.open, [r.name for r in job.found]) == ("", (task.needs[1],), ["0_0"])
+    over = True
+    assert work.job(task) is None
+    known.of("denoise").put(receipt("denoise", "1_0"))
+    job = work.job(task)
+    assert job is not None
+    assert job.key == work.key(task)
 
-    work = Worklist(replace(STEPS["ground"], tasks=growing), survey(), context(tmp_path))
-    order = [int(task.name) for task, _ in work.jobs()]
-    assert order == [*range(SORTED - 1, -1, -1), SORTED + 1, SORTED]
+
+def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
+    known = survey()
+    work = Worklist(STEPS["surface"], known, context(tmp_path))
+    args = {
+        "cell": "0_0",
+        "noise": {"0_0": [["noise", "a"], ["noise", "b"]]},
+        "ground": {"0_0": [["ground", "0_0"], ["ground", "1_0"]]},
+    }
+    needs = (("denoise", "a"), ("denoise", "b"), ("ground", "0_0"), ("ground", "1_0"))
+    task = Task("surface", "0_0", args, needs)
+    known.of("denoise").put(receipt("denoise", "b"))
+    assert work.job(task) is None, "its own ground is missing"
+    known.of("ground").put(receipt("ground", "0_0"))
+    job = work.job(task)
+    assert job is not None
+    assert job.task.args["noise"] == {"0_0": [["noise", "b"]]}
+    assert job.task.args["ground"] == {"0_0": [["ground", "0_0"]]}
+    assert job.task.needs == (needs[1], needs[2])
 
 
 def test_another_need_is_another_key(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ lattices lie on absolute grids, so that a label does not depend on what lies far
 
 import math
 from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -374,8 +374,8 @@ def in_cylinders(
     open_ = open_[in_spheres(tree, xyz[rows[open_]], math.ceil(around) + 1) >= least]
     for first in range(0, len(open_), BATCH):
         some = open_[first : first + BATCH]
-        near: list[list[int]] = list(tree.query_ball_point(xyz[rows[some]], around))
-        place = np.repeat(np.arange(len(some)), list(map(len, near)))
+        near: Any = tree.query_ball_point(xyz[rows[some]], around)
+        place = np.repeat(np.arange(len(some)), [len(one) for one in near])
         away = xyz[np.concatenate(near).astype(np.intp)].astype(np.int64) - xyz[rows[some]][place]
         inside = away[:, 0] ** 2 + away[:, 1] ** 2 < radius**2
         inside &= 2 * np.abs(away[:, 2]) < height

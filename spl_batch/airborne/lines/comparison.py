@@ -23,9 +23,9 @@ from spl_batch.airborne.lines.patches import (
     seen_lines,
 )
 from spl_batch.airborne.lines.sentences import stay_findings
-from spl_batch.airborne.store.flown_lines import SHIFTS, FlownLine, FlownLines
+from spl_batch.airborne.store.flown_lines import SHIFTS, FlownLine, FlownLines, read_shifts
 from spl_batch.airborne.store.label_tables import read_region
-from spl_batch.constants import NODATA, NOISE_SIGNAL
+from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.eastings import once, strips_between
@@ -81,37 +81,40 @@ def _signal(table: PointTable) -> NDArray[np.bool_]:
     return found
 
 
-def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
-    """Put the patches of all cells together, pair by pair; shifts, and a map of differences."""
-    flown = [FlownLine(*one) for one in args["lines"]]
+def align(args: Mapping[str, Any], context: Context) -> Produced:
+    """Find by how much each flightline is shifted, and leave it for all who read its points."""
+    flown = {one.name: one for one in (FlownLine(*fields) for fields in args["lines"])}
     cells = [_read_cell(name, context) for name in args["cells"]]
+    for name in {name for cell in cells for name in cell.names} - flown.keys():
+        flown[name] = FlownLine(name, int(name), -np.inf, np.inf)  # of points without times
     pairs = pair_table((cell.names, cell.patches) for cell in cells)
-    facts: dict[str, Any] = {}
-    outputs = [context.store.path("overlaps", "map.npz")]
-    if context.workflow.survey.align == "vertical":
-        psid = {name: int(name) for cell in cells for name in cell.names if name.isdigit()}
-        psid |= {one.name: one.psid for one in flown}
-        shifts = align_lines([*psid], pairs, _returns(cells))
-        up_q = {one.name: quanta(one.up_m) for one in shifts}
-        facts = {
-            "name": "survey.align",
-            "before": [list(pair) for pair in pairs],
-            "shifts": [list(one) for one in shifts],
-            "findings": [*stay_findings(shifts)],
-        }
-        spans = {one.name: (one.first_s, one.last_s) for one in flown}
-        moved = [
-            FlownLine(name, psid[name], *spans.get(name, (-np.inf, np.inf)), up)
-            for name, up in up_q.items()
-        ]
-        outputs.append(context.store.path(*SHIFTS))
-        write_arrays(outputs[-1], FlownLines(moved).to_arrays())
-        cells = [_shifted(cell, {one.name: one.up_m for one in shifts}) for cell in cells]
+    shifts = align_lines([*flown], pairs, _returns(cells))
+    lines = [flown[one.name]._replace(up_q=quanta(one.up_m)) for one in shifts]
+    path = context.store.path(*SHIFTS)
+    write_arrays(path, FlownLines(lines).to_arrays())
+    facts = {
+        "name": "survey.align",
+        "shifts": [list(one) for one in shifts],
+        "findings": [*stay_findings(shifts)],
+    }
+    return Produced([path], facts)
+
+
+def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
+    """Put the patches of all cells together, pair by pair; a map of their differences."""
+    cells, facts = [_read_cell(name, context) for name in args["cells"]], {}
+    pairs = pair_table((cell.names, cell.patches) for cell in cells)
+    lines = read_shifts(args, context.store)
+    if args.get("aligned"):
+        facts["before"] = [list(pair) for pair in pairs]
+    if lines is not None:
+        cells = [_shifted(cell, lines) for cell in cells]
         pairs = pair_table((cell.names, cell.patches) for cell in cells)
-    write_arrays(outputs[0], _map([cell.patches for cell in cells]))
+    path = context.store.path("overlaps", "map.npz")
+    write_arrays(path, _map([cell.patches for cell in cells]))
     facts["pairs"] = [list(pair) for pair in pairs]
-    facts["not_compared"] = sorted(_overlaps(cells) - {(one.first, one.second) for one in pairs})
-    return Produced(outputs, facts)
+    known = {(one.first, one.second) for one in pairs}
+    return Produced([path], {**facts, "not_compared": sorted(_overlaps(cells) - known)})
 
 
 def _read_cell(name: str, context: Context) -> _Cell:
@@ -123,17 +126,17 @@ def _read_cell(name: str, context: Context) -> _Cell:
     return _Cell(names, returns, overlaps, arrays)
 
 
-def _shifted(cell: _Cell, up_m: Mapping[str, float]) -> _Cell:
+def _shifted(cell: _Cell, lines: FlownLines) -> _Cell:
     """A ground cell whose flightlines have got their shifts."""
-    up = np.array([up_m[name] for name in cell.names])
+    up = np.array([lines.up_of(name) for name in cell.names]) * QUANTUM_M
     patches = cell.patches
     rise = patches["rise"] + up[patches["second"]] - up[patches["first"]]
     return cell._replace(patches={**patches, "rise": rise})
 
 
 def shifts_of(facts: Mapping[str, Any]) -> list[LineShift]:
-    """Shifts that :func:`strip_pairs` has found, by its receipt; none where none are asked for."""
-    return [LineShift(*line) for line in facts.get("shifts", ())]
+    """Shifts that :func:`align` has found, by its receipt."""
+    return [LineShift(*line) for line in facts["shifts"]]
 
 
 def pairs_of(facts: Mapping[str, Any], key: str = "pairs") -> list[PairDifference]:

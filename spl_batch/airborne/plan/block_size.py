@@ -16,7 +16,6 @@ from spl_batch.airborne.plan.space_units import unit_within
 from spl_batch.airborne.plan.task_memory import points_within
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.store.working_store import Store, read_json, write_json
-from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import DamagedError
 from spl_batch.lattice.density import Cut, Piece
 from spl_batch.lattice.tiles import Bounds, BoxIndex, CellId, cell_bounds, quanta
@@ -131,15 +130,15 @@ def block_points(memory_bytes: int) -> float:
 
 
 class Holders:
-    """Finished blocks by the tiles that they own."""
+    """Blocks by the tiles that they own."""
 
-    def __init__(self, done: Mapping[str, Receipt], tile_q: int) -> None:
+    def __init__(self, names: Iterable[str], tile_q: int) -> None:
         self._tile_q = tile_q
-        self._blocks = {name: parse_block(name) for name in done}
+        self._blocks = {name: parse_block(name) for name in names}
         self._index = BoxIndex({name: block.core(tile_q) for name, block in self._blocks.items()})
 
     def of(self, tiles: Collection[CellId]) -> dict[CellId, list[str]]:
-        """Block that holds labels of each tile, none where it has failed; by tile."""
+        """Block that holds labels of each tile, by tile."""
         if not tiles:
             return {}
         near = self._index.overlapping(around(tiles).core(self._tile_q))

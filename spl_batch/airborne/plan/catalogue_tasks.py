@@ -78,8 +78,8 @@ def _steps(survey: Survey) -> Iterator[str]:
         yield f"Noise was classified by the filter {workflow.filter.method}."
     if workflow.afterpulse.enabled:
         yield "Afterpulses of the detector were classified."
-    for shifts in filter(None, (shifts_of(r.facts) for r in survey.of("strip_pairs").values())):
-        sentence = done_sentence(shifts)
+    for receipt in survey.of("align").values():
+        sentence = done_sentence(shifts_of(receipt.facts))
         yield f"{sentence[0].upper()}{sentence[1:]}."
     yield f"Ground was classified by the method {workflow.ground.method}."
     yield f"Rasters of {workflow.products.cell_m:g} m were made of the signal."

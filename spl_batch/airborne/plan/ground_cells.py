@@ -15,7 +15,6 @@ import numpy as np
 
 from spl_batch.airborne.plan.space_units import Unit, unit_within
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.density import Box, Peak, largest
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, grow, quanta
 
@@ -147,14 +146,9 @@ class GroundCells(NamedTuple):
         for cell in sorted(touched):
             yield unit_within(self.core(cell), counts, tile_q, halo_q, (str(cell), cell))
 
-    def owners(
-        self, tiles: Iterable[CellId], tile_q: int, done: Mapping[str, Receipt]
-    ) -> dict[CellId, list[str]]:
-        """Finished cells that may hold labels of each tile, by tile."""
-        return {
-            tile: [str(cell) for cell in self._of_tile(tile, tile_q) if str(cell) in done]
-            for tile in tiles
-        }
+    def owners(self, tiles: Iterable[CellId], tile_q: int) -> dict[CellId, list[str]]:
+        """Cells that may hold labels of each tile, by tile."""
+        return {tile: [str(cell) for cell in self._of_tile(tile, tile_q)] for tile in tiles}
 
     def _of_tile(self, tile: CellId, tile_q: int) -> Iterable[CellId]:
         """Cells that own points of a tile, or could, each once."""

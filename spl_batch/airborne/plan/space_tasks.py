@@ -124,7 +124,7 @@ def denoise(survey: Survey) -> Iterator[Task]:
 def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
     halo = quanta(survey.workflow.ground.buffer_m)
-    holders, (moved, first) = survey.holders(), aligned(survey)
+    holders, (moved, first) = survey.holders, aligned(survey)
     several = survey.workflow.ground.method == "multiscale"
     told_by = survey.line_columns if several else ()
     lines = {"columns": list(told_by), "span_s": survey.workflow.survey.gap_s}
@@ -141,16 +141,14 @@ def surface(survey: Survey) -> Iterator[Task]:
     """Ground cells whose ground is found, with what their rasters read around them."""
     halo = quanta(surface_reach_m(survey.workflow))
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
-    holders, (moved, first) = survey.holders(), aligned(survey)
+    holders, (moved, first) = survey.holders, aligned(survey)
     # Only the map of swaths and the flag of overlap ask which flightline a return belongs to.
     asked = survey.workflow.products.maps or survey.workflow.classes.overlap
     lines = survey.flown if asked else []
     passes = [[line.psid, line.first_s, line.last_s] for line in lines]
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
-        if str(cell.cell) not in survey.of("ground"):
-            continue
         noise = holders.of(cell.tiles)
-        ground_of = survey.ground_cells.owners(cell.tiles, survey.tile_q, survey.of("ground"))
+        ground_of = survey.ground_cells.owners(cell.tiles, survey.tile_q)
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
             **cell_args(cell),
@@ -208,7 +206,7 @@ def deliver(survey: Survey) -> Iterator[Task]:
     for tile in survey.counts:
         for source in built[str(tile)].facts["sources"]:
             tiles_of.setdefault(source, []).append(tile)
-    holders, (moved, first) = survey.holders(), aligned(survey)
+    holders, (moved, first) = survey.holders, aligned(survey)
     for source in survey.inputs.sources:
         key = str(source.key)
         receipt = survey.of("index_file").get(key)
@@ -249,7 +247,7 @@ def deliver_tiles(survey: Survey) -> Iterator[Task]:
     """Tiles, where they are delivered."""
     if survey.workflow.outputs.tiles == "none":
         return
-    holders, (moved, first) = survey.holders(), aligned(survey)
+    holders, (moved, first) = survey.holders, aligned(survey)
     for tile, count in survey.counts.items():
         labels = _label_units(survey, [tile], holders)
         args = {**moved, "tile": str(tile), "units": labels[tile]}
@@ -316,9 +314,9 @@ def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
 
 def aligned(survey: Survey) -> tuple[dict[str, object], tuple[tuple[str, str], ...]]:
     """Argument of tasks that read shifted points, and the task that finds the shifts."""
-    if survey.workflow.survey.align == "none" or "all" not in survey.of("strip_pairs"):
+    if "all" not in survey.of("align"):
         return {}, ()
-    return {"aligned": True}, (("strip_pairs", "all"),)
+    return {"aligned": True}, (("align", "all"),)
 
 
 def cell_args(cell: Unit) -> dict[str, object]:
@@ -348,9 +346,9 @@ def label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[st
 def _label_units(
     survey: Survey, tiles: list[CellId], holders: Holders
 ) -> dict[CellId, dict[str, list[str]]]:
-    """Finished units that hold the delivered labels of each tile, by tile and label."""
+    """Units that hold the delivered labels of each tile, by tile and label."""
     noise = holders.of(tiles)
-    classes = survey.ground_cells.owners(tiles, survey.tile_q, survey.of("surface"))
+    classes = survey.ground_cells.owners(tiles, survey.tile_q)
     return {t: {"noise": noise[t], "classes": classes[t]} for t in tiles}
 
 

@@ -1,10 +1,12 @@
 """Tasks that compare flightlines with each other: by ground cell, then all together."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from spl_batch.airborne.lines.patches import SQUARE_M
 from spl_batch.airborne.plan.flightlines import is_timeless
 from spl_batch.airborne.plan.space_tasks import (
+    aligned,
     cell_args,
     cell_in_memory,
     label_needs,
@@ -22,27 +24,51 @@ def is_one_flightline(survey: Survey) -> bool:
     return len(survey.flown) < 2 and not _has_timeless(survey)
 
 
+def recorded_patches(survey: Survey) -> Iterator[Task]:
+    """Ground cells whose flightlines are to be aligned, before the ground is looked for."""
+    if survey.workflow.survey.align != "none":
+        yield from _patches("recorded_patches", survey)
+
+
+def align(survey: Survey) -> Iterator[Task]:
+    """One task that finds the shifts of all flightlines."""
+    if len(survey.of("recorded_patches")):
+        yield _together("align", "recorded_patches", survey)
+
+
 def patches(survey: Survey) -> Iterator[Task]:
+    """Ground cells whose flightlines stay as they are."""
+    if survey.workflow.survey.align == "none":
+        yield from _patches("strip_patches", survey)
+
+
+def pairs(survey: Survey) -> Iterator[Task]:
+    """One task that puts all cells together, with the shifts where there are any."""
+    moved, first = aligned(survey)
+    task = _together("strip_pairs", "recorded_patches" if moved else "strip_patches", survey)
+    if task.args["cells"]:
+        yield replace(task, args={**task.args, **moved}, needs=(*task.needs, *first))
+
+
+def _patches(kind: str, survey: Survey) -> Iterator[Task]:
     """Ground cells, where there can be more than one flightline."""
     if is_one_flightline(survey):
         return
     halo = quanta(SQUARE_M)
-    holders = survey.holders()
+    holders = survey.holders
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
         args = {**cell_args(cell), "noise": named_units("noise", noise), "lines": _lines(survey)}
         needs = (*tile_needs(cell), *label_needs("denoise", noise))
         refused, how = cell_in_memory("strip_patches", cell, survey)
-        yield Task("strip_patches", cell.name, args, needs, 0, refused, how)
+        yield Task(kind, cell.name, args, needs, 0, refused, how)
 
 
-def pairs(survey: Survey) -> Iterator[Task]:
-    """One task that puts all cells together, and finds the shifts where they are asked for."""
-    compared = survey.of("strip_patches")
-    cells = sorted(name for name, r in compared.items() if r.facts["patches"])
-    if cells or (len(compared) and survey.workflow.survey.align != "none"):
-        args = {"lines": _lines(survey), "cells": cells}
-        yield Task("strip_pairs", "all", args, tuple(("strip_patches", name) for name in cells))
+def _together(kind: str, of: str, survey: Survey) -> Task:
+    """One task on all cells with patches."""
+    cells = sorted(name for name, r in survey.of(of).items() if r.facts["patches"])
+    args = {"lines": _lines(survey), "cells": cells}
+    return Task(kind, "all", args, tuple((of, name) for name in cells))
 
 
 def differences(survey: Survey) -> Iterator[Task]:

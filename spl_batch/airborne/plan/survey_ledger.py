@@ -187,9 +187,10 @@ class Survey(Ledger[Inputs, Workflow]):
         then, now = (set(blocks(layout, sizes, self.workflow, limit)) for limit in limits)
         return then, now
 
+    @cached_property
     def holders(self) -> Holders:
-        """Blocks that are finished, by the tiles that they own."""
-        return Holders(self.of("denoise"), self.tile_q)
+        """Blocks by the tiles that they own; complete once the shuffle is."""
+        return Holders([unit.name for unit in self.blocks()], self.tile_q)
 
     @cached_property
     def ground_cells(self) -> GroundCells:

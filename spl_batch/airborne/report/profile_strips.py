@@ -111,8 +111,7 @@ def labelled_points(
     """
     tile_q = quanta(context.workflow.tiling.tile_m)
     built = done.get("build_tile", {})
-    aligned = context.workflow.survey.align != "none" and bool(done.get("strip_pairs"))
-    shifts = read_shifts({"aligned": aligned}, context.store)
+    shifts = read_shifts({"aligned": bool(done.get("align"))}, context.store)
     tiles = [t for t in cells_touching(region, tile_q) if str(t) in built]
     cells = done.get("surface", {})
     labels = {

@@ -6,8 +6,7 @@ carry only names and small facts.
 
 import contextlib
 import re
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from typing import Any, Final
 
@@ -19,9 +18,10 @@ from spl_batch.engine.flow.cluster import (
     silent,
 )
 from spl_batch.engine.flow.dask_flow import OnDask
-from spl_batch.engine.flow.job import Executor, Footing, InProcess, Job, Observer, OnReceipt
+from spl_batch.engine.flow.job import Executor, Footing, InProcess, Observer
 from spl_batch.engine.flow.warm_up import Ahead, Work
 from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.task import Job, Outcome
 from spl_batch.errors import StoppedError, WorkflowError
 
 __all__ = [
@@ -94,30 +94,42 @@ def executor(
         def begin() -> Executor:
             client, dashboard = _client(stack, footing, workers, memory_bytes, scheduler)
             observer.ready(scheduler or "", dashboard)
-            return OnDask(client, observer, footing, scheduler is None, ahead)
+            return OnDask(client, observer, footing, local=scheduler is None, ahead=ahead)
 
-        yield _WhenNeeded(begin)
+        pool = _WhenNeeded(begin)
+        try:
+            yield pool
+        finally:
+            pool.close()
 
 
-@dataclass(slots=True)
 class _WhenNeeded:
     """An executor that is begun before its first job: a run may find all its tasks finished."""
 
-    begin: Callable[[], Executor]
-    begun: Executor | None = None
+    def __init__(self, begin: Callable[[], Executor]) -> None:
+        self._begin = begin
+        self._begun: Executor | None = None
 
-    def make_ready(self) -> None:
-        """Begin, and do what comes before the first job."""
-        self._executor().make_ready()
+    @property
+    def window(self) -> int:
+        """Jobs that it holds at once [count]."""
+        return 1 if self._begun is None else self._begun.window
 
-    def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
-        """Do jobs in any order and report each receipt as it comes."""
-        self._executor().run(jobs, context, on_receipt)
+    def submit(self, job: Job, context: RunContext[Any]) -> None:
+        """Take a job; begin with the first."""
+        if self._begun is None:
+            self._begun = self._begin()
+        self._begun.submit(job, context)
 
-    def _executor(self) -> Executor:
-        if self.begun is None:
-            self.begun = self.begin()
-        return self.begun
+    def ended(self) -> Outcome:
+        """Wait for the next job to end."""
+        assert self._begun is not None, "nothing was submitted"  # noqa: S101 - for the type alone
+        return self._begun.ended()
+
+    def close(self) -> None:
+        """Let go of jobs that are still on their way."""
+        if self._begun is not None:
+            self._begun.close()
 
 
 def _client(

@@ -1,24 +1,21 @@
-"""One job, done here or on a worker, and what those who do and watch it agree on."""
+"""A job, done here or on a worker, and what those who do and watch it agree on."""
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
+from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.runner import code_version, run_task
+from spl_batch.engine.tasks.runner import code_version, do
 from spl_batch.engine.tasks.spare_memory import limit_memory
-from spl_batch.engine.tasks.task import Receipt, Task, WorkersSeen
+from spl_batch.engine.tasks.task import Job, Outcome, Task, WorkersSeen
 from spl_batch.errors import StoppedError
 from spl_batch.formats.files.atomic import owned_by
-
-Job = tuple[Task, str]
-"""A task and its key."""
-
-OnReceipt = Callable[[Receipt], None]
 
 
 class Observer(Protocol):
@@ -43,11 +40,18 @@ class Observer(Protocol):
 class Executor(Protocol):
     """Something that does jobs."""
 
-    def make_ready(self) -> None:
-        """Do what comes before the first job, if it is not done."""
+    @property
+    def window(self) -> int:
+        """Jobs that it holds at once, those that wait for others included [count]."""
 
-    def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
-        """Do jobs in any order and report each receipt as it comes."""
+    def submit(self, job: Job, context: RunContext[Any]) -> None:
+        """Take a job; what it waits for was submitted before."""
+
+    def ended(self) -> Outcome:
+        """Wait for the next job to end; there is one."""
+
+    def close(self) -> None:
+        """Let go of jobs that are still on their way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,26 +64,43 @@ class Footing:
     content: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class InProcess:
     """Does one job after the other, here; for debugging and for tests."""
 
     observer: Observer
+    window: int = 1  # what a job needs is finished before it is submitted, then
+    waiting: deque[tuple[Job, RunContext[Any]]] = field(default_factory=deque)
 
-    def make_ready(self) -> None:
-        """Do nothing: what a task needs is compiled when it is called."""
+    def submit(self, job: Job, context: RunContext[Any]) -> None:
+        """Take a job."""
+        self.waiting.append((job, context))
 
-    def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
-        """Do jobs in order; there is no other worker that could try one again."""
-        for task, key in jobs:
-            self.observer.started(task, "this process")
-            on_receipt(run_task(task, key, context))
+    def ended(self) -> Outcome:
+        """Do the next job; there is no other worker that could try one again."""
+        job, context = self.waiting.popleft()
+        self.observer.started(job.task, "this process")
+        return do(job, context)
+
+    def close(self) -> None:
+        """Forget jobs that are not done."""
+        self.waiting.clear()
+
+
+class TryAgainError(Exception):
+    """A task has failed for the first time in a run: its scheduler gives it another try."""
 
 
 def work(
-    task: Task, key: str, context: RunContext[Any], footing: Footing, topic: str
-) -> tuple[str, Receipt]:
-    """Do a task on a worker; its address and the receipt."""
+    job: Job, context: RunContext[Any], footing: Footing, topic: str, *needed: Outcome
+) -> Outcome:
+    """Do a job on a worker, where what it waited for has come to its end.
+
+    Raises
+    ------
+    TryAgainError
+        If it fails for the first time in this run.
+    """
     from distributed import get_worker  # noqa: PLC0415
 
     worker = get_worker()
@@ -87,9 +108,17 @@ def work(
     if fault:
         raise StoppedError(f"worker {worker.address} {fault}; mend it and run again")
     limit_memory(worker.memory_manager.memory_limit)
-    worker.log_event(topic, {"kind": task.kind, "name": task.name, "worker": worker.address})
+    worker.log_event(topic, {"need": job.need, "worker": worker.address})
+    before = read_receipt(context.store, *job.need)
     with owned_by(footing.mark, footing.content):
-        return worker.address, run_task(task, key, context)
+        outcome = do(job, context, needed, footing.content)
+    receipt = outcome.receipt
+    # A damaged file is damaged for all; it is made again, which takes more than a try.
+    if receipt and receipt.failed and "damaged" not in receipt.facts:
+        tried = before is not None and before.facts.get("run") == footing.content
+        if not tried:
+            raise TryAgainError(receipt.reason)
+    return outcome._replace(worker=worker.address)
 
 
 @cache
@@ -108,3 +137,15 @@ def misfit(footing: Footing) -> str:
             if Path(footing.mark).read_text(encoding="utf-8") == footing.content:
                 return ""
     return f"does not see {footing.mark} as it is here: all machines must share that path"
+
+
+def workers_seen(found: Mapping[str, Mapping[str, Any]]) -> WorkersSeen:
+    """How workers are, of a scheduler's facts about each."""
+    used = [float(facts["metrics"].get("memory", 0)) for facts in found.values()]
+    limits = [float(f["memory_limit"]) for f in found.values() if f["memory_limit"]]
+    return WorkersSeen(
+        len(found),
+        sum(int(facts["nthreads"]) for facts in found.values()),
+        round(max(used, default=0.0) / 2**20, 1),
+        round(min(limits, default=0.0) / 2**20, 1),
+    )

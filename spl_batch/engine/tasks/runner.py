@@ -11,8 +11,10 @@ import time
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,7 +24,7 @@ from spl_batch.engine.store.working_store import forget_receipt, read_receipt, w
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.engine.tasks.step import Step, delivering
-from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
 from spl_batch.errors import DamagedError, InputError, SplBatchError, StoppedError, one_line
 from spl_batch.formats.files.atomic import checksum, size, stop_if_full
 from spl_batch.imports import content_hash, data_files, imported, module_file
@@ -87,7 +89,7 @@ def code_version(receiver: str) -> str:
 def task_files(receiver: str) -> frozenset[Path]:
     """Modules that a receiver's tasks import, directly or not, and the tables that these read."""
     listed = HOMES[receiver].steps.partition(":")[0]
-    homes = {listed, *(step.module for step in steps(receiver).values())}
+    homes = {listed, *chain.from_iterable(step.modules for step in steps(receiver).values())}
     files = (module_file(name) for name in (__name__, *homes))
     modules = frozenset[Path]().union(*(imported(path) for path in files if path is not None))
     return modules.union(*map(data_files, modules))
@@ -98,11 +100,26 @@ def task_key(task: Task, context: RunContext[Any], digests: Iterable[str]) -> st
 
     ``digests``: digests of the receipts that the task needs, in the order of ``task.needs``.
     """
-    content = context.workflow.model_dump(mode="json")
-    settings = {path: _at(content, path) for path in _step(task, context).settings}
+    settings = _settings(task.kind, context)
     parts = [task.kind, task.name, task.args, settings, context.crs_wkt, context.code]
     text = json.dumps([*parts, list(digests)], sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+_SETTINGS: Final[dict[tuple[str, int], tuple[Any, dict[str, Any]]]] = {}
+"""Settings of a step, by its name and workflow: dumped once, not for each of a million tasks."""
+
+
+def _settings(step: str, context: RunContext[Any]) -> dict[str, Any]:
+    """Parts of the workflow that a step's results depend on."""
+    workflow = context.workflow
+    known = _SETTINGS.get((step, id(workflow)))
+    if known is None or known[0] is not workflow:
+        content = workflow.model_dump(mode="json")
+        declared: Step = steps(workflow.kind)[step]
+        known = workflow, {path: _at(content, path) for path in declared.settings}
+        _SETTINGS[step, id(workflow)] = known
+    return known[1]
 
 
 def _step(task: Task, context: RunContext[Any]) -> Step:
@@ -183,7 +200,7 @@ def _written_ns(path: Path) -> int:
     return path.stat().st_mtime_ns
 
 
-def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
+def run_task(task: Task, key: str, context: RunContext[Any], run: str = "") -> Receipt:
     """Do one task and leave its receipt, also when it fails: with a reason where the task failed.
 
     ``key``: from :func:`task_key`.
@@ -233,8 +250,36 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
         code = "F02" if isinstance(error, MemoryError) else "F04"
         wall_s, trace = time.perf_counter() - start, traceback.format_exc()
         receipt = failure(task, key, one_line(error), wall_s, code=code, trace=trace)
+    if run and receipt.failed:
+        receipt = replace(receipt, facts={**receipt.facts, "run": run})
     write_receipt(context.store, receipt)
     return receipt
+
+
+def do(
+    job: Job, context: RunContext[Any], needed: Iterable[Outcome] = (), run: str = ""
+) -> Outcome:
+    """Do a job, unless it turns out to be finished, or to miss what it cannot be done without.
+
+    Parameters
+    ----------
+    needed : iterable of Outcome
+        What has come of the jobs that it waited for.
+    run : str
+        Mark of the run, which a failure bears.
+    """
+    task, key = job.task, job.key
+    if not key:
+        receipts = [*job.found, *(o.receipt for o in needed if o.receipt and not o.receipt.failed)]
+        found = {(receipt.kind, receipt.name): receipt for receipt in receipts}
+        bound = _step(task, context).bound(task, found)
+        if bound is None:
+            return Outcome(job.need, None)
+        task, key = bound, task_key(bound, context, (found[need].digest for need in bound.needs))
+        receipt = finished(task, key, context)
+        if receipt is not None:
+            return Outcome(job.need, receipt, found=True)
+    return Outcome(job.need, run_task(task, key, context, run))
 
 
 def failure(

@@ -4,12 +4,12 @@ Plan, run, status, report, the keys of receipts, progress, cost and remedies rea
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 from spl_batch.engine.tasks.context import TaskFunction
-from spl_batch.engine.tasks.task import Task
+from spl_batch.engine.tasks.task import Need, Receipt, Task
 from spl_batch.receivers import load, steps
 
 
@@ -25,8 +25,14 @@ class Step:
     #: Makes its tasks of the receiver's ledger, of what earlier steps have finished; likewise.
     tasks: Callable[[Any], Iterator[Task]] | str
     settings: tuple[str, ...] = ()  #: Parts of the workflow that its result depends on.
-    #: Whether its tasks are made without a look at the step before it: both are done at once.
-    beside: bool = False
+    #: Steps whose receipts its plan reads: its tasks are made when these are over. All that are
+    #: declared before it, unless said otherwise. What its tasks need beyond that reaches them as
+    #: it is finished.
+    after: tuple[str, ...] | None = None
+    #: Of a task's arguments and the receipts of what it needs, those that failed missing: the
+    #: arguments that it is done with, or None where it is left out. Or where that function lies.
+    #: Without one a task is left out that misses anything.
+    bind: Callable[[Mapping[str, Any], Mapping[Need, Receipt]], Any] | str | None = None
     unit: str = ""  #: What a user calls that which one of its tasks works on, such as ``tile``.
     #: Edge of that, where it is a square, by the receiver's ledger [m].
     edge_m: Callable[[Any], float] | None = None
@@ -40,11 +46,10 @@ class Step:
     essential: bool = False  #: Whether a run cannot go on where one of its tasks fails.
 
     @property
-    def module(self) -> str:
-        """Name of the module that holds its function."""
-        if isinstance(self.run, str):
-            return self.run.partition(":")[0]
-        return self.run.__module__
+    def modules(self) -> list[str]:
+        """Names of the modules that hold what workers call."""
+        places = [place for place in (self.run, self.bind) if place is not None]
+        return [p.partition(":")[0] if isinstance(p, str) else p.__module__ for p in places]
 
     def loaded(self) -> TaskFunction:
         """The function itself."""
@@ -57,6 +62,15 @@ class Step:
         """Its tasks."""
         make = load(self.tasks) if isinstance(self.tasks, str) else self.tasks
         yield from make(ledger)
+
+    def bound(self, task: Task, found: Mapping[Need, Receipt]) -> Task | None:
+        """A task with what its needs have left; None where it is left out."""
+        needs = tuple(need for need in task.needs if need in found)
+        if self.bind is None:
+            return task if len(needs) == len(task.needs) else None
+        bind = load(self.bind) if isinstance(self.bind, str) else self.bind
+        args = bind(task.args, found)
+        return None if args is None else replace(task, args=args, needs=needs)
 
     def targets(self, task: Task, workflow: Any) -> Sequence[str]:
         """Names of the files, below the output, that a task delivers."""
@@ -84,15 +98,3 @@ def stages(receiver: str) -> tuple[str, ...]:
 def delivering(receiver: str) -> list[str]:
     """Names of the steps of a receiver whose outputs a user sees."""
     return [step.name for step in steps(receiver).values() if step.delivers is not None]
-
-
-def waves(declared: Steps) -> Iterator[list[Step]]:
-    """Steps that are done at once, in order."""
-    wave: list[Step] = []
-    for step in declared.values():
-        if wave and not step.beside:
-            yield wave
-            wave = []
-        wave.append(step)
-    if wave:
-        yield wave

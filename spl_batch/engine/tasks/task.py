@@ -2,7 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
+
+Need = tuple[str, str]
+"""Step and name of a task whose result another one reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,7 +15,7 @@ class Task:
     kind: str  #: What is done; a key of the runner's table.
     name: str  #: Which one; unique within its kind, stable between runs.
     args: Mapping[str, Any]  #: Plain JSON values, nothing large.
-    needs: tuple[tuple[str, str], ...] = ()  #: Kind and name of the tasks whose results it reads.
+    needs: tuple[Need, ...] = ()  #: Tasks whose results it reads.
     points: int = 0  #: Points that it handles, for progress [count].
     refused: str = ""  #: Why it cannot be started, with a remedy; empty where it can.
     #: Further arguments that change how the work is done, not what comes out: no part of a
@@ -46,6 +49,30 @@ class Receipt:
     def failed(self) -> bool:
         """Whether the task did not do its work."""
         return bool(self.reason)
+
+
+class Job(NamedTuple):
+    """A task on its way."""
+
+    task: Task
+    key: str  #: Its key; empty where what it needs is not all finished.
+    open: tuple[Need, ...] = ()  #: What of that is not.
+    found: tuple[Receipt, ...] = ()  #: What of that is, without facts.
+
+    @property
+    def need(self) -> Need:
+        """What those that need it call it."""
+        return self.task.kind, self.task.name
+
+
+class Outcome(NamedTuple):
+    """What has come of a job."""
+
+    need: Need
+    receipt: Receipt | None  #: None where it was left out, for want of what it needs.
+    found: bool = False  #: Whether it was finished already.
+    worker: str = ""
+    again: bool = False  #: Whether nothing has, as what it needed had to be done elsewhere.
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spl_batch.engine.flow.executor import Job
 from spl_batch.engine.store.output_lock import locked
 from spl_batch.engine.store.output_owner import this_survey, usable
 from spl_batch.engine.store.store_owner import claim
 from spl_batch.engine.tasks.runner import run_task
-from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.tasks.task import Job, Receipt
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.receiver import Prepared
@@ -76,17 +75,17 @@ def run_alone(
         deliveries = usable(prepared)
         claim(prepared.context.store)
         deliveries.begin(this_survey(prepared))
-        job, key = _find(task, prepared)
-        step = prepared.steps[job.kind]
+        job = _find(task, prepared)
+        step = prepared.steps[job.task.kind]
         prepared.receiver.before(step, prepared)
-        moved = deliveries.make_room(step.targets(job, prepared.context.workflow))
+        moved = deliveries.make_room(step.targets(job.task, prepared.context.workflow))
         notes = tuple(moved)
-        receipt = run_task(job, key, prepared.context)
+        receipt = run_task(job.task, job.key, prepared.context)
         deliveries.wrote(receipt)
         deliveries.save()
     if not receipt.failed:
         return AloneResult(receipt, None, notes)
-    name = f"{job.kind}_{job.name.replace('/', '~')}.txt"
+    name = f"{job.task.kind}_{job.task.name.replace('/', '~')}.txt"
     path = prepared.context.output / "store" / "tracebacks" / name
     write_bytes(path, str(receipt.facts.get("traceback", "")).encode())
     return AloneResult(receipt, path, notes)
@@ -109,9 +108,11 @@ def _find(wanted: str, prepared: Prepared[Any, Any]) -> Job:
         prepared.ledger.of(step.name).sort()
     jobs = []
     for task in step.planned(prepared.ledger):
-        if task.name == name:
-            return task, work.key(task)
-        jobs.append(task.name)
+        job = work.job(task)
+        if job is not None and task.name == name:
+            return job
+        if job is not None:
+            jobs.append(task.name)
     there = ", ".join(jobs[:5])
     raise WorkflowError(
         f"--only {wanted!r}: no such task; "

@@ -1,32 +1,26 @@
 """Run a workflow: step after step, skipping what is finished, isolating what fails."""
 
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache, partial
-from itertools import chain
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.engine.findings import of_receipts
 from spl_batch.engine.flow.executor import Ahead, Executor, Footing, executor, refuse_no_address
 from spl_batch.engine.plan.budget import Cost
-from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.store.output_lock import lock_file, locked
 from spl_batch.engine.store.output_owner import gone_inputs, this_survey, usable
 from spl_batch.engine.store.store_owner import claim
-from spl_batch.engine.tasks.step import Step, waves
-from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.engine.verbs.conclusion import RunResult, concluded, kind_of, stages_of
 from spl_batch.engine.verbs.failures import Invocation
+from spl_batch.engine.verbs.graph import Graph
 from spl_batch.engine.verbs.planning import fitting_cost
 from spl_batch.engine.verbs.preparing import prepare
-from spl_batch.engine.verbs.receiver import Prepared, Receiver
+from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.verbs.repair import Repairs
-from spl_batch.engine.watch.events import Listener, Note, PhaseStarted, RunEnded, RunStarted, ignore
+from spl_batch.engine.watch.events import Listener, Note, RunEnded, RunStarted, ignore
 from spl_batch.engine.watch.progress import Progress
 from spl_batch.errors import (
     SplBatchError,
@@ -213,98 +207,10 @@ def _process(
     verify: bool,
 ) -> None:
     """Go through the steps, and once more where a file of the store had to be made again."""
-    _run_steps(prepared, pool, progress, until, verify=verify)
-    while progress.repair(prepared.ledger):
-        _run_steps(prepared, pool, progress, until, verify=verify)
-
-
-def _run_steps(
-    prepared: Prepared[Any, Any],
-    pool: Executor,
-    progress: Progress,
-    until: str | None,
-    *,
-    verify: bool,
-) -> None:
-    ledger, receiver, order = prepared.ledger, prepared.receiver, stages_of(prepared)
+    order = stages_of(prepared)
     last = order.index(until) if until else len(order)
-    reports = _reports(until)
-    for wave in waves(prepared.steps):
-        steps = [step for step in wave if order.index(step.stage) <= last]
-        _run_wave(steps, prepared, pool, progress, verify=verify, reports=reports)
-        if progress.repairs.wanted(progress.failed, ledger):
-            return
-        for step in steps:
-            progress.warn(receiver.after(step, prepared, progress.failed))
-            progress.warn(receiver.aside(step, prepared))
-            progress.warn(of_receipts(ledger.of(step.name)))
-
-
-def _run_wave(
-    steps: Sequence[Step],
-    prepared: Prepared[Any, Any],
-    pool: Executor,
-    progress: Progress,
-    *,
-    verify: bool,
-    reports: bool,
-) -> None:
-    """Do what steps that do not wait for each other have left to do."""
-    work: dict[str, Worklist] = {}
-    targets: list[str] = []
-    for step in steps:
-        prepared.receiver.before(step, prepared)
-        work[step.name] = Worklist(step, prepared.ledger, prepared.context, verify=verify)
-        targets += _begin_step(work[step.name], step, prepared, pool, progress, reports=reports)
-    for text in progress.deliveries.make_room(targets):
-        progress.tell(Note("info", text))
-
-    def on_receipt(receipt: Receipt) -> None:
-        progress.deliveries.wrote(receipt)
-        progress.ended(work[receipt.kind].ended(receipt), receipt)
-
-    for some in work.values():
-        for receipt in some.refused:
-            on_receipt(receipt)
-    if any(some.left for some in work.values()):
-        jobs = chain.from_iterable(some.jobs() for some in work.values())
-        pool.run(jobs, prepared.context, on_receipt)
-    for kind in work:
-        prepared.ledger.of(kind).sort()
-    if any(step.delivers for step in steps):
-        progress.deliveries.save()
-
-
-def _begin_step(
-    work: Worklist,
-    step: Step,
-    prepared: Prepared[Any, Any],
-    pool: Executor,
-    progress: Progress,
-    *,
-    reports: bool,
-) -> list[str]:
-    """See what one step has left to do, and tell of it; the files that it will deliver."""
-    targets: list[str] = []
-    for task, receipt in work.look():
-        if receipt is not None:
-            progress.deliveries.wrote(receipt)
-            progress.costs.setdefault(step.stage, StageCost()).skip(receipt)
-        else:
-            targets += step.targets(task, prepared.context.workflow)
-    if work.altered:
-        progress.altered(work.altered)
-    if not work.left and not work.ready:
-        return targets
-    if work.left:
-        pool.make_ready()
-        if reports and progress.invocation.workers:
-            _load_meanwhile(prepared.receiver)
-    progress.tell(PhaseStarted(step.stage, step.name, work.left, work.ready, work.points))
-    return targets
-
-
-@cache
-def _load_meanwhile(receiver: Receiver[Any, Any]) -> None:
-    """Once, load what is needed in the end, as long as workers do the work."""
-    threading.Thread(target=receiver.load_report, name="load report", daemon=True).start()
+    steps = [step for step in prepared.steps.values() if order.index(step.stage) <= last]
+    again = True
+    while again:
+        Graph(prepared, steps, pool, progress, verify=verify, reports=_reports(until)).run()
+        again = progress.repair(prepared.ledger)

@@ -77,6 +77,17 @@ class TaskEnded:
 
 
 @dataclass(frozen=True, slots=True)
+class TaskSettled:
+    """A task turns out to need no doing."""
+
+    stage: str
+    kind: str
+    name: str
+    points: int  #: Points that it was to handle [count].
+    found: bool  #: Whether it was finished before; else it misses what failed, and is left out.
+
+
+@dataclass(frozen=True, slots=True)
 class Compiling:
     """Workers compile kernels before their first task; the log does not have it."""
 
@@ -112,6 +123,7 @@ Event = (
     | PhaseStarted
     | TaskStarted
     | TaskEnded
+    | TaskSettled
     | WorkersSeen
     | Compiling
     | ReportStarted

@@ -1,6 +1,7 @@
 """Costs and failures of one run as they come in; what happens is told and logged."""
 
 import os
+import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -55,6 +56,7 @@ class Progress:
     ignored: tuple[str, ...] = ()  #: Codes that the report is silent about.
     findings: list[Finding] = field(default_factory=list)
     logged_s: float = -1e9
+    lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self) -> None:
         end_last_line(self.output / "log.jsonl")
@@ -65,8 +67,9 @@ class Progress:
 
     def tell(self, event: Event) -> None:
         """Pass an event on, to the log as well."""
-        append_log(self.output, as_record(event))
-        self.listener(event)
+        with self.lock:  # workers report their beginnings in another thread
+            append_log(self.output, as_record(event))
+            self.listener(event)
 
     def warn(self, findings: Iterable[Finding]) -> None:
         """Report what was found, alike ones together, once."""

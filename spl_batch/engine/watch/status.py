@@ -183,6 +183,7 @@ class RunStatus:
             "PhaseStarted": self._phase_started,
             "TaskStarted": self._task_started,
             "TaskEnded": self._task_ended,
+            "TaskSettled": self._task_settled,
             "WorkersSeen": self._workers_seen,
             "ReportStarted": self._report_started,
             "RunEnded": self._run_ended,
@@ -268,6 +269,17 @@ class RunStatus:
         if not failed:
             stage.points += record["points"]
             stage.wall_s += record["wall_s"]
+
+    def _task_settled(self, record: Mapping[str, Any]) -> None:
+        stage, found = self.stages[record["stage"]], bool(record["found"])
+        for known in (self.running, self.begun, self.called):
+            known.pop((record["kind"], record["name"]), None)
+        stage.latest_s = seconds(record)
+        stage.left_points -= record["points"]
+        stage.points_to_do -= record["points"]
+        stage.done += found
+        stage.found += found
+        stage.total -= not found
 
     def _workers_seen(self, record: Mapping[str, Any]) -> None:
         self.workers = record

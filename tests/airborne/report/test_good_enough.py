@@ -11,8 +11,7 @@ from spl_batch.airborne.report.good_enough import (
     _time_standard,
     checkpoint_findings,
 )
-from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
-from spl_batch.airborne.report.strip_pairs import StripPair
+from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics, StripPair
 from spl_batch.airborne.settings.requirements import RequirementSettings
 
 

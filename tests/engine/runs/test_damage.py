@@ -18,8 +18,8 @@ from spl_batch.airborne.store.raster_cells import create_raster_store, read_wind
 from spl_batch.airborne.store.voxel_parts import StoredVoxels, write_voxels
 from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.constants import NODATA
-from spl_batch.engine.flow import job
 from spl_batch.engine.store.working_store import Store, read_receipts, write_receipt
+from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.repair import Repairs, also_damaged
@@ -217,7 +217,7 @@ def test_what_is_damaged_while_a_run_goes_on_is_made_again_in_it(
 ) -> None:
     harmed: set[str] = set()
     noise = survey.parent / "out/store/noise.tif"
-    run_task, noise_map = job.run_task, noise.read_bytes()
+    run_task, noise_map = runner.run_task, noise.read_bytes()
 
     def harming(*args: Any) -> Receipt:
         receipt = run_task(*args)
@@ -229,7 +229,7 @@ def test_what_is_damaged_while_a_run_goes_on_is_made_again_in_it(
                     harm(one)
         return receipt
 
-    monkeypatch.setattr(job, "run_task", harming)
+    monkeypatch.setattr(runner, "run_task", harming)
     result = surveys.run(survey, until="deliver", fresh=True)
     assert harmed == SORTS
     assert result.exit_status == 0
@@ -361,7 +361,7 @@ def damaged_output(tiny_output: Path, tmp_path_factory: pytest.TempPathFactory) 
 @pytest.mark.parametrize(
     ("kind", "pattern", "look"),
     [
-        ("strip_pairs", "strips/map.npz", lambda _, context: difference_map(context)),
+        ("strip_pairs", "overlaps/map.npz", lambda _, context: difference_map(context)),
         ("accuracy", "accuracy/*.npz", compared),
     ],
 )

@@ -60,15 +60,15 @@ def blocks_cut(workflow: Path, request: pytest.FixtureRequest) -> None:
 
 
 def shuffled(workflow: Path, request: pytest.FixtureRequest) -> None:
-    """Do the tasks of each phase, of blocks of a tile each, in another order."""
-    in_order = Worklist.jobs
+    """Do the tasks of each step, of blocks of a tile each, in another order."""
+    in_order = Worklist.tasks
 
     def mixed(self: Worklist) -> Iterator[Any]:
         found = list(in_order(self))
         random.Random(3).shuffle(found)  # noqa: S311 - an order, no secret
         yield from found
 
-    request.getfixturevalue("monkeypatch").setattr(Worklist, "jobs", mixed)
+    request.getfixturevalue("monkeypatch").setattr(Worklist, "tasks", mixed)
     here("tiling.tile_m=60", "tiling.block_tiles=1")(workflow, request)
 
 

@@ -102,7 +102,7 @@ def test_a_task_that_always_fails_costs_its_place_alone(
     assert ended.status == 1
     assert f"failed: denoise {name}: RuntimeError: broken on purpose" in ended.err
     tries = [pid for tried, pid in cluster.plan.tries("denoise") if tried == name]
-    assert len(set(tries)) == len(tries) == 2, "once more, on another worker"
+    assert len(tries) == 2, "once more"
     (failure,) = report(small)["failures"]
     assert failure["task"] == f"denoise {name}"
     assert failure["reason"] == "RuntimeError: broken on purpose"
@@ -139,7 +139,6 @@ def test_a_worker_that_is_killed_and_a_passing_fault_cost_nothing(
     assert "failed" not in ended.err
     assert report(small)["failures"] == []
     assert len(cluster.plan.tries("scatter")) == 3
-    assert len({pid for _, pid in cluster.plan.tries("scatter")}) == 2
     assert len(cluster.plan.tries("denoise")) > 4
     assert surveys.results(small.parent / "out") == surveys.results(small_output)
 
