@@ -192,7 +192,7 @@ STEPS: Final[Steps] = table(
         after=("build_tile",),
     ),
     _cell(
-        "strip_patches",
+        "recorded_patches",
         "ground",
         "lines.comparison:strip_patches",
         tasks="strip_tasks:recorded_patches",
@@ -200,10 +200,10 @@ STEPS: Final[Steps] = table(
         bind=f"{_HOME}.tasks.bindings:labelled",
     ),
     _step(
-        "strip_pairs",
+        "align",
         "ground",
-        "lines.comparison:strip_pairs",
-        tasks="strip_tasks:pairs",
+        "lines.comparison:align",
+        tasks="strip_tasks:align",
         settings=("survey.align",),
         after=("recorded_patches",),
     ),
