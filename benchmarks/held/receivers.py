@@ -1,9 +1,8 @@
 """Figures of the other receivers: altimetry, coincidence, water surfaces."""
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import astuple, replace
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -46,13 +45,6 @@ def labelled(given: Given) -> Iterator[Figure]:
                 yield figure(f"track {number}: {name}", value, "", "less", 0.005)
 
 
-Place = tuple[float, float]
-PARTS: Final[dict[Literal["spokes", "bars"], tuple[Place, Place]]] = {
-    "spokes": ((0.0, 0.0), (12.0, 12.0)),
-    "bars": ((0.0, 28.0), (54.0, 17.0)),
-}
-"""Centre and size of what is looked at around targets of the known scene [m]."""
-
 KNOWN: Final[Moves] = {
     "spurious above ground, 1/m2": ("1/m2", "more", 0.02),
     "precision within 9 cm, %": ("%", "less", 0.3),
@@ -66,10 +58,10 @@ KNOWN: Final[Moves] = {
 
 def coincidence(given: Given) -> Iterator[Figure]:
     """Points of coincidence processing against targets of the known scene."""
-    asked = argparse.Namespace(methods=["bridge_sign"], workers=0, picture=None)
-    for name, (centre, size) in PARTS.items():
-        scene = SceneSettings(extent_m=size, centre_m=centre, targets=(name,))
-        found = known_scene.main(given.scratch / name, scene, asked)
+    del given
+    for name in ("spokes", "bars"):
+        scene = SceneSettings(**known_scene.PARTS[name])
+        found = known_scene.measure(scene, ["bridge_sign"])
         yield from chosen(found["bridge_sign"], KNOWN, f"{name}: ")
 
 
@@ -97,5 +89,5 @@ def surface(given: Given) -> Iterator[Figure]:
             yield figure(f"{name}: {what}", value, unit, "more", tolerance)
         if name == "waves":
             ends = [water.floor_errors(*pair, view) for pair in pairs]
-            off = np.mean([astuple(one) for one in ends if one is not None], axis=0)
+            off = np.mean([astuple(one) for one in ends], axis=0)
             yield figure("waves: ends of rays by the surface", 100 * off[2], "cm", "more", 0.5)

@@ -44,11 +44,13 @@ from spl_batch.engine.flow.executor import Work
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.store.working_store import Store, read_receipts
+from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped
+from spl_batch.formats.las.header import waveform_file
 from spl_batch.formats.las.reader import promised_points
 from spl_batch.lattice.tiles import quanta
 
@@ -202,6 +204,17 @@ class Imaging(Receiver[Survey, Context]):
         """Files that the results are compared with."""
         beside = [ledger.inputs.checkpoints.path] if ledger.inputs.checkpoints else []
         return [str(path) for path in (*(f.path for f in ledger.inputs.reference.usable), *beside)]
+
+    def decisive(self, prepared: Prepared[Survey, Context]) -> list[Any]:
+        """References, trajectory, polygons, geoid and waveforms beside the files."""
+        inputs = prepared.ledger.inputs
+        waves = (waveform_file(s.path, s.facts.point_format) for s in inputs.sources)
+        files = [*inputs.trajectory, *filter(None, waves)]
+        return [
+            *super().decisive(prepared),
+            [[str(path), *stamp_if_there(path)] for path in files],
+            *([*map(list, found)] for found in (inputs.polygons, inputs.breaklines, inputs.geoid)),
+        ]
 
     def not_read(self, ledger: Survey) -> int:
         """Points that the headers of files promise which could not be read to their end [count]."""

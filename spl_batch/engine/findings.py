@@ -43,7 +43,7 @@ class Finding(NamedTuple):
     """
 
     code: str
-    values: Mapping[str, Any] = MappingProxyType({})
+    values: Mapping[str, Any] = {}  # plain, as findings are kept as JSON
     subject: str = ""
     place: Box | None = None
     badness: float | None = None

@@ -471,21 +471,18 @@ def drawn_of_others() -> list[tuple[bool, list[Any]]]:
     )
     grid = rng.random((8, 8))
     tank = water_pictures.make_pictures(
-        water_pictures.WaterPictures(
-            Raster(grid, (0.0, 1.0, 0.0, 1.0)),
-            dict.fromkeys(("bias_m", "variance_m2", "mse_m2", "normal_deg"), grid),
-            rng.random((5, 3)),
-            rng.integers(0, 9, 500),
-            (100, 200),
-            grid,
-        )
+        Raster(grid, (0.0, 1.0, 0.0, 1.0)),
+        dict.fromkeys(("bias_m", "variance_m2", "mse_m2", "normal_deg"), grid),
+        rng.integers(0, 9, 500),
+        (100, 200),
+        grid,
     )
-    strip = coincidence_page.Strip(rng.random((9, 2)), rng.random((9, 2)))
+    strip = (rng.random((9, 2)), rng.random((9, 2)))
     raster = Raster(grid, EXTENT)
     scene = coincidence_page.pictures(raster, raster, strip)
     small = [tank.pop(k) for k in ("height", "intensity")]
     return [
-        (True, [*hills.values(), *tank.values(), scene.pop("strip")]),
+        (True, [*hills.values(), *tank.values(), scene.pop("slice")]),
         (False, [*small, *scene.values()]),
     ]
 

@@ -127,14 +127,14 @@ def read_l1_frames(path: Path) -> int:
     """Frames in order."""
     l1_files.inspect(path, l1_files.FRAME_COLUMNS)
     l1_files.extents(path)
-    return sum(len(part.number) for part in l1_files.frames_in_order(path))
+    return len(l1_files.read_frames(path))
 
 
 def read_l1_detections(path: Path) -> int:
     """Detections in order."""
     l1_files.inspect(path, l1_files.DETECTION_COLUMNS)
     l1_files.extents(path)
-    return sum(len(part.frame) for part in l1_files.detections_in_order(path, ArraySettings()))
+    return sum(map(len, l1_files.read_detections(path, ArraySettings())))
 
 
 READERS: Final[dict[str, Callable[[Path], int]]] = {

@@ -1,45 +1,36 @@
-"""Coincidence processing against the known scene, beside what its source says [M20 ch. 5].
+"""Coincidence processing against its known scene, beside what its source says [M20 ch. 5].
 
-``python -m benchmarks.geiger.coincidence.known_scene [--folder FOLDER] [--extent 100] [--seeds 1 2
-3] [--workers 2]
-[--methods bridge_sign posterior]`` simulates the artificial scene of [M20] with each seed (into
-folders of FOLDER, where what is there is used again), runs each method on it and prints, for
-detections and for each method's points:
+``python -m benchmarks.geiger.coincidence.known_scene [--whole] [--seeds 1 2 3] [--settings NAME
+...]`` simulates parts of the artificial scene of [M20], or all of it, and prints for detections and
+for the points of each of :data:`SETTINGS`, as means over the seeds:
 
-- the standard deviation and mean of heights on the open spoke target;
-- the contrast of each tri-bar target, bars against the fuller gap, by points and by their
-  intensity, and the finest that is resolved in both directions and with all wider ones;
+- the standard deviation and mean of heights on the spoke targets;
+- the contrast of tri-bar targets, bars against the fuller gap, the lesser of both directions, by
+  points and by their intensity, and the finest that is resolved with all wider ones;
 - spurious points, farther than 0.5 m from anything and above the ground, for each square metre;
 - completeness, the share of open surfaces seen from above with a point within one detector's
-  ground size, and precision, the share of points as near to a true surface; the same beneath the
-  canopy of the covered spoke target;
+  ground size, and precision, the share of points as near to a true surface;
 - the ratio of intensities of paint and bare ground; distances from the tube of the coil;
-- speed and memory of the stage.
+- detections a second.
 
-At the end a table has the mean over the seeds, with the least and the most.
-
-With ``--picture PATH`` it draws detections and points of the first method on the spoke targets and
-the tri-bars, from above.
+With ``--picture PATH`` and ``--whole`` it draws detections and points of the first settings.
 """
 
 import argparse
-import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Final
 
-import laspy
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from benchmarks.geiger.coincidence import accuracy
-from spl_batch import api
 from spl_batch.engine.report import style
 from spl_batch.formats.files.atomic import write_bytes
-from spl_batch.geiger.coincidence.formats import l1_files
-from spl_batch.geiger.coincidence.simulate import simulate
+from spl_batch.geiger.coincidence.settings import CoincidenceSettings
+from spl_batch.geiger.coincidence.simulate.flight import fly
 from spl_batch.geiger.coincidence.simulate.scene import (
     PLACES_M,
     TARGET_HEIGHT_M,
@@ -47,11 +38,33 @@ from spl_batch.geiger.coincidence.simulate.scene import (
     build,
 )
 from spl_batch.geiger.coincidence.simulate.scene_rays import Targets, painted, tube_distance
+from spl_batch.geiger.coincidence.surface import coincide
+from spl_batch.lattice.tiles import Bounds
+
+SETTINGS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "published": {"method": "published"},
+    "bridge_sign": {},
+    "wide_below 0": {"bridge_sign": {"wide_below": 0}},
+    "wide_below 10": {"bridge_sign": {"wide_below": 10}},
+    "window 7": {"bridge_sign": {"window_voxels": 7}},
+}
+"""Keys of ``coincidence`` that differ from their defaults."""
+
+PARTS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "spokes": {"extent_m": (12.0, 12.0), "centre_m": (0.0, 0.0), "targets": ("spokes",)},
+    "bars": {"extent_m": (54.0, 17.0), "centre_m": (0.0, 28.0), "targets": ("bars",)},
+    "covered": {
+        "extent_m": (12.0, 12.0),
+        "centre_m": (0.0, -25.0),
+        "targets": ("covered_spokes",),
+    },
+}
+"""Parts of the scene around targets."""
 
 RESOLVED = 0.5
 """Contrast from which a tri-bar counts as resolved."""
 
-SHOWN_M = (0.10, 0.30)
+SHOWN_M = (0.10, 0.25)
 """Widths of tri-bars whose contrast is printed [m]."""
 
 SPURIOUS_M = 0.5
@@ -63,9 +76,6 @@ STEP_M = 0.1
 
 LARGEST = 150_000
 """Most bytes of the picture."""
-
-CANOPY_M = 7.0
-"""Half the edge of a canopy [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,109 +90,33 @@ Numbers = dict[str, float]
 """What a cloud is worth, by name and unit."""
 
 
-def main(folder: Path, scene: SceneSettings, given: argparse.Namespace) -> dict[str, Numbers]:
-    """Print everything of one seed; gives the numbers of detections and of each method."""
-    if not (folder / "workflow.yaml").exists():
-        start = time.perf_counter()
-        made = simulate(scene, folder)
-        print(f"simulated {made.frames:,} frames, {made.detections:,} detections "
-              f"in {time.perf_counter() - start:.0f} s")  # fmt: skip
+def measure(
+    scene: SceneSettings, names: Sequence[str], picture: Path | None = None
+) -> dict[str, Numbers]:
+    """Numbers of the detections of a scene, and of the points of some settings."""
+    frames, detections = fly(scene)
     targets = build(scene)
-    print(f"extent {scene.extent_m[0]:g} x {scene.extent_m[1]:g} m, seed {scene.seed}, "
-          f"targets {', '.join(scene.targets)}")  # fmt: skip
-    detections = _detections(folder, scene)
-    found = {"detections": judge("detections", detections, scene, targets)}
-    for method in given.methods:
-        output = folder / f"out_{method}"
-        result = api.run(
-            folder / "workflow.yaml",
-            workers=given.workers,
-            overrides=(f"output={output.name}", f"coincidence.method={method}"),
-        )
-        points = _points(output, scene)
-        found[method] = judge(method, points, scene, targets)
-        if given.picture is not None and method == given.methods[0]:
-            picture(given.picture, detections, points)
-        for name, stage in result.report.performance.stages.items():
-            print(f"  stage {name:12s} {stage.wall_s:8.1f} s in {stage.tasks} tasks, "
-                  f"{stage.points_per_s or 0:10,.0f} detections/s and worker, "
-                  f"peak {stage.peak_rss_mb:,.0f} MB", flush=True)  # fmt: skip
-        counted = result.report.counts.detections
-        for name in ("store", "points"):
-            size = sum(f.stat().st_size for f in (output / name).rglob("*") if f.is_file())
-            print(f"  {name:6s} {size / counted:.1f} bytes a detection", flush=True)
+    before = _inside(detections.xyz, np.ones(len(detections)), scene)
+    found = {"detections": judge(before, scene, targets)}
+    half = np.array(scene.extent_m) / 2
+    centre = np.array(scene.origin_m[:2]) + scene.centre_m
+    low, high = (np.rint(1000 * v).astype(int).tolist() for v in (centre - half, centre + half))
+    for name in names:
+        chosen, start = CoincidenceSettings.model_validate(SETTINGS[name]), time.process_time()
+        points = coincide.coincide(frames, detections, Bounds(*low, *high), chosen, scene.array)
+        rate = len(detections) / (time.process_time() - start)
+        after = _inside(points.xyz, points.intensity.astype(np.float64), scene)
+        found[name] = judge(after, scene, targets) | {"detections, 1/CPU s": rate}
+        if picture is not None and name == names[0]:
+            draw(picture, before, after)
     return found
 
 
-def table(found: Sequence[dict[str, Numbers]]) -> None:
-    """Print means over seeds with the least and the most."""
-    columns = list(found[0])
-    print(
-        "\n| mean, least to most | " + " | ".join(columns) + " |\n|" + "---|" * (len(columns) + 1)
-    )
-    for name in dict.fromkeys(k for one in found[0].values() for k in one):
-        cells = []
-        for column in columns:
-            values = [one[column][name] for one in found if name in one[column]]
-            spread = f" ({min(values):,.2f} to {max(values):,.2f})" if len(values) > 1 else ""
-            cells.append(f"{np.mean(values):,.2f}{spread}" if values else "")
-        print(f"| {name} | " + " | ".join(cells) + " |")
-
-
-def picture(path: Path, before: Cloud, after: Cloud) -> None:
-    """Draw the spoke targets and the tri-bars from above, detections over points."""
-    x, y = PLACES_M["bars"]
-    parts = (
-        ("open spokes", (-5.5, 5.5, -5.5, 5.5)),
-        ("beneath leaves", (-5.5, 5.5, -30.5, -19.5)),
-        ("tri-bars of 25 to 10 cm, running north", (x - 25.3, x - 15.4, y - 4.5, y - 2.8)),
-    )
-    with style.type_context():
-        drawn = style.figure(7.0, 9.5)
-        rows = drawn.add_gridspec(4, 2, height_ratios=(1, 1, 0.33, 0.33))
-        for k, (name, cloud) in enumerate((("detections", before), ("points", after))):
-            places = (rows[k, 0], rows[k, 1], rows[2 + k, :])
-            for (title, view), place in zip(parts, places, strict=True):
-                panel = drawn.add_subplot(place)
-                _from_above(panel, cloud, view)
-                panel.set_title(f"{title}: {name}")
-        write_bytes(path, style.to_png(drawn, LARGEST)[0])
-
-
-def _from_above(panel: Axes, cloud: Cloud, view: tuple[float, float, float, float]) -> None:
-    """Draw what lies at the targets' height."""
-    (west, east, south, north), (x, y, z) = view, cloud.xyz.T
-    shown = np.abs(z - TARGET_HEIGHT_M) < accuracy.BAND_M
-    shown &= (x > west) & (x < east) & (y > south) & (y < north)
-    panel.scatter(x[shown], y[shown], s=0.35, c=style.SIGNAL, lw=0, rasterized=True)
-    panel.set(aspect="equal", xlim=(west, east), ylim=(south, north), xticks=(), yticks=())
-
-
-def _detections(folder: Path, scene: SceneSettings) -> Cloud:
-    parts = [
-        part.xyz / 1000
-        for path in sorted((folder / "l1").glob("*_detections.parquet"))
-        for part in l1_files.detections_in_order(path, scene.array)
-    ]
-    return _inside(np.concatenate(parts) - np.array(scene.origin_m), None, scene)
-
-
-def _points(output: Path, scene: SceneSettings) -> Cloud:
-    parts, weights = [], []
-    for path in sorted((output / "points").glob("*.laz")):
-        las = laspy.read(path)
-        parts.append(np.stack([las.x, las.y, las.z], axis=-1))
-        weights.append(np.asarray(las["detection_share"], np.float64))
-    xyz = np.concatenate(parts) - np.array(scene.origin_m)
-    return _inside(xyz, np.concatenate(weights), scene)
-
-
-def _inside(
-    xyz: NDArray[np.float64], weight: NDArray[np.float64] | None, scene: SceneSettings
-) -> Cloud:
+def _inside(xyz: NDArray[np.int64], weight: NDArray[np.float64], scene: SceneSettings) -> Cloud:
+    local = xyz / 1000 - np.array(scene.origin_m)
     low, high = _limits(scene)
-    rows = ((xyz[:, :2] >= low) & (xyz[:, :2] < high)).all(axis=1)
-    return Cloud(xyz[rows], np.ones(int(rows.sum())) if weight is None else weight[rows])
+    rows = ((local[:, :2] >= low) & (local[:, :2] < high)).all(axis=1)
+    return Cloud(local[rows], weight[rows])
 
 
 def _limits(scene: SceneSettings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -190,23 +124,20 @@ def _limits(scene: SceneSettings) -> tuple[NDArray[np.float64], NDArray[np.float
     return np.array(scene.centre_m) - half, np.array(scene.centre_m) + half
 
 
-def judge(label: str, cloud: Cloud, scene: SceneSettings, targets: Targets) -> Numbers:
-    """Print what a cloud is worth."""
+def judge(cloud: Cloud, scene: SceneSettings, targets: Targets) -> Numbers:
+    """What a cloud is worth."""
     low, high = _limits(scene)
-    area = float(np.prod(high - low))
-    xyz = cloud.xyz
+    area, xyz = float(np.prod(high - low)), cloud.xyz
     away = accuracy.distance_m(xyz, targets)
     pixel = scene.flight.altitude_m * scene.array.ifov_rad
-    near_canopy = _under(xyz, ("covered_spokes", "foliage"), scene)
-    print(f"\n{label}: {len(xyz):,} in {area:,.0f} m2")
-    spurious = int(((away > SPURIOUS_M) & (xyz[:, 2] > SPURIOUS_M)).sum())
     truth = accuracy.seen_from_above(targets, low, high, STEP_M)
     within = f"within {100 * pixel:.0f} cm"
+    weighted = np.ptp(cloud.weight) > 0
     found: Numbers = {
         "points": len(xyz),
-        "spurious above ground, 1/m2": spurious / area,
+        "spurious above ground, 1/m2": ((away > SPURIOUS_M) & (xyz[:, 2] > SPURIOUS_M)).sum()
+        / area,
         f"precision {within}, %": 100 * (away < pixel).mean(),
-        f"precision {within} outside canopies, %": 100 * (away[~near_canopy] < pixel).mean(),
         f"completeness {within} of open surfaces, %": 100
         * accuracy.completeness(truth, xyz, pixel),
     }
@@ -214,16 +145,14 @@ def judge(label: str, cloud: Cloud, scene: SceneSettings, targets: Targets) -> N
         found |= _heights("open spokes", 100 * accuracy.spoke_heights(xyz))
     if "covered_spokes" in scene.targets:
         found |= _covered(xyz, scene, pixel)
-    if "logo" in scene.targets and np.ptp(cloud.weight) > 0:
+    if "logo" in scene.targets and weighted:
         found["paint over ground, intensity"] = _paint(cloud, targets)
     if "coil" in scene.targets:
-        found |= _coil(xyz, targets)
+        found["coil, upper loop, SD, cm"] = _coil(xyz, targets)
     if "bars" in scene.targets:
         found |= _bars("by number", accuracy.tri_bars(xyz))
-        if np.ptp(cloud.weight) > 0:
+        if weighted:
             found |= _bars("by intensity", accuracy.tri_bars(xyz, cloud.weight))
-    for name, value in found.items():
-        print(f"  {name:48s} {value:,.4g}")
     return found
 
 
@@ -231,26 +160,13 @@ def _heights(name: str, heights: NDArray[np.float64]) -> Numbers:
     return {f"{name}, height SD, cm": heights.std(), f"{name}, height mean, cm": heights.mean()}
 
 
-def _coil(xyz: NDArray[np.float64], targets: Targets) -> Numbers:
+def _coil(xyz: NDArray[np.float64], targets: Targets) -> float:
     """How well the upper loop's top is round: distances of points from the tube's surface."""
     near = np.hypot(*(xyz[:, :2] - np.array(PLACES_M["coil"])).T) < 1.5
     rows = np.flatnonzero(near & (xyz[:, 2] > 2.75))
     axis, radius = targets.coil, targets.coil_radius
     away = np.array([tube_distance(x, y, z, axis, radius) for x, y, z in xyz[rows]])
-    away = 100 * away[np.abs(away) < radius]
-    return {"coil, upper loop, SD, cm": away.std(), "coil, upper loop, mean, cm": away.mean()}
-
-
-def _under(
-    xyz: NDArray[np.float64], names: Sequence[str], scene: SceneSettings
-) -> NDArray[np.bool_]:
-    """Which places lie within the square of a canopy that is there."""
-    found = np.zeros(len(xyz), np.bool_)
-    for name in names:
-        if name in scene.targets:
-            away = np.abs(xyz[:, :2] - np.array(PLACES_M[name])).max(axis=1)
-            found |= away < CANOPY_M
-    return found
+    return float(100 * away[np.abs(away) < radius].std())
 
 
 def _covered(xyz: NDArray[np.float64], scene: SceneSettings, pixel: float) -> Numbers:
@@ -259,9 +175,8 @@ def _covered(xyz: NDArray[np.float64], scene: SceneSettings, pixel: float) -> Nu
     bare = bare._replace(leaves=np.empty((0, 5)))
     centre = np.array(PLACES_M["covered_spokes"])
     truth = accuracy.seen_from_above(bare, centre - 5, centre + 5, STEP_M)
-    spokes = truth[truth[:, 2] > 1]
     found = _heights("spokes beneath leaves", 100 * accuracy.spoke_heights(xyz, "covered_spokes"))
-    complete = 100 * accuracy.completeness(spokes, xyz, pixel)
+    complete = 100 * accuracy.completeness(truth[truth[:, 2] > 1], xyz, pixel)
     return found | {"spokes beneath leaves, completeness, %": complete}
 
 
@@ -291,24 +206,51 @@ def _paint(cloud: Cloud, targets: Targets) -> float:
     return float(cloud.weight[rows][paint].mean() / cloud.weight[rows][~paint].mean())
 
 
-def parse() -> argparse.Namespace:
-    """Arguments of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("--extent", type=float, default=100.0)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--methods", nargs="+", default=["bridge_sign", "posterior"])
-    parser.add_argument("--picture", type=Path)
-    return parser.parse_args()
+def draw(path: Path, before: Cloud, after: Cloud) -> None:
+    """Draw the spoke targets and the tri-bars from above, detections over points."""
+    x, y = PLACES_M["bars"]
+    parts = (
+        ("open spokes", (-5.5, 5.5, -5.5, 5.5)),
+        ("beneath leaves", (-5.5, 5.5, -30.5, -19.5)),
+        ("tri-bars of 25 to 10 cm, running north", (x - 25.3, x - 15.4, y - 4.5, y - 2.8)),
+    )
+    with style.type_context():
+        drawn = style.figure(7.0, 9.5)
+        rows = drawn.add_gridspec(4, 2, height_ratios=(1, 1, 0.33, 0.33))
+        for k, (name, cloud) in enumerate((("detections", before), ("points", after))):
+            level = cloud.xyz[np.abs(cloud.xyz[:, 2] - TARGET_HEIGHT_M) < accuracy.BAND_M]
+            places = (rows[k, 0], rows[k, 1], rows[2 + k, :])
+            for (title, (west, east, south, north)), place in zip(parts, places, strict=True):
+                panel = drawn.add_subplot(place)
+                east_m, north_m = level[:, 0], level[:, 1]
+                panel.scatter(east_m, north_m, s=0.35, c=style.SIGNAL, lw=0, rasterized=True)
+                panel.set(aspect="equal", xlim=(west, east), ylim=(south, north))
+                panel.set(xticks=(), yticks=(), title=f"{title}: {name}")
+        write_bytes(path, style.to_png(drawn, LARGEST)[0])
+
+
+def table(found: Sequence[dict[str, Numbers]]) -> None:
+    """Print means over seeds."""
+    columns = list(found[0])
+    print("| | " + " | ".join(columns) + " |\n|" + "---|" * (len(columns) + 1))
+    for name in dict.fromkeys(k for one in found[0].values() for k in one):
+        cells = [
+            f"{np.mean([one[column][name] for one in found]):,.2f}"
+            if name in found[0][column]
+            else ""
+            for column in columns
+        ]
+        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
 
 
 if __name__ == "__main__":
-    given = parse()
-    with tempfile.TemporaryDirectory() as temporary:
-        top, all_found = given.folder or Path(temporary), []
-        for seed in given.seeds:
-            flown = SceneSettings(seed=seed, extent_m=(given.extent, given.extent))
-            all_found.append(main(top / f"seed_{seed}", flown, given))
-            given.picture = None
-        table(all_found)
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--whole", action="store_true")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS))
+    parser.add_argument("--picture", type=Path)
+    given = parser.parse_args()
+    for title, part in ({"whole scene": {}} if given.whole else PARTS).items():
+        print(f"\n{title}, seeds {', '.join(map(str, given.seeds))}\n")
+        scenes = [SceneSettings(seed=seed, **part) for seed in given.seeds]
+        table([measure(scene, given.settings, given.picture) for scene in scenes])

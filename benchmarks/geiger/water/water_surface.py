@@ -2,13 +2,10 @@
 
 ``python -m benchmarks.geiger.water.water_surface [--seeds 1 2 3] [--acquisitions 20]`` prints
 
-- the spread of a flat target's ranges by the number of frames [G15 Fig. 2.13], and of an
-  acquisition before and after the source's filters [G15 Fig. 2.14, 2.16, 2.17],
+- the spread of a flat target's ranges by the number of frames [G15 Fig. 2.13],
 - what the calibration of each twin gives [G15 3.4.3, 3.4.4],
 - errors of a flat hard target [G15 table 4.2] and of calm water [G15 table 4.4]: published, the
   source's way on the twin, ours on the same frames,
-- the hard target once more, with an array whose last column is timed later than its first, so that
-  the mean normal is off as far as the published ones are,
 - the same for waves, and how far the ends of rays through 6.2 m of water lie from the true ones:
   without refraction, with that of a level surface, with that of the surface found.
 
@@ -22,6 +19,8 @@ which light comes back. Each seed is another instrument with a calibration of it
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, replace
+from functools import reduce
+from operator import add
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +30,12 @@ from numpy.typing import NDArray
 
 from spl_batch.engine.report import style
 from spl_batch.geiger.water.accuracy import (
+    PIXEL_SUMS,
     FloorError,
-    PixelSums,
     floor_error,
     middle,
+    pixel_maps,
+    pixel_sums,
     surface_error,
 )
 from spl_batch.geiger.water.pixel_geometry import View, view_of
@@ -70,10 +71,8 @@ from spl_batch.geiger.water.simulate.frames import (
 )
 from spl_batch.geiger.water.surface.pixel_surface import (
     Surface,
-    denoised,
     make_surface,
     ranges,
-    window_median,
 )
 from spl_batch.geiger.water.surface.refraction import floor_points, refracted
 
@@ -94,9 +93,6 @@ WAVES = replace(
 )
 """15 cm from trough to crest, as the source's wave maker gave, with shorter waves on it."""
 
-SKEW_NS = 0.27
-"""Tilts the source's surfaces by an angle between the published ones."""
-
 ON_WATER = {"peak_photoelectrons": 2.0, "beam_px": 11.5}
 """The beam over water."""
 
@@ -105,11 +101,10 @@ OURS = SurfaceSettings()
 
 FRAME_COUNTS = (1, 23, 200, 1000, 5000, 10000)
 PUBLISHED_SPREAD_CM = (15.1, 8.2, 2.9, 1.5, 1.1, 1.0)
-PUBLISHED_FILTERS_CM = (2.83, 0.8, 0.3)
 PUBLISHED_HARD = (7.0, 13.87, 82.33, 5.54)
 PUBLISHED_CALM = (6.12, 134.0, 240.0, 11.196)
 
-TABLES = ("hard", "skewed", "calm", "waves", "floor")
+TABLES = ("hard", "calm", "waves", "floor")
 
 DISTANCES_M = np.linspace(2.0, 5.5, 8)
 TARGET_FRAMES = 2000
@@ -122,7 +117,7 @@ Floats = NDArray[np.float64]
 
 def gated(frames: NDArray[np.uint16]) -> Hits:
     """Hits within the gate that the frames' histogram shows."""
-    gate = find_gate(histogram(frames, USED, CAMERA.bins)[0], GateSettings())
+    gate = find_gate(histogram(frames, USED, CAMERA.bins), GateSettings())
     assert gate is not None
     return add_up(frames, gate)
 
@@ -147,12 +142,7 @@ def observations(instrument: Instrument, seed: int) -> tuple[list[Observation], 
             )
             hits.append(gated(next(iter(drawn)).frames))
             distances.append(float(distance + TAPE_M * rng.standard_normal()))
-    everything = replace(
-        hits[1],
-        frames=sum(h.frames for h in hits),
-        **{n: sum(getattr(h, n) for h in hits) for n in ("hits", "total", "square", "outside")},
-    )
-    dead = dead_pixels(everything, USED, PIXELS)
+    dead = dead_pixels(reduce(add, hits), USED, PIXELS)
     made = [
         observation(h, dead, HARD_VIEW.norm, d, CAMERA.bin_ns)
         for h, d in zip(hits, distances, strict=True)
@@ -201,22 +191,13 @@ def surfaces(
 
 def errors(acquired: Acquisition, surface: Surface) -> list[float]:
     """Bias [mm], variance and MSE [mm2], angle of the mean normal, mean of the pixels' [deg]."""
-    made, _, _ = surface_error(
-        surface.places_m[USED.any(axis=1)],
-        surface.normals[USED.any(axis=1)],
-        acquired.true_down_m[USED.any(axis=1)],
-        acquired.true_normals[USED.any(axis=1)],
-    )
-    return [
-        abs(made.bias_m) * 1e3,
-        made.variance_m2 * 1e6,
-        made.mse_m2 * 1e6,
-        made.normal_deg,
-        made.pixel_normal_deg,
-    ]
+    pairs = (surface.places_m, surface.normals, acquired.true_down_m, acquired.true_normals)
+    made, _, _ = surface_error(*(values[USED.any(axis=1)] for values in pairs))
+    lengths = [abs(made.bias_m) * 1e3, made.variance_m2 * 1e6, made.mse_m2 * 1e6]
+    return [*lengths, made.normal_deg, made.pixel_normal_deg]
 
 
-def floor_errors(acquired: Acquisition, surface: Surface, view: View) -> FloorError | None:
+def floor_errors(acquired: Acquisition, surface: Surface, view: View) -> FloorError:
     """Ends of the rays of the green beam's pixels."""
     block = middle((CAMERA.rows, CAMERA.cols), 16)
     true = view.places(acquired.true_range_m)[block], acquired.true_normals[block]
@@ -248,16 +229,14 @@ def water_normals(_: Path, count: int = 8) -> Figure:
     left.set(title="Ends of rays [cm]", xlabel="east", ylabel="north", aspect="equal")
     left.set(xlim=(-60, 60), ylim=(-50, 70))
     left.legend(markerscale=5, handletextpad=0.1, loc="upper left")
-    sums = [PixelSums.empty((CAMERA.rows, CAMERA.cols)) for _ in chosen]
+    sums = np.zeros((len(chosen), len(PIXEL_SUMS), CAMERA.rows, CAMERA.cols))
     made = surfaces(CALM, wet, WATER_VIEW, dead, list(chosen.values()), count, 52)
     for acquired, results in made:
-        for total, found in zip(sums, results, strict=True):
-            truth = acquired.true_down_m, acquired.true_normals
-            total.add(*surface_error(found.places_m, found.normals, *truth)[1:])
+        truth = acquired.true_down_m, acquired.true_normals
+        sums += [pixel_sums(*surface_error(f.places_m, f.normals, *truth)[1:]) for f in results]
     for axes, name, total in zip(right, chosen, sums, strict=True):
-        shown = axes.imshow(
-            total.maps()["normal_deg"][USED.any(axis=1)], cmap=style.SKY, vmin=0, vmax=25
-        )
+        normals = pixel_maps(total)["normal_deg"][USED.any(axis=1)]
+        shown = axes.imshow(normals, cmap=style.SKY, vmin=0, vmax=25)
         axes.set(title=name[0].upper() + name[1:], xlabel="column", ylabel="row")
     drawn.colorbar(shown, ax=right, label="normals off the truth [deg]", shrink=0.8)
     return drawn
@@ -282,7 +261,7 @@ def print_errors(title: str, published: Sequence[float] | None, rows: dict[str, 
 
 
 def print_spread(instrument: Instrument, calibration: Calibration, dead: NDArray[np.bool_]) -> None:
-    """Spread of a flat target's ranges by frames, and through the source's filters [cm]."""
+    """Spread of a flat target's ranges by frames [cm]."""
     drawn = next(
         iter(acquisitions(HARD, instrument, CAMERA, HARD_VIEW, 1, FRAME_COUNTS[-1], 77))
     ).frames
@@ -294,13 +273,6 @@ def print_spread(instrument: Instrument, calibration: Calibration, dead: NDArray
     print(f"\nSpread of a flat target, cm\n{'frames':26s}{row}")
     print(f"{'published':26s}" + "".join(f"{v:9.2f}" for v in PUBLISHED_SPREAD_CM))
     print(f"{'twin':26s}" + "".join(f"{v:9.2f}" for v in found))
-    raw = ranges(gated(drawn[:FRAMES]), dead, calibration, CAMERA, PIXELS) / HARD_VIEW.norm
-    median = window_median(np.where(dead, np.nan, raw), 1)
-    smooth = denoised(median, SOURCE_WAY.windowed)
-    steps = [100 * float(np.nanstd(v[USED])) for v in (raw, median, smooth)]
-    print(f"{'':26s}{'raw':>9s}{'median':>9s}{'means':>9s}")
-    print(f"{'published':26s}" + "".join(f"{v:9.2f}" for v in PUBLISHED_FILTERS_CM))
-    print(f"{'twin':26s}" + "".join(f"{v:9.2f}" for v in steps))
 
 
 def main(seeds: Sequence[int], count: int) -> None:
@@ -323,31 +295,26 @@ def main(seeds: Sequence[int], count: int) -> None:
             f"offset {o.offset_ns:.3f} ns, echo {o.pulse_ns:.3f} ns, "
             f"{int((dead & USED).sum())} dead pixels in use"
         )
-        wet, skewed = replace(instrument, **ON_WATER), replace(instrument, skew_ns=SKEW_NS)
-        cases = (
-            ("hard", HARD, instrument, HARD_VIEW, ways),
-            ("skewed", HARD, skewed, HARD_VIEW, calibrated_ways(skewed, seed)[0]),
-            ("calm", CALM, wet, WATER_VIEW, ways),
-            ("waves", WAVES, wet, WATER_VIEW, ways),
-        )
-        for name, target, receiver, view, ways_here in cases:
-            found: dict[str, list[list[float]]] = {}
-            floor: dict[str, list[tuple[float, ...]]] = {}
-            made = surfaces(
-                target, receiver, view, dead, list(ways_here.values()), count, 50 + seed
-            )
+        wet = replace(instrument, **ON_WATER)
+        for name, target, receiver, view in (
+            ("hard", HARD, instrument, HARD_VIEW),
+            ("calm", CALM, wet, WATER_VIEW),
+            ("waves", WAVES, wet, WATER_VIEW),
+        ):
+            found: dict[str, list[list[float]]] = {way: [] for way in ways}
+            floor: dict[str, list[tuple[float, ...]]] = {way: [] for way in ways}
+            chosen = list(ways.values())
+            made = surfaces(target, receiver, view, dead, chosen, count, 50 + seed)
             for acquired, results in made:
-                for way, surface in zip(ways_here, results, strict=True):
-                    found.setdefault(way, []).append(errors(acquired, surface))
-                    ends = floor_errors(acquired, surface, view) if name == "waves" else None
-                    if ends is not None:
-                        floor.setdefault(way, []).append(astuple(ends))
-            for table, rows in ((name, found), ("floor", floor)):
-                for way, values in rows.items():
-                    tables[table].setdefault(way, []).append(np.mean(values, axis=0))
+                for way, surface in zip(ways, results, strict=True):
+                    found[way].append(errors(acquired, surface))
+                    floor[way].append(astuple(floor_errors(acquired, surface, view)))
+            for way in ways:
+                tables[name].setdefault(way, []).append(np.mean(found[way], axis=0))
+                if name == "waves":
+                    tables["floor"].setdefault(way, []).append(np.mean(floor[way], axis=0))
     stacked = {t: {w: np.array(v) for w, v in rows.items()} for t, rows in tables.items()}
     print_errors("Flat hard target [table 4.2]", PUBLISHED_HARD, stacked["hard"])
-    print_errors(f"Flat hard target, clock skewed by {SKEW_NS} ns", None, stacked["skewed"])
     print_errors("Calm water [table 4.4]", PUBLISHED_CALM, stacked["calm"])
     print_errors("Waves", None, stacked["waves"])
     print(f"\nEnds of rays after {PATH_M} m of water under waves, distance to the truth, cm")

@@ -13,7 +13,7 @@ from spl_batch.airborne.plan.block_size import Holders
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
 from spl_batch.airborne.plan.memory.block_parts import parts_of
-from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts
+from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts, whole_bytes
 from spl_batch.airborne.plan.space_units import (
     Unit,
     fired_index,
@@ -170,7 +170,8 @@ def cell_in_memory(kind: str, cell: Unit, survey: Survey) -> tuple[str, dict[str
     """Why a task of a ground cell cannot be started, empty if it can; and how it is cut."""
     limit = survey.memory_bytes
     most = sum(survey.counts[tile] for tile in cell.tiles)
-    if task_bytes(kind, most) <= usable_bytes(limit):  # wherever in the tiles they are
+    # wherever in the tiles they are
+    if whole_bytes(kind, cell.core, most, survey.workflow) <= usable_bytes(limit):
         held = kind == "surface" and task_bytes("surface_held", most) <= usable_bytes(limit)
         return "", {"cuts": {}, **({"held": True} if held else {})}
     spread = spread_over(cell.tiles, survey)

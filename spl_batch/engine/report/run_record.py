@@ -134,7 +134,7 @@ def _standing(done: Receipts, context: RunContext[Any], facts: RunFacts) -> dict
     polygons = [workflow[key] for key in _POLYGONS if workflow.get(key)]
     beside = [*map(Path, facts.reference), *map(context.resolve, polygons)]
     says = [
-        *(workflow, context.crs_wkt, context.code, _report_code(context.workflow.kind)),
+        *(workflow, context.crs_wkt, context.code, report_code(context.workflow.kind)),
         *(list(facts.findings), list(facts.reference), facts.not_read),
         [failure.model_dump() for failure in facts.failures],
         [stamp_if_there(path) for path in beside],
@@ -146,7 +146,7 @@ def _standing(done: Receipts, context: RunContext[Any], facts: RunFacts) -> dict
 
 
 @cache
-def _report_code(receiver: str) -> str:
+def report_code(receiver: str) -> str:
     """Hash of the code that makes a receiver's report, which decides no result."""
     start = module_file(HOMES[receiver].receiver.partition(":")[0])
     modules = imported(start) if start is not None else frozenset()

@@ -61,6 +61,7 @@ def locked(output: Path) -> Iterator[str]:
             os.write(stream.fileno(), content.encode())
             os.fsync(stream.fileno())
             yield content
+            os.ftruncate(stream.fileno(), 0)  # what is left there tells of a run that was stopped
         except OSError as error:
             stop_if_full(error, output)
             raise
@@ -117,6 +118,11 @@ def _unwritable(output: Path, there: Path, error: OSError) -> WorkflowError:
         f"output: {output} cannot be written: nothing can be made in {there} ({reason_of(error)}); "
         "name another output, or look at what is there and at its rights"
     )
+
+
+def was_stopped(output: Path) -> bool:
+    """Whether the run before did not come to its end; asked before the lock is taken."""
+    return bool(_mark(lock_file(output)))
 
 
 def lock_file(output: Path) -> Path:

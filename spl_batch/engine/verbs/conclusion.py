@@ -1,6 +1,7 @@
 """How a run ends: what is stale is deleted, the report is written, and a user is told."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from spl_batch.engine.tasks.runner import damaged_rasters
 from spl_batch.engine.tasks.step import delivering, stages
 from spl_batch.engine.verbs.failures import failures
 from spl_batch.engine.verbs.receiver import Prepared
+from spl_batch.engine.verbs.resting import rest
 from spl_batch.engine.watch.earlier_runs import earlier_wall_s, log_bytes
 from spl_batch.engine.watch.events import Note, ReportStarted
 from spl_batch.engine.watch.listing import listed
@@ -120,10 +122,35 @@ def _conclude(
         written = receiver.report(ledger.done, context, facts)
         progress.late(written.findings)
     else:
-        seconds = as_ascii(duration(time.perf_counter() - took[0]))
-        now = [("now", f"nothing was left to do: looked at in {seconds}")]
-    screen = (*receiver.screen(written), *now)
-    return RunResult(int(bool(written.failures)), context.output, written, screen, _shown(prepared))
+        now = _looked(took[0])
+    if not written.failures:
+        rest(prepared, progress.deliveries)
+    return _result(prepared, written, now)
+
+
+def rested(prepared: Prepared[Any, Any], progress: Progress, start: float) -> RunResult | None:
+    """Result of a run that finds everything as it has left it; None where its report is not.
+
+    ``start``: when the run began [s].
+    """
+    written = _read_report(prepared)
+    if written is None:
+        return None
+    progress.late(written.findings)
+    return _result(prepared, written, _looked(start))
+
+
+def _result(
+    prepared: Prepared[Any, Any], written: Any, now: Sequence[tuple[str, str]]
+) -> RunResult:
+    output, receiver = prepared.context.output, prepared.receiver
+    screen, shown = (*receiver.screen(written), *now), tuple(receiver.results(output))
+    return RunResult(int(bool(written.failures)), output, written, screen, shown)
+
+
+def _looked(start: float) -> list[tuple[str, str]]:
+    seconds = as_ascii(duration(time.perf_counter() - start))
+    return [("now", f"nothing was left to do: looked at in {seconds}")]
 
 
 def _withdraw(progress: Progress, ledger: Ledger[Any, Any]) -> None:
@@ -137,15 +164,14 @@ def _withdraw(progress: Progress, ledger: Ledger[Any, Any]) -> None:
 
 def _standing(prepared: Prepared[Any, Any], facts: RunFacts) -> Any:
     """The report that is there; None where it would say something else now."""
+    return _read_report(prepared) if stands(prepared.ledger.done, prepared.context, facts) else None
+
+
+def _read_report(prepared: Prepared[Any, Any]) -> Any:
+    """The report that is there; None where it cannot be read."""
     context = prepared.context
-    if not stands(prepared.ledger.done, context, facts):
-        return None
     model = report_model(kind_of(prepared))
     try:
         return model.model_validate_json((context.output / REPORT_FILES[0]).read_bytes())
-    except ValueError:  # damaged in spite of its time of writing: it is written again
+    except (OSError, ValueError):  # damaged in spite of its time of writing: it is written again
         return None
-
-
-def _shown(prepared: Prepared[Any, Any]) -> tuple[tuple[str, list[Path]], ...]:
-    return tuple(prepared.receiver.results(prepared.context.output))

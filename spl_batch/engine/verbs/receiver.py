@@ -17,6 +17,7 @@ from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.step import Step, Steps
 from spl_batch.engine.tasks.task import Receipt
@@ -164,6 +165,10 @@ class Receiver(ABC, Generic[L, C]):
         """Files that the results are compared with."""
         del ledger
         return []
+
+    def decisive(self, prepared: Prepared[L, C]) -> list[Any]:
+        """What decides the results beside workflow and inputs, as plain JSON values."""
+        return [[name, *stamp_if_there(Path(name))] for name in self.reference(prepared.ledger)]
 
     def not_read(self, ledger: L) -> int:
         """Points that files promise which could not be read to their end [count]."""

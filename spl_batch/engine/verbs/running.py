@@ -10,16 +10,17 @@ from typing import Any, Final
 
 from spl_batch.engine.flow.executor import Ahead, Executor, Footing, executor, refuse_no_address
 from spl_batch.engine.plan.budget import Cost
-from spl_batch.engine.store.output_lock import lock_file, locked
+from spl_batch.engine.store.output_lock import lock_file, locked, was_stopped
 from spl_batch.engine.store.output_owner import gone_inputs, this_survey, usable
 from spl_batch.engine.store.store_owner import claim
-from spl_batch.engine.verbs.conclusion import RunResult, concluded, kind_of, stages_of
+from spl_batch.engine.verbs.conclusion import RunResult, concluded, kind_of, rested, stages_of
 from spl_batch.engine.verbs.failures import Invocation
 from spl_batch.engine.verbs.graph import Graph
 from spl_batch.engine.verbs.planning import fitting_cost
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.verbs.repair import Repairs
+from spl_batch.engine.verbs.resting import at_rest, stir
 from spl_batch.engine.watch.events import Listener, Note, RunEnded, RunStarted, ignore
 from spl_batch.engine.watch.progress import Progress
 from spl_batch.errors import (
@@ -100,7 +101,7 @@ def run(
     invocation = Invocation(workflow, workers, prepared.ledger.memory_bytes, overrides)
     usable(prepared)  # before the lock, which would leave a file in somebody else's folder
     look = prepared.receiver.first_look(prepared)  # refuses what a plan refuses
-    new = not output.exists()
+    new, stopped = not output.exists(), was_stopped(output)
     with locked(output) as mark:
         deliveries = usable(prepared)
         claim(prepared.context.store)
@@ -120,18 +121,9 @@ def run(
             {str(source.key): source.name for source in prepared.ledger.inputs.sources},
             ignored=prepared.context.workflow.report.ignore,
         )
-        code = prepared.context.code
-        phases = Counter(step.stage for step in prepared.steps.values())
-        anew = not prepared.context.store.path("receipts").exists()
-        unusable = [
-            {"path": bad.path, "reason": "; ".join(bad.faults)}
-            for bad in prepared.ledger.inputs.bad
-        ]
-        expected_s = _expected_s(cost)
-        progress.tell(
-            RunStarted(str(workflow), workers, code, expected_s, order, phases, anew, unusable)
-        )
-        progress.tidy()
+        progress.tell(_started(prepared, workflow, workers, cost))
+        if stopped:
+            progress.tidy()
         compiles = prepared.receiver.compiles
         ahead = compiles and Ahead(compiles, COMPILING)
         with _telling_the_end(progress), _stopped_by_system():
@@ -147,10 +139,16 @@ def run(
                 memory_bytes=prepared.ledger.memory_bytes,
                 scheduler=scheduler,
                 observer=progress,
-                footing=Footing(kind_of(prepared), code, str(lock_file(output)), mark),
+                footing=Footing(
+                    kind_of(prepared), prepared.context.code, str(lock_file(output)), mark
+                ),
                 ahead=ahead,
             )
             result = None
+            if _reports(until) and not (fresh or verify) and at_rest(prepared, deliveries):
+                result = rested(prepared, progress, start)
+            if result is None:
+                stir(prepared)
             while result is None:
                 with workforce() as pool:
                     _process(prepared, pool, progress, until, verify=verify)
@@ -191,6 +189,25 @@ def _stopped_by_system() -> Iterator[None]:
         stop_if_full(error, error.filename or "output")
         text = told_by_system(error, "mend that, and run again to continue")
         raise StoppedError(text) from error
+
+
+def _started(
+    prepared: Prepared[Any, Any], workflow: Path | str, workers: int, cost: Cost
+) -> RunStarted:
+    """What the log has of the beginning of a run."""
+    unusable = [
+        {"path": bad.path, "reason": "; ".join(bad.faults)} for bad in prepared.ledger.inputs.bad
+    ]
+    return RunStarted(
+        str(workflow),
+        workers,
+        prepared.context.code,
+        _expected_s(cost),
+        stages_of(prepared),
+        Counter(step.stage for step in prepared.steps.values()),
+        not prepared.context.store.path("receipts").exists(),
+        unusable,
+    )
 
 
 def _expected_s(cost: Cost) -> dict[str, float]:

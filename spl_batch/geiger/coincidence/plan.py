@@ -22,7 +22,7 @@ from spl_batch.errors import InputError, WorkflowError, reason_of
 from spl_batch.formats.crs import projected_crs
 from spl_batch.geiger.coincidence.formats import l1_files as files
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
-from spl_batch.geiger.coincidence.surface.coincide import least_detections, reach_q
+from spl_batch.geiger.coincidence.surface.coincide import halo, reach_q
 from spl_batch.lattice import density
 from spl_batch.lattice.density import Box
 from spl_batch.lattice.tiles import Bounds, parse_cell, quanta
@@ -35,9 +35,12 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
 coincidence`` the first."""
 
 INDEX_BYTES: Final = 100 * 2**20
-"""Peak memory of indexing a file of any size [byte].
+"""Peak memory of indexing detections, of a file of any size [byte].
 
 ``python -m benchmarks.engine.memory coincidence`` measures it."""
+
+INDEX_BYTES_PER_FRAME: Final = 400
+"""Peak memory of indexing a file of frames, which is sorted at once [byte]."""
 
 BYTES_PER_VOXEL: Final = 60
 """Peak memory per voxel of a sub-volume: four rasters and its points [byte]."""
@@ -50,9 +53,6 @@ SLANT: Final = 0.05
 
 STORE_BYTES_PER_DETECTION: Final = 16
 DELIVERED_BYTES_PER_DETECTION: Final = 12
-
-WAITING_BYTES_PER_DETECTION: Final = 36
-"""Detections of a file that is indexed wait on disk for their place in order [byte]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +191,7 @@ class L1Ledger(Ledger[L1Inputs, CoincidenceWorkflow]):
     @property
     def least(self) -> int:
         """Detections that a tile needs for anything to be found in it [count]."""
-        return least_detections(self.workflow.coincidence)
+        return self.workflow.coincidence.bridge_sign.detections_min
 
 
 def _with_halo(tile: str, own: Mapping[str, int]) -> int:
@@ -281,21 +281,23 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
     detections = sum(file.rows for file in inputs.detections)
     frames = sum(file.rows for file in inputs.frames)
     tiles, held = _tiles(ledger)
-    # The largest files may be indexed at the same time, one by each worker.
-    waiting = sum(sorted((f.rows for f in inputs.detections), reverse=True)[: ledger.workers])
     rates, measured = measured_rates(RATES_POINTS_PER_S, context)
-    volume = BYTES_PER_VOXEL * (chosen.volume_voxels + 4 * (chosen.window_voxels // 2)) ** 3
+    volume = BYTES_PER_VOXEL * (chosen.volume_voxels + 2 * halo(chosen)) ** 3
     needs = [
         (volume, "a sub-volume", "a smaller coincidence.volume_voxels"),
         (INDEX_BYTES, "a file's index", ""),
+        (
+            INDEX_BYTES_PER_FRAME * max(file.rows for file in inputs.frames),
+            "a file of frames",
+            "split the files of frames",
+        ),
         (round(held * HELD_BYTES_PER_DETECTION), "a tile", "a smaller tiling.tile_m"),
     ]
     most, heaviest, remedy = max(needs)
     return CoincidenceCost(
         points=detections,
         tasks=len(inputs.sources) + 2 * tiles,
-        disk_bytes=detections * (STORE_BYTES_PER_DETECTION + DELIVERED_BYTES_PER_DETECTION)
-        + waiting * WAITING_BYTES_PER_DETECTION,
+        disk_bytes=detections * (STORE_BYTES_PER_DETECTION + DELIVERED_BYTES_PER_DETECTION),
         memory_bytes=WORKER_BASE_BYTES + most,
         heaviest=heaviest,
         remedy=remedy,

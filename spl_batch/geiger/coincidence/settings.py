@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
 
 
@@ -20,9 +20,6 @@ class ArraySettings(Section):
     )
     gate_start_m: Positive = Field(2500.0, description="Slant range at which detectors arm [m].")
     gate_stop_m: Positive = Field(3500.0, description="Slant range at which they are read [m].")
-    dark_rate_hz: Positive = Field(
-        1500.0, description="Dark counts and sunlight of one detector [1/s]."
-    )
 
     @model_validator(mode="after")
     def _gate_opens_before_it_closes(self) -> Self:
@@ -38,11 +35,6 @@ class ArraySettings(Section):
         """Detectors of the array [count]."""
         return self.rows * self.columns
 
-    @property
-    def dark_per_m(self) -> float:
-        """Noise detections per metre of slant range of an armed detector [1/m]."""
-        return self.dark_rate_hz * 2.0 / SPEED_OF_LIGHT_M_S
-
 
 class BridgeSignSettings(Section):
     """Moving quadratic least squares and its maxima [M20 4.2-4.3]."""
@@ -50,10 +42,22 @@ class BridgeSignSettings(Section):
     window_voxels: Literal[3, 5, 7, 9] = Field(
         5, description="Edge of the neighbourhood that a polynomial is fitted to [count]; ours."
     )
-    threshold: Share = Field(
-        0.01,
+    wide_below: int = Field(
+        6,
+        ge=0,
+        description="Where fewer detections coincide, the neighbourhood is two voxels wider "
+        "[count]; 0 for nowhere; ours.",
+    )
+    threshold: Share | None = Field(
+        None,
         description="Least value of the polynomial at a point: detections for each look that "
-        "interrogates the voxel [1/1]; ours.",
+        "interrogates the voxel [1/1]; 0.01 by default, and 0.06 as published, where nothing else "
+        "tells surfaces from blur; ours.",
+    )
+    edge_rule: bool = Field(
+        True,
+        description="Whether a point is left out whose detections lie farther to the side than on "
+        "a straight edge; ours.",
     )
     edge_share: float = Field(
         0.5,
@@ -61,6 +65,11 @@ class BridgeSignSettings(Section):
         lt=1,
         description="Least part that a point has of what is strong beside it: of the mean of the "
         "points within half a neighbourhood and one voxel, weighted with themselves [0..1]; ours.",
+    )
+    strongest_along_normal: bool = Field(
+        True,
+        description="Whether a point is left out that has a stronger one before or behind "
+        "it, within half a neighbourhood; ours.",
     )
     reach_voxels: float = Field(
         0.5,
@@ -84,25 +93,13 @@ class BridgeSignSettings(Section):
     )
 
 
-class PosteriorSettings(Section):
-    """Statistical test of single detections, in the manner of MAPCP; all values ours."""
-
-    window_voxels: Literal[3, 5, 7, 9] = Field(
-        5, description="Edge of the neighbourhood that is counted [count]."
-    )
-    prior: Share = Field(
-        1e-3, description="Share of neighbourhoods that hold a surface, beforehand [0..1]."
-    )
-    detection_min: Share = Field(
-        0.05, description="Detections per look from the faintest surface [0..1]."
-    )
-
-
 class CoincidenceSettings(Section):
     """How detections become points."""
 
-    method: Literal["bridge_sign", "posterior"] = Field(
-        "bridge_sign", description="Least-squares filter of a raster, or a test per detection."
+    method: Literal["bridge_sign", "published"] = Field(
+        "bridge_sign",
+        description="With our rules for edges and along the normal, or without as published: "
+        "edge_rule and strongest_along_normal false, edge_share and wide_below 0.",
     )
     voxel_m: float | None = Field(
         None,
@@ -115,13 +112,25 @@ class CoincidenceSettings(Section):
         128, ge=32, le=512, description="Edge of a sub-volume that is rastered at once [count]."
     )
     bridge_sign: BridgeSignSettings = BridgeSignSettings()
-    posterior: PosteriorSettings = PosteriorSettings()
 
     @property
-    def window_voxels(self) -> int:
-        """Edge of the neighbourhood of the chosen method [count]."""
-        chosen = self.bridge_sign if self.method == "bridge_sign" else self.posterior
-        return chosen.window_voxels
+    def rules(self) -> BridgeSignSettings:
+        """Settings of the chosen method, its threshold put in."""
+        chosen: dict[str, float] = {"threshold": self.bridge_sign.threshold or 0.01}
+        if self.method == "published":
+            chosen = {"edge_rule": False, "edge_share": 0.0, "strongest_along_normal": False}
+            chosen["wide_below"] = 0
+            chosen["threshold"] = self.bridge_sign.threshold or 0.06
+        return self.bridge_sign.model_copy(update=chosen)
+
+    @property
+    def windows(self) -> dict[int, int]:
+        """Voxels beside a neighbourhood's centre, and detections from which it is taken."""
+        rules = self.rules
+        half = rules.window_voxels // 2
+        if rules.wide_below <= rules.detections_min:
+            return {half: rules.detections_min}
+        return {half: rules.wide_below, half + 1: rules.detections_min}
 
     def voxel_quanta(self, array: ArraySettings) -> int:
         """Edge of a voxel on the survey's lattice, at least 5 [quanta].

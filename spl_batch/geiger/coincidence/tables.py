@@ -78,8 +78,8 @@ class Detections:
         )
 
     def distinct(self) -> "Detections":
-        """In order of frame and detector, each once."""
-        order = np.lexsort((self.detector, self.frame))
+        """In order of frame and detector, each once: of several the first by place."""
+        order = np.lexsort((*self.xyz.T[::-1], self.detector, self.frame))
         frame, detector = self.frame[order], self.detector[order]
         first = np.ones(len(order), np.bool_)
         first[1:] = (frame[1:] != frame[:-1]) | (detector[1:] != detector[:-1])

@@ -31,48 +31,28 @@ class SurfaceError:
     pixels: int
 
 
-@dataclass
-class PixelSums:
-    """Sums over acquisitions from which the errors of each pixel follow [G15 Eq. 3-19 to 3-26]."""
+PIXEL_SUMS = ("count", "error", "square", "angle")
+"""Sums over acquisitions from which the errors of a pixel follow."""
 
-    count: NDArray[np.int64]  #: (rows, cols): acquisitions in which the pixel is known.
-    #: (rows, cols): sums of down errors [m], of their squares [m2], of angles [deg].
-    error: Floats
-    square: Floats
-    angle: Floats
 
-    @classmethod
-    def empty(cls, shape: tuple[int, int]) -> "PixelSums":
-        """Nothing added up yet."""
-        return cls(np.zeros(shape, dtype=np.int64), *(np.zeros(shape) for _ in range(3)))
+def pixel_sums(error_m: Floats, angle_deg: Floats) -> Floats:
+    """What an acquisition adds to :data:`PIXEL_SUMS`: (4, rows, cols) float64.
 
-    def add(self, error_m: Floats, angle_deg: Floats) -> None:
-        """Add one acquisition: (rows, cols) each, NaN where unknown."""
-        known = np.isfinite(error_m) & np.isfinite(angle_deg)
-        self.count += known
-        self.error[known] += error_m[known]
-        self.square[known] += error_m[known] ** 2
-        self.angle[known] += angle_deg[known]
+    ``error_m``, ``angle_deg``: (rows, cols) each, NaN where unknown.
+    """
+    known = np.isfinite(error_m) & np.isfinite(angle_deg)
+    return np.where(known, [known, error_m, error_m**2, angle_deg], 0.0)
 
-    def merge(self, other: "PixelSums") -> None:
-        """Add what was added up elsewhere."""
-        self.count += other.count
-        self.error += other.error
-        self.square += other.square
-        self.angle += other.angle
 
-    def maps(self) -> dict[str, Floats]:
-        """Bias [m], variance [m2], MSE [m2] and angle [deg] of each pixel; NaN where unknown."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            bias = self.error / self.count
-            mse = self.square / self.count
-            angle = self.angle / self.count
-        return {
-            "bias_m": bias,
-            "variance_m2": np.maximum(mse - bias**2, 0.0),
-            "mse_m2": mse,
-            "normal_deg": angle,
-        }
+def pixel_maps(sums: Floats) -> dict[str, Floats]:
+    """Errors of each pixel [G15 Eq. 3-19 to 3-26]; NaN where unknown.
+
+    Bias [m], variance [m2], MSE [m2] and angle [deg], (rows, cols) float64 each.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bias, mse, angle = sums[1:] / sums[0]
+    variance = np.maximum(mse - bias**2, 0.0)
+    return {"bias_m": bias, "variance_m2": variance, "mse_m2": mse, "normal_deg": angle}
 
 
 def angles_deg(normals: Floats, true: Floats) -> Floats:
@@ -144,8 +124,8 @@ def floor_error(
     true: tuple[Floats, Floats],
     in_water_m: float,
     index_water: float,
-) -> FloorError | None:
-    """Errors of the ends of rays; None where no pixel is known.
+) -> FloorError:
+    """Errors of the ends of rays; NaN where no pixel is known, or no way in water.
 
     Parameters
     ----------
@@ -157,8 +137,8 @@ def floor_error(
         Length of the way in water, as a second receiver measures it [m].
     """
     known = np.isfinite(found[0]).all(axis=-1) & np.isfinite(found[1]).all(axis=-1)
-    if not known.any():
-        return None
+    if not known.any() or in_water_m <= 0:
+        return FloorError(*(float("nan"),) * 6)
     beam = look[known]
     places, normals, true_places, true_normals = (v[known] for v in (*found, *true))
     level = np.broadcast_to(np.array([0.0, 0.0, -1.0]), normals.shape)

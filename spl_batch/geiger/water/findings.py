@@ -11,8 +11,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         "W01": Code(
             "Frames are missing or left out",
             {
-                "silent": "{count} of {of} frames have no hit in any pixel, more than chance "
-                "explains; the laser paused, or a part of the file is missing",
+                "chunks": "{count} chunks are missing and read as frames without a hit; a part of "
+                "the file is gone, or the laser paused",
                 "rest": "the last {count} frames do not fill an acquisition of {per} frames and "
                 "are left out",
                 "truth": "the truth is given for acquisitions of {truth} frames, but "

@@ -9,6 +9,7 @@ Frames are read in pieces of a bounded number of values, whole chunks at a time.
 decompressed at once, so its declared size is part of what a task needs.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -40,6 +41,9 @@ _FRAMES_MAX: Final = 2**40
 TRUTH: Final = ("down_m", "normals")
 """Arrays of the truth."""
 
+SUM_BYTES: Final = 11
+"""Memory of adding up a value [byte]."""
+
 PIECE_VALUES: Final = 2_048_000
 """Values that are read at once, where a chunk holds no more: 2000 frames of 32 x 32 [count]."""
 
@@ -54,7 +58,8 @@ class FrameFacts:
     #: Frames of an acquisition for which truth lies beside; 0 where there is none [count].
     truth_frames: int
     chunk_frames: int  #: Frames of a chunk; 0 where it is not cut into chunks [count].
-    piece_bytes: int  #: Memory of a piece while it is read [byte].
+    piece_bytes: int  #: Memory of a piece while it is read and added up [byte].
+    missing_chunks: int  #: Chunks that are not there, and read as frames without a hit [count].
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +116,17 @@ def inspect_frames(path: Path, rows: int, cols: int) -> FrameFacts:
                 _refuse_foreign(path, group[f"truth/{name}"])
             held += sum(_chunk_bytes(group[f"truth/{name}"]) for name in TRUTH)
         chunk = int(array.chunks[0]) if array.chunks else 0
-        return FrameFacts(int(array.shape[0]), rows, cols, truth, chunk, held)
+        missing = _missing_chunks(array)
+        return FrameFacts(int(array.shape[0]), rows, cols, truth, chunk, held, missing)
+
+
+def _missing_chunks(array: Any) -> int:
+    if not array.chunks:
+        return 0
+    if isinstance(array, zarr.Array):
+        return int(array.nchunks - array.nchunks_initialized)
+    wanted = math.prod(-(-n // c) for n, c in zip(array.shape, array.chunks, strict=True))
+    return int(wanted - array.id.get_num_chunks())
 
 
 def _refuse_foreign(path: Path, array: Any) -> None:
@@ -136,10 +151,10 @@ def _piece_frames(array: Any) -> int:
 
 
 def _piece_bytes(array: Any) -> int:
-    """Memory of a piece: decoded values, those of the wanted frames, and these as bins [byte]."""
+    """Memory of a piece: decoded values, those of the wanted frames, bins and their sums [byte]."""
     size = array.dtype.itemsize
     wanted = min(_piece_frames(array), array.shape[0]) * array.shape[1] * array.shape[2]
-    return int(max(wanted * size, _chunk_bytes(array)) + wanted * (size + 2))
+    return int(max(wanted * size, _chunk_bytes(array)) + wanted * (size + 2 + SUM_BYTES))
 
 
 def _chunk_bytes(array: Any) -> int:
@@ -244,45 +259,27 @@ def write_frames(
     frames_per_acquisition : int
         Frames of an acquisition of the truth.
     """
+    chunk = (min(len(frames), CHUNK_FRAMES), *frames.shape[1:])
     with replacing(path) as temporary:
         if path.suffix.lower() == ZARR:
-            _write_zarr(zarr.open_group(temporary, mode="w"), frames, attributes, truth)
-            if truth is not None:
-                group = zarr.open_group(temporary / "truth", mode="r+")
-                group.attrs["frames_per_acquisition"] = frames_per_acquisition
+            group = zarr.open_group(temporary, mode="w")
+            group.create_array("frames", data=frames, chunks=chunk)
+            _describe(group, attributes, truth, frames_per_acquisition)
             return
-        with h5py.File(temporary, "w") as group:
-            _write_hdf5(group, frames, attributes, truth)
-            if truth is not None:
-                group["truth"].attrs["frames_per_acquisition"] = frames_per_acquisition
+        with h5py.File(temporary, "w") as file:
+            packing = {"compression": "gzip", "compression_opts": 1, "fletcher32": True}
+            file.create_dataset("frames", data=frames, chunks=chunk, **packing)
+            _describe(file, attributes, truth, frames_per_acquisition)
 
 
-def _write_hdf5(
-    group: Any,
-    frames: NDArray[np.uint16],
-    attributes: Mapping[str, float],
-    truth: FrameTruth | None,
+def _describe(
+    group: Any, attributes: Mapping[str, float], truth: FrameTruth | None, per: int
 ) -> None:
-    chunk = (min(len(frames), CHUNK_FRAMES), *frames.shape[1:])
-    group.create_dataset(
-        "frames", data=frames, chunks=chunk, compression="gzip", compression_opts=1, fletcher32=True
-    )
-    group.attrs.update(attributes)
-    if truth is not None:
-        group.create_dataset("truth/down_m", data=truth.down_m.astype(np.float32))
-        group.create_dataset("truth/normals", data=truth.normals.astype(np.float32))
-
-
-def _write_zarr(
-    group: Any,
-    frames: NDArray[np.uint16],
-    attributes: Mapping[str, float],
-    truth: FrameTruth | None,
-) -> None:
-    chunk = (min(len(frames), CHUNK_FRAMES), *frames.shape[1:])
-    group.create_array("frames", data=frames, chunks=chunk)
+    """Write attributes and truth into a group of either format."""
     group.attrs.update(dict(attributes))
     if truth is not None:
         below = group.create_group("truth")
-        below.create_array("down_m", data=truth.down_m.astype(np.float32))
-        below.create_array("normals", data=truth.normals.astype(np.float32))
+        below.attrs["frames_per_acquisition"] = per
+        create = below.create_array if isinstance(below, zarr.Group) else below.create_dataset
+        for name in TRUTH:
+            create(name, data=getattr(truth, name).astype(np.float32))

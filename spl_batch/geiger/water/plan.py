@@ -156,6 +156,9 @@ def _left_out(source: FrameSource, per: int) -> Iterator[Finding]:
     left, truth = source.facts.frames % per, source.facts.truth_frames
     if left:
         yield Finding("W01", {"kind": "rest", "count": left, "per": per}, source.name, None, left)
+    if missing := source.facts.missing_chunks:
+        values = {"kind": "chunks", "count": missing}
+        yield Finding("W01", values, source.name, badness=missing)
     if truth not in {0, per}:
         yield Finding("W01", {"kind": "truth", "truth": truth, "per": per}, source.name)
 
@@ -216,16 +219,16 @@ def count_frames(ledger: WaterLedger) -> Iterator[Task]:
 
 def calibrate(ledger: WaterLedger) -> Iterator[Task]:
     """One task that finds the calibration."""
-    counted = ledger.of("count_frames")
+    done = ledger.of("count_frames")
     inputs = ledger.inputs
-    sources = [s for s in (inputs.targets or inputs.sources) if str(s.key) in counted]
+    sources = [s for s in (inputs.targets or inputs.sources) if str(s.key) in done]
     if not sources:
         return
     args = {
         "sources": [
             {
                 "source": str(s.key),
-                "gate": counted[str(s.key)].facts["gate"],
+                "gate": done[str(s.key)].facts["gate"],
                 "frames": s.facts.frames,
             }
             for s in sources
@@ -241,19 +244,19 @@ def calibrate(ledger: WaterLedger) -> Iterator[Task]:
 
 def make_surfaces(ledger: WaterLedger) -> Iterator[Task]:
     """Pieces of files whose surfaces are made."""
-    counted, calibrated = ledger.of("count_frames"), ledger.of("calibrate")
+    done, calibrated = ledger.of("count_frames"), ledger.of("calibrate")
     if "all" not in calibrated:
         return
     facts = calibrated["all"].facts
     for source in ledger.inputs.sources:
-        if str(source.key) not in counted:
+        if str(source.key) not in done:
             continue
         needs = (("count_frames", str(source.key)), ("calibrate", "all"))
         for name, first, last in ledger.pieces(source):
             args = {
                 **_args(source),
                 "name": name,
-                "gate": counted[str(source.key)].facts["gate"],
+                "gate": done[str(source.key)].facts["gate"],
                 "acquisitions": [first, last],
                 "truth_frames": source.facts.truth_frames,
                 "calibration": facts["settings"],

@@ -8,26 +8,16 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
+from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
+from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, counted, grouped
-from spl_batch.geiger.water.calibration_targets import WITHOUT, refuse_unusable
 from spl_batch.geiger.water.plan import WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.geiger.water.tasks.surfaces import WaterContext
-
-
-def _silent(counted: Iterable[Receipt]) -> Iterable[Finding]:
-    """Files with more frames without a hit than chance explains: a chunk that is gone reads so."""
-    found = sorted((r.facts for r in counted), key=lambda f: str(f["name"]))
-    for facts in found:
-        if facts["silent_beyond_chance"]:
-            values = {"kind": "silent", "count": facts["silent"], "of": facts["frames"]}
-            badness = facts["silent"] / facts["frames"]
-            yield Finding("W01", values, str(facts["name"]), badness=badness)
 
 
 class Water(Receiver[WaterLedger, WaterContext]):
@@ -50,11 +40,6 @@ class Water(Receiver[WaterLedger, WaterContext]):
     def cost(self, prepared: Prepared[WaterLedger, WaterContext]) -> Cost:
         """What a run is expected to cost."""
         return estimate(prepared.ledger, prepared.context)
-
-    def first_look(self, prepared: Prepared[WaterLedger, WaterContext]) -> FirstLook:
-        """Refuse frames for calibration that a run could not use."""
-        refuse_unusable(prepared.ledger, prepared.context)
-        return FirstLook()
 
     def plan_rows(
         self,
@@ -82,14 +67,19 @@ class Water(Receiver[WaterLedger, WaterContext]):
         """Stop where nothing is left to go on with."""
         ledger = prepared.ledger
         if step.name == "count_frames":
-            counted = ledger.of("count_frames")
-            if not any(str(s.key) in counted for s in ledger.inputs.sources):
+            done = ledger.of("count_frames")
+            if not any(str(s.key) in done for s in ledger.inputs.sources):
                 reasons = "; ".join(r.reason for r in failed if r.kind == "count_frames")
                 raise WorkflowError(f"no input is usable: {reasons}")
-            yield from _silent(counted.values())
         if step.name == "calibrate" and "all" not in ledger.of("calibrate"):
             reasons = "; ".join(r.reason for r in failed if r.kind == "calibrate")
-            raise WorkflowError(f"{WITHOUT}: {reasons}")
+            raise WorkflowError(f"without a calibration there are no ranges: {reasons}")
+        return ()
+
+    def decisive(self, prepared: Prepared[WaterLedger, WaterContext]) -> list[Any]:
+        """Frames for calibration."""
+        targets = prepared.ledger.inputs.targets
+        return [[str(target.path), *stamp_if_there(target.path)] for target in targets]
 
     def report(self, done: Receipts, context: WaterContext, facts: RunFacts) -> WaterReport:
         """Write ``report.json`` and ``report.html``."""

@@ -17,7 +17,6 @@ from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.engine.watch.events import Note
 from spl_batch.errors import InputError, counted, told_together
 from spl_batch.formats.las.number_dimensions import Numbers
-from spl_batch.geiger.water.ranges.silence import CHANCE_MIN, empty_share, too_many_empty
 from tests import surveys
 
 SENSOR = load_preset("spl100")
@@ -136,26 +135,6 @@ def test_files_that_count_from_0_and_from_1_are_told_together() -> None:
     (one,) = unnamed_channels(held, SENSOR)
     assert one.values["ranges"] == "1 to 100 in a.laz and 0 to 99 in b.laz"
     assert unnamed_channels({"c.laz": held["c.laz"]}, SENSOR) == ()
-
-
-@pytest.mark.parametrize("rate", [0.5, 5.0])
-def test_empty_frames_are_expected_as_often_as_they_come(rate: float) -> None:
-    hits = np.random.default_rng(3).poisson(rate, 200_000)
-    share = empty_share(int(hits.sum()), int(np.count_nonzero(hits)))
-    assert share == pytest.approx(np.mean(hits == 0), rel=0.03)
-
-
-def test_empty_frames_are_told_only_beyond_chance() -> None:
-    # 1000 frames with 5 hits on average: 6.7 empty ones by chance, 18 are the 1 in 10 000.
-    def hits(empty: int) -> int:
-        return round((1000 - empty) * 5.0 / -np.expm1(-5.0))
-
-    below, above = 18, 19
-    assert not too_many_empty(5, 1000, hits(5))
-    assert not too_many_empty(below, 1000, hits(below))
-    assert too_many_empty(above, 1000, hits(above))
-    assert not too_many_empty(0, 1000, hits(0))
-    assert CHANCE_MIN == 1e-4
 
 
 def test_things_are_counted_in_one_way() -> None:

@@ -1,4 +1,4 @@
-"""Coincidence processing: the synthetic scene, the stage, and what comes of both."""
+"""The synthetic scene, the stage, and what comes of both."""
 
 import math
 from functools import cache
@@ -21,8 +21,8 @@ CHOSEN = CoincidenceSettings()
 
 
 @cache
-def points(method: str = "bridge_sign", volume: int = 128) -> Points:
-    chosen = CoincidenceSettings(method=method, volume_voxels=volume)
+def points(method: str = "bridge_sign") -> Points:
+    chosen = CoincidenceSettings(method=method)
     return coincide.coincide(*flown(), region(SMALL), chosen, SMALL.array)
 
 
@@ -36,37 +36,24 @@ def test_the_voxel_is_half_of_what_a_detector_sees() -> None:
     assert CoincidenceSettings(voxel_m=0.1).voxel_quanta(ArraySettings()) == 100
 
 
-def test_detections_come_as_often_as_they_should() -> None:
+def test_detections_come_as_often_and_lie_where_they_should() -> None:
     frames, detections = flown()
-    array = SMALL.array
-    xyz = local(detections.xyz)
+    array, xyz = SMALL.array, local(detections.xyz)
     inside = (np.abs(xyz[:, :2] - SMALL.centre_m) < np.array(SMALL.extent_m) / 2).all(axis=1)
     bare = inside & (np.hypot(*xyz[:, :2].T) > 5.3)
     dark = np.abs(xyz[:, 2] - 1.0) > 2.0
-    gate_m = array.gate_stop_m - array.gate_start_m
-    expected = len(frames) * array.detectors * array.dark_per_m * gate_m
+    looks = len(frames) * array.detectors
+    expected = looks * SMALL.flight.dark_rate_hz * 2 * 1000 / 299_792_458
     # Blocking hides a part of those behind the ground.
     assert 0.8 * expected < dark.sum() < expected
     height = xyz[bare & ~dark, 2]
     assert height.std() == pytest.approx(math.hypot(0.05, 0.05 / math.sqrt(12)), rel=0.05)
     assert abs(height.mean()) < 0.004
-    share = (~dark).sum() / (len(frames) * array.detectors)
     # Ground gives 1 - exp(-0.25), spokes 1 - exp(-0.5).
-    assert 1 - math.exp(-0.25) < share < 1 - math.exp(-0.5)
-
-
-def test_detections_lie_on_their_lines_of_sight() -> None:
-    frames, detections = flown()
-    row = np.searchsorted(frames.number, detections.frame)
-    away = detections.xyz / 1000 - frames.origin_m[row]
-    body = np.einsum("nji,nj->ni", frames.turn[row], away)
-    tangent = math.tan(SMALL.array.ifov_rad)
-    i, j = detections.detector // SMALL.array.columns, detections.detector % SMALL.array.columns
-    assert body[:, 0] / -body[:, 2] == pytest.approx((i - 7.5) * tangent, abs=1e-6)
-    assert body[:, 1] / -body[:, 2] == pytest.approx((j - 15.5) * tangent, abs=1e-6)
+    assert 1 - math.exp(-0.25) < (~dark).sum() / looks < 1 - math.exp(-0.5)
+    away = detections.xyz / 1000 - frames.origin_m[np.searchsorted(frames.number, detections.frame)]
     # A range is the middle of its bin; places are rounded to millimetres.
-    bins = (np.linalg.norm(away, axis=1) - 2500) / 0.05 % 1
-    assert bins == pytest.approx(0.5, abs=0.03)
+    assert (np.linalg.norm(away, axis=1) - 2500) / 0.05 % 1 == pytest.approx(0.5, abs=0.03)
 
 
 def test_sight_errors_are_angles_in_fields_of_view() -> None:
@@ -77,7 +64,7 @@ def test_sight_errors_are_angles_in_fields_of_view() -> None:
     assert coincide.sight_error(frames, kept, SMALL.array) == pytest.approx(3.0, abs=0.05)
 
 
-@settings(deadline=None, max_examples=4)
+@settings(deadline=None, max_examples=3)
 @given(st.integers(1100, 3900), st.sampled_from([32, 57, 200]))
 def test_no_cut_changes_a_point(tile: int, volume: int) -> None:
     frames, detections = flown()
@@ -108,16 +95,11 @@ def test_frames_that_look_elsewhere_do_not_matter() -> None:
     assert same(found, coincide.coincide(frames, *args))
 
 
-def test_the_posterior_does_not_depend_on_the_cut_either() -> None:
-    assert same(points("posterior", 32), points("posterior"))
-
-
-@pytest.mark.parametrize("method", ["bridge_sign", "posterior"])
-def test_the_scene_comes_back(method: str) -> None:
-    xyz = local(points(method).xyz)
-    targets = build(SMALL)
+@pytest.mark.parametrize(("method", "near"), [("bridge_sign", 0.97), ("published", 0.9)])
+def test_the_scene_comes_back(method: str, near: float) -> None:
+    xyz, targets = local(points(method).xyz), build(SMALL)
     away = accuracy.distance_m(xyz, targets)
-    assert (away < 0.09).mean() > 0.9
+    assert (away < 0.09).mean() > near
     assert (away > 0.5).sum() == 0
     low = np.array(SMALL.centre_m) - np.array(SMALL.extent_m) / 2 + 0.1
     truth = accuracy.seen_from_above(targets, low, low + np.array(SMALL.extent_m) - 0.2, 0.05)
@@ -127,23 +109,49 @@ def test_the_scene_comes_back(method: str) -> None:
     assert abs(heights.mean()) < 0.015
 
 
+def test_the_published_method_differs_by_its_named_settings() -> None:
+    named = {
+        "threshold": 0.06,
+        "edge_rule": False,
+        "edge_share": 0.0,
+        "strongest_along_normal": False,
+    }
+    chosen = CoincidenceSettings(bridge_sign=named)
+    found = coincide.coincide(*flown(), region(SMALL), chosen, SMALL.array)
+    assert same(found, points("published"))
+    for name, other in (("edge_rule", True), ("edge_share", 0.8), ("strongest_along_normal", True)):
+        one = CoincidenceSettings(bridge_sign={**named, name: other})
+        fewer = coincide.coincide(*flown(), region(SMALL), one, SMALL.array)
+        assert 0 < len(fewer) < len(found)
+
+
+def test_a_wider_window_fills_faint_places() -> None:
+    frames, detections = flown()
+    faint = detections.take(np.random.default_rng(3).random(len(detections)) < 0.1)
+    low = np.array(SMALL.centre_m) - np.array(SMALL.extent_m) / 2 + 0.1
+    truth = accuracy.seen_from_above(build(SMALL), low, low + np.array(SMALL.extent_m) - 0.2, 0.05)
+    complete, spread = [], []
+    for wide_below in (0, 6):
+        chosen = CoincidenceSettings(bridge_sign={"wide_below": wide_below})
+        found = coincide.coincide(frames, faint, region(SMALL), chosen, SMALL.array)
+        complete.append(accuracy.completeness(truth, local(found.xyz), 0.09))
+        spread.append(accuracy.spoke_heights(local(found.xyz)).std())
+    assert complete[1] > complete[0] + 0.02
+    assert spread[1] < 0.95 * spread[0]
+
+
 def test_nothing_comes_of_noise() -> None:
     frames, detections = flown()
-    rng = np.random.default_rng(1)
-    away = np.abs(local(detections.xyz)[:, 2] - 1.0) > 2.0
-    noise = detections.take(away)
-    for method in ("bridge_sign", "posterior"):
-        chosen = CoincidenceSettings(method=method)
-        found = coincide.coincide(frames, noise, region(SMALL), chosen, SMALL.array)
-        assert len(found) == 0
+    noise = detections.take(np.abs(local(detections.xyz)[:, 2] - 1.0) > 2.0)
+    assert not len(coincide.coincide(frames, noise, region(SMALL), CHOSEN, SMALL.array))
     # Ten detections in one place are no noise.
-    place = np.array([[500_003_000, 4_200_000_500, 140_000]]) + rng.integers(-20, 20, (10, 3))
-    number = frames.number[:10]
-    added = Detections(number, np.zeros(10, np.int32), place)
+    centre = np.array([500_003_000, 4_200_000_500, 140_000])
+    place = centre + np.random.default_rng(1).integers(-20, 20, (10, 3))
+    added = Detections(frames.number[:10], np.zeros(10, np.int32), place)
     chosen = CoincidenceSettings(bridge_sign={"threshold": 0.005})
     found = coincide.coincide(frames, added, region(SMALL), chosen, SMALL.array)
     assert len(found) >= 1
-    assert np.abs(found.xyz - [500_003_000, 4_200_000_500, 140_000]).max() < 200
+    assert np.abs(found.xyz - centre).max() < 200
 
 
 def test_fewer_looks_make_a_place_brighter() -> None:
@@ -158,13 +166,11 @@ def test_fewer_looks_make_a_place_brighter() -> None:
 
 def test_leaves_are_listed_where_rays_meet_them() -> None:
     scene = build(SceneSettings(targets=("foliage",)))
-    rng = np.random.default_rng(4)
-    met = 0
-    for _ in range(60):
+    rng, met = np.random.default_rng(4), 0
+    for _ in range(40):
         way = np.array([*rng.uniform(-0.06, 0.06, 2), -1.0])
         way /= np.linalg.norm(way)
-        through = np.array([*(PLACES_M["foliage"] + rng.uniform(-6.5, 6.5, 2)), 5.0])
-        origin = through - 3000 * way
+        origin = np.array([*(PLACES_M["foliage"] + rng.uniform(-6.5, 6.5, 2)), 5.0]) - 3000 * way
         hit = np.empty(32, np.int64)
         n = _leaves(origin, way, scene, hit)
         t = (scene.leaves[:, 2] - origin[2]) / way[2]
@@ -173,7 +179,7 @@ def test_leaves_are_listed_where_rays_meet_them() -> None:
         assert sorted(hit[:n].tolist()) == slow.tolist()
         assert (np.diff(scene.leaves[hit[:n], 2]) <= 0).all()
         met += n
-    assert met > 60
+    assert met > 40
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,17 @@
-"""Range walk and calibration: laws against integrals and draws, fits against what was put in."""
+"""Range walk and calibration: laws against integrals, fits against what was put in."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm
 
 from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS
 from spl_batch.geiger.water.ranges.calibration import Calibration, Observation, faults_of, fit
-from spl_batch.geiger.water.ranges.range_walk import exponential, first_photon
+from spl_batch.geiger.water.ranges.range_walk import first_photon
 from spl_batch.geiger.water.settings import CalibrationSettings
 
 SHAPE = (8, 9)
+LAW = CalibrationSettings(scale=1.02, offset_ns=80.0, pulse_ns=0.9)
 
 
 def made(
@@ -22,8 +21,7 @@ def made(
     rng = np.random.default_rng(5)
     delay = delay_ns * rng.standard_normal(SHAPE)
     delay -= delay.mean()
-    true = Calibration(law, delay)
-    seen = []
+    true, seen = Calibration(law, delay), []
     for distance in (2.0, 3.0, 4.0, 5.0):
         for low, high in ((0.006, 0.019), (0.1, 0.9)) if dim else ((0.1, 0.5), (0.5, 0.9)):
             intensity = rng.uniform(low, high, SHAPE)
@@ -35,61 +33,37 @@ def made(
     return seen, delay
 
 
-@pytest.mark.parametrize("n", [1e-3, 0.02, 0.3, 1.0, 3.0, 8.0])
+@pytest.mark.parametrize("n", [1e-3, 0.3, 1.0, 8.0])
 def test_the_first_photon_law_is_its_integral(n: float) -> None:
     early, _ = quad(lambda z: z * n * norm.pdf(z) * np.exp(-n * norm.cdf(z)), -9, 9)
     share = -np.expm1(-n)
     assert first_photon(np.array([share]))[0] == pytest.approx(-early / share, abs=2e-4)
-
-
-def test_the_first_photon_law_is_that_of_drawn_photons() -> None:
-    rng = np.random.default_rng(6)
-    for n in (0.5, 2.0):
-        counts = rng.poisson(n, 40_000)
-        first = [rng.standard_normal(c).min() for c in counts if c]
-        share = np.array([len(first) / len(counts)])
-        assert -np.mean(first) == pytest.approx(first_photon(share)[0], abs=0.025)
-
-
-@settings(deadline=None)
-@given(st.lists(st.floats(0, 1), min_size=2, max_size=5))
-def test_brighter_is_earlier(shares: list[float]) -> None:
-    walk = first_photon(np.sort(shares))
-    assert (np.diff(walk) >= 0).all()
-    assert walk[0] >= 0
-    assert np.isfinite(walk).all()
+    assert (np.diff(first_photon(np.linspace(0, 1, 99))) >= 0).all(), "brighter is earlier"
 
 
 def test_the_source_s_own_numbers() -> None:
-    made = Calibration(CalibrationSettings(range_walk="exponential"), np.zeros(3))
-    measured, intensity = np.array([105.0, 105.0, np.nan]), np.array([0.1, 0.8, 0.5])
-    found = made.ranges(measured, intensity)
-    for k in range(2):
-        walk = 0.021900186808850 * np.exp(4.588548204216641 * intensity[k])
-        time = (105.0 + walk - 82.3525317669176) / 1.02379235588971
-        assert found[k] == pytest.approx(time * 0.299792458 / 2)
+    source = Calibration(CalibrationSettings(range_walk="exponential"), np.zeros(3))
+    intensity = np.array([0.1, 0.8, 0.5])
+    found = source.ranges(np.array([105.0, 105.0, np.nan]), intensity)
+    walk = 0.021900186808850 * np.exp(4.588548204216641 * intensity)
+    time = (105.0 + walk - 82.3525317669176) / 1.02379235588971
+    assert found[:2] == pytest.approx(time[:2] * 0.299792458 / 2)
     assert np.isnan(found[2])
     bare = Calibration(CalibrationSettings(range_walk="none"), np.zeros(1))
     assert bare.ranges(np.array([82.3525317669176]), np.array([0.9]))[0] == pytest.approx(0)
-    assert exponential(np.array([0.0]), 0.02, 4.0)[0] == 0.02
 
 
-def test_the_joint_fit_finds_what_was_put_in() -> None:
-    law = CalibrationSettings(scale=1.02, offset_ns=80.0, pulse_ns=0.9)
-    seen, _ = made(law)
+@pytest.mark.parametrize("dim", [True, False])
+def test_the_joint_fit_finds_what_was_put_in(dim: bool) -> None:  # noqa: FBT001
+    seen, _ = made(LAW, dim=dim)
     found = fit(seen, CalibrationSettings()).settings
-    assert found.scale == pytest.approx(1.02, abs=1e-6)
-    assert found.offset_ns == pytest.approx(80.0, abs=1e-4)
-    assert found.pulse_ns == pytest.approx(0.9, abs=1e-4)
-    seen, _ = made(law, dim=False)
-    assert not faults_of(seen, CalibrationSettings())
-    found = fit(seen, CalibrationSettings()).settings
-    assert found.offset_ns == pytest.approx(80.0, abs=1e-3), "no dim pixel is needed"
+    assert found.scale == pytest.approx(1.02, abs=1e-5)
+    assert found.offset_ns == pytest.approx(80.0, abs=1e-3)
+    assert found.pulse_ns == pytest.approx(0.9, abs=1e-3)
 
 
 def test_delays_of_pixels_are_found_and_shrunk() -> None:
-    law = CalibrationSettings(scale=1.02, offset_ns=80.0, pulse_ns=0.9)
-    seen, delay = made(law, spread_ns=1.0, delay_ns=0.05)
+    seen, delay = made(LAW, spread_ns=1.0, delay_ns=0.05)
     found = fit(seen, CalibrationSettings())
     left = found.pixel_ns - delay
     assert left.std() < 0.2 * delay.std()
@@ -97,30 +71,20 @@ def test_delays_of_pixels_are_found_and_shrunk() -> None:
     bare = fit(seen, CalibrationSettings(pixel_offsets=False))
     assert not bare.pixel_ns.any()
     assert bare.residual_ns == pytest.approx(0.05, rel=0.3)
-    still, _ = made(law, spread_ns=1.0)
+    still, _ = made(LAW, spread_ns=1.0)
     assert fit(still, CalibrationSettings()).pixel_ns.std() < 0.01, "noise is not a delay"
 
 
 def test_the_source_s_fit_finds_what_was_put_in() -> None:
-    law = CalibrationSettings(
-        range_walk="exponential", scale=1.02, offset_ns=80.0, walk_ns=0.03, walk_exponent=4.0
-    )
-    seen, _ = made(law)
-    found = fit(seen, CalibrationSettings(range_walk="exponential")).settings
+    source = CalibrationSettings(range_walk="exponential")
+    put = {"scale": 1.02, "offset_ns": 80.0, "walk_ns": 0.03, "walk_exponent": 4.0}
+    seen, _ = made(source.model_copy(update=put))
+    found = fit(seen, source).settings
     assert found.scale == pytest.approx(1.02, abs=1e-3)
     # Dim pixels stand for no range walk although theirs is A: it goes into the offset.
     assert found.offset_ns == pytest.approx(80.0 - 0.03 * np.exp(4.0 * 0.0125), abs=0.02)
     walk = Calibration(found, np.zeros(SHAPE)).walk_ns(np.array([0.8]))
     assert walk[0] == pytest.approx(0.03 * (np.exp(3.2) - np.exp(0.05)), abs=0.02)
-
-
-def test_too_little_to_fit_from_is_told() -> None:
-    law = CalibrationSettings()
-    seen, _ = made(law, dim=False)
-    assert (
-        "0 of their distances" in faults_of(seen, CalibrationSettings(range_walk="exponential"))[0]
-    )
-    empty = Observation(
-        2.0, np.ones(SHAPE), np.ones(SHAPE), np.zeros(SHAPE, int), np.ones(SHAPE), 1
-    )
-    assert "frames[1]: no pixel has 5 hits" in faults_of([seen[0], empty], law)[0]
+    assert faults_of(made(LAW, dim=False)[0], source)
+    empty = Observation(2, np.ones(SHAPE), np.ones(SHAPE), np.zeros(SHAPE, int), np.ones(SHAPE), 1)
+    assert "frames[1]" in faults_of([seen[0], empty], LAW)[0]

@@ -15,19 +15,11 @@ from spl_batch.geiger.water.ranges.hits import (
 )
 from spl_batch.geiger.water.settings import CameraSettings, GateSettings, PixelSettings
 
-frames_of = st.builds(
-    lambda seed, n, most: (
-        np.random.default_rng(seed).integers(0, most + 1, (n, 4, 5)).astype(np.uint16)
-    ),
-    st.integers(0, 10_000),
-    st.integers(1, 30),
-    st.sampled_from([1, 7, 60]),
-)
-
 
 @settings(deadline=None)
-@given(frames_of, st.integers(1, 50), st.integers(1, 30))
-def test_sums_are_those_of_the_hits_in_the_gate(frames: np.ndarray, low: int, width: int) -> None:
+@given(st.integers(0, 10_000), st.integers(1, 30), st.integers(1, 50), st.integers(1, 30))
+def test_sums_are_those_of_the_hits_in_the_gate(seed: int, n: int, low: int, width: int) -> None:
+    frames = np.random.default_rng(seed).integers(0, 61, (n, 4, 5)).astype(np.uint16)
     made = add_up(frames, Gate(low, low + width))
     for i, j in np.ndindex(4, 5):
         values = frames[:, i, j].astype(int)
@@ -39,28 +31,27 @@ def test_sums_are_those_of_the_hits_in_the_gate(frames: np.ndarray, low: int, wi
         assert made.intensity[i, j] == pytest.approx(len(inside) / len(frames))
         mean = made.mean_bin()[i, j]
         assert np.isnan(mean) if not len(inside) else mean == pytest.approx(inside.mean())
-    pieces = [frames[made.hits.size % 4 :], frames[: made.hits.size % 4]]
-    parts = [add_up(p, Gate(low, low + width)) for p in pieces]
-    np.testing.assert_array_equal(sum(p.square for p in parts), made.square)
-
-
-@settings(deadline=None)
-@given(frames_of)
-def test_the_histogram_counts_each_hit_of_used_pixels(frames: np.ndarray) -> None:
     used = np.random.default_rng(0).random((4, 5)) < 0.7
-    counts, beyond = histogram(frames, used, 20)
     values = frames[:, used]
-    expected = np.bincount(values[(values > 0) & (values <= 20)], minlength=21)
-    np.testing.assert_array_equal(counts, expected)
-    assert beyond == (values > 20).sum()
+    np.testing.assert_array_equal(
+        histogram(frames, used, 60), np.bincount(values[values > 0], minlength=61)
+    )
+
+
+def test_large_bins_do_not_overflow() -> None:
+    made = add_up(np.full((3, 1, 1), 65_535, np.uint16), Gate(1, 65_536))
+    assert made.square[0, 0] == 3 * 65_534**2
 
 
 def test_the_spread_of_single_hits_is_pooled_over_pixels() -> None:
     rng = np.random.default_rng(3)
     centre = 400 + 10 * np.arange(20).reshape(4, 5)
     frames = np.rint(centre + 4.0 * rng.standard_normal((3000, 4, 5))).astype(np.uint16)
-    assert add_up(frames, Gate(300, 700)).spread_bins() == pytest.approx(4.0, rel=0.02)
-    assert np.isnan(add_up(frames[:1], Gate(300, 700)).spread_bins())
+    gate = Gate(300, 700)
+    assert add_up(frames, gate).spread_bins() == pytest.approx(4.0, rel=0.02)
+    halves = add_up(frames[:7], gate) + add_up(frames[7:], gate)
+    assert halves.spread_bins() == add_up(frames, gate).spread_bins()
+    assert np.isnan(add_up(frames[:1], gate).spread_bins())
 
 
 def test_the_gate_lies_around_the_peak_and_inside_the_frame() -> None:
@@ -82,8 +73,6 @@ def test_dead_and_hot_pixels_are_found() -> None:
     frames[::2, 8, 1] = 900
     hits = add_up(frames, Gate(90, 110))
     dead = dead_pixels(hits, used_pixels(camera), PixelSettings(dead=((0, 0),)))
-    expected = np.zeros((12, 12), dtype=bool)
-    for row, col in ((3, 4), (6, 6), (8, 1), (0, 0)):
-        expected[row, col] = True
-    expected[10:] = True
-    np.testing.assert_array_equal(dead, expected)
+    found = set(map(tuple, np.argwhere(dead[:10]).tolist()))
+    assert found == {(3, 4), (6, 6), (8, 1), (0, 0)}
+    assert dead[10:].all()

@@ -1,7 +1,6 @@
 """Surfaces and normals: kernels against slow twins, chains against surfaces that are known."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -10,10 +9,11 @@ from hypothesis import strategies as st
 from numpy.polynomial import polynomial
 
 from spl_batch.geiger.water.accuracy import (
-    PixelSums,
     angles_deg,
     floor_error,
     middle,
+    pixel_maps,
+    pixel_sums,
     surface_error,
 )
 from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS, view_of
@@ -37,9 +37,9 @@ from spl_batch.geiger.water.simulate.frames import (
 )
 from spl_batch.geiger.water.surface.pixel_surface import denoised, make_surface, window_median
 from spl_batch.geiger.water.surface.polynomial_trend import shrunk_polynomial
-from spl_batch.geiger.water.surface.raster import Grid, grid_around, height_raster
+from spl_batch.geiger.water.surface.raster import grid_around, height_raster
 from spl_batch.geiger.water.surface.refraction import refracted
-from spl_batch.geiger.water.surface.window_planes import fixed_windows, growing_windows
+from spl_batch.geiger.water.surface.window_planes import growing_windows, planes
 
 CAMERA = CameraSettings(last_rows_unused=0)
 VIEW = view_of(CAMERA, MountSettings(position_m=(1.0, 2.0, -3.0)))
@@ -63,89 +63,67 @@ def a_plane(normal: np.ndarray, down_m: float) -> np.ndarray:
     return ((point - VIEW.origin_m) @ normal) / (VIEW.look @ normal)
 
 
-@given(st.integers(0, 1000), st.sampled_from([1, 2]))
+def slow_plane(
+    value: np.ndarray, weight: np.ndarray, x: np.ndarray, y: np.ndarray, half: int, at: tuple
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Plane and standard deviations of one window, by numpy's least squares."""
+    i, j = at
+    box = np.s_[max(i - half, 0) : i + half + 1, max(j - half, 0) : j + half + 1]
+    known = weight[box] > 0
+    dx, dy = (v[box][known] - v[at] for v in (x, y))
+    design = np.stack([np.ones(len(dx)), dx, dy], axis=1)
+    root = np.sqrt(weight[box][known])
+    if np.linalg.matrix_rank(design) < 3:
+        return None
+    fit = np.linalg.lstsq(design * root[:, None], value[box][known] * root)[0]
+    normal = (design * root[:, None]).T @ (design * root[:, None])
+    return fit, np.sqrt(np.diag(np.linalg.inv(normal)))
+
+
+@given(st.integers(0, 1000), st.sampled_from([1, 2, 9]))
 @settings(max_examples=10, deadline=None)
-def test_fixed_windows_are_least_squares(seed: int, half: int) -> None:
+def test_planes_are_least_squares(seed: int, half: int) -> None:
     rng = np.random.default_rng(seed)
     north, east = np.mgrid[0:7, 0:6] + 0.1 * rng.standard_normal((2, 7, 6))
-    down = rng.standard_normal((7, 6))
-    down[rng.random((7, 6)) < 0.3] = np.nan
-    out = np.empty((7, 6, 3))
-    fixed_windows(north, east, down, half, out)
-    for i, j in np.ndindex(7, 6):
-        box = np.s_[max(i - half, 0) : i + half + 1, max(j - half, 0) : j + half + 1]
-        known = np.isfinite(down[box])
-        if np.isnan(down[i, j]) or known.sum() < 3:
-            assert np.isnan(out[i, j]).all()
-            continue
-        design = np.stack([np.ones(known.sum()), north[box][known], east[box][known]], axis=1)
-        c, a, b = np.linalg.lstsq(design, down[box][known])[0]
-        if np.isfinite(out[i, j]).all():
-            expected = [c + a * north[i, j] + b * east[i, j], a, b]
-            np.testing.assert_allclose(out[i, j], expected, atol=1e-8)
+    down, weight = rng.standard_normal((7, 6)), rng.uniform(1, 3, (7, 6))
+    weight[rng.random((7, 6)) < 0.3] = 0.0
+    plane, spread = planes(down, weight, north, east, half)
+    for at in np.ndindex(7, 6):
+        slow = slow_plane(down, weight, north, east, half, at)
+        if slow is None:
+            assert np.isnan(plane[at]).all()
+        elif np.isfinite(plane[at]).all():
+            np.testing.assert_allclose(plane[at], slow[0], atol=1e-7)
+            np.testing.assert_allclose(spread[at], slow[1], rtol=1e-7)
         else:
-            spread = np.linalg.svd(design[:, 1:] - design[:, 1:].mean(axis=0))[1]
-            assert spread[1] < 0.05 * spread[0], "only a line has no plane"
-
-
-def slow_growth(
-    value: np.ndarray, weight: np.ndarray, halves: list[int], agreement: float, at: tuple[int, int]
-) -> tuple[list[float], list[int]]:
-    """What :func:`growing_windows` does for one pixel, with numpy's least squares."""
-    i, j = at
-    low, high = np.full(3, -np.inf), np.full(3, np.inf)
-    found, used, agree = [np.nan] * 3, [0, 0], [True, True]
-    for half in halves:
-        box = np.s_[max(i - half, 0) : i + half + 1, max(j - half, 0) : j + half + 1]
-        rows, cols = np.nonzero(weight[box] > 0)
-        design = np.stack([np.ones(len(rows)), cols, rows], axis=1).astype(float)
-        design[:, 1] += max(j - half, 0) - j
-        design[:, 2] += max(i - half, 0) - i
-        w = weight[box][rows, cols]
-        normal = (design * w[:, None]).T @ design
-        if np.linalg.matrix_rank(design) < 3:
-            continue
-        fit = np.linalg.solve(normal, (design * w[:, None]).T @ value[box][rows, cols])
-        spread = np.sqrt(np.diag(np.linalg.inv(normal)))
-        low, high = (
-            np.maximum(low, fit - agreement * spread),
-            np.minimum(high, fit + agreement * spread),
-        )
-        fine = low <= high
-        agree = [agree[0] and fine[0], agree[1] and fine[1:].all()]
-        if agree[0]:
-            found[0], used[0] = fit[0], half
-        if agree[1]:
-            found[1:], used[1] = list(fit[1:]), half
-        if not any(agree) or half >= max(value.shape):
-            break
-    return found, used
+            assert half == 1, "only a line has no plane"
 
 
 @given(st.integers(0, 1000), st.sampled_from([0.7, 2.5]))
 @settings(max_examples=8, deadline=None)
-def test_growing_windows_are_those_of_numpy(seed: int, agreement: float) -> None:
+def test_windows_grow_while_their_intervals_agree(seed: int, agreement: float) -> None:
     rng = np.random.default_rng(seed)
-    row, col = np.mgrid[0:8, 0:9]
+    row, col = np.mgrid[0:8, 0:9].astype(float)
     value = 0.1 * row - 0.3 * col + 2.0 * (col > 5) + 0.1 * rng.standard_normal((8, 9))
     weight = rng.uniform(50, 150, (8, 9)) * (rng.random((8, 9)) < 0.9)
     halves = [1, 2, 4, 9]
-    out, used = np.empty((8, 9, 3)), np.empty((8, 9, 2), dtype=np.int64)
-    growing_windows(value, weight, np.array(halves), agreement, out, used)
+    plane, chosen = growing_windows(value, weight, halves, agreement)
     for at in np.ndindex(8, 9):
-        found, chosen = slow_growth(value, weight, halves, agreement, at)
-        np.testing.assert_allclose(out[at], found, atol=1e-9)
-        assert list(used[at]) == chosen
-
-
-def test_windows_stay_off_an_edge() -> None:
-    row, col = np.mgrid[0:20, 0:20]
-    value = np.where(col < 10, 0.2 * row, 50.0 - 0.1 * row)
-    out, used = np.empty((20, 20, 3)), np.empty((20, 20, 2), dtype=np.int64)
-    growing_windows(value, np.full((20, 20), 1e4), np.array([1, 2, 4, 8, 16]), 4.0, out, used)
-    assert used[10, 2, 1] == 4, "seven columns away from the edge"
-    assert out[10, 2, 2] == pytest.approx(0.2)
-    assert out[10, 17, 2] == pytest.approx(-0.1)
+        low, high = np.full(3, -np.inf), np.full(3, np.inf)
+        found, used = [np.nan] * 3, [0, 0]
+        for half in halves:
+            slow = slow_plane(value, weight, col, row, half, at)
+            if slow is None:
+                continue
+            fit, spread = slow
+            low = np.maximum(low, fit - agreement * spread)
+            high = np.minimum(high, fit + agreement * spread)
+            if low[0] <= high[0]:
+                found[0], used[0] = fit[0], half
+            if (low[1:] <= high[1:]).all():
+                found[1:], used[1] = list(fit[1:]), half
+        np.testing.assert_allclose(plane[at], found, atol=1e-9)
+        assert list(chosen[at]) == used
 
 
 def test_the_polynomial_is_exact_where_nothing_is_noisy() -> None:
@@ -210,20 +188,17 @@ def test_a_pixel_far_off_takes_no_part() -> None:
     assert angles_deg(made.normals, np.broadcast_to(n, (32, 32, 3))).max() > 0.1
 
 
-def test_nothing_is_made_of_nothing() -> None:
+@pytest.mark.parametrize("way", [SurfaceSettings(), WINDOWED])
+def test_nothing_is_made_of_nothing(way: SurfaceSettings) -> None:
     nothing = np.zeros((32, 32), dtype=np.int64)
     hits = Hits(200, Gate(100, 147), nothing, nothing, nothing, nothing)
-    for way in (SurfaceSettings(), WINDOWED):
-        dead = np.zeros((32, 32), dtype=bool)
-        made = make_surface(hits, dead, EXACT, VIEW, CAMERA, PixelSettings(), way)
-        assert np.isnan(made.places_m).all()
-        assert np.isnan(made.normals).all()
-        true = np.zeros((32, 32)), np.zeros((32, 32, 3))
-        error, _, _ = surface_error(made.places_m, made.normals, *true)
-        assert error.pixels == 0
-        found = (made.places_m, made.normals)
-        assert floor_error(VIEW.look, found, found, 6.0, 1.33) is None
-        assert grid_around(made.places_m, 0.01) is None
+    made = make_surface(hits, nothing > 0, EXACT, VIEW, CAMERA, PixelSettings(), way)
+    assert np.isnan(made.places_m).all()
+    assert np.isnan(made.normals).all()
+    found = (made.places_m, made.normals)
+    assert surface_error(*found, np.zeros((32, 32)), np.zeros((32, 32, 3)))[0].pixels == 0
+    assert np.isnan(dataclasses.astuple(floor_error(VIEW.look, found, found, 6.0, 1.33))).all()
+    assert grid_around(made.places_m, 0.01) is None
 
 
 def test_medians_are_those_of_their_windows() -> None:
@@ -274,11 +249,7 @@ def test_errors_are_the_source_s() -> None:
     each = np.degrees(np.arccos(-normals[..., 2])).ravel()[1:]
     assert made.pixel_normal_deg == pytest.approx(each.mean())
     assert made.pixels == 29
-    sums, again = PixelSums.empty((5, 6)), PixelSums.empty((5, 6))
-    sums.add(error, angle)
-    again.add(error + 0.01, angle)
-    sums.merge(again)
-    maps = sums.maps()
+    maps = pixel_maps(pixel_sums(error, angle) + pixel_sums(error + 0.01, angle))
     np.testing.assert_allclose(maps["bias_m"][1:], error[1:] + 0.005)
     np.testing.assert_allclose(maps["variance_m2"][1:], 0.005**2, rtol=1e-6)
     assert np.isnan(maps["normal_deg"][0, 0])
@@ -289,7 +260,6 @@ def test_floor_errors_vanish_for_the_true_surface() -> None:
     range_m, normals = target.meet(VIEW, 0.3)
     true = VIEW.places(range_m), normals
     made = floor_error(VIEW.look, true, true, 6.0, 1.33)
-    assert made is not None
     assert made.refracted_m == pytest.approx(0)
     assert made.refracted_beam_m == pytest.approx(0)
     level = refracted(VIEW.look, np.array([0.0, 0.0, -1.0]), 1.33)
@@ -320,34 +290,11 @@ def test_rasters_interpolate_the_surface_on_an_absolute_grid() -> None:
     # Outside the triangles, the rim takes the nearest pixel's height.
     assert np.median(np.abs(height - expected)[known]) < 1e-9
     assert np.abs(height - expected)[known].max() < 0.004
-    wider = height_raster(
-        places, Grid(grid.east - 3, grid.north - 2, grid.rows + 5, grid.cols + 9, 0.01)
-    )
-    inner = wider[2 : 2 + grid.rows, 3 : 3 + grid.cols]
-    both = np.isfinite(inner) & known
-    np.testing.assert_allclose(inner[both], height[both], atol=1e-9)
-
-
-@given(
-    away=st.tuples(st.integers(-(2**24), 2**24), st.integers(-(2**24), 2**24)),
-    cell_m=st.sampled_from([0.005, 0.01, 0.1, 0.3]),
-)
-def test_cells_lie_where_they_do_wherever_the_local_frame_begins(
-    away: tuple[int, int], cell_m: float
-) -> None:
-    places = VIEW.places(a_plane(np.array([0.05, -0.1, -1.0]), 0.4))
-    moved = places + np.array([0.125, -0.25, 0.0])
-    east, north = (v / 8.0 for v in away)
-    origin = (east + 0.25, north - 0.125)
-    grid, other = grid_around(places, cell_m, (east, north)), grid_around(moved, cell_m, origin)
-    assert grid is not None
-    assert grid.east == math.floor((places[..., 1].min() + east) / cell_m)
-    assert grid.north == math.floor((places[..., 0].min() + north) / cell_m)
-    assert other == dataclasses.replace(grid, origin_m=origin)
-    height, again = height_raster(places, grid), height_raster(moved, other)
-    both = np.isfinite(height) & np.isfinite(again)
-    assert both.sum() >= 0.98 * np.isfinite(height).sum() > 0
-    assert np.median(np.abs(height - again)[both]) < 1e-6
+    # Cells of a local frame that begins elsewhere are the same.
+    away = dataclasses.replace(grid, origin_m=(0.25, -0.125))
+    places += np.array([0.125, -0.25, 0.0])
+    assert grid_around(places, 0.01, away.origin_m) == away
+    np.testing.assert_allclose(height_raster(places, away)[known], height[known], atol=1e-6)
 
 
 def test_ours_beats_the_source_s_way_on_the_same_frames() -> None:

@@ -73,7 +73,7 @@ def cell_parts(kind: str, core: Bounds, spread: Spread, workflow: Workflow, limi
     """
     looks = looks_at(kind, core, spread, workflow)
     points = max(region.total for region, _, _ in looks.values())
-    whole = task_bytes(kind, points)
+    whole = whole_bytes(kind, core, points, workflow)
     if whole <= usable_bytes(limit) or not _may_be_cut(kind, workflow):
         return Parts(whole)
     held = LOADED_BASE_BYTES + _held(kind, core, spread, points, workflow)
@@ -83,6 +83,20 @@ def cell_parts(kind: str, core: Bounds, spread: Spread, workflow: Workflow, limi
         found[name] = region.cut(step_q, reach_q, max(most, 0.0))
     needed = held + max(cut.fullest * LOOK_BYTES[name] for name, cut in found.items())
     return Parts(needed, {name: cut.ends[1:-1] for name, cut in found.items()})
+
+
+def whole_bytes(kind: str, core: Bounds, points: float, workflow: Workflow) -> int:
+    """Memory of a task that does a ground cell at once: of its points, or of its raster cells."""
+    needed = task_bytes(kind, points)
+    if kind != "surface":
+        return needed
+    return max(needed, LOADED_BASE_BYTES + _raster_bytes(core, workflow))
+
+
+def _raster_bytes(core: Bounds, workflow: Workflow) -> int:
+    """Memory of the raster cells of a ground cell and its margin [byte]."""
+    wide = grow(core, quanta(surface_reach_m(workflow)))
+    return int(wide.area_m2 / workflow.products.cell_m**2 * RASTER_BYTES)
 
 
 def looks_at(
@@ -118,9 +132,7 @@ def _held(kind: str, core: Bounds, spread: Spread, points: float, workflow: Work
         return int(spread(core).total * GROUND_HELD_BYTES)
     if kind == "strip_patches":
         return PATCHES_BYTES
-    wide = grow(core, quanta(surface_reach_m(workflow)))
-    rasters = wide.area_m2 / workflow.products.cell_m**2 * RASTER_BYTES
-    return int(rasters + points * GATHERED_BYTES)
+    return int(_raster_bytes(core, workflow) + points * GATHERED_BYTES)
 
 
 def strips_cost(strips: int) -> float:

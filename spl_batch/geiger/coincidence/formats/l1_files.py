@@ -21,9 +21,10 @@ A detections file has a row for each detector that fired:
 Rows may come in any order, further columns are left alone. What a detector looked at follows
 from its frame; so looks without a detection need no row.
 
-Files are read a stretch of rows at a time, whatever their row groups, and put in order on disk.
+Files of detections are read a stretch of rows at a time, whatever their row groups.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -37,7 +38,6 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, counted, reason_of
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
-from spl_batch.formats.files.external_sort import STRETCH_ROWS, Sorter, repeated
 from spl_batch.geiger.coincidence.settings import ArraySettings
 from spl_batch.geiger.coincidence.tables import Attitudes, Detections
 
@@ -46,6 +46,9 @@ DETECTION_COLUMNS: Final = ("frame", "detector", "x", "y", "z")
 _WHOLE: Final = frozenset({"frame", "detector"})
 _FARTHEST_M: Final = 1e8
 """Coordinates beyond this are none of a projected CRS [m]."""
+
+STRETCH_ROWS: Final = 262_144
+"""Rows that are read at once [count]."""
 
 _BUFFER_BYTES: Final = 1 << 20
 """A column's pages are read through a buffer, not with the whole of their row group [byte]."""
@@ -130,166 +133,103 @@ def _fits(kind: pa.DataType, name: str) -> bool:
     return bool(pa.types.is_integer(kind) if name in _WHOLE else number)
 
 
-class _Checks:
-    """Faults of a file's values, counted stretch by stretch."""
-
-    def __init__(self, columns: Sequence[str]) -> None:
-        self._nulls = dict.fromkeys(columns, 0)
-        self._bad = dict.fromkeys(columns, 0)
-        self._ends: dict[str, tuple[int, int]] = {}
-
-    def take(self, batch: pa.RecordBatch) -> dict[str, NDArray[Any]]:
-        """Columns of a stretch, integers as int64 and numbers as float64; without the bad ones."""
-        found = {}
-        for name in self._nulls:
-            column = batch.column(name)
-            if column.null_count:
-                self._nulls[name] += column.null_count
-                continue
-            values = column.to_numpy(zero_copy_only=False)
-            if name in _WHOLE and len(values):
-                low, high = self._ends.get(name, (0, 0))
-                self._ends[name] = min(low, int(values.min())), max(high, int(values.max()))
-            found[name] = values.astype(np.int64 if name in _WHOLE else np.float64)
-            if name not in _WHOLE:
-                self._bad[name] += int((~(np.abs(found[name]) < _FARTHEST_M)).sum())
-        return found
-
-    def faults(self) -> list[str]:
-        """Every fault so far."""
-        faults = []
-        for name, nulls in self._nulls.items():
-            low, high = self._ends.get(name, (0, 0))
-            if nulls:
-                faults.append(f"{counted(nulls, 'rows', 'have')} no {name!r}")
-            if low < 0 or high > 2**62:
-                faults.append(f"{name!r} runs from {low} to {high}; count from 0")
-            if self._bad[name]:
-                faults.append(
-                    f"{self._bad[name]} values of {name!r} are no finite metres or radians"
-                )
-        return faults
-
-
 def _stretches(path: Path, columns: Sequence[str], rows: int) -> Iterator[dict[str, NDArray[Any]]]:
     """Columns of a file, some rows at a time; at the end every fault is raised."""
     inspect(path, columns)
-    checks = _Checks(columns)
+    nulls, bad = Counter[str](), Counter[str]()
     try:
         with pq.ParquetFile(path, buffer_size=_BUFFER_BYTES, pre_buffer=False) as file:
             for batch in file.iter_batches(rows, columns=list(columns), use_threads=False):
-                found = checks.take(batch)
-                if not checks.faults():
+                found = {}
+                for name in columns:
+                    column, kind = batch.column(name), np.int64 if name in _WHOLE else np.float64
+                    values = column.drop_null().to_numpy(zero_copy_only=False).astype(kind)
+                    sound = values >= 0 if name in _WHOLE else np.abs(values) < _FARTHEST_M
+                    nulls[name] += column.null_count
+                    bad[name] += int((~sound).sum())
+                    found[name] = values
+                if not nulls.total() + bad.total():
                     yield found
     except (OSError, pa.ArrowException) as error:
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"damaged: {reason}; copy it again") from error
-    if faults := checks.faults():
+    faults = [f"{counted(n, 'rows', 'have')} no {name!r}" for name, n in (+nulls).items()]
+    for name, n in (+bad).items():
+        what = "counts from 0" if name in _WHOLE else "finite metres or radians"
+        faults.append(f"{counted(n, 'values')} of {name!r} are no {what}")
+    if faults:
         raise InputError(str(path), faults)
 
 
-def frames_in_order(
-    path: Path, folder: Path | None = None, stretch_rows: int = STRETCH_ROWS
-) -> Iterator[Attitudes]:
-    """Frames of a file in order, part by part, in memory that does not depend on its size.
-
-    Parameters
-    ----------
-    folder : Path, optional
-        Where rows wait for their place; by default the system's place for temporary files.
-    stretch_rows : int
-        Rows that are held at once, roughly [count].
+def read_frames(path: Path, stretch_rows: int = STRETCH_ROWS) -> Attitudes:
+    """Frames of a file in order of their numbers.
 
     Raises
     ------
     InputError
-        If the file is damaged, or names a frame twice; once all parts were given.
+        If the file is damaged, or names a frame twice.
     """
-    dtypes = {name: np.int64 if name in _WHOLE else np.float64 for name in FRAME_COLUMNS}
-    twice, first = 0, -1
-    with Sorter(dtypes, 1, folder, stretch_rows) as sorter:
-        for columns in _stretches(path, FRAME_COLUMNS, stretch_rows):
-            sorter.add(columns)
-        for columns in sorter.in_order():
-            number = columns["frame"]
-            again = repeated(columns, ("frame",))
-            if len(again) and not twice:
-                first = int(number[again[0]])
-            twice += len(again)
-            origin, attitude = (
-                np.stack([columns[k] for k in names], axis=-1)
-                for names in (FRAME_COLUMNS[1:4], FRAME_COLUMNS[4:])
-            )
-            yield Attitudes(number, origin, attitude)
-    if twice:
+    parts = list(_stretches(path, FRAME_COLUMNS, stretch_rows))
+    columns = {k: np.concatenate([p[k] for p in parts] or [np.empty(0)]) for k in FRAME_COLUMNS}
+    order = np.argsort(columns["frame"], kind="stable")
+    number = columns["frame"][order].astype(np.int64)
+    again = np.flatnonzero(number[1:] == number[:-1])
+    if len(again):
+        twice = counted(len(again), "frames", "are")
         raise InputError(
-            str(path),
-            f"{counted(twice, 'frames', 'are')} there twice, the first is {first}; number frames "
-            "through",
+            str(path), f"{twice} there twice, the first is {number[again[0]]}; number them through"
         )
+    origin, attitude = (
+        np.stack([columns[k][order] for k in names], axis=-1)
+        for names in (FRAME_COLUMNS[1:4], FRAME_COLUMNS[4:])
+    )
+    return Attitudes(number, origin, attitude)
 
 
-_SORTED: Final = {"frame": np.int64, "detector": np.int32, **dict.fromkeys("xyz", np.int64)}
-
-
-def detections_in_order(
-    path: Path, array: ArraySettings, folder: Path | None = None, stretch_rows: int = STRETCH_ROWS
+def read_detections(
+    path: Path, array: ArraySettings, stretch_rows: int = STRETCH_ROWS
 ) -> Iterator[Detections]:
-    """Detections of a file in order of frame and detector, part by part.
-
-    Memory does not depend on the file's size; all detections of a frame come in one part.
-
-    Parameters
-    ----------
-    folder : Path, optional
-        Where rows wait for their place; by default the system's place for temporary files.
-    stretch_rows : int
-        Rows that are held at once, roughly [count].
+    """Detections of a file, a stretch of rows at a time, each in order of frame and detector.
 
     Raises
     ------
     InputError
-        If the file is damaged, names detectors that the array has not, or one twice in a frame;
-        the last once all parts were given.
+        If the file is damaged, names detectors that the array has not, or one twice in a frame
+        among the rows of a stretch; once all stretches were given.
     """
-    outside = highest = 0
-    with Sorter(_SORTED, 2, folder, stretch_rows) as sorter:
-        for columns in _stretches(path, DETECTION_COLUMNS, stretch_rows):
-            beyond = columns["detector"] >= array.detectors
-            outside += int(beyond.sum())
-            highest = max(highest, int(columns["detector"].max(initial=0)))
-            if not outside:
-                sorter.add({k: _as_sorted(k, v) for k, v in columns.items()})
-        if outside:
-            raise InputError(
-                str(path),
-                f"{counted(outside, 'detections')} of detectors up to {highest}, but the array has "
-                f"{array.rows} x {array.columns}; set array.rows and array.columns",
-            )
-        yield from _once_a_frame(path, sorter)
-
-
-def _as_sorted(name: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Integers unchanged, metres on the survey's lattice."""
-    return values if name in _WHOLE else np.rint(values * QUANTA_PER_M).astype(np.int64)
-
-
-def _once_a_frame(path: Path, sorter: Sorter) -> Iterator[Detections]:
-    """Detections in order; raises at the end where a detector fired again."""
-    twice, first = 0, (0, 0)
-    for columns in sorter.in_order():
+    outside = highest = twice = 0
+    first = ""
+    for columns in _stretches(path, DETECTION_COLUMNS, stretch_rows):
         frame, detector = columns["frame"], columns["detector"]
-        again = repeated(columns, ("frame", "detector"))
-        if len(again) and not twice:
-            first = int(detector[again[0]]), int(frame[again[0]])
-        twice += len(again)
-        yield Detections(frame, detector, np.stack([columns[k] for k in "xyz"], axis=-1))
+        outside += int((detector >= array.detectors).sum())
+        highest = max(highest, int(detector.max(initial=0)))
+        xyz = np.stack([np.rint(columns[k] * QUANTA_PER_M) for k in "xyz"], axis=-1)
+        part = Detections(frame, detector.astype(np.int32), xyz.astype(np.int64))
+        once = part.distinct()
+        if len(once) < len(part) and not twice:
+            key = frame * array.detectors + detector
+            number, place = divmod(_first_repeated(key), array.detectors)
+            first = f"detector {place} of frame {number}"
+        twice += len(part) - len(once)
+        if not outside:
+            yield once
+    if outside:
+        raise InputError(
+            str(path),
+            f"{counted(outside, 'detections')} of detectors up to {highest}, but the array has "
+            f"{array.rows} x {array.columns}; set array.rows and array.columns",
+        )
     if twice:
         raise InputError(
             str(path),
-            f"{counted(twice, 'times')} a detector fires again in its frame, first detector "
-            f"{first[0]} of frame {first[1]}; only the first detection counts",
+            f"{counted(twice, 'times')} a detector fires again in its frame, first {first}; only "
+            "the first detection counts",
         )
+
+
+def _first_repeated(keys: NDArray[np.int64]) -> int:
+    values, count = np.unique(keys, return_counts=True)
+    return int(values[count > 1][0])
 
 
 def write_frames(path: Path, frames: Attitudes) -> None:

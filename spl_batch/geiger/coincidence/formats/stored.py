@@ -1,10 +1,11 @@
-"""Frames, detections and points in the working store: Parquet in order, found by place and frame.
+"""Frames, detections and points in the working store: Parquet, found by place and frame.
 
 Frames lie in row groups that are found by the place of the sensor, detections in row groups that
 are found by frame.
 """
 
 from collections.abc import Iterable, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,18 +25,24 @@ _GROUP_FRAMES: Final = 512
 _GROUP_ROWS: Final = 65_536
 
 
-def store_frames(path: Path, parts: Iterable[Frames]) -> None:
-    """Keep frames in the working store; parts come in order."""
-    dtypes: dict[str, Any] = dict.fromkeys(_FRAMES, np.float64) | {"frame": np.int64}
-    with writing(path, dtypes) as writer:
-        for part in parts:
-            turn = part.turn.reshape(-1, 9)
-            for start in range(0, len(part), _GROUP_FRAMES):
-                rows = slice(start, start + _GROUP_FRAMES)
-                columns: dict[str, NDArray[Any]] = {"frame": part.number[rows]}
-                columns |= {k: part.origin_m[rows, i] for i, k in enumerate("xyz")}
-                columns |= {k: turn[rows, i] for i, k in enumerate(_TURN)}
-                writer.write(columns)
+def _store(path: Path, parts: Iterable[Mapping[str, NDArray[Any]]], group_rows: int) -> None:
+    """Keep columns in the working store, in row groups of so many rows at most."""
+    parts = iter(parts)
+    first = next(parts)
+    with writing(path, {name: values.dtype for name, values in first.items()}) as writer:
+        for columns in chain([first], parts):
+            for start in range(0, len(columns[next(iter(columns))]), group_rows):
+                rows = slice(start, start + group_rows)
+                writer.write({name: values[rows] for name, values in columns.items()})
+
+
+def store_frames(path: Path, frames: Frames) -> None:
+    """Keep frames in the working store."""
+    turn = frames.turn.reshape(-1, 9)
+    columns: dict[str, NDArray[Any]] = {"frame": frames.number}
+    columns |= {name: frames.origin_m[:, k] for k, name in enumerate("xyz")}
+    columns |= {name: turn[:, k] for k, name in enumerate(_TURN)}
+    _store(path, [columns], _GROUP_FRAMES)
 
 
 def stored_frames(
@@ -50,7 +57,11 @@ def stored_frames(
 def _frames(path: Path, spans: Mapping[str, tuple[int, int]]) -> Frames:
     read, _ = read_between(path, _FRAMES, spans)
     turn = np.stack([read[k] for k in _TURN], axis=-1).reshape(-1, 3, 3)
-    return Frames(read["frame"], np.stack([read[k] for k in "xyz"], axis=-1), turn)
+    return Frames(read["frame"], _xyz(read), turn)
+
+
+def _xyz(read: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    return np.stack([read[k] for k in "xyz"], axis=-1)
 
 
 def frames_around(path: Path, number: int) -> Frames:
@@ -67,41 +78,31 @@ def known_frames(path: Path, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def store_detections(path: Path, parts: Iterable[Detections]) -> None:
-    """Keep detections in the working store; parts come in order."""
-    dtypes: dict[str, Any] = dict.fromkeys(_DETECTIONS, np.int64) | {"detector": np.int32}
-    with writing(path, dtypes) as writer:
-        for part in parts:
-            for start in range(0, len(part), _GROUP_ROWS):
-                rows = slice(start, start + _GROUP_ROWS)
-                columns: dict[str, NDArray[Any]] = {
-                    "frame": part.frame[rows],
-                    "detector": part.detector[rows],
-                }
-                columns |= {name: part.xyz[rows, k] for k, name in enumerate("xyz")}
-                writer.write(columns)
+    """Keep detections in the working store."""
+    _store(path, map(_columns, chain([Detections.joined([])], parts)), _GROUP_ROWS)
+
+
+def _columns(part: Detections) -> dict[str, NDArray[Any]]:
+    columns: dict[str, NDArray[Any]] = {"frame": part.frame, "detector": part.detector}
+    return columns | {name: part.xyz[:, k] for k, name in enumerate("xyz")}
 
 
 def stored_detections(path: Path, numbers: NDArray[np.int64]) -> Detections:
     """Detections of some frames, whose numbers increase; a row group is held at a time."""
     parts = []
     for read in read_with(path, _DETECTIONS, "frame", numbers):
-        rows = np.isin(read["frame"], numbers)
-        xyz = np.stack([read[k][rows] for k in "xyz"], axis=-1)
-        parts.append(Detections(read["frame"][rows], read["detector"][rows], xyz))
+        part = Detections(read["frame"], read["detector"], _xyz(read))
+        parts.append(part.take(np.isin(part.frame, numbers)))
     return Detections.joined(parts)
 
 
 def store_points(path: Path, points: Points) -> None:
     """Keep points in the working store."""
     columns: dict[str, NDArray[Any]] = {name: points.xyz[:, k] for k, name in enumerate("xyz")}
-    columns |= {"intensity": points.intensity, "kind": points.kind}
-    with writing(path, {name: values.dtype for name, values in columns.items()}) as writer:
-        for start in range(0, max(len(points), 1), _GROUP_ROWS):
-            rows = slice(start, start + _GROUP_ROWS)
-            writer.write({name: values[rows] for name, values in columns.items()})
+    _store(path, [columns | {"intensity": points.intensity, "kind": points.kind}], _GROUP_ROWS)
 
 
 def stored_points(path: Path) -> Points:
     """Points of a file of the store."""
     read = read_columns(path, (*"xyz", "intensity", "kind"))
-    return Points(np.stack([read[k] for k in "xyz"], axis=-1), read["intensity"], read["kind"])
+    return Points(_xyz(read), read["intensity"], read["kind"])

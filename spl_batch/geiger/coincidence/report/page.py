@@ -1,7 +1,6 @@
 """The page of a report on coincidence processing, and its pictures."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
 from matplotlib.figure import Figure
@@ -17,33 +16,30 @@ from spl_batch.geiger.coincidence.report.model import CoincidenceReport
 
 SECTIONS: Final = (("points", "Points"),)
 _PACKAGE: Final = "spl_batch.geiger.coincidence.report"
-_STRIP_IN: Final = (style.WIDTH_IN, 4.8)
 
 
-@dataclass(frozen=True, slots=True)
-class Strip:
-    """A thin upright slice, seen from its side."""
-
-    #: (n, 2) float64: along the slice, and height [m].
-    detections_m: NDArray[Any]
-    points_m: NDArray[Any]
+Slice = tuple[NDArray[Any], NDArray[Any]]
+"""Detections and points of an upright slice: (n, 2) float64 each, along it and height [m]."""
 
 
 def pictures(
-    height: Raster | None, intensity: Raster | None, strip: Strip | None
+    height: Raster | None, intensity: Raster | None, slice_m: Slice | None
 ) -> dict[str, Picture]:
-    """Pictures ``height``, ``intensity`` and ``strip``; one without data says so."""
-    return {
-        "height": _height(height),
-        "intensity": _intensity(intensity),
-        "strip": _strip(strip),
+    """Pictures ``height``, ``intensity`` and ``slice``; one without data says so."""
+    shown = {"height": (height, _height), "intensity": (intensity, _intensity)}
+    found = {
+        name: draw(raster)
+        if raster is not None and raster.any_value
+        else Picture(name.title(), "There are no points to show.")
+        for name, (raster, draw) in shown.items()
     }
+    if slice_m is None or not len(slice_m[1]):
+        return found | {"slice": Picture("Slice", "There are no points to show.")}
+    return found | {"slice": _slice(*slice_m)}
 
 
-def _height(raster: Raster | None) -> Picture:
+def _height(raster: Raster) -> Picture:
     title = "Highest points"
-    if raster is None or not raster.any_value:
-        return Picture(title, "There are no points to show.")
     limits = spread(reduce_raster(raster).values, 0.5, 99.5)
     drawn = draw_relief(raster, title, "height [m]", limits)
     return _made(
@@ -51,39 +47,32 @@ def _height(raster: Raster | None) -> Picture:
     )
 
 
-def _intensity(raster: Raster | None) -> Picture:
-    title = "Intensity"
-    if raster is None or not raster.any_value:
-        return Picture(title, "There are no points to show.")
-    top = spread(reduce_raster(raster).values, 1, 99)[1]
-    unit = "detections per look"
-    drawn = draw_ramp(raster, title, unit, ramp=style.DENSITY, limits=(0.0, top))
-    said = (
-        "Detections for each look through a voxel: paint shows, and so do edges, which looks "
-        "share with what lies behind."
+def _intensity(raster: Raster) -> Picture:
+    title, top = "Intensity", spread(reduce_raster(raster).values, 1, 99)[1]
+    drawn = draw_ramp(raster, title, "detections per look", ramp=style.DENSITY, limits=(0.0, top))
+    return _made(
+        drawn,
+        title,
+        "Detections for each look through a voxel: paint shows, and so do edges, which looks share "
+        "with what lies behind.",
     )
-    return _made(drawn, title, said)
 
 
-def _strip(strip: Strip | None) -> Picture:
-    title = "A slice, before and after"
-    if strip is None or not len(strip.points_m):
-        return Picture(title, "No slice holds points to show.")
+def _slice(detections_m: NDArray[Any], points_m: NDArray[Any]) -> Picture:
     with style.type_context():
-        figure = style.figure(*_STRIP_IN)
+        figure = style.figure(style.WIDTH_IN, 4.8)
         upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
         for axes, places, name in (
-            (upper, strip.detections_m, "Detections"),
-            (lower, strip.points_m, "Points"),
+            (upper, detections_m, "Detections"),
+            (lower, points_m, "Points"),
         ):
             axes.plot(places[:, 0], places[:, 1], ".", ms=2.5, mew=0, color=style.SIGNAL)
-            axes.set_title(name)
-            axes.set_ylabel("height [m]")
+            axes.set(title=name, ylabel="height [m]")
             axes.spines[["top", "right"]].set_visible(False)
         lower.set_xlabel("distance along the slice [m]")
-        low, high = strip.points_m[:, 1].min(), strip.points_m[:, 1].max()
-        lower.set_ylim(low - 2.0, high + 2.0)
-    return _made(figure, title, "A slice of the fullest tile: detections above, points below.")
+        lower.set_ylim(points_m[:, 1].min() - 2.0, points_m[:, 1].max() + 2.0)
+    caption = "A slice of the fullest tile: detections above, points below."
+    return _made(figure, "A slice, before and after", caption)
 
 
 def _made(drawn: Figure, title: str, caption: str) -> Picture:
@@ -114,15 +103,14 @@ def _share(part: int, whole: int) -> str:
 
 
 def verdicts(report: CoincidenceReport) -> list[Verdict]:
-    """Sentences that say whether the result can be used."""
-    counts = report.counts
-    if counts.points:
-        said = Verdict(
-            "good",
-            f"{text.number(counts.detections)} detections became "
-            f"{text.number(counts.points)} points.",
-        )
-    else:
-        said = Verdict("bad", "No points: nowhere do enough detections coincide for the threshold.")
-    found = [said, failure_verdict(report.failures, report.findings)]
-    return sorted(found, key=lambda verdict: verdict.tone != "bad")
+    """Sentences that state whether the result can be used."""
+    counts, found = report.counts, failure_verdict(report.failures, report.findings)
+    if not counts.points:
+        return [
+            Verdict("bad", "No points: nowhere do enough detections coincide for the threshold."),
+            found,
+        ]
+    made = (
+        f"{text.number(counts.detections)} detections became {text.number(counts.points)} points."
+    )
+    return sorted([Verdict("good", made), found], key=lambda verdict: verdict.tone != "bad")

@@ -19,7 +19,7 @@ from spl_batch.engine.report.run_record import (
 from spl_batch.engine.report.write import write_both
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.coincidence.report.model import CoincidenceReport, Counts, Intensity, Scene
-from spl_batch.geiger.coincidence.report.page import Strip, pictures, render
+from spl_batch.geiger.coincidence.report.page import Slice, pictures, render
 from spl_batch.geiger.coincidence.tasks.index import CoincidenceContext
 from spl_batch.geiger.coincidence.tasks.points import MAP_CELLS, map_path
 from spl_batch.lattice.tiles import parse_cell
@@ -45,7 +45,7 @@ def summarise(done: Receipts, context: CoincidenceContext, facts: RunFacts) -> C
         **common_parts(context, facts, counts.detections, list(_inputs(done))),
     )
     height, intensity = (_map(done, context, name) for name in ("height", "intensity"))
-    shown = pictures(height, intensity, _strip(done, context))
+    shown = pictures(height, intensity, _slice(done, context))
     write_both(context.output, report, render(report, shown))
     remember(done, context, facts)
     return report
@@ -102,11 +102,11 @@ def _map(done: Receipts, context: CoincidenceContext, name: str) -> Raster | Non
     return Raster(values, (west * edge, east * edge, south * edge, north * edge))
 
 
-def _strip(done: Receipts, context: CoincidenceContext) -> Strip | None:
+def _slice(done: Receipts, context: CoincidenceContext) -> Slice | None:
     """The slice of the tile with most points."""
-    made = {t: r.facts["points"] for t, r in done.get("coincide", {}).items() if r.facts["points"]}
-    if not made:
+    made = {t: r.facts["points"] for t, r in done.get("coincide", {}).items()}
+    if not any(made.values()):
         return None
     tile = max(sorted(made), key=lambda name: made[name])
     arrays = read_arrays(map_path(context.store, tile))
-    return Strip(arrays["slice_detections"], arrays["slice_points"])
+    return arrays["slice_detections"], arrays["slice_points"]

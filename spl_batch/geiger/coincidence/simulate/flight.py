@@ -4,12 +4,11 @@ Each frame has its own random numbers, so it does not depend on the others.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spl_batch.constants import QUANTA_PER_M
+from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build
 from spl_batch.geiger.coincidence.simulate.scene_rays import Targets, expose
 from spl_batch.geiger.coincidence.tables import Attitudes, Detections, Frames
@@ -20,15 +19,7 @@ FRAMES_OF_A_PASS = 10_000_000
 
 
 def flights(scene: SceneSettings) -> Iterator[tuple[Frames, Attitudes]]:
-    """Frames of each pass that look at the scene's part.
-
-    Yields
-    ------
-    frames : Frames
-        Ready to look through.
-    attitudes : Attitudes
-        The same as files have it.
-    """
+    """Frames of each pass that look at the scene's part, as directions and as files have them."""
     flight, array = scene.flight, scene.array
     half = 0.5 * np.array([array.rows, array.columns]) * array.ifov_rad * flight.altitude_m
     reach = 0.5 * math.hypot(*scene.extent_m) + float(half.max()) + flight.speed_m_s
@@ -56,66 +47,33 @@ def flights(scene: SceneSettings) -> Iterator[tuple[Frames, Attitudes]]:
         yield Frames(number_of, place, turn[rows]), Attitudes(number_of, place, attitude)
 
 
-def detect(
-    scene: SceneSettings,
-    frames: Frames,
-    targets: Targets,
-    tell: Callable[[float], None] = lambda _: None,
-) -> Detections:
-    """What the detectors record: at most one detection of each in a frame.
+def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections:
+    """What the detectors record in :func:`flights`: at most one detection of each in a frame.
 
-    Parameters
-    ----------
-    frames : Frames
-        From :func:`flights`.
-    targets : Targets
-        From :func:`~.scene.build`.
-    tell : callable
-        Told the share of the frames that is done, 0..1.
-
-    Returns
-    -------
-    Detections
-        In order of frame and detector; places by each detector's own line of sight.
+    In order of frame and detector; places by each detector's own line of sight.
     """
     array, flight = scene.array, scene.flight
     tangent = math.tan(array.ifov_rad)
     gate = np.array([array.gate_start_m, array.gate_stop_m])
     jitter = np.array([flight.range_jitter_m, flight.angle_jitter_rad])
-    image = np.empty((array.rows, array.columns))
-    looks = _directions(scene)
-    frame, detector, xyz = [], [], []
-    for k, number in enumerate(frames.number.tolist()):
-        rng = np.random.default_rng([scene.seed, number])
-        local = frames.origin_m[k] - np.array(scene.origin_m)
+    dark_per_m = flight.dark_rate_hz * 2.0 / SPEED_OF_LIGHT_M_S
+    row, column = np.indices((array.rows, array.columns))
+    across, along = row - 0.5 * (array.rows - 1), column - 0.5 * (array.columns - 1)
+    looks = np.stack([across * tangent, along * tangent, -np.ones(row.shape)], -1).reshape(-1, 3)
+    looks /= np.linalg.norm(looks, axis=1)[:, None]
+    image = np.empty(row.shape)
+    parts = [Detections.joined([])]
+    for number, origin, turn in zip(frames.number, frames.origin_m, frames.turn, strict=True):
+        rng = np.random.default_rng([scene.seed, int(number)])
         expose(
-            *(rng, local, frames.turn[k], targets, tangent, gate),
-            *(flight.efficiency, array.dark_per_m, jitter, flight.range_bin_m, image),
+            *(rng, origin - np.array(scene.origin_m), turn, targets, tangent, gate),
+            *(flight.efficiency, dark_per_m, jitter, flight.range_bin_m, image),
         )
         fired = np.flatnonzero(np.isfinite(image.ravel()))
-        way = looks[fired] @ frames.turn[k].T
-        place = frames.origin_m[k] + image.ravel()[fired, None] * way
-        frame.append(np.full(len(fired), number))
-        detector.append(fired.astype(np.int32))
-        xyz.append(np.rint(place * QUANTA_PER_M).astype(np.int64))
-        tell((k + 1) / len(frames))
-    if not frame:
-        return Detections(np.empty(0, np.int64), np.empty(0, np.int32), np.empty((0, 3), np.int64))
-    return Detections(np.concatenate(frame), np.concatenate(detector), np.concatenate(xyz))
-
-
-def _directions(scene: SceneSettings) -> NDArray[np.float64]:
-    """Unit vectors of the detectors' lines of sight in the array's frame: (detectors, 3)."""
-    array = scene.array
-    tangent = math.tan(array.ifov_rad)
-    across = (np.arange(array.rows) - 0.5 * (array.rows - 1)) * tangent
-    along = (np.arange(array.columns) - 0.5 * (array.columns - 1)) * tangent
-    ways = np.stack(
-        [*np.meshgrid(across, along, indexing="ij"), -np.ones((array.rows, array.columns))], -1
-    )
-    flat = ways.reshape(-1, 3)
-    unit: NDArray[np.float64] = flat / np.linalg.norm(flat, axis=1)[:, None]
-    return unit
+        place = origin + image.ravel()[fired, None] * (looks[fired] @ turn.T)
+        xyz = np.rint(place * QUANTA_PER_M).astype(np.int64)
+        parts.append(Detections(np.full(len(fired), number), fired.astype(np.int32), xyz))
+    return Detections.joined(parts)
 
 
 def fly(scene: SceneSettings) -> tuple[Frames, Detections]:

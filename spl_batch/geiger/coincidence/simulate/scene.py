@@ -71,6 +71,9 @@ class FlightSettings(Section):
     efficiency: Share = Field(
         0.5, description="Photo-electrons per look from a target of reflectivity 1 [count]."
     )
+    dark_rate_hz: Positive = Field(
+        1500.0, description="Dark counts and sunlight of one detector [1/s]."
+    )
     range_jitter_m: Positive = Field(0.05, description="Standard deviation of a range [m].")
     angle_jitter_rad: Positive = Field(10e-6, description="Of each angle of a look [rad].")
     range_bin_m: Positive = Field(0.05, description="Range bin [m].")
@@ -98,17 +101,9 @@ class SceneSettings(Section):
 
 
 def bars(centre_m: tuple[float, float]) -> list[tuple[float, bool, NDArray[np.float64]]]:
-    """Tri-bar targets: three bars, two gaps of the same width, five widths long.
+    """Tri-bar targets around a place: three bars, two gaps of the same width, five widths long.
 
-    Parameters
-    ----------
-    centre_m : (float, float)
-        Middle of both sets.
-
-    Returns
-    -------
-    list of (float, bool, (3, 5) float64)
-        Width [m]; whether the bars run north; west, south, east, north, height of each [m].
+    Width [m] of each; whether its bars run north; (3, 5) west, south, east, north, height [m].
     """
     found = []
     for north, side in ((True, -1.0), (False, 1.0)):

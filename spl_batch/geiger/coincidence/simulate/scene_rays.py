@@ -116,17 +116,9 @@ def _into_box(origin, way, box):  # type: ignore[no-untyped-def]
 
 @njit()
 def opaque(origin: NDArray[np.float64], way: NDArray[np.float64], scene: Targets) -> float:
-    """Range at which a ray that points downwards meets something opaque; negative on paint.
+    """Range at which a ray that points downwards meets a target, or bare ground plus 1e9 [m].
 
-    Parameters
-    ----------
-    origin, way : (3,) float64
-        Start, and unit vector [m].
-
-    Returns
-    -------
-    float
-        Range to a target, or to bare ground as a range plus 1e9 [m].
+    ``origin``, ``way``: (3,) float64, start [m] and unit vector.
     """
     ground = -origin[2] / way[2]
     best = _FAR
@@ -211,18 +203,14 @@ def expose(
 
     Parameters
     ----------
-    origin : (3,) float64
-        Place of the sensor from the scene's centre and ground [m].
-    turn : (3, 3) float64
-        As :func:`look_direction` takes it.
+    origin, turn : (3,), (3, 3) float64
+        Place of the sensor from the scene's centre [m]; as :func:`look_direction` has it.
     tangent : float
         Tangent of a detector's field of view.
     gate : (2,) float64
         Slant ranges between which detectors are armed [m].
-    efficiency : float
-        Photo-electrons per look from a target of reflectivity 1.
-    dark_per_m : float
-        Dark counts per metre of armed detector [1/m].
+    efficiency, dark_per_m : float
+        Photo-electrons per look from reflectivity 1; dark counts per metre of armed detector [1/m].
     jitter : (2,) float64
         Standard deviations of range [m] and of each angle [rad].
     bin_m : float

@@ -14,8 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
-from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
-from spl_batch.geiger.coincidence.surface.posterior import log_odds
+from spl_batch.geiger.coincidence.settings import (
+    ArraySettings,
+    BridgeSignSettings,
+    CoincidenceSettings,
+)
 from spl_batch.geiger.coincidence.surface.quadratic_fit import (
     NOTHING,
     drop_weaker,
@@ -57,13 +60,12 @@ class Scene(NamedTuple):
 
 def reach_q(chosen: CoincidenceSettings, array: ArraySettings) -> int:
     """How far around a region its detections are needed [quanta]."""
-    return (_halo(chosen) + 2) * chosen.voxel_quanta(array)
+    return (halo(chosen) + 2) * chosen.voxel_quanta(array)
 
 
-def _halo(chosen: CoincidenceSettings) -> int:
+def halo(chosen: CoincidenceSettings) -> int:
     """Voxels around a region in which there may be something that decides on its points [count]."""
-    half = chosen.window_voxels // 2
-    return half + (half + BESIDE if chosen.method == "bridge_sign" else 0)
+    return min(chosen.windows) + BESIDE + max(chosen.windows)
 
 
 def coincide(
@@ -87,7 +89,7 @@ def coincide(
     edge = chosen.voxel_quanta(array)
     low = np.array([_first_voxel(region.xmin, edge), _first_voxel(region.ymin, edge)])
     high = np.array([_first_voxel(region.xmax, edge), _first_voxel(region.ymax, edge)])
-    reach = _halo(chosen) + 1
+    reach = halo(chosen) + 1
     voxel = detections.xyz[:, :2] // edge
     near = ((voxel >= low - reach) & (voxel < high + reach)).all(axis=1)
     by_frame = detections.take(np.argsort(detections.frame, kind="stable"))
@@ -101,11 +103,6 @@ def _first_voxel(edge_of_region: int, edge: int) -> int:
     return -((edge - 2 * edge_of_region) // (2 * edge))
 
 
-def least_detections(chosen: CoincidenceSettings) -> int:
-    """Detections that must coincide for anything to be found [count]."""
-    return chosen.bridge_sign.detections_min if chosen.method == "bridge_sign" else 2
-
-
 def _volumes(
     scene: Scene, low: NDArray[np.int64], high: NDArray[np.int64], chosen: CoincidenceSettings
 ) -> Iterator[Box]:
@@ -114,8 +111,9 @@ def _volumes(
     A neighbourhood of w voxels takes weight from places within w + 1 edges, in a block of two by
     two by two cells of that edge. Blocks with too few detections are left out.
     """
-    cell = chosen.window_voxels + 1
-    blocks = _crowded(scene.xyz // (cell * scene.edge_q), least_detections(chosen)) * cell
+    cell = 2 * max(chosen.windows) + 2
+    least = chosen.bridge_sign.detections_min
+    blocks = _crowded(scene.xyz // (cell * scene.edge_q), least) * cell
     if not len(blocks):
         return
     edge = chosen.volume_voxels
@@ -144,56 +142,75 @@ def _crowded(cells: NDArray[np.int64], least: int) -> NDArray[np.int64]:
 
 def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySettings) -> Points:
     """Points of one sub-volume."""
-    half = chosen.window_voxels // 2
+    rules, wide = chosen.rules, max(chosen.windows)
     # Points just outside may be stronger than those inside: they are found as well.
-    halo = _halo(chosen)
-    corner = box.low - halo
-    raster = np.zeros(tuple((box.high - box.low + 2 * halo).tolist()), np.int64)
-    near = _within(scene.xyz, Box(corner - 1, box.high + halo + 1), scene.edge_q)
-    xyz = scene.xyz[near]
-    deposit_all(xyz, scene.edge_q, corner, raster)
-    sums = np.empty_like(raster)
-    box_sum(raster, half, sums)
-    if chosen.method == "posterior":
-        return _by_posterior(scene, box, xyz, sums, chosen, array)
-    crowded = sums[half:-half, half:-half, half:-half] >= chosen.bridge_sign.detections_min * UNIT
-    voxel = np.argwhere(crowded) + half
+    rim = halo(chosen)
+    corner = box.low - rim
+    raster = np.zeros(tuple((box.high - box.low + 2 * rim).tolist()), np.int64)
+    first, last = (corner - 1) * scene.edge_q, (box.high + rim + 1) * scene.edge_q
+    near = ((scene.xyz >= first) & (scene.xyz < last)).all(axis=1)
+    deposit_all(scene.xyz[near], scene.edge_q, corner, raster)
+    left = np.zeros(raster.shape, np.bool_)
+    left[wide:-wide, wide:-wide, wide:-wide] = True
+    crowded: dict[int, NDArray[np.int64]] = {}
+    for half, least in chosen.windows.items():
+        here = left & (_summed(raster, half) >= least * UNIT)
+        crowded[half] = np.argwhere(here)
+        left &= ~here
+    voxel = np.concatenate(list(crowded.values()))
     if not len(voxel):
         return Points.joined([])
-    looks = _looks(scene, voxel + corner, half, array)
-    found = _maxima(raster, voxel, looks, chosen)
-    keep = found.kind != NOTHING
-    voxel, found = voxel[keep], _Maxima(*(column[keep] for column in found))
-    own = _strongest(raster.shape, voxel, found, chosen)
-    own &= ((voxel >= halo) & (voxel < np.array(raster.shape) - halo)).all(axis=1)
-    at = (voxel[own] + corner + 0.5 + found.place[own]) * scene.edge_q
-    return Points(
-        np.rint(at).astype(np.int64), found.value[own].astype(np.float32), found.kind[own]
-    )
+    looks, at = _looks(scene, voxel + corner, wide, array)
+    parts = [
+        _maxima(raster, rows, _summed(looks, half)[tuple((rows + corner - at).T)], half, rules)
+        for half, rows in crowded.items()
+    ]
+    found = _Maxima(*map(np.concatenate, zip(*parts, strict=True)))
+    # In the order of the raster, of points alone.
+    rows = np.lexsort(voxel.T[::-1])
+    rows = rows[found.kind[rows] != NOTHING]
+    voxel, found = voxel[rows], found.take(rows)
+    own = _strongest(raster.shape, voxel, found, rules)
+    own &= ((voxel >= rim) & (voxel < np.array(raster.shape) - rim)).all(axis=1)
+    places = (voxel[own] + corner + 0.5 + found.place[own]) * scene.edge_q
+    share = found.value[own].astype(np.float32)
+    return Points(np.rint(places).astype(np.int64), share, found.kind[own])
+
+
+def _summed(raster: NDArray[np.int64], half: int) -> NDArray[np.int64]:
+    sums = np.empty_like(raster)
+    box_sum(raster, half, sums)
+    return sums
 
 
 class _Maxima(NamedTuple):
-    """Results of :func:`surface.find_surfaces`."""
+    """Results of :func:`find_surfaces`."""
 
     place: NDArray[np.float64]
     normal: NDArray[np.float64]
     value: NDArray[np.float64]
     kind: NDArray[np.uint8]
 
+    def take(self, rows: NDArray[np.intp]) -> "_Maxima":
+        """Some of them."""
+        return _Maxima(self.place[rows], self.normal[rows], self.value[rows], self.kind[rows])
+
 
 def _maxima(
     raster: NDArray[np.int64],
     voxel: NDArray[np.int64],
     looks: NDArray[np.int64],
-    chosen: CoincidenceSettings,
+    half: int,
+    rules: BridgeSignSettings,
 ) -> _Maxima:
-    sign, n = chosen.bridge_sign, len(voxel)
-    half = sign.window_voxels // 2
+    n = len(voxel)
+    # A thin layer's peak falls as the window grows.
+    threshold = (rules.threshold or 0.0) * rules.window_voxels / (2 * half + 1)
     found = _Maxima(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.uint8))
     find_surfaces(
         *(raster, looks, voxel, half, fit_matrix(half)),
-        *(sign.threshold, sign.looks_min, sign.curvature_ratio, sign.reach_voxels),
-        edge_offset(half),
+        *(threshold, rules.looks_min, rules.curvature_ratio, rules.reach_voxels),
+        edge_offset(half) if rules.edge_rule else math.inf,
         *found,
     )
     return found
@@ -203,24 +220,25 @@ def _strongest(
     shape: tuple[int, ...],
     voxel: NDArray[np.int64],
     found: _Maxima,
-    chosen: CoincidenceSettings,
+    rules: BridgeSignSettings,
 ) -> NDArray[np.bool_]:
     """Which points nothing stronger before, behind or beside takes the place of: (n,) bool."""
-    half = chosen.window_voxels // 2
+    half = rules.window_voxels // 2
     row_of = np.full(shape, -1, np.int32)
     row_of[tuple(voxel.T)] = np.arange(len(voxel))
     keep = np.empty(len(voxel), np.bool_)
+    along = half if rules.strongest_along_normal else -1
     drop_weaker(
         *(voxel, found.place, found.normal, found.value, row_of),
-        *(half, half + BESIDE, chosen.bridge_sign.edge_share, keep),
+        *(along, half + BESIDE, rules.edge_share, keep),
     )
     return keep
 
 
 def _looks(
     scene: Scene, voxel: NDArray[np.int64], half: int, array: ArraySettings
-) -> NDArray[np.int64]:
-    """Interrogations summed over the neighbourhood of each voxel of the lattice: (n,)."""
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Raster of interrogations around voxels of the lattice, and its first voxel."""
     low, high = voxel.min(axis=0) - half, voxel.max(axis=0) + half + 1
     raster = np.zeros(tuple((high - low).tolist()), np.int64)
     edge_m = scene.edge_q * QUANTUM_M
@@ -236,10 +254,7 @@ def _looks(
         low,
         raster,
     )
-    sums = np.empty_like(raster)
-    box_sum(raster, half, sums)
-    looks: NDArray[np.int64] = sums[tuple((voxel - low).T)]
-    return looks
+    return raster, low
 
 
 def looking_at(
@@ -248,15 +263,10 @@ def looking_at(
     low_m: NDArray[np.float64],
     high_m: NDArray[np.float64],
 ) -> NDArray[np.intp]:
-    """Rows of frames of which a look may cross a box: (k,) intp.
+    """Rows of frames of which a look may cross a box, whose corners are (3,) each [m]: (k,) intp.
 
     Lines of sight that point downwards cross a height within the quadrilateral of the image's
     corners; frames with a corner that does not are always among them.
-
-    Parameters
-    ----------
-    low_m, high_m : (3,) float64
-        Corners of the box [m].
     """
     tangent = math.tan(array.ifov_rad)
     across, along = 0.5 * array.rows * tangent, 0.5 * array.columns * tangent
@@ -277,19 +287,9 @@ def looking_at(
 
 
 def sight_error(frames: Frames, detections: Detections, array: ArraySettings) -> float:
-    """How far detections lie from their lines of sight, typically.
+    """How far detections lie from their lines of sight: median [fields of view of a detector].
 
-    Parameters
-    ----------
-    detections : Detections
-        In order of their frames; those of other frames are left out.
-    array : ArraySettings
-        Tells where each detector looks.
-
-    Returns
-    -------
-    float
-        Median angle in fields of view of a detector; 0 without detections.
+    Detections come in order of their frames; those of other frames are left out, and 0 is none.
     """
     own = detections.of(frames)
     if not len(own):
@@ -302,42 +302,3 @@ def sight_error(frames: Frames, detections: Detections, array: ArraySettings) ->
     middle = 0.5 * (np.array([array.rows, array.columns]) - 1)
     off = at - (place - middle) * math.tan(array.ifov_rad)
     return float(np.median(np.hypot(off[:, 0], off[:, 1])) / array.ifov_rad)
-
-
-def _within(xyz: NDArray[np.int64], box: Box, edge_q: int) -> NDArray[np.bool_]:
-    """Which places lie in a box of voxels: (n,) bool."""
-    inside: NDArray[np.bool_] = np.all(
-        (xyz >= box.low * edge_q) & (xyz < box.high * edge_q), axis=1
-    )
-    return inside
-
-
-def _by_posterior(
-    scene: Scene,
-    box: Box,
-    xyz: NDArray[np.int64],
-    sums: NDArray[np.int64],
-    chosen: CoincidenceSettings,
-    array: ArraySettings,
-) -> Points:
-    """Means of the detections in each voxel that are more likely of a surface than noise."""
-    test = chosen.posterior
-    half = test.window_voxels // 2
-    xyz = xyz[_within(xyz, box, scene.edge_q)]
-    voxel = xyz // scene.edge_q
-    if not len(voxel):
-        return Points.joined([])
-    looks = _looks(scene, voxel, half, array)
-    counts = sums[tuple((voxel - box.low + half).T)]
-    odds = np.empty(len(voxel))
-    noise = array.dark_per_m * scene.edge_q * QUANTUM_M
-    log_odds(counts, looks, test.window_voxels, noise, test.detection_min, test.prior, odds)
-    keep = odds > 0
-    cells, place, n = np.unique(voxel[keep], axis=0, return_inverse=True, return_counts=True)
-    total = np.zeros((len(cells), 3), np.int64)
-    np.add.at(total, place.ravel(), xyz[keep])
-    passed = np.zeros(len(cells), np.int64)
-    np.maximum.at(passed, place.ravel(), looks[keep])
-    share = n * UNIT * test.window_voxels**3 / np.maximum(passed, 1)
-    mean = (2 * total + n[:, None]) // (2 * n[:, None])
-    return Points(mean, share.astype(np.float32), np.zeros(len(mean), np.uint8))

@@ -43,17 +43,9 @@ PEAK: Final = 3
 
 
 def fit_matrix(half: int) -> NDArray[np.float64]:
-    """Matrix that turns moments of a neighbourhood into coefficients, (M'M)^-1 of Eq. 1.
+    """Matrix that turns moments of a neighbourhood into coefficients, (M'M)^-1 of Eq. 1: (10, 10).
 
-    Parameters
-    ----------
-    half : int
-        Voxels on either side of the centre, > 0.
-
-    Returns
-    -------
-    (10, 10) float64
-        For moments and coefficients in the order 1, x, y, z, x2, y2, z2, xy, xz, yz.
+    Both in the order 1, x, y, z, x2, y2, z2, xy, xz, yz; ``half``: voxels beside the centre, > 0.
     """
     axis = np.arange(-half, half + 1)
     x, y, z = (a.ravel() for a in np.meshgrid(axis, axis, axis, indexing="ij"))
@@ -62,20 +54,10 @@ def fit_matrix(half: int) -> NDArray[np.float64]:
 
 
 def edge_offset(half: int) -> float:
-    """Distance of the detections' mean from the centre of a neighbourhood on a straight edge.
+    """Distance of a neighbourhood's mean from its centre on a straight edge [voxel edges].
 
     Of a level target that ends at the centre, as a detector sees it that is two voxels wide, with
     trilinear weights: the voxel beside the edge has 11/12 of the inside, the one beyond it 1/12.
-
-    Parameters
-    ----------
-    half : int
-        Voxels on either side of the centre, > 0.
-
-    Returns
-    -------
-    float
-        [voxel edges]
     """
     return (0.5 * half * (half + 1) - 1.0 / 6.0) / (half + 0.5)
 
@@ -92,15 +74,7 @@ def _to_the_side(moment: NDArray[np.int64], normal: NDArray[np.float64]) -> floa
 def moments(
     raster: NDArray[np.int64], i: int, j: int, k: int, half: int, out: NDArray[np.int64]
 ) -> None:
-    """Ten moments of the cube around a voxel, M'd of Eq. 1.
-
-    Parameters
-    ----------
-    raster : (nx, ny, nz) int64
-        Values; the cube lies inside.
-    out : (10,) int64
-        Receives sums of d, d x, d y, d z, d x2, d y2, d z2, d xy, d xz, d yz.
-    """
+    """Ten moments of the cube around a voxel, M'd of Eq. 1, in the order of :func:`fit_matrix`."""
     out[:] = 0
     for x in range(-half, half + 1):
         for y in range(-half, half + 1):
@@ -129,7 +103,7 @@ def closest_maximum(
     values: NDArray[np.float64], vectors: NDArray[np.float64],
     place: NDArray[np.float64],
 ) -> tuple[int, float]:  # fmt: skip
-    """Place near a voxel's centre where its polynomial is at a maximum.
+    """Place near a voxel's centre where its polynomial is at a maximum: kind, and value there.
 
     Parameters
     ----------
@@ -140,16 +114,9 @@ def closest_maximum(
     reach : float
         Largest distance along each axis [voxel edges].
     values, vectors
-        Scratch of :func:`eigen_symmetric`.
+        Scratch of :func:`eigen_symmetric`; the last vector is the normal.
     place : (3,) float64
         Receives the place from the centre [voxel edges].
-
-    Returns
-    -------
-    kind : int
-        :data:`NOTHING`, :data:`SURFACE`, :data:`RIDGE` or :data:`PEAK`.
-    value : float
-        The polynomial's value there.
     """
     matrix = np.array([2.0 * c[4], c[7], c[8], 2.0 * c[5], c[9], 2.0 * c[6]])
     eigen_symmetric(matrix, values, vectors)
@@ -186,29 +153,18 @@ def find_surfaces(
     Parameters
     ----------
     detections : (nx, ny, nz) int64
-        Raster, :data:`~.raster.UNIT` for each detection.
-    looks : (n,) int64
-        Interrogations summed over each voxel's neighbourhood, in the same unit.
-    voxel : (n, 3) int64
-        Voxels of the raster, at least ``half`` inside.
-    half : int
-        Voxels on either side of a neighbourhood's centre.
-    fit : (10, 10) float64
-        From :func:`fit_matrix`.
-    threshold : float
-        Least detections per interrogation at a point.
-    ratio, reach
-        As :func:`closest_maximum` takes them.
+        Raster, :data:`~.voxel_raster.UNIT` for each detection.
+    looks, voxel : (n,), (n, 3) int64
+        Interrogations summed over each neighbourhood, in the same unit; voxels of the raster.
+    half, fit
+        Voxels beside a neighbourhood's centre, and its :func:`fit_matrix`.
+    threshold, looks_min, ratio, reach : float
+        As the settings have them.
     aside : float
         Largest distance of the detections' mean from the centre, across the normal [voxel edges].
-    place : (n, 3) float64
-        Receives places from the voxels' centres [voxel edges].
-    normal : (n, 3) float64
-        Receives the direction of the strongest maximum.
-    value : (n,) float64
-        Receives detections per interrogation.
-    kind : (n,) uint8
-        Receives :data:`NOTHING` or what was found.
+    place, normal, value, kind
+        Receive places from the voxels' centres [voxel edges], directions of the strongest maximum,
+        detections per interrogation, and :data:`NOTHING` or what was found; a row for each voxel.
     """
     moment, c = np.empty(10, np.int64), np.empty(10)
     values, vectors = np.empty(3), np.empty((3, 3))
@@ -247,12 +203,8 @@ def drop_weaker(
 
     Parameters
     ----------
-    voxel : (n, 3) int64
-        Voxels of the points in a raster, in its order.
-    place, normal : (n, 3) float64
-        Places from the voxels' centres [voxel edges]; unit vectors.
-    value : (n,) float64
-        Strengths, > 0.
+    voxel, place, normal, value
+        Voxels of the points in a raster, in its order, and what :func:`find_surfaces` gives.
     row_of : (nx, ny, nz) int32
         Row of the point of each voxel, -1 for none.
     half, reach : int

@@ -66,18 +66,10 @@ def _add(u: int, v: int, w: int, corner: NDArray[np.int64], raster: NDArray[np.i
 def deposit(
     x: float, y: float, z: float, scale: float, corner: NDArray[np.int64], raster: NDArray[np.int64]
 ) -> None:
-    """Add one place to a raster; what falls beside the raster is left out.
+    """Add a place [m] to a raster, :data:`UNIT` in all; what falls beside the raster is left out.
 
-    Parameters
-    ----------
-    x, y, z : float
-        Absolute place [m].
-    scale : float
-        :data:`STEPS` over the edge of a voxel [1/m].
-    corner : (3,) int64
-        Index of the raster's first voxel on the absolute lattice.
-    raster : (nx, ny, nz) int64
-        Receives weights, :data:`UNIT` in all.
+    ``scale``: :data:`STEPS` over the edge of a voxel [1/m]. ``corner``: index of the raster's first
+    voxel on the absolute lattice.
     """
     u = math.floor(x * scale - _HALF)
     v = math.floor(y * scale - _HALF)
@@ -91,8 +83,7 @@ def deposit_all(
 ) -> None:
     """Add places, (n, 3) [quanta], to a raster of voxels of this edge [quanta], exactly.
 
-    A place counts in the step that it is rounded to, ``floor(STEPS x / edge - (STEPS - 1) / 2)``;
-    ``corner`` and ``raster`` are as :func:`deposit` takes them.
+    A place counts in the step that it is rounded to, ``floor(STEPS x / edge - (STEPS - 1) / 2)``.
     """
     for row in range(len(xyz)):
         u = (2 * STEPS * xyz[row, 0] - (STEPS - 1) * edge) // (2 * edge)
@@ -105,7 +96,7 @@ def deposit_all(
 def look_direction(
     turn: NDArray[np.float64], across: float, along: float, out: NDArray[np.float64]
 ) -> None:
-    """Unit vector of a line of sight.
+    """Unit vector of a line of sight: east, north, up into ``out``.
 
     Parameters
     ----------
@@ -113,8 +104,6 @@ def look_direction(
         Starboard, nose, up of the array as columns: east, north, up of each.
     across, along : float
         Tangents of the detector's angles off the array's axis, to starboard and to the nose.
-    out : (3,) float64
-        Receives east, north, up.
     """
     scale = 1.0 / math.sqrt(1.0 + across * across + along * along)
     for axis in range(3):
@@ -149,10 +138,8 @@ def interrogate(
 
     Parameters
     ----------
-    origin : (f, 3) float64
-        Places of the sensor [m].
-    turn : (f, 3, 3) float64
-        As :func:`look_direction` takes them.
+    origin, turn : (f, 3), (f, 3, 3) float64
+        Places of the sensor [m]; as :func:`look_direction` takes them.
     seen : (f, rows, columns) float32
         Slant range of each detector's detection, infinite where it made none [m].
     tangent : float
@@ -196,17 +183,7 @@ def interrogate(
 
 @njit()
 def box_sum(raster: NDArray[np.int64], half: int, out: NDArray[np.int64]) -> None:
-    """Sum over the cube of ``2 half + 1`` voxels around each voxel; beside the raster is nothing.
-
-    Parameters
-    ----------
-    raster : (nx, ny, nz) int64
-        Left as it is.
-    half : int
-        Voxels on either side, >= 0.
-    out : (nx, ny, nz) int64
-        Receives the sums.
-    """
+    """Sum over the cube of ``2 half + 1`` voxels around each; beside the raster is nothing."""
     nx, ny, nz = raster.shape
     line = np.empty(max(nx, ny, nz), np.int64)
     for i in range(nx):

@@ -1,8 +1,13 @@
-"""Stage ``index``: frames and detections into the working store, in order, a part at a time."""
+"""Stage ``index``: frames and detections into the working store.
 
-from collections.abc import Iterable, Iterator, Mapping
+Detections are sorted within each stretch of rows and found again by the frames of their row groups.
+Files in the order of their frames, as sensors write them, are so in order as a whole.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +21,7 @@ from spl_batch.formats.files.atomic import checksum
 from spl_batch.geiger.coincidence.formats import l1_files, stored
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceWorkflow
 from spl_batch.geiger.coincidence.surface import coincide
-from spl_batch.geiger.coincidence.tables import Attitudes, Detections, Frames
+from spl_batch.geiger.coincidence.tables import Detections, Frames
 from spl_batch.numerics.attitude import rotations
 
 CoincidenceContext = RunContext[CoincidenceWorkflow]
@@ -40,160 +45,128 @@ def detections_path(store: Store, key: str) -> Path:
 
 def index_frames(args: Mapping[str, Any], context: CoincidenceContext) -> Produced:
     """Check a frames file and keep it with its attitudes as directions."""
-    path = Path(args["path"])
-    target = frames_path(context.store, args["source"])
-    tally = _FrameTally(context.workflow.array)
+    path, target = Path(args["path"]), frames_path(context.store, args["source"])
     with unchanged(path, args["stamp"]):
-        found = l1_files.frames_in_order(path, context.store.local)
-        stored.store_frames(target, map(tally.see, found))
+        found = l1_files.read_frames(path)
         digest = checksum(path)
+    frames = Frames(found.number, found.origin_m, rotations(*found.attitude_rad.T))
+    stored.store_frames(target, frames)
     facts = {
         "name": args["name"],
         "hash": digest,
         "size": args["stamp"][0],
-        "frames": tally.frames,
-        "numbers": tally.numbers,
-        "places_m": [*_ends(tally.low_m, tally.high_m, 0), *_ends(tally.low_m, tally.high_m, 1)]
-        if tally.frames
+        "frames": len(frames),
+        "numbers": frames.number[[0, -1]].tolist() if len(frames) else [],
+        # West, east, south, north.
+        "places_m": [float(end(frames.origin_m[:, k])) for k in (0, 1) for end in (np.min, np.max)]
+        if len(frames)
         else [],
-        "reach_m": tally.reach_m,
+        "reach_m": _reach_m(frames, context.workflow.array),
     }
     return Produced([target], facts, 0, {args["path"]: args["stamp"]})
 
 
-class _FrameTally:
-    """Facts of a file's frames, gathered part by part in their order."""
-
-    def __init__(self, array: ArraySettings) -> None:
-        self._array = array
-        self.frames = 0
-        self.numbers: list[int] = []
-        self.low_m, self.high_m = np.full(3, np.inf), np.full(3, -np.inf)
-        self._steepest = 1.0
-
-    def see(self, part: Attitudes) -> Frames:
-        """Count a part in; gives its frames with their directions."""
-        heading, roll, pitch = part.attitude_rad.T
-        frames = Frames(part.number, part.origin_m, rotations(heading, roll, pitch))
-        self.frames += len(frames)
-        self.numbers = _joined(self.numbers, part.number)
-        self.low_m = np.minimum(self.low_m, part.origin_m.min(axis=0))
-        self.high_m = np.maximum(self.high_m, part.origin_m.max(axis=0))
-        self._steepest = min(self._steepest, float(frames.turn[:, 2, 2].min()))
-        return frames
-
-    @property
-    def reach_m(self) -> float:
-        """How far sideways a look comes from its sensor, at most [m]."""
-        if not self.frames:
-            return 0.0
-        array = self._array
-        # The array's axis and half a diagonal of its field of view.
-        half = 0.5 * float(np.hypot(array.rows, array.columns)) * array.ifov_rad
-        slant = float(np.arccos(np.clip(self._steepest, -1.0, 1.0))) + half
-        return float(array.gate_stop_m * np.sin(min(slant, 0.5 * np.pi)))
+def _reach_m(frames: Frames, array: ArraySettings) -> float:
+    """How far sideways a look comes from its sensor, at most [m]."""
+    if not len(frames):
+        return 0.0
+    # The array's axis and half a diagonal of its field of view.
+    half = 0.5 * float(np.hypot(array.rows, array.columns)) * array.ifov_rad
+    steepest = float(np.clip(frames.turn[:, 2, 2].min(), -1.0, 1.0))
+    slant = float(np.arccos(steepest)) + half
+    return float(array.gate_stop_m * np.sin(min(slant, 0.5 * np.pi)))
 
 
-def _joined(span: list[int], numbers: NDArray[np.int64]) -> list[int]:
-    """First and last of all numbers so far, which increase."""
-    return [span[0] if span else int(numbers[0]), int(numbers[-1])]
+class _Seen(NamedTuple):
+    """Facts of a stretch of detections."""
 
-
-def _ends(low: NDArray[np.float64], high: NDArray[np.float64], axis: int) -> list[float]:
-    """Smallest and largest coordinate."""
-    return [float(low[axis]), float(high[axis])]
+    points: int
+    numbers: tuple[int, int]  #: First and last frame.
+    #: (3,): smallest and largest coordinates [quanta].
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+    tiles: Counter[str]  #: Detections of each tile.
+    unknown: int  #: Detections of frames that no frames file has [count].
+    first_unknown: int
 
 
 def index_file(args: Mapping[str, Any], context: CoincidenceContext) -> Produced:
-    """Check a detections file, keep it in order, and count its detections by tile."""
-    path, workflow = Path(args["path"]), context.workflow
-    target = detections_path(context.store, args["source"])
-    tally = _DetectionTally(args, context)
+    """Check a detections file, keep it, and count its detections by tile."""
+    path, target = Path(args["path"]), detections_path(context.store, args["source"])
+    seen: list[_Seen] = []
+    found: list[Finding] = []
+
+    def counted_parts() -> Iterator[Detections]:
+        for part in l1_files.read_detections(path, context.workflow.array):
+            if not seen:
+                found.extend(_sight_findings(args, context, part))
+            seen.append(_see(part, args, context))
+            yield part
+
     with unchanged(path, args["stamp"]):
-        rows = l1_files.inspect(path, l1_files.DETECTION_COLUMNS)
-        tally.middle = rows // 2
-        found = l1_files.detections_in_order(path, workflow.array, context.store.local)
-        stored.store_detections(target, tally.checked(found))
+        stored.store_detections(target, counted_parts())
         digest = checksum(path)
+    if any(one.unknown for one in seen):
+        raise InputError(str(path), _reason(seen, args["unread_frames"]))
+    tiles = sum((one.tiles for one in seen), Counter[str]())
     facts = {
         "name": args["name"],
         "hash": digest,
         "size": args["stamp"][0],
-        "points": tally.detections,
-        "numbers": tally.numbers,
-        "bounds": tally.bounds,
-        "tiles": {f"{i}_{j}": n for (i, j), n in sorted(tally.tiles.items())},
-        "findings": _sight_findings(args, context, target, tally.frame),
+        "points": sum(one.points for one in seen),
+        "numbers": [min(s.numbers[0] for s in seen), max(s.numbers[1] for s in seen)]
+        if seen
+        else [],
+        "bounds": [
+            *np.min([one.low for one in seen], axis=0).tolist(),
+            *np.max([one.high for one in seen], axis=0).tolist(),
+        ]
+        if seen
+        else [],
+        "tiles": dict(sorted(tiles.items())),
+        "findings": found,
     }
-    return Produced([target], facts, tally.detections, {args["path"]: args["stamp"]})
+    return Produced([target], facts, facts["points"], {args["path"]: args["stamp"]})
 
 
-class _DetectionTally:
-    """Facts of a file's detections, gathered part by part in their order."""
+def _see(part: Detections, args: Mapping[str, Any], context: CoincidenceContext) -> _Seen:
+    cells, count = np.unique(part.xyz[:, :2] // context.workflow.tile_q, axis=0, return_counts=True)
+    numbers, in_frame = np.unique(part.frame, return_counts=True)
+    known = np.zeros(len(numbers), np.bool_)
+    for key in args["frames"]:
+        known |= stored.known_frames(frames_path(context.store, key), numbers)
+    return _Seen(
+        len(part),
+        (int(numbers[0]), int(numbers[-1])),
+        part.xyz.min(axis=0),
+        part.xyz.max(axis=0),
+        Counter({f"{i}_{j}": n for (i, j), n in zip(cells.tolist(), count.tolist(), strict=True)}),
+        int(in_frame[~known].sum()),
+        int(numbers[~known][0]) if not known.all() else -1,
+    )
 
-    def __init__(self, args: Mapping[str, Any], context: CoincidenceContext) -> None:
-        self._args, self._context = args, context
-        self.detections = self.middle = self.frame = 0
-        self.numbers: list[int] = []
-        self.bounds: list[int] = []
-        self.tiles: dict[tuple[int, int], int] = {}
-        self._unknown, self._first = 0, -1
 
-    def checked(self, parts: Iterable[Detections]) -> Iterator[Detections]:
-        """Parts as they come; once all have, frames are refused that are not known."""
-        for part in parts:
-            self._count(part)
-            self._look_up(part)
-            yield part
-        if self._unknown:
-            raise InputError(self._args["path"], self._reason())
-
-    def _count(self, part: Detections) -> None:
-        if self.detections <= self.middle < self.detections + len(part):
-            self.frame = int(part.frame[self.middle - self.detections])
-        self.detections += len(part)
-        self.numbers = _joined(self.numbers, part.frame)
-        low, high = part.xyz.min(axis=0), part.xyz.max(axis=0)
-        if self.bounds:
-            low, high = np.minimum(low, self.bounds[:3]), np.maximum(high, self.bounds[3:])
-        self.bounds = [*low.tolist(), *high.tolist()]
-        cells = part.xyz[:, :2] // self._context.workflow.tile_q
-        found, count = np.unique(cells, axis=0, return_counts=True)
-        for (i, j), n in zip(found.tolist(), count.tolist(), strict=True):
-            self.tiles[i, j] = self.tiles.get((i, j), 0) + n
-
-    def _look_up(self, part: Detections) -> None:
-        numbers, count = np.unique(part.frame, return_counts=True)
-        known = np.zeros(len(numbers), np.bool_)
-        for key in self._args["frames"]:
-            known |= stored.known_frames(frames_path(self._context.store, key), numbers)
-        if not known.all():
-            if not self._unknown:
-                self._first = int(numbers[~known][0])
-            self._unknown += int(count[~known].sum())
-
-    def _reason(self) -> str:
-        found = counted(self._unknown, "detections", "are")
-        said = f"{found} of frames that no frames file has, the first is "
-        unread = self._args["unread_frames"]
-        if unread:
-            return (
-                f"{said}{self._first}; {' and '.join(unread)} could not be read: mend what its "
-                "failure says, these detections are then taken in by the next run"
-            )
-        return f"{said}{self._first}; name the file with it in survey.frames"
+def _reason(seen: list[_Seen], unread: list[str]) -> str:
+    """Why detections cannot be used whose frames are not known."""
+    found = counted(sum(one.unknown for one in seen), "detections", "are")
+    first = min(one.first_unknown for one in seen if one.unknown)
+    text = f"{found} of frames that no frames file has, the first is {first}; "
+    if not unread:
+        return f"{text}name the file with it in survey.frames"
+    return (
+        f"{text}{' and '.join(unread)} could not be read: mend that file, these detections are "
+        "then taken in by the next run"
+    )
 
 
 def _sight_findings(
-    args: Mapping[str, Any], context: CoincidenceContext, target: Path, number: int
-) -> list[Finding]:
+    args: Mapping[str, Any], context: CoincidenceContext, part: Detections
+) -> Iterator[Finding]:
     """Warn where detections do not lie where their detectors look."""
+    number = int(part.frame[len(part) // 2])
     paths = (frames_path(context.store, key) for key in args["frames"])
     frames = Frames.joined([stored.frames_around(path, number) for path in paths])
-    near = np.abs(frames.number - number) <= SIGHT_FRAMES // 2
-    frames = frames.take(near)
-    detections = stored.stored_detections(target, frames.number)
-    off = coincide.sight_error(frames, detections, context.workflow.array)
-    if off < FAR_OFF:
-        return []
-    return [Finding("K02", {"fields": float(off)}, badness=float(off))]
+    frames = frames.take(np.abs(frames.number - number) <= SIGHT_FRAMES // 2)
+    off = coincide.sight_error(frames, part, context.workflow.array)
+    if off >= FAR_OFF:
+        yield Finding("K02", {"fields": off}, badness=off)

@@ -59,19 +59,9 @@ class Calibration:
         return np.zeros_like(intensity)
 
     def ranges(self, measured_ns: Floats, intensity: Floats) -> Floats:
-        """Ranges of measured times [G15 Eq. 2-2, 3-3, 3-5].
+        """Ranges along the lines of sight [G15 Eq. 2-2, 3-3, 3-5]: (rows, cols) float64 [m].
 
-        Parameters
-        ----------
-        measured_ns : (rows, cols) float64
-            Mean time of each pixel [ns]; NaN stays NaN.
-        intensity : (rows, cols) float64
-            Share of frames with a hit.
-
-        Returns
-        -------
-        (rows, cols) float64
-            From the lens along the line of sight [m].
+        Of the mean times of pixels [ns], NaN stays NaN, and shares of frames with a hit.
         """
         s = self.settings
         late = measured_ns + self.walk_ns(intensity) - self.pixel_ns - s.offset_ns
@@ -93,16 +83,9 @@ class Observation:
 def observation(
     hits: Hits, dead: NDArray[np.bool_], norm: Floats, distance_m: float, bin_ns: float
 ) -> Observation:
-    """Put together what a fit needs from frames of a target.
+    """What a fit needs from frames of a target.
 
-    Parameters
-    ----------
-    dead : (rows, cols) bool
-        Pixels that are left out.
-    norm : (rows, cols) float64
-        Range over depth along the axis.
-    bin_ns : float
-        Length of a bin [ns].
+    ``norm``: (rows, cols), range over depth along the axis. ``dead``: pixels that are left out.
     """
     enough = ~dead & (hits.hits >= HITS_MIN)
     return Observation(

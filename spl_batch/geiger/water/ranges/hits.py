@@ -1,6 +1,7 @@
 """Mean time of each pixel from frames: gate, intensity, mean bin, dead pixels.
 
-[G15 2.2.5, 2.2.6, 3.4.2]; Eq. 2-1 is the intensity, Eq. 2-3 the mean.
+[G15 2.2.5, 2.2.6, 3.4.2]; Eq. 2-1 is the intensity, Eq. 2-3 the mean. A frame holds for each pixel
+the bin of its only hit, 0 for none. All sums are integers: pieces of a file come in any order.
 
 Deviations. The source's gate was chosen by eye from a histogram; here it lies around the highest
 value of the histogram, smoothed by a window of five bins. Dead pixels are found: those with far
@@ -13,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from spl_batch.geiger.water.ranges.bin_sums import add_histogram, add_hits
 from spl_batch.geiger.water.settings import CameraSettings, GateSettings, PixelSettings
 
 SMOOTHED_BINS = 5
+SUMS = ("hits", "total", "square", "outside")
+"""Sums of a pixel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,11 @@ class Hits:
     total: NDArray[np.int64]
     square: NDArray[np.int64]
     outside: NDArray[np.int64]
+
+    def __add__(self, other: "Hits") -> "Hits":
+        """Sums of the frames of both, from the start of the gate of the first."""
+        sums = (getattr(self, k) + getattr(other, k) for k in SUMS)
+        return Hits(self.frames + other.frames, self.gate, *sums)
 
     @property
     def intensity(self) -> NDArray[np.float64]:
@@ -67,12 +74,19 @@ def used_pixels(camera: CameraSettings) -> NDArray[np.bool_]:
     return used
 
 
-def histogram(frames: NDArray[np.uint16], used: NDArray[np.bool_], bins: int) -> tuple[
-    NDArray[np.int64], int
-]:  # fmt: skip
-    """Hits of each bin: (bins + 1,) int64; and how many lie beyond the last."""
-    counts = np.zeros(bins + 1, dtype=np.int64)
-    return counts, add_histogram(frames, used, counts)
+def histogram(frames: NDArray[np.uint16], used: NDArray[np.bool_], bins: int) -> NDArray[np.int64]:
+    """Hits of each bin: (bins + 1,) int64.
+
+    Parameters
+    ----------
+    frames : (n, rows, cols) uint16
+        Bins, not beyond the last one; 0 is no hit.
+    used : (rows, cols) bool
+        Pixels that are counted.
+    """
+    counts = np.bincount(frames[:, used].ravel(), minlength=bins + 1).astype(np.int64)
+    counts[0] = 0
+    return counts
 
 
 def find_gate(counts: NDArray[np.int64], settings: GateSettings) -> Gate | None:
@@ -102,21 +116,21 @@ def add_up(frames: NDArray[np.uint16], gate: Gate) -> Hits:
 
     ``frames``: (n, rows, cols) uint16, bins; 0 is no hit.
     """
-    hits, total, square, outside = np.zeros((4, *frames.shape[1:]), dtype=np.int64)
-    add_hits(frames, gate.low, gate.high, hits, total, square, outside)
-    return Hits(len(frames), gate, hits, total, square, outside)
+    inside = (frames >= gate.low) & (frames < gate.high) & (frames > 0)
+    step = np.where(inside, frames, gate.low).astype(np.int32) - gate.low
+    hits = inside.sum(axis=0)
+    return Hits(
+        len(frames),
+        gate,
+        hits,
+        step.sum(axis=0, dtype=np.int64),
+        np.einsum("fij,fij->ij", step, step, dtype=np.int64),
+        np.count_nonzero(frames, axis=0) - hits,
+    )
 
 
 def dead_pixels(hits: Hits, used: NDArray[np.bool_], settings: PixelSettings) -> NDArray[np.bool_]:
-    """Pixels that cannot be trusted: (rows, cols) bool.
-
-    Parameters
-    ----------
-    used : (rows, cols) bool
-        Pixels that may take part at all.
-    settings : PixelSettings
-        Limits, and pixels that are known to be dead.
-    """
+    """Pixels that cannot be trusted: (rows, cols) bool; ``used``: those that may take part."""
     # Where most neighbours are dead too their median is nothing to compare with.
     around = median_filter(hits.hits, size=5, mode="reflect")
     dead: NDArray[np.bool_] = (hits.hits < settings.dead_share * around) | (hits.hits == 0) | ~used

@@ -34,18 +34,7 @@ def _table() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def first_photon(intensity: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How early hits are, in standard deviations of the echo.
-
-    Parameters
-    ----------
-    intensity : (...) float64
-        Share of frames with a hit, 0 to 1; NaN stays NaN.
-
-    Returns
-    -------
-    (...) float64
-        g of the module's text, >= 0.
-    """
+    """How early hits are, in standard deviations of the echo, by their share of frames: g, >= 0."""
     expected, early = _table()
     n = -np.log1p(-np.minimum(intensity, -np.expm1(-MOST)))
     walk: NDArray[np.float64] = np.interp(n, expected, early)

@@ -79,18 +79,6 @@ class FloorErrors(Part):
     refracted_beam_m: Number = Field(description="Refracted by the surface found, such a beam [m].")
 
 
-Map = tuple[tuple[Number, ...], ...]
-
-
-class PixelErrors(Part):
-    """Errors of each pixel over all acquisitions [G15 Eq. 3-19 to 3-26], rows of the array."""
-
-    bias_m: Map = Field(description="Down less true down [m].")
-    variance_m2: Map = Field(description="[m2]")
-    mse_m2: Map = Field(description="[m2]")
-    normal_deg: Map = Field(description="Mean angle of the normal [deg].")
-
-
 class WaterReport(Part):
     """Everything that ``report.json`` holds and ``report.html`` shows."""
 
@@ -104,7 +92,6 @@ class WaterReport(Part):
     points: Count = Field(description="Points delivered [count].")
     surfaces: SurfaceErrors | None = Field(None, description="Null without truth.")
     each_surface: tuple[SurfaceError, ...] = Field((), description="Every one of them.")
-    pixels: PixelErrors | None = Field(None, description="Null without truth.")
     floor: FloorErrors | None = Field(None, description="Null without truth or a way in water.")
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")

@@ -1,7 +1,5 @@
 """Pictures of a water surface: its raster, the errors of pixels, the histogram of bins."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -23,32 +21,31 @@ PANELS = (
 """Errors of a pixel: their names, and the factor to the unit in the name."""
 
 
-@dataclass(frozen=True, slots=True)
-class WaterPictures:
-    """Plain arrays that the pictures are drawn from."""
+def make_pictures(
+    height: Raster | None,
+    pixels: dict[str, Floats],
+    histogram: NDArray[np.int64],
+    gate: tuple[int, int],
+    intensity: Floats,
+) -> dict[str, Picture]:
+    """Draw everything that there is data for.
 
-    height: Raster | None  #: Mean height of a file's surfaces [m].
-    #: mapping of str to (rows, cols) float64: errors of pixels; empty without truth.
-    pixels: dict[str, Floats]
-    #: (a, 3): bias [m], MSE [m2] and normal error [deg] of each surface; none without truth.
-    surfaces: Floats
-    histogram: NDArray[np.int64] | None  #: (bins + 1,): hits of each bin.
-    gate: tuple[int, int]  #: First bin of the gate, first one behind it.
-    intensity: Floats | None  #: (rows, cols): share of frames with a hit.
-
-
-def make_pictures(given: WaterPictures) -> dict[str, Picture]:
-    """Draw everything that there is data for."""
-    made = {"height": _height(given.height)}
-    if given.histogram is not None:
-        made["histogram"] = _histogram(given.histogram, given.gate)
-    if given.intensity is not None:
-        made["intensity"] = _intensity(given.intensity)
-    if len(given.surfaces) > 1:
-        made["each"] = _each(given.surfaces)
-    if given.pixels:
-        made["pixels"] = _pixels(given.pixels)
-    return made
+    Parameters
+    ----------
+    height : Raster, optional
+        Mean height of a file's surfaces [m].
+    pixels : mapping of str to (rows, cols) float64
+        Errors of pixels; empty without truth.
+    histogram : (bins + 1,) int64
+        Hits of each bin of that file.
+    gate : (int, int)
+        First bin of the gate, first one behind it.
+    intensity : (rows, cols) float64
+        Share of frames with a hit.
+    """
+    made = {"height": _height(height), "intensity": _intensity(intensity)}
+    made["histogram"] = _histogram(histogram, gate)
+    return made | ({"pixels": _pixels(pixels)} if pixels else {})
 
 
 def _finished(drawn: Figure, title: str, caption: str) -> Picture:
@@ -106,47 +103,17 @@ def _intensity(share: Floats) -> Picture:
     return _finished(drawn, title, "Where the beam lies on the array, and which pixels are dead.")
 
 
-def _each(rows: Floats) -> Picture:
-    title = "Errors of each surface"
-    with style.type_context():
-        drawn = style.figure(style.WIDTH_IN, 3.4)
-        bias, normal = drawn.subplots(1, 2)
-        along = np.arange(len(rows))
-        bias.plot(along, 1e3 * rows[:, 0], ".", color=style.SIGNAL, label="bias")
-        bias.plot(along, 1e3 * np.sqrt(rows[:, 1]), ".", color=style.NOISE, label="RMSE")
-        bias.set(title="Heights", ylabel="error of depth [mm]", xlabel="acquisition [number]")
-        bias.legend()
-        for axes in (bias, normal):
-            axes.xaxis.get_major_locator().set_params(integer=True)
-        normal.plot(along, rows[:, 2], ".", color=style.SIGNAL)
-        normal.set(
-            title="Normals", ylabel="mean error of a pixel's normal [deg]",
-            xlabel="acquisition [number]", ylim=(0, None),
-        )  # fmt: skip
-    return _finished(
-        drawn,
-        title,
-        "One point for each acquisition. A bias that drifts points to a laser that is not warm.",
-    )
-
-
 def _pixels(maps: dict[str, Floats]) -> Picture:
     title = "Errors of each pixel"
     with style.type_context():
         drawn = style.figure(style.WIDTH_IN, 8.0)
-        for k, (key, label, factor) in enumerate(PANELS):
-            axes = drawn.add_subplot(2, 2, k + 1)
-            values = maps[key] if key in {"bias_m", "normal_deg"} else np.sqrt(maps[key])
-            signed = key == "bias_m"
-            scaled = factor * values
-            top = float(np.nanpercentile(np.abs(scaled), 98)) if np.isfinite(scaled).any() else 1.0
-            shown = axes.imshow(
-                scaled,
-                cmap=style.DIFFERENCE if signed else style.SKY,
-                vmin=-top if signed else 0.0,
-                vmax=top,
-                interpolation="nearest",
-            )
+        for axes, (key, label, factor) in zip(drawn.subplots(2, 2).flat, PANELS, strict=True):
+            values = factor * (maps[key] if key in {"bias_m", "normal_deg"} else np.sqrt(maps[key]))
+            top = float(np.nanpercentile(np.abs(values), 98)) if np.isfinite(values).any() else 1.0
+            colours = {"cmap": style.SKY, "vmin": 0.0, "vmax": top}
+            if key == "bias_m":
+                colours |= {"cmap": style.DIFFERENCE, "vmin": -top}
+            shown = axes.imshow(values, interpolation="nearest", **colours)
             drawn.colorbar(shown, ax=axes, label=label)
             axes.set(xlabel="column [pixel]", ylabel="row [pixel]")
     return _finished(

@@ -64,21 +64,9 @@ class Target:
         return down, by_north, by_east
 
     def meet(self, view: View, time_s: Floats | float) -> tuple[Floats, Floats]:
-        """Range of each pixel's line of sight [m], and the normal there.
+        """Range of each pixel's line of sight (..., rows, cols) [m], and unit normal of the water.
 
-        Parameters
-        ----------
-        view : View
-            Lines of sight, not level.
-        time_s : float or (n, 1, 1) float64
-            Times [s].
-
-        Returns
-        -------
-        range_m : (rows, cols) or (n, rows, cols) float64
-            [m]
-        normals : (..., 3) float64
-            Unit vectors out of the water.
+        ``view``: not level. ``time_s``: float or (n, 1, 1) float64 [s].
         """
         look = view.look
         length = (self.down_m - view.origin_m[2]) / look[..., 2] + 0.0 * np.asarray(time_s)
@@ -117,7 +105,6 @@ class Instrument:
     #: changes smoothly over the array [ns].
     delay_ns: float = 0.05
     pattern_ns: float = 0.018
-    skew_ns: float = 0.0  #: How much later the last column's clock runs than the first's [ns].
     dead: int = 150  #: Dead pixels, most of them in the last three rows [count].
     hot: int = 0  #: Pixels that fire in most frames by themselves [count].
     seed: int = 1  #: Of what is fixed to the instrument.
@@ -147,7 +134,6 @@ def build_array(instrument: Instrument, camera: CameraSettings) -> Array:
     gain = np.maximum(1.0 + instrument.sensitivity_spread * rng.standard_normal(shape), 0.1)
     delay = instrument.delay_ns * rng.standard_normal(shape)
     delay += instrument.pattern_ns * _pattern(rng, row / camera.rows, col / camera.cols)
-    delay += instrument.skew_ns * (col / (camera.cols - 1) - 0.5)
     order = rng.permutation(camera.rows * camera.cols)
     last = row.ravel()[order] >= camera.rows - 3
     # Nine in ten of the dead ones lie in the last three rows, as far as there is room.
@@ -172,15 +158,9 @@ def _pattern(rng: np.random.Generator, row: Floats, col: Floats) -> Floats:
 
 
 def late_photon(share: Floats, decay: float) -> Floats:
-    """Time at which a share of an echo has come, in standard deviations of the pulse.
+    """Time at which a share of an echo, 0 to 1, has come, in standard deviations of the pulse.
 
-    Parameters
-    ----------
-    share : (...) float64
-        0 to 1, exclusive.
-    decay : float
-        Mean of the exponential that light from below the surface adds, in the same unit; 0 for
-        none.
+    ``decay``: mean of the exponential that light from below the surface adds, in the same unit.
     """
     if decay <= 0.0:
         hard: Floats = ndtri(share)
@@ -204,12 +184,8 @@ def draw_frames(
 ) -> NDArray[np.uint16]:
     """Time bins of frames: (n, rows, cols) uint16, bins; 0 is no hit.
 
-    Parameters
-    ----------
-    actual_ns : (n, rows, cols) float64
-        Actual time of flight to the surface in each frame [ns].
-    decay_ns : float
-        Mean delay of light from below the surface [ns].
+    ``actual_ns``: (n, rows, cols) float64, actual time of flight to the surface in each frame [ns].
+    ``decay_ns``: mean delay of light from below the surface [ns].
     """
     shape = actual_ns.shape
     never = np.inf
@@ -253,12 +229,7 @@ def acquisitions(
 ) -> Iterator[Acquisition]:
     """Acquisitions one behind the other; the surface moves on from frame to frame.
 
-    Parameters
-    ----------
-    target, instrument, camera, view
-        What is looked at, and with what.
-    seed : int or tuple of int
-        Of the photons; the instrument has its own.
+    ``seed``: of the photons; the instrument has its own.
     """
     array = build_array(instrument, camera)
     seeds = (seed,) if isinstance(seed, int) else seed

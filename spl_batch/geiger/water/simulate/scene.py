@@ -1,13 +1,10 @@
 """The scene file of a water surface: what is looked at, with which instrument, how long."""
 
-from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
 
 from spl_batch.engine.settings.base import Positive, Section
-from spl_batch.engine.settings.validation import validated
-from spl_batch.engine.settings.workflow_file import read_mapping
 from spl_batch.geiger.water.settings import CameraSettings, MountSettings
 from spl_batch.geiger.water.simulate.frames import Instrument, Target
 
@@ -45,15 +42,3 @@ class WaterScene(Section):
     calibration: TargetFrames | None = TargetFrames()
     format: Literal["h5", "zarr"] = Field("h5", description="HDF5 or Zarr.")
     in_water_m: float = Field(0.0, ge=0, description="Way in water of the workflow's rays [m].")
-
-
-def load_scene(path: Path) -> WaterScene:
-    """Read a scene file.
-
-    Raises
-    ------
-    WorkflowError
-        If the file cannot be read, is not YAML, or has a fault.
-    """
-    content = read_mapping(path, "a scene is a mapping with kind: and target:")
-    return validated(WaterScene, content, str(path))

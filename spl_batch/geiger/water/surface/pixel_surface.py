@@ -40,7 +40,7 @@ from spl_batch.geiger.water.settings import (
     WindowedSettings,
 )
 from spl_batch.geiger.water.surface.polynomial_trend import shrunk_polynomial
-from spl_batch.geiger.water.surface.window_planes import fixed_windows, growing_windows
+from spl_batch.geiger.water.surface.window_planes import growing_windows, planes
 
 Floats = NDArray[np.float64]
 
@@ -126,10 +126,8 @@ def _adaptive(
     slope = view.norm[sound] / range_m[sound] ** 2
     weight[sound] = 1.0 / (slope**2 * variance[sound])
     trend = shrunk_polynomial(inverse, weight, view.x, view.y, settings.order_max)
-    plane = np.empty((*range_m.shape, 3))
-    halves = np.empty((*range_m.shape, 2), dtype=np.int64)
-    steps = np.array(settings.half_windows, dtype=np.int64)
-    growing_windows(inverse - trend[..., 0], weight, steps, settings.agreement, plane, halves)
+    left = inverse - trend[..., 0]
+    plane, halves = growing_windows(left, weight, settings.half_windows, settings.agreement)
     # Rows of the image run against x, columns along y.
     value = trend[..., 0] + plane[..., 0]
     along_x = trend[..., 1] + plane[..., 2] / (view.x[1, 0] - view.x[0, 0])
@@ -147,9 +145,11 @@ def _windowed(
     filled = np.where(np.isfinite(range_m), range_m, window_median(range_m, settings.median // 2))
     places = view.places(filled)
     down = denoised(window_median(places[..., 2], settings.median // 2), settings)
-    plane = np.empty((*range_m.shape, 3))
     half = settings.window // 2
-    fixed_windows(places[..., 0], places[..., 1], down, half, plane)
+    known = np.isfinite(down)
+    north, east, sound = (np.where(known, v, 0.0) for v in (*np.moveaxis(places, -1, 0)[:2], down))
+    plane, _ = planes(sound, known.astype(np.float64), north, east, half)
+    plane[~known] = np.nan
     normals = np.stack([plane[..., 1], plane[..., 2], -np.ones_like(down)], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     places[..., 2] = plane[..., 0]
@@ -161,19 +161,9 @@ def _windowed(
 
 
 def window_median(image: Floats, half: int) -> Floats:
-    """Median of a square window, edges mirrored [G15 Eq. 2-4].
+    """Median of a square window [G15 Eq. 2-4]: (rows, cols), edges mirrored.
 
-    Parameters
-    ----------
-    image : (rows, cols) float64
-        NaN takes no part.
-    half : int
-        Half edge of the window [pixel].
-
-    Returns
-    -------
-    (rows, cols) float64
-        NaN where the whole window is.
+    NaN takes no part, and is where the whole window is.
     """
     padded = np.pad(image, half, mode="symmetric")
     windows = sliding_window_view(padded, (2 * half + 1, 2 * half + 1)).reshape(*image.shape, -1)

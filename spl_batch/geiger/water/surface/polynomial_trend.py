@@ -23,23 +23,16 @@ FALLS = (0.1, 0.2, 0.4, 0.8)
 
 
 def shrunk_polynomial(value: Floats, weight: Floats, x: Floats, y: Floats, order: int) -> Floats:
-    """Value and slopes of the most likely surface.
+    """Value and slopes of the most likely surface: (rows, cols, 3) float64.
 
     Parameters
     ----------
-    value : (rows, cols) float64
-        Read where the weight is > 0.
-    weight : (rows, cols) float64
-        Inverse variances; 0 where there is no value.
+    value, weight : (rows, cols) float64
+        Read where the inverse variance in ``weight`` is > 0.
     x, y : (rows, cols) float64
         Coordinates, of mean 0.
     order : int
-        Highest order; 0 gives zeros, 1 a plane.
-
-    Returns
-    -------
-    (rows, cols, 3) float64
-        Value, slope along x, slope along y; zeros where the pixels are too few for a plane.
+        Highest order; 0 gives zeros, as do too few pixels for a plane.
     """
     known = weight > 0
     terms = [(p, q) for p in range(order + 1) for q in range(order + 1 - p)]

@@ -12,14 +12,7 @@ Floats = NDArray[np.float64]
 def refracted(beam: Floats, normal: Floats, index_water: float) -> Floats:
     """Direction of a beam behind the surface [G15 Eq. 2-27]: (..., 3) float64, unit vectors.
 
-    Parameters
-    ----------
-    beam : (..., 3) float64
-        Unit vectors towards the water.
-    normal : (..., 3) float64
-        Unit normals that point out of the water.
-    index_water : float
-        Refractive index of water, that of air being 1.
+    ``beam`` points towards the water, ``normal`` out of it; ``index_water``: that of air being 1.
     """
     eta = 1.0 / index_water
     k = -(beam * normal).sum(axis=-1, keepdims=True)

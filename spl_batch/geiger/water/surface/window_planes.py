@@ -1,7 +1,7 @@
 """Planes through windows of pixels: the source's, and weighted ones whose windows grow.
 
 [G15 2.5.1, Eq. 2-15 to 2-26] regresses the down coordinate on north and east in a window around
-each pixel. :func:`fixed_windows` does that.
+each pixel: :func:`planes` with weights 1.
 
 :func:`growing_windows` differs. It regresses the inverse of the depth along the optical axis,
 :math:`1/z = a + b x + c y`, on the image coordinates x and y. A plane in space is exactly such a
@@ -14,121 +14,59 @@ wide where the surface is even and narrow where it bends.
   regression*. Mathematical Methods of Statistics 6, 1997.
 """
 
-import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
 
-from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.planes.robust_plane import plane_of_moments
+Floats = NDArray[np.float64]
+
+FLATTEST = 1e-4
+"""Least determinant of a window's second moments over their squared trace: else it is a line."""
 
 
-@njit()
-def fixed_windows(
-    north: NDArray[np.float64],
-    east: NDArray[np.float64],
-    down: NDArray[np.float64],
-    half: int,
-    out: NDArray[np.float64],
-) -> None:
-    """Least-squares plane ``down = A north + B east + C`` around each pixel [G15 Eq. 2-25].
+def planes(value: Floats, weight: Floats, x: Floats, y: Floats, half: int) -> tuple[Floats, Floats]:
+    """Weighted least-squares plane around each pixel, in windows that end at the rim.
 
     Parameters
     ----------
-    north, east, down : (rows, cols) float64
-        Coordinates [m]; NaN where there are none.
+    value, weight, x, y : (rows, cols) float64
+        What is regressed on x and y, finite; inverse variances, 0 where there is none.
     half : int
         Half the edge of the window; 1 is 3 x 3 [pixel].
-    out : (rows, cols, 3) float64
-        Filled with the plane's down at the pixel, A and B; NaN where no plane is defined.
+
+    Returns
+    -------
+    plane, spread : (rows, cols, 3) float64
+        Value at the pixel, slopes along x and y, and their standard deviations; NaN without a
+        plane.
     """
-    rows, cols = down.shape
-    plane = np.empty(3)
-    for i in range(rows):
-        for j in range(cols):
-            out[i, j] = np.nan
-            if math.isnan(down[i, j]):
-                continue
-            count, mn, me, md = 0.0, 0.0, 0.0, 0.0
-            n0, e0, d0 = north[i, j], east[i, j], down[i, j]
-            nn = ne = ee = nd = ed = 0.0
-            for p in range(max(i - half, 0), min(i + half + 1, rows)):
-                for q in range(max(j - half, 0), min(j + half + 1, cols)):
-                    if math.isnan(down[p, q]):
-                        continue
-                    dn, de, dd = north[p, q] - n0, east[p, q] - e0, down[p, q] - d0
-                    count += 1.0
-                    mn, me, md = mn + dn, me + de, md + dd
-                    nn, ne, ee = nn + dn * dn, ne + dn * de, ee + de * de
-                    nd, ed = nd + dn * dd, ed + de * dd
-            mn, me, md = mn / count, me / count, md / count
-            nn, ne, ee = nn - count * mn * mn, ne - count * mn * me, ee - count * me * me
-            nd, ed = nd - count * mn * md, ed - count * me * md
-            if count >= 3 and plane_of_moments(mn, me, md, nn, ne, ee, nd, ed, 1e-4, plane):
-                out[i, j, 0] = d0 + plane[0]
-                out[i, j, 1] = plane[1]
-                out[i, j, 2] = plane[2]
+    products = np.stack([x**0, x, y, value, x * x, x * y, y * y, x * value, y * value])
+    window = np.ones(2 * half + 1)
+    for axis in (1, 2):
+        products = convolve1d(
+            products if axis == 2 else products * weight, window, axis=axis, mode="constant"
+        )
+    total = products[0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mx, my, mv = products[1:4] / total
+        xx, xy, yy, xv, yv = products[4:] - total * [mx * mx, mx * my, my * my, mx * mv, my * mv]
+        determinant = xx * yy - xy * xy
+        determinant[~(determinant > FLATTEST * (xx + yy) ** 2)] = np.nan
+        slope_x, slope_y = (xv * yy - yv * xy) / determinant, (yv * xx - xv * xy) / determinant
+        dx, dy = x - mx, y - my
+        lever = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / determinant
+        plane = np.stack([mv + slope_x * dx + slope_y * dy, slope_x, slope_y], axis=-1)
+        spread = np.sqrt(
+            np.stack([1.0 / total + lever, yy / determinant, xx / determinant], axis=-1)
+        )
+    return plane, spread
 
 
-@njit()
-def _moments(
-    value: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    i: int,
-    j: int,
-    half: int,
-    out: NDArray[np.float64],
-) -> None:
-    """Weighted sums around a pixel, coordinates counted from it: 1, x, y, xx, xy, yy, v, xv, yv."""
-    rows, cols = value.shape
-    out[:] = 0.0
-    for p in range(max(i - half, 0), min(i + half + 1, rows)):
-        y = float(p - i)
-        for q in range(max(j - half, 0), min(j + half + 1, cols)):
-            w = weight[p, q]
-            if w <= 0.0:
-                continue
-            x, v = float(q - j), value[p, q]
-            out[0] += w
-            out[1] += w * x
-            out[2] += w * y
-            out[3] += w * x * x
-            out[4] += w * x * y
-            out[5] += w * y * y
-            out[6] += w * v
-            out[7] += w * x * v
-            out[8] += w * y * v
-
-
-@njit()
-def _fit(sums: NDArray[np.float64], fit: NDArray[np.float64], spread: NDArray[np.float64]) -> bool:
-    """Plane at the pixel and the standard deviations of its three numbers, weights being 1/var."""
-    total = sums[0]
-    if total <= 0.0:
-        return False
-    mx, my, mv = sums[1] / total, sums[2] / total, sums[6] / total
-    xx, xy = sums[3] - total * mx * mx, sums[4] - total * mx * my
-    yy = sums[5] - total * my * my
-    xv, yv = sums[7] - total * mx * mv, sums[8] - total * my * mv
-    if not plane_of_moments(mx, my, mv, xx, xy, yy, xv, yv, 1e-4, fit):
-        return False
-    determinant = xx * yy - xy * xy
-    spread[1] = math.sqrt(yy / determinant)
-    spread[2] = math.sqrt(xx / determinant)
-    lever = (mx * mx * yy - 2.0 * mx * my * xy + my * my * xx) / determinant
-    spread[0] = math.sqrt(1.0 / total + lever)
-    return True
-
-
-@njit()
 def growing_windows(
-    value: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    halves: NDArray[np.int64],
-    agreement: float,
-    out: NDArray[np.float64],
-    chosen: NDArray[np.int64],
-) -> None:
+    value: Floats, weight: Floats, halves: Sequence[int], agreement: float
+) -> tuple[Floats, NDArray[np.int64]]:
     """Weighted plane around each pixel, in the widest window that agrees with all narrower ones.
 
     The value at the pixel and the two slopes each choose a window: a value suffers sooner from
@@ -136,43 +74,34 @@ def growing_windows(
 
     Parameters
     ----------
-    value : (rows, cols) float64
-        What is regressed on row and column; read where the weight is > 0.
-    weight : (rows, cols) float64
-        Inverse of the value's variance; 0 where there is none.
-    halves : (m,) int64
+    value, weight : (rows, cols) float64
+        As :func:`planes` takes them.
+    halves : sequence of int
         Half edges of the windows, rising [pixel].
     agreement : float
         Half width of an interval, in standard deviations.
-    out : (rows, cols, 3) float64
-        Filled with value, slope along columns, slope along rows [1/pixel]; NaN without a plane.
+
+    Returns
+    -------
+    plane : (rows, cols, 3) float64
+        Value, slope along columns, slope along rows [1/pixel]; NaN without a plane.
     chosen : (rows, cols, 2) int64
-        Filled with the half edges for value and slopes; 0 without a plane.
+        Half edges for value and slopes; 0 without a plane.
     """
-    rows, cols = value.shape
-    sums, fit, spread = np.empty(9), np.empty(3), np.empty(3)
-    low, high = np.empty(3), np.empty(3)
-    for i in range(rows):
-        for j in range(cols):
-            out[i, j] = np.nan
-            chosen[i, j] = 0
-            low[:], high[:] = -np.inf, np.inf
-            flat = steep = True
-            for m in range(len(halves)):
-                _moments(value, weight, i, j, halves[m], sums)
-                if not _fit(sums, fit, spread):
-                    continue
-                for k in range(3):
-                    low[k] = max(low[k], fit[k] - agreement * spread[k])
-                    high[k] = min(high[k], fit[k] + agreement * spread[k])
-                flat = flat and low[0] <= high[0]
-                steep = steep and low[1] <= high[1] and low[2] <= high[2]
-                if flat:
-                    out[i, j, 0] = fit[0]
-                    chosen[i, j, 0] = halves[m]
-                if steep:
-                    out[i, j, 1:] = fit[1:]
-                    chosen[i, j, 1] = halves[m]
-                wide = halves[m] >= max(rows, cols)
-                if not (flat or steep) or wide:
-                    break
+    index: Floats = np.indices(value.shape, dtype=np.float64)
+    y, x = index[0], index[1]
+    found, chosen = np.full((*value.shape, 3), np.nan), np.zeros((*value.shape, 2), np.int64)
+    low, high = np.full(found.shape, -np.inf), np.full(found.shape, np.inf)
+    for half in halves:
+        plane, spread = planes(value, weight, x, y, half)
+        known = np.isfinite(plane[..., 0])
+        low = np.fmax(low, plane - agreement * spread)
+        high = np.fmin(high, plane + agreement * spread)
+        agrees = low <= high
+        for part, fine in enumerate((agrees[..., 0], agrees[..., 1:].all(axis=-1))):
+            columns = slice(0, 1) if part == 0 else slice(1, 3)
+            found[known & fine, columns] = plane[known & fine, columns]
+            chosen[known & fine, part] = half
+        if half >= max(value.shape):
+            break
+    return found, chosen

@@ -1,7 +1,9 @@
 """Tasks of the water surface: count frames, calibrate, make surfaces."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import astuple
+from functools import reduce
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -14,166 +16,96 @@ from spl_batch.errors import InputError
 from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.geiger.water.accuracy import (
-    FloorError,
-    PixelSums,
+    PIXEL_SUMS,
     floor_error,
     middle,
+    pixel_sums,
     surface_error,
 )
 from spl_batch.geiger.water.formats import FrameTruth, inspect_frames, iter_frames, read_truth
 from spl_batch.geiger.water.pixel_geometry import View, view_of
-from spl_batch.geiger.water.ranges.bin_sums import add_histogram
 from spl_batch.geiger.water.ranges.calibration import Calibration, faults_of, fit, observation
 from spl_batch.geiger.water.ranges.hits import (
+    SUMS,
     Gate,
     Hits,
     add_up,
     dead_pixels,
     find_gate,
+    histogram,
     used_pixels,
 )
-from spl_batch.geiger.water.ranges.silence import too_many_empty
 from spl_batch.geiger.water.settings import CalibrationSettings, WaterWorkflow
 from spl_batch.geiger.water.surface.pixel_surface import Surface, make_surface
 
 WaterContext = RunContext[WaterWorkflow]
 
 
-@dataclass(frozen=True, slots=True)
-class Counted:
-    """What a file of frames adds up to."""
-
-    histogram: NDArray[np.int64]  #: (bins + 1,): hits of each bin.
-    silent: int  #: Frames without a hit [count].
-    lit: int  #: Hits of all pixels, used or not [count].
-    whole: Hits  #: Sums within its gate.
-
-
-def read_through(path: Path, frames: int, workflow: WaterWorkflow, *, target: bool) -> Counted:
-    """Read a file from end to end, which no look at its header can stand for.
-
-    ``path``: file of ``frames`` frames. ``target``: whether it is for calibration.
-
-    Raises
-    ------
-    InputError
-        If a part of it cannot be read, a value is no bin of the camera, or no pixel has a hit.
-    """
-    camera = workflow.camera
-    used = used_pixels(camera)
-    # A target stands at a distance of its own: its gate is where its peak is.
-    settings = workflow.gate.model_copy(update={"centre_bin": None}) if target else workflow.gate
-    counts = np.zeros(camera.bins + 1, dtype=np.int64)
-    silent = hits = 0
-    for _, piece in iter_frames(path, 0, frames, camera.bins):
-        add_histogram(piece, used, counts)
-        lit = np.count_nonzero(piece, axis=(1, 2))
-        silent += int(np.count_nonzero(lit == 0))
-        hits += int(lit.sum())
-    gate = find_gate(counts, settings)
-    if gate is None:
-        raise InputError(str(path), "no pixel has a hit in any frame; leave the file out")
-    (whole,) = _add_up(path, (0, frames), frames, gate, camera.bins)
-    return Counted(counts, silent, hits, whole)
-
-
 def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
     """Read a file once from end to end: its histogram, its gate, what its pixels add up to."""
-    workflow, path = context.workflow, Path(args["path"])
-    camera = workflow.camera
+    workflow, path, frames = context.workflow, Path(args["path"]), int(args["frames"])
+    camera, used = workflow.camera, used_pixels(workflow.camera)
     with unchanged(path, args["stamp"]):
         digest = checksum(path)
         inspect_frames(path, camera.rows, camera.cols)
-        found = read_through(path, args["frames"], workflow, target=args["role"] == "target")
-    whole, gate = found.whole, found.whole.gate
+        counts = np.zeros(camera.bins + 1, dtype=np.int64)
+        for _, piece in iter_frames(path, 0, frames, camera.bins):
+            counts += histogram(piece, used, camera.bins)
+        # A target stands at a distance of its own: its gate is where its peak is.
+        given = {"centre_bin": None} if args["role"] == "target" else {}
+        gate = find_gate(counts, workflow.gate.model_copy(update=given))
+        if gate is None:
+            raise InputError(str(path), "no pixel has a hit in any frame; leave the file out")
+        (whole,) = _add_up(path, (0, frames), frames, gate, camera.bins)
     out = context.store.path("counts", f"{args['source']}.npz")
-    sums = {k: getattr(whole, k) for k in ("hits", "total", "square", "outside")}
-    write_arrays(out, {"histogram": found.histogram, **sums})
+    write_arrays(out, {"histogram": counts, **{k: getattr(whole, k) for k in SUMS}})
     facts = {
         "name": args["name"],
         "role": args["role"],
         "path": str(path),
         "hash": digest,
         "size": args["stamp"][0],
-        "frames": whole.frames,
+        "frames": frames,
         "gate": [gate.low, gate.high],
         "hits": int(whole.hits.sum()),
-        "outside": int(whole.outside[used_pixels(camera)].sum()),
-        "silent": found.silent,
-        "silent_beyond_chance": too_many_empty(found.silent, args["frames"], found.lit),
+        "outside": int(whole.outside[used].sum()),
     }
-    return Produced([out], facts, args["frames"], {str(path): args["stamp"]})
+    return Produced([out], facts, frames, {str(path): args["stamp"]})
 
 
 def _add_up(path: Path, frames: tuple[int, int], per: int, gate: Gate, bins: int) -> Iterator[Hits]:
     """What each acquisition of ``per`` frames adds up to; their number is a multiple of it."""
-    whole: Hits | None = None
+    parts: list[Hits] = []
     for start, piece in iter_frames(path, *frames, bins):
         first = start
         while first < start + len(piece):
             last = min((first // per + 1) * per, start + len(piece))
-            made = add_up(piece[first - start : last - start], gate)
-            whole = made if whole is None else _together(whole, made)
+            parts.append(add_up(piece[first - start : last - start], gate))
             if last % per == 0:
-                yield whole
-                whole = None
+                yield reduce(add, parts)
+                parts = []
             first = last
 
 
-def _together(a: Hits, b: Hits) -> Hits:
-    return Hits(
-        a.frames + b.frames,
-        a.gate,
-        a.hits + b.hits,
-        a.total + b.total,
-        a.square + b.square,
-        a.outside + b.outside,
-    )
-
-
-def _counted(args: Mapping[str, Any], context: WaterContext) -> Hits:
-    """What :func:`count_frames` left of a file."""
-    sums = read_arrays(context.store.path("counts", f"{args['source']}.npz"))
-    low, high = args["gate"]
-    parts = (sums[k] for k in ("hits", "total", "square", "outside"))
-    return Hits(args["frames"], Gate(low, high), *parts)
-
-
-def calibrated(
-    counted: Sequence[Hits], distances_m: Sequence[float], workflow: WaterWorkflow
-) -> tuple[Calibration, NDArray[np.bool_]]:
-    """Laws fitted to frames of targets, or as the workflow gives them; and dead pixels.
-
-    Raises
-    ------
-    InputError
-        If the targets do not tell the laws.
-    """
-    camera, settings = workflow.camera, workflow.calibration
-    used = used_pixels(camera)
-    whole = counted[0]
-    for more in counted[1:]:
-        whole = _together(whole, more)
-    dead = dead_pixels(whole, used, workflow.pixels)
-    if not distances_m:
-        return Calibration(settings, np.zeros(used.shape)), dead
-    norm = view_of(camera, workflow.mount).norm
-    seen = [
-        observation(hits, dead, norm, distance, camera.bin_ns)
-        for hits, distance in zip(counted, distances_m, strict=True)
-    ]
-    faults = faults_of(seen, settings)
-    if faults:
-        raise InputError("calibration", faults)
-    return fit(seen, settings), dead
-
-
 def calibrate(args: Mapping[str, Any], context: WaterContext) -> Produced:
-    """Find dead pixels, and fit the laws from frames of a target where there are some."""
-    workflow = context.workflow
-    used = used_pixels(workflow.camera)
-    counted = [_counted(source, context) for source in args["sources"]]
-    made, dead = calibrated(counted, args["distances_m"], workflow)
+    """Find dead pixels, and fit the laws from frames of targets where there are some."""
+    workflow, camera = context.workflow, context.workflow.camera
+    used, counted = used_pixels(camera), []
+    for source in args["sources"]:
+        sums = read_arrays(context.store.path("counts", f"{source['source']}.npz"))
+        gate = Gate(*source["gate"])
+        counted.append(Hits(source["frames"], gate, *(sums[k] for k in SUMS)))
+    dead = dead_pixels(reduce(add, counted), used, workflow.pixels)
+    made = Calibration(workflow.calibration, np.zeros(used.shape))
+    if args["distances_m"]:
+        norm = view_of(camera, workflow.mount).norm
+        seen = [
+            observation(hits, dead, norm, distance, camera.bin_ns)
+            for hits, distance in zip(counted, args["distances_m"], strict=True)
+        ]
+        if faults := faults_of(seen, workflow.calibration):
+            raise InputError("calibration", faults)
+        made = fit(seen, workflow.calibration)
     out = context.store.path("calibration.npz")
     write_arrays(out, {"pixel_ns": made.pixel_ns, "dead": dead})
     facts = {
@@ -186,25 +118,21 @@ def calibrate(args: Mapping[str, Any], context: WaterContext) -> Produced:
     return Produced([out], facts)
 
 
-def _calibration(
-    args: Mapping[str, Any], context: WaterContext
-) -> tuple[Calibration, NDArray[np.bool_]]:
-    arrays = read_arrays(context.store.path("calibration.npz"))
-    settings = CalibrationSettings.model_validate(args["calibration"])
-    return Calibration(settings, arrays["pixel_ns"], args["residual_ns"]), arrays["dead"]
-
-
 def make_surfaces(args: Mapping[str, Any], context: WaterContext) -> Produced:
     """Surfaces of some acquisitions of a file, and their errors where truth is known."""
     workflow, path = context.workflow, Path(args["path"])
     camera = workflow.camera
     view = view_of(camera, workflow.mount)
-    calibration, dead = _calibration(args, context)
+    fitted = read_arrays(context.store.path("calibration.npz"))
+    settings = CalibrationSettings.model_validate(args["calibration"])
+    calibration = Calibration(settings, fitted["pixel_ns"], args["residual_ns"])
     gate, per = Gate(*args["gate"]), workflow.surface.frames_per_acquisition
     first, last = args["acquisitions"]
     with unchanged(path, args["stamp"]):
         surfaces = [
-            make_surface(hits, dead, calibration, view, camera, workflow.pixels, workflow.surface)
+            make_surface(
+                hits, fitted["dead"], calibration, view, camera, workflow.pixels, workflow.surface
+            )
             for hits in _add_up(path, (first * per, last * per), per, gate, camera.bins)
         ]
         truth = _truth(args, context, view, path)
@@ -244,25 +172,21 @@ def _truth(
 def _errors(
     surfaces: list[Surface], truth: FrameTruth, view: View, workflow: WaterWorkflow
 ) -> dict[str, NDArray[Any]]:
-    """Errors of each surface (a, 6), of each pixel, and of the ends of rays (a, 6)."""
-    sums = PixelSums.empty(view.x.shape)
+    """Errors of each surface and of the ends of its rays (a, 6); sums of the pixels' errors."""
     rows, floors = [], []
+    sums = np.zeros((len(PIXEL_SUMS), *view.x.shape))
     block = middle(view.x.shape, workflow.path.beam_pixels)
-    for k, surface in enumerate(surfaces):
-        down, normals = truth.down_m[k], truth.normals[k]
+    for surface, down, normals in zip(surfaces, truth.down_m, truth.normals, strict=True):
         made, error, angle = surface_error(surface.places_m, surface.normals, down, normals)
-        sums.add(error, angle)
-        rows.append(list(asdict(made).values()))
-        true_range = (down - view.origin_m[2]) / view.look[..., 2]
-        floor = None
-        if workflow.path.in_water_m > 0:
-            floor = floor_error(
-                view.look[block],
-                (surface.places_m[block], surface.normals[block]),
-                (view.places(true_range)[block], normals[block]),
-                workflow.path.in_water_m,
-                workflow.path.index_water,
-            )
-        floors.append(list(asdict(floor or FloorError(*(float("nan"),) * 6)).values()))
-    pixels = {f"pixel_{k}": v for k, v in asdict(sums).items()}
-    return {"errors": np.array(rows), "floor": np.array(floors), **pixels}
+        sums += pixel_sums(error, angle)
+        rows.append(astuple(made))
+        true = view.places((down - view.origin_m[2]) / view.look[..., 2])
+        floor = floor_error(
+            view.look[block],
+            (surface.places_m[block], surface.normals[block]),
+            (true[block], normals[block]),
+            workflow.path.in_water_m,
+            workflow.path.index_water,
+        )
+        floors.append(astuple(floor))
+    return {"errors": np.array(rows), "floor": np.array(floors), "pixels": sums}
