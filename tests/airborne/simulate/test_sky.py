@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from spl_batch.airborne.simulate import detector, haze, simulate
-from spl_batch.airborne.simulate import sky as sky_of
+from spl_batch.airborne.simulate import survey as sky_of
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.errors import WorkflowError
