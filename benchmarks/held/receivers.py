@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import astuple, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -76,7 +76,8 @@ def surface(given: Given) -> Iterator[Figure]:
     seed = 1
     instrument = Instrument(seed=seed)
     ways, dead = water.calibrated_ways(instrument, seed)
-    wet = replace(instrument, **water.ON_WATER)
+    on_water: dict[str, Any] = dict(water.ON_WATER)
+    wet = replace(instrument, **on_water)
     for name, target, receiver, view in (
         ("hard", water.HARD, instrument, water.HARD_VIEW),
         ("calm", water.CALM, wet, water.WATER_VIEW),

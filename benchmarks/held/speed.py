@@ -1,17 +1,21 @@
 """Seconds by stage over a search for 15 neighbours in the same run, and kernels that compile."""
 
+import multiprocessing
 import os
+import resource
+import sys
+import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Final
 from unittest import mock
 
-from benchmarks.airborne import peers
-from benchmarks.engine import task_times
+from benchmarks import peers
 from benchmarks.held import surveys
 from benchmarks.held.figures import Figure, figure
 from benchmarks.held.surveys import Given
-from benchmarks.numerics import compiling
-from spl_batch.receivers import steps
+from spl_batch.engine.tasks.runner import run_task
+from spl_batch.engine.verbs.preparing import prepare
 
 ROUNDS: Final = 2
 """Rounds of tasks and of searches of which the least counts; kernels are compiled before."""
@@ -25,17 +29,11 @@ def stages(given: Given) -> Iterator[Figure]:
     survey = surveys.quickstart(given)
     cloud = max((survey / "flightlines").glob("*.laz"), key=lambda path: path.stat().st_size)
     xyz = peers.middle(cloud, peers.SEARCHED)
-    stage_of = {kind: of.stage for kind, of in steps("imaging").items()}
     seconds: dict[str, float] = {}
     searches: dict[str, float] = {}
     with mock.patch.dict(os.environ, OMP_NUM_THREADS="1"):
         for number in range(ROUNDS):
-            spent: dict[str, float] = {}
-            output = given.scratch / f"timed_{number}"
-            cost, returns = task_times.round_of(survey / "workflow.yaml", output)
-            for kind, (processor_s, *_) in cost.items():
-                stage = stage_of[kind]
-                spent[stage] = spent.get(stage, 0.0) + processor_s / returns * 1e6
+            spent = by_stage(survey / "workflow.yaml", given.scratch / f"timed_{number}")
             spent["all"] = sum(spent.values())
             for found, least in ((spent, seconds), (dict(peers.searches(xyz)), searches)):
                 least |= {k: min(v, least.get(k, v)) for k, v in found.items()}
@@ -45,9 +43,41 @@ def stages(given: Given) -> Iterator[Figure]:
             yield figure(f"{stage} / {search}", ratio, "", "more", max(0.1, 0.1 * ratio))
 
 
+def by_stage(workflow: Path, output: Path) -> dict[str, float]:
+    """Processor time of each stage in this process, a million returns of the inputs [s]."""
+    prepared = prepare(workflow, [f"output={output}"])
+    survey, context = prepared.ledger, prepared.context
+    context.store.local.mkdir(parents=True)
+    spent: dict[str, float] = {}
+    for step in prepared.steps.values():
+        prepared.receiver.before(step, prepared)
+        start = time.process_time()
+        for task in list(step.planned(survey)):
+            receipt = run_task(task, "", context)
+            if receipt.failed:
+                sys.exit(f"{task.kind} {task.name}: {receipt.reason}")
+            survey.of(task.kind).put(receipt)
+        spent[step.stage] = spent.get(step.stage, 0.0) + time.process_time() - start
+    millions = sum(source.facts.n_points for source in survey.inputs.sources) / 1e6
+    return {stage: value / millions for stage, value in spent.items()}
+
+
 def kernels(given: Given) -> Iterator[Figure]:
-    """Kernels that the first start compiles, and what that takes."""
-    with mock.patch.dict(os.environ, NUMBA_CACHE_DIR=str(given.scratch / "numba")):
-        number, processor_s, _ = compiling.measure([(0, 2), (1, 2)])
+    """Kernels that the first start compiles, and what that takes in two processes."""
+    new_process = multiprocessing.get_context("spawn")
+    folder = mock.patch.dict(os.environ, NUMBA_CACHE_DIR=str(given.scratch / "numba"))
+    with folder, new_process.Pool(2, maxtasksperchild=1) as pool:
+        found = pool.starmap(compile_share, [(0, 2), (1, 2)], chunksize=1)
+    number, processor_s = map(sum, zip(*found, strict=True))
     yield figure("compiled on the first start", number, "", "more", 0.0)
     yield figure("processor time of compiling", processor_s, "s", "more", 0.15 * processor_s)
+
+
+def compile_share(share: int, shares: int) -> tuple[int, float]:
+    """Compile a share: kernels that were compiled, and processor time, children included [s]."""
+    # numba looks for the folder when it is imported.
+    from spl_batch.airborne import precompile  # noqa: PLC0415
+
+    compiled = precompile.compile_share(share, shares)
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return compiled, time.process_time() + children.ru_utime + children.ru_stime

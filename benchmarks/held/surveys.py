@@ -1,22 +1,31 @@
 """Surveys that the groups share, each made and run once, and hashes of what was delivered."""
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import laspy
 import numpy as np
 import rasterio
 
-from benchmarks.airborne import sky
-from benchmarks.airborne.ground.whole_runs import WORKFLOWS
+from benchmarks.held import scenes
 from benchmarks.held.figures import Figure
 from spl_batch import api
 from spl_batch.airborne.simulate import preset_scene, simulate
+from spl_batch.airborne.simulate.scene.scene_file import Scene, parse_scene
 
 HASH_DIGITS = 16
 """Hexadecimal digits that are kept of a hash [count]."""
+
+PHOTON_COUNTING = (
+    "{{survey: {{flightlines: {0}, sensor: spl100, channel_dimension: user_data}}, output: out}}"
+)
+LINEAR = (
+    "{{survey: {{flightlines: {0}}}, filter: {{method: none}}, afterpulse: {{enabled: false}}, "
+    "output: out}}"
+)
+"""Workflows of a cloud."""
 
 
 class Given(NamedTuple):
@@ -30,11 +39,18 @@ class Given(NamedTuple):
         return sorted(self.data.glob(pattern)) if self.data else []
 
 
-def once(folder: Path, make: Callable[[Path], object], *overrides: str) -> Path:
+def simulated(content: Mapping[str, Any] | Scene, folder: Path) -> Path:
+    """Folder of a survey, simulated unless this process has done so."""
+    if not (folder / "workflow.yaml").exists():
+        scene = content if isinstance(content, Scene) else parse_scene(dict(content), "scene")
+        simulate(scene, folder)
+    return folder
+
+
+def once(content: Mapping[str, Any] | Scene, folder: Path, *overrides: str) -> Path:
     """Folder of a survey that is simulated and run unless this process has done so."""
-    if not folder.exists():
-        make(folder)
-        run(folder / "workflow.yaml", *overrides)
+    if not (folder / "out").exists():
+        run(simulated(content, folder) / "workflow.yaml", *overrides)
     return folder
 
 
@@ -46,29 +62,22 @@ def run(workflow: Path, *overrides: str) -> None:
 
 def quickstart(given: Given) -> Path:
     """The survey of ``spl-batch quickstart``, run with diagnostics."""
-    return once(
-        given.scratch / "quickstart",
-        lambda folder: simulate(preset_scene("quickstart"), folder),
-        "outputs.diagnostics=true",
-    )
+    folder = given.scratch / "quickstart"
+    return once(preset_scene("quickstart"), folder, "outputs.diagnostics=true")
 
 
 def in_sky(given: Given, name: str) -> Path:
-    """A survey of two flightlines under a sky of :mod:`benchmarks.airborne.sky`."""
-    survey = given.scratch / "sky" / name
-    if not survey.exists():
-        made = sky.simulated(survey, name, 1.0)
-        run(made / "workflow.yaml", *sky.SETTINGS.get(name, ()))
-    return next(survey.iterdir())
+    """Two flightlines under a sky of :data:`~benchmarks.held.scenes.SKIES`."""
+    return once(scenes.sky(name), given.scratch / "sky" / name.replace(" ", "_"))
 
 
-def plot(cloud: Path, given: Given) -> Path:
-    """Output of a real plot's run."""
-    folder = given.scratch / cloud.stem
-    folder.mkdir()
-    workflow = folder / "workflow.yaml"
-    workflow.write_text(WORKFLOWS["spl100"].format(cloud.resolve()), encoding="utf-8")
-    run(workflow)
+def of_cloud(cloud: Path, workflow: str, folder: Path) -> Path:
+    """Output of a run on one cloud."""
+    if not folder.exists():
+        folder.mkdir(parents=True)
+        path = folder / "workflow.yaml"
+        path.write_text(workflow.format(cloud.resolve()), encoding="utf-8")
+        run(path)
     return folder / "out"
 
 
@@ -82,10 +91,10 @@ def hashes(out: Path, name: str) -> Iterator[Figure]:
     for path in sorted((out / "laz").rglob("*.laz")):
         las = laspy.read(path)
         for dimension in ("classification", "noise_class"):
-            labels.update(np.ascontiguousarray(las[dimension], dtype=np.uint8))
+            labels.update(np.asarray(las[dimension]).astype(np.uint8).tobytes())
     yield Figure(f"{name}: labels", labels.hexdigest()[:HASH_DIGITS])
     for path in sorted(out.glob("*.tif")):
         with rasterio.open(path) as source:
             cells = hashlib.sha256(repr((source.shape, tuple(source.transform))).encode())
-            cells.update(np.ascontiguousarray(source.read()))
+            cells.update(source.read().tobytes())
         yield Figure(f"{name}: {path.stem}", cells.hexdigest()[:HASH_DIGITS])

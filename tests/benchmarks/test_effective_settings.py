@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.airborne.filter.methods import (
+from benchmarks.airborne.published.methods import (
     AS_W17,
     BY_PLANE,
     Method,

@@ -1,6 +1,8 @@
 """What a run warns of is a value; one table has what each code means."""
 
 import ast
+import json
+import pickle
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -69,6 +71,12 @@ def test_findings_of_receipts_are_of_what_a_task_worked_on() -> None:
     facts = {"name": "line_1.laz", "findings": [list(lost(3, "")), list(lost(4, "own"))]}
     receipt = Receipt("index_file", "7", "", "", "", {}, facts, 0, 0.0, 0.0)
     assert [one.subject for one in of_receipts({"7": receipt})] == ["line_1.laz", "own"]
+
+
+def test_findings_travel_as_json_and_as_pickles() -> None:
+    for one in (Finding("W02"), lost(3, "a")):
+        assert Finding(*json.loads(json.dumps(one))) == one
+        assert pickle.loads(pickle.dumps(one)) == one  # noqa: S301 - our own
 
 
 def test_the_table_is_small_and_the_page_is_made_of_it() -> None:

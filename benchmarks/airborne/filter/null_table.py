@@ -65,7 +65,7 @@ def scores(points: int) -> None:
         "own": np.minimum(table.own, table.alpha.round(5)).round(5).tolist(),
         "link_m": table.link_m.round(3).tolist(),
     }
-    write(null.__spec__.parent, null.FILE, content)
+    write(null.__name__.rpartition(".")[0], null.FILE, content)
 
 
 def smoothed_between_steps(share: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -101,7 +101,7 @@ def wires(points: int) -> None:
         "share": [float(f"{s:.4g}") for s in smooth],
         "power": round(power, 3),
     }
-    write(wire_null.__spec__.parent, wire_null.FILE, content)
+    write(wire_null.__name__.rpartition(".")[0], wire_null.FILE, content)
 
 
 def main() -> None:

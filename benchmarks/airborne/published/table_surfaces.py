@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from shapely.affinity import scale
 
-from benchmarks.airborne.filter import methods
-from benchmarks.airborne.filter.methods import (
+from benchmarks.airborne.published import methods
+from benchmarks.airborne.published.methods import (
     AFTERPULSE,
     AS_W17,
     BACKGROUND,

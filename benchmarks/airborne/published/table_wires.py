@@ -12,8 +12,7 @@ Beside the source's two figures stand those that explain where ours differ:
 - "> 1.5 m": share of the region's noise farther from every wire that is kept. A sphere of AES ends
   there, an ellipsoid does not.
 - "bright": the twin with wires of four times the diameter. As the link budget has it, the twins'
-  regions hold more noise than wire (last columns), part of it afterpulses of the wires; the last
-  lines say what the source's held.
+  regions hold more noise than wire (last columns), part of it afterpulses of the wires.
 - "merged" against "lines alone": AES and VSAES each on all flightlines and on each by itself. What
   sets VSAES apart in the source, where AES runs on single flightlines, is the merging.
 """
@@ -24,10 +23,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.airborne.filter import methods
-from benchmarks.airborne.filter.methods import BACKGROUND, Method
-from benchmarks.airborne.published import corridors
+from benchmarks.airborne.published import corridors, methods
 from benchmarks.airborne.published.corridors import Counts
+from benchmarks.airborne.published.methods import BACKGROUND, Method
 from benchmarks.airborne.published.twins import TWINS
 
 PUBLISHED: Mapping[tuple[str, str], Mapping[str, Counts]] = {
@@ -149,14 +147,10 @@ def _print(
     print(f"\n{TITLES[twin, kind]} [%; wire and noise returns of the region]")
     print(f"{'':28s}" + "".join(f"{c:>11s}" for c in columns))
     source = PUBLISHED[twin, kind]
-    regions = {"[W18]": source}
     for label, name in (("", twin), ("bright, ", BRIGHTER[twin])):
-        rows = {key: r for (t, k, key), r in found.items() if (t, k) == (name, kind)}
-        for key, r in rows.items():
-            _print_row(label + known[key].label, r, source.get(key))
-        regions[label + "twin"] = {key: r.region for key, r in rows.items()}
-    for label, counts in regions.items():
-        _print_ratios(label, counts, regions["twin"])
+        for (of, line, key), result in found.items():
+            if (of, line) == (name, kind):
+                _print_row(label + known[key].label, result, source.get(key))
 
 
 def _print_row(label: str, r: Result, source: Counts | None) -> None:
@@ -172,23 +166,4 @@ def _print_row(label: str, r: Result, source: Counts | None) -> None:
         f"{label:28s}"
         + "".join(f"{v:11.1f}" if np.isfinite(v) else f"{'-':>11s}" for v in figures)
         + f"{r.region.wire:11d}{r.region.noise:11d}"
-    )
-
-
-def _print_ratios(label: str, rows: Mapping[str, Counts], twin: Mapping[str, Counts]) -> None:
-    """What AES keeps beside VSAES, and how much more wire than noise the region holds.
-
-    AES has the lower rate of false alarms where it keeps less of VSAES' noise than of its wire.
-    The source's noise is what VSAES kept of it, over the share that it keeps of the twin's.
-    """
-    vsaes, aes, same = (d.get(k) for d, k in (
-        (rows, "published"), (rows, "aes_alone"), (twin, "published")))  # fmt: skip
-    if vsaes is None or aes is None or same is None:
-        return
-    wire, noise = aes.wire_kept / vsaes.wire_kept, aes.noise_kept / vsaes.noise_kept
-    chance = noise * np.sqrt(1.0 / aes.noise_kept + 1.0 / vsaes.noise_kept)
-    there = vsaes.noise or vsaes.noise_kept * same.noise / same.noise_kept
-    print(
-        f"{label}: AES over VSAES, wire kept {wire:.3f}, noise kept {noise:.3f} +- {chance:.3f}; "
-        f"wire over noise in the region {vsaes.wire / there:.1f}"
     )

@@ -1,15 +1,14 @@
-"""Simulated twins of the sources' set-ups, and scenes of weak and ordinary wires.
+"""Simulated twins of the sources' set-ups.
 
 Each function gives a scene for :func:`spl_batch.airborne.simulate.simulate`; the seed turns lines
-and
-flights, moves towers, and draws relief, roofs and trees anew. What a source says of its set-up is
-in the table. Background and returns per metre of wire, which none says, follow from the link budget
-[W17 2.2]: the sun stands as it does there at noon of the day, wires are given by their diameters.
-Speed or pulse energy are set to give the density of returns that the source says. Places, heights
-and diameters are ours.
+and flights, moves towers, and draws relief, roofs and trees anew. What a source reports of its
+set-up is in the table. Background and returns per metre of wire, which none reports, follow from
+the link budget [W17 2.2]: the sun is that at noon of the day, wires have their diameters. Speed or
+pulse energy give the density of returns that the source reports. Places, heights and diameters are
+ours.
 
 ===========  =========================================  ====================================
-twin         source                                     said there
+twin         source                                     reported there
 ===========  =========================================  ====================================
 easton       [W18] 2.1, [W17] 6.3                       three lines, 3.5 km, 9 deg, 60 kHz,
                                                         gate 300 m, 18 returns/m2 and line
@@ -23,16 +22,15 @@ canopy       [W17] 5.3                                  HRQLS, 3.5 km, 12 return
 ===========  =========================================  ====================================
 """
 
-import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from benchmarks.held.scenes import Place, across, flights
 from spl_batch.airborne.simulate.scene.scene_file import Scene, parse_scene
 
-Place = tuple[float, float]
 Wire = dict[str, Any]
 
 DARK_ROOF, BRIGHT_ROOF = 0.08, 0.8
@@ -43,64 +41,14 @@ SHAPES = ("flat", "gable", "shed")
 """Shapes of the roofs of twins, in turn."""
 
 
-def weak_wires(seed: int, extent_m: Place = (160.0, 100.0)) -> Scene:
-    """Conductors at 0.1-0.3 returns per metre and flightline; two returns in five are noise."""
-    return _wire_scene("weak wires", seed, extent_m, (0.3, 0.2, 0.1), background_per_m3=0.16)
-
-
-def ordinary_wires(seed: int, extent_m: Place = (160.0, 100.0)) -> Scene:
-    """Conductors at 0.7-1 returns per metre and flightline; 0.13 noise points per m3."""
-    return _wire_scene("ordinary wires", seed, extent_m, (1.0, 0.85, 0.7), background_per_m3=0.13)
-
-
-def _wire_scene(
-    name: str, seed: int, extent_m: Place, rates: tuple[float, ...], *, background_per_m3: float
-) -> Scene:
-    """Two transmission lines and a distribution line, from bright to faint; roofs, trees."""
-    rng = np.random.default_rng(seed)
-    east, north = extent_m
-    high, mid, low = rates
-    wires = [
-        {
-            "kind": "transmission", "points_m": _across(rng, extent_m, 0.75 * north, 170.0),
-            "height_m": float(rng.uniform(22, 32)), "sag_m": 5.0, "conductors": 3,
-            "spacing_m": 4.0, "shield": True, "returns_per_m": high,
-        },
-        {
-            "kind": "transmission", "points_m": _across(rng, extent_m, 0.5 * north, 150.0),
-            "height_m": float(rng.uniform(14, 20)), "sag_m": 3.0, "conductors": 2,
-            "spacing_m": 3.0, "shield": False, "returns_per_m": mid,
-        },
-        {
-            "kind": "distribution", "points_m": _across(rng, extent_m, 0.2 * north, 45.0),
-            "height_m": float(rng.uniform(8, 11)), "sag_m": 0.7, "conductors": 3,
-            "spacing_m": 1.0, "shield": False, "diameter_m": 0.015, "returns_per_m": low,
-        },
-    ]  # fmt: skip
-    return _scene(
-        name,
-        seed,
-        {
-            "extent_m": [east, north],
-            "terrain": {"relief_m": float(rng.uniform(5, 20))},
-            "buildings": {"count": 3},
-            "trees": {"cover": 0.15},
-            "wires": wires,
-            "flights": _flights(rng, 3, altitude_agl_m=2500.0, offset_m=330.0),
-            "sky": {"background_per_m3": background_per_m3},
-            "acquisition": {"prf_hz": 50_000.0, "gate_m": 250.0},
-        },
-    )
-
-
 def easton(seed: int, extent_m: Place = (180.0, 70.0)) -> Scene:
     """Twin of [W18]'s Easton, 10 November: a line of three cables, a distribution line.
 
     The cables of either line hang above each other, so that the region of 7 m x 7 m holds them.
     """
     rng = np.random.default_rng(seed)
-    towers = _across(rng, extent_m, 0.68 * extent_m[1], 200.0)
-    poles = _across(rng, extent_m, 0.25 * extent_m[1], 50.0)
+    towers = across(rng, extent_m, 0.68 * extent_m[1], 200.0)
+    poles = across(rng, extent_m, 0.25 * extent_m[1], 50.0)
     cables = [_cable("transmission", towers, 26.0 + up, 0.03, sag_m=5.0) for up in (0.0, 2.2, 4.4)]
     # the lowest wire of the distribution line is the thickest [W18 3.1-3.2]
     thin = [
@@ -116,7 +64,7 @@ def easton(seed: int, extent_m: Place = (180.0, 70.0)) -> Scene:
             "buildings": {"count": 2},
             "trees": {"cover": 0.15},
             "wires": cables + thin,
-            "flights": _flights(rng, 3, altitude_agl_m=3500.0, offset_m=250.0, speed_m_s=72.0),
+            "flights": flights(rng, 3, altitude_agl_m=3500.0, offset_m=250.0, speed_m_s=72.0),
             "sensor_overrides": {"half_cone_deg": 9.0},
             "sky": {"zenith_deg": 56.0},
             "acquisition": {"prf_hz": 60_000.0, "gate_m": 300.0},
@@ -137,7 +85,7 @@ def lufkin_bright(seed: int, thicker: float = 4.0) -> Scene:
 def lufkin(seed: int, extent_m: Place = (180.0, 60.0)) -> Scene:
     """Twin of [W18]'s Lufkin, 23 February: three wires on top, one in the middle, one below."""
     rng = np.random.default_rng(seed)
-    poles = _across(rng, extent_m, 0.5 * extent_m[1], 55.0)
+    poles = across(rng, extent_m, 0.5 * extent_m[1], 55.0)
     wires = [
         {**_cable("distribution", poles, 12.5, 0.015, sag_m=0.8), "conductors": 3},
         _cable("distribution", poles, 10.9, 0.01, sag_m=0.8),
@@ -151,7 +99,7 @@ def lufkin(seed: int, extent_m: Place = (180.0, 60.0)) -> Scene:
             "terrain": {"relief_m": 6.0},
             "trees": {"cover": 0.3},
             "wires": wires,
-            "flights": _flights(rng, 3, altitude_agl_m=2000.0, offset_m=250.0),
+            "flights": flights(rng, 3, altitude_agl_m=2000.0, offset_m=250.0),
             "sensor_overrides": {"pulse_energy_uj": 30.0},
             "sky": {"zenith_deg": 41.0},
             "acquisition": {"prf_hz": 50_000.0, "gate_m": 85.0},
@@ -176,7 +124,7 @@ def houston(seed: int, extent_m: Place = (160.0, 150.0)) -> Scene:
             "terrain": {"relief_m": 3.0},
             "buildings": {"list": roofs},
             "trees": {"cover": 0.1},
-            "flights": _flights(rng, 1, altitude_agl_m=4200.0, offset_m=600.0),
+            "flights": flights(rng, 1, altitude_agl_m=4200.0, offset_m=600.0),
             "sensor_overrides": {"pulse_energy_uj": 1500.0},
             "sky": {"zenith_deg": 39.0},
             "acquisition": {"prf_hz": 60_000.0, "gate_m": 250.0},
@@ -212,7 +160,7 @@ def canopy(seed: int, extent_m: Place = (130.0, 130.0)) -> Scene:
             "terrain": {"relief_m": 6.0},
             "buildings": {"list": roofs},
             "trees": {"cover": 0.35},
-            "flights": _flights(rng, 1, altitude_agl_m=3500.0, offset_m=350.0),
+            "flights": flights(rng, 1, altitude_agl_m=3500.0, offset_m=350.0),
             "sensor": "hrqls",
             "sensor_overrides": {"pulse_energy_uj": 200.0},
             "sky": {"zenith_deg": 21.0},
@@ -230,8 +178,6 @@ TWINS: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "houston": houston,
         "houston deep": houston_deep,
         "canopy": canopy,
-        "weak": weak_wires,
-        "ordinary": ordinary_wires,
     }
 )
 """Scene by name, of a seed."""
@@ -256,40 +202,6 @@ def _thicker(scene: Scene, thicker: float, name: str) -> Scene:
     for wire in content["wires"]:
         wire["diameter_m"] *= thicker
     return parse_scene(content, name)
-
-
-def _across(
-    rng: np.random.Generator, extent_m: Place, north_m: float, span_m: float
-) -> list[Place]:
-    """Towers from beyond the west to beyond the east side, a little askew."""
-    lean = math.radians(float(rng.uniform(-6, 6)))
-    start = -float(rng.uniform(0.3, 0.9)) * span_m
-    count = math.ceil((extent_m[0] - start) / span_m + 0.3) + 1
-    middle = extent_m[0] / 2
-    return [
-        (x, north_m + math.tan(lean) * (x - middle)) for x in (start + span_m * np.arange(count))
-    ]
-
-
-def _flights(
-    rng: np.random.Generator,
-    count: int,
-    *,
-    altitude_agl_m: float,
-    offset_m: float,
-    speed_m_s: float = 90.0,
-) -> list[dict[str, float]]:
-    """Flightlines at different headings, the scene aside of the track."""
-    first = float(rng.uniform(0, 360))
-    return [
-        {
-            "heading_deg": (first + k * 360.0 / count + float(rng.uniform(-15, 15))) % 360.0,
-            "altitude_agl_m": altitude_agl_m,
-            "offset_m": offset_m * (-1.0) ** k * float(rng.uniform(0.8, 1.2)),
-            "speed_m_s": speed_m_s,
-        }
-        for k in range(count)
-    ]
 
 
 def _roof(rng: np.random.Generator, k: int, extent_m: Place, reflectance: float) -> dict[str, Any]:

@@ -24,7 +24,7 @@ A budget :math:`B` is the share of true returns that may go. At constant rates, 
 within them is at most :math:`p / (e \theta)`, where :math:`s \lambda_t / p = 1 / (e \theta)`. So
 :math:`\theta = p / (e B)` keeps the budget in any foliage; in clumps smaller odds keep it.
 
-In crowns the two rates are of one size. ``benchmarks/airborne/afterpulse/afterpulses.py`` prints
+In crowns the two rates are of one size. ``docs/evidence/afterpulses.md`` has
 removed against lost beside the best that the simulation's laws allow.
 """
 

@@ -17,8 +17,8 @@ in front in the same beamlet say that light came so far, but also that leaves to
 rate is :math:`\rho` times a factor between two, by :math:`g` in the smallest sphere.
 
 The constants were chosen on simulated clumps of 0.4, 0.8 and 1.5 m and on evenly turbid crowns, at
-1, 1/2, 1/4 and 1/8 of the light, with other seeds than
-``benchmarks/airborne/afterpulse/afterpulses.py``.
+1, 1/2, 1/4 and 1/8 of the light, with other seeds than the scenes of
+``docs/evidence/afterpulses.md``.
 """
 
 import math

@@ -12,8 +12,7 @@ flightline's density is found on squares, 2.5 m wide in voxels of 10 m, and flig
   (:mod:`~spl_batch.airborne.noise.gate_ends`).
 
 Between the centres of squares, and of layers without an end, the density is linear, along the lean
-of the beams. ``benchmarks/airborne/filter/null_edges.py`` prints the share of noise kept along
-edges of surveys, ``benchmarks/airborne/filter/null_calibration.py`` along sharp ones.
+of the beams. ``docs/evidence/noise.md`` has the share of noise kept along sharp edges.
 """
 
 from collections.abc import Sequence

@@ -20,7 +20,7 @@ POOR: Final = 0.25
 
 CORE_COST: Final = 2.5
 """Cost of a point that a block owns, over that of one in its halo: what the quickstart's
-blocks took, by ``python -m benchmarks.airborne.filter.denoise_steps``."""
+blocks took."""
 
 ORIGIN: Final = CellId(0, 0)
 """Tile that a square of tiles begins with, unless another is named."""

@@ -48,7 +48,7 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     }
 )
 """Points per second and worker until a store has measured its own, those of ``denoise`` without the
-halos that blocks read, those of ``report`` of the reference; ``benchmarks/airborne/end_to_end.py``,
+halos that blocks read, those of ``report`` of the reference; ``benchmarks/end_to_end.py``,
 two workers, 53 % noise, and a little less."""
 
 

@@ -1,7 +1,7 @@
 """What tasks hold in memory, and which of them cannot fit into a worker.
 
 A task's need is that of a worker that has loaded its kernels and the points that the
-task holds at once times the bytes of each; `benchmarks/engine/memory.py` measures them.
+task holds at once times the bytes of each; `benchmarks/memory.py` measures them.
 """
 
 from collections.abc import Mapping

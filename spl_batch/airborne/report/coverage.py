@@ -16,7 +16,7 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 
 VEGETATION_PER_M2: Final = 1.0
-"""Below this density shrubs become ground (``benchmarks.airborne.classes.vegetation``) [1/m2]."""
+"""Below this density shrubs become ground (``docs/delivery.md``) [1/m2]."""
 
 
 def area_km2(done: Receipts) -> float | None:

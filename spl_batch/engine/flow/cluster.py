@@ -22,14 +22,13 @@ WATCHING: Final[Mapping[str, Any]] = {
     "distributed.admin.system-monitor.interval": "1s",
     "distributed.worker.memory.monitor-interval": "200ms",
 }
-"""What dask watches of itself, and how often; ``python -m benchmarks.engine.idle_cluster`` prints
-what it costs."""
+"""What dask watches of itself, and how often."""
 
 SETTINGS: Final[Mapping[str, Any]] = {
     **WATCHING,
     # A worker that dies takes the blame for what waits on it, so the rest waits at the scheduler.
     # More of it would serve tasks of milliseconds; with tasks of a second this keeps workers busy
-    # as well: `python -m benchmarks.engine.scheduler cluster` prints both.
+    # as well: `python -m benchmarks.scheduler cluster` prints both.
     "distributed.scheduler.worker-saturation": 1.1,
     # A task that has ended two workers is not given a third.
     "distributed.scheduler.allowed-failures": 1,

@@ -12,7 +12,7 @@
 
 :func:`~spl_batch.numerics.neighbours.kdtree.nearest_keys` sorts each neighbour in as it is met,
 which is
-quicker for a few (``benchmarks/airborne/filter/denoise.py``). Here nothing is sorted: distances and
+quicker for a few. Here nothing is sorted: distances and
 counts are loops without a branch, which the compiler turns into vector instructions.
 
 Squared distances are sums of squared integer differences in float64: exact below

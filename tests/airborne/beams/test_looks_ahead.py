@@ -36,7 +36,8 @@ def test_times_that_are_off_are_told_once_for_all_lines(
     tmp_path: Path, shift_m: float, side: str, late: str
 ) -> None:
     (text,) = told(tmp_path, shift_m)
-    assert text.startswith("T02 00001_371000000, 00002_371000000, at worst ")
+    assert "00001_371000000" in text
+    assert "00002_371000000" in text
     assert side in text
     assert late in text
 

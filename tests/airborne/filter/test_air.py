@@ -9,7 +9,7 @@ import pytest
 from spl_batch.airborne.filter import air as looking
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds
+from spl_batch.lattice.tiles import Bounds, inside
 
 CORNER = np.array([272_000_000, 3_290_000_000, 40_000])
 CORE = Bounds(272_030_000, 3_290_030_000, 272_130_000, 3_290_110_000)
@@ -59,16 +59,19 @@ def test_air_is_listed_by_squares_and_heights_whatever_the_parts_of_a_block() ->
     model: Any = SimpleNamespace(local=lambda at: np.full(len(at[0]), 0.04), heard=())
     settings = Workflow.model_validate({"survey": {"flightlines": "x"}, "output": "o"})
     (found,) = [looking.look_at_air(table, model, settings, CORE)]
-    told = looking.facts_of([found])["air"]
-    sides = np.array([place[:4] for place in told["places"]]) * 5000
-    assert told["box"] == [*sides[:, :2].min(axis=0), *sides[:, 2:].max(axis=0)]
+    places = looking.facts_of([found])["air"]
+    sides = np.array([place[:4] for place in places]) * 5000
     assert len({tuple(side // 25_000) for side in sides[:, :2]}) == len(sides) > 10
     assert np.all(sides[:, 2:] - sides[:, :2] <= 25_000)
     assert np.all(sides[:, 2:] > sides[:, :2])
-    for k, key in enumerate(("squares", "cubes", "returns"), start=6):
-        assert sum(place[k] for place in told["places"]) == told[key]
-    assert sum(place[9] for place in told["places"]) == pytest.approx(told["expected"], rel=1e-6)
-    ends = {(place[4] * 5000, (place[5] + 1) * 5000) for place in told["places"]}
+    assert found.air is not None
+    centre = found.air.cube * 5000 + 2500
+    mine = found.air.held & inside(centre[:, 0], centre[:, 1], CORE)
+    assert sum(place[7] for place in places) == np.count_nonzero(mine)
+    assert sum(place[8] for place in places) == found.air.returns[mine].sum()
+    expected = found.air.expected[mine].sum() * 125
+    assert sum(place[9] for place in places) == pytest.approx(expected, rel=1e-3)
+    ends = {(place[4] * 5000, (place[5] + 1) * 5000) for place in places}
     assert (90_000, 115_000) in ends
 
 

@@ -7,7 +7,7 @@
   pure noise of the same density gives
   (:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`), since an ellipsoid is fitted to
   the points that it counts: a share alpha of noise is kept at any density
-  (``benchmarks/airborne/filter/null_calibration.py``);
+  (``python -m benchmarks.held --only alpha``);
 - only peers count: neighbours whose spacing is at least the point's over ``peer_ratio``
   (:mod:`~spl_batch.airborne.filter.ellipsoid.spacing`), so noise does not live on a surface near
   by;

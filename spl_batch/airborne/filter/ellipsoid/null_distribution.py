@@ -15,7 +15,7 @@ test's settings. So the code that scores surveys scores uniform noise in periodi
 The table of the default settings ships (``null_table.json``, written by ``python -m
 benchmarks.airborne.filter.null_table``); others draw a coarser one on first use, in each process.
 Interpolation is linear in logarithms; beyond the last level p falls with the score as on average
-over the last decade. Accuracy: ``python -m benchmarks.airborne.filter.null_calibration``.
+over the last decade. Accuracy: ``python -m benchmarks.held --only alpha``.
 """
 
 import json

@@ -22,7 +22,6 @@ Tubes shrink where more than :data:`CROWD` noise points would be met. A hash of 
 draws the points to start from; all others are counted and voted for.
 
 Nothing here needs the verdict of the ellipsoid test, so the reaches of the two do not add.
-``benchmarks/airborne/filter/wire_scan.py`` prints what is kept of pure noise, by density.
 
 Clearance of a tube: what is around it, whether its line hangs free and goes from end to end.
 

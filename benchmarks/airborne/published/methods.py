@@ -1,12 +1,7 @@
-"""The filters that this installation knows, and what each says about a simulated survey.
-
-``judge`` runs the chain up to the filter with a method's settings and gives the noise class of
-every return in the order of the survey's files; the shots are gathered once for each way of
-treating them and linked into each method's own folder, as receipts show what is finished.
-"""
+"""The filters that this installation knows, and what each makes of a simulated survey."""
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -22,19 +17,11 @@ from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import Scene
-from spl_batch.airborne.steps import STEPS
-from spl_batch.engine.plan.input_files import source_key
-from spl_batch.engine.store.links import share_finished
-from spl_batch.engine.store.working_store import Store
-from spl_batch.formats.verified.parquet_npz import read_columns
 
 KINDS = ("background", "ground", "roof", "vegetation", "wire", "water", "afterpulse", "other")
 BACKGROUND, GROUND, ROOF, VEGETATION, WIRE, WATER, AFTERPULSE, OTHER = range(len(KINDS))
 
 Columns = dict[str, NDArray[Any]]
-
-SHARED = tuple(name for name, step in STEPS.items() if step.stage in {"index", "shots"})
-"""Kinds of tasks that do not depend on the filter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,90 +206,31 @@ def judge(survey: Path, method: Method) -> NDArray[np.uint8]:
     method : Method
         The filter.
     """
-    files = flightlines(survey)
+    digest = hashlib.blake2b(repr((method.shots, method.settings)).encode(), digest_size=4)
+    output = f"out_{digest.hexdigest()}"
     if not method.alone:
-        return _run(survey, method, output_name(method), files)
+        return _run(survey, method, output, flightlines(survey))
     return np.concatenate([
-        _run(survey, method, f"{output_name(method)}_{path.stem}", [path],
+        _run(survey, method, f"{output}_{path.stem}", [path],
              f"survey.flightlines=flightlines/{path.name}")
-        for path in files
+        for path in flightlines(survey)
     ])  # fmt: skip
 
 
 def _run(
     survey: Path, method: Method, output: str, files: list[Path], *more: str
 ) -> NDArray[np.uint8]:
-    overrides = (*method.shots, *method.settings, *more)
+    """Noise classes that a run delivers."""
+    overrides = [*method.shots, *method.settings, *more]
     check(survey / "workflow.yaml", overrides, method.claims)
-    digest = hashlib.blake2b(repr(method.settings).encode(), digest_size=4).hexdigest()
-    own = f"{output}_{digest}"
-    _finish(survey, method, output, "shots", *method.shots, *more)
-    share_finished(Store(survey / output), Store(survey / own), SHARED)
-    _finish(survey, method, own, "denoise", *overrides)
-    return _read_labels(files, Store(survey / own))
-
-
-def _finish(survey: Path, method: Method, output: str, until: str, *settings: str) -> None:
-    overrides = [*settings, f"output={output}"]
-    result = api.run(survey / "workflow.yaml", overrides=overrides, until=until, workers=0)
+    overrides += [f"output={output}", "reference=null"]
+    result = api.run(survey / "workflow.yaml", overrides=overrides, until="deliver", workers=0)
     if result.exit_status:
         raise SystemExit(f"{survey}: the run with {method.label} failed; see {output}/log.jsonl")
-
-
-def output_name(method: Method) -> str:
-    """Folder of the steps before the filter, which methods may share.
-
-    Labels lie in a folder of each method's own: a filter that looks less far has other blocks, and
-    those of another one would be read with them.
-    """
-    changed = [setting.partition("=")[0].rpartition(".")[2] for setting in method.shots]
-    return "_".join(["out", *changed])
+    clouds = [survey / output / "laz" / "flightlines" / path.name for path in files]
+    return np.concatenate([np.asarray(laspy.read(path)["noise_class"]) for path in clouds])
 
 
 def flightlines(survey: Path) -> list[Path]:
     """Files of a simulated survey, in the order that all benchmarks use."""
     return sorted((survey / "flightlines").glob("line_*.laz"))
-
-
-def _read_labels(files: list[Path], store: Store) -> NDArray[np.uint8]:
-    with_counts = [(path, _points(path)) for path in files]
-    first = np.cumsum([0, *(n for _, n in with_counts)])
-    start = {
-        source_key(f"flightlines/{path.name}"): int(k)
-        for path, k in zip(files, first[:-1], strict=True)
-    }
-    out = np.full(int(first[-1]), 255, dtype=np.uint8)
-    rows_of = {path.stem: _global_rows(path, start) for path in store.path("tiles").glob("*")}
-    for path in store.path("noise").glob("*.parquet"):
-        names = ("tile_i", "tile_j", "row", "noise_class")
-        table = read_columns(path, names)
-        i, j, row, label = (table[name] for name in names)
-        for tile in np.unique(np.column_stack([i, j]), axis=0):
-            mine = (i == tile[0]) & (j == tile[1])
-            out[rows_of[f"{tile[0]}_{tile[1]}"][row[mine]]] = label[mine]
-    return out
-
-
-def _points(path: Path) -> int:
-    with laspy.open(path) as reader:
-        return int(reader.header.point_count)
-
-
-def _global_rows(path: Path, start: dict[int, int]) -> NDArray[np.int64]:
-    table = pq.read_table(path, columns=["source", "index"])
-    source, index = table["source"].to_numpy(), table["index"].to_numpy()
-    rows: NDArray[np.int64] = index.astype(np.int64)
-    for key, first in start.items():
-        rows[source == np.uint64(key)] += first
-    return rows
-
-
-def share(part: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
-    """Percentage of ``of`` that is in ``part``; NaN where there is none."""
-    return 100.0 * float(part[of].mean()) if of.any() else float("nan")
-
-
-def pooled(values: Iterable[tuple[int, int]]) -> float:
-    """Percentage of counts (part, whole) summed over seeds."""
-    part, whole = (sum(v) for v in zip(*values, strict=True))
-    return 100.0 * part / whole if whole else float("nan")

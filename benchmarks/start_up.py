@@ -1,4 +1,4 @@
-"""How soon a finished run is found finished: ``python -m benchmarks.engine.start_up``.
+"""How soon a finished run is found finished: ``python -m benchmarks.start_up``.
 
 A small survey is run; then N further receipts and tiles are put into its store, as a large survey
 has them, and the run is started again.

@@ -1,6 +1,6 @@
 """What others take for a part of the work, on points of the same survey and in the same run.
 
-For :mod:`benchmarks.airborne.end_to_end`. Seconds of processor
+For :mod:`benchmarks.end_to_end`. Seconds of processor
 time per million points on one core:
 
 - the search for 15 neighbours alone, without any decision: scipy's cKDTree, and pykdtree and
@@ -28,7 +28,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from benchmarks.airborne.filter.methods import AFTERPULSE, BACKGROUND
+from benchmarks.held.truth import NOISE
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE
 from spl_batch.numerics.neighbours.kdtree import build
 
@@ -63,7 +63,8 @@ def middle(laz: Path, wanted: int) -> NDArray[np.int64]:
     xyz = np.rint(np.asarray(cloud.xyz) * 1000.0).astype(np.int64)
     aside = np.abs(xyz[:, :2] - np.median(xyz[:, :2], axis=0)).max(axis=1)
     wanted = min(wanted, len(xyz))
-    return xyz[aside <= np.partition(aside, wanted - 1)[wanted - 1]]
+    found: NDArray[np.int64] = xyz[aside <= np.partition(aside, wanted - 1)[wanted - 1]]
+    return found
 
 
 def searches(xyz: NDArray[np.int64]) -> Iterator[tuple[str, float]]:
@@ -142,7 +143,7 @@ def true_noise(clouds: Sequence[Path], truth: Path) -> NDArray[np.bool_]:
     """Which points of delivered clouds a simulation made as noise: (n,)."""
     tables = [pq.read_table(truth / f"{cloud.stem}.parquet", columns=["kind"]) for cloud in clouds]
     kinds = np.concatenate([table["kind"].to_numpy() for table in tables])
-    return np.isin(kinds, (BACKGROUND, AFTERPULSE))
+    return np.isin(kinds, NOISE)
 
 
 def called_noise(classes: NDArray[np.uint8], noise: NDArray[np.bool_]) -> tuple[float, float]:

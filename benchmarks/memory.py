@@ -1,6 +1,6 @@
 """What tasks hold in memory.
 
-Run ``python -m benchmarks.engine.memory tasks|areas``.
+Run ``python -m benchmarks.memory tasks|areas``.
 
 ``tasks WORKFLOW [KEY=VALUE ...]`` runs a workflow in this process, into a folder of its
 own, and prints for each kind of task the highest resident memory above what the process
@@ -17,8 +17,10 @@ import contextlib
 import os
 import sys
 import tempfile
+import threading
+import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -26,7 +28,6 @@ from unittest import mock
 import laspy
 import yaml
 
-from benchmarks.engine.peak import Peak
 from spl_batch import api
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.simulate import simulate
@@ -46,6 +47,36 @@ LENGTH_M, WIDTH_M = 200.0, 100.0
 
 FILE_POINTS = 250_000
 """Points of a file [count]."""
+
+
+def resident_bytes() -> int:
+    """Memory of this process that is in use now [byte]."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * 4096
+
+
+class Peak:
+    """Highest resident memory while a block runs, looked at every millisecond."""
+
+    def __init__(self) -> None:
+        self.before = self.highest = resident_bytes()
+        self._done = threading.Event()
+
+    @contextlib.contextmanager
+    def watching(self) -> Iterator["Peak"]:
+        """Watch while the block runs."""
+        watcher = threading.Thread(target=self._watch, daemon=True)
+        watcher.start()
+        try:
+            yield self
+        finally:
+            self._done.set()
+            watcher.join()
+
+    def _watch(self) -> None:
+        while not self._done.is_set():
+            self.highest = max(self.highest, resident_bytes())
+            time.sleep(0.001)
 
 
 def tasks(workflow: Path, overrides: Sequence[str]) -> None:

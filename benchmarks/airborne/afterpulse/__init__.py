@@ -1,1 +1,0 @@
-"""Afterpulses found and missed, against point truth."""

@@ -1,1 +1,0 @@
-"""Ground methods, against truth and published samples."""

@@ -1,1 +1,0 @@
-"""Expected against true noise."""

@@ -1,1 +1,0 @@
-"""Raster products against truth."""

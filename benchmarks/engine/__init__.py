@@ -1,1 +1,0 @@
-"""Measurements of the engine: memory, time, scheduling, equal bytes."""
