@@ -12,8 +12,6 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "Photons or references that do not serve",
             {
                 "unplaced": "{count:photons} without height or place, delivered unlabelled",
-                "rate": "rate.source is product, but the file states no noise rate; the rate is "
-                "taken from the empty part of the gate",
                 "labels": "{what}: nothing is compared with it",
             },
             remedy="name files of the same track that have them",

@@ -7,7 +7,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from spl_batch.altimetry.filter.peer_filters import PEERS
 from spl_batch.altimetry.formats.atl08 import no_atl08
 from spl_batch.altimetry.formats.photons import BeamFacts, TrackFile, inspect
 from spl_batch.altimetry.settings import TrackWorkflow
@@ -29,17 +28,13 @@ from spl_batch.engine.tasks.input_changes import stamp
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Task
 from spl_batch.errors import InputError, WorkflowError
-from spl_batch.lattice.tiles import quanta
 
 RATES_PHOTONS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
-    {"index": 2.0e6, "rate": 1.5e6, "signal": 0.2e6, "profile": 1.0e6, "deliver": 0.8e6}
+    {"index": 2.0e6, "signal": 0.1e6, "profile": 1.0e6, "deliver": 0.8e6}
 )
 """Photons per second and worker until a store has measured its own; ``benchmarks/altimetry``."""
 
-PEER_BYTES_PER_PHOTON: Final = 2000
-"""The same where a published filter holds a whole beam and each photon's neighbours [byte]."""
-
-_SCORE: Final = STEPS["score"]
+_LABEL: Final = STEPS["label"]
 
 DISK_BYTES_PER_PHOTON: Final = 45
 """Working store and results [byte]."""
@@ -83,13 +78,12 @@ class Tracks(Ledger[Inputs, TrackWorkflow]):
                 yield source, beam, f"{source.key}/{beam.name}"
 
     def segments(self, key: str) -> list[tuple[str, int, int]]:
-        """Scored segments of a beam: name, and the span of track of each [quanta]."""
-        size = quanta(self.workflow.rate.cell_m)
-        scored = self.of("score")
+        """Labelled segments of a beam: name, and the span of track of each [quanta]."""
+        labelled = self.of("label")
         return [
-            (f"{key}/{low}", low * size, high * size)
-            for low, high, _ in self.of("rate")[key].facts["segments"]
-            if f"{key}/{low}" in scored
+            (f"{key}/{low}", low, high)
+            for low, high, _ in self.of("take_in")[key].facts["segments"]
+            if f"{key}/{low}" in labelled
         ]
 
 
@@ -115,7 +109,7 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
     refuse_own(paths, output, "track.photons", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
-    good, bad, warnings = _inspect(paths, workflow)
+    good, bad = _inspect(paths, workflow)
     sources = []
     for path, file, beams in good:
         name = name_below(path, base)
@@ -125,7 +119,7 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
     return Inputs(
         tuple(sorted(sources, key=lambda s: s.name)),
         tuple(bad),
-        (*warnings, *said),
+        said,
         tuple(path for paths in found.values() for path in paths),
         labels,
     )
@@ -151,8 +145,8 @@ def _atl08(
 
 def _inspect(
     paths: Sequence[Path], workflow: TrackWorkflow
-) -> tuple[list[tuple[Path, TrackFile, tuple[BeamFacts, ...]]], list[InputError], list[Finding]]:
-    good, bad, without = [], [], []
+) -> tuple[list[tuple[Path, TrackFile, tuple[BeamFacts, ...]]], list[InputError]]:
+    good, bad = [], []
     wanted = workflow.track.beams
     for path in paths:
         try:
@@ -165,10 +159,8 @@ def _inspect(
             names = ", ".join(b.name for b in file.beams)
             bad.append(InputError(str(path), f"none of track.beams is in it; it has {names}"))
             continue
-        if workflow.rate.source == "product":
-            without += [f"{path.name} {b.name}" for b in beams if not b.background]
         good.append((path, file, beams))
-    return good, bad, [Finding("P01", {"kind": "rate"}, name) for name in without]
+    return good, bad
 
 
 def index_file(tracks: Tracks) -> Iterator[Task]:
@@ -202,47 +194,29 @@ def _beam_args(source: Source, beam: BeamFacts, key: str) -> dict[str, Any]:
     }
 
 
-def rate(tracks: Tracks) -> Iterator[Task]:
-    """Beams whose noise rate is found."""
+def label(tracks: Tracks) -> Iterator[Task]:
+    """Segments of track whose photons are labelled."""
     for name, receipt in tracks.of("take_in").items():
-        args = {"key": name, "background": receipt.facts["background"]}
-        yield Task("rate", name, args, (("take_in", name),), receipt.points)
-
-
-def score(tracks: Tracks) -> Iterator[Task]:
-    """Segments of track whose photons are scored."""
-    for name, receipt in tracks.of("rate").items():
         for low, high, photons in receipt.facts["segments"]:
-            args = {"key": name, "segment": f"{name}/{low}", "cells": [low, high]}
-            needs = (("take_in", name), ("rate", name))
-            yield Task("score", f"{name}/{low}", args, needs, photons)
-
-
-def select(tracks: Tracks) -> Iterator[Task]:
-    """Beams whose signal is chosen."""
-    for name, receipt in tracks.of("rate").items():
-        segments = tracks.segments(name)
-        needs = (("rate", name), *(("score", s) for s, _, _ in segments))
-        yield Task("select", name, {"key": name, "segments": segments}, needs, receipt.points)
+            args = {"key": name, "segment": f"{name}/{low}", "span": [low, high]}
+            yield Task("label", f"{name}/{low}", args, (("take_in", name),), photons)
 
 
 def profile(tracks: Tracks) -> Iterator[Task]:
     """Beams of whose signal a profile is made."""
-    layouts = {key: source.file.layout for source, _, key in tracks.beams()}
-    for name, receipt in tracks.of("select").items():
+    taken = tracks.of("take_in")
+    for source, _, name in tracks.beams():
+        if name not in taken:
+            continue
         segments = tracks.segments(name)
-        needs = (
-            ("select", name),
-            ("take_in", name),
-            *(("score", s) for s, _, _ in segments),
-        )
+        needs = (("take_in", name), *(("label", s) for s, _, _ in segments))
         args = {
             "key": name,
-            "layout": layouts[name],
+            "layout": source.file.layout,
             "segments": segments,
-            "points": receipt.points,
+            "points": taken[name].points,
         }
-        yield Task("profile", name, args, needs, receipt.points)
+        yield Task("profile", name, args, needs, taken[name].points)
 
 
 def compare(tracks: Tracks) -> Iterator[Task]:
@@ -256,8 +230,7 @@ def compare(tracks: Tracks) -> Iterator[Task]:
         segments = tracks.segments(key)
         needs = (
             ("profile", key),
-            ("select", key),
-            *(("score", s) for s, _, _ in segments),
+            *(("label", s) for s, _, _ in segments),
         )
         labels = tracks.inputs.labels if source.file.layout == "atl03" else ()
         args = {
@@ -280,7 +253,7 @@ def _delivery(tracks: Tracks, source: Source, beam: BeamFacts, key: str) -> dict
 
 def _delivery_needs(args: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     key = args["key"]
-    return (("select", key), ("profile", key), *(("score", s) for s in args["segments"]))
+    return (("profile", key), *(("label", s) for s in args["segments"]))
 
 
 def deliver_beam(tracks: Tracks) -> Iterator[Task]:
@@ -335,22 +308,19 @@ def estimate(tracks: Tracks, context: Context | None = None) -> TrackCost:
     photons = [beam.photons for _, beam, _ in tracks.beams()]
     segments = sum(-(-n // workflow.work.segment_photons) for n in photons)
     longest = max(photons, default=0)
-    if workflow.signal.method in PEERS:
-        held = longest * PEER_BYTES_PER_PHOTON // _SCORE.bytes_per_point
-    else:
-        held = max(min(longest, workflow.work.segment_photons), PASS_PHOTONS // 10)
+    held = max(min(longest, workflow.work.segment_photons), PASS_PHOTONS // 10)
     rates, measured = measured_rates(RATES_PHOTONS_PER_S, context)
     files = len(tracks.inputs.sources)
     return TrackCost(
         points=sum(photons),
         beams=len(photons),
         segments=segments,
-        tasks=2 * files + 6 * len(photons) + segments,
+        tasks=2 * files + 4 * len(photons) + segments,
         disk_bytes=sum(photons) * DISK_BYTES_PER_PHOTON
         + sum(s.file.size_bytes for s in tracks.inputs.sources),
-        memory_bytes=WORKER_BASE_BYTES + held * _SCORE.bytes_per_point,
+        memory_bytes=WORKER_BASE_BYTES + held * _LABEL.bytes_per_point,
         heaviest="the longest segment of track",
-        remedy=_SCORE.remedy,
+        remedy=_LABEL.remedy,
         stages_s={stage: sum(photons) / rate for stage, rate in rates.items()},
         workers=tracks.workers,
         measured=measured,

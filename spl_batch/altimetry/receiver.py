@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from spl_batch.altimetry.filter.peer_filters import PEERS, require
+from spl_batch.altimetry.filter.track import MARGIN_M
 from spl_batch.altimetry.first_look import first_look
 from spl_batch.altimetry.plan import TrackCost, Tracks, estimate, gather_inputs
 from spl_batch.altimetry.report.model import TrackReport
@@ -32,8 +32,6 @@ class Altimetry(Receiver[Tracks, Context]):
         self, workflow: TrackWorkflow, place: Place, limits: Limits
     ) -> Prepared[Tracks, Context]:
         """Find and check every file of a workflow, from headers alone."""
-        if workflow.signal.method in PEERS:
-            require(workflow.signal.method)
         inputs = gather_inputs(workflow, place.base, place.output)
         context = self.context(workflow, place, "", code_version(workflow.kind))
         tracks = Tracks(inputs, workflow, limits.memory_bytes, limits.workers)
@@ -51,12 +49,12 @@ class Altimetry(Receiver[Tracks, Context]):
     def plan_rows(
         self, prepared: Prepared[Tracks, Context], cost: TrackCost
     ) -> list[tuple[str, str]]:
-        """Label and value of what a plan tells beside disk, memory and time."""
-        settings = prepared.ledger.workflow.signal
+        """Label and value of what a plan shows beside disk, memory and time."""
+        del prepared
         return [
             ("beams", grouped(cost.beams)),
             ("segments", f"{grouped(cost.segments)} of track"),
-            ("halo", f"{settings.reach_m:g} m of track to each side of a segment"),
+            ("margin", f"{MARGIN_M:g} m of track to each side of a segment"),
         ]
 
     def after(

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from spl_batch.engine.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
+from spl_batch.engine.settings.base import BaseWorkflow, Positive, Section, StoreSettings
 
 
 class TrackSettings(Section):
@@ -30,23 +30,9 @@ class TrackSettings(Section):
 
 
 class RateSettings(Section):
-    """Noise rate along the track [W17 4.1.1]."""
+    """Cells that noise is counted in."""
 
-    source: Literal["auto", "product", "window"] = Field(
-        "auto",
-        description="The product's background rate, or photons of the gate away from the "
-        "surface; auto is the product's, where there is one, at the level of those photons.",
-    )
     cell_m: Positive = Field(20.0, ge=1, description="Cell of the along-track grid [m].")
-    slice_m: Positive = Field(
-        10.0, ge=1, description="Height bin that the surface is found in [m]."
-    )
-    buffer_m: Positive = Field(
-        50.0, description="Half-height around the densest bins that is no empty window [m]."
-    )
-    smooth_cells: int = Field(
-        2, ge=0, description="Half-width of the smoothing of a rate from the window [count]."
-    )
 
 
 class BaselineSettings(Section):
@@ -58,32 +44,31 @@ class BaselineSettings(Section):
     factor: Positive = Field(4.0, description="Least density, in mean densities.")
 
 
-Method = Literal["bayes", "mdbscan", "dbscan", "knn_otsu", "yapc", "histogram"]
-"""What tells signal from noise: ours, [W17]'s earlier one, and published ones."""
+Method = Literal["likelihood", "published", "mdbscan"]
+"""What separates signal from noise: ours, [W17]'s posterior, and [W17]'s earlier filter."""
+
+
+class Shape(Section):
+    """Neighbourhood that a photon is scored in."""
+
+    aspect: Positive = Field(description="Along-track over vertical extent.")
+    neighbours: int = Field(
+        ge=1, le=64, description="Largest k of the k-th neighbours [count]; 12 to 20 in [W17]."
+    )
 
 
 class SignalSettings(Section):
-    """Which photons are signal [W17 4.1.2-4.1.3]."""
+    """Which photons are signal."""
 
     method: Method = Field(
-        "bayes",
-        description="Neighbour distances [W17 ch. 4], or for comparison mDBSCAN, and by the extra "
-        "peers DBSCAN, kNN with Otsu's threshold, YAPC, and a histogram.",
+        "likelihood",
+        description="Surfaces, diffuse parts and noise by one likelihood; published is the "
+        "posterior of [W17 ch. 4] as its source has it, mdbscan its earlier filter [W17 3.1.2].",
     )
-    scaling: bool = Field(True, description="Scale the along-track axis by the noise rate.")
-    neighbours: int = Field(
-        20, ge=1, le=64, description="Largest k of the k-th neighbours [count]; 12 to 20 in [W17]."
-    )
-    aspect: Positive = Field(
-        3.0,
-        description="Along-track over vertical extent of a neighbourhood at the mean noise rate; "
-        "1 in [W17].",
-    )
-    water_aspect: Positive = Field(
-        20.0, description="The same where the track shows a level water surface."
-    )
-    water_neighbours: int = Field(
-        10, ge=1, le=64, description="Largest k there; floors are thin and sparse [count]."
+    shapes: tuple[Shape, ...] = Field(
+        (Shape(aspect=4.0, neighbours=20), Shape(aspect=30.0, neighbours=8)),
+        min_length=1,
+        description="Neighbourhoods: each window takes the one with the largest F1 to be expected.",
     )
     contrast_max: float = Field(
         1000.0,
@@ -92,22 +77,13 @@ class SignalSettings(Section):
         "magnitude being as likely as another.",
     )
     reach_m: Positive = Field(
-        120.0, description="Farthest neighbour along the track, however few photons [m]."
+        100.0, le=1000, description="Farthest neighbour along the track, however few photons [m]."
     )
     window_m: Positive = Field(
-        2000.0,
-        description="The number of signal photons is estimated over three of these windows and "
-        "applied to the middle one [m].",
-    )
-    selection: Literal["f1", "number"] = Field(
-        "f1",
-        description="Take the photons least like noise up to where the F1 to be expected is "
-        "largest, or as many as the noise rate leaves over [W17].",
-    )
-    false_share: Share = Field(
-        0.0005,
-        description="Most that noise far from any surface may contribute to the signal; fewer "
-        "photons than estimated are taken where it would be more.",
+        4000.0,
+        ge=100,
+        description="Windows of the absolute grid that are assessed by themselves, with 1 km to "
+        "each side [m].",
     )
     mdbscan: BaselineSettings = BaselineSettings()
 
@@ -121,9 +97,6 @@ class ProfileSettings(Section):
         ge=1,
         description="Photons that the ground is sought among, over the number of signal photons: "
         "few get through a canopy, and a line is fitted that stray ones do not move.",
-    )
-    false_share: Share = Field(
-        0.01, description="Most that noise far from any surface may contribute to these."
     )
     reach_cells: int = Field(
         3, ge=1, le=20, description="Cells to each side that the ground is fitted over [count]."

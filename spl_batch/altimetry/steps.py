@@ -17,7 +17,6 @@ def _copies(task: Task, _: Any) -> Sequence[str]:
 
 
 _TASKS: Final = "spl_batch.altimetry.tasks"
-_FOUND: Final = ("rate", "signal", "reference.baseline")
 
 STEPS: Final[Steps] = table(
     Step(
@@ -32,34 +31,18 @@ STEPS: Final[Steps] = table(
         stage="index",
         run=f"{_TASKS}.index:take_in",
         tasks="spl_batch.altimetry.plan:take_in",
-        settings=("track.prf_hz", "rate.cell_m"),
+        settings=("track.prf_hz", "rate.cell_m", "signal.window_m", "work"),
         unit="beam",
     ),
     Step(
-        name="rate",
-        stage="rate",
-        run=f"{_TASKS}.rate:find_rate",
-        tasks="spl_batch.altimetry.plan:rate",
-        settings=("rate", "signal", "work"),
-        unit="beam",
-    ),
-    Step(
-        name="score",
+        name="label",
         stage="signal",
-        run=f"{_TASKS}.photons:score",
-        tasks="spl_batch.altimetry.plan:score",
-        settings=_FOUND,
+        run=f"{_TASKS}.labels:label_segment",
+        tasks="spl_batch.altimetry.plan:label",
+        settings=("rate", "signal", "profile.photons_factor", "reference.baseline"),
         unit="segment",
-        bytes_per_point=400,
-        remedy="lower work.segment_photons or signal.reach_m",
-    ),
-    Step(
-        name="select",
-        stage="signal",
-        run=f"{_TASKS}.photons:select",
-        tasks="spl_batch.altimetry.plan:select",
-        settings=("rate", "signal", "profile"),
-        unit="beam",
+        bytes_per_point=500,
+        remedy="lower work.segment_photons or signal.window_m",
     ),
     Step(
         name="profile",

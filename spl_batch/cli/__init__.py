@@ -192,7 +192,7 @@ def run(
     "--methods",
     required=True,
     metavar="A,B[,...]",
-    help="Methods to compare, e.g. vsaes,aes,published, or of photon profiles bayes,dbscan,yapc; "
+    help="Methods to compare, e.g. vsaes,aes,published, or of photon profiles likelihood,mdbscan; "
     "the first is the yardstick.",
 )
 @limits

@@ -13,8 +13,8 @@ from spl_batch.altimetry.ground.profile import agree, for_layout, profile, reach
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.tasks.reference import REFERENCE_GAP_M, between
-from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.altimetry.water.refraction import AIR, WATER
+from spl_batch.altimetry.water.surface import NO_WATER
 from tests.altimetry.tracks import lattice, quanta
 
 SETTINGS = ProfileSettings(layer_m=1.5)

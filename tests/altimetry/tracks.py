@@ -9,9 +9,6 @@ import pyarrow.parquet as pq
 import yaml
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.noise import noise_rate as rates
-from spl_batch.altimetry.photon_table import Cells
-from spl_batch.altimetry.settings import RateSettings
 from spl_batch.altimetry.simulate import Track, scene, simulate_track
 from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
 
@@ -36,22 +33,6 @@ def quanta(values: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.i
 def lattice(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Photons of a track on the lattice."""
     return quanta(np.stack([track.along_m, track.height_m], axis=1))
-
-
-def assert_cut_matters_nowhere(
-    along: NDArray[np.int64], height: NDArray[np.int32], cut: int
-) -> None:
-    """Cells of a track in two parts, each seen with its halo, are those of the whole track."""
-    settings = RateSettings()
-    halo, parts = rates.HALO_CELLS, []
-    for low, high in ((-(10**9), cut), (cut, 10**9)):
-        rows = (along >= (low - halo) * 20_000) & (along < (high + halo) * 20_000)
-        seen = rates.observe(along[rows], height[rows], settings)
-        mine = (seen.index >= low) & (seen.index < high)
-        parts.append(Cells(**{k: v[mine] for k, v in seen.to_arrays().items()}))
-    joined = rates.join(parts).to_arrays()
-    for name, values in rates.observe(along, height, settings).to_arrays().items():
-        np.testing.assert_array_equal(values, joined[name], err_msg=name)
 
 
 def write_atl03(path: Path, tracks: dict[str, Track], *, rate: bool = True) -> Path:

@@ -87,7 +87,6 @@ def beam(**changes: Any) -> Beam:
         "photons": 131_247,
         "signal": 6_786,
         "noise_per_m2": (0.01, 0.02, 0.04),
-        "rate_basis": "product and window",
         "ground": Statistics(n=5, mean=0.1, rmse=0.4, median=-1.5, nmad=0.29),
     }
     return Beam(**{**values, **changes})
@@ -96,7 +95,7 @@ def beam(**changes: Any) -> Beam:
 def track_report() -> TrackReport:
     return TrackReport(
         name="hills",
-        method="bayes",
+        method="likelihood",
         counts=TrackCounts(
             points_in=209_593, points_out=209_593, signal=24_238, background=185_355
         ),
@@ -147,8 +146,8 @@ def comparison(folder: Path) -> str:
 
 
 def track_comparison(folder: Path) -> str:
-    method = TrackMethod(name="bayes", title="ours", folder="compare/bayes", photons=10, signal=7,
-                         kept_only=0, removed_only=0)  # fmt: skip
+    method = TrackMethod(name="mdbscan", title="mDBSCAN", folder="compare/mdbscan", photons=10,
+                         signal=7, kept_only=0, removed_only=0)  # fmt: skip
     write_tracks(folder, TrackComparison(name="t", version="0", methods=(method, method)), None)
     return (folder / "compare.html").read_text(encoding="utf-8")
 

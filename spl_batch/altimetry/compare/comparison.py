@@ -6,7 +6,6 @@ from typing import Any, Final, get_args
 
 from spl_batch.altimetry.compare.comparison_page import TrackComparison, TrackMethod, write
 from spl_batch.altimetry.compare.contrast import contrast
-from spl_batch.altimetry.filter.peer_filters import PEERS, require
 from spl_batch.altimetry.report.model import METHOD_NAMES, TrackReport
 from spl_batch.altimetry.report.summarise import agreement
 from spl_batch.altimetry.settings import Method, TrackWorkflow
@@ -19,8 +18,6 @@ def _keys(method: str, settings: TrackWorkflow) -> list[str] | None:
     """Keys of the workflow that make a run one of this method, and of no other beside it."""
     if method not in get_args(Method):
         return None
-    if method in PEERS:
-        require(method)
     keys = [f"signal.method={method}"]
     return keys if settings.reference is None else [*keys, "reference.baseline=false"]
 

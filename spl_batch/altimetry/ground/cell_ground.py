@@ -22,9 +22,6 @@ _ROUNDS: int = 6
 _TUKEY: float = 4.685
 _MAD: float = 1.4826
 _LEAST_SPREAD_M: float = 0.05
-_BELOW: int = 18  # bins: six layers
-_CLEAR: float = 3.0
-_AS_CLEAR: float = 0.1
 _QUANTA_PER_M: float = 1000.0
 
 
@@ -121,80 +118,6 @@ def _lowest(counts, least):  # type: ignore[no-untyped-def]
             here, top = above, top + 1
         return top
     return 1
-
-
-@njit()
-def clear_layers(
-    along: NDArray[np.int64],
-    height_m: NDArray[np.float64],
-    first: NDArray[np.int64],
-    stop: NDArray[np.int64],
-    centre: NDArray[np.int64],
-    layer_m: float,
-    slope_max: float,
-    steps: int,
-    photons_min: int,
-    out: NDArray[np.float64],
-) -> None:
-    """Height and slope of the lowest layer of each cell that stands clear of what is below it.
-
-    Crowns have photons below them, ground has hardly any. How clear a layer is, is the logarithm of
-    the likelihood ratio of its photons against a Poisson mean as six layers below it have. The
-    slope whose clearest layer is clearest wins; of its layers the lowest is taken that is a tenth
-    as clear, and clear at all.
-
-    Parameters are those of :func:`lowest_layers`.
-    """
-    bin_m = layer_m / 3.0
-    for c in range(len(first)):
-        out[c, 0] = out[c, 1] = np.nan
-        n = stop[c] - first[c]
-        if n < photons_min:
-            continue
-        bins = np.empty(n, np.int64)
-        clearest = _CLEAR
-        for step in range(2 * steps + 1):
-            # 0, 1, -1, 2, -2, ...: the gentlest first.
-            turn = (step + 1) // 2 if step % 2 else -(step // 2)
-            slope = slope_max * turn / steps
-            base, counts = _count(along, height_m, first[c], centre[c], slope, bin_m, bins)
-            clear = _clearness(counts, photons_min)
-            best = clear.max()
-            if best > clearest:
-                clearest = best
-                b = _first_peak(clear, max(_AS_CLEAR * best, _CLEAR))
-                out[c, 0] = (base + b - 0.5) * bin_m
-                out[c, 1] = slope
-
-
-@njit()
-def _clearness(counts, photons_min):  # type: ignore[no-untyped-def]
-    """How clearly each layer of three bins stands out of those below it."""
-    total = np.zeros(len(counts) + 1, np.int64)
-    for b in range(len(counts)):
-        total[b + 1] = total[b] + counts[b]
-    clear = np.zeros(len(counts))
-    for b in range(1, len(counts) - 1):
-        held = total[b + 2] - total[b - 1]
-        if held >= photons_min:
-            # What lies in a layer lies in the end of that below it as well.
-            below = total[max(b - 2, 0)] - total[max(b - 2 - _BELOW, 0)]
-            expected = 3.0 * below / _BELOW + 1.0
-            if held > expected:
-                clear[b] = held * np.log(held / expected) - held + expected
-    return clear
-
-
-@njit()
-def _first_peak(clear, least):  # type: ignore[no-untyped-def]
-    """Middle bin of the lowest layer that is as clear, at its clearest."""
-    b = 1
-    while clear[b] < least:
-        b += 1
-    top = b
-    while top < min(len(clear) - 2, b + 2) and clear[top + 1] > clear[top]:
-        top += 1
-    return top
 
 
 @njit()

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from spl_batch.altimetry.ground import profile as profiles
 from spl_batch.altimetry.settings import ProfileSettings
-from spl_batch.altimetry.water.level_water import NO_WATER, SURFACE_M
 from spl_batch.altimetry.water.refraction import refracted
+from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
@@ -80,10 +80,6 @@ def profile(
     for name in ("canopy_top", "canopy_height"):
         columns[name][water] = np.nan
     columns["canopy_photons"][water] = 0
-    # What lies below a water surface is its floor, and puts it in no doubt.
-    error2 = columns["ground_error"] ** 2 - columns["doubt"] ** 2
-    columns["ground_error"][water] = np.sqrt(np.maximum(error2, 0.0))[water]
-    columns["doubt"][water] = 0.0
     for name, source in zip(FLOOR, ("ground", "ground_error", "ground_photons"), strict=False):
         values = _spread(floor, source, cells)
         values[~water] = 0 if values.dtype == np.int64 else np.nan

@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.ground.bends import with_bends
-from spl_batch.altimetry.ground.cell_ground import clear_layers, fit_ground, lowest_layers
+from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers
 from spl_batch.altimetry.ground.own_layers import held, not_beside, overruled_by_none
-from spl_batch.altimetry.ground.under_crowns import deeper, doubt_m
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
@@ -45,10 +44,9 @@ COLUMNS: Final = {
     "canopy_top": np.float64,
     "canopy_height": np.float64,
     "canopy_photons": np.int64,
-    "doubt": np.float64,
 }
-"""Columns of a profile: cell number, its middle, heights [m], counts; how far the ground may lie
-too high [m]; NaN where unknown."""
+"""Columns of a profile: cell number, its middle, heights [m], counts; NaN
+where unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +144,6 @@ def profile(
         steep = np.flatnonzero(thick > thickness_m(settings))
         some = along, z, first[steep], stop[steep], centre[steep]
         found[steep] = _lowest(some, thick[steep], settings)
-    found = _under_crowns(photons, index, found, thick, settings)
     agreed, asked = _settled(photons, index, found, thick, settings)
     # A clump of noise reaches into the cells beside it, which then confirm it: photons that are
     # labelled signal have to vouch for a layer, more of them where no neighbour does.
@@ -161,10 +158,7 @@ def profile(
     top, leaves = _canopy(along, z, sure, index, centre, fit, mine, settings)
     ground = fit[mine, 0]
     bare = np.where(np.isfinite(ground), 0.0, np.nan)
-    row = np.searchsorted(index, along // size)
-    over_m = z - fit[row, 0] - fit[row, 1] * ((along - centre[row]) / QUANTA_PER_M)
-    doubt = np.where(np.isfinite(fit[:, 0]), doubt_m(index, row, over_m, settings.reach_cells), 0.0)
-    error2 = fit[:, 2] ** 2 + _misfit2(index, fit[:, 4], settings) + doubt**2
+    error2 = fit[:, 2] ** 2 + _misfit2(index, fit[:, 4], settings)
     return Profile(
         {
             "cell": index[mine],
@@ -176,7 +170,6 @@ def profile(
             "canopy_top": np.where(leaves > 0, top, ground),
             "canopy_height": np.where(leaves > 0, top - ground, bare),
             "canopy_photons": leaves,
-            "doubt": doubt[mine],
         }
     )
 
@@ -204,9 +197,9 @@ _Photons = tuple[
 
 
 def _lowest(
-    photons: _Photons, thick: NDArray[np.float64], settings: ProfileSettings, *, clear: bool = False
+    photons: _Photons, thick: NDArray[np.float64], settings: ProfileSettings
 ) -> NDArray[np.float64]:
-    """Layers of cells, those of one thickness together: (c, 2) float64; or those that are clear."""
+    """Layers of cells, those of one thickness together: (c, 2) float64."""
     along, z, first, stop, centre = photons
     out = np.empty((len(thick), 2))
     for layer_m in np.unique(thick):
@@ -216,34 +209,9 @@ def _lowest(
         part = np.empty((np.count_nonzero(own), 2))
         cells = along, z, first[own], stop[own], centre[own]
         slopes = float(layer_m), settings.slope_max, steps
-        if clear:
-            clear_layers(*cells, *slopes, settings.photons_min, part)
-        else:
-            lowest_layers(*cells, *slopes, dense_share(layer_m), settings.photons_min, part)
+        lowest_layers(*cells, *slopes, dense_share(layer_m), settings.photons_min, part)
         out[own] = part
     return out
-
-
-def _under_crowns(
-    photons: _Photons,
-    index: NDArray[np.int64],
-    found: NDArray[np.float64],
-    thick: NDArray[np.float64],
-    settings: ProfileSettings,
-) -> NDArray[np.float64]:
-    """The layers, but where a faint one well below goes on from cell to cell: (c, 2) float64."""
-    *_, first, stop, _ = photons
-    clear = _lowest(photons, thick, settings, clear=True)
-
-    def inside(layers: NDArray[np.float64], reach_m: NDArray[np.float64]) -> NDArray[np.int64]:
-        out = np.empty(len(index), np.int64)
-        held(*photons, layers, reach_m, out)
-        return out
-
-    counts = inside(found, thick / 2.0), inside(clear, thick / 2.0), inside(found, thick)
-    layers, reach = (found, clear), settings.reach_cells
-    lower = deeper(index, layers, (*counts, stop - first), thick, reach, settings.cell_m)
-    return np.where(lower[:, None], clear, found)
 
 
 def _settled(

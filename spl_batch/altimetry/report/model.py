@@ -21,12 +21,9 @@ from spl_batch.engine.report.parts import (
 
 METHOD_NAMES: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "bayes": "ours",
+        "likelihood": "ours",
+        "published": "posterior as published",
         "mdbscan": "mDBSCAN",
-        "dbscan": "DBSCAN",
-        "knn_otsu": "kNN + Otsu",
-        "yapc": "YAPC",
-        "histogram": "histogram",
     }
 )
 """What a reader knows each method by."""
@@ -64,14 +61,8 @@ class Beam(Part):
     )
     length_km: Number = Field(None, description="Track that holds photons [km].")
     gate_m: Number = Field(None, description="Median length of the gate [m].")
-    rate_basis: Literal["product", "window", "product and window"] = Field(
-        description="Where the noise rate comes from."
-    )
     noise_per_m2: tuple[Number, Number, Number] | None = Field(
         None, description="Noise density, 5th, 50th and 95th percentile [1/m2]."
-    )
-    far_per_km2: Number = Field(
-        None, description="Signal photons far from any surface, per km2 of gate [1/km2]."
     )
     water: Number = Field(None, description="Share of the track that shows level water, 0..1.")
     surface: Count = Field(0, description="Signal at its surface [count].")

@@ -90,8 +90,7 @@ def draw(beam: BeamPictures) -> dict[str, Picture]:
         ),
         "rate": _picture(
             f"Noise along {beam.name}",
-            "Noise photons per metre of track and metre of height; the along-track axis is "
-            "scaled by it before neighbours are counted.",
+            "Noise photons per metre of track and metre of height.",
             lambda: _rate(beam, axis),
             there=len(beam.rate) > 0,
         ),

@@ -12,7 +12,7 @@ from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, Track
 from spl_batch.altimetry.report.page import render
 from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
 from spl_batch.altimetry.tasks.context import Context, place
-from spl_batch.altimetry.tasks.rate import read_rate
+from spl_batch.altimetry.tasks.labels import read_cells
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.reported import reported
@@ -46,7 +46,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
     inputs = [indexed_file(r.facts, "photons") for r in done["index_file"].values()]
     inputs += [input_file(Path(p), "reference") for p in facts.reference]
     parts = common_parts(context, facts, counts.points_in, inputs)
-    found = beam_findings(done, context.workflow.signal.false_share)
+    found = beam_findings(done)
     parts["findings"] = reported((*facts.findings, *found), context.workflow.report.ignore)
     ground = _overall(done, "ground", context)
     report = TrackReport(
@@ -89,27 +89,27 @@ def _counts(done: Receipts) -> TrackCounts:
 
 def _beam(done: Receipts, key: str, delivered: Receipt, context: Context) -> Beam:
     source, _, name = key.partition("/")
-    rate = done["rate"][key].facts
-    chosen = done["select"][key].facts
+    cells = _cells(done, key, context)
+    density = _density(cells, context)
+    photons, wet = (
+        sum(done["label"][name].facts[kind] for name in _segments(done, key))
+        for kind in ("photons", "wet")
+    )
     profile = done["profile"][key].facts
     compared: Mapping[str, Any] = (
         done["compare"][key].facts if key in done.get("compare", {}) else {}
     )
-    _, _, far_m = read_rate(key, context)
-    far_km2 = float(far_m.sum()) * context.workflow.rate.cell_m / 1e6
     return Beam(
         file=done["index_file"][source].facts["name"],
         name=name,
         photons=delivered.facts["points"],
         signal=delivered.facts["labels"].get("1", 0),
-        estimated=chosen["estimated"],
-        false_signal=chosen["false_signal"],
-        length_km=rate["length_m"] / 1000,
-        gate_m=rate["gate_m"],
-        rate_basis=rate["basis"],
-        noise_per_m2=rate["density_per_m2"],
-        far_per_km2=chosen["far_signal"] / far_km2 if far_km2 > 0 else None,
-        water=rate["water"],
+        estimated=max(photons - float(cells["expected"].sum()), 0.0),
+        false_signal=_false(cells, context),
+        length_km=len(cells["index"]) * context.workflow.rate.cell_m / 1000,
+        gate_m=float(np.median(cells["gate_m"])) if len(density) else None,
+        noise_per_m2=_quantiles(density),
+        water=wet / photons if photons else 0.0,
         surface=delivered.facts["surface"],
         floor=delivered.facts["floor"],
         ground_cells=profile["ground_cells"],
@@ -119,6 +119,38 @@ def _beam(done: Receipts, key: str, delivered: Receipt, context: Context) -> Bea
         baseline_ground=_statistics(compared.get("baseline_ground")),
         labels={k: agreement(**v) for k, v in compared.get("labels", {}).items()},
     )
+
+
+def _segments(done: Receipts, key: str) -> list[str]:
+    """Labelled segments of a beam, in order."""
+    spans = done["take_in"][key].facts["segments"]
+    return [f"{key}/{low}" for low, *_ in spans if f"{key}/{low}" in done["label"]]
+
+
+def _cells(done: Receipts, key: str, context: Context) -> dict[str, NDArray[Any]]:
+    return read_cells(_segments(done, key), context)
+
+
+def _density(cells: Mapping[str, NDArray[Any]], context: Context) -> NDArray[np.float64]:
+    """Noise density of each cell, (c,) float64 [1/m2]."""
+    density: NDArray[np.float64] = cells["expected"] / (
+        cells["gate_m"] * context.workflow.rate.cell_m
+    )
+    return density
+
+
+def _quantiles(density: NDArray[np.float64]) -> tuple[float, float, float] | None:
+    if not len(density):
+        return None
+    low, middle, high = np.quantile(density, [0.05, 0.5, 0.95]).tolist()
+    return low, middle, high
+
+
+def _false(cells: Mapping[str, NDArray[Any]], context: Context) -> float | None:
+    """Noise expected among the signal; the published filters estimate none."""
+    if context.workflow.signal.method != "likelihood":
+        return None
+    return float(cells["false"].sum())
 
 
 def _statistics(found: Mapping[str, Any] | None) -> Statistics | None:
@@ -149,7 +181,7 @@ def agreement(both: int, only_here: int, only_there: int, neither: int) -> Agree
 
 
 def _pictures(done: Receipts, key: str, context: Context) -> Mapping[str, Picture]:
-    cells, scale, _ = read_rate(key, context)
+    cells = _cells(done, key, context)
     source, _, name = key.partition("/")
     names = ("along_track", "ground", "canopy_top", "water", "floor")
     profile = read_columns(place(context, "profiles", key, ".parquet"), names)
@@ -161,7 +193,7 @@ def _pictures(done: Receipts, key: str, context: Context) -> Mapping[str, Pictur
         compared = np.stack(
             [arrays["along_track"], arrays["ground"], arrays["baseline_ground"]], axis=1
         )
-    at = (cells.index + 0.5) * context.workflow.rate.cell_m
+    at = (cells["index"] + 0.5) * context.workflow.rate.cell_m
     return draw(
         BeamPictures(
             f"{Path(done['index_file'][source].facts['name']).name} {name}",
@@ -169,7 +201,7 @@ def _pictures(done: Receipts, key: str, context: Context) -> Mapping[str, Pictur
             np.column_stack(
                 [profile["along_track"], ground, profile["canopy_top"], surface, profile["floor"]]
             ),
-            np.stack([at, scale.density], axis=1),
+            np.stack([at, _density(cells, context)], axis=1),
             compared,
         )
     )

@@ -4,11 +4,8 @@
 
     store/photons/SOURCE/BEAM.parquet      photons in the order of the file
     store/places/SOURCE/BEAM.npz           photons of each cell, and where its first one lies
-    store/background/SOURCE/BEAM.npz       noise rate that the product states
-    store/rate/SOURCE/BEAM.npz             cells of the track and the scaled axis
-    store/scores/SOURCE/BEAM/CELL.parquet  scores of a segment, in order along the track
-    store/counts/SOURCE/BEAM/CELL.npz      photons of a segment by score
-    store/selection/SOURCE/BEAM.npz        least score that is signal, of each window
+    store/labels/SOURCE/BEAM/LOW.parquet   labels of a segment, in order along the track
+    store/cells/SOURCE/BEAM/LOW.npz        noise and gate of its cells
     store/profiles/SOURCE/BEAM.parquet     ground and canopy top
     store/compared/SOURCE/BEAM.npz         differences from a reference
 """

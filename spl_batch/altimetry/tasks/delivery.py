@@ -10,21 +10,16 @@ from numpy.typing import NDArray
 
 from spl_batch.altimetry.formats.hdf5 import add_dataset, labelled_copy
 from spl_batch.altimetry.formats.track_csv import to_text
-from spl_batch.altimetry.noise.mist import in_mist
-from spl_batch.altimetry.photon_table import LABELS, NOT_ASSESSED, Scale
+from spl_batch.altimetry.photon_table import LABELS, NOT_ASSESSED
 from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, place, rows_between
 from spl_batch.altimetry.tasks.heights import COLUMNS
-from spl_batch.altimetry.tasks.photons import Selection
-from spl_batch.altimetry.tasks.rate import read_rate
-from spl_batch.altimetry.water.level_water import NO_WATER, SURFACE_M
-from spl_batch.altimetry.water.odd_layers import Layers
 from spl_batch.altimetry.water.refraction import refracted
+from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.formats.verified.parquet_npz import read_columns, writing
-from spl_batch.lattice.tiles import quanta
 
 PASS_PHOTONS: Final = 2_000_000
 """Photons whose labels are held at once [count]."""
@@ -41,13 +36,10 @@ DELIVERED: Final = {
 REFRACTED: Final = "height_refracted"
 """Column of heights corrected for refraction, where that is asked for [m]."""
 
-_DEPTH: Final = "depth"
-"""Depth below the surface, not delivered [m]; NaN where no water is seen."""
-
 SURFACE, FLOOR, COLUMN = 41, 40, 45
 """Where water is seen: signal at its surface, signal below it, and what else lies below it."""
 
-_KEPT: Final = {"baseline_ground", "doubt", "floor_refracted"}
+_KEPT: Final = {"baseline_ground", "floor_refracted"}
 _PROFILE: Final = tuple(n for n in COLUMNS if n not in _KEPT)
 _DATASETS: Final[Mapping[str, tuple[type, float, str]]] = {
     "spl_signal": (np.uint8, NOT_ASSESSED, "0 noise, 1 signal, 255 not assessed"),
@@ -62,17 +54,10 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
     columns_of = dict(DELIVERED)
     if context.workflow.outputs.refraction:
         columns_of[REFRACTED] = np.float64
-    cells = read_rate(args["key"], context)[0]
-    layers, misty = Layers(*_ends(args["key"], context)), 0
     with writing(photons, columns_of, durable=True) as writer:
         for _, part in _passes(args, context):
             counts += np.bincount(part["signal"], minlength=256)
             water += np.bincount(part["water"], minlength=COLUMN + 1)
-            over = (part["signal"] == 1) & np.isfinite(part[_DEPTH])
-            layers.add(part["along_track"][over], part[_DEPTH][over], SURFACE_M)
-            own = part["signal"] == 1
-            along_m, height_m = part["along_track"][own], part["height"][own]
-            misty += int(np.count_nonzero(in_mist(cells, along_m, height_m, context.workflow.rate)))
             for start in range(0, len(part["signal"]), GROUP_PHOTONS):
                 rows = slice(start, start + GROUP_PHOTONS)
                 writer.write({name: part[name][rows] for name in columns_of})
@@ -85,25 +70,14 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
         "labels": {str(k): int(v) for k, v in enumerate(counts) if v},
         "surface": int(water[SURFACE]),
         "floor": int(water[FLOOR]),
-        "layers": layers.facts(),
-        "mist": misty,
     }
     return Produced([photons, profile], facts, int(counts.sum()))
-
-
-def _ends(beam: str, context: Context) -> tuple[float, float]:
-    """Where the cells of a beam begin and end [m]."""
-    index = read_rate(beam, context)[1].index
-    cell_m = context.workflow.rate.cell_m
-    return (index[0] * cell_m, (index[-1] + 1) * cell_m) if len(index) else (0.0, 0.0)
 
 
 def _passes(
     args: Mapping[str, Any], context: Context
 ) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     """Labels of a beam in the order of its file, a pass at a time: first photon, columns."""
-    chosen = Selection(args["key"], context)
-    _, scale, _ = read_rate(args["key"], context)
     for first in range(0, args["points"], PASS_PHOTONS):
         n = min(PASS_PHOTONS, args["points"] - first)
         part: dict[str, NDArray[Any]] = {
@@ -113,35 +87,33 @@ def _passes(
             "confidence": np.full(n, np.nan, np.float32),
             "water": np.zeros(n, np.uint8),
             REFRACTED: np.full(n, np.nan),
-            _DEPTH: np.full(n, np.nan),
         }
         for segment in args["segments"]:
-            path = place(context, "scores", segment, ".parquet")
+            path = place(context, "labels", segment, ".parquet")
             for rows in rows_between(path, tuple(LABELS), "row", first, first + n):
                 at = rows["row"] - first
                 part["along_track"][at] = rows["along"] / QUANTA_PER_M
                 part["height"][at] = rows["height"] / QUANTA_PER_M
-                signal = chosen(rows, "label")
-                part["signal"][at] = signal
-                part["water"][at], up_m, part[_DEPTH][at] = _in_water(rows, signal, scale, context)
+                part["signal"][at] = rows["signal"]
+                off_nadir_deg = context.workflow.track.off_nadir_deg
+                part["water"][at], up_m = _in_water(rows, off_nadir_deg)
                 part[REFRACTED][at] = part["height"][at] + up_m
                 part["confidence"][at] = -np.expm1(rows["score"])
         yield first, part
 
 
 def _in_water(
-    rows: Mapping[str, NDArray[Any]], signal: NDArray[np.bool_], scale: Scale, context: Context
-) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
-    """Part of the water that photons lie in, what refraction lifts and depth [m]; 0, 0, NaN."""
-    cell = np.searchsorted(scale.index, rows["along"] // quanta(context.workflow.rate.cell_m))
-    level = scale.level[cell].astype(np.int64)
-    wet = (level != NO_WATER) & scale.calm[cell]
+    rows: Mapping[str, NDArray[Any]], off_nadir_deg: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Part of the water that photons lie in, 0 for none, and what refraction lifts them by [m]."""
+    signal, level = rows["signal"] > 0, rows["level"].astype(np.int64)
+    wet = level != NO_WATER
     depth_m = np.where(wet, (level - rows["height"]) / QUANTA_PER_M, 0.0)
-    below = wet & (rows["below"] > 0)
+    below = wet & (depth_m > SURFACE_M)
     kind = np.where(below, np.where(signal, FLOOR, COLUMN), 0)
     kind[wet & signal & (np.abs(depth_m) <= SURFACE_M)] = SURFACE
-    _, up_m = refracted(np.where(below, depth_m, 0.0), context.workflow.track.off_nadir_deg)
-    return kind.astype(np.uint8), up_m, np.where(wet, depth_m, np.nan)
+    _, up_m = refracted(np.where(below, depth_m, 0.0), off_nadir_deg)
+    return kind.astype(np.uint8), up_m
 
 
 def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:

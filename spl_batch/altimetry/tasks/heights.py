@@ -8,14 +8,9 @@ from numpy.typing import NDArray
 
 from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground import profile as profiles
-from spl_batch.altimetry.ground.lost_floor import lost_floor
-from spl_batch.altimetry.ground.under_crowns import doubt_told
-from spl_batch.altimetry.photon_table import LABELS, Scale
+from spl_batch.altimetry.photon_table import LABELS
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.tasks.context import Context, gather, place, rows_between
-from spl_batch.altimetry.tasks.photons import Selection
-from spl_batch.altimetry.tasks.rate import read_rate
-from spl_batch.altimetry.water.level_water import NO_WATER
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, writing
 from spl_batch.lattice.tiles import quanta
@@ -35,7 +30,6 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     settings = profiles.for_layout(context.workflow.profile, args["layout"])
     spread = profiles.spread_m(context.workflow.profile, args["layout"])
     size = quanta(settings.cell_m)
-    chosen, (cells, scale, _) = Selection(beam, context), read_rate(beam, context)
     pieces = []
     for _, low, high in args["segments"]:
         owned = (-(-low // size), -(-high // size))
@@ -43,7 +37,7 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
         table = _labelled(args, owned[0] * size - reach, owned[1] * size + reach, context)
         if not len(table["row"]):
             continue
-        pieces.append(_heights(table, (chosen, scale), owned, (settings, spread), context))
+        pieces.append(_heights(table, owned, (settings, spread), context))
     columns = {
         name: np.concatenate([np.empty(0, dtype), *(p[name] for p in pieces)])
         for name, dtype in COLUMNS.items()
@@ -54,19 +48,11 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     with writing(path, COLUMNS) as writer:
         writer.write(columns)
     ground = np.isfinite(columns["ground"])
-    rate_m = context.workflow.rate.cell_m
-    at_m = (cells.index[np.isfinite(cells.floor[:, 0])] + 0.5) * rate_m
-    shown = np.floor(at_m / settings.cell_m).astype(np.int64)
-    wet = columns["water"] == 1
-    floor = np.isfinite(columns["floor"])
-    lost = lost_floor(columns["cell"][wet], floor[wet], shown, settings.cell_m)
     facts = {
         "cells": len(ground),
         "ground_cells": int(np.count_nonzero(ground)),
         "water_cells": int(np.count_nonzero(columns["water"])),
-        "floor_cells": int(np.count_nonzero(floor)),
-        "lost_floor": list(lost),
-        "doubt": doubt_told(columns, settings.cell_m),
+        "floor_cells": int(np.count_nonzero(np.isfinite(columns["floor"]))),
         "canopy_cells": int(np.count_nonzero(columns["canopy_photons"])),
     }
     return Produced([path], facts, args["points"])
@@ -75,12 +61,12 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
 def _labelled(
     args: Mapping[str, Any], low: int, high: int, context: Context
 ) -> dict[str, NDArray[Any]]:
-    """Scored photons of a span of track, from every segment that has some."""
+    """Labelled photons of a span of track, from every segment that has some."""
 
     def parts() -> Iterator[dict[str, NDArray[Any]]]:
         for name, first, stop in args["segments"]:
             if first < high and stop > low:
-                path = place(context, "scores", name, ".parquet")
+                path = place(context, "labels", name, ".parquet")
                 yield from rows_between(path, tuple(LABELS), "along", low, high)
 
     return gather(parts(), LABELS)
@@ -88,18 +74,14 @@ def _labelled(
 
 def _heights(
     table: Mapping[str, NDArray[Any]],
-    beam: tuple[Selection, Scale],
     owned: tuple[int, int],
     settings: tuple[ProfileSettings, float],
     context: Context,
 ) -> dict[str, NDArray[Any]]:
     reference = context.workflow.reference
-    chosen, scale = beam
-    sure = chosen(table, "label")
-    some = chosen(table, "ground")
+    sure, some = table["signal"] > 0, table["ground"] > 0
     photons = table["along"][some], table["height"][some], sure[some]
-    cell = np.searchsorted(scale.index, photons[0] // quanta(context.workflow.rate.cell_m))
-    level = np.where(scale.calm, scale.level, NO_WATER)[cell].astype(np.int64)
+    level = table["level"][some].astype(np.int64)
     off_nadir_deg = context.workflow.track.off_nadir_deg
     columns = over_water.profile(photons, level, owned, settings, off_nadir_deg)
     columns["baseline_ground"] = np.full(len(columns["cell"]), np.nan)

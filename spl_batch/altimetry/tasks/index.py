@@ -1,15 +1,17 @@
 """Stage ``index``: prove that a file can be read, and bring its beams into one form."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.formats.photons import Layout, Photons, iter_photons, read_background
+from spl_batch.altimetry.filter.track import window_quanta
+from spl_batch.altimetry.formats.photons import Layout, Photons, iter_photons
 from spl_batch.altimetry.formats.track_csv import check_unit
 from spl_batch.altimetry.photon_table import PHOTONS
+from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.tasks.context import CHUNK_PHOTONS, GROUP_PHOTONS, Context, place
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.context import Produced
@@ -107,13 +109,40 @@ def take_in(args: Mapping[str, Any], context: Context) -> Produced:
                 writer.write({name: getattr(photons, name)[rows] for name in PHOTONS})
             if len(photons.row):
                 cells.add(photons)
-        stated = read_background(path, args["layout"], beam, workflow.track.prf_hz)
     outputs = [target, place(context, "places", args["key"], ".npz")]
-    write_arrays(outputs[1], cells.arrays())
-    if stated is not None:
-        outputs.append(place(context, "background", args["key"], ".npz"))
-        write_arrays(outputs[2], {"along_m": stated.along_m, "per_m2": stated.per_m2})
+    counted = cells.arrays()
+    write_arrays(outputs[1], counted)
     if args["layout"] == "csv":
         check_unit(path, placed, cells.length_m())
-    facts = {"points": read, "placed": placed, "background": stated is not None}
+    facts = {
+        "points": read,
+        "placed": placed,
+        "segments": list(segments(counted["index"], counted["count"], workflow)),
+    }
     return Produced(outputs, facts, read)
+
+
+def segments(
+    index: NDArray[np.int64], count: NDArray[np.int64], workflow: TrackWorkflow
+) -> Iterator[tuple[int, int, int]]:
+    """Runs of windows of ``work.segment_photons`` at most, or one window: ends [quanta], photons.
+
+    Parameters
+    ----------
+    index, count : (n,) int64
+        Cells that hold photons, in order, and how many.
+    workflow : TrackWorkflow
+        Cells, windows, photons of a segment.
+    """
+    size = window_quanta(workflow)
+    window, at = np.unique(index * quanta(workflow.rate.cell_m) // size, return_inverse=True)
+    photons = np.bincount(at, count, len(window)).astype(np.int64).tolist()
+    first, total = 0, 0
+    for i, (number, n) in enumerate(zip(window.tolist(), photons, strict=True)):
+        gap = i > first and number != window[i - 1] + 1
+        if total and (gap or total + n > workflow.work.segment_photons):
+            yield int(window[first]) * size, (int(window[i - 1]) + 1) * size, total
+            first, total = i, 0
+        total += n
+    if total:
+        yield int(window[first]) * size, (int(window[-1]) + 1) * size, total

@@ -14,7 +14,6 @@ from spl_batch.altimetry.formats.track_csv import read_profile
 from spl_batch.altimetry.photon_table import LABELS
 from spl_batch.altimetry.tasks.context import Context, place, rows_between
 from spl_batch.altimetry.tasks.heights import COLUMNS
-from spl_batch.altimetry.tasks.photons import Selection
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_columns, write_arrays
 from spl_batch.numerics.error_statistics import statistics
@@ -148,7 +147,6 @@ def _agreement(args: Mapping[str, Any], context: Context) -> dict[str, dict[str,
     theirs = find_labels(Path(args["path"]), _label_files(args), args["beam"])
     if theirs is None:
         return {}
-    chosen = Selection(args["key"], context)
     reference = context.workflow.reference
     methods = ["ours", "mdbscan"] if reference is not None and reference.baseline else ["ours"]
     # By method: neither, there only, here only, both.
@@ -158,11 +156,11 @@ def _agreement(args: Mapping[str, Any], context: Context) -> dict[str, dict[str,
         stop = min(first + PASS_PHOTONS, high)
         signal = theirs.signal(first, stop)
         for name, _, _ in args["segments"]:
-            path = place(context, "scores", name, ".parquet")
+            path = place(context, "labels", name, ".parquet")
             for rows in rows_between(path, tuple(LABELS), "row", first, stop):
                 there = signal[rows["row"] - first]
                 for k, method in enumerate(methods):
-                    here = chosen(rows, "label") if method == "ours" else rows["baseline"] > 0
+                    here = rows["signal" if method == "ours" else "baseline"] > 0
                     counts[k] += np.bincount(2 * here + there, minlength=4)
     names = ("neither", "only_there", "only_here", "both")
     return {

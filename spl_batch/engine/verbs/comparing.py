@@ -97,8 +97,8 @@ def compare(
         Workflow file.
     methods : str or sequence of str
         At least two, separated by commas, e.g. ``"vsaes:tail,voxel,published"`` of an airborne
-        survey, ``"bayes,dbscan"`` of photon profiles; the first is what the others are compared
-        with.
+        survey, ``"likelihood,mdbscan"`` of photon profiles; the first is what the others are
+        compared with.
     workers : int
         Worker processes; 0 works in this process.
     memory : str or int, optional
@@ -219,7 +219,7 @@ def _chosen(
 
 
 def listed(methods: str | Sequence[str]) -> list[str]:
-    """Names of a list such as ``"bayes,dbscan"``, each once, in the order given."""
+    """Names of a list such as ``"likelihood,mdbscan"``, each once, in the order given."""
     names = methods.split(",") if isinstance(methods, str) else methods
     return list(dict.fromkeys(name.strip() for name in names if name.strip()))
 

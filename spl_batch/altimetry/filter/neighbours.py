@@ -1,0 +1,183 @@
+"""Noise-sized neighbourhoods: areas of the ellipses that reach the first neighbours of a place.
+
+An ellipse is ``aspect`` times as long as high and leans with the layer that is seen around. Photons
+lie in columns along the track, by height in each, so that one search serves photons and places of
+any slope; distances are exact.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+
+COLUMN_M: Final = 5.0
+"""Width of a column of photons [m]."""
+
+SLOPES: Final = np.array(
+    [0.0, 0.05, -0.05, 0.1, -0.1, 0.2, -0.2, 0.35, -0.35, 0.5, -0.5, 0.75, -0.75, 1.0, -1.0]
+)
+"""Slopes that a layer may have [m/m]."""
+
+LAYER_M: Final = 10.0
+"""Heights of a cell that lean alike [m]."""
+
+_BIN_M: float = 0.75
+_LEVEL_GAIN: float = 1.3
+"""Pairs of a leaning layer, over those of a level one, that make it lean."""
+
+_CELLS: Final = 2
+"""Cells to each side whose photons show how a layer leans [count]."""
+
+
+class Columns(NamedTuple):
+    """Photons by column along the track, and by height in each."""
+
+    x_m: NDArray[np.float64]  #: (n,): along the track, from the first column's start.
+    z_m: NDArray[np.float64]  #: (n,): height.
+    row: NDArray[np.int64]  #: (n,): rows of the photons.
+    start: NDArray[np.int64]  #: (c + 1,): first photon of each column.
+
+
+def columns(x_m: NDArray[np.float64], z_m: NDArray[np.float64]) -> Columns:
+    """Put photons into columns; ``x_m`` is 0 or more."""
+    at = (x_m // COLUMN_M).astype(np.int64)
+    order = np.lexsort((x_m, z_m, at))
+    start = np.searchsorted(at[order], np.arange(int(at.max(initial=0)) + 2))
+    return Columns(x_m[order], z_m[order], order, start)
+
+
+def areas(
+    photons: Columns,
+    places: tuple[NDArray[np.float64], NDArray[np.float64]],
+    slope: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    shape: tuple[int, float, float],
+) -> NDArray[np.float64]:
+    """Area within the k-th neighbour of each place, (q, K) float64 [m2]; infinite beyond the reach.
+
+    Parameters
+    ----------
+    photons : Columns
+        Those that are neighbours.
+    places : ((q,) float64, (q,) float64)
+        Along the track and in height [m].
+    slope : (q,) float64
+        Slope of each ellipse [m/m].
+    rows : (q,) int64
+        Row of the photon that lies at the place and is no neighbour; -1 for none.
+    shape : (int, float, float)
+        K; length over height; reach along the track [m].
+    """
+    most, aspect, reach_m = shape
+    out = np.full((len(slope), most), np.inf)
+    _areas(*photons, *places, slope, rows, aspect, reach_m, out)
+    return out
+
+
+@njit()
+def _areas(x, z, row, start, at_x, at_z, slope, own, aspect, reach, out):  # type: ignore[no-untyped-def]
+    """Columns are searched outwards until none can hold a nearer photon."""
+    last = out.shape[1] - 1
+    near = np.empty(out.shape[1])
+    cap = (reach / aspect) ** 2
+    for q in range(len(at_x)):
+        near[:] = cap
+        found = 0
+        middle = np.int64(at_x[q] // COLUMN_M)
+        for side in range(2):
+            step = 1 if side == 0 else -1
+            c = middle if side == 0 else middle - 1
+            while 0 <= c < len(start) - 1:
+                low, high = c * COLUMN_M - at_x[q], (c + 1) * COLUMN_M - at_x[q]
+                away = max(low, -high, 0.0) / aspect
+                if away * away >= near[last]:
+                    break
+                lean0, lean1 = slope[q] * low, slope[q] * high
+                base, top = at_z[q] + min(lean0, lean1), at_z[q] + max(lean0, lean1)
+                ends = at_x[q], at_z[q], slope[q], aspect
+                found += _column(
+                    x, z, row, (start[c], start[c + 1]), ends, (base, top), own[q], near
+                )
+                c += step
+        for k in range(min(found, last + 1)):
+            # Photons at one place are a millimetre apart at least.
+            out[q, k] = np.pi * aspect * max(near[k], 1e-6)
+
+
+@njit(inline="always")
+def _column(x, z, row, rows, at, span, own, near):  # type: ignore[no-untyped-def]
+    """Sort photons of a column into the nearest ones, upwards and downwards; how many were."""
+    at_x, at_z, slope, aspect = at
+    base, top = span
+    last, found = len(near) - 1, 0
+    first = rows[0] + np.searchsorted(z[rows[0] : rows[1]], (base + top) / 2.0)
+    for way in range(2):
+        i = first if way == 0 else first - 1
+        while rows[0] <= i < rows[1]:
+            beyond = z[i] - top if way == 0 else base - z[i]
+            if beyond > 0.0 and beyond * beyond >= near[last]:
+                break
+            dx = x[i] - at_x
+            dz = z[i] - at_z - slope * dx
+            squared = (dx / aspect) ** 2 + dz * dz
+            if squared < near[last] and row[i] != own:
+                k = last
+                while k > 0 and near[k - 1] > squared:
+                    near[k] = near[k - 1]
+                    k -= 1
+                near[k] = squared
+                found += 1
+            i += 1 if way == 0 else -1
+    return found
+
+
+def leaning(
+    x_m: NDArray[np.float64], z_m: NDArray[np.float64], first: NDArray[np.int64], cell_m: float
+) -> NDArray[np.int8]:
+    """Slope of each layer of each cell, as row of :data:`SLOPES`: (cells, layers) int8.
+
+    That in which most pairs of photons share a height: one steeper than level needs more of them.
+
+    Parameters
+    ----------
+    x_m, z_m : (n,) float64
+        Photons in order along the track, heights from the lowest layer's foot [m].
+    first : (cells + 1,) int64
+        First photon of each cell.
+    cell_m : float
+        Length of a cell [m].
+    """
+    layers = int(z_m.max(initial=0.0) // LAYER_M) + 1
+    out = np.zeros((len(first) - 1, layers), np.int8)
+    _leaning(x_m, z_m, first, cell_m, SLOPES, out)
+    return out
+
+
+@njit()
+def _leaning(x, z, first, cell_m, slopes, out):  # type: ignore[no-untyped-def]
+    cells, layers = out.shape
+    room = np.int64(np.ceil(cell_m * (_CELLS + 1) / _BIN_M)) + 1
+    counts = np.zeros(np.int64(layers * LAYER_M / _BIN_M) + 2 * room + 2, np.int64)
+    best = np.empty(layers)
+    pairs = np.empty(layers)
+    for c in range(cells):
+        begin, end = first[max(c - _CELLS, 0)], first[min(c + _CELLS + 1, cells)]
+        middle = (c + 0.5) * cell_m
+        for s in range(len(slopes)):
+            pairs[:] = 0.0
+            for i in range(begin, end):
+                b = np.int64((z[i] - slopes[s] * (x[i] - middle)) / _BIN_M + room)
+                layer = min(max(np.int64((b - room + 0.5) * _BIN_M / LAYER_M), 0), layers - 1)
+                # Each photon makes as many pairs as lie in its bin before it.
+                pairs[layer] += counts[b]
+                counts[b] += 1
+            for i in range(begin, end):
+                counts[np.int64((z[i] - slopes[s] * (x[i] - middle)) / _BIN_M + room)] = 0
+            for layer in range(layers):
+                if s == 0:
+                    best[layer] = pairs[layer] * _LEVEL_GAIN
+                elif pairs[layer] > best[layer]:
+                    best[layer] = pairs[layer]
+                    out[c, layer] = s

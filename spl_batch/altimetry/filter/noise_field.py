@@ -1,0 +1,168 @@
+"""Noise of a window: a density that is smooth in place and height, over the gate of each cell.
+
+Noise density is what photons that no surface explains have, over the area where a photon would be
+one of them: both are taken from the same scores, so a surface adds to neither. It is the mean of
+the track around, nearer by nearer, times how much more or less lies at a height. Each step is
+believed as far as it has photons (a gamma prior of the step before).
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+BOX_M: Final = 2.0
+"""Height of a box that photons are counted in [m]."""
+
+_MOST_BOXES: Final = 4096
+_LONE: Final = 2
+"""Photons of a cell in 5 m of height that noise may be, at most [count]."""
+
+_GATE_PHOTONS: Final = 30
+"""Such photons that show how far a gate reaches [count]."""
+
+_REACHES: Final = (2, 4, 8, 16, 32, 64)
+"""Cells to each side that are asked for a gate, until enough is seen [count]."""
+
+_GATE_LEAST_M: Final = 4.0
+_PLACES: Final = (50, 15, 5)
+"""Cells to each side that have one noise, nearer by nearer [count]."""
+
+_PROFILE_CELLS: Final = 50
+_PROFILE_BOXES: Final = 10
+"""Cells and boxes to each side over which noise is smooth by height [count]."""
+
+_BELIEF: Final = 10.0
+"""Photons that the step before is worth [count]."""
+
+_START_BOXES: Final = 5
+"""Boxes whose photons are counted together before anything is known [count]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """Heights that each cell of a window records."""
+
+    low_m: NDArray[np.float64]  #: (c,): lower end.
+    high_m: NDArray[np.float64]  #: (c,): upper end.
+
+
+def gate(cell: NDArray[np.int64], z_m: NDArray[np.float64], cells: int) -> Gate:
+    """Gates of cells, as far as photons around show them.
+
+    Parameters
+    ----------
+    cell : (n,) int64
+        Cell of each photon, 0 to ``cells - 1``.
+    z_m : (n,) float64
+        Heights [m].
+    """
+    low, high = np.full(cells, np.inf), np.full(cells, -np.inf)
+    np.minimum.at(low, cell, z_m)
+    np.maximum.at(high, cell, z_m)
+    key = cell * (1 << 32) + np.floor(z_m / 5.0).astype(np.int64)
+    _, inverse, times = np.unique(key, return_inverse=True, return_counts=True)
+    lone = np.bincount(cell, times[inverse] <= _LONE, cells).astype(np.float64)
+    low_m, high_m = np.full(cells, np.nan), np.full(cells, np.nan)
+    for reach in _REACHES:
+        seen = around(lone, reach)
+        mine = np.isnan(low_m) & ((seen >= _GATE_PHOTONS) | (reach == _REACHES[-1]))
+        low_m[mine] = ndimage.minimum_filter1d(low, 2 * reach + 1, mode="nearest")[mine]
+        high_m[mine] = ndimage.maximum_filter1d(high, 2 * reach + 1, mode="nearest")[mine]
+    # Far from any photon there is no gate to speak of.
+    low_m = np.where(np.isfinite(low_m), low_m, 0.0)
+    high_m = np.where(np.isfinite(high_m), high_m, 0.0)
+    return Gate(low_m, np.maximum(high_m, low_m + _GATE_LEAST_M))
+
+
+def around(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Sums over ``reach`` cells to each side, (c,) float64."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    at = np.arange(len(values))
+    sums: NDArray[np.float64] = (
+        total[np.minimum(at + reach + 1, len(values))] - total[np.maximum(at - reach, 0)]
+    )
+    return sums
+
+
+class Boxes:
+    """Boxes of cell and height, and the noise in each."""
+
+    def __init__(self, z_m: NDArray[np.float64], cells: int) -> None:
+        self.low_m = float(np.floor(z_m.min(initial=0.0) / BOX_M) * BOX_M)
+        span_m = float(z_m.max(initial=0.0)) - self.low_m
+        self.box_m = BOX_M * max(1.0, np.ceil(span_m / BOX_M / _MOST_BOXES))
+        self.shape = cells, int(span_m // self.box_m) + 1
+
+    def of(self, cell: NDArray[np.int64], z_m: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Box of each photon or place, (n,) int64."""
+        height = ((z_m - self.low_m) // self.box_m).astype(np.int64)
+        boxes: NDArray[np.int64] = cell * self.shape[1] + np.clip(height, 0, self.shape[1] - 1)
+        return boxes
+
+    def table(
+        self, box: NDArray[np.int64], weight: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """Sums by box, (cells, heights) float64."""
+        size = self.shape[0] * self.shape[1]
+        return np.bincount(box, weight, size).astype(np.float64).reshape(self.shape)
+
+
+def first_density(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Noise before anything is known: the median by height, one for all heights of a cell.
+
+    Parameters
+    ----------
+    counts, area_m2 : (cells, heights) float64
+        Photons and area of each box [count, m2].
+    """
+    some = _START_BOXES if counts.shape[1] >= _START_BOXES else 1
+    whole = counts.shape[1] // some * some
+    seen, area = (
+        _sums(values, _PLACES[0], 0)[:, :whole].reshape(len(values), -1, some).sum(axis=2)
+        for values in (counts, area_m2)
+    )
+    most = area.max(axis=1, keepdims=True)
+    inside = area > 0.3 * most
+    each = np.where(inside, seen / np.maximum(area, 1e-9), np.inf)
+    middle = np.maximum(inside.sum(axis=1) - 1, 0) // 2
+    found = np.sort(each, axis=1)[np.arange(len(each)), middle]
+    found = np.where(np.isfinite(found), found, 0.0)
+    least = 1.0 / np.maximum(most[:, 0], 1.0)
+    return np.repeat(np.maximum(found, least)[:, None], counts.shape[1], axis=1)
+
+
+def density(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Noise density of each box, (cells, heights) float64 [1/m2].
+
+    Parameters
+    ----------
+    counts, area_m2 : (cells, heights) float64
+        Photons that are noise, and area in which a photon would be, of each box [count, m2].
+    """
+    each, length = counts.sum(axis=1), area_m2.sum(axis=1)
+    place = np.full(len(each), (each.sum() + 1.0) / (length.sum() + 1.0))
+    for reach in _PLACES:
+        believed = 2.0 * _BELIEF
+        place = (around(each, reach) + believed) / (around(length, reach) + believed / place)
+    seen, expected = (
+        _sums(values, _PROFILE_CELLS, _PROFILE_BOXES)
+        for values in (counts, area_m2 * place[:, None])
+    )
+    found: NDArray[np.float64] = place[:, None] * (seen + _BELIEF) / (expected + _BELIEF)
+    return found
+
+
+def _sums(values: NDArray[np.float64], cells: int, boxes: int) -> NDArray[np.float64]:
+    """Sums over so many cells and boxes to each side, (cells, heights) float64."""
+    out = values
+    for axis, reach in ((0, cells), (1, boxes)):
+        if reach:
+            total = np.insert(np.cumsum(out, axis=axis), 0, 0.0, axis=axis)
+            at, size = np.arange(values.shape[axis]), values.shape[axis]
+            out = np.take(total, np.minimum(at + reach + 1, size), axis) - np.take(
+                total, np.maximum(at - reach, 0), axis
+            )
+    return out

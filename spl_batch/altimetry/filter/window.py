@@ -1,0 +1,233 @@
+"""Signal of a window of track: one likelihood for land and water, day and night.
+
+Photons of a window are noise, whose density is smooth in place and height, or signal, which may be
+a surface, canopy or a floor: signal is denser than noise by an unknown factor. A photon is scored
+by the areas that its first neighbours reach (:mod:`~spl_batch.altimetry.filter.posterior`), and
+noise is what scores low, over the area in which a photon would score low; both are repeated until
+they agree. How noise scores is not assumed: a noise photon sees the others as a place without a
+photon does (Slivnyak's theorem; Baddeley, *Spatial Point Processes*, 2007, 2.3), so places strewn
+evenly over the gate are scored as photons are. That gives the noise among the photons above every
+score, hence the F1 to be expected, and the score where it is largest is the threshold.
+
+The places are those of Roberts' sequence (M. Roberts, *The Unreasonable Effectiveness of
+Quasirandom Sequences*, 2018), numbered by cell. A window is a function of its photons and those of
+its margin alone, so no cut of the track can change it.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.filter.likelihood import ratios
+from spl_batch.altimetry.filter.neighbours import LAYER_M, SLOPES, areas, columns, leaning
+from spl_batch.altimetry.filter.noise_field import Boxes, density, first_density, gate
+from spl_batch.altimetry.filter.posterior import noise_posterior
+from spl_batch.altimetry.settings import Shape, SignalSettings
+from spl_batch.constants import QUANTA_PER_M
+
+_ROUNDS: Final = 8
+_AGREED: Final = 0.005
+"""Rounds at most; change of the noise that ends them sooner, as a share of it."""
+_SURE_NOISE: Final = 0.8
+"""Share of the noise whose scores are lowest: photons below are noise for its density."""
+
+_BINS: Final = np.linspace(-6.0, 6.0, 601)
+"""Edges of bins of ln(-score)."""
+
+_NOISE_SHARE: Final = (0.01, 0.999)
+_PHOTONS_PER_PLACE: Final = 4
+_LEAST_PLACES: Final = 32
+_MOST_PLACES: Final = 4096
+_STEPS: Final = (np.uint64(0xC13FA9A902A6328F), np.uint64(0x91E10DA5C79E7B1D))
+"""1 / g and 1 / g^2 of 2^64, g being the plastic number, g^3 = g + 1."""
+_HALF: Final = np.uint64(32)
+
+
+@dataclass(frozen=True, slots=True)
+class Assessed:
+    """What is known of the photons of a window and of its cells."""
+
+    score: NDArray[np.float32]  #: (n,): mean ln P(noise).
+    signal: NDArray[np.bool_]  #: (n,): those labelled signal.
+    ground: NDArray[np.bool_]  #: (n,): those that the ground is sought among.
+    noise: NDArray[np.float64]  #: (n,): noise density where each photon lies [1/m2].
+    cell: NDArray[np.int64]  #: (n,): cell of each photon, rows of what follows.
+    index: NDArray[np.int64]  #: (c,): number of each cell.
+    gate_m: NDArray[np.float64]  #: (c,): length of the gate [m].
+    expected: NDArray[np.float64]  #: (c,): noise photons expected [count].
+    false: NDArray[np.float64]  #: (c,): those of them expected among the signal [count].
+
+
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Photons, or places where one may be."""
+
+    x_m: NDArray[np.float64]
+    z_m: NDArray[np.float64]
+    box: NDArray[np.int64]
+    slope: NDArray[np.float64]
+    area_m2: NDArray[np.float64]  #: Area that each stands for; empty for photons.
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What one shape of neighbourhood finds."""
+
+    f1: float
+    score: NDArray[np.float64]
+    above: NDArray[np.float64]  #: ln(-score) of each photon.
+    least: float
+    least_ground: float
+    noise: NDArray[np.float64]  #: Of each photon [1/m2].
+    each: NDArray[np.float64]  #: Noise photons that each place stands for.
+    passed: NDArray[np.bool_]  #: Places where a photon would be signal.
+
+
+def assess(
+    along: NDArray[np.int64],
+    height: NDArray[np.int32],
+    cell_m: float,
+    settings: SignalSettings,
+    photons_factor: float,
+) -> Assessed:
+    """Tell signal from noise in a window and its margin.
+
+    Parameters
+    ----------
+    along, height : (n,) int64, (n,) int32
+        Photons in order along the track; one at least [quanta].
+    cell_m : float
+        Length of a cell of the absolute grid [m].
+    settings : SignalSettings
+        Neighbours, shapes, contrast, reach.
+    photons_factor : float
+        Photons that the ground is sought among, over those of signal.
+    """
+    size = round(cell_m * QUANTA_PER_M)
+    start = int(along[0]) // size
+    cells = int(along[-1]) // size - start + 1
+    cell = along // size - start
+    x_m, z_m = (along - start * size) / QUANTA_PER_M, height / QUANTA_PER_M
+    shown = gate(cell, z_m, cells)
+    boxes = Boxes(z_m, cells)
+    lean = leaning(x_m, z_m - boxes.low_m, np.searchsorted(cell, np.arange(cells + 1)), cell_m)
+
+    def slopes(cell: NDArray[np.int64], z_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        layer = ((z_m - boxes.low_m) // LAYER_M).astype(np.int64)
+        found: NDArray[np.float64] = SLOPES[lean[cell, np.clip(layer, 0, lean.shape[1] - 1)]]
+        return found
+
+    photons = _Places(x_m, z_m, boxes.of(cell, z_m), slopes(cell, z_m), np.empty(0))
+    count = np.bincount(cell, minlength=cells)
+    at, part = _strewn(start, count)
+    place_x = (at + part[0]) * cell_m
+    gate_m = shown.high_m - shown.low_m
+    # Cells without photons may lie beyond the beam's ends, and between its pieces.
+    gate_m = np.where(count > 0, gate_m, 0.0)
+    place_z = shown.low_m[at] + part[1] * (shown.high_m - shown.low_m)[at]
+    share = (gate_m * cell_m / np.maximum(np.bincount(at, minlength=cells), 1))[at]
+    places = _Places(place_x, place_z, boxes.of(at, place_z), slopes(at, place_z), share)
+    tried = [
+        _by_shape(photons, places, boxes, shape, (settings, photons_factor))
+        for shape in settings.shapes
+    ]
+    best = max(tried, key=lambda one: one.f1)
+    signal = best.above >= best.least
+    return Assessed(
+        score=best.score.astype(np.float32),
+        signal=signal,
+        ground=signal | (best.above >= best.least_ground),
+        noise=best.noise,
+        cell=cell,
+        index=np.arange(start, start + cells),
+        gate_m=gate_m,
+        expected=np.bincount(at, best.each, cells).astype(np.float64),
+        false=np.bincount(at, best.each * best.passed, cells).astype(np.float64),
+    )
+
+
+def _strewn(
+    start: int, count: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Cell of each place, and where it lies in cell and gate, 0..1."""
+    many = np.clip(count // _PHOTONS_PER_PLACE, _LEAST_PLACES, _MOST_PLACES)
+    many = np.where(count > 0, many, 0)
+    cell = np.repeat(np.arange(len(count)), many)
+    inside = np.arange(len(cell)) - np.repeat(np.cumsum(many) - many, many)
+    # Unsigned products wrap around: the sequence modulo 1, to 2^-32.
+    number = ((start + cell) * _MOST_PLACES + inside).astype(np.uint64)
+    along, up = (((number * step) >> _HALF) / 2.0**32 for step in _STEPS)
+    return cell, (along, up)
+
+
+def _by_shape(
+    photons: _Places,
+    places: _Places,
+    boxes: Boxes,
+    form: Shape,
+    settings: tuple[SignalSettings, float],
+) -> _Found:
+    """Noise and threshold by neighbourhoods of one shape, repeated until they agree."""
+    signal, photons_factor = settings
+    table = ratios(form.neighbours, signal.contrast_max)
+    shape = form.neighbours, form.aspect, signal.reach_m
+    known = columns(photons.x_m, photons.z_m)
+    none = np.full(len(places.x_m), -1)
+    own = np.arange(len(photons.x_m))
+    near = areas(known, (photons.x_m, photons.z_m), photons.slope, own, shape)
+    empty = areas(known, (places.x_m, places.z_m), places.slope, none, shape)
+    reach_m2 = np.pi * signal.reach_m**2 / form.aspect
+    field = first_density(boxes.table(photons.box), boxes.table(places.box, places.area_m2))
+    total = 0.0
+    for turn in range(_ROUNDS):
+        here, there = field.reshape(-1)[photons.box], field.reshape(-1)[places.box]
+        each = there * places.area_m2
+        part = np.clip(each.sum() / len(photons.x_m), *_NOISE_SHARE)
+        prior = float(np.log((1.0 - part) / part))
+        score = noise_posterior(near, reach_m2, here, prior, table)
+        above, other = (
+            np.clip(np.log(np.maximum(-values, 1e-9)), _BINS[0], _BINS[-2])
+            for values in (score, noise_posterior(empty, reach_m2, there, prior, table))
+        )
+        f1, least, ground = _threshold(above, other, each, photons_factor)
+        total, before = float(each.sum()), total
+        if abs(total - before) <= _AGREED * total:
+            break
+        if turn < _ROUNDS - 1:
+            sure = _quantile(other, each)
+            low, empty_low = above < sure, other < sure
+            field = density(
+                boxes.table(photons.box[low]),
+                boxes.table(places.box[empty_low], places.area_m2[empty_low]),
+            )
+    return _Found(f1, score, above, least, ground, here, each, other >= least)
+
+
+def _quantile(score: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
+    """Score below which :data:`_SURE_NOISE` of the noise lies."""
+    total = np.cumsum(np.histogram(score, _BINS, weights=weight)[0])
+    return float(_BINS[1 + np.searchsorted(total, _SURE_NOISE * total[-1])])
+
+
+def _threshold(
+    photons: NDArray[np.float64],
+    places: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    photons_factor: float,
+) -> tuple[float, float, float]:
+    """F1 to be expected, the score where it is largest, and that of the ground's photons.
+
+    Of the photons above a score those are signal that are not expected to be noise; of all, most
+    that are so above any score. F1 is twice the signal taken over photons taken and all signal.
+    """
+    above = np.cumsum(np.histogram(photons, _BINS)[0][::-1])
+    below = np.cumsum(np.histogram(places, _BINS, weights=noise)[0][::-1])
+    wanted = max(float((above - below).max()), 1.0)
+    signal = np.clip(above - below, 0.0, wanted)
+    f1 = 2.0 * signal / (above + wanted)
+    best = int(f1.argmax())
+    more = int(np.searchsorted(above, photons_factor * max(wanted, float(above[best])), "right"))
+    edges = _BINS[::-1][1:]
+    return float(f1[best]), float(edges[best]), float(edges[max(min(more, len(edges)) - 1, best)])

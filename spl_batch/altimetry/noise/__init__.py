@@ -1,1 +1,0 @@
-"""Noise rate along the track."""

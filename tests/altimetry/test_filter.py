@@ -1,0 +1,165 @@
+"""Signal of windows: neighbourhoods, noise, thresholds, and the filters of the source."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.altimetry.photon_beams import labelled, workflow
+from spl_batch.altimetry.filter.neighbours import LAYER_M, SLOPES, areas, columns, leaning
+from spl_batch.altimetry.filter.noise_field import Boxes, density, gate
+from spl_batch.altimetry.filter.published import mdbscan
+from spl_batch.altimetry.filter.track import COLUMNS, label, window_quanta
+from spl_batch.altimetry.filter.window import _threshold, assess
+from spl_batch.altimetry.simulate import Track, scene, simulate_track
+from tests.altimetry.tracks import lattice, small_track
+
+WORKFLOW = workflow()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 120), st.floats(0.5, 40.0))
+def test_areas_are_those_of_sorting_all_distances(seed: int, n: int, aspect: float) -> None:
+    rng = np.random.default_rng(seed)
+    x, z = rng.uniform(0.0, 150.0, n), rng.uniform(-20.0, 20.0, n)
+    slope = rng.choice(SLOPES, n)
+    own = np.where(rng.random(n) < 0.5, np.arange(n), -1)
+    at = np.where(own >= 0, x, x + 1.0), np.where(own >= 0, z, z - 1.0)
+    found = areas(columns(x, z), at, slope, own, (5, aspect, 60.0))
+    for q in range(n):
+        dx = x - at[0][q]
+        squared = (dx / aspect) ** 2 + (z - at[1][q] - slope[q] * dx) ** 2
+        squared = np.sort(np.delete(squared, own[q]) if own[q] >= 0 else squared)
+        squared = np.maximum(squared[squared < (60.0 / aspect) ** 2][:5], 1e-6)
+        np.testing.assert_allclose(found[q, : len(squared)], np.pi * aspect * squared)
+        assert np.isinf(found[q, len(squared) :]).all()
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_layer_leans_as_most_pairs_do(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    slope = rng.choice(SLOPES)
+    x = np.sort(rng.uniform(0.0, 100.0, 600))
+    z = 55.0 + slope * (x - 50.0) + rng.normal(0.0, 0.15, 600)
+    z = np.maximum(z, 0.0)
+    found = leaning(x, z, np.searchsorted(x, np.arange(0.0, 101.0, 20.0)), 20.0)
+    pairs = []
+    for one in SLOPES:
+        bins = np.floor((z - one * (x - 50.0)) / 0.75)
+        inside = (bins + 0.5) * 0.75 // LAYER_M == 5
+        _, count = np.unique(bins[inside], return_counts=True)
+        pairs.append((count * (count - 1)).sum())
+    assert pairs[found[2, 5]] >= 0.7 * max(pairs)
+
+
+def test_noise_is_photons_over_area_and_smooth() -> None:
+    rng = np.random.default_rng(1)
+    cells = 200
+    area = np.full((cells, 60), 40.0)
+    true = 0.02 * np.exp(0.4 * np.sin(np.arange(cells) / 30.0))[:, None]
+    found = density(rng.poisson(true * area).astype(float), area)
+    assert found.mean() == pytest.approx(true.mean(), rel=0.03)
+    assert np.abs(found / true - 1.0).max() < 0.25
+    boxes = Boxes(np.array([3.0, 12.9]), 2)
+    assert boxes.table(boxes.of(np.array([0, 1, 1]), np.array([3.0, 12.9, 99.0]))).sum() == 3
+
+
+@pytest.mark.parametrize("noise", [0.0005, 0.02])
+def test_the_gate_is_seen_by_night_and_day(noise: float) -> None:
+    track = simulate_track(
+        scene("flat", "green", 1, length_m=3000.0, above_m=60.0, below_m=90.0, noise_per_m2=noise)
+    )
+    cell = (track.along_m // 20.0).astype(np.int64)
+    shown = gate(cell, track.height_m, int(cell.max()) + 1)
+    assert np.median(shown.high_m - shown.low_m) == pytest.approx(150.0, abs=8.0)
+
+
+@pytest.mark.parametrize("canopy", [0.0, 0.4])
+@pytest.mark.parametrize("kind", ["mountain", "flat"])
+def test_noise_among_the_signal_is_estimated(kind: str, canopy: float) -> None:
+    track = simulate_track(scene(kind, "green", 3, length_m=3000.0, canopy=canopy))
+    beam = labelled(lattice(track), WORKFLOW)
+    signal = track.truth > 0
+    both = np.count_nonzero(beam.kept & signal)
+    assert 2 * both / (beam.kept.sum() + signal.sum()) > (0.8 if canopy else 0.9)
+    false = np.count_nonzero(beam.kept & ~signal)
+    assert 1 / 1.5 < beam.cells["false"].sum() / false < 1.5
+    assert beam.cells["expected"].sum() == pytest.approx(np.count_nonzero(~signal), rel=0.1)
+
+
+def test_labels_are_the_same_however_the_track_is_cut() -> None:
+    track = simulate_track(scene("flat", "green", 2, length_m=2600.0, above_m=60.0, below_m=60.0))
+    settings = workflow(signal={"window_m": 1000.0})
+    along, height = lattice(track)
+    order = np.lexsort((height, along))
+    along, height = along[order], height[order]
+    whole, cells = label(along, height, (0, 3_000_000), settings)
+    parts = []
+    for span in ((0, 1_000_000), (1_000_000, 3_000_000)):
+        rows = (along >= span[0] - 1_000_000) & (along < span[1] + 1_000_000)
+        parts.append(label(along[rows], height[rows], span, settings))
+    for name in COLUMNS:
+        joined = np.concatenate([photons[name] for photons, _ in parts])
+        np.testing.assert_array_equal(whole[name], joined, err_msg=name)
+    for name, values in cells.items():
+        np.testing.assert_array_equal(values, np.concatenate([c[name] for _, c in parts]))
+    assert window_quanta(settings) == 1_000_000
+
+
+def test_a_window_of_one_photon_and_one_of_none() -> None:
+    one = label(np.array([5]), np.array([7], np.int32), (0, 4_000_000), WORKFLOW)[0]
+    assert len(one["signal"]) == 1
+    none = label(np.empty(0, np.int64), np.empty(0, np.int32), (0, 4_000_000), WORKFLOW)
+    assert not any(len(values) for part in none for values in part.values())
+
+
+def test_the_threshold_is_that_of_the_largest_f1() -> None:
+    rng = np.random.default_rng(2)
+    photons = np.r_[rng.normal(2.0, 0.7, 400), rng.normal(-2.0, 1.0, 1600)]
+    places, each = rng.normal(-2.0, 1.0, 800), np.full(800, 2.0)
+    f1, least, ground = _threshold(photons, places, each, 1.5)
+    signal = np.arange(2000) < 400
+
+    def true_f1(limit: float) -> float:
+        kept = photons >= limit
+        return 2 * np.count_nonzero(kept & signal) / (kept.sum() + 400)
+
+    best = max(true_f1(limit) for limit in np.linspace(-3.0, 3.0, 200))
+    assert true_f1(least) > best - 0.01
+    assert f1 == pytest.approx(best, abs=0.03)
+    assert ground <= least
+    assert np.count_nonzero(photons >= ground) <= 1.5 * np.count_nonzero(photons >= least)
+
+
+def _known(track: Track) -> tuple:
+    along, height = lattice(track)
+    order = np.lexsort((height, along))
+    known = assess(along[order], height[order], 20.0, WORKFLOW.signal, 1.5)
+    return along[order], height[order], known
+
+
+def test_mdbscan_is_counting_by_hand() -> None:
+    along, height, known = _known(small_track(5))
+    chosen = WORKFLOW.signal.mdbscan.model_copy(update={"scaled": False})
+    found = mdbscan(along, height, known, 20.0, chosen)
+    x, z = along / 1e3, height / 1e3
+    inside = ((x[:, None] - x) / 12.0) ** 2 + ((z[:, None] - z) / 4.0) ** 2 <= 1.0
+    mean = len(x) / (known.gate_m.sum() * 20.0)
+    core = inside.sum(axis=1) >= 4.0 * mean * np.pi * 48.0
+    np.testing.assert_array_equal(found, (inside & core).any(axis=1))
+
+
+@pytest.mark.parametrize("method", ["published", "mdbscan"])
+def test_filters_of_the_source_keep_signal(method: str) -> None:
+    track = small_track(4)
+    beam = labelled(lattice(track), workflow(signal={"method": method}))
+    signal = track.truth > 0
+    both = np.count_nonzero(beam.kept & signal)
+    assert 2 * both / (beam.kept.sum() + signal.sum()) > 0.8
+
+
+def test_the_published_filter_takes_as_many_as_the_rate_leaves() -> None:
+    beam = labelled(lattice(small_track(4)), workflow(signal={"method": "published"}))
+    left = len(beam.kept) - beam.cells["expected"].sum()
+    assert beam.kept.sum() == pytest.approx(left, abs=1.0)
