@@ -216,7 +216,7 @@ def make_report(**changes: Any) -> Report:
         ),
         "noise": Noise(
             method="vsaes",
-            test="tail",
+            test="calibrated",
             alpha=0.001,
             mean_per_m3=0.0931,
             p05_per_m3=0.051,

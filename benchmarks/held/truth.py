@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from spl_batch.airborne.simulate.survey import KINDS
 
-NOISE: Final = tuple(map(KINDS.index, ("background", "afterpulse", "bloom", "crosstalk")))
+NOISE: Final = tuple(map(KINDS.index, ("background", "afterpulse")))
 """Kinds of returns that no surface reflected."""
 
 GIVEN: Final = ("noise_class", "classification", "noise_density", "p_value")

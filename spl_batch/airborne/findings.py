@@ -223,8 +223,6 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "between gps_time {first_s:.0f} and {last_s:.0f}",
                 "spread": "returns of hard surfaces spread by {sigma_m:.2f} m along the beam, and "
                 "the sensor states {stated_m:.2f} m: surfaces are taken as thick as that",
-                "crosstalk": "away from the surface a return sets off each channel beside its own "
-                "with a chance of at least {chance:.1%}, at the same range",
             },
             "among leaves more afterpulses stay, or true returns are lost as such; heights of "
             "single returns are less certain",
@@ -241,12 +239,12 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         "S02": Code(
             "Flightlines are not compared",
             {
-                "passes": "in {cells:ground cells} more than {most} passes overlap, {worst} in "
-                "{cell}: those with most returns are compared, the others are not",
+                "passes": "in {cells:ground cells} more than {most} flightlines overlap, {worst} "
+                "in {cell}: those with most returns are compared, the others are not",
                 "alone": "{count:flightlines|share} too few planar patches with others and stay: "
                 "{names}",
-                "far": "would have to be shifted by {east_m:.2f} m east, {north_m:.2f} m north and "
-                "{up_m:.2f} m up, more than the {most_m:g} m that are allowed: it stays",
+                "far": "would have to be shifted by {up_m:.2f} m up, more than the {most_m:g} m "
+                "that are allowed: it stays",
             },
             remedy="look at the trajectory and its datum; survey.gap_s may be shorter than pauses "
             "within a flightline",

@@ -6,6 +6,8 @@ from typing import Any, ClassVar, Final
 
 from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, virtual_cloud
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
+from spl_batch.airborne.lines.sentences import done_sentence, left_out_warnings, offset_warnings
 from spl_batch.airborne.plan.block_size import (
     remember_sizes,
     remember_stretch,
@@ -36,9 +38,6 @@ from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store
-from spl_batch.airborne.strips.alignment_sentences import done_sentences, plan_row
-from spl_batch.airborne.strips.pair_sentences import left_out_warnings, offset_warnings
-from spl_batch.airborne.strips.strip_comparison import pairs_of
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.executor import Work
@@ -121,15 +120,17 @@ class Imaging(Receiver[Survey, Context]):
                     f"; --memory allows {what} in strips, up to {strips} of a cell: that takes "
                     f"{strips_cost(strips):.1f} times as long as at once"
                 )
-        return [
+        rows = [
             ("area", f"{grouped(area_km2, 3)} km2 of tiles"),
             ("stretches", f"{grouped(cost.stretches)} of flightlines"),
             ("tiles", grouped(cost.tiles)),
             ("blocks", blocks),
             ("ground cells", cells),
             ("halo", halo),
-            *plan_row(settings.survey.align),
         ]
+        if settings.survey.align == "vertical":
+            rows.append(("alignment", "survey.align: vertical: heights of flightlines are shifted"))
+        return rows
 
     def first_look(self, prepared: Prepared[Survey, Context]) -> FirstLook:
         """What both ends of the files tell of their times and channels, and of the trajectory's."""
@@ -190,10 +191,13 @@ class Imaging(Receiver[Survey, Context]):
         survey = prepared.ledger
         if step.name == "index_file":
             return stretches_anew(survey)
-        if step.name == "align":
-            alone = bool(survey.of("index_file")) and is_one_flightline(survey)
-            how, receipts = survey.workflow.survey.align, survey.of("align").values()
-            return [*done_sentences(how, receipts, alone=alone)]
+        if step.name == "align" and survey.workflow.survey.align != "none":
+            if bool(survey.of("index_file")) and is_one_flightline(survey):
+                texts = ["survey.align: there is one flightline, nothing is shifted"]
+            else:
+                found = (shifts_of(r.facts) for r in survey.of("align").values())
+                texts = [done_sentence(s) for s in found if not all(one.stays for one in s)]
+            return [Finding("E01", {"kind": "memory", "what": text}) for text in texts]
         return blocks_anew(survey, prepared.context) if step.name == "build_tile" else ()
 
     def reference(self, ledger: Survey) -> list[str]:

@@ -23,10 +23,10 @@ STAGES: Final = (
 _INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
 
 _OBSERVED: Final = (
-    *(f"noise.{key}" for key in NoiseSettings.model_fields if key not in ("haze", "bloom")),
+    *(f"noise.{key}" for key in NoiseSettings.model_fields if key != "haze"),
     *("acquisition", "survey.sensor"),
 )
-"""Haze is looked for in the space domain; bloom is an argument of the one step that marks it."""
+"""Haze is looked for in the space domain."""
 
 _TIME: Final = (
     *_OBSERVED,
@@ -194,16 +194,15 @@ STEPS: Final[Steps] = table(
     _cell(
         "recorded_patches",
         "ground",
-        "strips.strip_comparison:strip_patches",
+        "lines.comparison:strip_patches",
         tasks="strip_tasks:recorded_patches",
-        settings=("survey.gap_s",),
         after=("build_tile",),
         bind=f"{_HOME}.tasks.bindings:labelled",
     ),
     _step(
         "align",
         "ground",
-        "strips.strip_comparison:align",
+        "lines.comparison:align",
         tasks="strip_tasks:align",
         settings=("survey.align",),
         after=("recorded_patches",),
@@ -222,9 +221,8 @@ STEPS: Final[Steps] = table(
     _cell(
         "strip_patches",
         "ground",
-        "strips.strip_comparison:strip_patches",
+        "lines.comparison:strip_patches",
         tasks="strip_tasks:patches",
-        settings=("survey.gap_s",),
         bytes_per_point=80,
         remedy="lower ground.cell_m",
         after=_SHUFFLED,
@@ -245,9 +243,9 @@ STEPS: Final[Steps] = table(
     _step(
         "strip_pairs",
         "surfaces",
-        "strips.strip_comparison:strip_pairs",
+        "lines.comparison:strip_pairs",
         tasks="strip_tasks:pairs",
-        after=("strip_patches",),
+        after=("strip_patches", "align"),
     ),
     _delivery(
         "deliver_file",

@@ -95,13 +95,9 @@ class PointFlag(IntFlag):
     """Inside a water polygon."""
     SHOT_NOISE = 32
     """The filter of single shots (differential cell count), where it ran, calls it noise."""
-    BLOOM = 64
-    """Light of one bright point that reached the whole array: noise, and takes part in nothing."""
-    SET_OFF = 128
-    """Crosstalk may have made it: no evidence, and judged with the return beside it in its shot."""
 
 
-EXCLUDED: Final = PointFlag.WITHHELD | PointFlag.VENDOR_NOISE | PointFlag.BLOOM
+EXCLUDED: Final = PointFlag.WITHHELD | PointFlag.VENDOR_NOISE
 """Flags of points that no computation looks at."""
 
 UNFILTERED: Final = EXCLUDED | PointFlag.NO_BEAM | PointFlag.OUTSIDE_AOI

@@ -220,9 +220,7 @@ def test_what_does_not_wait_for_each_other_is_done_at_once(small: Path) -> None:
             left[event.kind] = event.tasks
         elif isinstance(event, TaskEnded):
             left[event.kind] -= 1
-    assert beside == {"deliver_tile", "mosaic", "strip_patches", "strip_pairs"}, (
-        "all others wait for those before"
-    )
+    assert beside == {"deliver_tile", "mosaic"}, "all others wait for those before"
     assert not any(left.values())
 
 

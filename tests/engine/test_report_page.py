@@ -2,7 +2,6 @@
 
 import html.parser
 import re
-from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,10 +11,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from spl_batch.airborne.compare.comparison_page import ComparisonReport, MethodResult
-from spl_batch.airborne.compare.comparison_page import write as write_comparison
-from spl_batch.airborne.report import survey_pieces
-from spl_batch.airborne.report.model import Piece, Report
+from spl_batch.airborne.compare.comparison import ComparisonReport, MethodResult
+from spl_batch.airborne.compare.comparison import write as write_comparison
+from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
 from spl_batch.airborne.report.survey_page import render
@@ -25,15 +23,12 @@ from spl_batch.altimetry.compare.comparison_page import write as write_tracks
 from spl_batch.altimetry.report import page as track_page
 from spl_batch.altimetry.report import pictures as track_pictures
 from spl_batch.altimetry.report.model import Beam, TrackCounts, TrackReport
-from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report import maps, style
 from spl_batch.engine.report.parameters import changed, without
 from spl_batch.engine.report.parts import Provenance, Statistics
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.verbs import reporting
 from spl_batch.errors import StoreError
-from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import read_overview
 from spl_batch.geiger.coincidence.report import model as coincidence
 from spl_batch.geiger.coincidence.report import page as coincidence_page
 from spl_batch.geiger.water.report import model as water
@@ -176,7 +171,7 @@ def linear_report(**changes: Any) -> Report:
     }
     made = whole.provenance.model_copy(update={"parameters": parameters})
     values = {"survey": survey, "counts": counts, "noise": Noise(), "accuracy": None,
-              "provenance": made, "warnings": ()}  # fmt: skip
+              "provenance": made, "findings": ()}  # fmt: skip
     return make_report(**{**values, **changes})
 
 
@@ -422,101 +417,6 @@ class TestPictures:
         for label in labels:
             assert re.search(r"\[[^\]]+\]$|detections per look$", label), label
             assert "less" not in label
-
-
-class TestPieces:
-    PLACES: Sequence[tuple[float, float, float, float]] = (
-        (0.0, 400.0, 0.0, 300.0),
-        (9000.0, 9200.0, 4000.0, 4100.0),
-        (-60_000.0, -59_900.0, 0.0, 100.0),
-    )
-
-    def report(self) -> Report:
-        names = (("dtm.tif", "dsm.tif"), ("dtm.tif", "dsm.tif"), ("dtm_2.tif", "dsm_2.tif"))
-        found = tuple(Piece(extent_m=p, rasters=n) for p, n in zip(self.PLACES, names, strict=True))
-        return make_report(survey=make_report().survey.model_copy(update={"pieces": found}))
-
-    def test_each_is_shown_or_linked(self) -> None:
-        report, inputs = self.report(), make_inputs()
-        other = PictureInputs(dtm=inputs.dtm, dsm=inputs.dsm)
-        made = make_pictures(PictureInputs(dtm=inputs.dtm, others=[other, other]), report)
-        assert made["locator"].png
-        assert all(made[f"{name}_{n}"].png for name in ("dtm", "dsm") for n in (2, 3))
-        shown = render(report, made)
-        for name in ("dtm.tif", "dtm_2.tif", "dsm_2.tif"):
-            assert f'<a href="{name}">' in shown
-        text = Outline(shown).text
-        assert "The survey lies in 3 pieces far apart" in text
-        assert "Piece 2" in text
-        assert "Piece 3" in text
-        assert "the others follow" in text
-
-    def test_those_without_a_picture_are_not_left_out_silently(self) -> None:
-        text = Outline(render(self.report(), make_pictures(PictureInputs(), self.report()))).text
-        assert "the others are in their rasters" in text
-        assert "\N{MINUS SIGN}60 000" in text.replace("\N{NARROW NO-BREAK SPACE}", " ")
-
-    def test_one_piece_has_no_locator(self) -> None:
-        made = make_pictures(make_inputs(), make_report())
-        assert "locator" not in made
-        assert "pieces far apart" not in render(make_report(), made)
-
-    def test_the_locator_numbers_each(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        seen = watch(monkeypatch)
-        make_pictures(PictureInputs(), self.report())
-        assert {"1", "2", "3"} <= set(words(seen[-1]))
-
-    def test_boxes_far_apart_are_pieces(self) -> None:
-        a, b = (0.0, 0.0, 200.0, 200.0), (200.0, 0.0, 400.0, 200.0)
-        near, far = (900.0, 0.0, 1100.0, 200.0), (9000.0, 0.0, 9100.0, 100.0)
-        assert [len(g) for g in survey_pieces.split([far, a, near, b])] == [3, 1]
-        assert [len(g) for g in survey_pieces.split([a, b, near])] == [3]
-        assert survey_pieces.split([]) == []
-        large = (0.0, 0.0, 5000.0, 5000.0)
-        beside = (6500.0, 0.0, 11_500.0, 5000.0)
-        assert [len(g) for g in survey_pieces.split([large, beside])] == [2], (
-            "one map shows both well"
-        )
-
-    def test_they_are_found_within_a_raster_and_in_several(self, tmp_path: Path) -> None:
-        for name, left, shape in (("dtm", 0.0, (400, 9200)), ("dtm_2", -60_000.0, (100, 100))):
-            block = np.full(shape, 7.0, np.float32)
-            write_cog(tmp_path / f"{name}.tif", block, shape=shape, cell_m=1.0, crs=None,
-                      origin_xy_m=(left, float(shape[0])), description="height")  # fmt: skip
-        cores = ((0, 0, 400, 400), (9000, 0, 9200, 200), (-60_000, 0, -59_900, 100))
-        quanta = [[round(edge / QUANTUM_M) for edge in core] for core in cores]
-        done = {
-            "mosaic": {n: receipt() for n in ("dtm", "dsm", "noise", "dtm_2", "dsm_2")},
-            "surface": {str(k): receipt(core=core) for k, core in enumerate(quanta)},
-            "index_file": {
-                str(k): receipt(bounds=[*core[:2], 0, *core[2:], 1])
-                for k, core in enumerate(quanta)
-            },
-        }
-        found = survey_pieces.find_pieces(done, SimpleNamespace(output=tmp_path))  # type: ignore[arg-type]
-        assert [p.bounds_m for p in found] == [cores[k] for k in (0, 1, 2)]
-        assert [p.rasters for p in found] == [("dtm.tif", "dsm.tif")] * 2 + [
-            ("dtm_2.tif", "dsm_2.tif")
-        ]
-        assert [p.extent_m for p in survey_pieces.in_words(found)][1] == (
-            9000.0,
-            9200.0,
-            0.0,
-            200.0,
-        )
-        part = read_overview(tmp_path / "dtm.tif", bounds_m=found[1].bounds_m)
-        assert part.extent_m == (9000.0, 9200.0, 0.0, 200.0)
-        assert survey_pieces.in_words(found[:1]) == ()
-
-    def test_a_raster_is_cut_to_a_piece(self) -> None:
-        raster = Raster(np.arange(24.0).reshape(4, 6), (0.0, 60.0, 0.0, 40.0))
-        part = survey_pieces.cropped(raster, (10.0, 10.0, 30.0, 30.0))
-        assert part.extent_m == (10.0, 30.0, 10.0, 30.0)
-        assert part.values.tolist() == [[7.0, 8.0], [13.0, 14.0]]
-
-
-def receipt(**facts: Any) -> Any:
-    return SimpleNamespace(facts=facts)
 
 
 def words(drawn: Figure) -> list[str]:

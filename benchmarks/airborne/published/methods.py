@@ -20,7 +20,6 @@ from spl_batch.airborne.simulate.scene.scene_file import Scene
 
 KINDS = ("background", "ground", "roof", "vegetation", "wire", "water", "afterpulse", "other")
 BACKGROUND, GROUND, ROOF, VEGETATION, WIRE, WATER, AFTERPULSE, OTHER = range(len(KINDS))
-BLOOM, CROSSTALK = 9, 10
 
 Columns = dict[str, NDArray[Any]]
 
@@ -136,7 +135,7 @@ signal [W17 Eq. 4.1]; gamma's factor of two would make it throw half of the sign
 
 def is_noise(kind: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
     """Which returns no surface reflected, by their true kind: (n,)."""
-    return np.isin(kind, (BACKGROUND, AFTERPULSE, BLOOM, CROSSTALK))
+    return np.isin(kind, (BACKGROUND, AFTERPULSE))
 
 
 def known_methods() -> dict[str, Method]:
@@ -158,11 +157,7 @@ def known_methods() -> dict[str, Method]:
     alone, with_scan = (
         ((f"filter.wires.enabled={word}",) if scan else ()) for word in ("false", "true")
     )
-    tail = ("filter.method=vsaes", "filter.test=tail")
     own = {**OWN_FILTER, **BY_BEAMLET}
-    found["tail"] = Method(
-        "VSAES, corrected tail", (*tail, *alone), claims=own | {"filter.test": "tail"}
-    )
     if "calibrated" in _choices("test"):
         test = ("filter.method=vsaes", "filter.test=calibrated")
         found["calibrated"] = Method("calibrated", (*test, *alone), claims=own)

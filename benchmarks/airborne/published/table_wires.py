@@ -92,7 +92,7 @@ def wire_tables(
 ) -> dict[tuple[str, str, str], Result]:
     """Print the tables of some twins, pooled over seeds; results by twin, kind and method."""
     known = methods.known_methods()
-    skipped = {"tail", "calibrated", "voxel", "multilevel", "cylinder"}
+    skipped = {"calibrated", "voxel", "multilevel", "cylinder"}
     found: dict[tuple[str, str, str], Result] = {}
     chosen = {key: method for key, method in known.items() if key not in skipped}
     for name in twins:

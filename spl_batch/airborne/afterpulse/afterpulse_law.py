@@ -183,10 +183,7 @@ def _several(channel: NDArray[np.uint8], shots: NDArray[np.int64]) -> NDArray[np
 
 
 def fit(
-    parts: Sequence[dict[str, NDArray[Any]]],
-    noise_per_m: float,
-    sensor: Sensor,
-    crosstalk_share: float = 0.0,
+    parts: Sequence[dict[str, NDArray[Any]]], noise_per_m: float, sensor: Sensor
 ) -> AfterpulseLaw:
     """Law of a flightline.
 
@@ -198,11 +195,9 @@ def fit(
         Background per metre of beamlet, which follows a return as well [1/m].
     sensor : Sensor
         Dead time, and what is expected beforehand.
-    crosstalk_share : float
-        Share of the returns that others have set off, 0..1.
     """
     counts = added(parts)
-    sigma_m = ranging_spread(counts.planes, sensor, crosstalk_share)
+    sigma_m = ranging_spread(counts.planes, sensor)
     entries, followers, left = of_hard_planes(counts, sigma_m)
     prior = sensor_law(sensor)
     edges, bins = coarse_bins(prior.dead_m, prior.longest_m)

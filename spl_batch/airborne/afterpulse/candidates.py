@@ -24,7 +24,6 @@ from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw, sensor_l
 from spl_batch.airborne.afterpulse.hard_surfaces import Rules, below_planes
 from spl_batch.airborne.afterpulse.lag_counts import across_beams
 from spl_batch.airborne.afterpulse.shot_evidence import shot_probabilities
-from spl_batch.airborne.beams.bloom import find_bloom
 from spl_batch.airborne.beams.shot_runs import lag_behind, run_starts
 from spl_batch.airborne.noise.gate import GATE_ASSUMED_M
 from spl_batch.airborne.sensors.sensor import Sensor
@@ -101,21 +100,13 @@ def probability(
     return out
 
 
-def observe(
-    table: PointTable, beams: BeamTable, sensor: Sensor, interval_shots: int
-) -> dict[str, NDArray[np.int64]]:
+def observe(table: PointTable, beams: BeamTable, sensor: Sensor) -> dict[str, NDArray[np.int64]]:
     """What a flightline's law is fitted to, with the default numbers for a hard surface.
 
-    See :func:`spl_batch.airborne.afterpulse.afterpulse_law.observe`. Shots of bloom take no part:
-    the ground follows it. ``interval_shots`` is that of
-    :func:`~spl_batch.airborne.beams.bloom.find_bloom`.
+    See :func:`spl_batch.airborne.afterpulse.afterpulse_law.observe`.
     """
     rows = rows_of(beams.known)
     table, beams = table.take(rows), beams.take(rows)
-    starts = run_starts(table["gps_time"])
-    bloom = find_bloom(table, beams, starts, sensor.beamlets, sensor.range_sigma_m, interval_shots)
-    if bloom.shots:
-        table, beams = table.take(~bloom.of_shots), beams.take(~bloom.of_shots)
     law = sensor_law(sensor)
     rules = hard_rules(AfterpulseSettings(), sensor, law)
     return afterpulse_law.observe(table, beams, rules, law.least_m)

@@ -9,7 +9,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from spl_batch.airborne.afterpulse.lag_counts import SPREAD_STEP_M
 from spl_batch.airborne.sensors.sensor import Sensor
@@ -36,9 +35,7 @@ the largest times this. As twenty returns tell it, that is 0.78 on the level and
 on real heath it is 0.35 to 0.66."""
 
 
-def ranging_spread(
-    planes: NDArray[np.int64], sensor: Sensor, crosstalk_share: float = 0.0
-) -> float:
+def ranging_spread(planes: NDArray[np.int64], sensor: Sensor) -> float:
     """One standard deviation of ranges, never less than the sensor's [m].
 
     Parameters
@@ -46,9 +43,6 @@ def ranging_spread(
     planes : (s,) int64
         Planes by their spread, in steps of
         :data:`~spl_batch.airborne.afterpulse.lag_counts.SPREAD_STEP_M` [count].
-    crosstalk_share : float
-        Share of the returns that others have set off, 0..1: they lie beside where they seem to,
-        on a plane that is tilted off it, and widen the spread by no more than :func:`_widened`.
     """
     stated = sensor.range_sigma_m
     if not _alike(planes):
@@ -56,12 +50,7 @@ def ranging_spread(
     counts = planes.astype(np.float64)
     counts[min(int(stated / CHANCE / SPREAD_STEP_M), len(counts) - 1)] += PRIOR
     found = CHANCE * _quantile(counts, QUANTILE)
-    return found if found > BELIEVED * _widened(crosstalk_share) * stated else stated
-
-
-def _widened(share: float) -> float:
-    """Median size of residuals, a share of which is large, over that of the others."""
-    return float(ndtri(0.5 + 0.25 / (1.0 - min(share, 0.4))) / ndtri(0.75))
+    return found if found > BELIEVED * stated else stated
 
 
 def _alike(planes: NDArray[np.int64]) -> bool:

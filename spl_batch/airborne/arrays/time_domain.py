@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
-from spl_batch.airborne.beams import crosstalk, geometry, sensor_path
-from spl_batch.airborne.beams.bloom import Bloom, find_bloom, find_unnumbered
+from spl_batch.airborne.beams import geometry, sensor_path
 from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.beams.told_apart import told_apart
@@ -91,8 +90,7 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
             table.take(rows), None if origin_m is None else origin_m[rows], sensor, settings
         )
         bases.add(one.basis)
-        told = (*one.model.findings, *crosstalk.told(one.crosstalk))
-        found += [finding._replace(subject=name) for finding in told]
+        found += [finding._replace(subject=name) for finding in one.model.findings]
         if one.rate_is_assumed:
             assumed = {"kind": "assumed", "prf_hz": FALLBACK_PRF_HZ}
             found.append(Finding("T01", assumed, name))
@@ -100,8 +98,6 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
         for key, values in columns.items():
             added[key][rows] = values
         flags[rows] |= ~one.beams.known * np.uint8(PointFlag.NO_BEAM)
-        flags[rows] |= one.bloom * np.uint8(PointFlag.BLOOM)
-        flags[rows] |= one.set_off * np.uint8(PointFlag.SET_OFF)
         lines.append(parts)
     basis = "vertical" if "vertical" in bases else next(iter(bases), "beams")
     return Assessed(
@@ -140,30 +136,18 @@ class _Line:
         self.table = table.with_columns(shot=clock.shot(time))
         self.settings, self.sensor = settings, sensor
         self.basis, self.beams = self._beams(origin_m)
-        self.bloom = np.zeros(len(table), np.bool_)
         # Beams may tell beamlets apart that nobody has numbered.
         stated = settings.sensor
         self.unnumbered = sensor.beamlets < stated.beamlets and self.basis != "vertical"
-        self.set_off = np.zeros(len(table), np.bool_)
         observed = line_noise.observe(self.table, self.beams, settings.noise)
-        if self.basis != "vertical":
-            observed |= crosstalk.observe(
-                self.table, self.beams, sensor, settings.noise.interval_shots
-            )
-        self.crosstalk = crosstalk.chance([observed])
         seen, beams = self.table, self.beams
         if self.unnumbered:
             seen, order = told_apart(seen, beams, stated)
             beams = beams.take(order)
-        observed |= candidates.observe(seen, beams, stated, settings.noise.interval_shots)
+        observed |= candidates.observe(seen, beams, stated)
         self.model = line_noise.fit(line_noise.merge([observed]), settings.noise, sensor)
         beamlets = stated.beamlets if self.unnumbered else 1
-        self.law = afterpulse_law.fit(
-            [observed],
-            self.model.mean_rate / beamlets,
-            sensor,
-            crosstalk.share_of_returns(self.crosstalk),
-        )
+        self.law = afterpulse_law.fit([observed], self.model.mean_rate / beamlets, sensor)
 
     def _beams(self, origin_m: NDArray[np.float64] | None) -> tuple[str, BeamTable]:
         table = self.table
@@ -183,25 +167,10 @@ class _Line:
             name: np.zeros(len(self.table), np.float32) for name in _ADDED
         }
         added["line_density"][rows] = line_noise.line_density(table, model)
-        found = self._bloom(table, beams)
-        if found.shots and self.settings.noise.bloom:
-            self.bloom[rows[found.returns]] = True
-            rows = rows[~found.returns]
-            table, beams = table.take(~found.returns), beams.take(~found.returns)
-        if self.crosstalk:
-            self.set_off[rows] = crosstalk.set_off(table, beams, self.sensor)
         added["channel"] = self.table["channel"].copy()
         if self.settings.afterpulse.enabled:
             self._add_afterpulses(added, table, beams, rows)
         return added, voxel_noise.deposit_apart(table, beams, model, self.settings.noise)
-
-    def _bloom(self, table: PointTable, beams: BeamTable) -> Bloom:
-        """Returns of light that reached the whole array."""
-        sigma_m, interval = self.law.sigma_m, self.settings.noise.interval_shots
-        if self.unnumbered:
-            return find_unnumbered(table, beams, self.settings.sensor, sigma_m, interval)
-        starts = run_starts(table["gps_time"])
-        return find_bloom(table, beams, starts, self.sensor.beamlets, sigma_m, interval)
 
     def _add_afterpulses(
         self,

@@ -5,10 +5,9 @@ hypothesis of [W18] Eq. 6-8 expects one, and pairs of pairs pass the test. So a 
 afterpulse with a probability of :data:`DEPENDENT_MIN` or more does not count as a neighbour, and
 shares the label of the return in front of it in its beamlet.
 
-Returns that crosstalk may have set off (:mod:`~spl_batch.airborne.beams.crosstalk`) are no evidence
-either, and share the label of the one beside them.
-
 Deviation: the sources count every return.
+
+Labels that a return takes over from the one in front of it in its own beamlet.
 """
 
 from typing import Final
@@ -16,10 +15,84 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.beams.label_inheritance import inherit, may_share
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import quanta
+from spl_batch.numerics.compiled import njit
+
+
+@njit()
+def inherit(
+    order: NDArray[np.int64],
+    same: NDArray[np.bool_],
+    z: NDArray[np.int32],
+    dependent: NDArray[np.bool_],
+    lag: int,
+    label: NDArray[np.uint8],
+    unknown: int,
+) -> None:
+    """Give each dependent return the label of the one in front of it, in place.
+
+    Parameters
+    ----------
+    order : (n,) int64
+        Rows by beamlet, within a beamlet from the highest return down.
+    same : (n,) bool
+        Whether ``order[i]`` is of the same beamlet as ``order[i - 1]``; ``same[0]`` is False.
+    z : (n,) int32
+        Heights by row [quanta].
+    dependent : (n,) bool
+        Rows that take over; they may follow one another.
+    lag : int
+        Farthest that the one in front may be above [quanta].
+    label : (n,) uint8
+        Labels by row; those of dependent rows are set where there is one to take over.
+    unknown : int
+        Label that is not taken over.
+    """
+    for i in range(1, len(order)):
+        row, front = order[i], order[i - 1]
+        if dependent[row] and same[i] and z[front] - z[row] <= lag and label[front] != unknown:
+            label[row] = label[front]
+
+
+MIXER = np.uint64(0x9E37_79B9_7F4A_7C15)
+"""Odd number whose products spread over all bits: 2**64 over the golden ratio."""
+
+
+def may_share(
+    first: NDArray[np.uint64], second: NDArray[np.uint8], chosen: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Rows that may share both keys with a chosen one: all that do, and a few others.
+
+    Parameters
+    ----------
+    first : (n,) uint64
+    second : (n,) uint8
+        The keys.
+    chosen : (n,) bool
+        Rows looked for.
+
+    Returns
+    -------
+    (n,) bool
+        True wherever both keys equal those of a chosen row; of other rows 1 in 32 or fewer.
+    """
+    bits = max(int(np.count_nonzero(chosen)) * 64, 64).bit_length()
+    seen = np.zeros(1 << bits, np.bool_)
+    out = np.empty(len(first), np.bool_)
+    _share(first, second, chosen, np.uint64(64 - bits), seen, out)
+    return out
+
+
+@njit()
+def _share(first, second, chosen, shift, seen, out):  # type: ignore[no-untyped-def]
+    for i in range(len(first)):
+        if chosen[i]:
+            seen[((first[i] * MIXER + np.uint64(second[i])) * MIXER) >> shift] = True
+    for i in range(len(first)):
+        out[i] = seen[((first[i] * MIXER + np.uint64(second[i])) * MIXER) >> shift]
+
 
 DOMAIN: Final = "space"
 
@@ -28,9 +101,6 @@ DEPENDENT_MIN: Final = 0.3
 
 LAG_M: Final = 5.0
 """Farthest parent [m]; [W17] 7.2 finds afterpulses within 2-3 m of it."""
-
-BESIDE_M: Final = 2.0
-"""Largest difference in height to a return of the same range two beamlets off [m]."""
 
 
 def dependents(table: PointTable) -> NDArray[np.bool_]:
@@ -84,43 +154,3 @@ def follow(
     inherit(order, same, table["z"], dependent, quanta(LAG_M), out, NOISE_NOT_ASSESSED)
     out[dependent & (out == NOISE_BACKGROUND)] = NOISE_AFTERPULSE
     return out
-
-
-def follow_beside(
-    table: PointTable,
-    set_off: NDArray[np.bool_],
-    asked: NDArray[np.bool_],
-    label: NDArray[np.uint8],
-) -> None:
-    """Give returns that others have set off the label of the nearest in height of their shot.
-
-    Parameters
-    ----------
-    table : PointTable
-        Points with ``gps_time, z``, what is beside those asked among them.
-    set_off : (n,) bool
-        Returns whose own label does not count.
-    asked : (n,) bool
-        Those of them that are wanted are among these.
-    label : (n,) uint8
-        ``noise_class``, changed in place; kept where nothing of the shot is near and assessed.
-    """
-    wanted = set_off & asked
-    if not wanted.any():
-        return
-    keys = (table["gps_time"] + 0.0).view(np.uint64)
-    kin = np.flatnonzero(may_share(keys, np.zeros(len(keys), np.uint8), wanted))
-    kin = kin[wanted[kin] | (~set_off[kin] & (label[kin] != NOISE_NOT_ASSESSED))]
-    order = np.lexsort((table["z"][kin], table["gps_time"][kin]))
-    row = kin[order]
-    time, z, given = table["gps_time"][row], table["z"][row].astype(np.int64), ~wanted[row]
-    place = np.arange(len(row))
-    before = np.maximum.accumulate(np.where(given, place, -1))
-    after = np.minimum.accumulate(np.where(given, place, len(row))[::-1])[::-1]
-    best, nearest = np.full(len(row), -1), np.full(len(row), quanta(BESIDE_M) + 1)
-    for found in (before, np.where(after < len(row), after, -1)):
-        gap = np.abs(z - z[found])
-        better = (found >= 0) & (time == time[found]) & (gap < nearest)
-        best, nearest = np.where(better, found, best), np.where(better, gap, nearest)
-    takes = ~given & (best >= 0)
-    label[row[takes]] = label[row[best[takes]]]

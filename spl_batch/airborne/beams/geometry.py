@@ -8,6 +8,7 @@ is vertical. Its origin is then where it crosses the height :data:`STAND_IN_HEIG
 order the returns of a beam. How a flightline is cut does not matter.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -15,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.rays import look
-from spl_batch.airborne.beams.rounded_times import evened
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, Trajectory
@@ -44,6 +44,9 @@ ELSEWHERE_M: Final = 10_000.0
 
 ASIDE_M: Final = 1.0
 """What places may be off for other reasons, at most [m]."""
+
+LONGER: Final = 1.51
+"""Ratio of steps between shots that are one period: rounding makes them 2 and 3 units long."""
 
 PRF_DIGITS: Final = 3
 """Digits of an estimated pulse rate [count]: rounded times tell no more in short files."""
@@ -274,18 +277,13 @@ def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
     Returns
     -------
     (STEP_BINS,) int64
-        Number of steps by length, in bins of :data:`STEP_BIN_S`; longer ones are dropped. Where
-        times are rounded coarsely they are their mean
-        (:mod:`~spl_batch.airborne.beams.rounded_times`).
+        Number of steps by length, in bins of :data:`STEP_BIN_S`; longer ones are dropped.
     """
     time = ordered_times(time_s[np.isfinite(time_s)])
     step = np.diff(time[run_starts(time)[:-1]])
     step = step[step < (STEP_BINS - 1) * STEP_BIN_S]
     index = np.rint(step / STEP_BIN_S).astype(np.int64)
-    if not len(index):
-        return np.zeros(STEP_BINS, np.int64)
-    apart = int(_half(int(np.bincount(index).argmax())))
-    return np.bincount(evened(index, apart, time, STEP_BIN_S), minlength=STEP_BINS).astype(np.int64)
+    return np.bincount(index, minlength=STEP_BINS).astype(np.int64)
 
 
 def _half(step: NDArray[np.int64] | int) -> NDArray[np.int64]:
@@ -297,9 +295,10 @@ def _half(step: NDArray[np.int64] | int) -> NDArray[np.int64]:
 def estimate_prf(steps: NDArray[np.int64]) -> float | None:
     """Pulse repetition frequency from the steps between shots.
 
-    Silent shots make steps of two and more periods, but one period stays the commonest;
-    the mean around the mode takes out the jitter (20.03 / 19.97 us). It is told to
-    :data:`PRF_DIGITS`, so that the same flightline has the same whatever files it is cut into.
+    Silent shots make steps of two and more periods, but one period stays the commonest. The mean
+    of all steps nearer to it than to two periods takes out the jitter (20.03 / 19.97 us), and a
+    rounding of times to up to half a period. It has :data:`PRF_DIGITS`, so that a flightline has
+    the same whatever files it is cut into.
 
     Parameters
     ----------
@@ -309,7 +308,8 @@ def estimate_prf(steps: NDArray[np.int64]) -> float | None:
     Returns
     -------
     float or None
-        PRF [Hz]; None where no step is common enough.
+        PRF [Hz]; None where no step is common enough, or half or twice the commonest is there as
+        well: then times are rounded to most of a period, and the rate has to be stated.
     """
     total = int(steps.sum())
     if total < 10:
@@ -326,6 +326,9 @@ def estimate_prf(steps: NDArray[np.int64]) -> float | None:
     mode = int(np.argmax(window / np.sqrt(high - low)))
     if window[mode] < max(5.0, 0.05 * total):
         return None
-    counted = steps[low[mode] : high[mode]]
-    period = float(np.dot(counted, centre[low[mode] : high[mode]]) / counted.sum())
+    halves, doubles = (steps[round(0.95 * k * mode) : round(1.05 * k * mode)] for k in (0.5, 2))
+    if halves.sum() > 0.05 * window[mode] or doubles.sum() > window[mode]:
+        return None
+    near = slice(math.ceil(mode / LONGER), math.floor(mode * LONGER) + 1)
+    period = float(np.dot(steps[near], centre[near]) / steps[near].sum())
     return float(f"{1.0 / period:.{PRF_DIGITS}g}")

@@ -1,26 +1,36 @@
 """Several filters, or ground methods, on one survey; ``engine.verbs.comparing`` runs them.
 
 What they have in common, up to the point tiles, is done once.
+
+Several methods on one survey: a table and profiles side by side, as JSON and as a page.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, get_args
 
 import numpy as np
+from pydantic import Field
 
-from spl_batch.airborne.compare.comparison_page import ComparisonReport, MethodResult, write
-from spl_batch.airborne.compare.contrast import FAR_M, Contrast, Outcome, contrast
-from spl_batch.airborne.compare.terrain_contrast import TerrainContrast, terrain_contrast
+from spl_batch.airborne.compare.contrast import (
+    FAR_M,
+    Contrast,
+    Outcome,
+    TerrainContrast,
+    contrast,
+    terrain_contrast,
+)
 from spl_batch.airborne.filter.denoise import METHODS as FILTERS
 from spl_batch.airborne.ground.ground_methods import METHODS as GROUND
 from spl_batch.airborne.plan.block_size import Holders, remember_stretch, remembered_stretch
 from spl_batch.airborne.report.model import Report
-from spl_batch.airborne.report.plots import Profile
+from spl_batch.airborne.report.plots import Profile, draw_methods
 from spl_batch.airborne.report.profile_strips import read_strip, tallest_strip
 from spl_batch.airborne.report.verdicts import noise_removed, photon_counting
 from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.engine.report import style
+from spl_batch.engine.report.comparison import Compared, ComparedMethod, write_comparison
 from spl_batch.engine.report.number_format import (
     as_ascii,
     centimetres,
@@ -28,12 +38,80 @@ from spl_batch.engine.report.number_format import (
     share,
     significant,
 )
+from spl_batch.engine.report.parts import Count, Number
+from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.store.links import share_finished
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.verbs.comparing import Methods, folder_of, per_million
 from spl_batch.engine.verbs.reporting import recalled
 from spl_batch.formats.rasters.parts import read_overview
 from spl_batch.lattice.tiles import Bounds, quanta
+
+
+class MethodResult(ComparedMethod):
+    """What one method made of the survey."""
+
+    points: Count = Field(description="Points in the input files [count].")
+    background: Count = Field(description="Removed as solar and dark noise [count].")
+    afterpulse: Count = Field(description="Removed as afterpulses [count].")
+    removed_share: Number = Field(
+        None, description="Background and afterpulses over all points, 0..1."
+    )
+    far_per_m3: Number = Field(None, description="Signal far from where most returns lie [1/m3].")
+    far_share: Number = Field(None, description="Of what was recorded there, 0..1.")
+    ground: Count = Field(description="Points called ground [count].")
+    dtm_off_share: Number = Field(
+        None, description="DTM cells more than 0.5 m off the first method's, 0..1."
+    )
+    dtm_rmse_m: Number = Field(None, description="DTM against the reference [m].")
+    dtm_mean_m: Number = Field(None, description="DTM minus reference, mean [m].")
+    dsm_median_m: Number = Field(None, description="DSM minus reference, median [m].")
+    dsm_nmad_m: Number = Field(None, description="DSM minus reference, NMAD [m].")
+    dsm_rmse_m: Number = Field(None, description="DSM against the reference [m].")
+    shuffle_s_per_million: Number = Field(
+        None, description="Stage shuffle, where single shots are filtered [s per 1e6 points]."
+    )
+    s_per_million: Number = Field(
+        None,
+        description="Stage that does what is compared: ground for a ground method, else denoise "
+        "[s per 1e6 points].",
+    )
+
+
+class ComparisonReport(Compared):
+    """What a comparison writes down."""
+
+    survey: str = Field(description="Name of the survey.")
+    photons: bool = Field(description="Whether the survey is single-photon lidar.")
+    far_m: float = Field(description="Far begins at this height difference, at most [m].")
+    far_m3: Number = Field(None, description="Volume of the gate that is far [m3].")
+    far_recorded_per_m3: Number = Field(None, description="Recorded there, kept or not [1/m3].")
+    methods: tuple[MethodResult, ...] = Field(description="In the order asked for.")
+    left_out: tuple[str, ...] = Field((), description="Tiles that not all methods finished.")
+
+
+def write(
+    out: Path,
+    report: ComparisonReport,
+    profiles: Sequence[tuple[str, str, Mapping[str, Profile]]],
+) -> None:
+    """Write ``compare.json`` and ``compare.html`` into a folder.
+
+    Parameters
+    ----------
+    profiles : sequence of (str, str, mapping of str to Profile)
+        Title, caption and strips by method, of each picture.
+    """
+    pictures = [_picture(*shown) for shown in profiles]
+    write_comparison(out, report, "compare.html.j2", __package__, pictures)
+
+
+def _picture(title: str, caption: str, profiles: Mapping[str, Profile]) -> Picture:
+    if not profiles:
+        return Picture(title, "No strip of the survey holds points to show.")
+    png, width, height = style.to_png(draw_methods(profiles))
+    return Picture(title, caption, f"{title}. {caption}", png, width, height)
+
 
 TESTS: Final = tuple(get_args(FilterSettings.model_fields["test"].annotation))
 """Tests of our own method."""
@@ -60,7 +138,7 @@ AFTERPULSES: Final = tuple(
 
 
 def _keys(name: str, settings: Workflow) -> tuple[str, ...] | None:
-    """Keys of the workflow that make a run one of a method, such as ``voxel`` or ``vsaes:tail``."""
+    """Keys of the workflow that make a run one of a method, such as ``vsaes:published``."""
     del settings
     if name == PUBLISHED:
         return (*PUBLISHED_FILTER, *PUBLISHED_NOISE)
@@ -86,11 +164,9 @@ def _share(source: Store, target: Store, settings: Workflow, method: str) -> set
     elif method != PUBLISHED:
         stages.add("shots")
         # The points of a tile carry the verdict of single shots, which one method alone asks for.
-        # Bloom is marked for all but an unfiltered survey.
-        marked = settings.noise.bloom and "none" in (settings.filter.method, method)
         asked = settings.filter.method if method in AFTERPULSES else method
         other = method in AFTERPULSES and not method.endswith(f":{settings.afterpulse.method}")
-        if (settings.filter.method == "dcc") == (asked == "dcc") and not (marked or other):
+        if (settings.filter.method == "dcc") == (asked == "dcc") and not other:
             stages.add("shuffle")
     points = remembered_stretch(source)
     if "shots" in stages and points is not None:

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_decision
-from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow, follow_beside
+from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow
+from spl_batch.airborne.filter import published
 from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
-from spl_batch.airborne.filter.published import aes, cylinder, dcc, multilevel, voxel
 from spl_batch.airborne.filter.wires import wire_null, wire_scan
 from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings, NoiseSettings
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -51,11 +51,11 @@ class Method(NamedTuple):
 METHODS: Final = MappingProxyType(
     {
         "vsaes": Method(ellipsoid_test.judge, ellipsoid_test.reach_m),
-        "aes": Method(aes.judge, aes.reach_m, by_voxel=True),
-        "dcc": Method(dcc.judge, dcc.reach_m),
-        "voxel": Method(voxel.judge, voxel.reach_m),
-        "multilevel": Method(multilevel.judge, multilevel.reach_m),
-        "cylinder": Method(cylinder.judge, cylinder.reach_m),
+        "aes": Method(published.aes, published.aes_reach_m, by_voxel=True),
+        "dcc": Method(published.dcc, published.dcc_reach_m),
+        "voxel": Method(published.voxel, published.voxel_reach_m),
+        "multilevel": Method(published.multilevel, published.multilevel_reach_m),
+        "cylinder": Method(published.cylinder, published.cylinder_reach_m),
     }
 )
 """The filters of the space domain by the name that ``filter.method`` has."""
@@ -206,17 +206,11 @@ def judge(
         p_value[rows] = verdict.p_value
         noise_class[echo] = NOISE_AFTERPULSE
         noise_class[dependent & ~table.has(EXCLUDED | PointFlag.NO_BEAM)] = NOISE_SIGNAL
-        set_off = dependent & table.has(PointFlag.SET_OFF)
-        follow_beside(table, set_off, query, noise_class)
-        behind = dependent & ~set_off
-        if behind.any():
-            kin = np.flatnonzero(families(table, behind & query) & ~excluded)
+        if dependent.any():
+            kin = np.flatnonzero(families(table, dependent & query) & ~excluded)
             family = table.select(("gps_time", "channel", "z")).take(kin)
-            noise_class[kin] = follow(family, behind[kin], noise_class[kin])
-            # What stands beside a follower has its label now.
-            follow_beside(table, set_off, query, noise_class)
+            noise_class[kin] = follow(family, dependent[kin], noise_class[kin])
         noise_class[table.has(UNFILTERED) & ~echo] = NOISE_NOT_ASSESSED
-        noise_class[table.has(PointFlag.BLOOM) & ~table.has(_GIVEN)] = NOISE_BACKGROUND
     noise_class[echo] = NOISE_AFTERPULSE
     outside = table.has(PointFlag.OUTSIDE_AOI)
     noise_class[outside] = NOISE_NOT_ASSESSED
@@ -280,8 +274,7 @@ def resolve(
         return afterpulse_decision.believed(table)
     found = afterpulse_decision.resolve(table, density, afterpulse)
     if _independent(settings):
-        set_off = table.has(PointFlag.SET_OFF) & ~found.echo & ~table.has(EXCLUDED)
-        return found._replace(dependent=found.dependent | set_off)
+        return found
     return afterpulse_decision.Echoes(found.echo, np.zeros(len(table), np.bool_))
 
 

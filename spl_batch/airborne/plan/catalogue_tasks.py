@@ -5,11 +5,11 @@ from typing import Any
 
 from spl_batch.airborne.accuracy.evidence import LEVELS
 from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, virtual_cloud
+from spl_batch.airborne.lines.comparison import shifts_of
+from spl_batch.airborne.lines.sentences import done_sentence
 from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import refusal
-from spl_batch.airborne.strips.alignment_sentences import done_sentence
-from spl_batch.airborne.strips.strip_comparison import alignments_of
 from spl_batch.engine.tasks.task import Task
 
 
@@ -79,8 +79,8 @@ def _steps(survey: Survey) -> Iterator[str]:
     if workflow.afterpulse.enabled:
         yield "Afterpulses of the detector were classified."
     for receipt in survey.of("align").values():
-        told = done_sentence(workflow.survey.align, alignments_of(receipt.facts))
-        yield f"{told[0].upper()}{told[1:]}."
+        sentence = done_sentence(shifts_of(receipt.facts))
+        yield f"{sentence[0].upper()}{sentence[1:]}."
     yield f"Ground was classified by the method {workflow.ground.method}."
     yield f"Rasters of {workflow.products.cell_m:g} m were made of the signal."
     if workflow.breaklines is not None:

@@ -15,18 +15,12 @@ import numpy as np
 
 from spl_batch.airborne.plan.space_units import Unit, unit_within
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.strips.alignment import MOST_M
 from spl_batch.lattice.density import Box, Peak, largest
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, grow, quanta
 
 MOST_ACROSS: Final = 500
 """Raster cells along a square up to which strips are joined [count]: rasters of a joined cell are
 made for whole squares, nine of them where a survey is one square with strips all round."""
-
-
-def moved_q(workflow: Workflow) -> int:
-    """How far a point may be shifted on the map where flightlines are aligned [quanta]."""
-    return quanta(MOST_M) if workflow.survey.align == "rigid" else 0
 
 
 def strip_q(workflow: Workflow) -> int:
@@ -43,13 +37,9 @@ class GroundCells(NamedTuple):
     low: CellId
     high: CellId
     reached: Bounds  #: What all cells own together, whole squares [quanta].
-    #: How far from where its tile has it a point may lie: cells own points by where they lie.
-    moved: int = 0
 
     @classmethod
-    def of_boxes(
-        cls, boxes: Iterable[Sequence[int]], edge: int, strip: int, moved: int = 0
-    ) -> Self:
+    def of_boxes(cls, boxes: Iterable[Sequence[int]], edge: int, strip: int) -> Self:
         """Cells of a survey.
 
         Parameters
@@ -58,23 +48,19 @@ class GroundCells(NamedTuple):
             Bounding boxes of its files, half-open [quanta].
         edge, strip : int
             Edge of a square, and width up to which a strip is joined [quanta].
-        moved : int
-            How far points may be shifted [quanta].
         """
-        boxes = [grow(Bounds(*box), moved) for box in boxes]
         corners = list(zip(*boxes, strict=True)) or [(0,), (0,), (1,), (1,)]
         columns = _axis(min(corners[0]), max(corners[2]), edge, strip)
         rows = _axis(min(corners[1]), max(corners[3]), edge, strip)
         west, east, low_i, high_i = columns
         south, north, low_j, high_j = rows
         reached = Bounds(west * edge, south * edge, (east + 1) * edge, (north + 1) * edge)
-        return cls(edge, CellId(low_i, low_j), CellId(high_i, high_j), reached, moved)
+        return cls(edge, CellId(low_i, low_j), CellId(high_i, high_j), reached)
 
     @classmethod
     def of_workflow(cls, boxes: Iterable[Sequence[int]], workflow: Workflow) -> Self:
         """Cells of a survey, as its workflow says; see :meth:`of_boxes`."""
-        edge, moved = quanta(workflow.ground.cell_m), moved_q(workflow)
-        return cls.of_boxes(boxes, edge, strip_q(workflow), moved)
+        return cls.of_boxes(boxes, quanta(workflow.ground.cell_m), strip_q(workflow))
 
     @property
     def alone(self) -> Bounds:
@@ -157,9 +143,8 @@ class GroundCells(NamedTuple):
             Edge of a tile, and what a cell reads around its core [quanta].
         """
         touched = {cell for tile in counts for cell in self._of_tile(tile, tile_q)}
-        reach = halo_q + self.moved
         for cell in sorted(touched):
-            yield unit_within(self.core(cell), counts, tile_q, reach, (str(cell), cell))
+            yield unit_within(self.core(cell), counts, tile_q, halo_q, (str(cell), cell))
 
     def owners(self, tiles: Iterable[CellId], tile_q: int) -> dict[CellId, list[str]]:
         """Cells that may hold labels of each tile, by tile."""
@@ -167,7 +152,7 @@ class GroundCells(NamedTuple):
 
     def _of_tile(self, tile: CellId, tile_q: int) -> Iterable[CellId]:
         """Cells that own points of a tile, or could, each once."""
-        squares = cells_touching(grow(cell_bounds(tile, tile_q), self.moved), self.edge)
+        squares = cells_touching(cell_bounds(tile, tile_q), self.edge)
         return dict.fromkeys(map(self.keeper, squares))
 
 

@@ -149,8 +149,7 @@ def surface(survey: Survey) -> Iterator[Task]:
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
         ground_of = survey.ground_cells.owners(cell.tiles, survey.tile_q)
-        reach = halo + survey.ground_cells.moved
-        parts = None if index is None else index.overlapping(grow(cell.core, reach))
+        parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
             **cell_args(cell),
             **moved,
@@ -315,7 +314,7 @@ def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
 
 
 def aligned(survey: Survey) -> tuple[dict[str, object], tuple[tuple[str, str], ...]]:
-    """What tasks that read shifted points are told, and the task that tells the shifts."""
+    """Argument of tasks that read shifted points, and the task that finds the shifts."""
     if "all" not in survey.of("align"):
         return {}, ()
     return {"aligned": True}, (("align", "all"),)

@@ -1,10 +1,9 @@
-"""Tasks that compare flightlines with each other: by ground cell, then all together.
-
-Where flightlines are aligned they are compared before the ground is looked for as well.
-"""
+"""Tasks that compare flightlines with each other: by ground cell, then all together."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
+from spl_batch.airborne.lines.patches import SQUARE_M
 from spl_batch.airborne.plan.flightlines import is_timeless
 from spl_batch.airborne.plan.space_tasks import (
     aligned,
@@ -16,58 +15,60 @@ from spl_batch.airborne.plan.space_tasks import (
 )
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.products.product_table import SWATH_DIFFERENCES
-from spl_batch.airborne.strips.strip_comparison import RECORDED
-from spl_batch.airborne.strips.strip_patches import SQUARE_M
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import quanta
 
 
-def recorded_patches(survey: Survey) -> Iterator[Task]:
-    """Ground cells whose flightlines are to be aligned."""
-    if survey.workflow.survey.align != "none":
-        yield from _patches("recorded_patches", RECORDED, survey)
-
-
 def is_one_flightline(survey: Survey) -> bool:
     """Whether there is nothing to compare; known once the index is complete."""
-    return len(_strips(survey)) < 2 and not _has_timeless(survey)
+    return len(survey.flown) < 2 and not _has_timeless(survey)
+
+
+def recorded_patches(survey: Survey) -> Iterator[Task]:
+    """Ground cells whose flightlines are to be aligned, before the ground is looked for."""
+    if survey.workflow.survey.align != "none":
+        yield from _patches("recorded_patches", survey)
 
 
 def align(survey: Survey) -> Iterator[Task]:
     """One task that finds the shifts of all flightlines."""
-    done = survey.of("recorded_patches")
-    if len(done):
-        cells = sorted(name for name, r in done.items() if r.facts["patches"])
-        needs = tuple(("recorded_patches", name) for name in cells)
-        yield Task("align", "all", {"strips": _strips(survey), "cells": cells}, needs)
+    if len(survey.of("recorded_patches")):
+        yield _together("align", "recorded_patches", survey)
 
 
 def patches(survey: Survey) -> Iterator[Task]:
-    """Ground cells, with flightlines as they are delivered."""
-    return _patches("strip_patches", "", survey)
+    """Ground cells whose flightlines stay as they are."""
+    if survey.workflow.survey.align == "none":
+        yield from _patches("strip_patches", survey)
 
 
-def _patches(kind: str, folder: str, survey: Survey) -> Iterator[Task]:
+def pairs(survey: Survey) -> Iterator[Task]:
+    """One task that puts all cells together, with the shifts where there are any."""
+    moved, first = aligned(survey)
+    task = _together("strip_pairs", "recorded_patches" if moved else "strip_patches", survey)
+    if task.args["cells"]:
+        yield replace(task, args={**task.args, **moved}, needs=(*task.needs, *first))
+
+
+def _patches(kind: str, survey: Survey) -> Iterator[Task]:
     """Ground cells, where there can be more than one flightline."""
     if is_one_flightline(survey):
         return
-    moved, first = aligned(survey) if not folder else ({}, ())
     halo = quanta(SQUARE_M)
     holders = survey.holders
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
-        args = {**cell_args(cell), **moved, "noise": named_units("noise", noise), "folder": folder}
-        needs = (*tile_needs(cell), *label_needs("denoise", noise), *first)
+        args = {**cell_args(cell), "noise": named_units("noise", noise), "lines": _lines(survey)}
+        needs = (*tile_needs(cell), *label_needs("denoise", noise))
         refused, how = cell_in_memory("strip_patches", cell, survey)
         yield Task(kind, cell.name, args, needs, 0, refused, how)
 
 
-def pairs(survey: Survey) -> Iterator[Task]:
-    """One task that puts all cells together."""
-    cells = sorted(name for name, r in survey.of("strip_patches").items() if r.facts["patches"])
-    if cells:
-        args = {"strips": _strips(survey), "cells": cells}
-        yield Task("strip_pairs", "all", args, tuple(("strip_patches", name) for name in cells))
+def _together(kind: str, of: str, survey: Survey) -> Task:
+    """One task on all cells with patches."""
+    cells = sorted(name for name, r in survey.of(of).items() if r.facts["patches"])
+    args = {"lines": _lines(survey), "cells": cells}
+    return Task(kind, "all", args, tuple((of, name) for name in cells))
 
 
 def differences(survey: Survey) -> Iterator[Task]:
@@ -84,6 +85,6 @@ def _has_timeless(survey: Survey) -> bool:
     return any(is_timeless(r, survey.workflow) for r in survey.of("index_file").values())
 
 
-def _strips(survey: Survey) -> list[list[object]]:
+def _lines(survey: Survey) -> list[list[object]]:
     """Flightlines with times."""
     return [[line.name, line.psid, line.first_s, line.last_s] for line in survey.flown]

@@ -18,7 +18,6 @@ from spl_batch.airborne.plan.mosaics import split_mosaic
 from spl_batch.airborne.plan.space_units import Unit, tile_counts
 from spl_batch.airborne.plan.task_memory import stretch_points
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.strips.strip_comparison import alignments_of
 from spl_batch.airborne.tasks.index import part_name
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Receipt
@@ -238,15 +237,7 @@ def mosaic_parts(survey: Survey) -> list[tuple[list[CellId], Bounds]]:
         squares |= dict.fromkeys(survey.ground_cells.squares(cell), 0)
         squares[cell] = receipt.points
     pixel_q = quanta(survey.workflow.products.cell_m)
-    return split_mosaic(squares, _delivered_boxes(survey), survey.cell_q, pixel_q)
-
-
-def _delivered_boxes(survey: Survey) -> list[Sequence[int]]:
-    """The same as :func:`_boxes`, with room for the shifts of flightlines on the map."""
-    lines = [line for r in survey.of("align").values() for line in alignments_of(r.facts)]
-    room = max((quanta(abs(m)) for one in lines for m in (one.east_m, one.north_m)), default=0)
-    step = np.array([-room, -room, 0, room, room, 0])
-    return [(np.array(box) + step).tolist() for box in _boxes(survey)] if room else _boxes(survey)
+    return split_mosaic(squares, _boxes(survey), survey.cell_q, pixel_q)
 
 
 def _boxes(survey: Survey) -> list[Sequence[int]]:

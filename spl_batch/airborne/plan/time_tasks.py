@@ -207,14 +207,13 @@ def scatter(survey: Survey) -> Iterator[Task]:
     filtering = survey.workflow.filter
     # Only that one filter reads what shots say: the others share the points as they are.
     dcc = filtering.dcc.model_dump() if filtering.method == "dcc" else None
-    bloom = survey.workflow.noise.bloom and filtering.method != "none"
     positions = _positions(survey)
     for line in survey.flightlines:
         if line.name not in survey.of("fit_line"):
             continue
         for name, k in _gathered(survey, line):
             args = {**_stretch_args(survey, line, name, k), "timeless": False}
-            args["dcc"], args["bloom"] = dcc, bloom
+            args["dcc"] = dcc
             args["positions"] = _near(positions, line, k)
             args["polygons"] = list(survey.inputs.polygons)
             needs = (*_files(line), ("gather", name), ("fit_line", line.name))

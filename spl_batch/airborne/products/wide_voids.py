@@ -9,7 +9,7 @@ Large rasters are looked at in squares of several cells. A square is void where 
 areas are those of the cells.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, distance_transform_edt, find_objects, label
 
 from spl_batch.constants import NODATA
+from spl_batch.engine.findings import Finding
 
 DOMAIN: Final = "space"
 
@@ -116,3 +117,16 @@ def _pieces(area: NDArray[np.bool_], void: NDArray[np.int64]) -> Iterable[tuple[
         deepest = np.where(mine, depth[place], -1.0).argmax()
         row, column = np.unravel_index(deepest, mine.shape)
         yield int(void[place][mine].sum()), place[0].start + row, place[1].start + column
+
+
+def void_findings(found: Sequence[Void], void_max_m: float) -> list[Finding]:
+    """A finding on voids, the largest first, wider than ``products.void_max_m``."""
+    if not found:
+        return []
+    largest = found[0]
+    values = {
+        "count": len(found), "area_m2": float(sum(void.area_m2 for void in found)),
+        "largest_m2": float(largest.area_m2), "east_m": float(largest.east_m),
+        "north_m": float(largest.north_m), "void_max_m": void_max_m,
+    }  # fmt: skip
+    return [Finding("G02", values)]

@@ -6,6 +6,8 @@ front of the surface.
 
 Where nothing tells pulses apart (no time, a time that many share, no channels), a pulse has one
 return of number 1, which counts as its first and its last one.
+
+Kernel of :mod:`~spl_batch.airborne.pulses.pulse_returns`: the ends of each pulse.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,9 +17,39 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.pulses.end_kernels import mark_ends
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointTable, concat
+from spl_batch.numerics.compiled import njit
+
+
+@njit()
+def mark_ends(order, start, count, z, x, y, number, first, last):  # type: ignore[no-untyped-def]
+    """Mark the highest return of each pulse as its first, the lowest as its last.
+
+    Of returns as high the easting decides, then the northing, then the return number, then the row.
+
+    Parameters
+    ----------
+    order : (n,) int64
+        Rows, those of a pulse together and rising.
+    start, count : (p,) int64
+        Where each pulse begins in ``order``, and its returns.
+    z, x, y, number : (n,) integer
+        Of each row.
+    first, last : (n,) bool
+        Set at the rows that are.
+    """
+    for k in range(len(start)):
+        low = high = order[start[k]]
+        for at in range(start[k] + 1, start[k] + count[k]):
+            row = order[at]
+            own = z[row], x[row], y[row], number[row]
+            if own < (z[low], x[low], y[low], number[low]):
+                low = row
+            if own >= (z[high], x[high], y[high], number[high]):
+                high = row
+        first[high], last[low] = True, True
+
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "return_number")
 

@@ -30,11 +30,11 @@ from spl_batch.airborne.report.model import (
     Checkpoint,
     Checkpoints,
     CheckpointStatistics,
+    StripPair,
     Swath,
 )
 from spl_batch.airborne.report.model import Requirement as RequirementReport
 from spl_batch.airborne.report.strip_pairs import strip_pairs
-from spl_batch.airborne.strips.strip_report import StripPair
 from spl_batch.airborne.tasks import checkpoints
 from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.constants import QUANTUM_M

@@ -9,7 +9,6 @@ from typing import Literal
 from pydantic import Field
 
 from spl_batch.airborne.report.noise_model import Noise
-from spl_batch.airborne.strips.strip_report import Alignment, LineShift, StripPair
 from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
@@ -63,15 +62,6 @@ class Flightline(Part):
     noise_per_m: Number = Field(None, description="Mean noise returns per metre of beamlet [1/m].")
 
 
-class Piece(Part):
-    """One of several parts of a survey that lie far apart."""
-
-    extent_m: tuple[Number, Number, Number, Number] = Field(
-        description="West, east, south, north of what was found there [m]."
-    )
-    rasters: tuple[str, ...] = Field(description="Rasters that hold it, beside the report.")
-
-
 class Survey(Part):
     """What was processed."""
 
@@ -88,9 +78,6 @@ class Survey(Part):
         None, description="West, east, south, north [m]."
     )
     cell_m: Number = Field(None, description="Edge of a raster cell [m].")
-    pieces: tuple[Piece, ...] = Field(
-        (), description="Parts that lie far apart, the largest first; none where it is one."
-    )
     flightlines: tuple[Flightline, ...] = ()
 
 
@@ -228,6 +215,69 @@ class Swath(Part):
     )
 
 
+class StripPair(Part):
+    """Where a flightline lies against another that overlaps it, from planar patches of both."""
+
+    first: str = Field(description="The flightline that is compared with.")
+    second: str = Field(description="The one that is compared.")
+    patches: Count = Field(description="Planar patches that both have [count].")
+    area_m2: Number = Field(description="Area of these patches [m2].")
+    centre_m: tuple[Number, Number] = Field(description="Easting and northing of their middle [m].")
+    up_m: Number = Field(description="The second above the first [m].")
+    up_sd_m: Number = Field(description="Standard deviation of it [m].")
+    east_m: Number = Field(None, description="The second east of the first; null if flat [m].")
+    north_m: Number = Field(None, description="The second north of the first; null if flat [m].")
+    horizontal_sd_m: Number = Field(
+        None, description="Standard deviation of these, in the worst direction [m]."
+    )
+    flat_patches: Count = Field(0, description="Smooth patches of up to 10 degrees [count].")
+    rmsd_z_m: Number = Field(
+        None, description="Root mean square of the vertical differences of these [m]."
+    )
+    noise_m: Number = Field(description="Ranging noise: spread about the smoothest patches [m].")
+    largest_m: Number = Field(
+        None, description="Largest vertical difference of a smooth patch of up to 10 degrees [m]."
+    )
+    largest_sd_m: Number = Field(None, description="Standard deviation of it [m].")
+    largest_at_m: tuple[Number, Number] | None = Field(
+        None, description="Easting and northing of that patch [m]."
+    )
+    tilt_east_m: Number = Field(
+        None, description="Change of up_m on 100 m to the east; null where no tilt is sure [m]."
+    )
+    tilt_north_m: Number = Field(None, description="The same to the north [m].")
+    tilt_sd_m: Number = Field(
+        None, description="Standard deviation of these, in the worst direction [m]."
+    )
+    change_m: Number = Field(None, description="Change of up_m over all patches by that tilt [m].")
+
+
+class AlignedLine(Part):
+    """What was added to the heights of a flightline, and how sure it is."""
+
+    name: str = Field(description="The flightline.")
+    up_m: Number = Field(description="Added to its heights [m].")
+    found_m: Number = Field(description="The shift as found; null without a pair [m].")
+    sd_m: Number = Field(None, description="Standard deviation of it [m].")
+    stays: Literal["", "kept", "not compared", "not sure", "too far"] = Field(
+        description="Why nothing was added: the others are shifted against it; too few planar "
+        "patches with others; less than two standard deviations; more than 2 m. Empty where "
+        "something was."
+    )
+
+
+class Alignment(Part):
+    """Shifts in height that bring flightlines together, applied to all that was delivered."""
+
+    lines: tuple[AlignedLine, ...] = Field(
+        description="All flightlines; of those that overlap one is kept as it is: the one to which "
+        "the others, weighted by their returns, come by the shortest way."
+    )
+    before: tuple[StripPair, ...] = Field(
+        description="Pairs of flightlines as they were recorded; strips has what is left."
+    )
+
+
 class Report(Part):
     """Everything that ``report.json`` holds and ``report.html`` shows."""
 
@@ -252,13 +302,8 @@ class Report(Part):
     strips_not_compared: tuple[tuple[str, str], ...] = Field(
         (), description="Pairs of flightlines that overlap without planar patches enough."
     )
-    strip_shifts: tuple[LineShift, ...] = Field(
-        (),
-        description="Robust least squares over these pairs; of flightlines that overlap one is "
-        "held, the one to which the others, weighted by their returns, come by the shortest way.",
-    )
     alignment: Alignment | None = Field(
-        None, description="Shifts that were applied; null with survey.align: none."
+        None, description="Shifts that were applied; null without survey.align."
     )
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")

@@ -34,7 +34,7 @@ class Noise(Part):
     kept_by_chance: Number = Field(
         None,
         description="Background returns that the test is expected to have kept away from surfaces, "
-        "by alpha; by test tail at most; null where the filter fixes no share [count].",
+        "by alpha; null where the filter fixes no share [count].",
     )
     fit: NoiseFit | None = Field(None, description="Null where nothing was filtered.")
     dsm_support: Count | None = Field(

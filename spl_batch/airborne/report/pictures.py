@@ -5,7 +5,7 @@ and with the sentence that says why, so that a reader never wonders whether some
 was forgotten.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, NamedTuple
 
@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from spl_batch.airborne.products.product_table import NAMES
-from spl_batch.airborne.report.locator_map import Extent, draw_locator
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.plots import Profile, draw_histogram, draw_profile
 from spl_batch.airborne.report.verdicts import photon_counting, terrain_statistics
@@ -58,8 +57,6 @@ class PictureInputs:
         Single differences, DTM minus reference; all or an even sample [m].
     profile : Profile, optional
         A vertical strip, about 100 m long and 2-3 m wide; maps show where it lies.
-    others : sequence of PictureInputs
-        DTM and DSM of the survey's other pieces, the largest first.
     strips : Raster, optional
         Height between flightlines that overlap, whichever lies above [m].
     """
@@ -73,7 +70,6 @@ class PictureInputs:
     noise_density: Raster | None = None
     differences_m: NDArray[Any] | None = None
     profile: Profile | None = None
-    others: Sequence["PictureInputs"] = ()
     strips: Raster | None = None
 
 
@@ -98,15 +94,14 @@ def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
     -------
     dict of str to Picture
         Always the keys ``dtm, dsm, chm, difference, histogram, profile, noise_density,
-        dtm_quality, density, strips``, in the order in which a reader wants them; of a survey in
-        pieces ``locator`` as well, and ``dtm_2, dsm_2`` and so on for those that are shown.
+        dtm_quality, density, strips``, in the order in which a reader wants them.
     """
     inputs, photons = _with_line(inputs), photon_counting(report)
     terrain = terrain_statistics(report)
     overall = None if report.accuracy is None else report.accuracy.dtm.get("all")
     if overall is None and terrain is not None:
         overall = terrain[1]
-    made = {
+    return {
         "dtm": _relief(inputs, "dtm", photons=photons),
         "dsm": _relief(inputs, "dsm", photons=photons),
         "chm": _amount(inputs.chm, CANOPY),
@@ -118,12 +113,6 @@ def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
         "density": _amount(inputs.density, SIGNAL_DENSITY if photons else POINT_DENSITY),
         "strips": _amount(inputs.strips, STRIPS),
     }
-    if report.survey.pieces:
-        made["locator"] = _locator([piece.extent_m for piece in report.survey.pieces])
-    for number, other in enumerate(inputs.others, start=2):
-        for key in RELIEF_TEXT:
-            made[f"{key}_{number}"] = _relief(other, key, photons=photons, piece=number)
-    return made
 
 
 def _with_line(inputs: PictureInputs) -> PictureInputs:
@@ -136,16 +125,6 @@ def _with_line(inputs: PictureInputs) -> PictureInputs:
         if (raster := getattr(inputs, name)) is not None
     }
     return replace(inputs, **lined)
-
-
-def _locator(extents: Sequence[Extent]) -> Picture:
-    title = "Where the pieces lie"
-    return _finished(
-        draw_locator(extents),
-        title,
-        "Each box is a piece, with its number in the table below; a piece too small to be seen is "
-        "a dot. Coordinates are those of the upper left and the lower right corner [m].",
-    )
 
 
 def _finished(drawn: Figure, title: str, caption: str, shown: Raster | None = None) -> Picture:
@@ -186,10 +165,8 @@ RELIEF_TEXT: Final[Mapping[str, tuple[str, str]]] = {
 }
 
 
-def _relief(inputs: PictureInputs, key: str, *, photons: bool, piece: int = 1) -> Picture:
+def _relief(inputs: PictureInputs, key: str, *, photons: bool) -> Picture:
     title, caption = RELIEF_TEXT[key]
-    if piece > 1:
-        title += f", piece {piece}"
     limits = _heights(inputs, key)
     shared = limits == _heights(inputs, "dtm" if key == "dsm" else "dsm")
     caption = caption.format(

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.report.plots import Profile
+from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import read_region
-from spl_batch.airborne.store.line_moves import read_moves
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.rasters.parts import Part
@@ -19,7 +19,6 @@ from spl_batch.lattice.tiles import (
     CellId,
     cell_bounds,
     cells_touching,
-    grow,
     overlap,
     quanta,
 )
@@ -111,17 +110,16 @@ def labelled_points(
         Whether they come in canonical order.
     """
     tile_q = quanta(context.workflow.tiling.tile_m)
-    built, told = done.get("build_tile", {}), {"aligned": bool(done.get("align"))}
-    moves = read_moves(told, context.store)
-    reach = 0 if moves is None else moves.reach_q
-    tiles = [t for t in cells_touching(grow(region, reach), tile_q) if str(t) in built]
+    built = done.get("build_tile", {})
+    shifts = read_shifts({"aligned": bool(done.get("align"))}, context.store)
+    tiles = [t for t in cells_touching(region, tile_q) if str(t) in built]
     cells = done.get("surface", {})
     labels = {
         "noise_class": label_holders(tiles, tile_q, "noise", done.get("denoise", {})),
-        "classification": label_holders(tiles, tile_q, "classes", cells, reach),
+        "classification": label_holders(tiles, tile_q, "classes", cells),
     }
     points, _ = read_region(
-        context.store, tiles, region, columns, labels, ordered=ordered, moves=moves
+        context.store, tiles, region, columns, labels, ordered=ordered, shifts=shifts
     )
     return points
 
@@ -164,7 +162,6 @@ def label_holders(
     tile_q: int,
     folder: str,
     units: Mapping[str, Receipt],
-    reach_q: int = 0,
 ) -> dict[CellId, list[tuple[str, str]]]:
     """Label files that may hold each tile's points, by tile.
 
@@ -178,12 +175,10 @@ def label_holders(
         Kind of the labels, as the store names it.
     units : mapping of str to Receipt
         Finished units that gave them, by name.
-    reach_q : int
-        How far points may lie beyond their tiles [quanta].
     """
     holders: dict[CellId, list[tuple[str, str]]] = {t: [] for t in tiles}
     for name, receipt in units.items():
-        core = grow(Bounds(*receipt.facts["core"]), reach_q)
+        core = Bounds(*receipt.facts["core"])
         for tile in tiles:
             if overlap(cell_bounds(tile, tile_q), core):
                 holders[tile].append((folder, name))

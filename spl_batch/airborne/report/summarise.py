@@ -41,10 +41,8 @@ from spl_batch.airborne.report.strip_pairs import (
     pairs_not_compared,
     strip_map,
     strip_pairs,
-    strip_shifts,
 )
 from spl_batch.airborne.report.survey_files import write_report
-from spl_batch.airborne.report.survey_pieces import PICTURED, cropped, find_pieces, in_words
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
@@ -94,8 +92,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         swaths=swath_reports(done, context),
         strips=strip_pairs(done),
         strips_not_compared=pairs_not_compared(done),
-        strip_shifts=strip_shifts(done),
-        alignment=alignment(done, context),
+        alignment=alignment(done),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
         findings=reported(
@@ -119,7 +116,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         provenance=_provenance(done, context, facts.reference),
     )
     pictures = make_pictures(_pictures(done, context, found), report)
-    clip = cut_clip(_tallest(done, context), done, context)
+    clip = cut_clip(_overview(context.output / "chm.tif"), done, context)
     write_report(context.output, report, pictures, clip)
     remember(done, context, facts)
     return report
@@ -139,7 +136,6 @@ def _survey(done: Receipts, context: Context) -> Survey:
         area_km2=area_km2(done),
         extent_m=(low[0], high[0], low[1], high[1]),
         cell_m=workflow.products.cell_m,
-        pieces=in_words(find_pieces(done, context)),
         flightlines=tuple(_flightlines(done, context)),
     )
 
@@ -328,48 +324,22 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
     return provenance(context, inputs)
 
 
-def _tallest(done: Receipts, context: Context) -> Part | None:
-    """Heights above ground of the survey, or of its first piece."""
-    pieces = find_pieces(done, context)
-    bounds = pieces[0].bounds_m if len(pieces) > 1 else None
-    return _overview(context.output / "chm.tif", bounds)
-
-
 def _pictures(done: Receipts, context: Context, found: Comparison | None) -> PictureInputs:
-    pieces = find_pieces(done, context)
-    bounds = pieces[0].bounds_m if len(pieces) > 1 else None
-    folder = context.output
-    parts = {n: _overview(folder / f"{n}.tif", bounds) for n in OF_PRODUCTS}
+    parts = {n: _overview(context.output / f"{n}.tif") for n in OF_PRODUCTS}
     rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
-    noise = _overview(context.store.local / "noise.tif", bounds)
+    noise = _overview(context.store.local / "noise.tif")
     difference = None
     if found is not None:
         d = found.difference
         difference = Raster(d.values, Part(d.values, d.left_m, d.top_m, d.cell_m).extent_m)
-        difference = difference if bounds is None else cropped(difference, bounds)
-    strips = strip_map(done, context)
-    if strips is not None and bounds is not None:
-        strips = cropped(strips, bounds)
     return PictureInputs(
         **rasters,
         noise_density=None if noise is None else Raster(noise.values, noise.extent_m),
         difference=difference,
         differences_m=None if found is None else found.differences_m,
         profile=cut_profile(parts["chm"], done, context),
-        strips=strips,
-        others=[
-            PictureInputs(
-                dtm=_raster(folder / f"dtm{piece.suffix}.tif", piece.bounds_m),
-                dsm=_raster(folder / f"dsm{piece.suffix}.tif", piece.bounds_m),
-            )
-            for piece in pieces[1:PICTURED]
-        ],
+        strips=strip_map(done, context),
     )
-
-
-def _raster(path: Path, bounds_m: tuple[float, float, float, float]) -> Raster | None:
-    part = _overview(path, bounds_m)
-    return None if part is None else Raster(part.values, part.extent_m)
 
 
 def _photons(context: Context) -> bool:
@@ -378,5 +348,5 @@ def _photons(context: Context) -> bool:
     return workflow.filter.method != "none" or workflow.afterpulse.enabled
 
 
-def _overview(path: Path, bounds_m: tuple[float, float, float, float] | None = None) -> Part | None:
-    return read_overview(path, bounds_m=bounds_m) if path.exists() else None
+def _overview(path: Path) -> Part | None:
+    return read_overview(path) if path.exists() else None

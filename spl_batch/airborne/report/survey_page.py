@@ -125,7 +125,6 @@ def render(report: Report, pictures: Mapping[str, Picture], clip: Clip | None = 
         package=__package__,
         pictures=pictures,
         photons=photons,
-        pieces=_shown_pieces(pictures),
         layers=[
             layer
             for layer in layers(_layer_keys(report, photons=photons), pictures, report.failures)
@@ -186,8 +185,6 @@ def _facts(survey: Survey, *, photons: bool, numbered: bool) -> Iterator[str]:
         small = survey.area_km2 < _SMALL_KM2
         area = survey.area_km2 * 1e6 if small else survey.area_km2
         yield f"{text.significant(area)} {'m' if small else 'km'}\N{SUPERSCRIPT TWO}"
-    if survey.pieces:
-        yield f"{len(survey.pieces)} pieces"
     if survey.flightlines:
         n = len(survey.flightlines)
         yield f"{n} flightline{'s' * (n != 1)}"
@@ -263,8 +260,3 @@ def _set_aside(counts: Counts) -> list[tuple[str, int]]:
         ("in files that could not be read", counts.not_read),
     )
     return [(reason, count) for reason, count in reasons if count]
-
-
-def _shown_pieces(pictures: Mapping[str, Picture]) -> list[int]:
-    """Numbers of the pieces beside the first that there are pictures of."""
-    return sorted(int(key.removeprefix("dsm_")) for key in pictures if key.startswith("dsm_"))

@@ -108,18 +108,11 @@ class FilterSettings(Section):
     method: Literal["vsaes", "aes", "dcc", "voxel", "multilevel", "cylinder", "none"] = Field(
         "vsaes", description="Filter: ours, or an earlier one of the sources; none keeps all."
     )
-    test: Literal["calibrated", "tail", "published"] = Field(
+    test: Literal["calibrated", "published"] = Field(
         "calibrated",
-        description="By the null distribution; by the Poisson tail; the published rule at 95 %.",
+        description="By the null distribution; the published rule at 95 %.",
     )
-    alpha: Share = Field(
-        0.001, description="Pure noise kept, with the scan's share; by tail, at most."
-    )
-    selection: float = Field(
-        20.0,
-        ge=1,
-        description="Divides alpha of the tail: an ellipsoid is fitted to what it counts.",
-    )
+    alpha: Share = Field(0.001, description="Pure noise kept, with the scan's share.")
     link_share: float = Field(
         0.4, ge=0, lt=1, description="Part of alpha for linked points, calibrated [0..1]."
     )

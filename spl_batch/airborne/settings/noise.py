@@ -26,11 +26,6 @@ class NoiseSettings(Section):
         True,
         description="Where returns fill the air evenly, as in haze or cloud, expect what is seen.",
     )
-    bloom: bool = Field(
-        False,
-        description="Returns of bright points that light the whole array are noise, "
-        "not only counted.",
-    )
 
 
 class AfterpulseSettings(Section):

@@ -45,10 +45,9 @@ class SurveySettings(Section):
         None, description="LAS dimension with the beamlet number; without it a shot is one beamlet."
     )
     gap_s: Positive = Field(60.0, description="A pause that starts another lift [s].")
-    align: Literal["none", "vertical", "rigid"] = Field(
+    align: Literal["none", "vertical"] = Field(
         "none",
-        description="Shift flightlines so that those that overlap fit together: none; vertical, in "
-        "height; rigid, in height and place.",
+        description="vertical: shift the heights of flightlines so that those that overlap fit.",
     )
 
     @field_validator("sensor")

@@ -1,4 +1,4 @@
-"""Room for what one shot's beamlets see, which kernels fill again and again."""
+"""Room for what a beamlet of one shot sees, which kernels fill again and again."""
 
 import math
 from typing import NamedTuple
@@ -10,33 +10,29 @@ from spl_batch.airborne.simulate.scene.beam_layers import LAYER_FIELDS
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 
 
-class Beamlets(NamedTuple):
-    """Room for the events of all beamlets of a shot."""
+class Beamlet(NamedTuple):
+    """Room for the events of a beamlet."""
 
-    axis: NDArray[np.float64]  #: (c, 3): unit vectors.
-    #: (c, m) float64 and (c, m, 3) int64: events as in
+    axis: NDArray[np.float64]  #: (3,): unit vector.
+    #: (m,) float64 and (m, 3) int64: events as in
     #: :func:`~spl_batch.airborne.simulate.detector.add_event`.
     ranges: NDArray[np.float64]
     facts: NDArray[np.int64]
-    held: NDArray[np.int64]  #: (c,): number of events.
-    #: (m,): what one beamlet records.
+    #: (m,): what it records.
     kept: NDArray[np.int64]
     electrons: NDArray[np.int64]
     layers: NDArray[np.float64]  #: (k, 5): layers of one beam.
-    lit: NDArray[np.float64]  #: (r, 2): reflectors that a shot lights.
 
 
-def empty_beamlets(scene: SceneArrays, channels: int, room: int, reflectors: int) -> Beamlets:
-    """Room for the events of all beamlets of a shot, ``room`` of them each."""
-    return Beamlets(
-        np.empty((channels, 3)),
-        np.empty((channels, room)),
-        np.empty((channels, room, 3), dtype=np.int64),
-        np.zeros(channels, dtype=np.int64),
+def empty_beamlet(scene: SceneArrays, room: int) -> Beamlet:
+    """Room for ``room`` events."""
+    return Beamlet(
+        np.empty(3),
+        np.empty(room),
+        np.empty((room, 3), dtype=np.int64),
         np.empty(room, dtype=np.int64),
         np.empty(room, dtype=np.int64),
         empty_layers(scene),
-        np.empty((max(reflectors, 1), 2)),
     )
 
 

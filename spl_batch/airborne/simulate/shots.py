@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.simulate.beamlet_room import Beamlets
+from spl_batch.airborne.simulate.beamlet_room import Beamlet
 from spl_batch.airborne.simulate.detector import (
     NO_PARENT,
     Receiver,
@@ -20,12 +20,6 @@ from spl_batch.airborne.simulate.haze import Air, add_air
 from spl_batch.airborne.simulate.noise_grid import NoiseGrid, deposit, deposit_air
 from spl_batch.airborne.simulate.scene.beam_layers import look
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
-from spl_batch.airborne.simulate.stray_light import (
-    StrayLight,
-    add_bloom,
-    lit_reflectors,
-    set_off_neighbours,
-)
 from spl_batch.numerics.compiled import njit
 
 
@@ -212,10 +206,9 @@ def fire(
     optics: Optics,
     receiver: Receiver,
     air: Air,
-    stray: StrayLight,
     shots: Shots,
     first: int,
-    room: Beamlets,
+    room: Beamlet,
     grid: NoiseGrid,
     out: Points,
 ) -> tuple[int, int]:
@@ -236,35 +229,25 @@ def fire(
         First shot that was not fired, and rows filled.
     """
     channels, row = len(optics.gain), 0
-    most = len(out.shot) - channels * room.ranges.shape[1]
-    together = stray.crosstalk > 0.0
+    most = len(out.shot) - channels * len(room.ranges)
     for shot in range(first, len(shots.angle)):
         if row > most:
             return shot, row
-        centre = room.axis[0]
-        beam_direction(shots.turn[shot], shots.angle[shot], optics.half_cone_rad, 0.0, 0.0, centre)
-        lit = lit_reflectors(stray, shots.origin[shot], centre, room.lit)
         for c in range(channels):
-            room.held[c] = 0
             if optics.gain[c] > 0.0:
-                _look(rng, scene, optics, air, shots, shot, c, lit, room, grid)
-                if not together:
-                    row = _finish(rng, receiver, shots, shot, c, room, out, row)
-        if together:
-            set_off_neighbours(rng, stray, optics.gain, room.ranges, room.facts, room.held)
-            for c in range(channels):
-                row = _finish(rng, receiver, shots, shot, c, room, out, row)
+                held = _look(rng, scene, optics, air, shots, shot, c, room, grid)
+                row = _finish(rng, receiver, shots, shot, c, held, room, out, row)
     return len(shots.angle), row
 
 
 @njit()
 def _look(  # type: ignore[no-untyped-def]
-    rng, scene, optics, air, shots, shot, c, lit, room, grid
+    rng, scene, optics, air, shots, shot, c, room, grid
 ):
-    """Photo-electrons of one beamlet, before the receiver."""
-    origin, axis, path = shots.origin[shot], room.axis[c], np.empty(3)
+    """Photo-electrons of one beamlet, before the receiver: how many [count]."""
+    origin, axis, path = shots.origin[shot], room.axis, np.empty(3)
     start, stop, gain = shots.gate_start[shot], shots.gate_stop[shot], optics.gain[c]
-    ranges, facts = room.ranges[c], room.facts[c]
+    ranges, facts = room.ranges, room.facts
     beam_direction(
         shots.turn[shot], shots.angle[shot], optics.half_cone_rad, optics.pixel_x[c],
         optics.pixel_y[c], axis,
@@ -275,24 +258,22 @@ def _look(  # type: ignore[no-untyped-def]
     n, hard = add_signal(rng, scene, optics, gain, ray, room.layers, ranges, facts, n)
     span, time_s = (start, min(hard, stop)), shots.time_s[shot]
     n = add_air(rng, scene, air, gain, time_s, (origin, axis), span, ranges, facts, n)
-    n = add_bloom(rng, room.lit, lit, gain, optics.range_sigma_m, ranges, facts, n)
-    room.held[c] = _in_gate(ranges, facts, n, start)
     deposit(grid, origin, axis, start, stop, noise * (stop - start), air.gate_fall)
     deposit_air(air, grid.amount, grid.corner, grid.voxel_m, gain, time_s, (origin, axis), span)
+    return _in_gate(ranges, facts, n, start)
 
 
 @njit()
 def _finish(  # type: ignore[no-untyped-def]
-    rng, receiver, shots, shot, c, room, out, row
+    rng, receiver, shots, shot, c, held, room, out, row
 ):
     """Record one beamlet; the number of rows filled."""
-    ranges, facts = room.ranges[c], room.facts[c]
+    ranges, facts = room.ranges, room.facts
     count = record(
-        rng, ranges, facts, room.held[c], shots.gate_stop[shot], receiver, room.kept,
-        room.electrons,
-    )  # fmt: skip
+        rng, ranges, facts, held, shots.gate_stop[shot], receiver, room.kept, room.electrons
+    )
     events = (ranges, facts, room.kept, room.electrons)
-    origin, axis = shots.origin[shot], room.axis[c]
+    origin, axis = shots.origin[shot], room.axis
     _store(out, row, events, count, shot, c, origin, axis, receiver.walk_m)
     return row + count
 

@@ -1,4 +1,7 @@
-"""Fly a scene: flightlines with truth, trajectory, reference, and a workflow to run them."""
+"""Fly a scene: flightlines with truth, trajectory, reference, and a workflow to run them.
+
+Air of a scene as numbers for the kernels.
+"""
 
 import math
 import time
@@ -10,8 +13,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
-from spl_batch.airborne.simulate.beamlet_room import empty_beamlets, event_room, layer_room
+from spl_batch.airborne.simulate.beamlet_room import empty_beamlet, event_room, layer_room
 from spl_batch.airborne.simulate.brightness import (
     Noise,
     make_optics,
@@ -31,7 +35,7 @@ from spl_batch.airborne.simulate.flight import (
     gate_centres,
     make_passes,
 )
-from spl_batch.airborne.simulate.haze import Air
+from spl_batch.airborne.simulate.haze import WAVES, Air
 from spl_batch.airborne.simulate.noise_grid import NoiseGrid
 from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
@@ -43,10 +47,32 @@ from spl_batch.airborne.simulate.shots import (
     fire,
     first_rows,
 )
-from spl_batch.airborne.simulate.sky import make_air, make_stray_light
-from spl_batch.airborne.simulate.stray_light import StrayLight
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.numerics.attitude import rotations
+
+
+def make_air(scene: Scene, noise_per_m: float) -> Air:
+    """Air of a scene.
+
+    ``noise_per_m``: mean background of a channel of gain 1, which strengths are relative to [1/m].
+    """
+    ground, sky = scene.origin_m[2], scene.sky
+    layers, waves = np.empty((len(sky.haze), 7)), np.empty((len(sky.haze), WAVES, 3))
+    for k, haze in enumerate(sky.haze):
+        rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(5, k)))
+        threshold = float(norm.isf(haze.cover)) if haze.cover < 1 else -math.inf
+        layers[k] = (
+            ground + haze.base_m, ground + haze.top_m, haze.edge_m,
+            haze.times_noise * noise_per_m, threshold, *haze.drift_m_s,
+        )  # fmt: skip
+        length = 2 * np.pi / haze.patch_m * rng.uniform(0.3, 1.0, WAVES)
+        turn = rng.uniform(0, 2 * np.pi, WAVES)
+        waves[k] = np.column_stack(
+            [length * np.cos(turn), length * np.sin(turn), rng.uniform(0, 2 * np.pi, WAVES)]
+        )
+    fog = np.array([(f.times_noise * noise_per_m, f.scale_m) for f in sky.fog])
+    return Air(layers, waves, fog.reshape(-1, 2), sky.gate_fall)
+
 
 BUFFER_POINTS = 400_000
 """Rows of the buffers that a kernel fills at once."""
@@ -64,8 +90,6 @@ KINDS = (
     "afterpulse",
     "other",
     "bottom",
-    "bloom",
-    "crosstalk",
 )
 """Names of the values of the truth column ``kind``."""
 
@@ -97,7 +121,6 @@ class _Rig:
     receiver: Receiver
     noise: Noise
     air: Air
-    stray: StrayLight
     grid: NoiseGrid
 
 
@@ -146,7 +169,6 @@ def simulate(
         receiver,
         noise,
         make_air(scene, float(noise.at(np.ones(1))[0])),
-        make_stray_light(scene, layout.arrays),
         _noise_grid(scene),
     )
     shots = max(sum(len(p.shot) for chunk_list in pieces for p in chunk_list), 1)
@@ -207,13 +229,10 @@ def _fly(
     brightest = gain * rig.optics.signal_m2 / max(nearest, 1.0) ** 2
     # tuned wires may send back more than falls on them
     brightest *= max(1.0, float(rig.arrays.wire[:, 9].max(initial=0.0)))
-    brightest += gain * float(rig.stray.reflectors[:, 3].sum())
     noise = gate * gain * (float(peak[0]) * (1 + abs(rig.air.gate_fall)) + _thickest(rig.air))
-    # what the channels beside set off comes on top
-    brightest, noise = (mean * (1 + 4 * rig.stray.crosstalk) for mean in (brightest, noise))
     room = event_room(noise, brightest, layer_room(rig.arrays))
     channels = len(rig.optics.gain)
-    beamlets = empty_beamlets(rig.arrays, channels, room, len(rig.stray.reflectors))
+    beamlet = empty_beamlet(rig.arrays, room)
     buffers = _buffers(max(BUFFER_POINTS, 2 * room * channels))
     for piece in pieces:
         centre = centres[int(piece.index * CHUNK_S / GATE_S)]
@@ -228,10 +247,9 @@ def _fly(
                 rig.optics,
                 rig.receiver,
                 rig.air,
-                rig.stray,
                 shots,
                 first,
-                beamlets,
+                beamlet,
                 rig.grid,
                 buffers,
             )

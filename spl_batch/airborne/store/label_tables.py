@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from spl_batch.airborne.store.line_moves import TOLD_BY, LineMoves
+from spl_batch.airborne.store.flown_lines import NEEDED, FlownLines
 from spl_batch.engine.store.working_store import Store
 from spl_batch.formats.verified.parquet_npz import (
     groups_between,
@@ -27,7 +27,7 @@ from spl_batch.formats.verified.parquet_npz import (
 )
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import COLUMNS, PointTable, rows_of
-from spl_batch.lattice.tiles import Bounds, CellId, inside
+from spl_batch.lattice.tiles import Bounds, CellId
 
 DEFAULTS: dict[str, float] = {
     "noise_class": 255,
@@ -210,7 +210,7 @@ def read_labelled_tile(
     columns: Sequence[str],
     labels: Mapping[str, Sequence[tuple[str, str]]],
     files: LabelFiles | None = None,
-    moves: LineMoves | None = None,
+    shifts: FlownLines | None = None,
 ) -> PointTable:
     """One tile's points with the labels that some units gave them.
 
@@ -220,12 +220,12 @@ def read_labelled_tile(
         Label -> kind and name of the units that may hold it for this tile.
     files : LabelFiles, optional
         Of the same store, where more tiles are read.
-    moves : LineMoves, optional
-        Shifts of flightlines that are added to the coordinates.
+    shifts : FlownLines, optional
+        Shifts of flightlines that are added to the heights.
     """
-    table = read_table(store.tile(str(tile)), _read_for(columns, moves))
-    if moves is not None:
-        table = PointTable(moves.add(table.columns)).select(columns)
+    table = read_table(store.tile(str(tile)), _read_for(columns, shifts))
+    if shifts is not None:
+        table = PointTable(shifts.shifted(table.columns)).select(columns)
     with LabelFiles(store) if files is None else nullcontext(files) as opened:
         return table.with_columns(**_labels_of(opened, tile, np.arange(len(table)), labels))
 
@@ -273,7 +273,7 @@ def read_region(
     *,
     ordered: bool = True,
     keep: Callable[[PointTable], NDArray[np.bool_]] | None = None,
-    moves: LineMoves | None = None,
+    shifts: FlownLines | None = None,
 ) -> tuple[PointTable, Origin]:
     """Points of a region with labels, in canonical order or as they lie.
 
@@ -290,9 +290,8 @@ def read_region(
         which :func:`write_labels` wants them, and each tile's are in canonical order.
     keep : callable, optional
         Tells of each point by itself whether it is wanted; others are never held together.
-    moves : LineMoves, optional
-        Shifts of flightlines that are added to the coordinates: where a point lies then decides
-        whether it is in the region. ``tiles`` has those that it may come from.
+    shifts : FlownLines, optional
+        Shifts of flightlines that are added to the heights.
 
     Returns
     -------
@@ -303,8 +302,8 @@ def read_region(
     """
     names = [*columns, *labels]
     held = sorted(tiles) if ordered else sorted(tiles, key=lambda tile: (tile.j, tile.i))
-    reach, read = 0 if moves is None else moves.reach_q, _read_for(columns, moves)
-    span = {"x": (bounds.xmin - reach, bounds.xmax - 1 + reach)}
+    read = _read_for(columns, shifts)
+    span = {"x": (bounds.xmin, bounds.xmax - 1)}
     # A region is the largest thing that a worker holds. It is read into its place: many small
     # parts would leave gaps in a worker's memory in which nothing else fits. What of the room
     # is not needed is never touched.
@@ -317,9 +316,9 @@ def read_region(
     with LabelFiles(store) as files:
         for k, tile in enumerate(held):
             values, row = read_found(parts[k], read)
-            if moves is not None:
-                values = moves.add(values)
-            chosen = _within(values["x"], values["y"], bounds, sorted_by_x=moves is None)
+            if shifts is not None:
+                values = shifts.shifted(values)
+            chosen = _within(values["x"], values["y"], bounds)
             row = row[chosen]
             of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
             found = _labels_of(files, tile, row, of_tile)
@@ -334,9 +333,8 @@ def read_region(
     joined = {name: values[:end] for name, values in joined.items()}
     if ordered:
         # Tiles are in canonical order, and points of different ones differ in x or, where their
-        # tiles stand in one column, in y: a stable sort by x puts all in canonical order. Where
-        # flightlines were shifted, only a sort by all coordinates does.
-        order = lexicographic_order([joined[axis] for axis in ("x" if moves is None else "xyz")])
+        # tiles stand in one column, in y: a stable sort by x puts all in canonical order.
+        order = lexicographic_order([joined["x"]])
         for name in joined:  # a column at a time
             joined[name] = joined[name][order]
     cells = np.array(held, dtype=np.int32).reshape(-1, 2)
@@ -344,20 +342,13 @@ def read_region(
     return PointTable(joined), origin
 
 
-def _read_for(columns: Sequence[str], moves: LineMoves | None) -> tuple[str, ...]:
-    """Columns that are read where some are asked for: what tells the flightline, too."""
-    return tuple(columns if moves is None else dict.fromkeys((*columns, *TOLD_BY)))
+def _read_for(columns: Sequence[str], shifts: FlownLines | None) -> tuple[str, ...]:
+    """Columns that are read where some are asked for: what a flightline follows from, too."""
+    return tuple(columns if shifts is None else dict.fromkeys((*columns, *NEEDED)))
 
 
-def _within(
-    x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds, *, sorted_by_x: bool
-) -> NDArray[np.intp] | slice:
-    """Rows of a tile within bounds; a slice, which copies nothing, where they adjoin.
-
-    ``sorted_by_x``: a tile lies in canonical order, so x increases, unless it was shifted.
-    """
-    if not sorted_by_x:
-        return rows_of(inside(x, y, bounds))
+def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArray[np.intp] | slice:
+    """Rows of a tile, whose x increases, within bounds; a slice where they adjoin."""
     first, end = np.searchsorted(x, (bounds.xmin, bounds.xmax)).tolist()
     rows = rows_of((y[first:end] >= bounds.ymin) & (y[first:end] < bounds.ymax))
     if isinstance(rows, slice):

@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.lines.comparison import difference_map
 from spl_batch.airborne.products import hillshade
 from spl_batch.airborne.products.hillshade import BLOCK
 from spl_batch.airborne.products.product_table import HILLSHADE, SWATH_DIFFERENCES
-from spl_batch.airborne.products.wide_voids import Void, wide_voids
+from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
 from spl_batch.airborne.pulses.swath_coverage import Outlined, outlines
+from spl_batch.airborne.store.flown_lines import read_shifts, record_of
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
-from spl_batch.airborne.store.line_moves import read_moves
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
-from spl_batch.airborne.strips.shifted_clouds import moved_of_file, record_of
-from spl_batch.airborne.strips.strip_comparison import difference_map
 from spl_batch.airborne.tasks import index
 from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.airborne.tasks.stretches import Copies
@@ -143,8 +142,8 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     """Write one input file again with its labels: every point once, in order."""
     diagnostics = context.workflow.outputs.diagnostics
     flags = context.workflow.classes.flags
-    moves = read_moves(args, context.store)
-    moved = moved_of_file(moves, args.get("spans", {}), context)
+    lines = read_shifts(args, context.store)
+    shifted = None if lines is None else lines.of_file(args.get("spans", {}))
     names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
     labels, classes = _FileLabels(args, context, names), np.zeros(256, np.int64)
     target = context.output / "laz" / args["delivered"]
@@ -160,7 +159,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             crs=context.crs,
             decoded=_decoded(args, context),
             classes=classes,
-            moved=moved,
+            shifted=shifted,
             standard=args["standard"],
             last_s=args["last_s"],
         )
@@ -241,11 +240,11 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     if context.workflow.classes.flags:
         labels["set_flags"] = [("classes", u) for u in units["classes"]]
     columns = ("x", "y", "z", "gps_time", "channel", "return_number", "intensity", "input_class")
-    moves = read_moves(args, context.store)
+    lines = read_shifts(args, context.store)
     table = read_labelled_tile(
-        context.store, parse_cell(args["tile"]), columns, labels, moves=moves
+        context.store, parse_cell(args["tile"]), columns, labels, shifts=lines
     )
-    said = [] if moves is None else [record_of(moves.moved, context)]
+    said = [] if lines is None else [record_of([one for one in lines.lines if one.up_q])]
     labelled = table["classification"].copy()
     _keep(labelled, table["noise_class"], context)
     table = table.with_columns(classification=kept_classes(labelled, table["input_class"]))
@@ -393,12 +392,4 @@ def _voids(found: list[Void], context: Context) -> list[Finding]:
         east, north = (np.array([quanta(one[k]) for one in found], np.int64) for k in (1, 2))
         inside = contains(area, east, north)
         found = [one for one, there in zip(found, inside, strict=True) if there]
-    if not found:
-        return []
-    largest = found[0]
-    values = {
-        "count": len(found), "area_m2": float(sum(void.area_m2 for void in found)),
-        "largest_m2": float(largest.area_m2), "east_m": float(largest.east_m),
-        "north_m": float(largest.north_m), "void_max_m": context.workflow.products.void_max_m,
-    }  # fmt: skip
-    return [Finding("G02", values)]
+    return void_findings(found, context.workflow.products.void_max_m)

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from spl_batch.airborne.afterpulse import candidates
-from spl_batch.airborne.beams import crosstalk, geometry, sensor_path
+from spl_batch.airborne.beams import geometry, sensor_path
 from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.noise import line_noise
@@ -145,12 +145,10 @@ def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) 
         facts["other_unit"] = _other_unit(table, known, args, context)
     sensor, noise = context.workflow.sensor, context.workflow.noise
     observed = line_noise.observe(table, known, noise)
-    if args["trajectory"] or args["sensor_path"]:
-        observed |= crosstalk.observe(table, known, sensor, noise.interval_shots)
     if tells_beamlets(args, sensor):
         table, order = told_apart(table, known, sensor)
         known = known.take(order)
-    observed |= candidates.observe(table, known, sensor, noise.interval_shots)
+    observed |= candidates.observe(table, known, sensor)
     stats = context.store.path("observed", f"{args['stretch']}.npz")
     write_arrays(stats, observed)
     return Produced([stats], facts, int(np.count_nonzero(known.known)))

@@ -23,8 +23,8 @@ from spl_batch.airborne.ground.multiscale.masks import APART
 from spl_batch.airborne.ground.water.off_water import OffWater
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.settings import FilterSettings
+from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import Marks, Origin, read_region, write_labels
-from spl_batch.airborne.store.line_moves import read_moves
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.lattice.eastings import strips_between
@@ -121,14 +121,14 @@ def _judged(args: Mapping[str, Any], context: Context, core: Bounds) -> _Judged:
 def ground(args: Mapping[str, Any], context: Context) -> Produced:
     """Find the ground of a cell, strip by strip where not all of it fits in memory."""
     core, cells = Bounds(*args["core"]), tile_cells(args["tiles"])
-    units, moves = label_units(args["noise"]), read_moves(args, context.store)
+    units, shifts = label_units(args["noise"]), read_shifts(args, context.store)
     chances = _Chances(context.workflow.filter, args["lines"]["columns"])
 
     def read(part: Bounds, columns: Sequence[str]) -> tuple[PointTable, Origin]:
         labels = {name: units for name in ("noise_class", *columns) if name in LABELS}
         return read_region(
             context.store, cells, part, [name for name in columns if name not in labels], labels,
-            ordered=False, moves=moves,
+            ordered=False, shifts=shifts,
         )  # fmt: skip
 
     region = grow(core, args["halo"])

@@ -29,7 +29,7 @@ from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.products.top_surface import top_margin
 from spl_batch.airborne.pulses.pulse_returns import ends_in_parts
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.store.line_moves import read_moves
+from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks.cells import cell_classes, pulses
 from spl_batch.airborne.tasks.cells.ground_cell import Cell
@@ -76,7 +76,7 @@ def looks_at_surface(workflow: Workflow, halo_q: int) -> dict[str, Look]:
 def surface(args: Mapping[str, Any], context: Context) -> Produced:
     """Raster cells and final classes of a ground cell, strip by strip where it is cut."""
     workflow, core = context.workflow, Bounds(*args["core"])
-    cell = Cell(args, context, core, read_moves(args, context.store))
+    cell = Cell(args, context, core, read_shifts(args, context.store))
     if args.get("held"):
         cell = cell.holding(*_at_once(cell))
     reflected = {} if args["fired"] is None else _reflectance(cell)
@@ -129,8 +129,8 @@ def _reflectance(cell: Cell) -> Rasters:
     fired = []
     for name in cell.args["fired"]:
         part = FiredPart.from_arrays(read_arrays(store.path("fired", f"{name}.npz")))
-        if cell.moves is not None:
-            part = part.shifted(cell.moves.of_line(name.rpartition("/")[0]))
+        if cell.shifts is not None:
+            part = part.raised(cell.shifts.up_of(name.rpartition("/")[0]))
         fired.append(part)
     values = reflectance.raster(lambda: map(points, parts), fired, cell.core, products)
     return {"intensity": values}

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
-from spl_batch.airborne.beams import crosstalk, geometry
-from spl_batch.airborne.beams.bloom import Bloom, find_bloom, find_unnumbered
-from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.filter.published import dcc
+from spl_batch.airborne.filter.published import shot_noise
 from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.sensors.sensor import Sensor
@@ -98,14 +96,11 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     # Without channels the model's noise is that of a whole shot.
     stated = context.workflow.sensor
     beamlets = stated.beamlets if lines_of_sight.tells_beamlets(args, stated) else 1
-    chance = crosstalk.chance(parts)
-    set_off = crosstalk.share_of_returns(chance)
-    law = afterpulse_law.fit(parts, model.mean_rate / beamlets, sensor, set_off)
+    law = afterpulse_law.fit(parts, model.mean_rate / beamlets, sensor)
     told = disagreements(law, sensor) if context.workflow.afterpulse.enabled else ()
     if context.workflow.afterpulse.enabled:
         told += uneven(parts, _spans_s(args), law, model.mean_rate / beamlets, sensor)
-    told += crosstalk.told(chance)
-    write_arrays(path, {**model.to_arrays(), **law.to_arrays(), "crosstalk": np.array(chance)})
+    write_arrays(path, {**model.to_arrays(), **law.to_arrays()})
     seen = model.seen_fraction
     facts = {
         **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis", "beamlets")},
@@ -114,7 +109,6 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_m": model.gate_m,
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
-        "crosstalk": set_off,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
         "afterpulses": {
             "probability": law.probability,
@@ -229,28 +223,13 @@ def _assess(
     subset, beams = table.take(known), beams.take(known)
     line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
     law = afterpulse_law.AfterpulseLaw.from_arrays(line)
-    bloom = _bloom(subset, beams, law.sigma_m, args, context)
-    if bloom.shots:
-        lit = subset.take(bloom.returns)
-        facts["bloom"] = [bloom.shots, len(lit), *_box(lit)]
-    if bloom.shots and args["bloom"]:
-        known = np.arange(len(table))[known]
-        flags[known[bloom.returns]] |= np.uint8(PointFlag.BLOOM)
-        table = table.with_columns(flags=flags)
-        subset, beams = subset.take(~bloom.returns), beams.take(~bloom.returns)
-        known = known[~bloom.returns]
     model = line_noise.LineModel.from_arrays(line)
-    if line["crosstalk"] > 0:
-        of_others = crosstalk.set_off(subset, beams, workflow.sensor)
-        facts["crosstalk"] = int(np.count_nonzero(of_others))
-        flags[known] |= of_others * np.uint8(PointFlag.SET_OFF)
-        table = table.with_columns(flags=flags)
     density = np.zeros(len(table), np.float32)
     density[known] = line_noise.line_density(subset, model)
     if workflow.afterpulse.enabled:
         table = _with_afterpulses(table, known, beams, law, model.gate_m, args, context)
     if args["dcc"] is not None:
-        noise = dcc.shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
+        noise = shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
         flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
     parts = voxel_noise.deposit_apart(subset, beams, model, workflow.noise)
@@ -264,23 +243,6 @@ def _assess(
     facts |= {"voxels_apart": dict(zip(names[1:], boxes[1:], strict=True))} if boxes[1:] else {}
     table = table.with_columns(line_density=density)
     return table, [*paths, *_write_fired(subset, beams, model, args, context, facts)]
-
-
-def _bloom(
-    table: PointTable, beams: BeamTable, sigma_m: float, args: Mapping[str, Any], context: Context
-) -> Bloom:
-    """Returns of light that reached the whole array; without channels beams tell beamlets apart."""
-    stated, interval = context.workflow.sensor, context.workflow.noise.interval_shots
-    if lines_of_sight.tells_beamlets(args, stated):
-        return find_unnumbered(table, beams, stated, sigma_m, interval)
-    starts = run_starts(table["gps_time"])
-    return find_bloom(table, beams, starts, int(args["beamlets"]), sigma_m, interval)
-
-
-def _box(table: PointTable) -> list[int]:
-    """West, south, east and north of some points [quanta]."""
-    x, y = table["x"], table["y"]
-    return [int(x.min()), int(y.min()), int(x.max()), int(y.max())]
 
 
 def _with_afterpulses(

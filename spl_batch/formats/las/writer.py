@@ -86,11 +86,11 @@ _INT32: Final = np.iinfo(np.int32)
 
 
 @dataclass(frozen=True, slots=True)
-class Moved:
-    """Shifts that the points of a file get, and how the file says so."""
+class Shifted:
+    """Heights that are added to the points of a file, and its record of them."""
 
-    #: Point source ids and times of n points -> their shifts: (n, 3) int64 [quanta].
-    shifts: Callable[[NDArray[np.uint16], NDArray[np.float64]], NDArray[np.int64]]
+    #: Point source ids and times of n points -> what is added to them: (n,) [quanta].
+    up_q: Callable[[NDArray[np.uint16], NDArray[np.float64]], NDArray[np.int32]]
     record: Vlr  #: What was done, for whoever gets the file.
 
 
@@ -120,7 +120,7 @@ def write_classified(
     flags: bool = False,
     decoded: Decoded | None = None,
     classes: NDArray[np.int64] | None = None,
-    moved: Moved | None = None,
+    shifted: Shifted | None = None,
     standard: TimeStandard = "none",
     last_s: float | None = None,
 ) -> int:
@@ -152,8 +152,8 @@ def write_classified(
         what is not changed is copied as it is compressed.
     classes : (256,) int64 ndarray, optional
         The points of each class that is written are added to it [count].
-    moved : Moved, optional
-        Shifts that are added to the coordinates, rounded to the file's scale.
+    shifted : Shifted, optional
+        Shifts that are added to the heights, rounded to the file's scale.
     standard : str
         What the values of ``gps_time`` are, for the header.
     last_s : float, optional
@@ -180,8 +180,8 @@ def write_classified(
                 stop = min(start + _CHUNK, header.n_points)
                 given = reader.read(start, stop)
                 out = convert.records(given)
-                if moved is not None:
-                    _shift(out, given, header, moved)
+                if shifted is not None:
+                    _shift(out, given, header, shifted)
                 before = given_classes(given, reader.layout)
                 _label(out, convert.layout, before, labels(start, stop), names)
                 written[:] += np.bincount(out["classification"], minlength=256)
@@ -198,8 +198,8 @@ def write_classified(
                 yield stop - start, copy.chunk(chunk, first, own)
 
         vlrs, evlrs, wkt = _records(header, crs)
-        if moved is not None:
-            vlrs.append(moved.record)
+        if shifted is not None:
+            vlrs.append(shifted.record)
         frame = Frame(
             preamble=preamble(
                 header.raw, copied_encoding(header, standard, evlrs, wkt=wkt), last_s
@@ -210,26 +210,24 @@ def write_classified(
             vlrs=vlrs,
             evlrs=[(e, src) for e in evlrs],
         )
-        if decoded is None or moved is not None or not can_be_copied(reader):
+        if decoded is None or shifted is not None or not can_be_copied(reader):
             return write_laz(dst, frame, chunks())
         copy = LayerCopy(reader, convert, len(names), flags=flags)
         return write_packed(dst, frame, copy.laz, decoded.extent, packed(decoded, copy))
 
 
-def _shift(records: NDArray[Any], given: NDArray[Any], header: LasHeader, moved: Moved) -> None:
-    """Add shifts to the coordinates of records; those that were given tell the flightlines."""
+def _shift(records: NDArray[Any], given: NDArray[Any], header: LasHeader, shifted: Shifted) -> None:
+    """Add shifts to the heights of records; the flightlines are those of what was given."""
     timed = "gps_time" in (given.dtype.names or ())
     time = given["gps_time"] if timed else np.full(len(given), np.nan)
-    shifts = moved.shifts(given["point_source_id"], time)
-    for axis, scale in enumerate(header.scales):
-        steps = np.rint(shifts[:, axis] / (scale * QUANTA_PER_M)).astype(np.int64)
-        shifted = records["XYZ"[axis]] + steps
-        if len(shifted) and not _INT32.min <= shifted.min() <= shifted.max() <= _INT32.max:
-            raise WorkflowError(
-                f"{header.path}: with its shift {'xyz'[axis]} of some points does not fit into the "
-                "file's numbers; give the file another offset, or set survey.align: none"
-            )
-        records["XYZ"[axis]] = shifted
+    up_q = shifted.up_q(given["point_source_id"], time)
+    z = records["Z"] + np.rint(up_q / (header.scales[2] * QUANTA_PER_M)).astype(np.int64)
+    if len(z) and not _INT32.min <= z.min() <= z.max() <= _INT32.max:
+        raise WorkflowError(
+            f"{header.path}: with its shift z of some points does not fit into the file's "
+            "numbers; give the file another offset, or set survey.align: none"
+        )
+    records["Z"] = z
 
 
 def kept_classes(label: NDArray[np.uint8], given: NDArray[np.uint8]) -> NDArray[np.uint8]:

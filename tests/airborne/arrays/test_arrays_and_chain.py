@@ -10,15 +10,10 @@ import pytest
 import rasterio
 import shapely
 from numpy.typing import NDArray
-from pyarrow.parquet import read_table
 
 import spl_batch
-from spl_batch import api
 from spl_batch.airborne.arrays.empty_space import EmptySpace
 from spl_batch.airborne.arrays.filtering import _contradiction
-from spl_batch.airborne.simulate import simulate
-from spl_batch.airborne.simulate.scene.scene_file import parse_scene
-from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.formats.trajectory.positions import read_slice
 from spl_batch.lattice.tables import Trajectory
 from tests import surveys
@@ -127,29 +122,6 @@ def test_ground_and_rasters_are_those_of_a_run(
             run = source.read(1, masked=True).filled(np.nan)
             assert made.transform == tuple(source.transform)[:6]
         np.testing.assert_array_equal(getattr(made, name), run, err_msg=name)
-
-
-def test_crosstalk_is_counted_and_judged_alike(tmp_path: Path) -> None:
-    scene = {
-        "extent_m": [24, 24], "seed": 3, "terrain": {"relief_m": 1},
-        "flights": [{"heading_deg": 0, "offset_m": 300, "speed_m_s": 110}],
-        "acquisition": {"prf_hz": 20_000, "gate_m": 160, "crosstalk": 0.05},
-        "sky": {"background_per_m3": 0.05},
-    }  # fmt: skip
-    workflow = simulate(parse_scene(scene, "here"), tmp_path).workflow
-    report = api.run(workflow, workers=0).report
-    assert len(surveys.found(report.findings, "A01", "crosstalk")) == 1
-    found, truth = survey(tmp_path / "out"), read_table(tmp_path / "truth" / "line_01.parquet")
-    kind = truth["kind"].to_numpy()
-    doubled = np.count_nonzero(kind == KINDS.index("crosstalk"))
-    assert 0.2 * doubled < report.noise.crosstalk < doubled
-    noise = np.isin(kind, [KINDS.index(name) for name in ("background", "crosstalk")])
-    away = noise & (np.abs(found.xyz[:, 2] - 40) > 5)
-    assert np.mean(found.told["noise_class"][away] == 0) < 0.004
-    place = origins(tmp_path / "out" / "store" / "trajectory.parquet", found.shots["gps_time"])
-    settings = {"acquisition": {"prf_hz": 20_000.0, "gate_m": 160.0}}
-    labels = spl_batch.filter_points(found.xyz, **found.shots, beam_origin=place, settings=settings)
-    np.testing.assert_array_equal(labels.noise_class, found.told["noise_class"])
 
 
 def test_a_whole_survey_agrees_with_its_empty_space(labels: spl_batch.Labels) -> None:

@@ -11,12 +11,11 @@ from spl_batch.airborne.beams.dependent_returns import (
     dependents,
     families,
     follow,
-    follow_beside,
 )
 from spl_batch.airborne.filter.denoise import denoise
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED, NOISE_SIGNAL
-from spl_batch.lattice.tables import PointFlag, PointTable
+from spl_batch.lattice.tables import PointTable
 from tests.airborne.filter.test_denoise import as_table
 
 
@@ -121,48 +120,3 @@ def test_echoes_of_noise_do_not_vouch_for_each_other(share: float) -> None:
     kept = (label == NOISE_SIGNAL).mean()
     # alpha is 0.001, and what is kept comes in clusters.
     assert (kept < 0.003) if share else (kept > 0.005)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(0, 60))
-@settings(max_examples=50, deadline=None)
-def test_what_was_set_off_takes_the_label_of_the_nearest_of_its_shot(seed: int, n: int) -> None:
-    table, set_off, label = beamlets(seed, n)
-    asked = np.random.default_rng(seed).random(n) < 0.7
-    found, expected = label.copy(), label.copy()
-    follow_beside(table, set_off, asked, found)
-    for i in np.flatnonzero(set_off & asked):
-        gap = np.abs(table["z"] - table["z"][i]).astype(float)
-        gap[
-            set_off | (label == NOISE_NOT_ASSESSED) | (table["gps_time"] != table["gps_time"][i])
-        ] = np.inf
-        if gap.min() <= 2000:
-            nearest = label[gap == gap.min()]
-            expected[i] = found[i] if found[i] in nearest else nearest[0]
-    np.testing.assert_array_equal(found, expected)
-
-
-def test_noise_that_crosstalk_doubles_is_no_signal() -> None:
-    rng = np.random.default_rng(7)
-    n, per_m3 = 8000, 0.05
-    side = (n / per_m3) ** (1 / 3) * 1000
-    noise = rng.uniform(0, side, (n, 3))
-    beside = noise + rng.normal(0, 1, (n, 3)) * [500, 500, 50]
-    plane = rng.uniform(0, side, (2000, 3)) * [0.05, 1, 0] + [side / 2, 0, side / 2]
-    pair = np.zeros(2 * n + 2000, np.uint8)
-    pair[n : 2 * n] = PointFlag.SET_OFF
-    time = np.append(np.tile(np.arange(n, dtype=np.float64), 2), n + np.arange(1000).repeat(2))
-    # Of the returns of a surface every other one may be set off as well.
-    pair[2 * n + 1 :: 2] = PointFlag.SET_OFF
-    table = as_table(np.rint(np.concatenate([noise, beside, plane])), gps_time=time)
-    density, everywhere = np.full(len(table), 2 * per_m3), np.ones(len(table), np.bool_)
-    surface = np.arange(len(table)) >= 2 * n
-    kept = [
-        denoise(table.with_columns(flags=flags), density, everywhere, FilterSettings())[
-            "noise_class"
-        ]
-        == NOISE_SIGNAL
-        for flags in (np.zeros_like(pair), pair)
-    ]
-    assert kept[0][~surface].mean() > 5 * kept[1][~surface].mean()
-    assert kept[1][~surface].mean() < 0.02
-    assert kept[1][surface].mean() > 0.97

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from spl_batch.airborne.afterpulse import candidates
 from spl_batch.airborne.beams import geometry
-from spl_batch.airborne.beams.beamlet_numbers import number_beamlets
-from spl_batch.airborne.beams.told_apart import told_apart
+from spl_batch.airborne.beams.told_apart import number_beamlets, told_apart
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import AfterpulseSettings
 from tests.airborne.afterpulse.test_candidates import level, shots

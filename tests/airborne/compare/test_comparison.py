@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from spl_batch import api
 from spl_batch.airborne.compare.comparison import METHODS as METHODS_COMPARED
-from spl_batch.airborne.compare.contrast import Contrast, _far, _fullest_strip
-from spl_batch.airborne.compare.terrain_contrast import terrain_contrast
+from spl_batch.airborne.compare.contrast import Contrast, _far, _fullest_strip, terrain_contrast
 from spl_batch.airborne.filter.denoise import METHODS as METHODS_KNOWN
 from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.survey_page import HOW, render
@@ -32,7 +31,7 @@ from spl_batch.lattice.tiles import Bounds, quanta
 from tests import surveys
 from tests.report_data import make_report
 
-METHODS = "vsaes:tail,dcc,cylinder,published"
+METHODS = "vsaes:calibrated,dcc,cylinder,published"
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +60,7 @@ def noise_classes(output: Path, folder: str) -> np.ndarray[Any, np.dtype[np.uint
 def test_the_table_says_what_the_clouds_hold(compared: Path) -> None:
     methods = table(compared)
     assert list(methods) == METHODS.split(",")
-    first = noise_classes(compared, "vsaes-tail")
+    first = noise_classes(compared, "vsaes-calibrated")
     for name, method in methods.items():
         classes = noise_classes(compared, name.replace(":", "-"))
         assert method["points"] == len(classes)
@@ -81,9 +80,9 @@ def test_the_table_says_what_the_clouds_hold(compared: Path) -> None:
         for name, method in methods.items()
     }
     assert all(0 < t["earlier_wall_s"] < t["wall_s"] for t in took.values())
-    shared = [took[name]["earlier_wall_s"] for name in ("published", "dcc", "vsaes:tail")]
+    shared = [took[name]["earlier_wall_s"] for name in ("published", "dcc", "vsaes:calibrated")]
     assert shared == sorted(set(shared)), "the more they have in common"
-    assert methods["vsaes:tail"]["dtm_off_share"] is None
+    assert methods["vsaes:calibrated"]["dtm_off_share"] is None
     assert all(0 <= m["dtm_off_share"] < 0.5 for m in list(methods.values())[1:])
     # Its time domain is its own: no afterpulses are called in it.
     assert methods["published"]["afterpulse"] == 0 < methods["cylinder"]["afterpulse"]
@@ -207,9 +206,9 @@ def test_the_strip_shows_where_terrain_differs_most(tmp_path: Path) -> None:
 
 
 def test_methods_are_listed_once_and_have_folders() -> None:
-    found = listed("vsaes:tail, voxel ,vsaes,voxel,published")
-    assert found == ["vsaes:tail", "voxel", "vsaes", "published"]
-    assert [folder_of(name) for name in found[:2]] == ["compare/vsaes-tail", "compare/voxel"]
+    found = listed("vsaes:calibrated, voxel ,vsaes,voxel,published")
+    assert found == ["vsaes:calibrated", "voxel", "vsaes", "published"]
+    assert [folder_of(name) for name in found[:2]] == ["compare/vsaes-calibrated", "compare/voxel"]
 
 
 def test_rules_for_afterpulses_can_be_compared() -> None:
@@ -222,14 +221,25 @@ def test_rules_for_afterpulses_can_be_compared() -> None:
 
 @pytest.mark.parametrize(
     "methods",
-    ["voxels,aes", "foo", "voxel:tail,aes", "published:tail,aes", "vsaes:best,aes", "aes,,aes"],
+    [
+        "voxels,aes",
+        "foo",
+        "voxel:calibrated,aes",
+        "published:calibrated,aes",
+        "vsaes:best,aes",
+        "aes,,aes",
+    ],
 )
 def test_a_wrong_list_names_what_there_is(methods: str, small_lines: Path) -> None:
     ended = surveys.command("compare", small_lines, "--methods", methods)
     assert ended.status == 2
     assert ended.err.strip().startswith("spl-batch: --methods: ")
     assert "vsaes, aes, dcc, voxel, multilevel, cylinder, none" in ended.err
-    wrong = [name for name in ("voxels", "foo", "voxel:tail", "published:tail") if name in methods]
+    wrong = [
+        name
+        for name in ("voxels", "foo", "voxel:calibrated", "published:calibrated")
+        if name in methods
+    ]
     assert not wrong or f"no method {wrong[0]!r}" in ended.err
     assert len(ended.err.strip().splitlines()) == 1
     assert not (small_lines.parent / "out").exists()
@@ -238,7 +248,7 @@ def test_a_wrong_list_names_what_there_is(methods: str, small_lines: Path) -> No
 def test_a_report_tells_what_its_filter_did() -> None:
     assert set(HOW) == set(METHODS_KNOWN)
     for method, sentence in HOW.items():
-        noise = Noise(method=method, test="tail" if method == "vsaes" else None)
+        noise = Noise(method=method, test="published" if method == "vsaes" else None)
         page = render(make_report(noise=noise), {})
         assert [other for other in HOW if HOW[other] in page] == [method]
         assert sentence.endswith(".")

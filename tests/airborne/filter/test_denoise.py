@@ -12,9 +12,14 @@ from scipy import stats
 
 from spl_batch.airborne.afterpulse import afterpulse_decision
 from spl_batch.airborne.filter.denoise import denoise, reach_m
+from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_test import Spent, judge
-from spl_batch.airborne.filter.ellipsoid.null_distribution import periodic_noise, repeated
+from spl_batch.airborne.filter.ellipsoid.null_distribution import (
+    null_table,
+    periodic_noise,
+    repeated,
+)
 from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.filter.wires import wire_null, wire_scan
 from spl_batch.airborne.settings import FilterSettings, WireSettings
@@ -24,9 +29,7 @@ from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
 DEFAULT = FilterSettings()
 SHAPE = Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0)
 ALONE = WireSettings(enabled=False)
-TAIL = FilterSettings(test="tail", neighbours=15, wires=ALONE)
 CLOSE = FilterSettings(
-    test="tail",
     neighbours=15,
     neighbour_cap_m=3.0,
     axis_cap_m=3.0,
@@ -54,15 +57,6 @@ def as_table(xyz: NDArray[Any], **columns: NDArray[Any]) -> PointTable:
     return PointTable(base).with_columns(**columns)
 
 
-def peers(xyz: NDArray[Any], filtering: FilterSettings) -> NDArray[np.bool_]:
-    """Whether column is a peer of row."""
-    d2 = ((xyz[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
-    spacing = np.sort(d2, axis=1)[:, filtering.spacing_neighbours]
-    spacing = np.minimum(spacing, round(1000 * filtering.spacing_cap_m) ** 2)
-    own: NDArray[np.bool_] = spacing[None] * filtering.peer_ratio**2 >= spacing[:, None]
-    return own
-
-
 def everything(n: int) -> NDArray[np.bool_]:
     return np.ones(n, dtype=np.bool_)
 
@@ -74,24 +68,20 @@ def labels(
     return denoise(table, np.full(n, density), everything(n), filtering)["noise_class"]
 
 
-@pytest.mark.parametrize("test", ["tail", "published"])
+@pytest.fixture
+def shipped_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The null distribution of the defaults for whatever settings: none is drawn."""
+    table = null_table(DEFAULT)
+    monkeypatch.setattr(ellipsoid_test, "null_table", lambda _: table)
+
+
 @pytest.mark.parametrize("density", [0.02, 0.13, 1.0])
-def test_labels_are_the_slow_twins(test: Any, density: float) -> None:
-    filtering = FilterSettings(test=test, neighbours=15, link_m=1.0, link_count=3, wires=ALONE)
+def test_published_labels_are_the_slow_twins(density: float) -> None:
+    filtering = FilterSettings(test="published", neighbours=15, wires=ALONE)
     xyz = mixed_cloud(21, 500)
-    own = None if test == "published" else peers(xyz, filtering)
-    low, high, volume = brute_counts(xyz, SHAPE, own)
+    low, high, volume = brute_counts(xyz, SHAPE, None)
     assert (low == high).all()
-    mean = density * volume * 1e-9
-    if test == "published":
-        signal = stats.poisson.cdf(low, mean) >= 0.95
-    else:
-        tail = stats.poisson.sf(low - 1, mean)
-        signal = strong = tail <= filtering.alpha / filtering.selection
-        d2 = ((xyz[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
-        linked = ((d2 <= 1000**2) & strong & own).sum(axis=1) >= 3
-        signal = strong | ((tail <= filtering.weak_alpha) & linked)
-        assert (signal != strong).any()
+    signal = stats.poisson.cdf(low, density * volume * 1e-9) >= 0.95
     found = labels(as_table(xyz), density, filtering)
     np.testing.assert_array_equal(found, np.where(signal, 0, 1))
     assert 0 < signal.mean() < 1
@@ -145,33 +135,13 @@ def test_the_scan_and_the_test_share_alpha(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_labels_are_the_same_where_p_is_exact() -> None:
     xyz = mixed_cloud(22, 500)
-    for filtering in (DEFAULT, TAIL, FilterSettings(test="published")):
+    for filtering in (DEFAULT, FilterSettings(test="published")):
         args = as_table(xyz), np.full(500, 0.13), everything(500), filtering
         exact, quick = denoise(*args, exact=True), denoise(*args)
         np.testing.assert_array_equal(exact["noise_class"], quick["noise_class"])
         if filtering.test != "published":
             assert (exact["p_value"] <= quick["p_value"]).all()
         assert (exact["p_value"] != quick["p_value"]).any()
-
-
-def test_exact_p_value_goes_below_the_decision() -> None:
-    xyz = mixed_cloud(22, 500)
-    low, _, volume = brute_counts(xyz, SHAPE, peers(xyz, TAIL))
-    tail = stats.poisson.sf(low - 1, 0.13e-9 * volume)
-    lowest = xyz.min(axis=0)
-    cloud = Cloud(
-        (xyz - lowest).astype(np.int32),
-        (int(lowest[0]), int(lowest[1]), int(lowest[2])),
-        np.full(500, 0.13),
-        everything(500),
-        ~everything(500),
-    )
-    exact, quick = judge(cloud, TAIL, exact=True), judge(cloud, TAIL)
-    np.testing.assert_array_equal(exact.signal, quick.signal)
-    shown = tail > 1e-12
-    np.testing.assert_allclose(exact.p_value[shown], tail[shown], rtol=1e-5)
-    assert (exact.p_value[~shown] <= 1e-12).all()
-    assert (exact.p_value <= quick.p_value).all()
 
 
 def test_p_is_exact_down_to_what_the_table_tells() -> None:
@@ -201,23 +171,12 @@ def test_p_is_uniform_under_noise_with_the_scan_on() -> None:
         assert error < max(0.5 * level, 5e-5)
 
 
-def test_pure_noise_is_kept_at_no_more_than_alpha() -> None:
+def test_the_published_rule_keeps_much_of_pure_noise() -> None:
+    published = FilterSettings(test="published", neighbours=15, wires=ALONE)
     for density in (0.05, 0.4):
         table, inner = pure_noise(density)
-        kept = {
-            test: (
-                denoise(
-                    table,
-                    np.full(len(table), density),
-                    inner,
-                    FilterSettings(test=test, neighbours=15, wires=ALONE),
-                )["noise_class"]
-                == 0
-            ).mean()
-            for test in ("tail", "published")
-        }
-        assert kept["tail"] <= DEFAULT.alpha
-        assert 0.11 < kept["published"] < 0.27
+        found = denoise(table, np.full(len(table), density), inner, published)["noise_class"]
+        assert 0.11 < (found == 0).mean() < 0.27
 
 
 @pytest.mark.parametrize(
@@ -317,13 +276,6 @@ def test_method_none_keeps_all() -> None:
     assert reach_m(FilterSettings(method="none")) == 0.0
 
 
-def test_method_none_leaves_bloom_alone() -> None:
-    flags = np.array([0, PointFlag.BLOOM, PointFlag.BLOOM | PointFlag.WITHHELD], dtype=np.uint8)
-    table = as_table(np.zeros((3, 3)), flags=flags)
-    np.testing.assert_array_equal(labels(table, 0.1, FilterSettings(method="none")), [0, 0, 255])
-    np.testing.assert_array_equal(labels(table, 0.1)[1:], [1, 255])
-
-
 @pytest.mark.parametrize(
     ("cloud", "density", "expected"),
     [
@@ -365,6 +317,7 @@ def test_reach_is_the_sum_of_the_links() -> None:
     )
 
 
+@pytest.mark.usefixtures("shipped_table")
 @given(st.integers(0, 2**32 - 1), st.tuples(*[st.integers(-(10**9), 10**9)] * 2))
 @settings(max_examples=15, deadline=None)
 def test_order_and_place_do_not_matter(seed: int, shift: tuple[int, int]) -> None:
@@ -381,6 +334,7 @@ def test_order_and_place_do_not_matter(seed: int, shift: tuple[int, int]) -> Non
     np.testing.assert_array_equal(second, first)
 
 
+@pytest.mark.usefixtures("shipped_table")
 @pytest.mark.parametrize("step", [1, 200])
 @pytest.mark.parametrize("filtering", [CLOSE, CLOSE.model_copy(update={"test": "published"})])
 def test_tiles_with_halo_give_the_whole(filtering: FilterSettings, step: int) -> None:
@@ -447,6 +401,7 @@ def test_an_ordinary_scene_keeps_its_wires() -> None:
     assert kept[inner & (kind == 2)].mean() >= 0.95
 
 
+@pytest.mark.usefixtures("shipped_table")
 def test_noise_above_a_surface_does_not_live_on_the_surface() -> None:
     rng = np.random.default_rng(42)
     ground = rng.uniform(0, 40, (32_000, 3))
@@ -457,7 +412,7 @@ def test_noise_above_a_surface_does_not_live_on_the_surface() -> None:
     near &= np.all(np.abs(xyz[:, :2] - 20_000) < 15_000, axis=1)
     assert near.sum() > 50
     kept = labels(as_table(xyz), 0.025) == 0
-    every = labels(as_table(xyz), 0.025, FilterSettings(test="tail", peer_ratio=1e6)) == 0
+    every = labels(as_table(xyz), 0.025, FilterSettings(peer_ratio=1e6)) == 0
     assert kept[: len(ground)].mean() > 0.999
     assert kept[near].mean() < 0.1
     assert every[near].mean() > 0.3

@@ -14,9 +14,8 @@ from spl_batch.engine.settings.base import Section
 FILTER = FilterSettings()
 FILTERS: dict[str, Any] = {
     "method": "aes",
-    "test": "tail",
+    "test": "published",
     "alpha": 0.02,
-    "selection": 0.5,
     **{k: getattr(FILTER, k) for k in ("wires", "aes", "dcc", "voxel", "multilevel", "cylinder")},
 }
 """Another value of each setting that the null distribution is said not to depend on."""

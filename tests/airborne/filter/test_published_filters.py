@@ -8,16 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from spl_batch.airborne.filter.denoise import METHODS, denoise, reach_m
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
 from spl_batch.airborne.filter.filter_interface import Cloud
-from spl_batch.airborne.filter.published.dcc import shot_noise
-from spl_batch.airborne.filter.published.neighbour_volumes import cylinder_counts, sphere_counts
-from spl_batch.airborne.filter.published.voxel_counts import voxelise, window_counts
+from spl_batch.airborne.filter.published import (
+    in_cylinders,
+    in_spheres,
+    shot_noise,
+    voxelise,
+    window_counts,
+)
 from spl_batch.airborne.settings import DccSettings, FilterSettings
 from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable, canonical_order
-from spl_batch.numerics.neighbours.kdtree import build
 from tests.airborne.beams.test_differential_cell_count import slow_dcc
 from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
 
@@ -158,17 +162,13 @@ def test_windows_do_not_wrap_around_the_lattice() -> None:
 def test_counts_in_spheres_and_cylinders(seed: int, radius: int, height: int) -> None:
     rng = np.random.default_rng(seed)
     xyz = mixed_cloud(seed % 1000, 240, step=int(rng.choice([1, 500])))
-    query = rng.random(len(xyz)) < 0.7
     d = xyz[:, None].astype(np.int64) - xyz[None]
-    ball = ((d**2).sum(axis=2) < radius**2).sum(axis=1) - 1
+    ball = ((d**2).sum(axis=2) < radius**2).sum(axis=1)
     tube = (d[..., 0] ** 2 + d[..., 1] ** 2 < radius**2) & (2 * abs(d[..., 2]) < height)
-    tree = build(xyz)
-    np.testing.assert_array_equal(sphere_counts(tree, query, radius), np.where(query, ball, 0))
-    for stop in (3, 10_000):
-        np.testing.assert_array_equal(
-            cylinder_counts(tree, query, radius, height, stop),
-            np.where(query, np.minimum(tube.sum(axis=1) - 1, stop), 0),
-        )
+    np.testing.assert_array_equal(in_spheres(cKDTree(xyz), xyz, radius), ball)
+    for least in (3, 30):
+        found = in_cylinders(xyz, np.arange(len(xyz)), radius, height, least)
+        np.testing.assert_array_equal(found, tube.sum(axis=1) >= least)
 
 
 def as_table(xyz: NDArray[Any], **columns: NDArray[Any]) -> PointTable:

@@ -208,16 +208,3 @@ def test_strips_are_not_joined_where_squares_hold_many_raster_cells() -> None:
         return strip_q(parse_workflow({"survey": survey, "output": "o", "products": products}, "w"))
 
     assert (width(1.0), width(0.4), width(0.25)) == (60_000, 60_000, 0)
-
-
-def test_where_points_may_be_shifted_cells_reach_and_own_farther() -> None:
-    """A tile whose points lie at the edge of a cell may have some in the next one."""
-    survey, tile = (0, 0, 2 * EDGE, EDGE), CellId(0, 0)
-    still, moved = (GroundCells.of_boxes([survey], EDGE, BUFFER, q) for q in (0, 2))
-    for cells, names in ((still, ["0_0"]), (moved, ["0_0", "1_0"])):
-        done = {str(unit.cell): unit for unit in cells.units({tile: 1}, EDGE, 0)}
-        assert sorted(done) == names
-        assert cells.owners([tile], EDGE, done)[tile] == names
-    assert still.reached == Bounds(0, 0, 2 * EDGE, EDGE)
-    assert moved.reached == Bounds(-EDGE, -EDGE, 3 * EDGE, 2 * EDGE)
-    assert moved.core(CellId(0, 0)).xmin == -EDGE

@@ -7,9 +7,9 @@ from spl_batch.airborne.steps import STEPS
 
 
 @pytest.mark.parametrize("kind", ["gather", "observe", "fit_line", "scatter"])
-def test_the_time_domain_depends_on_all_of_the_noise_but_haze_and_bloom(kind):
+def test_the_time_domain_depends_on_all_of_the_noise_but_haze(kind):
     keys = {key.removeprefix("noise.") for key in STEPS[kind].settings if key.startswith("noise")}
-    assert keys == set(NoiseSettings.model_fields) - {"haze", "bloom"}
+    assert keys == set(NoiseSettings.model_fields) - {"haze"}
 
 
 def test_the_filter_depends_on_haze():

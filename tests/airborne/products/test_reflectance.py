@@ -236,14 +236,13 @@ def test_order_of_points_and_parts_does_not_matter() -> None:
 
 def test_a_flightline_that_is_shifted_takes_its_beamlets_along() -> None:
     table, beams, _ = survey(lambda x, _: np.where(x < 1010, 0.2, 0.5), flat_gain())
-    part, (east, north, up) = part_of(table, beams, flat_gain()), (3_000, -2_000, 1_000)
+    part, up = part_of(table, beams, flat_gain()), 50_000
     here = detections(in_halves(table), [part], CORE, PRODUCTS)
-    moved = table.with_columns(x=table["x"] + east, y=table["y"] + north, z=table["z"] + up)
-    there = Bounds(CORE.xmin + east, CORE.ymin + north, CORE.xmax + east, CORE.ymax + north)
-    found = detections(in_halves(moved), [part.shifted((east, north, up))], there, PRODUCTS)
+    moved = table.with_columns(z=table["z"] + up)
+    found = detections(in_halves(moved), [part.raised(up)], CORE, PRODUCTS)
     np.testing.assert_array_equal(found.seen, here.seen)
     np.testing.assert_array_equal(found.fired, here.fired)
-    left = detections(in_halves(moved), [part], there, PRODUCTS)
+    left = detections(in_halves(moved), [part], CORE, PRODUCTS)
     assert np.abs(left.fired - here.fired).max() > 10
 
 

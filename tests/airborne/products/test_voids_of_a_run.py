@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from tests import surveys
-from tests.airborne.strips.test_strip_run import LINEAR
+from tests.airborne.lines.test_strip_run import LINEAR
 
 EXTENT_M = (120.0, 80.0)
 NARROW_M = (36.0, 44.0, 35.0, 45.0)

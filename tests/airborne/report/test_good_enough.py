@@ -11,9 +11,8 @@ from spl_batch.airborne.report.good_enough import (
     _time_standard,
     checkpoint_findings,
 )
-from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
+from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics, StripPair
 from spl_batch.airborne.settings.requirements import RequirementSettings
-from spl_batch.airborne.strips.strip_report import StripPair
 
 
 def pair(first: str, second: str, patches: int, rmsd: float | None, largest: float) -> StripPair:

@@ -30,7 +30,7 @@ UNITS = (
     "_tiles",
     "_ratio",
 )
-PURE_NUMBERS = {"alpha", "weak_alpha", "selection", "weight_min", "dsm_false_alarm", "neighbours"}
+PURE_NUMBERS = {"alpha", "weak_alpha", "weight_min", "dsm_false_alarm", "neighbours"}
 PURE_NUMBERS |= {"quantum_efficiency", "receiver_efficiency", "hologram_efficiency"}
 PURE_NUMBERS |= {"afterpulse_probability", "vegetation_loss"}
 

@@ -76,7 +76,7 @@ def test_the_summary_counts_what_is_in_the_files(survey, lines):
     assert summary.lines == tuple(len(las) for las, _ in lines)
     assert summary.points == sum(summary.lines) == sum(summary.kinds.values())
     seen = {name for name, count in summary.kinds.items() if count}
-    assert seen == set(KINDS) - {"bottom", "bloom", "crosstalk"}, "what the tiny scene has"
+    assert seen == set(KINDS) - {"bottom"}, "what the tiny scene has"
     assert summary.points < 100_000
     assert steps == sorted(steps)
     assert steps[-1] == 1.0

@@ -6,8 +6,8 @@ import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
-from spl_batch.airborne.simulate import detector, haze, simulate, stray_light
-from spl_batch.airborne.simulate import sky as sky_of
+from spl_batch.airborne.simulate import detector, haze, simulate
+from spl_batch.airborne.simulate import survey as sky_of
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.errors import WorkflowError
@@ -93,43 +93,6 @@ def test_a_falling_background_is_a_poisson_process_of_the_same_mean():
     ]
     assert np.mean(counts) == pytest.approx(6.0, rel=0.02)
     assert np.var(counts) == pytest.approx(6.0, rel=0.08)
-
-
-def test_a_reflector_is_seen_by_all_channels_of_a_shot_at_one_range(tmp_path):
-    points = fly(tmp_path, reflectors=[{"place_m": [20, 20], "height_m": 2, "electrons": 6}])
-    bloom = points["kind"] == KINDS.index("bloom")
-    shots, channels = np.unique(points["gps_time"][bloom], return_counts=True)
-    assert len(shots) > 1
-    assert np.median(channels) > 95
-    one = bloom & (points["gps_time"] == shots[0])
-    assert np.ptp(points["x"][one]) + np.ptp(points["y"][one]) > 6, "over the whole array"
-
-
-def test_crosstalk_sets_off_the_channels_beside_and_no_others():
-    scene = parse_scene({**FLAT, "acquisition": {"crosstalk": 0.25}}, "here")
-    stray = stray_light.StrayLight(np.empty((0, 4)), 0.0, scene.acquisition.crosstalk, 10)
-    rng, gains = np.random.default_rng(4), np.ones(100)
-    gains[56] = 0.0
-    found = np.zeros(100)
-    for _ in range(2000):
-        ranges, facts = np.empty((100, 40)), np.zeros((100, 40, 3), np.int64)
-        count = np.zeros(100, np.int64)
-        count[55], ranges[55, 0], facts[55, 0] = 1, 900.0, (1, 255, -1)
-        stray_light.set_off_neighbours(rng, stray, gains, ranges, facts, count)
-        count[55] -= 1
-        found += count
-        for other in np.flatnonzero(count):
-            assert ranges[other, 0] == 900.0
-    assert set(np.flatnonzero(found)) == {45, 54, 65}, "the dead channel stays dark"
-    np.testing.assert_allclose(found[[45, 54, 65]] / 2000, 0.25, atol=0.04)
-
-
-def test_crosstalk_of_a_survey_adds_its_share(tmp_path):
-    points = fly(tmp_path, acquisition={"crosstalk": 0.05})
-    kind = points["kind"]
-    off = np.count_nonzero(kind == KINDS.index("crosstalk"))
-    # of photo-electrons that fall into the dead time of one before nothing is seen
-    assert 0.05 < off / np.count_nonzero(kind != KINDS.index("crosstalk")) < 0.2
 
 
 def test_a_layer_upside_down_is_refused():

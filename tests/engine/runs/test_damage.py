@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from spl_batch import api
+from spl_batch.airborne.lines.comparison import difference_map
 from spl_batch.airborne.store.raster_cells import create_raster_store, read_window, write_cell
 from spl_batch.airborne.store.voxel_parts import StoredVoxels, write_voxels
-from spl_batch.airborne.strips.strip_comparison import difference_map
 from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.constants import NODATA
 from spl_batch.engine.store.working_store import Store, read_receipts, write_receipt
@@ -320,7 +320,7 @@ def test_a_raster_of_the_store_that_was_written_to_is_made_again(survey: Path) -
     [
         ("store/noise.tif", True),
         ("store/accuracy/*.npz", True),
-        ("store/strips/map.npz", True),
+        ("store/overlaps/map.npz", True),
         ("store/receipts/mosaic/dtm.json", True),
         ("store/run.json", False),
         ("dtm.tif", True),
@@ -361,7 +361,7 @@ def damaged_output(tiny_output: Path, tmp_path_factory: pytest.TempPathFactory) 
 @pytest.mark.parametrize(
     ("kind", "pattern", "look"),
     [
-        ("strip_pairs", "strips/map.npz", lambda _, context: difference_map(context)),
+        ("strip_pairs", "overlaps/map.npz", lambda _, context: difference_map(context)),
         ("accuracy", "accuracy/*.npz", compared),
     ],
 )

@@ -21,9 +21,20 @@ from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import (
 )
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_walk import walk
 from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, spacing_scratch
-from spl_batch.airborne.filter.published.neighbour_volumes import within
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.neighbours.kdtree import LEAF, U0, U1, U2, U3, KdTree, check_cap, leaf_slots
+from spl_batch.numerics.neighbours.kdtree import (
+    LEAF,
+    U0,
+    U1,
+    U2,
+    U3,
+    U4,
+    U5,
+    KdTree,
+    box_distance,
+    check_cap,
+    leaf_slots,
+)
 from spl_batch.numerics.neighbours.nearest import edges_of_leaves, neighbours_of_leaves
 
 NO_SPACING = Spacing(1, 1)
@@ -76,7 +87,7 @@ def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ign
                 x = np.float64(points[U0, low + at])
                 y = np.float64(points[U1, low + at])
                 z = np.float64(points[U2, low + at])
-                sphere[at] = within(points, boxes, depth, x, y, z, limit, stack, levels) - 1
+                sphere[at] = _within(points, boxes, depth, x, y, z, limit, stack, levels) - 1
                 asked[at] = sphere[at] > 0
         neighbours_of_leaves(
             points, boxes, edges, depth, (leaf, leaf + U1), asked, shape.neighbours,
@@ -102,3 +113,52 @@ def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ign
                     space, rule, 1.0, spare, outer,
                 )  # fmt: skip
             keep[points[U3, slot]] = inside >= stop
+
+
+@njit(inline="always")
+def _farthest(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
+    """Squared distance from a point to the farthest corner of a node's box."""
+    dx = max(x - boxes[node, U0], boxes[node, U3] - x)
+    dy = max(y - boxes[node, U1], boxes[node, U4] - y)
+    dz = max(z - boxes[node, U2], boxes[node, U5] - z)
+    return dx * dx + dy * dy + dz * dz
+
+
+@njit()
+def _within(points, boxes, depth, x, y, z, limit, stack, levels):  # type: ignore[no-untyped-def]
+    """Points nearer to a place than the root of ``limit``; whole nodes are counted at once.
+
+    Parameters
+    ----------
+    points, boxes, depth
+        The tree; the depth as uint64.
+    x, y, z : float
+        The place [quanta].
+    limit : float
+        Squared distance, exclusive [quanta2].
+    stack, levels : (64,) uint64
+        Scratch: nodes to visit, and their levels.
+    """
+    n = np.uint64(points.shape[1])
+    first = U1 << depth
+    count = 0
+    stack[0], levels[0] = U1, U0
+    top = U1
+    while top > U0:
+        top -= U1
+        node, level = stack[top], levels[top]
+        if box_distance(boxes, node, x, y, z) >= limit:
+            continue
+        if _farthest(boxes, node, x, y, z) < limit:
+            low, high = leaf_slots(node, level, n)
+            count += int(high) - int(low)
+        elif node < first:
+            stack[top], levels[top] = node + node, level + U1
+            stack[top + U1], levels[top + U1] = node + node + U1, level + U1
+            top += U1 + U1
+        else:
+            low, high = leaf_slots(node, depth, n)
+            for slot in range(low, high):
+                dx, dy, dz = points[U0, slot] - x, points[U1, slot] - y, points[U2, slot] - z
+                count += dx * dx + dy * dy + dz * dz < limit
+    return count

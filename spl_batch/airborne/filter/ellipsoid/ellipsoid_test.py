@@ -1,21 +1,19 @@
 """Point-wise test of the adaptive ellipsoid [W18 2.2.3; W17 5.2.2, 6.2.3].
 
 ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 11-26 % of pure noise.
-``tail`` deviates in four points:
+``calibrated``, the default, deviates in three points:
 
-- it uses P(K >= k), the probability of a count at least as large as the one found;
-- alpha is divided by ``selection``, because an ellipsoid is fitted to the points that it counts;
+- the probability of a count at least as large as the one found, ties broken, is compared with what
+  pure noise of the same density gives
+  (:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`), since an ellipsoid is fitted to
+  the points that it counts: a share alpha of noise is kept at any density
+  (``python -m benchmarks.held --only alpha``);
 - only peers count: neighbours whose spacing is at least the point's over ``peer_ratio``
   (:mod:`~spl_batch.airborne.filter.ellipsoid.spacing`), so noise does not live on a surface near
   by;
 - hysteresis: a point that passes at ``weak_alpha`` only needs ``link_count`` peers within
-  ``link_m`` that pass by themselves. Links are not chained.
-
-``calibrated``, the default, keeps peers and hysteresis, and replaces the division. It compares the
-score, ties broken, with what pure noise of the same density scores
-(:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`), so a share alpha of noise is kept
-at any density (``python -m benchmarks.held --only alpha``). Links may add ``link_share`` of
-alpha: in dense noise they are shorter.
+  ``link_m`` that pass by themselves. Links are not chained. They may add ``link_share`` of alpha:
+  in dense noise they are shorter.
 
 Borders: neighbours within the cap shape the ellipsoid; fewer than four leave the sphere. With no
 noise expected, one neighbour inside makes a signal. Except in the published test, a point with none
@@ -93,7 +91,7 @@ def judge(
     -------
     Verdict
         Of the points asked for, in their order. ``p_value`` is the share of pure noise
-        that scores no more for the calibrated test, P(K >= k) for the others; a linked
+        that scores no more for the calibrated test, P(K >= k) for the published one; a linked
         point has that of its own neighbourhood.
     """
     asked = cloud.asked
@@ -119,8 +117,7 @@ def judge(
         _pass_with_peers(signal, weak, link, cloud.xyz, found, settings)
     p_value = found.score[asked]
     del found, tree
-    if settings.test == "calibrated":
-        p_value = _batched(null_table(settings).p_value, cloud.density[asked], p_value)
+    p_value = _batched(null_table(settings).p_value, cloud.density[asked], p_value)
     kept = signal[asked] | _hardly_expected(cloud.density[asked], settings)
     return Verdict(kept, p_value.astype(np.float32))
 
@@ -177,8 +174,6 @@ def _limit(
     density: NDArray[np.float64], settings: FilterSettings, alpha: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Score that passes alone, where a share ``alpha`` of noise is to be kept: (m,) float64."""
-    if settings.test == "tail":
-        return alpha / settings.selection
     table = null_table(settings)
     return table.critical(
         density, table.alone(density, alpha) if settings.link_count > 0 else alpha
@@ -227,9 +222,6 @@ def _links(
     density: NDArray[np.float64], settings: FilterSettings, alpha: NDArray[np.float64]
 ) -> _Links:
     """Score that passes with links, and longest link [quanta]."""
-    if settings.test == "tail":
-        ones = np.ones(len(density))
-        return _Links(ones * settings.weak_alpha, ones * float(quanta(settings.link_m)))
     table = null_table(settings)
     # no longer than the halo was made for
     link = np.minimum(table.link(density, alpha), settings.link_m) * quanta(1.0)

@@ -47,7 +47,6 @@ IRRELEVANT: Final = frozenset(
         "method",
         "test",
         "alpha",
-        "selection",
         "wires",
         "aes",
         "dcc",

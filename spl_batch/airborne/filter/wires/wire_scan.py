@@ -1,4 +1,4 @@
-r"""Directional scan with voting: conductors too thin for a test of single points.
+"""Directional scan with voting: conductors too thin for a test of single points.
 
 Domain: space. Most of the 15 nearest neighbours of a conductor with 0.1-0.3 returns per metre and
 flightline are noise. What it has is length. The scan
@@ -22,6 +22,15 @@ Tubes shrink where more than :data:`CROWD` noise points would be met. A hash of 
 draws the points to start from; all others are counted and voted for.
 
 Nothing here needs the verdict of the ellipsoid test, so the reaches of the two do not add.
+
+Clearance of a tube: what is around it, whether its line hangs free and goes from end to end.
+
+====== ==========================================================================
+symbol name
+====== ==========================================================================
+x, y, v offset of a return from a tube's line: along, across, upwards [quanta]
+d       max(|y|, |v|): how far it is off the line, in square rings [quanta]
+====== ==========================================================================
 """
 
 import math
@@ -35,12 +44,70 @@ from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.filter.wires.cube_counts import cube_counts
 from spl_batch.airborne.filter.wires.line_hough import fullest
 from spl_batch.airborne.filter.wires.tube_agreement import agreeing, refine, vote
-from spl_batch.airborne.filter.wires.tube_clearance import PARTS, around_tubes
 from spl_batch.airborne.settings import WireSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
-from spl_batch.numerics.neighbours.lattice_columns import Columns, columns
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.lattice_columns import Columns, columns, first_above, stretch_of
 from spl_batch.numerics.poisson import noise_tail_probability
+
+PARTS: Final = 8
+"""Equal parts of a tube that are told apart [count]."""
+
+
+@njit()
+def around_tubes(  # type: ignore[no-untyped-def]
+    points, start, nx, ny, edge, corner, middle, azimuth, slope, length, rings, bend, count, held
+):  # fmt: skip
+    """Count the returns within some distances of each tube's line.
+
+    Parameters
+    ----------
+    points, start, nx, ny, edge, corner
+        The columns.
+    middle, azimuth, slope, length
+        The tubes: (m, 3) [quanta], (m,) [rad, rise/run, quanta].
+    rings : (k,) float64
+        Distances d, ascending [quanta].
+    bend : float
+        Parabola of a hanging line [1/quanta].
+    count : (m, k) int32
+        Receives the returns of ``|x| <= length`` no farther off than each distance.
+    held : (m, PARTS) bool
+        Receives which parts of the tube hold returns within the first distance; must be False.
+    """
+    wide = rings[-1]
+    for s in range(len(middle)):
+        along_x, along_y = math.cos(azimuth[s]), math.sin(azimuth[s])
+        reach = length[s]
+        far = reach + wide
+        i0, i1 = stretch_of(middle[s, 0] - corner[0], far, edge, nx)
+        j0, j1 = stretch_of(middle[s, 1] - corner[1], far, edge, ny)
+        for i in range(i0, i1):
+            for j in range(j0, j1):
+                cx = corner[0] + (i + 0.5) * edge - middle[s, 0]
+                cy = corner[1] + (j + 0.5) * edge - middle[s, 1]
+                if abs(cy * along_x - cx * along_y) > wide + 0.71 * edge:
+                    continue
+                x = cx * along_x + cy * along_y
+                low = middle[s, 2] + slope[s] * x - abs(slope[s]) * edge - wide
+                high = low + 2.0 * (abs(slope[s]) * edge + wide) + bend * (abs(x) + edge) ** 2
+                end = start[i * ny + j + 1]
+                for slot in range(first_above(points, start[i * ny + j], end, low), end):
+                    if points[2, slot] > high:
+                        break
+                    dx, dy = points[0, slot] - middle[s, 0], points[1, slot] - middle[s, 1]
+                    x = dx * along_x + dy * along_y
+                    if abs(x) > reach:
+                        continue
+                    up = points[2, slot] - middle[s, 2] - slope[s] * x - bend * x * x
+                    off = max(abs(dy * along_x - dx * along_y), abs(up))
+                    for ring in range(len(rings)):
+                        count[s, ring] += off <= rings[ring]
+                    if off <= rings[0]:
+                        part = np.int64((x + reach) / (2.0 * reach) * PARTS)
+                        held[s, min(part, PARTS - 1)] = True
+
 
 DOMAIN: Final = "space"
 

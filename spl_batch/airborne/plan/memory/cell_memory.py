@@ -11,10 +11,10 @@ from typing import Final, NamedTuple
 from spl_batch.airborne.filter.drowned_surfaces import NEAR_M
 from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M
 from spl_batch.airborne.ground.water.off_water import PART_STEP_M
+from spl_batch.airborne.lines.patches import SQUARE_M
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.task_memory import task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.strips.strip_patches import SQUARE_M
 from spl_batch.airborne.tasks.surfaces import looks_at_surface
 from spl_batch.engine.plan.worker_memory import LOADED_BASE_BYTES, usable_bytes
 from spl_batch.lattice.eastings import Cut, Eastings

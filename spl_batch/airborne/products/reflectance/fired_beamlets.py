@@ -93,9 +93,9 @@ class FiredPart:
     prf_hz: float
     dropped: int  #: Blocks with returns that no fit describes.
 
-    def shifted(self, shift: tuple[int, int, int]) -> "FiredPart":
-        """The same fired elsewhere: ``shift`` to the east, to the north and up [quanta]."""
-        return replace(self, anchor=self.anchor + np.array(shift) * QUANTUM_M)
+    def raised(self, up_q: int) -> "FiredPart":
+        """The same fired from higher up [quanta]."""
+        return replace(self, anchor=self.anchor + np.array([0, 0, up_q]) * QUANTUM_M)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Few arrays, of numbers only, as an npz file holds them; of equal patterns one is kept."""

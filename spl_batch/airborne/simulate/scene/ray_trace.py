@@ -28,8 +28,6 @@ KIND_WATER: Final = 5
 KIND_AFTERPULSE: Final = 6
 KIND_OTHER: Final = 7
 KIND_BOTTOM: Final = 8
-KIND_BLOOM: Final = 9
-KIND_CROSSTALK: Final = 10
 """What gave a simulated return."""
 
 GAP_CELL_M: Final = 0.5

@@ -205,14 +205,6 @@ class Fog(Section):
     scale_m: Positive = Field(1.5, description="Height at which a third is left [m].")
 
 
-class Reflector(Section):
-    """A retro-reflector: every channel of a shot that lights it sees it."""
-
-    place_m: Place = Field(description="East and north of the origin [m].")
-    height_m: NotNegative = Field(1.5, description="Above the ground [m].")
-    electrons: Positive = Field(5.0, description="Mean photo-electrons in each channel [count].")
-
-
 class Sky(Section):
     """Sun and air [W17 Eq. 2.2-2.5]."""
 
@@ -245,9 +237,6 @@ class Acquisition(Section):
     gain_spread: float = Field(0.05, ge=0, lt=0.3, description="Of the channels' sensitivity.")
     wobble_deg: NotNegative = Field(0.2, description="Swing of roll and pitch [deg].")
     start_s: float = Field(371_000_000.0, description="Adjusted standard GPS time of take-off [s].")
-    crosstalk: Share = Field(
-        0.0, description="Chance that a photo-electron sets off a given channel beside its own."
-    )
     turn_s: Positive = Field(240.0, description="From the middle of one line to the next [s].")
     margin_m: NotNegative = Field(5.0, description="Shots this far outside are kept [m].")
 
@@ -329,7 +318,6 @@ class Scene(Section):
     wires: tuple[Wires, ...] = ()
     bridges: tuple[Bridge, ...] = ()
     water: tuple[Water, ...] = ()
-    reflectors: tuple[Reflector, ...] = ()
     flights: tuple[Flight, ...] = Field(min_length=1, description="Flightlines in flown order.")
     sensor: str | Sensor = Field("spl100", description="A preset's name, or a mapping.")
     sensor_overrides: dict[str, Any] = Field({}, description="Sensor keys that differ from it.")

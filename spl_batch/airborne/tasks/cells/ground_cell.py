@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.store.flown_lines import FlownLines
 from spl_batch.airborne.store.label_tables import Origin, read_region
-from spl_batch.airborne.store.line_moves import LineMoves
 from spl_batch.airborne.tasks.space_domain import LABELS, label_units, tile_cells
 from spl_batch.lattice.eastings import strips_between
 from spl_batch.lattice.tables import PointTable
@@ -24,7 +24,7 @@ class Cell(NamedTuple):
     args: Mapping[str, Any]
     context: Context
     core: Bounds
-    moves: LineMoves | None  #: Shifts of its flightlines.
+    shifts: FlownLines | None  #: Shifts of its flightlines.
     #: Points that all looks share, and where they lie; none where each look reads its own.
     held: tuple[PointTable, Origin] | None = None
 
@@ -50,7 +50,7 @@ class Cell(NamedTuple):
         return read_region(
             self.context.store, tile_cells(self.args["tiles"]), region,
             [k for k in columns if k not in labels], labels, ordered=False, keep=keep,
-            moves=self.moves,
+            shifts=self.shifts,
         )  # fmt: skip
 
 

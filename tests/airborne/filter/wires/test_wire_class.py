@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.wires.tube_clearance import PARTS, around_tubes
-from spl_batch.airborne.filter.wires.wire_scan import scan
+from spl_batch.airborne.filter.wires.wire_scan import PARTS, around_tubes, scan
 from spl_batch.airborne.settings import WireSettings
 from spl_batch.numerics.neighbours.lattice_columns import columns
 from tests.airborne.filter.wires.test_wire_scan import conductor, made_cloud, noise

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
-from spl_batch.airborne.strips.strip_patches import FLAT, Patches
+from spl_batch.airborne.lines.patches import FLAT, Patches
 
 FEWEST: Final = 10
 """Patches of a pair that tell something, at least [count]."""
@@ -64,16 +64,6 @@ TWICE: Final = 2.0
 
 QUARTER: Final = 0.25
 """Share of the patches that are taken for smooth: the thickest of these is the ranging noise."""
-
-
-class Strip(NamedTuple):
-    """A flightline."""
-
-    name: str
-    psid: int
-    #: Times of its first and last return [s].
-    first_s: float
-    last_s: float
 
 
 class PairDifference(NamedTuple):
@@ -138,25 +128,13 @@ def student_t(freedom: int) -> float:
     return float(stdtrit(freedom, ndtr(3.0))) if freedom > 0 else np.inf
 
 
-def named_passes(
-    psid: NDArray[np.int64], time_s: NDArray[np.float64], strips: Sequence[Strip]
-) -> list[str]:
-    """Flightline of each pass of a cell; one that is none of those known is named by its id."""
-    names = []
-    for one, time in zip(psid.tolist(), time_s.tolist(), strict=True):
-        mine = [s for s in strips if s.psid == one]
-        there = [s.name for s in mine if s.first_s - 1 <= time <= s.last_s + 1]
-        names.append(there[0] if there else f"{one:05d}")
-    return names
-
-
 def pair_table(cells: Iterable[tuple[Sequence[str], Patches]]) -> list[PairDifference]:
     """Differences of all pairs of flightlines that share enough patches.
 
     Parameters
     ----------
     cells : iterable of (sequence of str, dict of str to ndarray)
-        Of each ground cell the names of its passes, and its patches.
+        Of each ground cell the names of its flightlines, and its patches.
     """
     parts: dict[tuple[str, str], list[Patches]] = {}
     for names, patches in cells:

@@ -10,20 +10,30 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spl_batch.airborne.strips.patch_moments import add_moments, doubled
-from spl_batch.airborne.strips.strip_comparison import _overlaps
-from spl_batch.airborne.strips.strip_patches import (
-    FEWEST,
+from spl_batch.airborne.lines.patches import (
+    MIN_RETURNS_PER_PATCH,
     MOST,
-    MOST_PASSES,
+    MOST_LINES,
     THICKEST_M,
-    find_passes,
+    Patches,
+    add_moments,
+    doubled,
     find_patches,
     region,
+    seen_lines,
 )
+from spl_batch.airborne.store.flown_lines import FlownLines
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
-from tests.airborne.strips.two_strips import CORE, Shift, ground, table, two_strips
+from tests.airborne.lines.two_strips import (
+    CORE,
+    LINES,
+    Shift,
+    ground,
+    patches_between,
+    table,
+    two_strips,
+)
 
 
 def test_moments_are_the_sums_of_the_points_of_each_square() -> None:
@@ -73,8 +83,7 @@ def oracle(first: NDArray[Any], second: NDArray[Any]) -> dict[str, float]:
 
 def test_patches_are_what_least_squares_over_their_points_gives() -> None:
     points = two_strips(Shift(0.2, -0.1, 0.05), per_m2=0.4)
-    passes = find_passes([points], 60.0)
-    patches = find_patches([points], passes, CORE)
+    patches = found_in(points)
     assert set(patches["edge_m"]) == {5.0, 10.0}, "those of 5 m that hold too little are joined"
     xyz = np.stack([points[axis] / 1000 for axis in "xyz"], axis=1)
     for k in range(0, len(patches["rise"]), 7):
@@ -85,12 +94,12 @@ def test_patches_are_what_least_squares_over_their_points_gives() -> None:
         sides = [near[inside & (points["point_source_id"] == psid)] for psid in (1, 2)]
         for name, value in oracle(*sides).items():
             assert patches[name][k] == pytest.approx(value, rel=1e-5, abs=1e-9), name
-        assert min(map(len, sides)) >= FEWEST
+        assert min(map(len, sides)) >= MIN_RETURNS_PER_PATCH
         assert patches["thickness"][k] <= THICKEST_M
 
 
 def test_no_square_is_used_twice() -> None:
-    patches = find_patches(*_passed(two_strips(Shift(), per_m2=0.4)), CORE)
+    patches = found_in(two_strips(Shift(), per_m2=0.4))
     for k, edge in enumerate(patches["edge_m"]):
         apart = np.maximum(*(np.abs(patches[axis] - patches[axis][k]) for axis in "xy"))
         assert np.count_nonzero(apart < (edge + patches["edge_m"]) / 2 - 1e-6) == 1
@@ -102,91 +111,53 @@ def test_flightlines_that_overlap_without_patches_are_known() -> None:
     apart = two_strips(Shift())
     apart = apart.take((apart["point_source_id"] == 1) ^ (apart["x"] > np.median(apart["x"])))
     for points, met in ((crowns, {(0, 1)}), (apart, set())):
-        overlaps: set[tuple[int, int]] = set()
-        found = find_patches(*_passed(points), CORE, overlaps)
+        found, overlaps = find_patches([points], LINES, seen_lines([points], LINES), CORE)
         assert not len(found["rise"])
         assert overlaps == met
-    flown = {"overlaps": np.array([[0, 1], [1, 2]])}
-    assert _overlaps([(["b", "a", "a"], flown)]) == {("a", "b")}, "none with itself"
 
 
 def test_crowns_and_lone_flightlines_have_no_patches() -> None:
     rng = np.random.default_rng(3)
     crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
-    assert not len(find_patches(*_passed(crowns), CORE)["rise"])
+    assert not len(found_in(crowns)["rise"])
     whole = two_strips(Shift())
     alone = whole.take(whole["point_source_id"] == 1)
-    assert not len(find_patches(*_passed(alone), CORE)["rise"])
-    assert not len(find_patches(*_passed(whole.take(slice(0, 0))), CORE)["rise"])
+    assert not len(found_in(alone)["rise"])
+    assert not len(found_in(whole.take(slice(0, 0)))["rise"])
 
 
 def test_a_pair_that_shares_much_is_thinned_and_keeps_its_slopes() -> None:
-    patches = find_patches(*_passed(two_strips(Shift(), per_m2=4, edge_m=200)), WIDE)
+    patches = found_in(two_strips(Shift(), per_m2=4, edge_m=200), WIDE)
     patches = {name: values[patches["beyond"] == 0] for name, values in patches.items()}
     assert len(patches["rise"]) == MOST
 
 
-def test_passes_are_parted_by_id_and_by_pauses() -> None:
-    time = np.array([5.0, 6.0, 5.5, 300.0, 301.0, np.nan, 5.0, 70.0, 1e9])
-    psid = np.array([1, 1, 1, 1, 1, 1, 2, 2, 2])
-    points = PointTable(
-        {"gps_time": time, "point_source_id": psid.astype(np.uint16), "z": np.zeros(9, np.int32)}
-    )
-    passes = find_passes([points], 100.0)
-    assert passes.of(points).tolist() == [1, 1, 1, 2, 2, 0, 3, 3, 4]
-    assert passes.psid.tolist() == [1, 1, 1, 2, 2]
-    assert passes.time_s[1:].tolist() == [5.0, 300.0, 5.0, 1e9]
-    assert np.isnan(passes.time_s[0])
-
-
-def test_crumbs_of_passes_cost_nothing_and_change_nothing() -> None:
-    lines = two_strips(Shift(0.1, 0.1, 0.1), per_m2=0.8)
-    wanted = find_patches(*_passed(lines), CORE)
-    # 70 000 passes of one return each, a minute apart, as clocks that jump make them.
-    n = 70_000
-    rng = np.random.default_rng(4)
-    x, y = rng.integers(0, 80_000, (2, n))
-    crumbs = {
-        "x": x + CORE.xmin, "y": y + CORE.ymin, "z": np.zeros(n, np.int32),
-        "gps_time": 1e6 + 100.0 * np.arange(n), "point_source_id": np.full(n, 3, np.uint16),
-    }  # fmt: skip
-    names = list(crumbs)
-    points = PointTable(
-        {k: np.concatenate([lines[k], crumbs[k]]).astype(lines[k].dtype) for k in names}
-    )
-    passes = find_passes([points], 60.0)
-    assert len(passes.psid) == n + 2
-    assert passes.of(points).max() == n + 1
-    assert passes.left_out == 0
-    assert _same(find_patches([points], passes, CORE), wanted)
-
-
-def test_of_many_passes_those_with_most_returns_are_compared() -> None:
-    sizes = [2.0, 2.0, *[0.5] * MOST_PASSES]
+def test_of_many_flightlines_those_with_most_returns_are_compared() -> None:
+    sizes = [2.0, 2.0, *[0.5] * MOST_LINES]
     many = table([ground(k + 1, Shift(), per_m2=d, edge_m=20) for k, d in enumerate(sizes)])
-    passes = find_passes([many], 60.0)
-    assert passes.left_out == 2
-    patches = find_patches([many], passes, CORE)
-    used = {*patches["first"].tolist(), *patches["second"].tolist()}
-    returns = passes.returns
-    assert used <= set(np.argsort(-returns, kind="stable")[:MOST_PASSES].tolist())
-    assert {0, 1} <= used
+    lines = FlownLines([])  # each is what has its point source id
+    seen = seen_lines([many], lines)
+    assert seen.left_out == 2
+    assert [lines.line(k).psid for k in seen.numbers[:2].tolist()] == [1, 2]
+    assert len(seen.numbers) == MOST_LINES
+    assert seen.returns.min() == 200
+    assert len(find_patches([many], lines, seen, CORE)[0]["rise"])
 
 
-def test_a_cell_in_strips_has_the_same_patches() -> None:
+def test_a_cell_in_parts_has_the_same_patches() -> None:
     points = two_strips(Shift(0.1, 0.0, 0.03), per_m2=1.0)
     timeless = np.arange(len(points)) % 50 == 0
     points = points.with_columns(gps_time=np.where(timeless, np.nan, points["gps_time"]))
     west, east = np.quantile(points["x"], [0.2, 0.7])
     cuts = np.searchsorted([west, east], points["x"], side="right")
-    strips = [points.take(cuts == k) for k in range(3)]
-    assert min(map(len, strips)) > 0
-    whole, parts = find_passes([points], 60.0), find_passes(strips, 60.0)
-    for name in ("psid", "time_s", "returns", "lowest"):
-        assert np.array_equal(getattr(whole, name), getattr(parts, name), equal_nan=True)
-    found = find_patches(strips, parts, CORE)
+    parts = [points.take(cuts == k) for k in range(3)]
+    assert min(map(len, parts)) > 0
+    seen = [seen_lines(some, LINES) for some in ([points], parts)]
+    assert [LINES.line(k).name for k in seen[0].numbers] == ["one", "two", "00001", "00002"]
+    assert all(np.array_equal(*pair) for pair in zip(*seen, strict=True))
+    found = find_patches(parts, LINES, seen[1], CORE)[0]
     assert len(found["rise"])
-    assert _same(found, find_patches([points], whole, CORE))
+    assert _same(found, found_in(points))
 
 
 @settings(max_examples=15)
@@ -194,14 +165,14 @@ def test_a_cell_in_strips_has_the_same_patches() -> None:
 def test_the_order_of_points_does_not_count(seed: int, quarter: int) -> None:
     points = two_strips(Shift(0.1, 0.1, 0.1), per_m2=0.8)
     core = quarters()[quarter]
-    wanted = find_patches(*_passed(points), core)
+    wanted = found_in(points, core)
     order = np.random.default_rng(seed).permutation(len(points))
-    assert _same(find_patches(*_passed(points.take(order)), core), wanted)
+    assert _same(found_in(points.take(order), core), wanted)
 
 
 def test_cells_part_the_patches_of_a_survey_between_them() -> None:
     points = two_strips(Shift(0.1, 0.1, 0.1), per_m2=0.8)
-    whole = find_patches(*_passed(points), CORE)
+    whole = found_in(points)
     parts = [_owned(points, core) for core in quarters()]
     joined = {k: np.concatenate([part[k] for part in parts]) for k in whole}
     for found in (whole, joined):
@@ -227,11 +198,11 @@ def _owned(points: PointTable, core: Bounds) -> dict[str, NDArray[Any]]:
     reads = region(core)
     inside = (points["x"] >= reads.xmin) & (points["x"] < reads.xmax)
     inside &= (points["y"] >= reads.ymin) & (points["y"] < reads.ymax)
-    return find_patches(*_passed(points.take(inside)), core)
+    return found_in(points.take(inside), core)
 
 
-def _passed(points: PointTable) -> tuple[list[PointTable], Any]:
-    return [points], find_passes([points], 60.0)
+def found_in(points: PointTable, core: Bounds = CORE) -> Patches:
+    return patches_between(points, core)[1]
 
 
 def _same(one: Mapping[str, NDArray[Any]], other: Mapping[str, NDArray[Any]]) -> bool:

@@ -6,29 +6,27 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from spl_batch.airborne.strips.pair_sentences import left_out_warnings, offset_warnings
-from spl_batch.airborne.strips.pair_table import (
+from spl_batch.airborne.lines.pair_table import (
     DETERMINED_M,
     FEWEST,
     PairDifference,
-    Strip,
     fit_shift,
-    named_passes,
     pair_table,
 )
-from spl_batch.airborne.strips.strip_patches import Patches, find_passes, find_patches
-from tests.airborne.strips.two_strips import (
+from spl_batch.airborne.lines.patches import Patches
+from spl_batch.airborne.lines.sentences import left_out_warnings, offset_warnings
+from tests.airborne.lines.two_strips import (
     CORE,
     Heights,
     Shift,
     flat,
     ground,
     hills,
+    patches_between,
     table,
     two_strips,
 )
 
-STRIPS = [Strip("one", 1, 1000.0, 1001.0), Strip("two", 2, 2000.0, 2001.0)]
 SEEDS = range(6)
 
 
@@ -42,9 +40,7 @@ class Scene:
 
 def patches_of(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> tuple[list[str], Patches]:
     points = two_strips(shift, noise_m=scene.noise_m, heights=scene.heights, seed=seed)
-    passes = find_passes([points], 60.0)
-    names = named_passes(passes.psid, passes.time_s, STRIPS)
-    return names, find_patches([points], passes, CORE)
+    return patches_between(points)
 
 
 def pair(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> PairDifference:
@@ -82,10 +78,7 @@ def test_a_flightline_that_is_turned_is_found_with_its_shift_and_tilt(heights: H
         return heights(x - 0.6, y) + 0.002 * (x - 40)
 
     lines = [ground(1, Shift(), heights=heights), ground(2, Shift(), heights=turned)]
-    points = table(lines)
-    passes = find_passes([points], 60.0)
-    names = named_passes(passes.psid, passes.time_s, STRIPS)
-    (found,) = pair_table([(names, find_patches([points], passes, CORE))])
+    (found,) = pair_table([patches_between(table(lines))])
     assert found.tilt_east_m == pytest.approx(0.2, abs=5 * (found.tilt_sd_m or 0.0))
     assert found.tilt_north_m == pytest.approx(0.0, abs=5 * (found.tilt_sd_m or 0.0))
     assert found.change_m == pytest.approx(0.15, abs=0.03)
@@ -160,11 +153,6 @@ def test_equal_patches_have_a_difference_too() -> None:
     assert fit_shift(same).up_m == pytest.approx(float(patches["rise"][0]))
 
 
-def test_passes_take_the_name_of_their_flightline() -> None:
-    psid, time_s = np.array([1, 1, 2, 7]), np.array([1000.5, 5000.0, np.nan, 3.0])
-    assert named_passes(psid, time_s, STRIPS) == ["one", "00001", "00002", "00007"]
-
-
 @pytest.mark.parametrize(
     ("east_m", "squares", "told"),
     [(0.11, 1, False), (0.11, 4, False), (0.11, 40, True), (0.25, 1, True), (0.25, 4, True)],
@@ -222,9 +210,7 @@ def test_the_largest_difference_is_that_of_all_patches() -> None:
     )
     step = second & (x // 5000 == 7) & (y // 5000 == 3)
     points = points.with_columns(z=points["z"] + np.where(step, 500, 0).astype(np.int32))
-    passes = find_passes([points], 60.0)
-    names = named_passes(passes.psid, passes.time_s, STRIPS)
-    patches = find_patches([points], passes, CORE._replace(xmax=10_160_000, ymax=20_160_000))
+    names, patches = patches_between(points, CORE._replace(xmax=10_160_000, ymax=20_160_000))
     assert np.count_nonzero(patches["beyond"]) > 0
     (found,) = pair_table([(names, patches)])
     assert found.largest_m == pytest.approx(0.5, abs=0.05)

@@ -10,20 +10,20 @@ discrepancies in airborne laserscanner data*, PE&RS 68(9), 933-940): heights, wh
 horizontal part. He takes points of a triangulation; whole patches have a known noise.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable
 from itertools import combinations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.strips.patch_moments import add_moments, doubled
+from spl_batch.airborne.store.flown_lines import NEEDED, FlownLines
 from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
+from spl_batch.numerics.compiled import njit
 
-COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "point_source_id")
+COLUMNS_NEEDED: Final = ("x", "y", "z", *NEEDED)
 """Columns of the points that patches are made of."""
 
 EDGE_M: Final = 5.0
@@ -35,7 +35,7 @@ LEVELS: Final = 3
 SQUARE_M: Final = EDGE_M * 2 ** (LEVELS - 1)
 """Edge of the largest patch [m]: a region is looked at in whole squares of it."""
 
-FEWEST: Final = 12
+MIN_RETURNS_PER_PATCH: Final = 12
 """Returns that each flightline has in a patch, at least [count]."""
 
 THICKEST_M: Final = 0.25
@@ -48,9 +48,9 @@ SPREAD: Final = 0.15
 """Standard deviation of a flightline's returns in each direction, at least [edges of the patch]:
 0.29 where they lie evenly."""
 
-MOST_PASSES: Final = 40
-"""Passes of a ground cell that are compared, those with most returns [count]: more than fly over
-one place. Memory and pairs grow with them."""
+MOST_LINES: Final = 40
+"""Flightlines of a ground cell that are compared, those with most returns [count]: more than fly
+over one place. Memory and pairs grow with them."""
 
 FLAT: Final = 0.176
 """Slope up to which a patch counts for differences of heights: 10 degrees, as the USGS Lidar Base
@@ -66,195 +66,106 @@ Patches = dict[str, NDArray[Any]]
 """Columns of patches, see :func:`find_patches`."""
 
 
-@dataclass(frozen=True, slots=True)
-class Passes:
-    """What was flown over a region in one go."""
+class Seen(NamedTuple):
+    """Flightlines of a region."""
 
-    psid: NDArray[np.int64]  #: (s,): point source id of each pass, rising.
-    #: (s,): second in which it begins there, rising for an id; NaN where its points have no time.
-    time_s: NDArray[np.float64]
+    #: (s,): numbers of those that are compared, rising; see
+    #: :class:`~spl_batch.airborne.store.flown_lines.FlownLines`.
+    numbers: NDArray[np.intp]
     returns: NDArray[np.int64]  #: (s,): points of each [count].
-    lowest: NDArray[np.int64]  #: (s,): height of its lowest point [quanta].
-
-    @property
-    def left_out(self) -> int:
-        """Passes that could have patches, but are beyond :data:`MOST_PASSES` [count]."""
-        return max(int((self.returns >= FEWEST).sum()) - MOST_PASSES, 0)
-
-    def of(self, table: PointTable) -> NDArray[np.int32]:
-        """Pass of each point of one of the tables that they were found in: (n,) int32."""
-        found = np.empty(len(table), np.int32)
-        for one, mine in _by_id(table):
-            passes, second = np.flatnonzero(self.psid == one), np.floor(table["gps_time"][mine])
-            begins = self.time_s[passes]
-            timed = passes[np.isfinite(begins)]
-            place = np.searchsorted(self.time_s[timed], second, side="right") - 1
-            found[mine] = np.where(
-                np.isfinite(second), timed[place] if len(timed) else 0, passes[0]
-            )
-        return found
+    lowest: int  #: Height of the lowest point [quanta].
+    left_out: int  #: Flightlines that could have patches, beyond :data:`MOST_LINES` [count].
 
 
-class _Seen(NamedTuple):
-    """Points of one point source id, by second; NaN for those without a time."""
-
-    second: NDArray[np.float64]
-    returns: NDArray[np.int64]
-    lowest: NDArray[np.int64]
-
-
-def find_passes(tables: Iterable[PointTable], gap_s: float) -> Passes:
-    """Divide points by point source id and, where one has long pauses, by time.
+def seen_lines(tables: Iterable[PointTable], lines: FlownLines) -> Seen:
+    """Flightlines that have points enough for patches.
 
     Parameters
     ----------
     tables : iterable of PointTable
-        Points with ``gps_time``, ``point_source_id`` and ``z``, table by table.
-    gap_s : float
-        A pause of more than this parts two passes [s].
+        Points with :data:`COLUMNS_NEEDED`, table by table.
+    lines : FlownLines
+        All that were flown.
     """
-    seen: dict[int, list[_Seen]] = {}
-    for of_table in map(_seen, tables):
-        for one, found in of_table.items():
-            seen.setdefault(one, []).append(found)
-    passes: list[tuple[int, float, int, int]] = []
-    for one in sorted(seen):
-        second, count, lowest = (np.concatenate(some) for some in zip(*seen[one], strict=True))
-        begins, place = np.unique(second, return_inverse=True)  # NaN comes last, and once
-        opens = np.diff(begins, prepend=-np.inf) > gap_s
-        opens |= np.isnan(begins)
-        number = (np.cumsum(opens) - 1)[place]
-        returns = np.zeros(int(opens.sum()), np.int64)
-        np.add.at(returns, number, count)
-        low = np.full(len(returns), np.iinfo(np.int64).max)
-        np.minimum.at(low, number, lowest)
-        mine = zip(begins[opens].tolist(), returns.tolist(), low.tolist(), strict=True)
-        # those without a time first
-        passes += [(one, *rest) for rest in sorted(mine, key=lambda rest: not np.isnan(rest[0]))]
-    psid, time_s, returns_of, lowest_of = zip(*passes, strict=True) if passes else ((), (), (), ())
-    return Passes(
-        np.array(psid, np.int64),
-        np.array(time_s, np.float64),
-        np.array(returns_of, np.int64),
-        np.array(lowest_of, np.int64),
-    )
+    returns, lowest = np.zeros(lines.count, np.int64), 0
 
+    def add(table: PointTable) -> int:
+        number = lines.numbers(*(table[name] for name in NEEDED))
+        returns[:] += np.bincount(number, minlength=lines.count)
+        return int(table["z"].min(initial=np.iinfo(np.int32).max))
 
-def _by_id(table: PointTable) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Each point source id of a table, and its points."""
-    psid = table["point_source_id"]
-    for one in np.flatnonzero(np.bincount(psid)).tolist():
-        yield one, np.flatnonzero(psid == one)
-
-
-def _seen(table: PointTable) -> dict[int, _Seen]:
-    """Points of a table by point source id and second."""
-    found = {}
-    for one, mine in _by_id(table):
-        time, z = table["gps_time"][mine], table["z"][mine].astype(np.int64)
-        timed = np.isfinite(time)
-        parts = []
-        if not timed.all():
-            low = z[~timed].min(keepdims=True)
-            parts.append(_Seen(np.array([np.nan]), np.array([np.count_nonzero(~timed)]), low))
-        if timed.any():
-            held, place = _distinct(np.floor(time[timed]))
-            low = np.full(len(held), np.iinfo(np.int64).max)
-            np.minimum.at(low, place, z[timed])
-            parts.append(_Seen(held, np.bincount(place, minlength=len(held)), low))
-        found[one] = _Seen(*(np.concatenate(some) for some in zip(*parts, strict=True)))
-    return found
+    lowest = min(map(add, tables), default=0)
+    able = np.flatnonzero(returns >= MIN_RETURNS_PER_PATCH)
+    most = np.sort(able[np.argsort(-returns[able], kind="stable")[:MOST_LINES]])
+    return Seen(most, returns[most], lowest, len(able) - len(most))
 
 
 def find_patches(
-    tables: Iterable[PointTable],
-    passes: Passes,
-    core: Bounds,
-    overlaps: set[tuple[int, int]] | None = None,
-) -> Patches:
-    """Patches of a ground cell that two passes share.
+    tables: Iterable[PointTable], lines: FlownLines, seen: Seen, core: Bounds
+) -> tuple[Patches, set[tuple[int, int]]]:
+    """Patches of a ground cell that two flightlines share.
 
     Parameters
     ----------
     tables : iterable of PointTable
-        Signal returns with :data:`COLUMNS_NEEDED` of :func:`region`, table by table: those in which
-        the passes were found.
+        Signal returns with :data:`COLUMNS_NEEDED` of :func:`region`, table by table.
+    lines : FlownLines
+        All that were flown.
+    seen : Seen
+        Those among these returns, by :func:`seen_lines`.
     core : Bounds
         What the cell owns: patches in squares that begin in it [quanta].
-    overlaps : set of (int, int), optional
-        Gets the pairs of passes with :data:`FEWEST` returns each in one of the largest squares.
 
     Returns
     -------
-    dict of str to (p,) ndarray
-        ``first, second``: passes, the one with less point source id and time first; ``x, y``:
-        middle [m]; ``edge_m``; ``rise``: the second above the first [m]; ``variance`` of it [m2];
+    patches : dict of str to (p,) ndarray
+        ``first, second``: flightlines, by their place in ``seen``; ``x, y``: middle [m];
+        ``edge_m``; ``rise``: the second above the first [m]; ``variance`` of it [m2];
         ``east, north``: slope [rise/run], and ``ee, en, nn``, its covariance; ``thickness``:
         standard deviation about the plane [m]; ``returns``: those of both [count]; ``beyond``: 1
-        for one that is kept beyond the sample of its pair, as the largest ``rise`` of those of up
-        to 10 degrees and its thickness, else 0.
+        for one that is kept beyond the sample of its pair, as the highest or lowest ``rise`` of
+        those of up to 10 degrees and its thickness, else 0.
+    overlaps : set of (int, int)
+        Pairs with :data:`MIN_RETURNS_PER_PATCH` returns each in one of the largest squares.
     """
-    whole = region(core)
+    whole, count = region(core), len(seen.numbers)
     edge, joined = quanta(EDGE_M), 2 ** (LEVELS - 1)
     columns, rows = (whole.xmax - whole.xmin) // edge, (whole.ymax - whole.ymin) // edge
-    chosen = _compared(passes)
-    strips = len(chosen)
-    found: list[Patches] = []
-    if strips < 2 or not rows or not columns:
-        return _joined(found)
-    number = np.full(len(passes.psid), -1, np.int16)
-    number[chosen] = np.arange(strips)
-    corner = np.array([whole.xmin, whole.ymin, passes.lowest[chosen].min()], np.int64)
-    moments = np.zeros((strips, rows, columns, 10), np.int64)
+    if count < 2 or not rows or not columns:
+        return _joined([]), set()
+    place = np.full(lines.count, -1, np.int16)
+    place[seen.numbers] = np.arange(count)
+    corner = np.array([whole.xmin, whole.ymin, seen.lowest], np.int64)
+    moments = np.zeros((count, rows, columns, 10), np.int64)
 
     def add(table: PointTable) -> None:
-        strip = number[passes.of(table)]
-        mine = strip >= 0
+        line = place[lines.numbers(*(table[name] for name in NEEDED))]
+        mine = line >= 0
         x, y, z = (np.ascontiguousarray(table[axis][mine], np.int64) for axis in "xyz")
-        add_moments(x, y, z, strip[mine], corner, edge, joined, moments)
+        add_moments(x, y, z, line[mine], corner, edge, joined, moments)
 
     for _ in map(add, tables):  # a table is held by nothing while the next one is read
         pass
-    order = sorted(range(strips), key=lambda k: (passes.psid[chosen[k]], passes.time_s[chosen[k]]))
-    free = {pair: np.ones((rows, columns), np.bool_) for pair in combinations(order, 2)}
+    found: list[Patches] = []
+    free = {pair: np.ones((rows, columns), np.bool_) for pair in combinations(range(count), 2)}
     for level in range(LEVELS):
         size = EDGE_M * 2**level
         for pair, room in free.items():
             planar, fitted = _fitted(moments[pair[0]], moments[pair[1]], size)
-            named = (chosen[pair[0]], chosen[pair[1]])
-            found.append(_rows(fitted, planar & room, named, whole, size))
+            found.append(_rows(fitted, planar & room, pair, whole, size))
             free[pair] = room & ~planar
         if level + 1 < LEVELS:
             moments = doubled(moments)
             free = {pair: _all_four(room) for pair, room in free.items()}
-    if overlaps is not None:
-        full = moments[..., 0] >= FEWEST
-        overlaps |= {(chosen[a], chosen[b]) for a, b in free if (full[a] & full[b]).any()}
-    return _thinned(_joined(found))
-
-
-def _compared(passes: Passes) -> list[int]:
-    """Passes that can have patches, those with most returns where there are many."""
-    returns = passes.returns
-    able = np.flatnonzero(returns >= FEWEST)
-    most = able[np.argsort(-returns[able], kind="stable")[:MOST_PASSES]]
-    return sorted(most.tolist())
+    full = moments[..., 0] >= MIN_RETURNS_PER_PATCH
+    overlaps = {(a, b) for a, b in free if (full[a] & full[b]).any()}
+    return _thinned(_joined(found)), overlaps
 
 
 def region(core: Bounds) -> Bounds:
     """Whole squares whose south-west corners lie in a core [quanta]."""
     square = quanta(SQUARE_M)
     return Bounds(*(-(-end // square) * square for end in core))
-
-
-def _distinct(values: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.intp]]:
-    """Whole numbers without repetition, rising, and where each of the given ones is."""
-    low, high = float(values.min()), float(values.max())
-    if high - low > 1e6:
-        return np.unique(values, return_inverse=True)
-    step = (values - low).astype(np.intp)
-    there = np.bincount(step) > 0
-    return low + np.flatnonzero(there), (np.cumsum(there) - 1)[step]
 
 
 def _all_four(room: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -283,7 +194,7 @@ def _fitted(
         variance += dx * dx * ee + 2 * dx * dy * en + dy * dy * nn
         least = (SPREAD * edge_m) ** 2
         planar = (determinant > 0) & (square <= THICKEST_M**2)
-        planar &= (one["n"] >= FEWEST) & (other["n"] >= FEWEST)
+        planar &= (one["n"] >= MIN_RETURNS_PER_PATCH) & (other["n"] >= MIN_RETURNS_PER_PATCH)
         planar &= np.hypot(east, north) <= STEEPEST
         for side in (one, other):
             planar &= _narrowest(side) >= least
@@ -344,7 +255,8 @@ def _thinned(patches: Patches) -> Patches:
     """No more than :data:`MOST` patches of each pair, of all slopes, and the largest differences.
 
     Which patches are smooth is known when those of all cells are together: of each thickness, in
-    steps of :data:`STEP_M`, the largest difference is kept.
+    steps of :data:`STEP_M`, the highest and the lowest difference are kept: one of them is the
+    largest, whatever height is added to a flightline.
     """
     pair = patches["first"].astype(np.int64) * 2**32 + patches["second"]
     slope = np.hypot(patches["east"], patches["north"])
@@ -361,8 +273,70 @@ def _thinned(patches: Patches) -> Patches:
     rows = np.concatenate(keep) if keep else np.empty(0, np.intp)
     others = np.setdiff1d(np.flatnonzero(slope <= FLAT), rows)
     step = np.floor(patches["thickness"][others] / STEP_M).astype(np.int64)
-    order = np.lexsort((-np.abs(patches["rise"][others]), step, pair[others]))
-    changes = np.diff(pair[others][order], prepend=-1) | np.diff(step[order], prepend=-1)
-    beyond = others[order[changes != 0]]
+    order = np.lexsort((patches["rise"][others], step, pair[others]))
+    starts = np.diff(pair[others][order], prepend=-1) | np.diff(step[order], prepend=-1)
+    ends = np.append(starts[1:], 1) if len(starts) else starts
+    beyond = others[order[(starts != 0) | (ends != 0)]]
     kept = {name: values[np.append(rows, beyond)] for name, values in patches.items()}
     return {**kept, "beyond": np.repeat(np.array([0, 1], np.uint8), [len(rows), len(beyond)])}
+
+
+@njit()
+def add_moments(
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    z: NDArray[np.int64],
+    line: NDArray[np.int16],
+    corner: NDArray[np.int64],
+    edge: int,
+    joined: int,
+    moments: NDArray[np.int64],
+) -> None:
+    """Add points to the sums of the squares that they lie in.
+
+    Sums of ``joined`` x ``joined`` squares have one origin, the middle of all of them, so that
+    they may be added up.
+
+    Parameters
+    ----------
+    x, y, z : (n,) int64
+        Places on the lattice [quanta].
+    line : (n,) int16
+        Flightline of each point.
+    corner : (3,) int64
+        South-west corner of the first square and a height below all points [quanta].
+    edge : int
+        Edge of a square [quanta].
+    joined : int
+        Squares along an edge that share an origin; it divides the rows and columns.
+    moments : (lines, rows, columns, 10) int64
+        Is added to: count and sums of x, y, z, xx, xy, yy, xz, yz, zz [quanta, quanta2].
+    """
+    rows, columns = moments.shape[1], moments.shape[2]
+    half = joined * edge // 2
+    for k in range(len(x)):
+        i, j = (x[k] - corner[0]) // edge, (y[k] - corner[1]) // edge
+        if i < 0 or j < 0 or i >= columns or j >= rows:
+            continue
+        dx = x[k] - corner[0] - (i // joined) * joined * edge - half
+        dy = y[k] - corner[1] - (j // joined) * joined * edge - half
+        dz = z[k] - corner[2]
+        sums = moments[line[k], j, i]
+        sums[0] += 1
+        sums[1] += dx
+        sums[2] += dy
+        sums[3] += dz
+        sums[4] += dx * dx
+        sums[5] += dx * dy
+        sums[6] += dy * dy
+        sums[7] += dx * dz
+        sums[8] += dy * dz
+        sums[9] += dz * dz
+
+
+def doubled(moments: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Sums of squares of twice the edge: (lines, rows / 2, columns / 2, 10)."""
+    lines, rows, columns, kinds = moments.shape
+    paired = moments.reshape(lines, rows // 2, 2, columns // 2, 2, kinds)
+    summed: NDArray[np.int64] = paired.sum(axis=(2, 4))
+    return summed

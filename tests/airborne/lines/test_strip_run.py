@@ -8,7 +8,7 @@ import pytest
 import rasterio
 
 from tests import surveys
-from tests.airborne.strips.two_strips import Returns, Shift, ground
+from tests.airborne.lines.two_strips import Returns, Shift, ground
 
 LINEAR = {"filter": {"method": "none"}, "afterpulse": {"enabled": False}}
 FINE = {"ground": {"cell_m": 25, "buffer_m": 20}, "tiling": {"tile_m": 20}}

@@ -1,28 +1,18 @@
-"""What a run says of flightlines that do not fit together."""
+"""Sentences on flightlines that do not fit together, and on shifts that are added."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
-from spl_batch.airborne.strips.pair_table import TILT_PER_M, PairDifference
-from spl_batch.airborne.strips.strip_patches import MOST_PASSES
+from spl_batch.airborne.lines.alignment import ALONE, MOST_M, TOO_FAR, LineShift
+from spl_batch.airborne.lines.pair_table import TILT_PER_M, PairDifference
+from spl_batch.airborne.lines.patches import MOST_LINES
 from spl_batch.engine.findings import Finding
+from spl_batch.errors import grouped
 
 NEXT_TO: Final = 0.1
 """Part of the larger of two horizontal differences below which the smaller is not told."""
-
-REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "none": "adjust the strips by strip_shifts of report.json and run again, or set "
-        "survey.align: rigid",
-        "vertical": "survey.align: rigid shifts places as well",
-        "rigid": "no shift of whole flightlines mends it: look for a wrong mounting angle, a "
-        "drift or another datum",
-    }
-)
-"""What helps against differences, by what ``survey.align`` is."""
 
 
 def offset_warnings(
@@ -31,8 +21,8 @@ def offset_warnings(
     """Pairs whose flightlines differ by more than a single range does.
 
     ``align``: how flightlines were shifted before they were compared. ``apart``: returns of the
-    ground of flightlines that lie apart from the terrain [count]. The worst pair is told, as
-    one flightline that lies off is off from all others; the report has all pairs.
+    ground of flightlines that lie apart from the terrain [count]. It names the worst pair, as one
+    flightline that lies off is off from all others; the report has all pairs.
     """
     off = [(away, pair) for pair in pairs if (away := _away(pair)) > 0]
     if not off:
@@ -48,22 +38,22 @@ def offset_warnings(
         "up_m": pair.up_m,
         "noise_m": pair.noise_m,
         "apart": apart,
-        "remedy": REMEDIES[align],
+        "remedy": _remedy(pair, align),
     }
     yield Finding("S01", values, place=(pair.x_m, pair.y_m, pair.x_m, pair.y_m))
 
 
 def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[Finding]:
-    """Where a ground cell holds more passes than are compared.
+    """Where a ground cell holds more flightlines than are compared.
 
-    ``left_out``: passes that are not compared, of each ground cell [count].
+    ``left_out``: flightlines that are not compared, of each ground cell [count].
     """
     cells = {cell: count for cell, count in left_out.items() if count}
     if cells:
         worst = max(sorted(cells), key=lambda cell: cells[cell])
         values = {
-            "kind": "passes", "cells": len(cells), "most": MOST_PASSES,
-            "worst": cells[worst] + MOST_PASSES, "cell": worst,
+            "kind": "passes", "cells": len(cells), "most": MOST_LINES,
+            "worst": cells[worst] + MOST_LINES, "cell": worst,
         }  # fmt: skip
         yield Finding("S02", values)
 
@@ -77,6 +67,17 @@ def _away(pair: PairDifference) -> float:
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
         horizontal = float(np.hypot(pair.east_m, pair.north_m))
     return max(vertical, horizontal) / max(pair.noise_m, 1e-3)
+
+
+def _remedy(pair: PairDifference, align: str) -> str:
+    """What helps against a difference."""
+    if align == "none" and pair.is_off_vertically and not pair.is_off_horizontally:
+        return "set survey.align: vertical"
+    above = "survey.align: vertical shifts heights alone; " if align == "none" else ""
+    return (
+        f"{above}adjust the flightlines with other software and run again; look for a wrong "
+        "mounting angle, a drift or another datum"
+    )
 
 
 def _tilt(pair: PairDifference) -> str:
@@ -101,3 +102,28 @@ def _parts(pair: PairDifference) -> Iterator[str]:
         for way_m, ahead, back in ways:
             if abs(way_m) >= least:
                 yield f"{100 * abs(way_m):.0f} cm farther {ahead if way_m > 0 else back}"
+
+
+def stay_findings(lines: Sequence[LineShift]) -> Iterator[Finding]:
+    """Flightlines that stay where they should perhaps not."""
+    alone = [one.name for one in lines if one.stays == ALONE]
+    if alone:
+        yield Finding("S02", {"kind": "alone", "count": len(alone), "names": alone})
+    for one in lines:
+        if one.stays == TOO_FAR:
+            yield Finding("S02", {"kind": "far", "up_m": one.found_m, "most_m": MOST_M}, one.name)
+
+
+def done_sentence(lines: Sequence[LineShift]) -> str:
+    """What a run has added to the heights of flightlines."""
+    shifted = [one for one in lines if not one.stays]
+    if not shifted:
+        return (
+            "no flightline is shifted (survey.align: vertical): each shift that was found is "
+            "within its own error"
+        )
+    noun = "flightlines was" if len(shifted) == 1 else "flightlines were"
+    return (
+        f"{grouped(len(shifted))} of {grouped(len(lines))} {noun} shifted by up to "
+        f"{100 * max(abs(one.up_m) for one in shifted):.1f} cm in height (survey.align: vertical)"
+    )

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.lines.patches import Patches, find_patches, seen_lines
+from spl_batch.airborne.store.flown_lines import FlownLine, FlownLines
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 
@@ -91,3 +93,13 @@ def two_strips(
             ground(2, shift, heights=heights, seed=seed, **alike),  # type: ignore[arg-type]
         ]
     )
+
+
+LINES = FlownLines([FlownLine("one", 1, 1000.0, 1001.0), FlownLine("two", 2, 2000.0, 2001.0)])
+
+
+def patches_between(points: PointTable, core: Bounds = CORE) -> tuple[list[str], Patches]:
+    """Names of the two flightlines, and their patches."""
+    seen = seen_lines([points], LINES)
+    names = [LINES.line(number).name for number in seen.numbers.tolist()]
+    return names, find_patches([points], LINES, seen, core)[0]

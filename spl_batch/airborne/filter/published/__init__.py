@@ -1,1 +1,0 @@
-"""Filters of other authors, for comparison."""

@@ -1,0 +1,200 @@
+"""Tasks that compare flightlines where they overlap: patches of each ground cell, then all pairs.
+
+A shift in height changes the height between two flightlines and nothing else of a patch, so what
+an alignment leaves follows from the same patches.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.lines.alignment import LineShift, align_lines
+from spl_batch.airborne.lines.pair_table import PairDifference, pair_table
+from spl_batch.airborne.lines.patches import (
+    COLUMNS_NEEDED,
+    EDGE_M,
+    Patches,
+    find_patches,
+    region,
+    seen_lines,
+)
+from spl_batch.airborne.lines.sentences import stay_findings
+from spl_batch.airborne.store.flown_lines import SHIFTS, FlownLine, FlownLines, read_shifts
+from spl_batch.airborne.store.label_tables import read_region
+from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
+from spl_batch.lattice.eastings import once, strips_between
+from spl_batch.lattice.tables import EXCLUDED, PointTable
+from spl_batch.lattice.tiles import Bounds, parse_cell, quanta
+
+MAP_CELLS = 500
+"""Cells of the map of differences along its longer side, at most [count]."""
+
+
+class _Cell(NamedTuple):
+    """A ground cell."""
+
+    names: list[str]  #: Flightlines that are compared.
+    returns: list[int]  #: Signal returns of each [count].
+    overlaps: list[list[int]]  #: Pairs that overlap, by their places in ``names``.
+    patches: Patches
+
+
+def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
+    """Find planar patches of a ground cell that flightlines share."""
+    core = Bounds(*args["core"])
+    noise = {
+        parse_cell(tile): [(kind, name) for kind, name in listed]
+        for tile, listed in args["noise"].items()
+    }
+    tiles = [parse_cell(name) for name in args["tiles"]]
+    parts = strips_between(region(core), args.get("cuts", {}).get("patches", ()))
+
+    def read(part: Bounds) -> PointTable:
+        columns = (*COLUMNS_NEEDED, "flags")
+        table, _ = read_region(
+            context.store, tiles, part, columns, {"noise_class": noise}, ordered=False, keep=_signal
+        )
+        return table.select(COLUMNS_NEEDED)
+
+    points, lines = once(parts, read), FlownLines([FlownLine(*one) for one in args["lines"]])
+    seen = seen_lines(map(points, parts), lines)
+    found, overlaps = find_patches(map(points, parts), lines, seen, core)
+    of_lines = {
+        "names": np.array([lines.line(k).name for k in seen.numbers.tolist()], np.str_),
+        "line_returns": seen.returns,
+        "overlaps": np.array(sorted(overlaps), np.int64).reshape(-1, 2),
+    }
+    path = context.store.path("overlaps", f"{args['cell']}.npz")
+    write_arrays(path, {**found, **of_lines})
+    return Produced([path], {"patches": len(found["rise"]), "left_out": seen.left_out})
+
+
+def _signal(table: PointTable) -> NDArray[np.bool_]:
+    """Which points are compared."""
+    found: NDArray[np.bool_] = (table["noise_class"] == NOISE_SIGNAL) & ~table.has(EXCLUDED)
+    return found
+
+
+def align(args: Mapping[str, Any], context: Context) -> Produced:
+    """Find by how much each flightline is shifted, and leave it for all who read its points."""
+    flown = {one.name: one for one in (FlownLine(*fields) for fields in args["lines"])}
+    cells = [_read_cell(name, context) for name in args["cells"]]
+    for name in {name for cell in cells for name in cell.names} - flown.keys():
+        flown[name] = FlownLine(name, int(name), -np.inf, np.inf)  # of points without times
+    pairs = pair_table((cell.names, cell.patches) for cell in cells)
+    shifts = align_lines([*flown], pairs, _returns(cells))
+    lines = [flown[one.name]._replace(up_q=quanta(one.up_m)) for one in shifts]
+    path = context.store.path(*SHIFTS)
+    write_arrays(path, FlownLines(lines).to_arrays())
+    facts = {
+        "name": "survey.align",
+        "shifts": [list(one) for one in shifts],
+        "findings": [*stay_findings(shifts)],
+    }
+    return Produced([path], facts)
+
+
+def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
+    """Put the patches of all cells together, pair by pair; a map of their differences."""
+    cells, facts = [_read_cell(name, context) for name in args["cells"]], {}
+    pairs = pair_table((cell.names, cell.patches) for cell in cells)
+    lines = read_shifts(args, context.store)
+    if args.get("aligned"):
+        facts["before"] = [list(pair) for pair in pairs]
+    if lines is not None:
+        cells = [_shifted(cell, lines) for cell in cells]
+        pairs = pair_table((cell.names, cell.patches) for cell in cells)
+    path = context.store.path("overlaps", "map.npz")
+    write_arrays(path, _map([cell.patches for cell in cells]))
+    facts["pairs"] = [list(pair) for pair in pairs]
+    known = {(one.first, one.second) for one in pairs}
+    return Produced([path], {**facts, "not_compared": sorted(_overlaps(cells) - known)})
+
+
+def _read_cell(name: str, context: Context) -> _Cell:
+    """What :func:`strip_patches` has left of a ground cell."""
+    arrays = read_arrays(context.store.path("overlaps", f"{name}.npz"))
+    names, returns, overlaps = (
+        arrays.pop(key).tolist() for key in ("names", "line_returns", "overlaps")
+    )
+    return _Cell(names, returns, overlaps, arrays)
+
+
+def _shifted(cell: _Cell, lines: FlownLines) -> _Cell:
+    """A ground cell whose flightlines have got their shifts."""
+    up = np.array([lines.up_of(name) for name in cell.names]) * QUANTUM_M
+    patches = cell.patches
+    rise = patches["rise"] + up[patches["second"]] - up[patches["first"]]
+    return cell._replace(patches={**patches, "rise": rise})
+
+
+def shifts_of(facts: Mapping[str, Any]) -> list[LineShift]:
+    """Shifts that :func:`align` has found, by its receipt."""
+    return [LineShift(*line) for line in facts["shifts"]]
+
+
+def pairs_of(facts: Mapping[str, Any], key: str = "pairs") -> list[PairDifference]:
+    """Pairs by the receipt of :func:`strip_pairs`; ``before``: without the shifts."""
+    return [PairDifference(*pair) for pair in facts.get(key, ())]
+
+
+def difference_map(context: Context) -> tuple[NDArray[np.float32], tuple[float, ...]] | None:
+    """Map of :func:`strip_pairs` and where it lies, west to north; None where there is none.
+
+    Raises
+    ------
+    DamagedError
+        If the file is damaged: who writes a report has it made again.
+    """
+    arrays = read_arrays(context.store.path("overlaps", "map.npz"))
+    if not arrays["values"].size:
+        return None
+    return arrays["values"], tuple(map(float, arrays["extent_m"]))
+
+
+def _returns(cells: Iterable[_Cell]) -> Counter[str]:
+    """Signal returns of each flightline [count]."""
+    found: Counter[str] = Counter()
+    for cell in cells:
+        found.update(dict(zip(cell.names, cell.returns, strict=True)))
+    return found
+
+
+def _overlaps(cells: Iterable[_Cell]) -> set[tuple[str, str]]:
+    """Pairs of flightlines that overlap in a cell, the lesser name first."""
+    found = set()
+    for cell in cells:
+        for one, other in cell.overlaps:
+            first, second = sorted((cell.names[one], cell.names[other]))
+            found.add((first, second))
+    return found
+
+
+def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:
+    """Median height between flightlines by place, whichever lies above, north-up [m]."""
+    sample = [{k: cell[k][cell["beyond"] == 0] for k in ("x", "y", "rise")} for cell in cells]
+    east, north, rise = (
+        np.concatenate([cell[k] for cell in sample] or [np.empty(0)]) for k in ("x", "y", "rise")
+    )
+    if not len(rise):
+        return {"values": np.empty((0, 0), np.float32), "extent_m": np.zeros(4)}
+    edge = 2 * EDGE_M
+    while max(np.ptp(east), np.ptp(north)) / edge > MAP_CELLS:
+        edge *= 2
+    i, j = (np.floor(along / edge).astype(np.int64) for along in (east, north))
+    west, south = int(i.min()), int(j.min())
+    shape = int(np.ptp(j)) + 1, int(np.ptp(i)) + 1
+    cell = (j - south) * shape[1] + i - west
+    order = np.lexsort((np.abs(rise), cell))
+    first = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    middle = first + np.diff(first, append=len(cell)) // 2
+    values = np.full(shape[0] * shape[1], NODATA, np.float32)
+    values[cell[order[first]]] = np.abs(rise)[order[middle]]
+    extent = np.array([west, west + shape[1], south, south + shape[0]]) * edge
+    return {"values": np.ascontiguousarray(values.reshape(shape)[::-1]), "extent_m": extent}
