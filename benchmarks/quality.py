@@ -27,6 +27,9 @@ SPIKE_M: Final = 0.5
 
 VOXEL_M: Final = 10.0
 
+UNJUDGED: Final = 255
+"""Class of points outside the area of interest."""
+
 BARS: Final[Mapping[str, tuple[str, float]]] = {
     "ground labelled signal %": (">=", 99.5),
     "roof labelled signal %": (">=", 99.0),
@@ -52,7 +55,9 @@ def main(folder: Path) -> None:
 def figures(folder: Path) -> dict[str, float]:
     """Figures of one processed survey by name."""
     table = truth.points(folder)
-    found = {**_kept(folder, table), **_terrain(folder), **_spikes(folder, table)}
+    judged = table["noise_class"] != UNJUDGED
+    inside = {name: values[judged] for name, values in table.items()}
+    found = {**_kept(folder, inside), **_terrain(folder), **_spikes(folder, inside)}
     if "noise_density" in table:
         found["expected / true noise density"] = _density_ratio(table)
     return found

@@ -197,6 +197,9 @@ def deliver(
     ]
     if water:
         write_polygons(out / "water.gpkg", water, scene.crs)
+    if scene.delivery.aoi:
+        extent = shapely.box(*origin, *(o + e for o, e in zip(origin, scene.extent_m, strict=True)))
+        write_polygons(out / "aoi.gpkg", [extent], scene.crs)
     roofs = [[[x + origin[0], y + origin[1]] for x, y in shape.exterior.coords]
              for shape in footprints(layout.buildings)]  # fmt: skip
     truth = {
@@ -378,6 +381,8 @@ def _workflow(scene: Scene, out: Path, water: bool) -> Path:  # noqa: FBT001 - o
         content["acquisition"]["gate_m"] = gates.pop()
     if water:
         content["water"] = "water.gpkg"
+    if scene.delivery.aoi:
+        content["aoi"] = "aoi.gpkg"
     path = out / "workflow.yaml"
     write_text(path, content)
     return path

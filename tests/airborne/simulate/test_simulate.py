@@ -10,7 +10,7 @@ import pytest
 import rasterio
 import shapely
 import yaml
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 from scipy import stats
 
 from spl_batch.airborne.settings.workflow import load_workflow
@@ -33,6 +33,7 @@ from spl_batch.airborne.simulate.scene.ray_trace import (
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.errors import WorkflowError
+from spl_batch.formats.polygons import read_polygons
 
 DEAD_M = 0.2398
 
@@ -283,6 +284,16 @@ def test_the_workflow_is_valid_and_finds_its_files(survey):
     for name in (workflow.survey.trajectory, workflow.reference.points, workflow.water):
         assert (path.parent / name).is_file()
     assert not list(path.parent.rglob(".*")), "no temporary file is left"
+
+
+def test_an_area_of_interest_is_the_extent_of_the_scene(tmp_path):
+    scene = preset_scene("tiny")
+    asked = scene.delivery.model_copy(update={"aoi": True})
+    path = simulate(scene.model_copy(update={"delivery": asked}), tmp_path).workflow
+    area = read_polygons(path.parent / load_workflow(path).aoi, CRS(scene.crs))
+    west, south = scene.origin_m[:2]
+    east, north = (low + along for low, along in zip((west, south), scene.extent_m, strict=True))
+    assert area.bounds == (west, south, east, north)
 
 
 @pytest.mark.slow

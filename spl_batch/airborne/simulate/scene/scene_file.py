@@ -299,6 +299,7 @@ class Delivery(Section):
         0.0, description="Whole multiples of it are recorded as gps_time; any time with 0 [us]."
     )
     scale_m: Positive = Field(0.001, description="Unit of the coordinates [m].")
+    aoi: bool = Field(False, description="Whether the scene's extent comes as area of interest.")
 
 
 class Scene(Section):
