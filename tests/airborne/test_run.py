@@ -186,7 +186,7 @@ def test_the_report_can_be_written_again(small_lines: Path, tmp_path: Path) -> N
         (output / name).unlink()
     api.report(output)
     after = json.loads((output / "report.json").read_text())
-    for part in ("survey", "counts", "accuracy", "density", "noise", "failures", "warnings"):
+    for part in ("survey", "counts", "accuracy", "density", "noise", "failures", "findings"):
         assert after[part] == before[part], part
     assert after["performance"] == before["performance"]
 
@@ -196,13 +196,13 @@ def test_the_report_can_be_written_again(small_lines: Path, tmp_path: Path) -> N
 
 def test_a_second_run_does_nothing(small: Path) -> None:
     first, watcher = watched(small)
-    tasks = sum(watcher.done.values())
+    assert sum(watcher.done.values()) > 0
     before = surveys.results(first.output)
     times = {name: (first.output / name).stat().st_mtime_ns for name in before}
     second, watcher = watched(small)
     assert second.exit_status == 0
     assert watcher.done == {}
-    assert watcher.skipped == tasks
+    assert watcher.skipped == 0, "a finished run reads no receipts"
     assert surveys.results(first.output) == before
     assert {name: (first.output / name).stat().st_mtime_ns for name in before} == times
     assert second.report is not None
@@ -220,7 +220,8 @@ def test_what_does_not_wait_for_each_other_is_done_at_once(small: Path) -> None:
             left[event.kind] = event.tasks
         elif isinstance(event, TaskEnded):
             left[event.kind] -= 1
-    assert beside == {"deliver_tile", "mosaic"}, "all others wait for those before"
+    assert beside >= {"deliver_tile", "mosaic"}
+    assert not beside & {"index", "shots", "tile", "denoise"}, "they wait for those before"
     assert not any(left.values())
 
 

@@ -122,7 +122,7 @@ def test_a_resumed_run_tells_the_time_of_all_its_parts_or_that_it_is_one(tmp_pat
     assert 0 < work.earlier_wall_s < work.wall_s
     assert "of it in this one" in dict(result.screen)["run time"]
     assert "of it in earlier runs, stopped ones included" in (output / "report.html").read_text()
-    for name in ("log.jsonl", "store/run.json"):
+    for name in ("log.jsonl", "store/run.json", "store/rest.json"):
         (output / name).unlink()
     result = surveys.run(workflow)
     assert result.report is not None

@@ -1,4 +1,4 @@
-"""What failed is marked where it is, on each map."""
+"""What failed is marked where it is, on each map; tables are called as their headings."""
 
 import io
 
@@ -9,6 +9,7 @@ from PIL import Image
 from spl_batch.engine.report import style
 from spl_batch.engine.report.layers import layers
 from spl_batch.engine.report.maps import Raster, draw_ramp, map_place
+from spl_batch.engine.report.page import named_tables
 from spl_batch.engine.report.parts import Failure
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.verbs.failures import extent_m
@@ -60,3 +61,18 @@ def test_what_lies_beside_a_map_or_has_no_place_is_not_marked() -> None:
 def test_a_unit_s_name_tells_its_place() -> None:
     assert extent_m("2_-3", 50.0) == (100.0, 150.0, -150.0, -100.0)
     assert extent_m("-4_12_2_3", 50.0) == (-200.0, -100.0, 600.0, 750.0)
+
+
+TABLE = '<div class="scroll" tabindex="0"><table class="x"></table></div>'
+
+
+def test_a_table_is_called_as_its_heading_and_a_second_one_is_counted() -> None:
+    page = f'{TABLE}<h2 id="a">One <b>&amp; all</b></h2>{TABLE}<p>{TABLE}<h3>"Two"</h3>{TABLE}'
+    made = named_tables(page)
+    names = ["Table", "One &amp; all", "One &amp; all, table 2", "&quot;Two&quot;"]
+    for name in names:
+        assert (
+            f'role="region" aria-label="{name}, scrolls"><table aria-label="{name}" class' in made
+        )
+    assert made.count("aria-label") == 2 * len(names)
+    assert named_tables("<p>no table</p>") == "<p>no table</p>"

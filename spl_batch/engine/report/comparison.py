@@ -11,10 +11,9 @@ from typing import Any
 
 from pydantic import Field
 
-from spl_batch.engine.report.page import environment
+from spl_batch.engine.report.page import environment, named_tables
 from spl_batch.engine.report.parts import Count, Part
 from spl_batch.engine.report.picture import Picture
-from spl_batch.engine.report.table_names import named_tables
 from spl_batch.formats.files.atomic import write_bytes
 
 

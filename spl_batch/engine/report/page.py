@@ -7,6 +7,7 @@ provenance. A receiver's template extends it by the blocks ``overview``, ``secti
 
 import datetime as dt
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -24,7 +25,6 @@ from spl_batch.engine.report.parts import (
     Provenance,
     StagePerformance,
 )
-from spl_batch.engine.report.table_names import named_tables
 from spl_batch.engine.report.verdict import Verdict
 
 LONGEST_TABLE: Final = 200
@@ -32,6 +32,10 @@ LONGEST_TABLE: Final = 200
 
 HOME: Final = __package__
 """Package of the templates that all reports share."""
+
+_SCROLL: Final = '<div class="scroll" tabindex="0"><table'
+_HEADING: Final = re.compile(r"<(h[1-4])\b[^>]*>(.*?)</\1>", re.DOTALL)
+_TAG: Final = re.compile(r"<[^>]*>")
 
 
 class AnyReport(Protocol):
@@ -198,3 +202,25 @@ def _written(created: str) -> str:
         return created
     zone = moment.tzname() or ""
     return f"{moment.day} {moment:%B %Y, %H:%M} {zone}".strip()
+
+
+def named_tables(page: str) -> str:
+    """A page whose tables are called as the headings that they follow.
+
+    Parameters
+    ----------
+    page : str
+        HTML; each table is the first thing in a ``div`` of the class ``scroll``.
+    """
+    before, *tables = page.split(_SCROLL)
+    parts, called, times = [before], "Table", 0
+    for part in tables:
+        headings = _HEADING.findall(before)
+        if headings:
+            called, times = " ".join(_TAG.sub("", headings[-1][1]).split()), 0
+        times += 1
+        name = (f"{called}, table {times}" if times > 1 else called).replace('"', "&quot;")
+        region = f'<div class="scroll" tabindex="0" role="region" aria-label="{name}, scrolls">'
+        parts += [f'{region}<table aria-label="{name}"', part]
+        before = part
+    return "".join(parts)

@@ -102,4 +102,6 @@ def test_survey_crs_stands_for_a_record_that_names_none_unless_that_is_in_feet(
     else:
         assert horizontal(inputs.crs).to_epsg() == wanted[0]
         assert code(inputs.crs) == wanted[1]
-        assert [text for text in inputs.warnings if "survey.crs" in text]
+        (finding,) = inputs.warnings
+        assert (finding.code, finding.subject) == ("I01", "0.las")
+        assert "survey.crs" in finding.values["what"]

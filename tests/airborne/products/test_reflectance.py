@@ -51,7 +51,6 @@ def model(gain: NDArray[np.float64]) -> LineModel:
         "beamlets": 100,
         "interval_shots": INTERVAL,
         "seen_shots": 1,
-        "warnings": (),
     }
     return LineModel(**given)
 

@@ -196,7 +196,7 @@ def test_memory_decides_on_the_parts_and_is_in_no_key(finished: tuple[Survey, Co
     wide = only_task(survey, "surface")
     assert wide.how == {"cuts": {}, "held": True}
     tight = replace(survey, memory_bytes=held_in(survey, wide, "surface"))
-    assert only_task(tight, "surface").how == {"cuts": {}}
+    assert only_task(tight, "surface").how["cuts"], "its raster cells take more than its points"
     assert only_task(tight, "surface").args == wide.args
     assert len(only_task(short, "denoise").how["parts"]) > 1
 
