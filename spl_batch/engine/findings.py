@@ -159,12 +159,17 @@ def settled(
     for one in (*known, *new):
         for cause in (one.code, f"{one.code}:{one.values.get('kind')}"):
             causes.setdefault(cause, set()).add(one.subject)
+    alike: dict[tuple[str, str], list[Finding]] = {}  # values cannot be hashed
+    for one in known:
+        alike.setdefault((one.code, one.subject), []).append(one)
     kept: list[Finding] = []
     for one in new:
         explained = any(
             one.subject in causes.get(code, ()) or "" in causes.get(code, ())
             for code in table()[one.code].implied_by
         )
-        if not explained and one not in known and one not in kept:
+        seen = alike.setdefault((one.code, one.subject), [])
+        if not explained and one not in seen:
+            seen.append(one)
             kept.append(one)
     return kept

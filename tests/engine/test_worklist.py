@@ -26,6 +26,7 @@ from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
 from spl_batch.engine.store import working_store
 from spl_batch.engine.store.working_store import Store, write_receipt
+from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.receipt_index import Shelf
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
@@ -70,6 +71,22 @@ def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> Non
     ]
     refused = [work.refusal(job) for job in jobs if job]
     assert [r.facts["code"] for r in refused if r] == ["F02"]
+
+
+def test_a_worker_keeps_the_settings_of_one_workflow(tmp_path: Path) -> None:
+    """Each task brings a workflow of its own: a night has a million."""
+    task, known = Task("ground", "a", {}), context(tmp_path)
+    keys = set()
+    for _ in range(3):
+        own = replace(known, workflow=known.workflow.model_copy(deep=True))
+        keys.add(runner.task_key(task, own, ()))
+    assert len(keys) == 1
+    other = known.workflow.model_copy(
+        update={"ground": known.workflow.ground.model_copy(update={"cell_m": 77.0})}
+    )
+    assert runner.task_key(task, replace(known, workflow=other), ()) not in keys
+    assert [step for step in runner._SETTINGS if "ground" in step] == ["ground"]
+    assert runner._SETTINGS["ground"][0] is other
 
 
 def test_what_a_task_needs_decides_whether_it_waits_or_is_left_out(tmp_path: Path) -> None:

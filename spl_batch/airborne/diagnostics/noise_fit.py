@@ -202,13 +202,19 @@ def p_values(done: Receipts) -> NDArray[np.int64]:
     return counts
 
 
+def _not_uniform(counts: NDArray[np.int64]) -> tuple[float, float] | None:
+    """What :func:`uniformity` finds where it is a reason to warn."""
+    found = uniformity(counts)
+    return None if found is None or P_TIMES[0] < found[0] < P_TIMES[1] else found
+
+
 def _p_value_findings(done: Receipts) -> Iterator[Finding]:
     cells = done.get("ground", {})
     known = {name: r.facts for name, r in cells.items() if "p_values" in r.facts}
     off = []
     for name, facts in known.items():
-        found = uniformity(np.array(facts["p_values"], np.int64))
-        if found is not None and not P_TIMES[0] < found[0] < P_TIMES[1]:
+        found = _not_uniform(np.array(facts["p_values"], np.int64))
+        if found is not None:
             off.append((name, found, facts))
     if off:
         for name, (times, value), facts in off:
@@ -217,7 +223,7 @@ def _p_value_findings(done: Receipts) -> Iterator[Finding]:
             yield Finding("N05", values, name, place, abs(float(np.log(max(times, 1e-6)))))
         return
     total = p_values(done)
-    found = uniformity(total)
-    if found is not None and not P_TIMES[0] < found[0] < P_TIMES[1]:
+    found = _not_uniform(total)
+    if found is not None:
         values = {"times": found[0], "p_value": found[1], "returns": int(total.sum())}
         yield Finding("N05", values)

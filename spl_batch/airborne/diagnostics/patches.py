@@ -16,7 +16,7 @@ class Patch(NamedTuple):
     squares: int  #: Their number [count].
     rows: tuple[int, int]  #: First one, and the one behind the last.
     columns: tuple[int, int]
-    marked: NDArray[np.bool_]  #: (rows, columns): the squares, of the whole grid.
+    marked: NDArray[np.bool_]  #: The squares, of these rows and columns.
 
 
 def patches(marked: NDArray[np.bool_]) -> list[Patch]:
@@ -36,7 +36,7 @@ def patches(marked: NDArray[np.bool_]) -> list[Patch]:
             int(sizes[k]),
             (boxes[k][0].start, boxes[k][0].stop),
             (boxes[k][1].start, boxes[k][1].stop),
-            number == k + 1,
+            number[boxes[k]] == k + 1,
         )
         for k in order
     ]

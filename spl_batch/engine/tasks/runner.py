@@ -106,19 +106,20 @@ def task_key(task: Task, context: RunContext[Any], digests: Iterable[str]) -> st
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-_SETTINGS: Final[dict[tuple[str, int], tuple[Any, dict[str, Any]]]] = {}
-"""Settings of a step, by its name and workflow: dumped once, not for each of a million tasks."""
+_SETTINGS: Final[dict[str, tuple[Any, dict[str, Any]]]] = {}
+"""Workflow and settings of a step, by its name: dumped once, not for each of a million tasks. The
+latest alone, as a worker gets a workflow of its own with each task."""
 
 
 def _settings(step: str, context: RunContext[Any]) -> dict[str, Any]:
     """Parts of the workflow that a step's results depend on."""
     workflow = context.workflow
-    known = _SETTINGS.get((step, id(workflow)))
+    known = _SETTINGS.get(step)
     if known is None or known[0] is not workflow:
         content = workflow.model_dump(mode="json")
         declared: Step = steps(workflow.kind)[step]
         known = workflow, {path: _at(content, path) for path in declared.settings}
-        _SETTINGS[step, id(workflow)] = known
+        _SETTINGS[step] = known
     return known[1]
 
 
