@@ -11,8 +11,8 @@ from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
 from spl_batch.airborne.simulate import load_scene
 from spl_batch.airborne.simulate.scene import scene_file
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
-from spl_batch.airborne.steps import STAGES
 from spl_batch.engine.settings.workflow_file import parse_any
+from spl_batch.engine.tasks.step import stages
 from tests.workflow_files import differing, unshown
 
 ROOT = Path(__file__).parents[1]
@@ -116,7 +116,7 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
 
 def test_every_stage_is_explained() -> None:
     using = (ROOT / "docs" / "using.md").read_text(encoding="utf-8")
-    assert [stage for stage in STAGES if f"| `{stage}` |" not in using] == []
+    assert [stage for stage in stages("imaging") if f"| `{stage}` |" not in using] == []
 
 
 def test_people_and_ci_use_the_same_commands() -> None:

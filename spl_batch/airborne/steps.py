@@ -8,18 +8,6 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.step import Step, Steps, table
 from spl_batch.engine.tasks.task import Task
 
-STAGES: Final = (
-    "index",
-    "shots",
-    "shuffle",
-    "denoise",
-    "ground",
-    "surfaces",
-    "deliver",
-    "report",
-)
-"""Stages of an airborne survey's run, in order."""
-
 _INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
 
 _OBSERVED: Final = (

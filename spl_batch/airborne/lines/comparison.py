@@ -24,13 +24,13 @@ from spl_batch.airborne.lines.patches import (
 )
 from spl_batch.airborne.lines.sentences import stay_findings
 from spl_batch.airborne.store.flown_lines import SHIFTS, FlownLine, FlownLines, read_shifts
-from spl_batch.airborne.store.label_tables import read_region
+from spl_batch.airborne.store.label_tables import label_units, read_region, tile_cells
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.eastings import once, strips_between
 from spl_batch.lattice.tables import EXCLUDED, PointTable
-from spl_batch.lattice.tiles import Bounds, parse_cell, quanta
+from spl_batch.lattice.tiles import Bounds, quanta
 
 MAP_CELLS = 500
 """Cells of the map of differences along its longer side, at most [count]."""
@@ -48,11 +48,7 @@ class _Cell(NamedTuple):
 def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
     """Find planar patches of a ground cell that flightlines share."""
     core = Bounds(*args["core"])
-    noise = {
-        parse_cell(tile): [(kind, name) for kind, name in listed]
-        for tile, listed in args["noise"].items()
-    }
-    tiles = [parse_cell(name) for name in args["tiles"]]
+    noise, tiles = label_units(args["noise"]), tile_cells(args["tiles"])
     parts = strips_between(region(core), args.get("cuts", {}).get("patches", ()))
 
     def read(part: Bounds) -> PointTable:

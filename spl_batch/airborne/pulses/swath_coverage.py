@@ -294,12 +294,6 @@ def outlines(
     return {name: outline(of_line) for name, of_line in pieces.items() if name}
 
 
-def flightline_named(number: int, flown: Sequence[Flown]) -> str:
-    """Name of the flightline of a pass by the number of :func:`pass_of`; its id without times."""
-    minute, psid = divmod(number, 2**16)
-    return _flightline(psid, minute, minute, flown) or f"{psid:05d} without times"
-
-
 def _flightline(psid: int, first: int, last: int, flown: Sequence[Flown]) -> str:
     """Name of the flightline that a pass belongs to most of all; empty if it has no time."""
     shared = {

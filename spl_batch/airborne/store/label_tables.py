@@ -27,7 +27,7 @@ from spl_batch.formats.verified.parquet_npz import (
 )
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import COLUMNS, PointTable, rows_of
-from spl_batch.lattice.tiles import Bounds, CellId
+from spl_batch.lattice.tiles import Bounds, CellId, parse_cell
 
 DEFAULTS: dict[str, float] = {
     "noise_class": 255,
@@ -43,6 +43,9 @@ DEFAULTS: dict[str, float] = {
 
 GROUP_ROWS: Final = 65_536
 """Most rows of a row group [count]: a halo is read from few."""
+
+Units = dict[CellId, list[tuple[str, str]]]
+"""Kind and name of the units that label points of each tile."""
 
 OPEN_FILES: Final = 8
 """Files of labels that are open at once [count]."""
@@ -355,3 +358,15 @@ def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArr
         return slice(first + rows.start, first + rows.stop)
     found: NDArray[np.intp] = rows + first
     return found
+
+
+def tile_cells(names: Sequence[str]) -> list[CellId]:
+    """Tiles by name, as a task's arguments carry them."""
+    return [parse_cell(name) for name in names]
+
+
+def label_units(units: Mapping[str, Sequence[Sequence[str]]]) -> Units:
+    """Label units by tile, as a task's arguments carry them."""
+    return {
+        parse_cell(tile): [(kind, name) for kind, name in listed] for tile, listed in units.items()
+    }

@@ -24,22 +24,25 @@ from spl_batch.airborne.ground.water.off_water import OffWater
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.store.flown_lines import read_shifts
-from spl_batch.airborne.store.label_tables import Marks, Origin, read_region, write_labels
+from spl_batch.airborne.store.label_tables import (
+    Marks,
+    Origin,
+    label_units,
+    read_region,
+    tile_cells,
+    write_labels,
+)
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.lattice.eastings import strips_between
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import (
     Bounds,
-    CellId,
     grow,
     inside,
-    parse_cell,
     quanta,
     shared,
 )
-
-Units = dict[CellId, list[tuple[str, str]]]
 
 Read = Callable[[Bounds, Sequence[str]], tuple[PointTable, Origin]]
 """Gives some columns of a region's points, and where they lie."""
@@ -240,15 +243,3 @@ def _owned(
     """Where the points of a band lie that its cell owns, and their labels."""
     band, mask = found
     return band.origin.of(band.asked), {"ground": mask[band.asked]}
-
-
-def tile_cells(names: Sequence[str]) -> list[CellId]:
-    """Tiles by name, as a task's arguments carry them."""
-    return [parse_cell(name) for name in names]
-
-
-def label_units(units: Mapping[str, Sequence[Sequence[str]]]) -> Units:
-    """Label units by tile, as a task's arguments carry them."""
-    return {
-        parse_cell(tile): [(kind, name) for kind, name in listed] for tile, listed in units.items()
-    }

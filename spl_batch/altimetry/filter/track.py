@@ -57,16 +57,12 @@ def label(
     cells: list[dict[str, NDArray[Any]]] = [
         {name: np.empty(0, dtype) for name, dtype in CELLS.items()}
     ]
-    for mine, some in _windows(along, span, window_quanta(settings)):
+    window, size = window_quanta(settings), quanta(settings.rate.cell_m)
+    for number, mine, some in _windows(along, span, window):
         found, known = _window(along[some], height[some], settings)
         inside = slice(mine.start - some.start, mine.stop - some.start)
         photons.append({name: found[name][inside] for name in COLUMNS})
-        size = quanta(settings.rate.cell_m)
-        window = int(along[mine.start]) // window_quanta(settings) * window_quanta(settings)
-        own = (known.index >= window // size) & (
-            known.index < (window + window_quanta(settings)) // size
-        )
-        own &= known.gate_m > 0.0
+        own = (known.index * size // window == number) & (known.gate_m > 0.0)
         cells.append({name: getattr(known, name)[own] for name in CELLS})
     return tuple(  # type: ignore[return-value]
         {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -76,15 +72,15 @@ def label(
 
 def _windows(
     along: NDArray[np.int64], span: tuple[int, int], window: int
-) -> Iterator[tuple[slice, slice]]:
-    """Rows of each window that holds photons, and those with its margin."""
+) -> Iterator[tuple[int, slice, slice]]:
+    """Number of each window that holds photons, its rows, and those with its margin."""
     margin = quanta(MARGIN_M)
     low, high = np.searchsorted(along, span)
     for number in np.unique(along[low:high] // window).tolist():
         ends = number * window, (number + 1) * window
         mine = np.searchsorted(along, ends)
         some = np.searchsorted(along, (ends[0] - margin, ends[1] + margin))
-        yield slice(*mine.tolist()), slice(*some.tolist())
+        yield number, slice(*mine.tolist()), slice(*some.tolist())
 
 
 def _window(

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.filter.likelihood import ratios
-from spl_batch.altimetry.filter.neighbours import LAYER_M, SLOPES, areas, columns, leaning
+from spl_batch.altimetry.filter.neighbours import LAYER_M, SLOPES, Columns, areas, columns, leaning
 from spl_batch.altimetry.filter.noise_field import Boxes, density, first_density, gate
 from spl_batch.altimetry.filter.posterior import noise_posterior
 from spl_batch.altimetry.settings import Shape, SignalSettings
@@ -129,8 +129,9 @@ def assess(
     place_z = shown.low_m[at] + part[1] * (shown.high_m - shown.low_m)[at]
     share = (gate_m * cell_m / np.maximum(np.bincount(at, minlength=cells), 1))[at]
     places = _Places(place_x, place_z, boxes.of(at, place_z), slopes(at, place_z), share)
+    known = columns(photons.x_m, photons.z_m)
     tried = [
-        _by_shape(photons, places, boxes, shape, (settings, photons_factor))
+        _by_shape(known, photons, places, boxes, shape, (settings, photons_factor))
         for shape in settings.shapes
     ]
     best = max(tried, key=lambda one: one.f1)
@@ -163,6 +164,7 @@ def _strewn(
 
 
 def _by_shape(
+    known: Columns,
     photons: _Places,
     places: _Places,
     boxes: Boxes,
@@ -173,7 +175,6 @@ def _by_shape(
     signal, photons_factor = settings
     table = ratios(form.neighbours, signal.contrast_max)
     shape = form.neighbours, form.aspect, signal.reach_m
-    known = columns(photons.x_m, photons.z_m)
     none = np.full(len(places.x_m), -1)
     own = np.arange(len(photons.x_m))
     near = areas(known, (photons.x_m, photons.z_m), photons.slope, own, shape)

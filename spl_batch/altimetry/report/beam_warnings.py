@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
+from spl_batch.altimetry.tasks.labels import labelled
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.errors import grouped
@@ -22,8 +23,7 @@ def beam_findings(done: Receipts) -> list[Finding]:
         beam = f"{done['index_file'][source].facts['name']}: {name}"
         kept, noise = (delivered.facts["labels"].get(k, 0) for k in ("1", "0"))
         texts = list(_of_labels(kept, noise))
-        prefix = f"{key}/"
-        segments = [r.facts for n, r in done["label"].items() if n.startswith(prefix)]
+        segments = [done["label"][segment].facts for segment in labelled(done, key)]
         texts += _like_noise(segments, kept)
         compared = done.get("compare", {})
         texts += compared[key].facts["said"] if key in compared else ()

@@ -12,7 +12,7 @@ from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, Track
 from spl_batch.altimetry.report.page import render
 from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
 from spl_batch.altimetry.tasks.context import Context, place
-from spl_batch.altimetry.tasks.labels import read_cells
+from spl_batch.altimetry.tasks.labels import labelled, read_cells
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.reported import reported
@@ -92,7 +92,7 @@ def _beam(done: Receipts, key: str, delivered: Receipt, context: Context) -> Bea
     cells = _cells(done, key, context)
     density = _density(cells, context)
     photons, wet = (
-        sum(done["label"][name].facts[kind] for name in _segments(done, key))
+        sum(done["label"][name].facts[kind] for name in labelled(done, key))
         for kind in ("photons", "wet")
     )
     profile = done["profile"][key].facts
@@ -121,14 +121,8 @@ def _beam(done: Receipts, key: str, delivered: Receipt, context: Context) -> Bea
     )
 
 
-def _segments(done: Receipts, key: str) -> list[str]:
-    """Labelled segments of a beam, in order."""
-    spans = done["take_in"][key].facts["segments"]
-    return [f"{key}/{low}" for low, *_ in spans if f"{key}/{low}" in done["label"]]
-
-
 def _cells(done: Receipts, key: str, context: Context) -> dict[str, NDArray[Any]]:
-    return read_cells(_segments(done, key), context)
+    return read_cells(labelled(done, key), context)
 
 
 def _density(cells: Mapping[str, NDArray[Any]], context: Context) -> NDArray[np.float64]:

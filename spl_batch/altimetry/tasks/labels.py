@@ -10,6 +10,7 @@ from spl_batch.altimetry.filter.track import CELLS, MARGIN_M, label
 from spl_batch.altimetry.photon_table import LABELS, PHOTONS
 from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, gather, place, rows_between
 from spl_batch.altimetry.water.surface import NO_WATER
+from spl_batch.engine.report.run_record import Receipts
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays, writing
 from spl_batch.lattice.tiles import quanta
@@ -41,6 +42,12 @@ def label_segment(args: Mapping[str, Any], context: Context) -> Produced:
         "wet": int(np.count_nonzero(labels["level"] != NO_WATER)),
     }
     return Produced(outputs, facts, n)
+
+
+def labelled(done: Receipts, key: str) -> list[str]:
+    """Labelled segments of a beam, in order."""
+    spans = done["take_in"][key].facts["segments"]
+    return [f"{key}/{low}" for low, *_ in spans if f"{key}/{low}" in done["label"]]
 
 
 def read_cells(segments: list[str], context: Context) -> dict[str, NDArray[Any]]:

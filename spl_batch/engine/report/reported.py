@@ -44,9 +44,7 @@ def _as_one(alike: list[Finding]) -> FindingReport:
     ordered = sorted(alike, key=lambda one: -(one.badness or 0.0))
     subjects = tuple(dict.fromkeys(one.subject for one in ordered if one.subject))
     code = table()[worst.code]
-    template = code.sentences
-    if not isinstance(template, str):
-        template = template[worst.values["kind"]]
+    template = code.sentence(worst.values.get("kind", ""))
     sentence, consequence, remedy = (
         _WORDS.vformat(text, (), worst.values) for text in (template, code.consequence, code.remedy)
     )

@@ -66,16 +66,15 @@ def _state(prepared: Prepared[Any, Any], deliveries: Deliveries, folders: Iterab
         prepared.receiver.decisive(prepared),
         [[str(path), *stamp_if_there(path)] for path in (*inputs, *reports, *rasters)],
         sorted(deliveries.begun),
-        [[name, *_stamp(context.output / name)] for name in sorted(deliveries.files)],
-        [_stamp(context.store.local / name)[1] for name in folders],
+        [[name, *stamp_if_there(context.output / name)] for name in sorted(deliveries.files)],
+        [_written_ns(context.store.local / name) for name in folders],
     ]
     return hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
-def _stamp(path: Path) -> tuple[int, int]:
-    """Size [byte] and time of writing [ns since 1970] of a file or folder; zeros without it."""
+def _written_ns(folder: Path) -> int:
+    """When a folder has got or lost a name [ns since 1970]; 0 without it."""
     try:
-        found = path.stat()
+        return folder.stat().st_mtime_ns
     except OSError:
-        return 0, 0
-    return found.st_size, found.st_mtime_ns
+        return 0

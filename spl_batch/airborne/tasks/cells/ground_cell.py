@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.flown_lines import FlownLines
-from spl_batch.airborne.store.label_tables import Origin, read_region
-from spl_batch.airborne.tasks.space_domain import LABELS, label_units, tile_cells
+from spl_batch.airborne.store.label_tables import Origin, label_units, read_region, tile_cells
+from spl_batch.airborne.tasks.space_domain import LABELS
 from spl_batch.lattice.eastings import strips_between
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, inside
