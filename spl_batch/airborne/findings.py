@@ -78,10 +78,6 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         "I05": Code(
             "Place and CRS",
             {
-                "none": "no input file carries a CRS and survey.crs is not set: rasters will have "
-                "none; write `crs: EPSG:...` under survey",
-                "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
-                "others",
                 "degrees": "the coordinates look like degrees, but the CRS is in metres, so they "
                 "are taken as metres",
                 "wide": "its {points} points span {km:.0f} km; some of them must lie astray",
@@ -93,6 +89,17 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             },
             remedy="check the CRS, the order of its axes and the coordinates",
             noun="file",
+        ),
+        "I08": Code(
+            "No CRS",
+            {
+                "none": "no input file carries a CRS and survey.crs is not set",
+                "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
+                "others",
+            },
+            "rasters and clouds name none, or that of others",
+            "write `crs: EPSG:...` or `vertical_crs: EPSG:...` under survey",
+            "file",
         ),
         "I06": Code("A setting is without effect", "{what}"),
         "T01": Code(

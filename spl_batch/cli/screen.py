@@ -82,7 +82,7 @@ def print_beginning(begun: "Beginning") -> None:
     """Print what files tell of a survey, and what they do not."""
     _pairs(begun.found)
     for label, text in begun.unknown:
-        _lines(f"not told: {label}: {text}", "yellow")
+        _lines(f"not known: {label}: {text}", "yellow")
     for text in begun.left_out:
         _lines(f"left out: {text}", "yellow")
     _path("workflow", begun.workflow)

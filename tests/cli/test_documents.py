@@ -40,7 +40,7 @@ def test_results_are_shown_by_python_in_lines_that_a_person_reads(small: Path) -
     small.unlink()
     begun = repr(api.init(small.parent))
     assert begun.startswith("Beginning\n  workflow  ")
-    assert "  not told  " in begun
+    assert "  not known  " in begun
     plan = repr(api.plan(small)).splitlines()
     assert plan[0] == "PlanSummary"
     assert [line for line in plan if line.split()[:2] == ["points", "6"]]

@@ -95,7 +95,7 @@ def _times(made: Draft, folder: Folder) -> None:
     if not spans:
         has = all(look.facts.has_gps_time for look in folder.lines)
         seen = "one value for all points that were looked at" if has else "missing"
-        made.unknown.append(("gps_time", f"{seen}, so there are no shots: noise is not told"))
+        made.unknown.append(("gps_time", f"{seen}, so there are no shots: noise is not estimated"))
         return
     standards = sorted({look.standard for look in folder.lines if look.span_s is not None})
     first, last = min(low for low, _ in spans), max(high for _, high in spans)

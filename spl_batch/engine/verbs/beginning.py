@@ -27,7 +27,7 @@ class Beginning:
     left_out: tuple[str, ...]  #: Files that the workflow does not name, and why.
 
     def __repr__(self) -> str:
-        unknown = (("not told", f"{label}: {text}") for label, text in self.unknown)
+        unknown = (("not known", f"{label}: {text}") for label, text in self.unknown)
         left = (("left out", text) for text in self.left_out)
         return listed("Beginning", (("workflow", str(self.workflow)), *self.found, *unknown, *left))
 

@@ -48,7 +48,7 @@ def test_the_command_plans_what_it_wrote(small: Path) -> None:
     small.unlink()
     ended = surveys.command("init", small.parent)
     assert ended.status == 0, ended.text
-    assert "not told: trajectory: " in ended.out
+    assert "not known: trajectory: " in ended.out
     assert "stretches" in ended.out
     assert small.exists()
     ended = surveys.command("init", small.parent)
