@@ -51,7 +51,7 @@ def easton(seed: int, share: float = 1.0) -> Scene:
     ``share``: part of the edges that is flown.
     """
     rng = np.random.default_rng(seed)
-    extent_m = 180.0 * share, 70.0
+    extent_m = 100.0 * share, 70.0
     towers = across(rng, extent_m, 0.68 * extent_m[1], 200.0)
     poles = across(rng, extent_m, 0.25 * extent_m[1], 50.0)
     cables = [_cable("transmission", towers, 26.0 + up, 0.03, sag_m=5.0) for up in (0.0, 2.2, 4.4)]
@@ -78,23 +78,21 @@ def easton(seed: int, share: float = 1.0) -> Scene:
     )
 
 
-EASTON_PER_M3, LUFKIN_PER_M3, CANOPY_PER_M3 = 0.0057, 0.003, 0.12
-EASTON_BRIGHTER = 1.0, 1.13
+EASTON_PER_M3, LUFKIN_PER_M3, CANOPY_PER_M3 = 0.0073, 0.0045, 0.12
 """Background at which the corridors hold 8.0, 5.8 and 11 returns of wire for one of noise, as many
 as the source's did if its VSAES kept the share of noise that ours keeps there, and that of the
-canopy's twin [1/m3]; by how much more wires of Easton reflect [1]."""
+canopy's twin [1/m3]."""
 
 
 def easton_matched(seed: int, share: float = 1.0) -> Scene:
     """Easton's twin with as much wire for one of noise in its corridors as the source had."""
-    brighter = {"transmission": EASTON_BRIGHTER[0], "distribution": EASTON_BRIGHTER[1]}
-    return _matched(easton(seed, share), EASTON_PER_M3, brighter)
+    return _matched(easton(seed, share), EASTON_PER_M3)
 
 
 def lufkin(seed: int, share: float = 1.0) -> Scene:
     """Twin of [W18]'s Lufkin, 23 February: three wires on top, one in the middle, one below."""
     rng = np.random.default_rng(seed)
-    extent_m = 180.0 * share, 60.0
+    extent_m = 120.0 * share, 60.0
     poles = across(rng, extent_m, 0.5 * extent_m[1], 55.0)
     wires = [
         {**_cable("distribution", poles, 12.5, 0.015, sag_m=0.8), "conductors": 3},
@@ -119,7 +117,7 @@ def lufkin(seed: int, share: float = 1.0) -> Scene:
 
 def lufkin_matched(seed: int, share: float = 1.0) -> Scene:
     """Lufkin's twin with as much wire for one of noise in its corridor as the source had."""
-    return _matched(lufkin(seed, share), LUFKIN_PER_M3, {"distribution": 1.0})
+    return _matched(lufkin(seed, share), LUFKIN_PER_M3)
 
 
 def houston(seed: int, share: float = 1.0) -> Scene:
@@ -186,7 +184,7 @@ def canopy(seed: int, share: float = 1.0) -> Scene:
 
 def canopy_matched(seed: int, share: float = 1.0) -> Scene:
     """The canopy's twin with background near roofs in place of most afterpulses."""
-    return _matched(canopy(seed, share), CANOPY_PER_M3, {})
+    return _matched(canopy(seed, share), CANOPY_PER_M3)
 
 
 TWINS: Mapping[str, Callable[..., Scene]] = MappingProxyType(
@@ -208,13 +206,11 @@ def _scene(name: str, seed: int, content: dict[str, Any]) -> Scene:
     return parse_scene({"name": name, "seed": seed, **content}, name)
 
 
-def _matched(scene: Scene, background_per_m3: float, brighter: Mapping[str, float]) -> Scene:
-    """A twin of another background, fewer afterpulses, and wires that reflect more."""
+def _matched(scene: Scene, background_per_m3: float) -> Scene:
+    """A twin of another background and fewer afterpulses."""
     content = scene.model_dump(mode="json", by_alias=True)
     content["sky"]["background_per_m3"] = background_per_m3
     content["detector"]["afterpulse_probability"] = FEWER_AFTERPULSES
-    for wire in content["wires"]:
-        wire["reflectance"] *= brighter[wire["kind"]]
     return parse_scene(content, scene.name)
 
 

@@ -16,7 +16,7 @@ from benchmarks.sources.given import Figures, Given
 from benchmarks.sources.methods import WIRE, Columns
 from benchmarks.sources.surfaces import reference_points
 
-METHODS = ("published", "aes", "aes_alone", "dcc", "ours")
+METHODS = ("published", "aes_alone", "dcc", "ours")
 """Filters of the tables; the source runs AES on single flightlines."""
 
 PUBLISHED: Mapping[tuple[str, str], Mapping[str, Counts]] = {
