@@ -98,13 +98,6 @@ def test_patches_are_what_least_squares_over_their_points_gives() -> None:
         assert patches["thickness"][k] <= THICKEST_M
 
 
-def test_no_square_is_used_twice() -> None:
-    patches = found_in(two_strips(Shift(), per_m2=0.4))
-    for k, edge in enumerate(patches["edge_m"]):
-        apart = np.maximum(*(np.abs(patches[axis] - patches[axis][k]) for axis in "xy"))
-        assert np.count_nonzero(apart < (edge + patches["edge_m"]) / 2 - 1e-6) == 1
-
-
 def test_flightlines_that_overlap_without_patches_are_known() -> None:
     rng = np.random.default_rng(3)
     crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
@@ -207,9 +200,3 @@ def found_in(points: PointTable, core: Bounds = CORE) -> Patches:
 
 def _same(one: Mapping[str, NDArray[Any]], other: Mapping[str, NDArray[Any]]) -> bool:
     return all(np.array_equal(one[k], other[k]) for k in other)
-
-
-def test_the_scene_is_what_its_shift_says() -> None:
-    points = table([ground(1, Shift()), ground(2, Shift(0, 0, 5.0))])
-    height = [points["z"][points["point_source_id"] == psid].mean() for psid in (1, 2)]
-    assert height[1] - height[0] == pytest.approx(5000, abs=100)

@@ -191,18 +191,6 @@ def test_reflectance_of_two_halves_with_dead_and_weak_channels() -> None:
     assert np.abs(np.reshape(ratios, (4, 2)).mean(axis=0) - 1).max() < 0.05
 
 
-def test_dead_channels_would_darken_if_they_counted() -> None:
-    gain = flat_gain()
-    gain[1:41] = 0.0
-    table, beams, _ = survey(lambda x, _: np.full(x.shape, 0.3), gain)
-    part = part_of(table, beams, gain)
-    alive = replace(part, gain=np.where(np.arange(len(part.gain)) > 0, 1.0, 0.0))
-    right, dark = (detections(in_halves(table), [p], CORE, PRODUCTS) for p in (part, alive))
-    assert np.nanmean(dark.reflectance) < 0.75 * np.nanmean(right.reflectance)
-    assert dark.fired.sum() > 1.5 * right.fired.sum()
-    np.testing.assert_array_equal(dark.seen, right.seen)
-
-
 def test_every_fired_beamlet_has_one_cell() -> None:
     table, beams, _ = survey(lambda x, _: np.full(x.shape, 0.3), flat_gain())
     found = detections(in_halves(table), [part_of(table, beams, flat_gain())], CORE, PRODUCTS)
@@ -284,12 +272,6 @@ def test_most_likely_solves_its_equation(seen: list[float], silent: float) -> No
     while excess(high) > 0:
         high *= 2.0
     assert out[1] == pytest.approx(brentq(excess, 1e-9, high, xtol=1e-13), rel=1e-6)
-
-
-def test_equal_beamlets_give_the_logarithm_of_the_silent_share() -> None:
-    out = np.empty(1)
-    most_likely(np.array([0, 30]), np.full(30, 2.5), np.array([70 * 2.5]), out)
-    assert out[0] == pytest.approx(-np.log(0.7) / 2.5)
 
 
 def test_slopes_do_not_look_across_walls() -> None:

@@ -60,41 +60,6 @@ def test_withheld_heights_lie_within_it_as_often_as_they_should(
     assert np.nanmean(inner < 1.96) > 0.95
 
 
-def test_it_grows_away_from_ground_and_with_roughness() -> None:
-    rng = np.random.default_rng(6)
-    held = np.ones((120, 120), np.bool_)
-    held[50:70, 50:70] = False
-    found = {}
-    for relief in (0.5, 2.0):
-        height = rough(rng, 120, relief, 6.0) + rng.normal(0, 0.02, held.shape)
-        found[relief] = terrain_sigma(cell_means(height, held), 1.0)
-        across = found[relief][60, 49:61]
-        assert (np.diff(across[:8]) > 0).all()
-        assert across[-1] > 5 * across[0]
-    assert np.median(found[2.0] / found[0.5]) > 2
-
-
-def test_a_tilt_costs_nothing_and_places_in_cells_are_their_own() -> None:
-    rng = np.random.default_rng(7)
-    means = cell_means(np.zeros((60, 60)), np.ones((60, 60), np.bool_), 0.5)
-    means[:, :, :2] += rng.uniform(-0.25, 0.25, (60, 60, 2))
-    means[:, :, 2] = 1.5 * means[:, :, 0] - means[:, :, 1]
-    sigma = terrain_sigma(means, 0.5)
-    # Slopes are damped by a quarter of a cell squared, which the smallest rings feel most.
-    assert sigma[REACH:-REACH, REACH:-REACH].max(initial=0) < 0.2
-
-
-def test_finer_cells_do_not_make_the_same_surface_better_known() -> None:
-    """Growth of half a metre and more: what stands in it is off together."""
-    rng = np.random.default_rng(12)
-    growth = rough(rng, 240, 0.1, 2.0) + rough(rng, 240, 0.3, 16.0)
-    fine = cell_means(growth, np.ones(growth.shape, np.bool_), 0.5)
-    blocks = growth.reshape(120, 2, 120, 2).mean(axis=(1, 3))
-    coarse = cell_means(blocks, np.ones(blocks.shape, np.bool_), 1.0)
-    said = [float(np.median(terrain_sigma(*one))) for one in ((fine, 0.5), (coarse, 1.0))]
-    assert said[0] > 0.9 * said[1]
-
-
 def test_rings_are_those_of_least_squares() -> None:
     rng = np.random.default_rng(8)
     held = rng.random((24, 24)) < 0.4

@@ -160,12 +160,6 @@ def test_each_swath_is_judged_by_its_middle() -> None:
         assert swath.filled / swath.squares == pytest.approx(full, abs=0.006)
 
 
-def test_regions_side_by_side_count_as_one() -> None:
-    points = two_strips()
-    whole = by_flightline(facts_of(WHOLE, [], *points), FLOWN, "QL1")
-    assert by_flightline(facts_of(WHOLE, [90_000, 171_000], *points), FLOWN, "QL1") == whole
-
-
 def test_what_does_not_count_is_left_out() -> None:
     x, y, number = two_strips()
     there = np.zeros((2, 1), np.bool_)
@@ -186,9 +180,3 @@ def test_passes_of_one_id_belong_to_their_flightlines() -> None:
     flown = [("early", 3, 50.0, 70.0), ("late", 3, 390.0, 500.0), ("other", 4, 0.0, 900.0)]
     totals = by_flightline([found], flown, "QL2")
     assert {name: one.pulses for name, one in totals.items()} == {"": 1, "early": 2, "late": 2}
-
-
-def test_a_swath_narrower_than_its_rim_counts_as_a_whole() -> None:
-    x = y = np.array([1500])
-    found = found_in(Bounds(0, 0, 9000, 9000), x, y, np.array([1]))
-    assert by_flightline([found], [], "QL2")[""].middle_pulses == 1

@@ -13,8 +13,6 @@ from pyproj import Transformer
 
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.file_writers import PointFiles
-from spl_batch.airborne.simulate.scene.layout import lay_out
-from spl_batch.airborne.simulate.scene.ray_trace import KIND_WATER
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.errors import WorkflowError
 
@@ -140,40 +138,3 @@ def test_flightlines_may_be_recorded_each_in_its_own_way(tmp_path):
         for name in found
     ]
     assert gates == [120, None]
-
-
-def test_recorded_positions_may_swing(tmp_path):
-    flight = {"heading_deg": 0, "offset_m": 300, "speed_m_s": 110}
-    calm = {"extent_m": [20, 20], "terrain": {"relief_m": 0}, "sky": {"background_per_m3": 0.02},
-            "acquisition": {"prf_hz": 20_000, "gate_m": 120}}  # fmt: skip
-    found = {}
-    for name, jitter_m in (("steady", 0.0), ("swings", 0.2)):
-        own = [{**flight, "jitter_m": jitter_m, "jitter_period_s": 0.4}]
-        simulate(parse_scene({**calm, "flights": own}, "here"), tmp_path / name)
-        found[name] = read(tmp_path / name, "flightlines")["line_01"][0]
-    off = [found["swings"][axis] - found["steady"][axis] for axis in "xyz"]
-    phase = 2 * np.pi * (found["steady"].gps_time % 0.4) / 0.4
-    for axis in off:
-        waves = np.column_stack([np.sin(phase), np.cos(phase)])
-        swing, *_ = np.linalg.lstsq(waves, axis, rcond=None)
-        assert np.hypot(*swing) == pytest.approx(0.2, abs=0.005)
-        np.testing.assert_allclose(waves @ swing, axis, atol=0.005)
-
-
-def test_a_crs_of_one_file_and_tiles_exclude_each_other():
-    flights = [{**SCENE["flights"][0], "crs": "EPSG:32616"}]
-    with pytest.raises(WorkflowError, match=r"crs is that of a file, which tile_m shares"):
-        parse_scene({**SCENE, "flights": flights, "delivery": {"tile_m": 20}}, "here")
-
-
-def test_a_city_is_high_and_opaque_water_has_waves():
-    ring = [[5, 5], [45, 5], [45, 45], [5, 45]]
-    lake = {"ring_m": ring, "waves_m": 0.3}
-    city = {"count": 5, "eave_m": [40, 60]}
-    scene = parse_scene({**SCENE, "extent_m": [200, 200], "buildings": city, "water": [lake]}, "x")
-    layout = lay_out(scene)
-    assert all(40 <= building.eave_m <= 60 for building in layout.buildings)
-    water = layout.arrays.ground_z[layout.arrays.ground_kind == KIND_WATER]
-    assert water.std() == pytest.approx(0.3, rel=0.3)
-    with pytest.raises(WorkflowError, match="waves_m needs opaque water"):
-        parse_scene({**SCENE, "water": [{**lake, "depth_m": 2}]}, "here")
