@@ -27,7 +27,6 @@ from spl_batch.airborne.accuracy import (
     tallies,
     terrain_differences,
 )
-from spl_batch.constants import NODATA
 
 errors = arrays(np.float64, st.integers(1, 60), elements=st.floats(-1e3, 1e3))
 
@@ -77,19 +76,6 @@ def test_bilinear_equals_scipys_grid_interpolator():
     np.testing.assert_allclose(got, oracle(xy[:, ::-1]), atol=1e-9)
     assert np.isfinite(got[-4:]).all()
     assert np.isnan(got).any()
-
-
-def test_cells_are_half_open_upward():
-    raster = Raster(np.array([[1, 2], [3, 4]], np.float32), 0.0, 2.0, 1.0)
-    xy = np.array([[0, 0], [0.5, 0.999], [0.5, 1.0], [1.0, 1.0], [0, 2.0], [2.0, 0], [-0.1, 0]])
-    np.testing.assert_array_equal(raster.at(xy), [3, 3, 1, 2, np.nan, np.nan, np.nan])
-
-
-def test_slope_of_a_plane():
-    y, x = np.mgrid[0:8, 0:9].astype(np.float32)
-    slope = Raster((3 * x + 4 * y).astype(np.float32), 0.0, 0.0, 5.0).slope_deg().values
-    np.testing.assert_allclose(slope[1:-1, 1:-1], 45, rtol=1e-5)
-    assert (slope[0] == NODATA).all()
 
 
 def flat(value, size=40):

@@ -140,14 +140,6 @@ def test_prf_of_times_that_are_rounded(prf: int, unit_us: int, silent: float) ->
     assert geometry.estimate_prf(both) == pytest.approx(prf, rel=3e-3)
 
 
-@pytest.mark.parametrize("dropped", [3])
-@pytest.mark.parametrize("prf", [50_000, 100_000])
-def test_thinning_an_exact_clock_keeps_its_rate(prf: int, dropped: int) -> None:
-    shot = np.arange(60_000)
-    time = 371e6 + 3.7e-6 + shot[shot % dropped > 0] / prf
-    assert geometry.estimate_prf(geometry.shot_steps(time)) == pytest.approx(prf, rel=1e-3)
-
-
 def test_returns_of_one_time_and_channel_that_no_beam_explains_are_counted() -> None:
     # A slanted beam, one that is another shot's, another channel, another time.
     table = points(
@@ -156,11 +148,6 @@ def test_returns_of_one_time_and_channel_that_no_beam_explains_are_counted() -> 
     )  # fmt: skip
     assert geometry.off_one_beam(table) == (2, 1, 0)
     assert geometry.off_one_beam(table.take(slice(0, 0))) == (0, 0, 0)
-
-
-def test_prf_of_no_rhythm_is_none() -> None:
-    assert geometry.estimate_prf(geometry.shot_steps(np.array([1.0, 2.0, 2.00001]))) is None
-    assert geometry.estimate_prf(geometry.shot_steps(np.empty(0))) is None
 
 
 @settings(deadline=None)

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.lines.patches import (
     MIN_RETURNS_PER_PATCH,
-    MOST,
-    MOST_LINES,
     THICKEST_M,
     Patches,
     add_moments,
@@ -22,16 +20,13 @@ from spl_batch.airborne.lines.patches import (
     region,
     seen_lines,
 )
-from spl_batch.airborne.store.flown_lines import FlownLines
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 from tests.airborne.lines.two_strips import (
     CORE,
     LINES,
     Shift,
-    ground,
     patches_between,
-    table,
     two_strips,
 )
 
@@ -119,24 +114,6 @@ def test_crowns_and_lone_flightlines_have_no_patches() -> None:
     assert not len(found_in(whole.take(slice(0, 0)))["rise"])
 
 
-def test_a_pair_that_shares_much_is_thinned_and_keeps_its_slopes() -> None:
-    patches = found_in(two_strips(Shift(), per_m2=4, edge_m=200), WIDE)
-    patches = {name: values[patches["beyond"] == 0] for name, values in patches.items()}
-    assert len(patches["rise"]) == MOST
-
-
-def test_of_many_flightlines_those_with_most_returns_are_compared() -> None:
-    sizes = [2.0, 2.0, *[0.5] * MOST_LINES]
-    many = table([ground(k + 1, Shift(), per_m2=d, edge_m=20) for k, d in enumerate(sizes)])
-    lines = FlownLines([])  # each is what has its point source id
-    seen = seen_lines([many], lines)
-    assert seen.left_out == 2
-    assert [lines.line(k).psid for k in seen.numbers[:2].tolist()] == [1, 2]
-    assert len(seen.numbers) == MOST_LINES
-    assert seen.returns.min() == 200
-    assert len(find_patches([many], lines, seen, CORE)[0]["rise"])
-
-
 def test_a_cell_in_parts_has_the_same_patches() -> None:
     points = two_strips(Shift(0.1, 0.0, 0.03), per_m2=1.0)
     timeless = np.arange(len(points)) % 50 == 0
@@ -173,9 +150,6 @@ def test_cells_part_the_patches_of_a_survey_between_them() -> None:
         found.update({k: v[order] for k, v in found.items()})
     for name in whole:
         assert joined[name] == pytest.approx(whole[name], rel=1e-9, abs=1e-12)
-
-
-WIDE = Bounds(CORE.xmin, CORE.ymin, CORE.xmin + 200_000, CORE.ymin + 200_000)
 
 
 def quarters() -> list[Bounds]:

@@ -233,16 +233,6 @@ def test_hole_in_the_data_is_no_silence_and_silence_is_no_hole() -> None:
     assert kinds(quiet.findings)[-1] == "few"
 
 
-def test_unfolds_to_nothing_without_points() -> None:
-    flight = fly(shots=60)
-    empty = flight.table.take(slice(0, 0))
-    beams = geometry.beams(empty, flight.trajectory)
-    stats = line_noise.merge([line_noise.observe(empty, beams, SETTINGS)])
-    model = line_noise.fit(stats, SETTINGS, SENSOR)
-    assert model.mean_rate == 0.0
-    assert line_noise.line_density(flight.table, model).max() == 0.0
-
-
 @settings(max_examples=10, deadline=None)
 @given(st.integers(1, 9), st.randoms(use_true_random=False))
 def test_cutting_changes_no_bit(intervals: int, order: object) -> None:
@@ -363,19 +353,6 @@ def test_signal_beyond_the_buffer_is_told_from_a_bright_sky() -> None:
     both = flat + np.eye(10)[line_noise.SUMMARY.index("signal_sd")] * 8.0
     assert line_noise._torn(even, exposure, both, 30.0).all()
     assert not line_noise._torn(even * np.array([0, 1]), exposure, both, 40.0).any()
-
-
-@pytest.mark.parametrize("seed", [1])
-def test_towers_add_little_to_a_short_gate(seed: int) -> None:
-    def towers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        place = (np.floor(x / 60) * 73 + np.floor(y / 60) * 151) % 17 < 5
-        return 40.0 + np.where(place & (x % 60 < 35) & (y % 60 < 35), 36.0, 0.0)
-
-    flight = fly(surface=towers, noise_per_m=3e-4, shots=9000, gate_m=85, seed=seed)
-    assert model_of(flight, 85.0).mean_rate == pytest.approx(3e-4, rel=0.2)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(line_noise, "CLIP_SIGMA", 1e9)
-        assert model_of(flight, 85.0).mean_rate > 1.3 * 3e-4
 
 
 @pytest.mark.parametrize(("above", "more"), [(2000, "above"), (500, "below")])

@@ -138,27 +138,6 @@ def test_pits_are_lifted_as_in_a_plain_loop():
     assert (np.isnan(tops) & ~np.isnan(lifted)).sum() > 3
 
 
-def test_a_sparse_cell_at_the_rim_of_a_crown_is_no_pit():
-    ground = terrain(density=8)
-    rng = np.random.default_rng(7)
-    base = ground[:, 2].mean()
-    crown = np.stack([rng.uniform(-18, -8, 4000), rng.uniform(42, 52, 4000),
-                      base + rng.uniform(9, 10, 4000)], axis=1)  # fmt: skip
-    bare = (crown[:, 0] > -14) & (crown[:, 0] < -13) & (crown[:, 1] > 46) & (crown[:, 1] < 47)
-    rest = np.concatenate([ground, crown[~bare]])
-    x, y = centres()
-    at = (np.abs(x + 13.5) < 0.5) & (np.abs(y - 46.5) < 0.5)
-    strict = SETTINGS.model_copy(update={"dsm_support": 30})
-    for up, found in ((40.0, False), (8.0, True)):
-        table = table_of(
-            np.concatenate([rest, [[-13.5, 46.5, base + up]]]),
-            ground=np.repeat([1, 0], [len(ground), len(rest) - len(ground) + 1]),
-        )
-        dsm = surfaces(table, CELL, strict)["dsm"]
-        assert (dsm[at] > base + 7).all() == found
-        assert dsm.max() < base + 10.1
-
-
 @pytest.mark.parametrize(("covered", "height"), [(True, 9.5), (False, 0.0)])
 def test_a_sparse_twig_at_the_rim_of_a_crown_counts_where_no_ground_was_seen(covered, height):
     rng = np.random.default_rng(8)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spl_batch.airborne.pulses import swath_outline
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS
 from spl_batch.airborne.pulses.swath_coverage import (
     GAP,
@@ -22,7 +21,6 @@ from spl_batch.airborne.pulses.swath_coverage import (
     outlines,
     pass_of,
 )
-from spl_batch.airborne.pulses.swath_outline import outline, packed
 from spl_batch.lattice.tiles import Bounds
 
 REACH_Q = 40_000
@@ -57,20 +55,6 @@ def test_outlines_of_cells_side_by_side_are_one() -> None:
     assert shapely.covers(shapely.buffer(true, 9), shape)
     assert len(shapely.get_coordinates(shape)) < 80, "most steps of squares become lines"
     assert outlines([], [("a", 7, 0.0, 60.0)]) == {}
-
-
-def test_a_long_flightline_is_drawn_in_coarser_squares(monkeypatch: pytest.MonkeyPatch) -> None:
-    def drawn() -> tuple[float, ...]:
-        boxes = [Bounds(west, 0, west + 100, 40) for west in (0, 100, 200)]
-        pieces = [packed(np.ones((40, 100), np.bool_), box) for box in boxes]
-        shape = outline(piece for piece in pieces if piece)
-        assert shape.area == 300 * 40
-        return shape.bounds
-
-    assert drawn() == (0, 0, 300, 40)
-    monkeypatch.setattr(swath_outline, "MOST", 120)
-    assert drawn() == (0, 0, 300, 40)
-    assert packed(np.zeros((4, 4), np.bool_), Bounds(0, 0, 4, 4)) is None
 
 
 def by_hand(core: Bounds, x, y) -> list[list[int]]:

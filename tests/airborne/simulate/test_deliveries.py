@@ -8,10 +8,7 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import yaml
-from pyproj import Transformer
 
-from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.file_writers import PointFiles
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.errors import WorkflowError
@@ -104,37 +101,3 @@ def test_a_delivery_may_tell_less(tmp_path):
 def test_tiles_too_many_to_be_open_are_refused():
     with pytest.raises(WorkflowError, match=r"more than 400 files; choose larger tiles"):
         parse_scene({**SCENE, "delivery": {"tile_m": 2}}, "here")
-
-
-def test_flightlines_may_be_recorded_each_in_its_own_way(tmp_path):
-    """The same two flights plain, and with a roll and a longer gate, or in another zone."""
-    flights = [
-        {"heading_deg": 0, "offset_m": 300, "speed_m_s": 110},
-        {"heading_deg": 90, "offset_m": -280, "speed_m_s": 110, "altitude_agl_m": 1500},
-    ]
-    calm = {"extent_m": [20, 20], "terrain": {"relief_m": 0}, "sky": {"background_per_m3": 0.02},
-            "acquisition": {"prf_hz": 20_000, "gate_m": 120}}  # fmt: skip
-    unlike = [{"boresight_roll_deg": 0.02}, {"crs": "EPSG:32616", "gate_m": 200}]
-    found = {}
-    for name, more in (("plain", [{}, {}]), ("unlike", unlike)):
-        own = [{**flight, **extra} for flight, extra in zip(flights, more, strict=True)]
-        simulate(parse_scene({**calm, "flights": own}, "here"), tmp_path / name)
-        found[name] = read(tmp_path / name, "flightlines")
-    turned, plain = (found[name]["line_01"][0] for name in ("unlike", "plain"))
-    # Northwards starboard is east: there beams are turned down, and all of them to the west.
-    angle = np.radians(0.02)
-    np.testing.assert_allclose(turned.x - plain.x, -2500 * angle, atol=150 * angle)
-    starboard = plain.x - (272_010 + 300)
-    np.testing.assert_allclose(turned.z - plain.z, -starboard * angle, atol=0.02)
-    other, truth = found["unlike"]["line_02"]
-    assert other.header.parse_crs().to_epsg() == 32616
-    moved = Transformer.from_crs(32616, 32615, always_xy=True).transform(other.x, other.y)
-    middle = [np.mean(values[truth["kind"] == 1]) for values in moved]
-    np.testing.assert_allclose(middle, [272_010, 3_290_010], atol=5)
-    reach = [np.ptp(found[name]["line_02"][0].z) for name in ("plain", "unlike")]
-    assert reach == pytest.approx([120, 200], abs=8)
-    gates = [
-        yaml.safe_load((tmp_path / name / "workflow.yaml").read_text())["acquisition"].get("gate_m")
-        for name in found
-    ]
-    assert gates == [120, None]

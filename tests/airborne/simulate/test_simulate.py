@@ -7,7 +7,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-import shapely
 import yaml
 from pyproj import Transformer
 from scipy import stats
@@ -25,7 +24,6 @@ from spl_batch.airborne.simulate.scene.ray_trace import (
     KIND_BACKGROUND,
     KIND_GROUND,
     KIND_ROOF,
-    KIND_WATER,
 )
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.errors import WorkflowError
@@ -169,18 +167,6 @@ def test_ground_and_roofs_lie_on_the_true_surfaces(survey, lines):
             error = c["z"][chosen] - truth[row[chosen], column[chosen]]
             assert abs(np.median(error)) < bias
             assert stats.median_abs_deviation(error, scale="normal") < 0.2
-
-
-def test_water_is_level_and_dark_and_inside_its_polygon(lines):
-    scene = preset_scene("tiny")
-    ring = np.array(scene.water[0].ring_m) + scene.origin_m[:2]
-    polygon = shapely.Polygon(ring)
-    for _, c in lines:
-        water = c["kind"] == KIND_WATER
-        assert shapely.contains_xy(polygon.buffer(1.0), c["x"][water], c["y"][water]).all()
-        assert np.std(c["z"][water]) < 0.08
-        per_m2 = water.sum() / polygon.area
-        assert per_m2 < 0.4 * (c["kind"] == KIND_GROUND).sum() / 3600
 
 
 def test_trajectory_and_sbet_say_the_same(survey):
