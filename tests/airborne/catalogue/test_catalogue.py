@@ -1,5 +1,6 @@
 """Catalogues of one delivery: schemas offline, every link there, every number counted again."""
 
+import datetime as dt
 import json
 import sqlite3
 from contextlib import closing
@@ -121,6 +122,32 @@ def test_every_link_of_stac_leads_somewhere(output: Path) -> None:
     listed = [link["href"] for link in read(folder / "collection.json")["links"]
               if link["rel"] == "item"]  # fmt: skip
     assert len(listed) == len(pages) - 1
+
+
+def test_items_hold_what_the_files_do(output: Path) -> None:
+    for item in read(output / "stac" / "items.json")["features"]:
+        path = output / "stac" / item["assets"]["data"]["href"]
+        found = item["properties"]
+        if path.suffix == ".tif":
+            with rasterio.open(path) as source:
+                assert found["proj:shape"] == list(source.shape)
+                assert found["proj:bbox"] == list(source.bounds)
+                assert found["proj:transform"] == list(source.transform)[:6]
+            continue
+        cloud = laspy.read(path)
+        assert found["pc:count"] == len(cloud)
+        low, high = np.min(cloud.xyz, axis=0), np.max(cloud.xyz, axis=0)
+        np.testing.assert_allclose(found["proj:bbox"], [*low, *high], atol=1e-6)
+        assert [one["name"] for one in found["pc:schemas"]] == list(
+            cloud.point_format.dimension_names
+        )
+        first = dt.datetime.fromisoformat(found["start_datetime"])
+        # adjusted standard time of 2024 and before is 18 leap seconds ahead of UTC
+        seconds = (first - dt.datetime(1980, 1, 6, tzinfo=dt.UTC)).total_seconds()
+        assert seconds - 1e9 + 18 == pytest.approx(np.min(cloud.gps_time), abs=1e-3)
+        west, south, _, east, north, _ = item["bbox"]
+        assert -96 < west < east < -95
+        assert 29 < south < north < 30
 
 
 def test_the_virtual_cloud_is_what_its_readers_want(output: Path) -> None:
