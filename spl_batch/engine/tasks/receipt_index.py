@@ -26,7 +26,7 @@ class Shelf(Mapping[str, Receipt]):
     def put(self, receipt: Receipt) -> None:
         """Keep a receipt, in place of an earlier one of that name."""
         facts = {k: v for k, v in receipt.facts.items() if k not in self._step.unread}
-        outputs = {} if self._step.delivers is None else dict(receipt.outputs)
+        outputs = dict(receipt.outputs) if self._step.delivers else {}
         content = [receipt.digest, receipt.points, outputs, facts]
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
         self._kept[receipt.name] = text.encode()
