@@ -14,10 +14,10 @@ from typing import Any
 
 import click
 import pytest
+from spl_batch.cli.clock import saying_if_slow
 
 import spl_batch
 from spl_batch.cli import _STAGES, cli, live, main
-from spl_batch.cli.clock import saying_if_slow
 from spl_batch.engine.flow import cluster
 from spl_batch.engine.tasks.runner import build_version
 from spl_batch.engine.tasks.step import stages

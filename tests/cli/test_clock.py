@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 from rich.console import Console
+from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
 
 from spl_batch import api
 from spl_batch.cli import screen, view, watching
-from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
 from spl_batch.cli.console import is_screen
 from spl_batch.engine.verbs import simulation
 from spl_batch.engine.watch.events import (

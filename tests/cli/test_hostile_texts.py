@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.table import Table
+from spl_batch.cli.lines import LINE_MAX, LINES_MAX, screen_lines
 
 from spl_batch.cli.console import PlainConsole
-from spl_batch.cli.lines import LINE_MAX, LINES_MAX, screen_lines
 from spl_batch.errors import FAULT_MAX, InputError, StoreError, brief, one_line, plain
 from tests import surveys
 from tests.io_files import with_record

@@ -4,8 +4,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from spl_batch.engine.store.working_store import write_json
 from spl_batch.engine.watch.earlier_runs import earlier_wall_s, log_bytes, share_time
+
+from spl_batch.engine.store.working_store import write_json
 from spl_batch.engine.watch.events import (
     Event,
     PhaseStarted,

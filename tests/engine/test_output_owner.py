@@ -7,11 +7,11 @@ from pathlib import Path
 
 import fsspec
 import pytest
+from spl_batch.engine.store.output_owner import _head
 
 from spl_batch import api
 from spl_batch.airborne import quickstart
 from spl_batch.airborne.tasks import time_domain
-from spl_batch.engine.store.output_owner import _head
 from spl_batch.engine.store.working_store import write_json
 from spl_batch.engine.verbs import simulation
 from spl_batch.errors import InputError, WorkflowError

@@ -5,9 +5,9 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
+from spl_batch.engine.report.layers import layers
 
 from spl_batch.engine.report import style
-from spl_batch.engine.report.layers import layers
 from spl_batch.engine.report.maps import Raster, draw_ramp, map_place
 from spl_batch.engine.report.page import named_tables
 from spl_batch.engine.report.parts import Failure

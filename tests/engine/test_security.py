@@ -21,8 +21,8 @@ import numpy as np
 import psutil
 import pytest
 import yaml
-
 from spl_batch.cli.lines import LINE_MAX
+
 from spl_batch.engine.flow import executor
 from spl_batch.engine.flow.cluster import local_cluster
 from spl_batch.errors import DamagedError, InputError, WorkflowError

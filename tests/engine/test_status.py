@@ -20,15 +20,17 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from rich.console import Console
+from spl_batch.cli.clock import saying_if_slow
+from spl_batch.engine.watch.earlier_runs import earlier_wall_s
+from spl_batch.engine.watch.log_follower import Follower
+from spl_batch.engine.watch.progress import end_last_line
 
 from spl_batch import api, cli
 from spl_batch.cli import document, live, screen, view, watching
-from spl_batch.cli.clock import saying_if_slow
 from spl_batch.engine.store.output_lock import holder, lock_file, locked
 from spl_batch.engine.store.working_store import IDENTITY, Store, write_receipt
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.failures import plain_name
-from spl_batch.engine.watch.earlier_runs import earlier_wall_s
 from spl_batch.engine.watch.events import (
     Note,
     PhaseStarted,
@@ -41,8 +43,6 @@ from spl_batch.engine.watch.events import (
     WorkersSeen,
     as_record,
 )
-from spl_batch.engine.watch.log_follower import Follower
-from spl_batch.engine.watch.progress import end_last_line
 from spl_batch.engine.watch.status import RunStatus, StageStatus
 from spl_batch.errors import WorkflowError
 from tests import surveys

@@ -17,8 +17,8 @@ from typing import Final
 
 import laspy
 import yaml
-
 from spl_batch.cli.lines import LINE_MAX
+
 from spl_batch.geiger.coincidence.simulate import simulate as simulate_looks
 from tests import surveys
 from tests.altimetry.tracks import small_track, write_atl03

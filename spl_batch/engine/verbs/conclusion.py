@@ -22,7 +22,6 @@ from spl_batch.engine.report.run_record import REPORT_FILES, RunFacts, report_co
 from spl_batch.engine.store.deliveries import Deliveries
 from spl_batch.engine.store.working_store import read_json, write_json
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.runner import RASTER, damaged_rasters
 from spl_batch.engine.tasks.step import delivering, stages
 from spl_batch.engine.verbs.failures import failures
 from spl_batch.engine.verbs.progress import Progress
@@ -75,8 +74,7 @@ def concluded(
     try:
         return _conclude(prepared, progress, until, took)
     except DamagedError as error:
-        also = damaged_rasters(prepared.ledger.done, prepared.context)
-        if not progress.repair(prepared.ledger, [error, *also]):
+        if not progress.repair(prepared.ledger, [error]):
             raise
         return None
 
@@ -108,8 +106,6 @@ def _conclude(
         receiver.not_read(ledger),
         took[1],
     )
-    for damaged in damaged_rasters(ledger.done, context):
-        raise damaged
     progress.tell(ReportStarted())
     written = receiver.report(ledger.done, context, facts)
     progress.late(written.findings)
@@ -164,15 +160,13 @@ def _state(prepared: Prepared[Any, Any], deliveries: Deliveries, folders: Iterab
     context, ledger = prepared.context, prepared.ledger
     inputs = [*(source.path for source in ledger.inputs.sources)]
     inputs += [Path(bad.path) for bad in ledger.inputs.bad]
-    # Rasters have no checksum by which who reads them knows that they are damaged.
-    rasters = sorted(context.store.local.glob(f"*{RASTER}"))
     reports = (context.output / name for name in REPORT_FILES)
     parts = [
         context.workflow.model_dump(mode="json"),
         *(context.crs_wkt, context.code, report_code(context.workflow.kind)),
         ledger.memory_bytes,
         prepared.receiver.decisive(prepared),
-        [[str(path), *stamp_if_there(path)] for path in (*inputs, *reports, *rasters)],
+        [[str(path), *stamp_if_there(path)] for path in (*inputs, *reports)],
         [[name, *stamp_if_there(context.output / name)] for name in sorted(deliveries.files)],
         [_written_ns(context.store.local / name) for name in folders],
     ]

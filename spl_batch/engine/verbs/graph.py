@@ -12,7 +12,7 @@ from functools import cache
 from typing import Any
 
 from spl_batch.engine.findings import of_receipts
-from spl_batch.engine.flow.executor import Executor
+from spl_batch.engine.flow.job import Executor
 from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Job, Need, Outcome, Receipt, Task

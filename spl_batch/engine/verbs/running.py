@@ -6,7 +6,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.engine.flow.executor import Ahead, Executor, Footing, executor, refuse_no_address
+from spl_batch.engine.flow.cluster import executor, refuse_no_address
+from spl_batch.engine.flow.job import Executor, Footing
+from spl_batch.engine.flow.warm_up import Ahead
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.store.output_lock import lock_file, locked, was_stopped
 from spl_batch.engine.tasks.step import stages

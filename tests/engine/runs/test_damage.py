@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from spl_batch.engine.verbs.repair import Repairs, also_damaged
 
 from spl_batch import api
 from spl_batch.airborne.lines.comparison import difference_map
@@ -22,7 +23,6 @@ from spl_batch.engine.store.working_store import Store, read_receipts, write_rec
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.preparing import prepare
-from spl_batch.engine.verbs.repair import Repairs, also_damaged
 from spl_batch.engine.watch.events import Event, Note, TaskEnded
 from spl_batch.errors import DamagedError
 from spl_batch.formats.files.atomic import checksum, write_bytes
