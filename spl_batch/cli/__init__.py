@@ -294,10 +294,10 @@ def completion(shell: str) -> int:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the status of the contract."""
     given = sys.argv[1:] if arguments is None else arguments
-    as_json = "--json" in given
+    as_json, interrupted = "--json" in given, threading.Event()
     goes_on = "; the same command continues" if given[:1] and given[0] in _CONTINUES else ""
     try:
-        with _sigterm_as_interrupt():
+        with _ended_in_order(interrupted):
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
     except click.ClickException as error:
         error.show()
@@ -313,6 +313,10 @@ def main(arguments: list[str] | None = None) -> None:
         full = error.errno in {errno.ENOSPC, errno.EDQUOT}
         text = told_by_system(error, "free some space and run again" if full else "")
         _end(f"spl-batch: {text}", 3 if full else 2, as_json and text)
+    except Exception:  # an interrupt may come up as something else, as in a compiler's callback
+        if not interrupted.is_set():
+            raise
+        _end(f"interrupted{goes_on}", 3, as_json and "interrupted")
     status = status if isinstance(status, int) else 0
     if arguments is None:
         _leave(status)
@@ -341,17 +345,20 @@ def _end(text: str, status: int, document_text: object = "") -> NoReturn:
 
 
 @contextmanager
-def _sigterm_as_interrupt() -> Iterator[None]:
+def _ended_in_order(interrupted: threading.Event) -> Iterator[None]:
     """Take the end of a queue system's time like Ctrl-C: in order, to be continued."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def interrupt(*_: object) -> None:
+        interrupted.set()
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    signs = [s for s in (signal.SIGTERM, signal.SIGINT) if signal.getsignal(s) != signal.SIG_IGN]
+    before = [(sign, signal.signal(sign, interrupt)) for sign in signs]
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for sign, handler in before:
+            signal.signal(sign, handler)

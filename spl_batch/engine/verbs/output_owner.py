@@ -4,6 +4,7 @@ An output belongs to the survey that the last run there worked on. Two runs work
 if they have an input in common: a file at the same path, or one of the same name and size.
 """
 
+import os
 import socket
 import uuid
 from collections.abc import Iterator
@@ -29,11 +30,17 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
     Raises
     ------
     WorkflowError
-        If another survey's results are there, or files that no run has recorded.
+        If nothing can be written there, or another survey's results are there, or files that no run has recorded.
     StoppedError
         If a store elsewhere cannot be reached.
     """
     output = prepared.context.output
+    there = next(path for path in (output, *output.parents) if os.path.lexists(path))
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise WorkflowError(
+            f"output: {output} cannot be written: nothing can be made in {there}; name another "
+            "output, or look at what is there and at its rights"
+        )
     refuse_claimed(prepared.context.store)
     deliveries = Deliveries(prepared.context, stopped=was_stopped(output))
     survey = deliveries.survey
