@@ -30,7 +30,8 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
     Raises
     ------
     WorkflowError
-        If nothing can be written there, or another survey's results are there, or files that no run has recorded.
+        If nothing can be written there, or another survey's results are there, or files that no run
+        has recorded.
     StoppedError
         If a store elsewhere cannot be reached.
     """
