@@ -234,7 +234,5 @@ def test_a_run_without_workers_opens_no_port(survey: Path, monkeypatch: pytest.M
 def test_the_numbers_of_the_page_are_those_that_hold() -> None:
     assert SMALL_BYTES == 512 << 20
     text = " ".join(PAGE.split())
-    for words in (
-        f"declare more than 512 MiB and more than {BOMB_RATIO} times their bytes",
-    ):
+    for words in (f"declare more than 512 MiB and more than {BOMB_RATIO} times their bytes",):
         assert words in text
