@@ -72,7 +72,7 @@ def describe(
             {"name": "zstd", "configuration": {"level": _ZSTD_LEVEL, "checksum": False}},
             {"name": "crc32c"},
         ],
-        "fill_value": kind.type(fill_value).item(),
+        "fill_value": np.full((), fill_value, kind).item(),
         "storage_transformers": [],
         "attributes": dict(attributes),
     }
