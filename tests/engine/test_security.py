@@ -22,7 +22,7 @@ import psutil
 import pytest
 import yaml
 
-from spl_batch.engine.flow import executor
+from spl_batch.engine.flow import cluster
 from spl_batch.engine.flow.cluster import local_cluster
 from spl_batch.errors import DamagedError, InputError
 from spl_batch.formats.declared import BOMB_RATIO, SMALL_BYTES
@@ -114,8 +114,8 @@ def test_the_example_of_a_cluster_with_tls_works(
             )
         assert ended.status == 0, ended.text
         assert (tmp_path / "out/laz/lines/1.laz").exists()
-        brief = {**executor.SETTINGS, "distributed.comm.timeouts.connect": "1s"}
-        monkeypatch.setattr(executor, "SETTINGS", brief)  # it would ask again for ten seconds
+        brief = {**cluster.SETTINGS, "distributed.comm.timeouts.connect": "1s"}
+        monkeypatch.setattr(cluster, "SETTINGS", brief)  # it would ask again for ten seconds
         without = surveys.command("run", workflow, "--scheduler", address, "--fresh")
         assert without.status == 3, "who has no key gets no answer"
 
