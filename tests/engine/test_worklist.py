@@ -9,14 +9,12 @@ import pytest
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import task_memory
+from spl_batch.airborne.plan.heaviest_tasks import needs
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs
-from spl_batch.airborne.plan.memory.heaviest_tasks import needs
 from spl_batch.airborne.plan.space_tasks import build
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import (
-    STRETCH_POINTS,
     refusal,
-    stretch_points,
     task_bytes,
 )
 from spl_batch.airborne.settings.workflow import parse_workflow
@@ -240,11 +238,11 @@ def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
     pieces = list(from_counts({CellId(3, 5): 10**6, CellId(900, 5): 10**5}, 100_000))
     track = tmp_path / "track.sbet"
     track.write_bytes(b"0" * 136 * 1000)
-    found = needs(pieces, WORKFLOW, STRETCH_POINTS, files=[10**9], limit=2**40, trajectory=[track])
+    found = needs(pieces, WORKFLOW, [10**9], 1, [track])
     told = " ".join(need.task for need in found)
     for words in (
         "a tile around x 350, y 550",
-        "a denoise block",
+        "a cell of denoise",
         "a ground cell",
         "a surface cell",
     ):
@@ -261,10 +259,7 @@ def test_an_octree_needs_the_memory_of_the_largest_file() -> None:
     files = [10**6, 10**8, 10**7]
     outputs = WORKFLOW.outputs.model_copy(update={"copc": True})
     both = [WORKFLOW, WORKFLOW.model_copy(update={"outputs": outputs})]
-    without, found = (
-        [n for n in needs([], one, STRETCH_POINTS, files=files, limit=2**40) if "octree" in n.task]
-        for one in both
-    )
+    without, found = ([n for n in needs([], one, files, 1) if "octree" in n.task] for one in both)
     assert without == []
     assert [n.memory_bytes for n in found] == [task_bytes("deliver_copc", 10**8)]
     assert "outputs.copc: false" in found[0].remedy
@@ -275,17 +270,8 @@ def track_need(folder: Path, records: int) -> int:
     track = folder / f"{records}.sbet"
     with track.open("wb") as file:
         file.truncate(136 * records)
-    found = needs([], WORKFLOW, STRETCH_POINTS, files=[1], limit=2**40, trajectory=[track])
+    found = needs([], WORKFLOW, [1], 1, [track])
     return next(n.memory_bytes for n in found if "trajectory" in n.task)
-
-
-def test_stretches_shrink_with_memory() -> None:
-    sizes = [stretch_points(m * 2**20) for m in (256, 1024, 2048, 4096, 65536)]
-    assert sizes == sorted(sizes)
-    assert (sizes[0], sizes[-1]) == (task_memory.LEAST_STRETCH_POINTS, task_memory.STRETCH_POINTS)
-    for limit in (1024, 2048, 4096):
-        points = task_memory.UNEVEN * stretch_points(limit * 2**20)
-        assert points <= task_memory.points_within("scatter", limit * 2**20)
 
 
 def test_rates_are_those_of_a_stage_whose_kinds_handle_the_same_points(

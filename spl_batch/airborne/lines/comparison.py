@@ -23,14 +23,13 @@ from spl_batch.airborne.lines.patches import (
     seen_lines,
 )
 from spl_batch.airborne.lines.sentences import stay_findings
-from spl_batch.airborne.store.flown_lines import SHIFTS, FlownLine, FlownLines, read_shifts
-from spl_batch.airborne.store.label_tables import label_units, read_region, tile_cells
+from spl_batch.airborne.store.cells import Cell
+from spl_batch.airborne.store.flown_lines import NEEDED, SHIFTS, FlownLine, FlownLines, read_shifts
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
-from spl_batch.lattice.eastings import once, strips_between
 from spl_batch.lattice.tables import EXCLUDED, PointTable
-from spl_batch.lattice.tiles import Bounds, quanta
+from spl_batch.lattice.tiles import quanta
 
 MAP_CELLS = 500
 """Cells of the map of differences along its longer side, at most [count]."""
@@ -47,20 +46,12 @@ class _Cell(NamedTuple):
 
 def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
     """Find planar patches of a ground cell that flightlines share."""
-    core = Bounds(*args["core"])
-    noise, tiles = label_units(args["noise"]), tile_cells(args["tiles"])
-    parts = strips_between(region(core), args.get("cuts", {}).get("patches", ()))
-
-    def read(part: Bounds) -> PointTable:
-        columns = (*COLUMNS_NEEDED, "flags")
-        table, _ = read_region(
-            context.store, tiles, part, columns, {"noise_class": noise}, ordered=False, keep=_signal
-        )
-        return table.select(COLUMNS_NEEDED)
-
-    points, lines = once(parts, read), FlownLines([FlownLine(*one) for one in args["lines"]])
-    seen = seen_lines(map(points, parts), lines)
-    found, overlaps = find_patches(map(points, parts), lines, seen, core)
+    cell = Cell.of(args, context)
+    table, _ = cell.read(region(cell.core), (*COLUMNS_NEEDED, "noise_class", "flags"), _signal)
+    lines = FlownLines([FlownLine(*one) for one in args["lines"]])
+    number = lines.numbers(*(table[name] for name in NEEDED))
+    seen = seen_lines(number, lines.count)
+    found, overlaps = find_patches(table, number, seen, cell.core)
     of_lines = {
         "names": np.array([lines.line(k).name for k in seen.numbers.tolist()], np.str_),
         "line_returns": seen.returns,

@@ -45,7 +45,7 @@ def catalogue(survey: Survey) -> Iterator[Task]:
         "flightlines": list(_flightlines(survey, clouds)),
         "blocks": [
             [unit.name, list(unit.core), unit.name in survey.of("denoise")]
-            for unit in survey.blocks()
+            for unit in survey.denoise_cells()
         ],
         "tiles": {str(tile): count for tile, count in sorted(survey.counts.items())},
         "tile_q": survey.tile_q,

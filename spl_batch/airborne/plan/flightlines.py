@@ -74,17 +74,11 @@ def points_of_a_shot(workflow: Workflow) -> int:
     return workflow.sensor.beamlets * 8 if workflow.survey.channel_dimension else 64
 
 
-def find_flightlines(
-    receipts: Mapping[str, Receipt], workflow: Workflow, stretch_points: int = STRETCH_POINTS
-) -> list[Flightline]:
+def find_flightlines(receipts: Mapping[str, Receipt], workflow: Workflow) -> list[Flightline]:
     """Flightlines of a survey, by name.
 
-    Parameters
-    ----------
-    stretch_points : int
-        Points that a stretch should hold on average [count]; none holds more than
-        :data:`~spl_batch.airborne.plan.task_memory.UNEVEN` times as many, however unevenly they lie
-        in time.
+    A stretch holds :data:`~spl_batch.airborne.plan.task_memory.STRETCH_POINTS` on average, and
+    none more than :data:`~spl_batch.airborne.plan.task_memory.UNEVEN` times as many.
     """
     spans: dict[int, list[tuple[float, float, int, str]]] = {}
     for key, receipt in sorted(receipts.items()):
@@ -95,7 +89,7 @@ def find_flightlines(
     lines: list[Flightline] = []
     for psid, listed in sorted(spans.items()):
         lines.extend(
-            _flightline(psid, lift, receipts, workflow, stretch_points)
+            _flightline(psid, lift, receipts, workflow)
             for lift in _lifts(sorted(listed), workflow.survey.gap_s)
         )
     return lines
@@ -120,7 +114,6 @@ def _flightline(
     lift: list[tuple[float, float, int, str]],
     receipts: Mapping[str, Receipt],
     workflow: Workflow,
-    stretch_points: int,
 ) -> Flightline:
     first, last = lift[0][0], max(span[1] for span in lift)
     points = sum(span[2] for span in lift)
@@ -128,13 +121,13 @@ def _flightline(
     clock = ShotClock(float(math.floor(first)), prf)
     shots = max(round((last - first) * prf), 1)
     interval = workflow.noise.interval_shots
-    wanted = shots * stretch_points / points / interval
+    wanted = shots * STRETCH_POINTS / points / interval
     stretch = interval * 2 ** max(math.floor(math.log2(max(wanted, 1.0))), 0)
     rates = [(a, b, receipts[key].facts["fullest"][str(psid)]) for a, b, _, key in lift]
     start, end = clock.shot(np.array([first, last])).tolist()
     while stretch > interval and start // (stretch // 2) == end // (stretch // 2):
         stretch //= 2  # one that holds all of it is the same, however much memory there is
-    while stretch > interval and fullest_span(rates, stretch / prf) > UNEVEN * stretch_points:
+    while stretch > interval and fullest_span(rates, stretch / prf) > UNEVEN * STRETCH_POINTS:
         stretch //= 2
     return Flightline(
         f"{psid:05d}_{math.floor(first)}",

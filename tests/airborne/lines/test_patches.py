@@ -144,22 +144,6 @@ def test_of_many_flightlines_those_with_most_returns_are_compared() -> None:
     assert len(find_patches([many], lines, seen, CORE)[0]["rise"])
 
 
-def test_a_cell_in_parts_has_the_same_patches() -> None:
-    points = two_strips(Shift(0.1, 0.0, 0.03), per_m2=1.0)
-    timeless = np.arange(len(points)) % 50 == 0
-    points = points.with_columns(gps_time=np.where(timeless, np.nan, points["gps_time"]))
-    west, east = np.quantile(points["x"], [0.2, 0.7])
-    cuts = np.searchsorted([west, east], points["x"], side="right")
-    parts = [points.take(cuts == k) for k in range(3)]
-    assert min(map(len, parts)) > 0
-    seen = [seen_lines(some, LINES) for some in ([points], parts)]
-    assert [LINES.line(k).name for k in seen[0].numbers] == ["one", "two", "00001", "00002"]
-    assert all(np.array_equal(*pair) for pair in zip(*seen, strict=True))
-    found = find_patches(parts, LINES, seen[1], CORE)[0]
-    assert len(found["rise"])
-    assert _same(found, found_in(points))
-
-
 @settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 3))
 def test_the_order_of_points_does_not_count(seed: int, quarter: int) -> None:

@@ -100,6 +100,7 @@ LINES = FlownLines([FlownLine("one", 1, 1000.0, 1001.0), FlownLine("two", 2, 200
 
 def patches_between(points: PointTable, core: Bounds = CORE) -> tuple[list[str], Patches]:
     """Names of the two flightlines, and their patches."""
-    seen = seen_lines([points], LINES)
-    names = [LINES.line(number).name for number in seen.numbers.tolist()]
-    return names, find_patches([points], LINES, seen, core)[0]
+    number = numbers_of(points)
+    seen = seen_lines(number, LINES.count)
+    names = [LINES.line(k).name for k in seen.numbers.tolist()]
+    return names, find_patches(points, number, seen, core)[0]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import rasterio
 from numpy.typing import NDArray
+from spl_batch.airborne.plan.block_size import blocks, choose_sizes, layout_of
 
 from spl_batch import api
-from spl_batch.airborne.plan.block_size import blocks, choose_sizes, layout_of
 from spl_batch.airborne.plan.inputs.file_positions import far_positions
 from spl_batch.airborne.plan.inputs.point_boxes import point_boxes
 from spl_batch.airborne.plan.inputs.survey_inputs import Source

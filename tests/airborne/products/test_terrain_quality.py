@@ -5,7 +5,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.airborne.products.terrain_quality import (
     AROUND,
     RINGS,
@@ -208,11 +207,3 @@ def test_where_no_ring_holds_enough_the_nearest_place_counts_whatever_else_is_in
     whole, east = terrain_sigma(means, 1.0), terrain_sigma(means[:, 100:], 1.0)
     assert np.allclose(whole[:, 142:], east[:, 42:])
     assert whole[20, 145] < 0.1 < whole[20, 70]
-
-
-def test_a_raster_of_quality_is_no_further_piece_of_the_terrain() -> None:
-    assert is_piece("dtm", "dtm")
-    assert is_piece("dtm_12", "dtm")
-    assert not is_piece("dtm_quality", "dtm")
-    assert is_piece("dtm_quality_2", "dtm_quality")
-    assert not is_piece("dtmx_2", "dtm")

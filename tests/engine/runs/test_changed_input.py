@@ -12,7 +12,6 @@ import shapely
 import shapely.geometry
 
 from spl_batch import api
-from spl_batch.airborne.plan import block_size
 from spl_batch.airborne.tasks import index
 from spl_batch.engine.tasks.input_changes import unchanged
 from spl_batch.engine.watch.events import Event, PhaseStarted, RunStarted, TaskEnded
@@ -155,35 +154,6 @@ def test_one_more_flightline_redoes_the_tiles_that_it_touches(survey: Path) -> N
     output = survey.parent / "out"
     assert counting(survey)["surface"] == first["surface"], "and back"
     assert surveys.results(output) == clean(survey)
-
-
-def test_blocks_stay_as_they_are_when_the_survey_grows(
-    survey: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(block_size, "FEW_TILES", 0)
-    monkeypatch.setattr(block_size, "BLOCKS_PER_WORKER", 8)
-    settings = ("tiling.tile_m=50", "filter.method=none", "afterpulse.enabled=false")
-    output, size = survey.parent / "out", "store/blocks.json"
-    done: list[str] = []
-
-    def listen(event: Event) -> None:
-        if isinstance(event, TaskEnded) and event.kind == "denoise":
-            done.append(event.name)
-
-    def run(**options: Any) -> None:
-        done.clear()
-        api.run(survey, workers=0, until="denoise", overrides=settings, listener=listen, **options)
-
-    run()
-    first, before = set(done), (output / size).read_bytes()
-    for number in (3, 4, 5):
-        line(survey.parent, number, east_m=FAR_M * number)
-    run()
-    assert done
-    assert not first & set(done), "nothing is done again"
-    assert (output / size).read_bytes() == before
-    run(fresh=True)
-    assert (output / size).read_bytes() != before, "a survey of this size has larger blocks"
 
 
 def test_polygons_are_known_by_their_content(survey: Path) -> None:
