@@ -24,15 +24,14 @@ def lines_by_square(first: NDArray[np.int64], line: NDArray[np.int64]) -> NDArra
     first : (n, 2) int64
         First signal returns of pulses, in any order [quanta].
     line : (n,) int64
-        Flightline of each; -1 where none is known.
+        Flightline of each.
 
     Returns
     -------
     (2, k) int64
         Number of a square, and flightline; each pair once.
     """
-    known = line >= 0
-    return np.unique(np.stack([_square(*first[known].T), line[known]]), axis=1)
+    return np.unique(np.stack([_square(*first.T), line]), axis=1)
 
 
 def overlapping(

@@ -24,7 +24,7 @@ from spl_batch.airborne.lines.patches import (
 )
 from spl_batch.airborne.lines.sentences import stay_findings
 from spl_batch.airborne.store.cells import Cell
-from spl_batch.airborne.store.flown_lines import NEEDED, SHIFTS, FlownLine, FlownLines, read_shifts
+from spl_batch.airborne.store.flown_lines import SHIFTS, Pass, Shifts, read_shifts
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
@@ -48,12 +48,12 @@ def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
     """Find planar patches of a ground cell that flightlines share."""
     cell = Cell.of(args, context)
     table, _ = cell.read(region(cell.core), (*COLUMNS_NEEDED, "noise_class", "flags"), _signal)
-    lines = FlownLines([FlownLine(*one) for one in args["lines"]])
-    number = lines.numbers(*(table[name] for name in NEEDED))
-    seen = seen_lines(number, lines.count)
-    found, overlaps = find_patches(table, number, seen, cell.core)
+    names = {one.number: one.name for one in (Pass(*fields) for fields in args["lines"])}
+    seen = seen_lines(table["line"])
+    found, overlaps = find_patches(table, seen, cell.core)
     of_lines = {
-        "names": np.array([lines.line(k).name for k in seen.numbers.tolist()], np.str_),
+        # points without times have no flightline but that of their id
+        "names": np.array([names.get(k, f"{k:05d}") for k in seen.numbers.tolist()], np.str_),
         "line_returns": seen.returns,
         "overlaps": np.array(sorted(overlaps), np.int64).reshape(-1, 2),
     }
@@ -70,15 +70,15 @@ def _signal(table: PointTable) -> NDArray[np.bool_]:
 
 def align(args: Mapping[str, Any], context: Context) -> Produced:
     """Find by how much each flightline is shifted, and leave it for all who read its points."""
-    flown = {one.name: one for one in (FlownLine(*fields) for fields in args["lines"])}
+    flown = {one.name: one for one in (Pass(*fields) for fields in args["lines"])}
     cells = [_read_cell(name, context) for name in args["cells"]]
     for name in {name for cell in cells for name in cell.names} - flown.keys():
-        flown[name] = FlownLine(name, int(name), -np.inf, np.inf)  # of points without times
+        flown[name] = Pass(int(name), name, int(name), -np.inf, np.inf)  # without times
     pairs = pair_table((cell.names, cell.patches) for cell in cells)
     shifts = align_lines([*flown], pairs, _returns(cells))
-    lines = [flown[one.name]._replace(up_q=quanta(one.up_m)) for one in shifts]
+    up_q = np.array([quanta(one.up_m) for one in shifts], np.int32)
     path = context.store.path(*SHIFTS)
-    write_arrays(path, FlownLines(lines).to_arrays())
+    write_arrays(path, Shifts([flown[one.name] for one in shifts], up_q).to_arrays())
     facts = {
         "name": "survey.align",
         "shifts": [list(one) for one in shifts],
@@ -113,9 +113,9 @@ def _read_cell(name: str, context: Context) -> _Cell:
     return _Cell(names, returns, overlaps, arrays)
 
 
-def _shifted(cell: _Cell, lines: FlownLines) -> _Cell:
+def _shifted(cell: _Cell, lines: Shifts) -> _Cell:
     """A ground cell whose flightlines have got their shifts."""
-    up = np.array([lines.up_of(name) for name in cell.names]) * QUANTUM_M
+    up = np.array([lines.of_name(name) for name in cell.names]) * QUANTUM_M
     patches = cell.patches
     rise = patches["rise"] + up[patches["second"]] - up[patches["first"]]
     return cell._replace(patches={**patches, "rise": rise})

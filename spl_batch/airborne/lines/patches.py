@@ -16,13 +16,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.store.flown_lines import NEEDED
 from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
 from spl_batch.numerics.compiled import njit
 
-COLUMNS_NEEDED: Final = ("x", "y", "z", *NEEDED)
+COLUMNS_NEEDED: Final = ("x", "y", "z", "line")
 """Columns of the points that patches are made of."""
 
 EDGE_M: Final = 5.0
@@ -68,40 +67,29 @@ Patches = dict[str, NDArray[Any]]
 class Seen(NamedTuple):
     """Flightlines of a region."""
 
-    #: (s,): numbers of those that are compared, rising; see
-    #: :class:`~spl_batch.airborne.store.flown_lines.FlownLines`.
+    #: (s,): numbers of those that are compared, rising.
     numbers: NDArray[np.intp]
     returns: NDArray[np.int64]  #: (s,): points of each [count].
     left_out: int  #: Flightlines that could have patches, beyond :data:`MOST_LINES` [count].
 
 
-def seen_lines(number: NDArray[np.int32], count: int) -> Seen:
-    """Flightlines that have points enough for patches.
-
-    Parameters
-    ----------
-    number : (n,) int32
-        Flightline of each point.
-    count : int
-        How many numbers there are.
-    """
-    returns = np.bincount(number, minlength=count)
+def seen_lines(line: NDArray[np.uint16]) -> Seen:
+    """Flightlines that have points enough for patches; ``line``: (n,), of each point."""
+    returns = np.bincount(line)
     able = np.flatnonzero(returns >= MIN_RETURNS_PER_PATCH)
     most = np.sort(able[np.argsort(-returns[able], kind="stable")[:MOST_LINES]])
     return Seen(most, returns[most], len(able) - len(most))
 
 
 def find_patches(
-    table: PointTable, number: NDArray[np.int32], seen: Seen, core: Bounds
+    table: PointTable, seen: Seen, core: Bounds
 ) -> tuple[Patches, set[tuple[int, int]]]:
     """Patches of a ground cell that two flightlines share.
 
     Parameters
     ----------
     table : PointTable
-        Signal returns with ``x, y, z`` of :func:`region`.
-    number : (n,) int32
-        Flightline of each.
+        Signal returns with :data:`COLUMNS_NEEDED` of :func:`region`.
     seen : Seen
         Those that are compared, by :func:`seen_lines`.
     core : Bounds
@@ -124,11 +112,11 @@ def find_patches(
     columns, rows = (whole.xmax - whole.xmin) // edge, (whole.ymax - whole.ymin) // edge
     if count < 2 or not rows or not columns:
         return _joined([]), set()
-    place = np.full(int(number.max()) + 1, -1, np.int16)
+    place = np.full(int(table["line"].max()) + 1, -1, np.int16)
     place[seen.numbers] = np.arange(count)
     corner = np.array([whole.xmin, whole.ymin, table["z"].min()], np.int64)
     moments = np.zeros((count, rows, columns, 10), np.int64)
-    line = place[number]
+    line = place[table["line"]]
     mine = line >= 0
     x, y, z = (np.ascontiguousarray(table[axis][mine], np.int64) for axis in "xyz")
     add_moments(x, y, z, line[mine], corner, edge, joined, moments)

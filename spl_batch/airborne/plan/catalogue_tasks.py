@@ -108,6 +108,7 @@ def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[
             yield {
                 "id": line.name,
                 "psid": line.psid,
+                "number": line.number,
                 "points": line.points,
                 "first_s": line.first_s,
                 "last_s": line.last_s,

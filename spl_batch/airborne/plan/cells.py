@@ -30,9 +30,6 @@ from spl_batch.lattice.tiles import (
 MOST_TILES: Final = 8
 """Tiles along one side of a cell of ``denoise``, at most [count]: wider ones read hardly less."""
 
-CELLS_PER_WORKER: Final = 2
-"""Cells of ``denoise`` for each worker, at least, as far as there are tiles [count]."""
-
 
 class Unit(NamedTuple):
     """A cell that owns points."""
@@ -50,24 +47,24 @@ def tiles_along(
 ) -> int:
     """Tiles along one side of the cells of ``denoise``.
 
-    As many as fit with their margin into a worker, even where the survey is densest.
+    As many as fit with their margin into a worker, even where the survey is densest, while no cell
+    reads more than a worker's share of all points.
 
     Parameters
     ----------
     pieces : sequence of Piece
         Where the points lie.
     memory_bytes, workers : int
-        Memory limit of a worker [byte], and how many there are: each gets
-        :data:`CELLS_PER_WORKER`.
+        Memory limit of a worker [byte], and how many there are.
     """
     if workflow.tiling.block_tiles is not None:
         return workflow.tiling.block_tiles
     tile_q, margin = quanta(workflow.tiling.tile_m), quanta(halo_m(workflow))
+    points = math.fsum(float(piece.points.sum()) for piece in pieces) * (1.0 + 1e-9)
     for side in range(MOST_TILES, 1, -1):
         peak = largest(piece.peak(side * tile_q, margin) for piece in pieces)
-        cells = sum(piece.units(side * tile_q) for piece in pieces)
         fits = task_bytes("denoise", peak.points) <= usable_bytes(memory_bytes)
-        if fits and cells >= CELLS_PER_WORKER * workers:
+        if fits and peak.points * workers <= points:
             return side
     return 1
 

@@ -117,10 +117,6 @@ def surface(survey: Survey) -> Iterator[Task]:
     halo = quanta(surface_reach_m(survey.workflow))
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
     moved, first = aligned(survey)
-    # Only the map of swaths and the flag of overlap ask which flightline a return belongs to.
-    asked = survey.workflow.products.maps or survey.workflow.classes.overlap
-    lines = survey.flown if asked else []
-    passes = [[line.psid, line.first_s, line.last_s] for line in lines]
     for cell in survey.ground_cells(halo):
         noise, ground_of = survey.denoised_in(cell.tiles), survey.grounded_in(cell.tiles)
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
@@ -132,7 +128,6 @@ def surface(survey: Survey) -> Iterator[Task]:
             "ground": named_units("ground", ground_of),
             "polygons": [*survey.inputs.polygons, *survey.inputs.breaklines],
             "fired": parts,
-            "passes": passes,
         }
         labels = (*label_needs("denoise", noise), *label_needs("ground", ground_of))
         needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()), *first)

@@ -85,4 +85,4 @@ def _has_timeless(survey: Survey) -> bool:
 
 def _lines(survey: Survey) -> list[list[object]]:
     """Flightlines with times."""
-    return [[line.name, line.psid, line.first_s, line.last_s] for line in survey.flown]
+    return [[*line.as_pass] for line in survey.flown]

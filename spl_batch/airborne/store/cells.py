@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.store.flown_lines import FlownLines, read_shifts
+from spl_batch.airborne.store.flown_lines import Shifts, read_shifts
 from spl_batch.airborne.store.label_tables import Origin, label_units, read_region, tile_cells
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, inside
@@ -25,7 +25,7 @@ class Cell(NamedTuple):
     args: Mapping[str, Any]
     context: Context
     core: Bounds
-    shifts: FlownLines | None  #: Shifts of its flightlines.
+    shifts: Shifts | None  #: Shifts of its flightlines.
     held: tuple[PointTable, Origin] | None = None  #: Points at hand, and where they lie.
 
     @classmethod

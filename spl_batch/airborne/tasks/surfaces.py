@@ -86,7 +86,7 @@ def _reflectance(cell: Cell) -> Rasters:
     for name in cell.args["fired"]:
         part = FiredPart.from_arrays(read_arrays(store.path("fired", f"{name}.npz")))
         if cell.shifts is not None:
-            part = part.raised(cell.shifts.up_of(name.rpartition("/")[0]))
+            part = part.raised(cell.shifts.of_name(name.rpartition("/")[0]))
         fired.append(part)
     return {"intensity": reflectance.raster(table, fired, cell.core, products)}
 
@@ -111,7 +111,7 @@ def _pulses(cell: Cell) -> pulses.Pulses:
     columns = (*pulses.COLUMNS, "flags", "noise_class")
     table = cell.read(grow(cell.core, near), columns, pulses.usable)[0].select(pulses.COLUMNS)
     returns = pulses.returns_of(table, pulse_ends(table))
-    return pulses.Pulses(returns, cell.core, cell.args["passes"], cell.context)
+    return pulses.Pulses(returns, cell.core, cell.context)
 
 
 def _flatten(arrays: Rasters, core: Bounds, context: Context) -> Banks | None:

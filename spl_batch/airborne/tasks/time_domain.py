@@ -21,6 +21,7 @@ from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import DccSettings
+from spl_batch.airborne.store.flown_lines import Pass, line_of
 from spl_batch.airborne.store.voxel_parts import write_voxels
 from spl_batch.airborne.tasks import lines_of_sight
 from spl_batch.airborne.tasks.index import CHUNK_POINTS
@@ -55,7 +56,7 @@ from spl_batch.lattice.tiles import cell_index, quanta
 GROUP_POINTS = 16_384
 """Points of a row group of a tile [count]: a halo is read from few."""
 
-ALIKE = (*CANONICAL_ORDER[:-2], "point_source_id", "intensity")
+ALIKE = (*CANONICAL_ORDER[:-2], "line", "intensity")
 """Sort keys of a tile, first one first. Points alike in all of them are copies, and where they have
 times those alike in all but intensity, which a later delivery may scale."""
 
@@ -135,16 +136,19 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     if args["timeless"]:
         path = context.store.path("stretches", f"{args['stretch']}.parquet")
         table, copies = read_table(path, SOURCE_COLUMNS), None
+        passes = [Pass(*one) for one in args["passes"]]
+        line = line_of(table["point_source_id"], table["gps_time"], passes)
     else:
         table, copies = read_stretch(
             args, context, (*_POINT_COLUMNS, *lines_of_sight.columns(args))
         )
+        line = np.full(len(table), args["number"], np.uint16)
     outputs: list[Path] = []
     facts: dict[str, Any] = {"tiles": {}}
     zeros = np.zeros(len(table), np.float32)
     table = table.with_columns(
         line_density=zeros, afterpulse=zeros, afterpulse_rate=zeros, afterpulse_share=zeros,
-        range_sigma=zeros,
+        range_sigma=zeros, line=line,
     )  # fmt: skip
     if len(table) and not args["timeless"]:
         table, parts = _assess(table, args, context, facts)

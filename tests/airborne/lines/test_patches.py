@@ -30,6 +30,7 @@ from tests.airborne.lines.two_strips import (
     LINES,
     Shift,
     ground,
+    numbers_of,
     patches_between,
     table,
     two_strips,
@@ -111,7 +112,9 @@ def test_flightlines_that_overlap_without_patches_are_known() -> None:
     apart = two_strips(Shift())
     apart = apart.take((apart["point_source_id"] == 1) ^ (apart["x"] > np.median(apart["x"])))
     for points, met in ((crowns, {(0, 1)}), (apart, set())):
-        found, overlaps = find_patches([points], LINES, seen_lines([points], LINES), CORE)
+        found, overlaps = find_patches(
+            points, numbers_of(points), seen_lines(numbers_of(points), LINES.count), CORE
+        )
         assert not len(found["rise"])
         assert overlaps == met
 
@@ -136,12 +139,13 @@ def test_of_many_flightlines_those_with_most_returns_are_compared() -> None:
     sizes = [2.0, 2.0, *[0.5] * MOST_LINES]
     many = table([ground(k + 1, Shift(), per_m2=d, edge_m=20) for k, d in enumerate(sizes)])
     lines = FlownLines([])  # each is what has its point source id
-    seen = seen_lines([many], lines)
+    number = lines.numbers(many["point_source_id"], many["gps_time"])
+    seen = seen_lines(number, lines.count)
     assert seen.left_out == 2
     assert [lines.line(k).psid for k in seen.numbers[:2].tolist()] == [1, 2]
     assert len(seen.numbers) == MOST_LINES
     assert seen.returns.min() == 200
-    assert len(find_patches([many], lines, seen, CORE)[0]["rise"])
+    assert len(find_patches(many, number, seen, CORE)[0]["rise"])
 
 
 @settings(max_examples=15)

@@ -98,6 +98,11 @@ def two_strips(
 LINES = FlownLines([FlownLine("one", 1, 1000.0, 1001.0), FlownLine("two", 2, 2000.0, 2001.0)])
 
 
+def numbers_of(points: PointTable) -> NDArray[np.int32]:
+    """Flightline of each point."""
+    return LINES.numbers(points["point_source_id"], points["gps_time"])
+
+
 def patches_between(points: PointTable, core: Bounds = CORE) -> tuple[list[str], Patches]:
     """Names of the two flightlines, and their patches."""
     number = numbers_of(points)

@@ -1,6 +1,6 @@
 """What the returns of a ground cell cover, how densely and evenly; added up for the report."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -13,11 +13,11 @@ from spl_batch.airborne.products.footprint import SQUARE_Q, Covered, Within, ref
 from spl_batch.airborne.products.surface_rasters import margin_cells
 from spl_batch.airborne.pulses.level_places import places_in
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, EmptySquares, not_flown, reach_q
-from spl_batch.airborne.pulses.pulse_maps import PulseMaps, flightline_of
+from spl_batch.airborne.pulses.pulse_maps import PulseMaps
 from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, Ends
 from spl_batch.airborne.pulses.smooth_surfaces import Sums, smooth_sums
 from spl_batch.airborne.pulses.square_kernels import count_squares
-from spl_batch.airborne.pulses.swath_coverage import Swaths, at_places, pass_of
+from spl_batch.airborne.pulses.swath_coverage import Swaths, at_places
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.formats.polygons import contains, read_polygons
@@ -58,7 +58,7 @@ flown squares, no water."""
 OUTLINES: Final = "swath_outlines"
 """Fact of a ground cell: where each swath lies in it."""
 
-COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id")
+COLUMNS: Final = (*COLUMNS_NEEDED, "line")
 """What is looked at, and ``noise_class, flags``."""
 
 
@@ -98,8 +98,7 @@ class PulseReturns(NamedTuple):
 
     first: NDArray[np.int64]  #: (n, 3): where the first ones are [quanta].
     last: NDArray[np.int64]  #: (n, 2): where the last ones are [quanta].
-    time_s: NDArray[np.float64]  #: (n,): times of the first ones [s].
-    point_source_id: NDArray[np.uint16]  #: (n,): theirs.
+    line: NDArray[np.int64]  #: (n,): flightlines of the first ones.
 
 
 def usable(table: PointTable) -> NDArray[np.bool_]:
@@ -137,8 +136,7 @@ def returns_of(table: PointTable, ends: Ends) -> PulseReturns:
     first, last = ends
     xyz = np.column_stack([table[axis][first] for axis in "xyz"]).astype(np.int64)
     xy = np.column_stack([table[axis][last] for axis in "xy"])
-    of_first = (table[name][first] for name in ("gps_time", "point_source_id"))
-    return PulseReturns(xyz, xy, *of_first)
+    return PulseReturns(xyz, xy, table["line"][first].astype(np.int64))
 
 
 class Judged(NamedTuple):
@@ -157,8 +155,6 @@ class Pulses:
         First and last returns in the cell and :func:`reach` around it.
     core : Bounds
         The cell [quanta].
-    passes : sequence of (int, float, float)
-        Point source id, first and last time of each flightline [s].
     context : Context
         The run.
     """
@@ -167,7 +163,6 @@ class Pulses:
         self,
         returns: PulseReturns,
         core: Bounds,
-        passes: Sequence[tuple[int, float, float]],
         context: Context,
     ) -> None:
         self._core, self._context = core, context
@@ -180,21 +175,17 @@ class Pulses:
         self._count = np.zeros(self._signal.squares().shape, np.int64)
         west, south = self._region.xmin // SQUARE_Q, self._region.ymin // SQUARE_Q
         count_squares(x, y, west, south, SQUARE_Q, self._count)
-        number = pass_of(returns.time_s, returns.point_source_id)
         self._swaths = Swaths(core, reach(workflow.products))
-        self._swaths.add(x, y, number)
-        places = places_in(returns.first, number, core)
+        self._swaths.add(x, y, returns.line)
+        places = places_in(returns.first, returns.line, core)
         self._smooth = {} if places is None else smooth_sums(places)
         self._maps: PulseMaps | None = None
         self.lines: NDArray[np.int64] | None = None  #: Flightlines by square, for overlap.
-        if not workflow.products.maps and not workflow.classes.overlap:
-            return
-        line = flightline_of(returns.point_source_id, returns.time_s, passes)
         if workflow.products.maps:
             self._maps = PulseMaps(core, quanta(workflow.products.cell_m))
-            self._maps.add(returns.first[:, :2], returns.last, line)
+            self._maps.add(returns.first[:, :2], returns.last, returns.line)
         if workflow.classes.overlap:
-            self.lines = lines_by_square(returns.first[:, :2], line)
+            self.lines = lines_by_square(returns.first[:, :2], returns.line)
 
     def judged(self, squares: NDArray[np.bool_]) -> Judged:
         """Which of the cell's squares count.
