@@ -30,7 +30,7 @@ from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.formats.files import atomic
 from spl_batch.lattice.density import from_counts
-from spl_batch.lattice.tiles import CellId, cell_bounds, parse_cell
+from spl_batch.lattice.tiles import CellId
 
 WORKFLOW = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "w")
 NAMES = ("a", "b", "c", "heavy")
@@ -212,10 +212,9 @@ def test_only_the_unit_that_cannot_fit_is_refused() -> None:
     known.of("index_file").put(receipt("index_file", "1", bounds=bounds, **none))
     for name, points in (
         ("0_0", 1000),
-        ("50_50", full // task_memory.BYTES_PER_POINT["ground"] * 60),
+        ("50_50", full // STEPS["ground"].bytes_per_point * 60),
     ):
-        slab = [*cell_bounds(parse_cell(name), known.tile_q), points]
-        tile = {"points": points, "slabs": [slab], "sources": [], "outside_aoi": 0, "no_beam": 0}
+        tile = {"points": points, "sources": [], "outside_aoi": 0, "no_beam": 0}
         known.of("build_tile").put(receipt("build_tile", name, **tile))
     for kind in ("denoise", "ground", "surface"):
         refused = {task.name: task.refused for task in STEPS[kind].planned(known)}

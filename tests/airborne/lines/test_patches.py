@@ -22,15 +22,12 @@ from spl_batch.airborne.lines.patches import (
     region,
     seen_lines,
 )
-from spl_batch.airborne.store.flown_lines import FlownLines
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 from tests.airborne.lines.two_strips import (
     CORE,
-    LINES,
     Shift,
     ground,
-    numbers_of,
     patches_between,
     table,
     two_strips,
@@ -92,7 +89,7 @@ def test_patches_are_what_least_squares_over_their_points_gives() -> None:
         middle = np.array([patches["x"][k], patches["y"][k]])
         inside = ((xyz[:, :2] >= middle - half) & (xyz[:, :2] < middle + half)).all(axis=1)
         near = xyz - [*middle, 0]
-        sides = [near[inside & (points["point_source_id"] == psid)] for psid in (1, 2)]
+        sides = [near[inside & (points["line"] == psid)] for psid in (1, 2)]
         for name, value in oracle(*sides).items():
             assert patches[name][k] == pytest.approx(value, rel=1e-5, abs=1e-9), name
         assert min(map(len, sides)) >= MIN_RETURNS_PER_PATCH
@@ -110,11 +107,9 @@ def test_flightlines_that_overlap_without_patches_are_known() -> None:
     rng = np.random.default_rng(3)
     crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
     apart = two_strips(Shift())
-    apart = apart.take((apart["point_source_id"] == 1) ^ (apart["x"] > np.median(apart["x"])))
+    apart = apart.take((apart["line"] == 1) ^ (apart["x"] > np.median(apart["x"])))
     for points, met in ((crowns, {(0, 1)}), (apart, set())):
-        found, overlaps = find_patches(
-            points, numbers_of(points), seen_lines(numbers_of(points), LINES.count), CORE
-        )
+        found, overlaps = find_patches(points, seen_lines(points["line"]), CORE)
         assert not len(found["rise"])
         assert overlaps == met
 
@@ -124,7 +119,7 @@ def test_crowns_and_lone_flightlines_have_no_patches() -> None:
     crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
     assert not len(found_in(crowns)["rise"])
     whole = two_strips(Shift())
-    alone = whole.take(whole["point_source_id"] == 1)
+    alone = whole.take(whole["line"] == 1)
     assert not len(found_in(alone)["rise"])
     assert not len(found_in(whole.take(slice(0, 0)))["rise"])
 
@@ -138,14 +133,12 @@ def test_a_pair_that_shares_much_is_thinned_and_keeps_its_slopes() -> None:
 def test_of_many_flightlines_those_with_most_returns_are_compared() -> None:
     sizes = [2.0, 2.0, *[0.5] * MOST_LINES]
     many = table([ground(k + 1, Shift(), per_m2=d, edge_m=20) for k, d in enumerate(sizes)])
-    lines = FlownLines([])  # each is what has its point source id
-    number = lines.numbers(many["point_source_id"], many["gps_time"])
-    seen = seen_lines(number, lines.count)
+    seen = seen_lines(many["line"])
     assert seen.left_out == 2
-    assert [lines.line(k).psid for k in seen.numbers[:2].tolist()] == [1, 2]
+    assert seen.numbers[:2].tolist() == [1, 2]
     assert len(seen.numbers) == MOST_LINES
     assert seen.returns.min() == 200
-    assert len(find_patches(many, number, seen, CORE)[0]["rise"])
+    assert len(find_patches(many, seen, CORE)[0]["rise"])
 
 
 @settings(max_examples=15)
@@ -199,5 +192,5 @@ def _same(one: Mapping[str, NDArray[Any]], other: Mapping[str, NDArray[Any]]) ->
 
 def test_the_scene_is_what_its_shift_says() -> None:
     points = table([ground(1, Shift()), ground(2, Shift(0, 0, 5.0))])
-    height = [points["z"][points["point_source_id"] == psid].mean() for psid in (1, 2)]
+    height = [points["z"][points["line"] == psid].mean() for psid in (1, 2)]
     assert height[1] - height[0] == pytest.approx(5000, abs=100)
