@@ -17,7 +17,6 @@
     store/fired/LINE/K.npz             where a stretch's beamlets pointed, silent ones too
     store/scatter/LINE/K.parquet       the stretch's points, a row group for each tile
     store/tiles/I_J.parquet            points of a tile, in canonical order
-    store/blocks.json                  sizes of denoise blocks and stretches, as chosen
     store/{noise,ground,classes}/      labels by work unit, a row group for each tile
     store/rasters_G_P.zarr             raster cells, for edges of ground and raster cells
     store/reference/FILE/I_J.parquet   reference points of a square and around it
