@@ -181,7 +181,6 @@ def test_the_report_can_be_written_again(small_lines: Path, tmp_path: Path) -> N
     (surveys.run(workflow).output / "report.html").unlink()
     output = surveys.run(workflow).output
     before = json.loads((output / "report.json").read_text())
-    assert 0 < before["performance"]["earlier_wall_s"] < before["performance"]["wall_s"]
     for name in ("report.json", "report.html"):
         (output / name).unlink()
     api.report(output)

@@ -1,11 +1,15 @@
-"""Rows of the sources' tables are what they claim to be; no run is needed to tell."""
+"""Rows of the sources' page are what they claim to be, and the page is that of its figures."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
-from benchmarks.airborne.published.methods import (
+from benchmarks.geiger.coincidence import known_scene
+from benchmarks.geiger.water import water_surface
+from benchmarks.sources import coincidence, page, tank, tracks
+from benchmarks.sources.__main__ import GROUPS
+from benchmarks.sources.methods import (
     AS_W17,
     BY_PLANE,
     Method,
@@ -14,10 +18,11 @@ from benchmarks.airborne.published.methods import (
     known_methods,
     unmet,
 )
-from benchmarks.airborne.published.table_surfaces import roof_methods
-from benchmarks.airborne.published.table_terrain import terrain_methods
-from benchmarks.airborne.published.twins import houston_deep
+from benchmarks.sources.surfaces import roof_methods
+from benchmarks.sources.terrain import terrain_methods
+from benchmarks.sources.twins import TWINS
 from spl_batch.airborne.settings.workflow import load_workflow
+from spl_batch.geiger.coincidence.settings import CoincidenceSettings
 
 ROWS: Mapping[str, Method] = {
     f"{table}: {name}": method
@@ -79,5 +84,36 @@ def test_what_does_not_act_is_not_effective(
     assert unmet(workflow, overrides, {}) == {idle: None}
 
 
-def test_lags_of_the_deep_twin_reach_as_far_as_the_terrain_is_off() -> None:
-    assert houston_deep(1).detector.afterpulse_lag_max_m == 5.0
+def test_twins_are_what_the_page_says_of_them() -> None:
+    assert TWINS["houston deep"](1).detector.afterpulse_lag_max_m == 5.0
+    for name in ("easton", "lufkin", "canopy"):
+        assert TWINS[name](1).detector.afterpulse_probability is None
+        assert TWINS[f"{name} matched"](1).detector.afterpulse_probability == 0.04
+    assert TWINS["canopy matched"](1).sky.background_per_m3 == 0.12
+
+
+def test_rows_of_other_receivers_are_what_they_claim() -> None:
+    found = {name: one.signal for name, one in tracks.settings().items()}
+    methods = {name: one.method for name, one in found.items()}
+    assert methods == {
+        "bayes": "published", "mdbscan": "mdbscan", "scaled": "mdbscan", "ours": "likelihood",
+    }  # fmt: skip
+    assert not found["mdbscan"].mdbscan.scaled
+    assert found["scaled"].mdbscan.scaled
+    chosen = [
+        CoincidenceSettings.model_validate(known_scene.SETTINGS[name]).method
+        for name in coincidence.METHODS
+    ]
+    assert chosen == ["published", "bridge_sign"]
+    assert water_surface.SOURCE_WAY.method == "windowed"
+    assert water_surface.OURS.method != "windowed"
+    assert tank.WAYS.keys() == {"source", "ours"}
+
+
+def test_the_page_is_that_of_its_figures() -> None:
+    known = page.load()
+    text = page.text(known)
+    assert page.PAGE.read_text(encoding="utf-8") == text
+    assert len(text.splitlines()) <= 150
+    rows = [line for line in text.splitlines() if line.endswith(tuple(f" {g} |" for g in GROUPS))]
+    assert {row.rsplit("| ", 1)[1].removesuffix(" |") for row in rows} == set(GROUPS)

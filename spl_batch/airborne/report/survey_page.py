@@ -15,7 +15,6 @@ from spl_batch.airborne.report.verdicts import (
 )
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.engine.report import number_format as text
-from spl_batch.engine.report.layers import layers
 from spl_batch.engine.report.page import Front, render_page
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.verdict import speed_remark
@@ -126,9 +125,9 @@ def render(report: Report, pictures: Mapping[str, Picture], clip: Clip | None = 
         pictures=pictures,
         photons=photons,
         layers=[
-            layer
-            for layer in layers(_layer_keys(report, photons=photons), pictures, report.failures)
-            if layer.picture.png or layer.key != "strips"  # the section on flightlines says why
+            {"key": key, "picture": shown}
+            for key in _layer_keys(report, photons=photons)
+            if (shown := pictures.get(key)) is not None and (shown.png or key != "strips")
         ],
         clip=None if clip is None else view_of(clip),
         script_hash="" if clip is None else SCRIPT_HASH,

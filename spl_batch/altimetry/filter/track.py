@@ -101,7 +101,7 @@ def _window(
         kept = ground = baseline
         score = np.where(kept, _SURE, np.float32(0.0))
     level = np.full(len(known.index), NO_WATER)
-    if signal.method != "mdbscan":
+    if signal.method == "likelihood":
         level = water_levels(known.cell[kept], height[kept], known.index, cell_m)
     return {
         "score": score,

@@ -8,7 +8,9 @@ from scipy import stats
 
 from spl_batch.airborne.simulate import detector, haze, simulate
 from spl_batch.airborne.simulate import survey as sky_of
+from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
+from spl_batch.airborne.simulate.sunlight import lit, sunlight
 from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.errors import WorkflowError
 
@@ -98,3 +100,57 @@ def test_a_falling_background_is_a_poisson_process_of_the_same_mean():
 def test_a_layer_upside_down_is_refused():
     with pytest.raises(WorkflowError, match=r"haze\.0: top_m must be above base_m"):
         parse_scene({**FLAT, "sky": {"haze": [{"base_m": 50, "top_m": 20}]}}, "here")
+
+
+def box(**sky):
+    """A scene with a house 10 m high, its light, and the step of its nodes."""
+    house = {"centre_m": [20, 20], "size_m": [10, 10], "eave_m": 10, "reflectance": 0.8}
+    scene = parse_scene({**FLAT, "buildings": {"list": [house]}, "sky": sky}, "here")
+    return lit(scene, lay_out(scene).arrays)
+
+
+def at(arrays, x, y):
+    step = arrays.grid[2]
+    return arrays.light[round((y - arrays.grid[1]) / step), round((x - arrays.grid[0]) / step)]
+
+
+def test_houses_cast_shadows_away_from_the_sun_as_long_as_it_stands_low():
+    # the sun in the south at 45 degrees: the shadow reaches as far north as the house is high
+    arrays = box(zenith_deg=45, azimuth_deg=180, skylight=0.2)
+    assert at(arrays, 20, 30) == pytest.approx(0.2 * at(arrays, 20, 5))
+    assert at(arrays, 20, 38) == at(arrays, 8, 30) == at(arrays, 20, 5)
+    low = box(zenith_deg=70, azimuth_deg=180, skylight=0.2)
+    assert at(low, 20, 38) == pytest.approx(0.2 * at(low, 20, 5))
+
+
+def test_slopes_to_the_sun_are_brighter_than_those_away_from_it():
+    scene = parse_scene({**FLAT, "sky": {"zenith_deg": 60, "azimuth_deg": 90, "skylight": 0}}, "")
+    rise = 0.3 * np.abs(np.arange(41.0) - 20)
+    light = sunlight(np.tile(rise, (5, 1)), 1.0, scene)[2]
+    across = np.hypot(1.0, 0.3)
+    slope = 0.3 * np.tan(np.radians(60))
+    np.testing.assert_allclose(light[1:19], (1 + slope) / across)
+    np.testing.assert_allclose(light[22:39], (1 - slope) / across)
+
+
+def test_a_beamlet_over_a_bright_roof_hears_more_background_than_one_over_its_shadow(tmp_path):
+    house = {"centre_m": [20, 20], "size_m": [16, 16], "eave_m": 10, "reflectance": 0.9}
+    sky = {"background_per_m3": 0.05, "by_albedo": True, "zenith_deg": 70, "azimuth_deg": 180}
+    points = fly(tmp_path, sky, buildings={"list": [house]})
+    noise = points["kind"] == KINDS.index("background")
+    # beams lean by 15 degrees at the most: what is this near to the ground lies above its place
+    near = noise & (abs(points["z"] - 45) < 15)
+    x, y = points["x"][near] - 272_000, points["y"][near] - 3_290_000
+    roof, shade, sunny = (
+        np.count_nonzero((abs(x - 20) < 5) & (abs(y - north) < 3)) for north in (20, 33, 6)
+    )
+    assert roof > 2 * sunny > 2.5 * shade > 0
+
+
+def test_parcels_have_a_reflectance_each():
+    scene = parse_scene({**FLAT, "terrain": {**FLAT["terrain"], "parcel_m": 20}}, "here")
+    plain = parse_scene(FLAT, "here")
+    factor = lay_out(scene).arrays.ground_rho / lay_out(plain).arrays.ground_rho
+    values, count = np.unique(factor.round(6), return_counts=True)
+    assert 20 < len(values[count > 20]) < 120
+    assert values.max() / values.min() > 3
