@@ -17,13 +17,14 @@ from spl_batch.airborne.arrays.checked import (
 from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.labels import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
+from spl_batch.airborne.plan.ground_cells import GroundCells
 from spl_batch.airborne.plan.task_memory import RASTER_BYTES
 from spl_batch.airborne.products import surface_points, surface_rasters
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.errors import InputError, grouped, needed
 from spl_batch.lattice.tables import PointFlag, PointTable
-from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, grow, inside, quanta
+from spl_batch.lattice.tiles import Bounds, CellId, grow, inside, quanta
 
 LAYERS_BYTES: Final = 16
 """Memory of a cell of the four rasters [byte]."""
@@ -257,12 +258,13 @@ def _cells(
     if not len(table):
         return
     x, y = table["x"], table["y"]
-    edge = quanta(workflow.ground.cell_m)
+    box = (int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
+    cells = GroundCells.of_workflow([box], workflow)
     order = np.argsort(x, kind="stable")
     ascending = x[order]
-    squares = np.unique(np.stack([y, x]) // edge, axis=1).T.tolist()
-    for j, i in squares:
-        core = cell_bounds(CellId(i, j), edge)
+    squares = np.unique(np.stack([y, x]) // cells.edge, axis=1).T.tolist()
+    for cell in dict.fromkeys(cells.keeper(CellId(i, j)) for j, i in squares):
+        core = cells.core(cell)
         wide = grow(core, reach)
         span = np.searchsorted(ascending, (wide.xmin, wide.xmax))
         rows = np.sort(order[slice(*span.tolist())])

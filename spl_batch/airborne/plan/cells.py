@@ -1,6 +1,7 @@
 """Cells: squares of the absolute grid, what each owns and what it reads around it.
 
-``denoise`` takes k x k tiles, one k for the survey; the steps after it take ``ground.cell_m``.
+``denoise`` takes k x k tiles, one k for the survey; the steps after it take ``ground.cell_m``
+(:mod:`~spl_batch.airborne.plan.ground_cells`).
 Labels and rasters are the same whatever k is.
 """
 
@@ -87,17 +88,22 @@ def units(counts: Mapping[CellId, int], tile_q: int, edge: int, margin: int) -> 
     """
     touched = {cell for tile in counts for cell in cells_touching(cell_bounds(tile, tile_q), edge)}
     for cell in sorted(touched):
-        core = cell_bounds(cell, edge)
-        reach = grow(core, margin)
-        near = _occupied(counts, reach, tile_q)
-        owned = held = 0.0
-        for tile in near:
-            bounds = cell_bounds(tile, tile_q)
-            held += counts[tile] * _area(shared(bounds, reach)) / tile_q**2
-            owned += counts[tile] if overlap(bounds, core) else 0
-        # shares of tiles add up to whole points, but for the last bit of a sum
-        most = math.ceil(round(held, 6))
-        yield Unit(str(cell), cell, core, tuple(near), int(owned), most)
+        yield unit_of(cell, cell_bounds(cell, edge), counts, tile_q, margin)
+
+
+def unit_of(
+    cell: CellId, core: Bounds, counts: Mapping[CellId, int], tile_q: int, margin: int
+) -> Unit:
+    """A cell that owns a core, with what it reads; parameters as of :func:`units`."""
+    reach = grow(core, margin)
+    near = _occupied(counts, reach, tile_q)
+    owned = held = 0.0
+    for tile in near:
+        bounds = cell_bounds(tile, tile_q)
+        held += counts[tile] * _area(shared(bounds, reach)) / tile_q**2
+        owned += counts[tile] if overlap(bounds, core) else 0
+    # shares of tiles add up to whole points, but for the last bit of a sum
+    return Unit(str(cell), cell, core, tuple(near), int(owned), math.ceil(round(held, 6)))
 
 
 def owners(tiles: Iterable[CellId], tile_q: int, edge: int) -> dict[CellId, list[str]]:

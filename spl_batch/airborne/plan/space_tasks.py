@@ -220,12 +220,13 @@ def mosaic(survey: Survey) -> Iterator[Task]:
             f"{grouped(MOST_PIXELS)}; leave out the files that lie far from the others"
         )
     )
+    squares = [square for cell in cells for square in survey.grid.squares(cell)]
     needs = tuple(("surface", str(cell)) for cell in cells)
     for product in products(reflectance=knows_reflectance(survey), maps=maps):
         args = {
             "product": product.name,
             "name": product.name,
-            "cells": cell_runs(cells),
+            "cells": cell_runs(sorted(squares)),
             "bounds": list(bounds),
             "delivered": product.delivered,
             "meaning": product.meaning,

@@ -1,6 +1,6 @@
 """What a run knows about its survey: inputs, limits, and what is finished so far."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.plan.cells import Unit, owners, tile_counts, tiles_along, units
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, is_timeless
+from spl_batch.airborne.plan.ground_cells import GroundCells
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.settings.workflow import Workflow
@@ -103,7 +104,13 @@ class Survey(Ledger[Inputs, Workflow]):
 
     def ground_cells(self, margin_q: int) -> Iterator[Unit]:
         """Ground cells with a margin [quanta]; complete once the shuffle is."""
-        return units(self.counts, self.tile_q, self.cell_q, margin_q)
+        return self.grid.units(self.counts, self.tile_q, margin_q)
+
+    @cached_property
+    def grid(self) -> GroundCells:
+        """Grid of the ground cells; complete once the index is."""
+        boxes = [(xmin, ymin, xmax + 1, ymax + 1) for xmin, ymin, _, xmax, ymax, _ in _boxes(self)]
+        return GroundCells.of_workflow(boxes, self.workflow)
 
     def denoised_in(self, tiles: Iterable[CellId]) -> dict[CellId, list[str]]:
         """Cell of ``denoise`` that holds labels of each tile, by tile."""
@@ -111,7 +118,7 @@ class Survey(Ledger[Inputs, Workflow]):
 
     def grounded_in(self, tiles: Iterable[CellId]) -> dict[CellId, list[str]]:
         """Ground cells that hold labels of each tile, by tile."""
-        return owners(tiles, self.tile_q, self.cell_q)
+        return self.grid.owners(tiles, self.tile_q)
 
     @property
     def tile_q(self) -> int:
@@ -144,11 +151,15 @@ def timeless_sources(survey: Survey) -> list[Source]:
 def mosaic_bounds(survey: Survey) -> Bounds:
     """Whole raster cells around the points of the survey."""
     pixel = quanta(survey.workflow.products.cell_m)
-    boxes = [r.facts["bounds"] for r in survey.of("index_file").values() if r.facts["bounds"]]
-    west, south, _, east, north, _ = zip(*boxes, strict=True)
+    west, south, _, east, north, _ = zip(*_boxes(survey), strict=True)
     return Bounds(
         min(west) // pixel * pixel,
         min(south) // pixel * pixel,
         (max(east) // pixel + 1) * pixel,
         (max(north) // pixel + 1) * pixel,
     )
+
+
+def _boxes(survey: Survey) -> list[Sequence[int]]:
+    """Bounding boxes of the points of the files that hold some: x, y, z, x, y, z [quanta]."""
+    return [r.facts["bounds"] for r in survey.of("index_file").values() if r.facts["bounds"]]

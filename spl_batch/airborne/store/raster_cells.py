@@ -1,8 +1,8 @@
 """The working raster store: Zarr arrays with a chunk for each square of the ground cells' grid.
 
 The arrays cover one huge absolute index space, so that a raster cell has the same index
-whatever the survey is, and a ground cell is one chunk: a task writes its own chunk and no other
-task's. One of nothing but nodata is written as well.
+whatever the survey is, and a ground cell is one chunk, or a few at a survey's edge: a task
+writes its own chunks and no other task's. One of nothing but nodata is written as well.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -77,9 +77,9 @@ def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32
     path : Path
         Store from :func:`create_raster_store`.
     cell : CellId
-        Its column and row.
+        Column and row of its south-western square.
     arrays : mapping of str to (rows, columns) float32
-        Its rasters, row 0 northernmost.
+        Rasters of its squares, row 0 northernmost.
 
     Returns
     -------
@@ -89,15 +89,17 @@ def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32
     Raises
     ------
     StoreError
-        If there is no such raster or it does not fill the cell.
+        If there is no such raster or it is not made of whole squares.
     """
     written = []
     for name, values in arrays.items():
         metadata, px, _ = _array(path, name)
-        if values.shape != (px, px):
-            raise StoreError(f"{path}: {name} of cell {cell} is {values.shape}, not {px} x {px}")
-        top, left = HALF_CELLS - cell.j - 1, HALF_CELLS + cell.i
-        box = (slice(top * px, (top + 1) * px), slice(left * px, (left + 1) * px))
+        if not values.size or any(side % px for side in values.shape):
+            size_of = f"{name} of cell {cell} is {values.shape}"
+            raise StoreError(f"{path}: {size_of}, not whole squares of {px} raster cells")
+        rows, columns = (side // px for side in values.shape)
+        top, left = HALF_CELLS - cell.j - rows, HALF_CELLS + cell.i
+        box = (slice(top * px, (top + rows) * px), slice(left * px, (left + columns) * px))
         for chunk, content in encode(metadata, box, values).items():
             write_bytes(path / name / chunk, content, durable=False)
             written.append(path / name / chunk)

@@ -6,6 +6,7 @@ that it needs.
 
 import hashlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,12 +25,13 @@ from spl_batch.airborne.store.cells import Cell
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks.cells import cell_classes, pulses
 from spl_batch.constants import NODATA, NOISE_SIGNAL
+from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
-from spl_batch.lattice.tiles import Bounds, grow, parse_cell, quanta
+from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, overlap, quanta
 
 Rasters = dict[str, NDArray[np.float32]]
 
@@ -56,7 +58,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     give_back()
     labels, facts, n_points = cell_classes.classes(cell, arrays, found.lines)
     counted |= facts | ({"banks": list(banks)} if banks else {})
-    chunks = write_cell(context.rasters, parse_cell(args["cell"]), arrays)
+    chunks = _write_rasters(args["cell"], core, arrays, context)
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
     facts = {"core": list(core), "rasters": sums, **counted}
     return Produced([labels, *chunks], facts, n_points)
@@ -121,6 +123,18 @@ def _flatten(arrays: Rasters, core: Bounds, context: Context) -> Banks | None:
     waters = read_breaklines(context.resolve(context.workflow.breaklines), context.crs)
     rows, columns = arrays["dtm"].shape
     return flatten(arrays, water_heights(waters, core, (rows, columns)))
+
+
+def _write_rasters(name: str, core: Bounds, arrays: Rasters, context: Context) -> list[Path]:
+    """Raster cells of a ground cell; files of their chunks."""
+    edge = quanta(context.workflow.ground.cell_m)
+    for other in map(str, cells_touching(grow(core, edge), edge)):
+        # When the survey was another a cell beside it owned some of its squares, or one of them
+        # was a cell by itself: that receipt must not speak for chunks that are written over.
+        receipt = None if other == name else read_receipt(context.store, "surface", other)
+        if receipt and not receipt.failed and overlap(Bounds(*receipt.facts["core"]), core):
+            forget_receipt(context.store, "surface", other)
+    return write_cell(context.rasters, CellId(core.xmin // edge, core.ymin // edge), arrays)
 
 
 def _mask_outside(arrays: Rasters, core: Bounds, context: Context) -> None:

@@ -1,0 +1,106 @@
+"""Ground cells: squares of an absolute grid, of which those at a survey's edge own a strip more.
+
+A TIN is known where its surroundings are, so each square is read with a buffer. Where a survey
+enters a column or a row of squares by no more than that buffer, the next one reads all of it
+anyway, and owns it too: alone a strip costs as much as the buffer along it.
+
+What the survey reaches follows from the bounding boxes of its files, so that tiles are free to lie
+as they like.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Final, NamedTuple, Self
+
+from spl_batch.airborne.plan.cells import Unit, unit_of
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, quanta
+
+MOST_ACROSS: Final = 500
+"""Raster cells along a square up to which strips are joined [count]: rasters of a joined cell are
+made for whole squares, nine of them where a survey is one square with strips all round."""
+
+
+def strip_q(workflow: Workflow) -> int:
+    """Width up to which a strip belongs to the cell beside it [quanta]."""
+    across = quanta(workflow.ground.cell_m) // quanta(workflow.products.cell_m)
+    return quanta(workflow.ground.buffer_m) if across <= MOST_ACROSS else 0
+
+
+class GroundCells(NamedTuple):
+    """Ground cells of a survey."""
+
+    edge: int  #: Edge of a square [quanta].
+    #: First and last column and row of squares that are cells by themselves.
+    low: CellId
+    high: CellId
+    reached: Bounds  #: What all cells own together, whole squares [quanta].
+
+    @classmethod
+    def of_boxes(cls, boxes: Iterable[Sequence[int]], edge: int, strip: int) -> Self:
+        """Cells of a survey.
+
+        Parameters
+        ----------
+        boxes : iterable of (xmin, ymin, xmax, ymax)
+            Bounding boxes of its files, half-open [quanta].
+        edge, strip : int
+            Edge of a square, and width up to which a strip is joined [quanta].
+        """
+        corners = list(zip(*boxes, strict=True)) or [(0,), (0,), (1,), (1,)]
+        columns = _axis(min(corners[0]), max(corners[2]), edge, strip)
+        rows = _axis(min(corners[1]), max(corners[3]), edge, strip)
+        west, east, low_i, high_i = columns
+        south, north, low_j, high_j = rows
+        reached = Bounds(west * edge, south * edge, (east + 1) * edge, (north + 1) * edge)
+        return cls(edge, CellId(low_i, low_j), CellId(high_i, high_j), reached)
+
+    @classmethod
+    def of_workflow(cls, boxes: Iterable[Sequence[int]], workflow: Workflow) -> Self:
+        """Cells of a survey, as its workflow says; see :meth:`of_boxes`."""
+        return cls.of_boxes(boxes, quanta(workflow.ground.cell_m), strip_q(workflow))
+
+    def keeper(self, square: CellId) -> CellId:
+        """Cell that owns a square of the grid."""
+        return CellId(
+            min(max(square.i, self.low.i), self.high.i), min(max(square.j, self.low.j), self.high.j)
+        )
+
+    def core(self, cell: CellId) -> Bounds:
+        """What a cell owns, whole squares [quanta]."""
+        alone = cell_bounds(cell, self.edge)
+        return Bounds(
+            alone.xmin if cell.i > self.low.i else self.reached.xmin,
+            alone.ymin if cell.j > self.low.j else self.reached.ymin,
+            alone.xmax if cell.i < self.high.i else self.reached.xmax,
+            alone.ymax if cell.j < self.high.j else self.reached.ymax,
+        )
+
+    def squares(self, cell: CellId) -> Iterator[CellId]:
+        """Squares that a cell owns, row by row."""
+        return cells_touching(self.core(cell), self.edge)
+
+    def units(self, counts: Mapping[CellId, int], tile_q: int, margin: int) -> Iterator[Unit]:
+        """Cells that may own points of a tile, with what they read; in their order."""
+        touched = {cell for tile in counts for cell in self._of_tile(tile, tile_q)}
+        for cell in sorted(touched):
+            yield unit_of(cell, self.core(cell), counts, tile_q, margin)
+
+    def owners(self, tiles: Iterable[CellId], tile_q: int) -> dict[CellId, list[str]]:
+        """Cells that may hold labels of each tile, by tile."""
+        return {tile: [str(cell) for cell in self._of_tile(tile, tile_q)] for tile in tiles}
+
+    def _of_tile(self, tile: CellId, tile_q: int) -> Iterable[CellId]:
+        """Cells that own points of a tile, or could, each once."""
+        squares = cells_touching(cell_bounds(tile, tile_q), self.edge)
+        return dict.fromkeys(map(self.keeper, squares))
+
+
+def _axis(first: int, past: int, edge: int, strip: int) -> tuple[int, int, int, int]:
+    """First and last column that a survey reaches, and those that are cells by themselves."""
+    west, east = first // edge, (past - 1) // edge
+    low, high = west, east
+    if low < high and (low + 1) * edge - first <= strip:
+        low += 1
+    if low < high and past - high * edge <= strip:
+        high -= 1
+    return west, east, low, high
