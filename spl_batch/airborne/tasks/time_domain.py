@@ -16,10 +16,9 @@ from spl_batch.airborne.afterpulse import afterpulse_law
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.filter.published import shot_noise
+from spl_batch.airborne.filter.shot_filters import shot_noise
 from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.products.reflectance import fired_beamlets
-from spl_batch.airborne.settings import DccSettings
 from spl_batch.airborne.store.flown_lines import Pass, line_of
 from spl_batch.airborne.store.voxel_parts import write_voxels
 from spl_batch.airborne.tasks import lines_of_sight
@@ -226,8 +225,9 @@ def _assess(
     subset = table.take(known)
     table = table.with_columns(**shots.assess(table, beams, (model, law), workflow, beamlets))
     beams = beams.take(known)
-    if args["dcc"] is not None:
-        noise = shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
+    if args["of_shots"] is not None:
+        array = beamlets.seen.array_columns
+        noise = shot_noise(subset, beams, workflow.filter, model.gate_m, array)
         flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
     parts = voxel_noise.deposit_apart(subset, beams, model, workflow.noise)
