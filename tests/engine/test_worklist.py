@@ -24,13 +24,11 @@ from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.plan import budget, worker_memory
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
-from spl_batch.engine.store import working_store
 from spl_batch.engine.store.working_store import Store, write_receipt
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.ledger import Shelf
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
-from spl_batch.formats.files import atomic
 from spl_batch.lattice.density import from_counts
 from spl_batch.lattice.tiles import CellId, cell_bounds, parse_cell
 
@@ -288,28 +286,13 @@ def test_stretches_shrink_with_memory() -> None:
         assert points <= task_memory.points_within("scatter", limit * 2**20)
 
 
-def test_rates_are_those_of_a_stage_whose_kinds_handle_the_same_points(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(budget, "SAMPLE", 3)
-    store = Store(tmp_path)
-    for kind, tasks, points, wall_s in (("scatter", 2, 60, 9.0), ("build_tile", 12, 10, 1.0)):
-        for k in range(tasks):
-            done = Receipt(kind, f"{k}", "", "", "", {}, {}, points, wall_s, 9.0)
-            write_receipt(store, done)
-    listed: list[Path] = []
-
-    def names_in(folder: Path, suffix: str) -> list[str]:
-        listed.append(folder)
-        return atomic.names_in(folder, suffix)
-
-    for module in (budget, working_store):
-        monkeypatch.setattr(module, "names_in", names_in, raising=False)
-    rates, measured = budget.measured_rates({"shuffle": 1.0, "ground": 7.0}, context(tmp_path))
-    assert measured
-    # 120 points take 2 x 9 s to scatter and 12 x 1 s to gather in tiles.
-    assert rates == {"shuffle": pytest.approx(4.0), "ground": 7.0}
-    assert len(listed) == len(set(listed)) > 2, "a request each, where the store is far away"
+def test_rates_are_those_of_the_last_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cost = {"wall_s": 30.0, "points": {"scatter": 120, "build_tile": 120}}
+    typical = {"shuffle": 1.0, "ground": 7.0}
+    assert budget.measured_rates(typical, context(tmp_path)) == (typical, False)
+    monkeypatch.setattr(budget, "recall", lambda _: {"costs": {"shuffle": cost}})
+    found = {"shuffle": 4.0, "ground": 7.0}
+    assert budget.measured_rates(typical, context(tmp_path)) == (found, True)
 
 
 def test_the_speed_of_a_stage_counts_each_point_once() -> None:
