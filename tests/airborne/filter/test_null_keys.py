@@ -35,16 +35,6 @@ def test_a_setting_is_part_of_the_key_unless_it_is_named(
     assert set(settings_key(section, irrelevant)) == fields - irrelevant
 
 
-@pytest.mark.parametrize(("section", "irrelevant"), TABLES)
-def test_a_new_setting_asks_for_a_table_of_its_own(
-    section: Section, irrelevant: frozenset[str]
-) -> None:
-    class Newer(type(section)):  # type: ignore[misc]
-        sharper: float = 1.0
-
-    assert settings_key(Newer(), irrelevant) != settings_key(section, irrelevant)
-
-
 def test_what_is_named_changes_nothing_that_is_drawn() -> None:
     density = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
     given = null_distribution.draw_table(FILTER, 1500, density)

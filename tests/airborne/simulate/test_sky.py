@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
-from spl_batch.airborne.simulate import detector, haze, simulate
+from spl_batch.airborne.simulate import haze, simulate
 from spl_batch.airborne.simulate import survey as sky_of
 from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
@@ -62,39 +62,6 @@ def test_patches_cover_the_share_of_the_sky_that_is_asked_for_and_drift_with_the
         for x, y in at[:200]
     ]
     np.testing.assert_allclose(later, strength[:200], atol=1e-9)
-
-
-def test_fog_falls_off_with_the_height_above_the_ground_and_ends_there(tmp_path):
-    fog = {"times_noise": 200, "scale_m": 1.5}
-    without, height = (
-        above_ground(fly(tmp_path / name, sky))
-        for name, sky in (("clear", {}), ("fog", {"fog": [fog]}))
-    )
-    assert len(height[height < 0]) == pytest.approx(len(without[without < 0]), rel=0.2)
-    low = height[(height > 0) & (height < 6)]
-    assert len(low) > 500
-    # a mean of the exponential that is cut at 6 m, with the uniform background counted in
-    background = len(without[without > 0]) / without.max() * 6
-    cut = 1.5 - 6 * np.exp(-4) / (1 - np.exp(-4))
-    want = (cut * (len(low) - background) + 3 * background) / len(low)
-    assert low.mean() == pytest.approx(want, rel=0.07)
-
-
-def test_background_may_fall_along_the_gate(tmp_path):
-    height = above_ground(fly(tmp_path, {"background_per_m3": 0.03, "gate_fall": 0.6}))
-    half = np.histogram(height, [-70, 0, 70])[0]
-    # linear from 1.6 at the gate's start, 80 m up, to 0.4
-    assert half[1] / half[0] == pytest.approx((1 + 0.6 * 0.4375) / (1 - 0.6 * 0.4375), rel=0.1)
-
-
-def test_a_falling_background_is_a_poisson_process_of_the_same_mean():
-    rng = np.random.default_rng(2)
-    ranges, facts = np.empty(100), np.empty((100, 3), np.int64)
-    counts = [
-        detector.add_background(rng, ranges, facts, 0.0, 300.0, 0.02, -1.0) for _ in range(4000)
-    ]
-    assert np.mean(counts) == pytest.approx(6.0, rel=0.02)
-    assert np.var(counts) == pytest.approx(6.0, rel=0.08)
 
 
 def test_a_layer_upside_down_is_refused():
