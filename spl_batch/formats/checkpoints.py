@@ -316,7 +316,8 @@ def _transformed(
     try:
         # Without the grid of a geoid PROJ would leave heights as they are and keep silent.
         transformer = Transformer.from_crs(*ends, always_xy=True, only_best=whole)
-        moved = transformer.transform(*xyz.T, errcheck=whole and len(xyz) == 1)
+        x, y, z = xyz.T
+        moved = transformer.transform(x, y, z, errcheck=whole and len(xyz) == 1)
     except ProjError as error:
         raise InputError(
             str(path),
