@@ -208,19 +208,6 @@ def test_all_times_zero(survey: Path) -> None:
     assert (survey.parent / "out/dtm.tif").exists()
 
 
-def test_some_times_are_nan(survey: Path) -> None:
-    line = surveys.flightline(shots=TINY, psid=2, seed=4)
-    line["gps_time"][::7] = np.nan
-    line["gps_time"][3] = np.inf
-    missing = int(np.count_nonzero(~np.isfinite(line["gps_time"])))
-    surveys.write_cloud(survey.parent / "lines/nan.laz", line)
-    ended = run(survey)
-    assert ended.status == 0, ended.text
-    columns = surveys.delivered(survey.parent / "out")["lines/nan.laz"]
-    assert np.array_equal(columns["noise_class"] == 255, ~np.isfinite(line["gps_time"]))
-    assert f'"no_beam": {missing}' in (survey.parent / "out/report.json").read_text()
-
-
 def test_the_trajectory_misses_a_part(survey: Path) -> None:
     line = surveys.flightline(shots=TINY)
     path = survey.parent / "trajectory.csv"
@@ -239,39 +226,6 @@ def test_the_trajectory_misses_a_part(survey: Path) -> None:
     assert f'"no_beam": {n}' in report
     (columns,) = surveys.delivered(survey.parent / "out").values()
     assert np.array_equal(columns["noise_class"] == 255, uncovered)
-
-
-def test_the_trajectory_misses_everything(survey: Path) -> None:
-    surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=surveys.START_S + 5e4,
-                             stop_s=surveys.START_S + 5e4 + 10)  # fmt: skip
-    surveys.write_workflow(survey.parent)
-    ended = run(survey)
-    if ended.status == 2:
-        refused(ended, "trajectory")
-    else:
-        report = (survey.parent / "out/report.json").read_text()
-        assert "does not cover" in report
-
-
-def test_the_trajectory_is_somewhere_else(survey: Path) -> None:
-    path = surveys.write_trajectory(survey.parent / "trajectory.csv", shift_m=3e6)
-    surveys.write_workflow(survey.parent)
-    refused(run(survey), "survey.trajectory", str(path))
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("", "trajectory.csv"),
-        ("time,easting\n1,2\n", "trajectory.csv"),
-        ("gps_time,x,y,z\n1,two,3,4\n", "trajectory.csv"),
-        ("gps_time,x,y,z\n", "trajectory.csv"),
-    ],
-)
-def test_trajectories_that_are_none(survey: Path, content: str, words: str) -> None:
-    (survey.parent / "trajectory.csv").write_text(content)
-    surveys.write_workflow(survey.parent)
-    refused(run(survey), "survey.trajectory", words)
 
 
 def test_crs_mismatch_between_clouds(survey: Path) -> None:
@@ -305,14 +259,6 @@ def test_crs_in_degrees(survey: Path) -> None:
     warned(run(survey), "no input file carries a CRS")
 
 
-def test_own_output_as_input(survey: Path) -> None:
-    assert run(survey).status == 0
-    refused(run(survey, "--set", "survey.flightlines=out/laz/lines/*.laz"), "output folder")
-    refused(run(survey, "--set", "survey.flightlines='**/*.laz'"), "output folder")
-    ended = run(survey, "--set", "output=lines")
-    refused(ended, "output folder")
-
-
 def test_missing_channel_dimension(survey: Path) -> None:
     path = survey.parent / "lines/good.laz"
     surveys.write_cloud(path, surveys.flightline(shots=TINY), channel=False)
@@ -336,15 +282,6 @@ def test_missing_channel_dimension(survey: Path) -> None:
 def few(n: int) -> surveys.Columns:
     line = surveys.flightline(shots=TINY)
     return surveys.take(line, np.linspace(0, len(line["x"]) - 1, n).astype(int))
-
-
-@pytest.mark.parametrize("n", [1, 2, 5, 14])
-def test_hardly_any_points(survey: Path, n: int) -> None:
-    surveys.write_cloud(survey.parent / "lines/good.laz", few(n))
-    ended = run(survey)
-    assert ended.status == 0, ended.text
-    (columns,) = surveys.delivered(survey.parent / "out").values()
-    assert len(columns["X"]) == n
 
 
 def test_no_points_at_all(survey: Path) -> None:

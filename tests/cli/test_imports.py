@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from spl_batch import receivers
-from spl_batch.errors import MissingPackageError
 from tests import surveys
 
 FOREIGN = ("matplotlib", "h5py", "skimage", "sklearn", "pystac", "s3fs", "xarray", "bokeh")
@@ -90,12 +88,3 @@ def test_a_run_that_could_write_no_report_does_not_begin(
     assert ended.status == 2
     assert "reports need the package matplotlib" in ended.err
     assert not (small.parent / "out").exists()
-
-
-def test_a_task_names_the_package_that_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = "spl_batch.geiger.water.surface.pixel_surface"
-    monkeypatch.setitem(sys.modules, "skimage", None)  # type: ignore[arg-type]
-    monkeypatch.delitem(sys.modules, "skimage.restoration", raising=False)
-    monkeypatch.delitem(sys.modules, module, raising=False)
-    with pytest.raises(MissingPackageError, match="these tasks need the package skimage"):
-        receivers.load(f"{module}:anything")

@@ -82,23 +82,6 @@ def test_every_layer_and_only_polygons(tmp_path: Path) -> None:
     assert read_polygons(path, UTM).area == 2
 
 
-@pytest.mark.parametrize("suffix", ["gpkg", "geojson"])
-def test_a_layer_of_no_declared_kind_holds_polygons_and_points(tmp_path: Path, suffix: str) -> None:
-    kind = "Unknown"
-    line = shapely.LineString([(0, 0), (9, 0), (9, 9), (0, 0)])
-    sound = {"a": [SQUARE, shapely.Point(1, 1)], "b": [SQUARE, shapely.Polygon()]}
-    for name, shapes in sound.items():
-        path = write(tmp_path / f"{name}.{suffix}", shapes, kind=kind)
-        assert read_polygons(path, UTM).area == SQUARE.area
-    for name, shape in {"c": line, "d": shapely.GeometryCollection([FAR])}.items():
-        path = write(tmp_path / f"{name}.{suffix}", [SQUARE, shape], kind=kind)
-        with pytest.raises(InputError, match=r"feature [12]: is no polygon"):
-            read_polygons(path, UTM)
-        path = write(tmp_path / f"{name}2.{suffix}", [shape, shapely.Polygon()], kind=kind)
-        with pytest.raises(InputError, match="holds no polygons"):
-            read_polygons(path, UTM)
-
-
 def test_faults(tmp_path: Path) -> None:
     text, empty = tmp_path / "a.gpkg", tmp_path / "empty.geojson"
     text.write_text("this is no vector file")

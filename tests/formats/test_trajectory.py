@@ -85,17 +85,6 @@ def test_order_and_cut_do_not_matter(tmp_path: Path) -> None:
     assert again.warnings == ("trajectory: 17 records repeat a time: left out",)
 
 
-def test_heights_of_a_geographic_trajectory_stay(tmp_path: Path) -> None:
-    rows = np.array([[0.0, -93.0, 40.0, 4123.25], [1.0, -93.001, 40.0, 4124.5]])
-    path = write_csv(tmp_path / "a.csv", rows)
-    for code in ("EPSG:4326", "EPSG:4979"):
-        xyz = read(path, crs=code).trajectory.xyz_m
-        np.testing.assert_array_equal(xyz[:, 2], rows[:, 3])
-        # On the central meridian, by definition, and 0.9996 times the arc along it.
-        np.testing.assert_allclose(xyz[0, 0], 500_000, atol=1e-6)
-        np.testing.assert_allclose(xyz[0, 1], 4_427_757.219, atol=1e-2)
-
-
 @pytest.mark.parametrize("latitude", [np.nan, np.inf, 1e300, -1.7e308])
 def test_a_record_that_cannot_be_is_left_out_of_any_format(tmp_path: Path, latitude: float) -> None:
     rows = flight()
@@ -298,17 +287,6 @@ def cut(read: Any, size: int) -> Any:
                 yield time[start : start + size], position[start : start + size]
 
     return smaller
-
-
-def test_few_records_wait_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(merge, "read_records", cut(read_records, 10))
-    monkeypatch.setattr(merge, "WAITING_RECORDS", 25)
-    rows = flight(500)
-    halves = [write_csv(tmp_path / f"{k}.csv", rows[k::2]) for k in (0, 1)]
-    np.testing.assert_array_equal(read(*halves).trajectory.time_s, rows[:, 0])
-    mixed = write_csv(tmp_path / "mixed.csv", np.random.default_rng(0).permutation(rows))
-    with pytest.raises(InputError, match="25 trajectory records are out of time order: sort"):
-        read(mixed)
 
 
 @pytest.mark.parametrize(("end", "refused"), [("", True), ("25", True), ("25.125", False)])

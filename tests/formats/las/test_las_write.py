@@ -19,7 +19,7 @@ from spl_batch.formats.las.copc_copy import copy_as_copc
 from spl_batch.formats.las.descriptors import header_changes
 from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records
-from spl_batch.formats.las.reader import header_crs, inspect, iter_points
+from spl_batch.formats.las.reader import header_crs, iter_points
 from spl_batch.formats.las.writer import write_classified, write_points
 from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
 from tests.io_files import VERSIONS, patch, write_las
@@ -129,12 +129,6 @@ def test_header_is_repaired_by_the_values(
     assert header_of(tmp_path / "c.laz") == (*expected[:2], "OTHER", expected[3])
 
 
-def test_keys_that_are_not_understood_stay_what_gives_the_crs(tmp_path: Path) -> None:
-    keys = laspy.VLR("LASF_Projection", 34735, "", b"\1\0\1\0\0\0\0\0")
-    classify(write_las(tmp_path / "a.las", point_format=1, vlrs=[keys]), tmp_path / "b.laz")
-    assert not header_of(tmp_path / "b.laz")[1]
-
-
 def test_second_run_replaces_its_own_dimensions_and_keeps_those_of_others(tmp_path: Path) -> None:
     others = {"noise_class": "f8", "input_classification": "u1", "height": "f4"}
     src = write_las(tmp_path / "a.laz", extra=others)
@@ -148,21 +142,6 @@ def test_second_run_replaces_its_own_dimensions_and_keeps_those_of_others(tmp_pa
         for before, after in zip(others, kept, strict=True):
             np.testing.assert_array_equal(cloud[after], given[before])
         np.testing.assert_array_equal(cloud["input_classification"], given.classification)
-
-
-def test_bytes_that_nothing_describes(tmp_path: Path) -> None:
-    src = write_las(tmp_path / "a.las", extra={"a": "3f8", "b": "u2"}, n=50)
-    raw = laspy.read(src).points.array
-    place = src.read_bytes().index(b"LASF_Spec")
-    patch(src, place, "9s", b"forgotten")
-    names = [f"undescribed_{i}" for i in range(5)]
-    assert inspect(src).dimensions[-5:] == tuple(names)
-    classify(src, tmp_path / "b.laz")
-    classify(tmp_path / "b.laz", tmp_path / "c.laz")
-    after = laspy.read(tmp_path / "c.laz")
-    kept = b"".join(p[n].tobytes() for p in after.points.array for n in names)
-    before = np.frombuffer(raw.tobytes(), np.uint8).reshape(50, -1)[:, 30:]
-    assert kept == before.tobytes()
 
 
 def test_records_are_kept_but_for_those_of_the_old_packing(tmp_path: Path) -> None:
@@ -338,18 +317,3 @@ def test_a_record_that_no_reader_parses_is_left_out(
     kept = [record for record in records if record.user_id == "ours"]
     assert [bytes(record.record_data) for record in kept] == [b"whole"]
     assert not [record for record in records if bytes(record.record_data_bytes()) == data]
-
-
-def test_what_laspy_cannot_open_takes_no_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    src, dst = write_las(tmp_path / "a.laz"), tmp_path / "out.laz"
-
-    def failing(*_: Any) -> None:
-        raise UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(laspy, "open", failing)
-        with pytest.raises(InputError, match="as it was written: it cannot be read"):
-            classify(src, dst)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.laz"]
