@@ -5,17 +5,15 @@ import os
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import shapely
 import shapely.geometry
 
 from spl_batch import api
-from spl_batch.airborne.tasks import index
 from spl_batch.engine.tasks.input_changes import unchanged
-from spl_batch.engine.watch.events import Event, PhaseStarted, RunStarted, TaskEnded
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.engine.watch.events import Event, PhaseStarted, TaskEnded
+from spl_batch.errors import InputError
 from tests import surveys
 
 GROUND = {"cell_m": 50, "buffer_m": 5}
@@ -94,24 +92,6 @@ def test_a_file_that_changes_during_the_run_is_named_and_read_anew_by_the_next(
     assert surveys.results(again.output) == clean(survey)
 
 
-def test_what_goes_between_header_and_index_is_named(survey: Path) -> None:
-    track = surveys.write_trajectory(survey.parent / "track.csv", stop_s=surveys.START_S + 20)
-
-    def run_without(path: Path, *overrides: str) -> api.RunResult:
-        def listen(event: Event) -> None:
-            if isinstance(event, RunStarted):
-                path.unlink()
-
-        given = [*SETTINGS, *overrides]
-        return api.run(survey, workers=0, until="index", overrides=given, listener=listen)
-
-    assert run_without(survey.parent / "lines" / "2.laz").exit_status == 1
-    (failure,) = api.status(survey.parent / "out").failures
-    assert "2.laz: is gone since the run began" in failure.reason
-    with pytest.raises(WorkflowError, match=r"track\.csv: is gone since the run began"):
-        run_without(track, "survey.trajectory=track.csv")
-
-
 def test_a_file_is_looked_at_before_and_after(tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_bytes(b"1")
@@ -123,22 +103,6 @@ def test_a_file_is_looked_at_before_and_after(tmp_path: Path) -> None:
         os.utime(path, ns=(0, stat.st_mtime_ns + 1))
     with pytest.raises(InputError, match="changed"), unchanged(path, stamp):
         pytest.fail("not read at all")
-
-
-def test_a_trajectory_that_changes_under_the_reader_is_named(
-    survey: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = surveys.write_trajectory(survey.parent / "trajectory.csv", stop_s=surveys.START_S + 20)
-    surveys.write_workflow(survey.parent, ground=GROUND)
-    written = index.write_trajectory
-
-    def write(*args: Any) -> None:
-        written(*args)
-        os.utime(path)
-
-    monkeypatch.setattr(index, "write_trajectory", write)
-    with pytest.raises(WorkflowError, match=r"trajectory\.csv: has changed"):
-        surveys.run(survey)
 
 
 def test_one_more_flightline_redoes_the_tiles_that_it_touches(survey: Path) -> None:
