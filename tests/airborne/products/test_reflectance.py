@@ -196,6 +196,7 @@ def test_order_of_points_and_parts_does_not_matter() -> None:
     mixed = table.take(np.random.default_rng(3).permutation(len(table)))
     np.testing.assert_array_equal(raster(mixed, pieces, CORE, PRODUCTS), expected)
     assert np.isfinite(expected).all()
+    assert expected.shape == (20, 20)
     assert (expected >= 0).any()
 
 
