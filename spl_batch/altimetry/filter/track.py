@@ -90,19 +90,18 @@ def _window(
     cell_m, signal = settings.rate.cell_m, settings.signal
     known = assess(along, height, cell_m, signal, settings.profile.photons_factor)
     kept, ground, score = known.signal, known.ground, known.score
-    baseline = np.zeros(len(along), np.bool_)
+    level, baseline = known.level, np.zeros(len(along), np.bool_)
     reference = settings.reference
     if signal.method == "mdbscan" or (reference is not None and reference.baseline):
         baseline = mdbscan(along, height, known, cell_m, signal.mdbscan)
     if signal.method == "published":
         kept, score = posterior(along, height, known, cell_m, signal)
         ground = kept
+        level = water_levels(known.cell[kept], height[kept], known.index, cell_m)
     elif signal.method == "mdbscan":
         kept = ground = baseline
         score = np.where(kept, _SURE, np.float32(0.0))
-    level = np.full(len(known.index), NO_WATER)
-    if signal.method != "mdbscan":
-        level = water_levels(known.cell[kept], height[kept], known.index, cell_m)
+        level = np.full(len(known.index), NO_WATER)
     return {
         "score": score,
         "signal": kept.astype(np.uint8),
