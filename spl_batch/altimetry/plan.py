@@ -150,7 +150,7 @@ def _inspect(
     wanted = workflow.track.beams
     for path in paths:
         try:
-            file = inspect(path, workflow.track.prf_hz)
+            file = inspect(path)
         except InputError as error:
             bad.append(error)
             continue

@@ -31,7 +31,7 @@ STEPS: Final[Steps] = table(
         stage="index",
         run=f"{_TASKS}.index:take_in",
         tasks="spl_batch.altimetry.plan:take_in",
-        settings=("track.prf_hz", "rate.cell_m", "signal.window_m", "work"),
+        settings=("rate.cell_m", "signal.window_m", "work"),
         unit="beam",
     ),
     Step(

@@ -182,7 +182,6 @@ def test_a_csv_is_labelled_whatever_its_order(tmp_path: Path) -> None:
     order = np.random.default_rng(0).permutation(len(track.along_m))
     mixed = type(track)(
         *(values[order] for values in (track.along_m, track.height_m, track.truth, track.ground_m)),
-        track.background,
         track.reference_m,
     )
     write_csv(tmp_path / "sorted.csv", track)
@@ -432,7 +431,7 @@ def test_too_little_memory_is_refused_with_a_remedy(tmp_path: Path) -> None:
 
 
 def test_photons_without_a_height_stay_without_a_label(tmp_path: Path) -> None:
-    path = write_atl03(tmp_path / "a.h5", {"gt1r": small_track(1)}, rate=False)
+    path = write_atl03(tmp_path / "a.h5", {"gt1r": small_track(1)})
     with h5py.File(path, "r+") as file:
         file["gt1r/heights/h_ph"][100:103] = np.finfo(np.float32).max
     workflow = write_workflow(tmp_path, "a.h5", reference={"baseline": False})

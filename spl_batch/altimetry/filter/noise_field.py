@@ -135,19 +135,30 @@ def first_density(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> 
     return np.repeat(np.maximum(found, least)[:, None], counts.shape[1], axis=1)
 
 
-def density(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Noise density of each box, (cells, heights) float64 [1/m2].
+def density(
+    counts: NDArray[np.float64], area_m2: NDArray[np.float64], surface: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Noise density of each box, (cells, heights) float64 [1/m2]: by itself in air and in water.
 
     Parameters
     ----------
     counts, area_m2 : (cells, heights) float64
         Photons that are noise, and area in which a photon would be, of each box [count, m2].
+    surface : (cells,) int64
+        Box of the water surface of each cell; -1 for none.
     """
     place = _by_cell(counts, area_m2)
-    seen, expected = (
-        _sums(values, _PROFILE_CELLS, _PROFILE_BOXES) for values in (counts, area_m2 * place)
-    )
-    found: NDArray[np.float64] = place * (seen + _BELIEF) / (expected + _BELIEF)
+    wet = surface[:, None] >= 0
+    below = wet & (np.arange(counts.shape[1]) <= surface[:, None])
+    medium = wet + below.astype(np.int64)
+    found = np.empty(counts.shape)
+    for one in np.unique(medium).tolist():
+        mine = medium == one
+        seen, expected = (
+            _sums(np.where(mine, values, 0.0), _PROFILE_CELLS, _PROFILE_BOXES)
+            for values in (counts, area_m2 * place)
+        )
+        np.copyto(found, place * (seen + _BELIEF) / (expected + _BELIEF), where=mine)
     return found
 
 
@@ -168,7 +179,7 @@ def below_water(
     field, counts, area_m2 : (cells, heights) float64
         Noise as of :func:`density`, and what it was made of.
     surface : (cells,) int64
-        Box of the water surface of each cell; -1 for none.
+        As of :func:`density`.
     """
     place = _by_cell(counts, area_m2)
     at = surface[:, None] - np.arange(counts.shape[1])

@@ -32,7 +32,7 @@ from spl_batch.altimetry.filter.neighbours import (
     log_areas,
 )
 from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, first_density, gate
-from spl_batch.altimetry.filter.posterior import noise_posterior, ratios
+from spl_batch.altimetry.filter.posterior import Ratios, noise_posterior, ratios
 from spl_batch.altimetry.settings import Shape, SignalSettings
 from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M, water_levels
 from spl_batch.constants import QUANTA_PER_M
@@ -79,6 +79,15 @@ class _Places:
     box: NDArray[np.int64]
     slope: NDArray[np.float64]
     area_m2: NDArray[np.float64]  #: Area that each stands for; empty for photons.
+
+
+class _Seen(NamedTuple):
+    """Neighbours of photons and places by one shape."""
+
+    near: NDArray[np.float64]  #: (n, K): logarithms of areas, of photons.
+    empty: NDArray[np.float64]  #: (q, K): of places.
+    reach_m2: float  #: Area within the reach.
+    table: Ratios
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +146,10 @@ def assess(
     share = (gate_m * cell_m / np.maximum(np.bincount(at, minlength=cells), 1))[at]
     places = _Places(place_x, place_z, boxes.of(at, place_z), slopes(at, place_z), share)
     known = columns(photons.x_m, photons.z_m)
-    tried = [_by_shape(known, photons, places, boxes, shape, settings) for shape in settings.shapes]
+    seen = [_seen(known, photons, places, shape, settings) for shape in settings.shapes]
+    field = first_density(boxes.table(photons.box), boxes.table(places.box, share))
+    dry = np.full(cells, -1)
+    tried = [_agreed(one, photons, places, boxes, field, dry) for one in seen]
     every = np.ones(len(x_m), np.bool_), np.ones(len(at), np.bool_)
     best = _best(tried, *every, photons_factor)
     kept = best.found.above >= best.least
@@ -145,7 +157,12 @@ def assess(
     level = water_levels(cell[kept], height[kept], index, cell_m)
     groups = [every]
     if (level != NO_WATER).any():
-        tried = [_below_water(found, photons, places, boxes, level) for found in tried]
+        row = boxes.of(np.zeros(cells, np.int64), level / QUANTA_PER_M)
+        surface = np.where(level != NO_WATER, row, -1)
+        tried = [
+            _below_water(one, photons, places, boxes, before.field, surface)
+            for one, before in zip(seen, tried, strict=True)
+        ]
         deep = [
             (level[c] != NO_WATER) & (z < level[c] / QUANTA_PER_M - SURFACE_M)
             for c, z in ((cell, z_m), (at, place_z))
@@ -187,40 +204,50 @@ def _strewn(
     return cell, (along, up)
 
 
-def _by_shape(
-    known: Columns,
-    photons: _Places,
-    places: _Places,
-    boxes: Boxes,
-    form: Shape,
-    settings: SignalSettings,
-) -> _Found:
-    """Scores and noise by neighbourhoods of one shape, repeated until they agree."""
-    table = ratios(form.neighbours, settings.contrast_max)
+def _seen(
+    known: Columns, photons: _Places, places: _Places, form: Shape, settings: SignalSettings
+) -> _Seen:
+    """Neighbours of photons and places in ellipses of one shape."""
     shape = form.neighbours, form.aspect, settings.reach_m
     none = np.full(len(places.x_m), -1)
     own = np.arange(len(photons.x_m))
-    near = log_areas(known, (photons.x_m, photons.z_m), photons.slope, own, shape)
-    empty = log_areas(known, (places.x_m, places.z_m), places.slope, none, shape)
-    reach_m2 = np.pi * settings.reach_m**2 / form.aspect
-    field = first_density(boxes.table(photons.box), boxes.table(places.box, places.area_m2))
+    return _Seen(
+        log_areas(known, (photons.x_m, photons.z_m), photons.slope, own, shape),
+        log_areas(known, (places.x_m, places.z_m), places.slope, none, shape),
+        np.pi * settings.reach_m**2 / form.aspect,
+        ratios(form.neighbours, settings.contrast_max),
+    )
+
+
+def _agreed(
+    seen: _Seen,
+    photons: _Places,
+    places: _Places,
+    boxes: Boxes,
+    field: NDArray[np.float64],
+    surface: NDArray[np.int64],
+) -> _Found:
+    """Scores and noise by one shape, repeated from a first field until they agree."""
     total = 0.0
     for turn in range(_ROUNDS):
         here, there = field.reshape(-1)[photons.box], field.reshape(-1)[places.box]
         each = there * places.area_m2
         part = np.clip(each.sum() / len(photons.x_m), *_NOISE_SHARE)
         prior = float(np.log((1.0 - part) / part))
-        score = noise_posterior(near, reach_m2, here, prior, table)
+        score = noise_posterior(seen.near, seen.reach_m2, here, prior, seen.table)
         above, other = (
             np.clip(np.log(np.maximum(-values, 1e-9)), _BINS[0], _BINS[-2])
-            for values in (score, noise_posterior(empty, reach_m2, there, prior, table))
+            for values in (
+                score,
+                noise_posterior(seen.empty, seen.reach_m2, there, prior, seen.table),
+            )
         )
         found = _Found(score, above, other, field, each)
         total, before = float(each.sum()), total
         if abs(total - before) <= _AGREED * total:
             break
         if turn < _ROUNDS - 1:
-            field = density(*_unexplained(found, photons, places, boxes))
+            field = density(*_unexplained(found, photons, places, boxes), surface)
     return found
 
 
@@ -234,11 +261,15 @@ def _unexplained(
 
 
 def _below_water(
-    found: _Found, photons: _Places, places: _Places, boxes: Boxes, level: NDArray[np.int64]
+    seen: _Seen,
+    photons: _Places,
+    places: _Places,
+    boxes: Boxes,
+    field: NDArray[np.float64],
+    surface: NDArray[np.int64],
 ) -> _Found:
-    """The same with the noise of water columns below their surfaces."""
-    row = boxes.of(np.zeros(len(level), np.int64), level / QUANTA_PER_M)
-    surface = np.where(level != NO_WATER, row, -1)
+    """The same with noise of its own below water, which falls with depth where it is counted."""
+    found = _agreed(seen, photons, places, boxes, field, surface)
     field = below_water(found.field, *_unexplained(found, photons, places, boxes), surface)
     return replace(found, each=field.reshape(-1)[places.box] * places.area_m2)
 
