@@ -235,6 +235,7 @@ def compare(tracks: Tracks) -> Iterator[Task]:
         labels = tracks.inputs.labels if source.file.layout == "atl03" else ()
         args = {
             **_beam_args(source, beam, key),
+            "name": f"{source.name}: {beam.name}",
             "segments": segments,
             "reference": stamps,
             "labels": [str(path) for path in labels],

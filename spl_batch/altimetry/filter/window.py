@@ -43,6 +43,12 @@ _AGREED: Final = 0.005
 _SURE_NOISE: Final = 0.8
 """Share of the noise whose scores are lowest: photons below are noise for its density."""
 
+_CLUMP: Final = 20.0
+"""Photons that noise comes in, at most, where it passes for signal [count]."""
+
+_SURE_SD: Final = 5.0
+"""Standard deviations by which signal has to exceed what noise alone gives."""
+
 _BINS: Final = np.linspace(-6.0, 6.0, 601)
 """Edges of bins of ln(-score)."""
 
@@ -167,7 +173,11 @@ def assess(
             (level[c] != NO_WATER) & (z < level[c] / QUANTA_PER_M - SURFACE_M)
             for c, z in ((cell, z_m), (at, place_z))
         ]
-        groups = [(deep[0], deep[1]), (~deep[0], ~deep[1])]
+        best = _best(tried, deep[0], deep[1], photons_factor)
+        floor = int(np.count_nonzero(best.found.above[deep[0]] >= best.least))
+        noise = best.found.each[deep[1] & (best.found.other >= best.least)].sum()
+        if stands_out(floor, noise):
+            groups = [(deep[0], deep[1]), (~deep[0], ~deep[1])]
     score, signal, ground = (np.empty(len(x_m), dtype) for dtype in (np.float32, bool, bool))
     each, passed = np.empty(len(at)), np.empty(len(at), np.bool_)
     for mine, there in groups:
@@ -188,6 +198,11 @@ def assess(
         expected=np.bincount(at, each, cells).astype(np.float64),
         false=np.bincount(at, each * passed, cells).astype(np.float64),
     )
+
+
+def stands_out(kept: int, noise: float) -> bool:
+    """Whether so many photons are more than clumps of the noise expected among them."""
+    return bool(kept - noise >= _SURE_SD * (_CLUMP * (noise + 1.0)) ** 0.5)
 
 
 def _strewn(
