@@ -1,5 +1,6 @@
 """The site of the documentation works without a network, and as files without a server."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,9 @@ new Promise((done, late) => {
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The whole site, but the tutorial is not executed."""
+    """The site that CI has built; else a new one, whose tutorial is not executed."""
+    if built := os.environ.get("SPL_BATCH_SITE"):
+        return Path(built)
     config = pytest.importorskip("mkdocs.config", reason="mkdocs is not installed")
     build = pytest.importorskip("mkdocs.commands.build").build
     folder = tmp_path_factory.mktemp("site")

@@ -41,6 +41,14 @@ BASE: Final[Mapping[str, Any]] = {
     "sky": {"background_per_m3": 0.05},
     "acquisition": {"prf_hz": 10_000, "gate_m": 300},
 }
+
+
+def _uneven(zenith_deg: float = 45, **parts: Any) -> Mapping[str, Any]:
+    """A scene whose background follows what each beamlet looks at."""
+    sky = {"background_per_m3": 0.1, "by_albedo": True, "zenith_deg": zenith_deg}
+    return {"sky": sky, "acquisition": {"prf_hz": 10_000, "gate_m": 150}, **parts}
+
+
 SCENES: Final[Mapping[str, Mapping[str, Any]]] = {
     "edges": {
         "flights": [{"heading_deg": 0, "offset_m": 610}, {"heading_deg": 0, "offset_m": -630}],
@@ -74,6 +82,27 @@ SCENES: Final[Mapping[str, Mapping[str, Any]]] = {
         "flights": [CROSSING[0], {**CROSSING[1], "sky": 2.0}],
         "sky": {"background_per_m3": 0.05, "variation": 0.7, "period_s": 1.5},
     },
+    "classes": _uneven(
+        buildings={
+            "list": [
+                {
+                    "centre_m": [40 + 80 * (k % 3), 40 + 80 * (k // 3)],
+                    "size_m": [36, 28],
+                    "reflectance": (0.8, 0.06)[k % 2],
+                }
+                for k in range(9)
+            ]
+        },
+        trees={"cover": 0.2},
+    ),
+    "parcels": _uneven(terrain={"relief_m": 10, "wavelength_m": 120, "parcel_m": 40}),
+    "shoreline": _uneven(
+        water=[{"ring_m": [[-60, -60], [110, -60], [130, 120], [100, 300], [-60, 300]]}]
+    ),
+    "shadows": _uneven(
+        buildings={"count": 8, "eave_m": [10, 25]}, trees={"cover": 0.2}, zenith_deg=65
+    ),
+    "slopes": _uneven(terrain={"relief_m": 60, "wavelength_m": 120}, zenith_deg=70),
     "low": {
         "flights": [*CROSSING, {"heading_deg": 180, "offset_m": 320}],
         "sensor_overrides": {"pulse_energy_uj": 0.9, "dark_rate_hz": 2000.0},
@@ -93,8 +122,13 @@ class Voxels(NamedTuple):
     gate_end: Mask
     gate_middle: Mask
     swath_edge: Mask
+    bright: Mask
+    dark: Mask
     covers: NDArray[np.int64]
 
+
+BRIGHTER: Final = 1.2
+"""Bright and dark are voxels whose noise differs from the usual by this factor."""
 
 Region = Callable[[Voxels], Mask]
 BLIND, ALIKE = "survey.trajectory=null", "survey.channel_dimension=null"
@@ -117,6 +151,11 @@ STRATA: Final[tuple[tuple[str, str, tuple[str, ...], Region], ...]] = (
     ("no channels", "edges", (ALIKE,), lambda v: v.gate_middle),
     ("neither of them", "edges", (BLIND, ALIKE), lambda v: v.gate_middle),
     ("gate and pulse rate unknown", "edges", ("acquisition={}",), lambda v: v.gate_middle),
+    *(
+        row for name in ("classes", "parcels", "shoreline", "shadows", "slopes")
+        for row in ((f"{name}, bright", name, (), lambda v: v.bright),
+                    (f"{name}, dark", name, (), lambda v: v.dark))
+    ),
 )  # fmt: skip
 """Name, scene, overrides of the workflow, and which voxels."""
 
@@ -159,7 +198,10 @@ def voxels(folder: Path, overrides: tuple[str, ...]) -> Voxels:
     edge, covers = _swaths(x, y, z, scene)
     end, middle = _gate_ends(truth)
     true = _true_counts(folder, corner, truth.shape)
-    return Voxels(density * VOXEL_M**3, true, core, end, middle, edge, covers)
+    inner = core & middle
+    usual = float(np.median(truth[inner])) if inner.any() else 0.0
+    bright, dark = inner & (truth > BRIGHTER * usual), inner & (truth < usual / BRIGHTER)
+    return Voxels(density * VOXEL_M**3, true, core, end, middle, edge, bright, dark, covers)
 
 
 def _true_counts(folder: Path, corner: tuple[int, ...], shape: tuple[int, ...]) -> Grid:

@@ -8,7 +8,6 @@ from typing import Final
 from spl_batch.airborne.plan.task_memory import task_bytes
 from spl_batch.airborne.precompile import compiling_beside
 from spl_batch.engine.plan.budget import Cost, refuse_too_large
-from spl_batch.engine.store.simulated_folders import mark_quickstart, quickstarted
 from spl_batch.engine.verbs.conclusion import RunResult
 from spl_batch.engine.verbs.preparing import limit_bytes
 from spl_batch.engine.verbs.running import run
@@ -54,7 +53,7 @@ def quickstart(
     Raises
     ------
     WorkflowError
-        If the folder holds anything that no quickstart made.
+        If the folder holds anything that no simulation made.
     PlanError
         If a worker has less memory than the survey takes; nothing is simulated then.
     """
@@ -62,10 +61,9 @@ def quickstart(
     refuse_too_large(_COST, limit)
     folder = Path(output)
     workflow = folder / "workflow.yaml"
-    if not quickstarted(folder):
+    if not workflow.exists():
         preset = resources.files("spl_batch.airborne.simulate").joinpath("presets/quickstart.yaml")
         # The simulation takes one processor.
         with resources.as_file(preset) as scene, compiling_beside(workers):
             simulate(scene, folder, progress=progress)
-        mark_quickstart(folder)
     return run(workflow, workers=workers, memory=memory, listener=listener)

@@ -40,7 +40,7 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.findings import Finding
-from spl_batch.engine.flow.executor import Work
+from spl_batch.engine.flow.warm_up import Work
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.store.working_store import Store, read_receipts

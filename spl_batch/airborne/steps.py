@@ -6,7 +6,6 @@ from typing import Any, Final
 from spl_batch.airborne.settings import AfterpulseSettings, NoiseSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.step import Step, Steps, table
-from spl_batch.engine.tasks.task import Task
 
 _INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
 
@@ -49,29 +48,11 @@ def _cell_m(survey: Any) -> float:
     return edge_m
 
 
-def _clouds(task: Task, _: Any) -> list[str]:
-    files = [task.args, *filter(None, [task.args["waveforms"]])]
-    return [f"laz/{file['delivered']}" for file in files]
-
-
-def _tiles(task: Task, workflow: Any) -> list[str]:
-    copc = ".copc" if workflow.outputs.tiles == "copc" else ""
-    return [f"tiles/{task.name}{copc}.laz"]
-
-
-def _rasters(task: Task, _: Any) -> list[str]:
-    return [f"{task.name}.tif"] if task.args["delivered"] else []
-
-
-def _target(task: Task, _: Any) -> list[str]:
-    return [task.args["target"]]
-
-
 _SHUFFLED: Final = ("build_tile", "align")
 """What the space domain is planned from: its points by tile, and whether flightlines are moved."""
 
 _cell = partial(_step, unit="ground cell", edge_m=_cell_m)
-_delivery = partial(_step, stage="deliver", delivers=_target)
+_delivery = partial(_step, stage="deliver", delivers=True)
 
 STEPS: Final[Steps] = table(
     _step(
@@ -240,7 +221,6 @@ STEPS: Final[Steps] = table(
         run="tasks.delivery:deliver_file",
         tasks="space_tasks:deliver",
         settings=("outputs.diagnostics", *_CLASSES),
-        delivers=_clouds,
         after=_SHUFFLED,
         bind=f"{_HOME}.tasks.bindings:delivered",
     ),
@@ -250,7 +230,6 @@ STEPS: Final[Steps] = table(
         tasks="space_tasks:deliver_tiles",
         settings=("outputs.tiles", *_CLASSES),
         edge_m=_tile_m,
-        delivers=_tiles,
         bytes_per_point=280,
         after=_SHUFFLED,
         bind=f"{_HOME}.tasks.bindings:delivered_tile",
@@ -260,7 +239,6 @@ STEPS: Final[Steps] = table(
         run="tasks.delivery:mosaic",
         tasks="space_tasks:mosaic",
         settings=("ground.cell_m", "products.cell_m", "products.void_max_m", "aoi"),
-        delivers=_rasters,
         after=("surface",),
     ),
     _step(
@@ -324,7 +302,7 @@ STEPS: Final[Steps] = table(
         "tasks.delivery:deliver_catalogue",
         tasks="catalogue_tasks:catalogue",
         settings=("survey.name",),
-        delivers=f"{_HOME}.plan.catalogue_tasks:catalogue_files",
+        delivers=True,
     ),
 )
 """What an airborne survey's tasks do."""

@@ -33,12 +33,12 @@ class RateSettings(Section):
 
 
 class BaselineSettings(Section):
-    """mDBSCAN [W17 3.1.2]: density in an ellipse against a multiple of the mean."""
+    """mDBSCAN [W17 3.1.2]: photons in an ellipse against a multiple of the mean of random ones."""
 
     scaled: bool = Field(True, description="On the axis that is scaled by the noise rate.")
     along_m: Positive = Field(12.0, le=200, description="Semi-axis along the track [m].")
     height_m: Positive = Field(4.0, le=200, description="Semi-axis in height [m].")
-    factor: Positive = Field(4.0, description="Least density, in mean densities.")
+    factor: Positive = Field(4.0, description="Least photons, over the mean of random ellipses.")
 
 
 Method = Literal["likelihood", "published", "mdbscan"]

@@ -1,20 +1,8 @@
 """Steps of ``kind: altimetry``, in the order in which they are done."""
 
-from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 from spl_batch.engine.tasks.step import Step, Steps, table
-from spl_batch.engine.tasks.task import Task
-
-
-def _beam_files(task: Task, _: Any) -> Sequence[str]:
-    name = task.args["delivered"]
-    return [f"photons/{name}.parquet", f"profiles/{name}.csv"]
-
-
-def _copies(task: Task, _: Any) -> Sequence[str]:
-    return [f"hdf5/{task.args['delivered']}"]
-
 
 _TASKS: Final = "spl_batch.altimetry.tasks"
 
@@ -73,7 +61,7 @@ STEPS: Final[Steps] = table(
         after=("profile",),
         settings=("outputs.refraction", "track.off_nadir_deg"),
         unit="beam",
-        delivers=_beam_files,
+        delivers=True,
     ),
     Step(
         name="deliver_file",
@@ -82,7 +70,7 @@ STEPS: Final[Steps] = table(
         tasks="spl_batch.altimetry.plan:deliver_file",
         after=("profile",),
         settings=("outputs.hdf5",),
-        delivers=_copies,
+        delivers=True,
     ),
 )
 """What is done, in the order in which it is done."""

@@ -1,15 +1,12 @@
 """The verbs of the project, usable from a notebook; the command line only calls these.
 
-A verb is imported when it is asked for: planning needs no pictures, say. In a notebook a verb that
-takes long shows what it does below its cell, unless it is given a listener.
+A verb is imported when it is asked for: planning needs no pictures, say.
 """
 
-import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from spl_batch.engine.watch.log_follower import Follower, status
-from spl_batch.engine.watch.status import RunStatus, StageStatus
+from spl_batch.engine.watch.status import Follower, RunStatus, StageStatus, status
 
 if TYPE_CHECKING:
     from spl_batch.airborne.arrays.filtering import expected_noise, filter_points
@@ -17,12 +14,12 @@ if TYPE_CHECKING:
     from spl_batch.airborne.arrays.surfaces import Rasters, ground_points, rasterize
     from spl_batch.airborne.first_use.one_file import denoise
     from spl_batch.airborne.quickstart import quickstart
-    from spl_batch.cli.watching import watching
+    from spl_batch.cli.view import watching
     from spl_batch.engine.verbs.alone import AloneResult, run_alone
     from spl_batch.engine.verbs.beginning import Beginning, init
     from spl_batch.engine.verbs.comparing import ComparisonResult, compare
     from spl_batch.engine.verbs.conclusion import RunResult
-    from spl_batch.engine.verbs.planning import Left, PlanSummary, plan
+    from spl_batch.engine.verbs.planning import PlanSummary, plan
     from spl_batch.engine.verbs.reporting import report
     from spl_batch.engine.verbs.running import run
     from spl_batch.engine.verbs.simulation import simulate
@@ -34,7 +31,6 @@ __all__ = [
     "ExpectedNoise",
     "Follower",
     "Labels",
-    "Left",
     "PlanSummary",
     "Rasters",
     "RunResult",
@@ -71,7 +67,6 @@ _HOMES = {
     "compare": "spl_batch.engine.verbs.comparing",
     "RunResult": "spl_batch.engine.verbs.conclusion",
     "run": "spl_batch.engine.verbs.running",
-    "Left": "spl_batch.engine.verbs.planning",
     "PlanSummary": "spl_batch.engine.verbs.planning",
     "plan": "spl_batch.engine.verbs.planning",
     "report": "spl_batch.engine.verbs.reporting",
@@ -80,24 +75,11 @@ _HOMES = {
     "denoise": "spl_batch.airborne.first_use.one_file",
     "quickstart": "spl_batch.airborne.quickstart",
     "simulate": "spl_batch.engine.verbs.simulation",
-    "watching": "spl_batch.cli.watching",
+    "watching": "spl_batch.cli.view",
 }
-
-
-_SHOWN = {
-    "compare": ("listener",),
-    "denoise": ("listener",),
-    "quickstart": ("listener", "progress"),
-    "run": ("listener",),
-    "simulate": ("progress",),
-}
-"""Verbs that take long, and the arguments by which they tell how far they are."""
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_HOMES[name]), name)
-    if name in _SHOWN and "ipykernel" in sys.modules:  # a notebook's
-        return import_module("spl_batch.cli.watching").shown(found, _SHOWN[name])
-    return found
+    return getattr(import_module(_HOMES[name]), name)

@@ -1,15 +1,13 @@
 """The command line: parse, call the API, print, exit status."""
 
-import _thread
 import atexit
 import errno
-import io
 import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -17,21 +15,40 @@ import click
 from click.shell_completion import get_completion_class
 
 from spl_batch.cli import document
-from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
-from spl_batch.cli.first_use import denoise, init
-from spl_batch.cli.lines import DRAWN, say_error
-from spl_batch.cli.options import CLOCK, OUTPUT, SETTINGS, WORKFLOW, limits
+from spl_batch.cli.console import say_error
 from spl_batch.errors import SplBatchError, told_by_system
 
-_AGAIN_S = 0.05
-"""After so long an interrupt that was dropped comes again [s]."""
-
-_LOADING = "loading, and reading the headers of the inputs"
-_STOPPING = "stopping"
 _CONTINUES = frozenset({"run", "quickstart", "compare", "denoise"})
 """Commands that go on where they stopped."""
 
 _STAGES = "index, shots, shuffle, denoise, ground, surfaces, deliver, report"
+
+_FILE = click.Path(path_type=Path)
+WORKFLOW = click.argument("workflow", type=_FILE)
+OUTPUT = click.argument("output", type=_FILE)
+SETTINGS = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY.PATH=VALUE",
+    help="Set a key of the workflow; repeatable.",
+)
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead.")
+WORKERS = click.option(
+    "--workers", default=2, show_default=True, help="Worker processes; 0 works in this one."
+)
+MEMORY = click.option(
+    "--memory",
+    metavar="SIZE",
+    show_default="four fifths of the machine's, shared by the workers, 16GiB at most; "
+    "4GiB with a scheduler",
+    help="Memory limit of a worker, such as 4GiB.",
+)
+
+
+def limits(command: Any) -> Any:
+    """Options of how much of the machine may be used."""
+    return WORKERS(MEMORY(command))
 
 
 def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:  # noqa: FBT001 - click's
@@ -60,37 +77,29 @@ def cli() -> None:
 
 
 @cli.command()
-@click.argument("folder", type=click.Path(path_type=Path), default=Path("spl-quickstart"))
+@click.argument("folder", type=_FILE, default=Path("spl-quickstart"))
 @limits
-def quickstart(folder: Path, workers: int, memory: str | None) -> int:
+def quickstart(folder: Path, **options: Any) -> int:
     """Simulate a small survey into FOLDER and run the whole chain on it."""
     from spl_batch import api  # noqa: PLC0415 - heavy imports stay out of --help
-    from spl_batch.cli import screen  # noqa: PLC0415
-    from spl_batch.cli.watching import watching  # noqa: PLC0415
+    from spl_batch.cli import screen, view  # noqa: PLC0415
 
-    with watching() as view:
-        result = api.quickstart(
-            folder,
-            workers=workers,
-            memory=memory,
-            progress=view.simulated,
-            listener=view.on_event,
-        )
-    screen.print_result(result, CLOCK.get().took_s)
+    with view.watching() as seen:
+        result = api.quickstart(folder, progress=seen.simulated, listener=seen.on_event, **options)
+    screen.print_result(result)
     return result.exit_status
 
 
 @cli.command()
-@click.argument("scene", type=click.Path(path_type=Path))
+@click.argument("scene", type=_FILE)
 @OUTPUT
 def simulate(scene: Path, output: Path) -> int:
     """Fly a synthetic survey of SCENE into OUTPUT, with truth for every point."""
     from spl_batch import api  # noqa: PLC0415
-    from spl_batch.cli import screen  # noqa: PLC0415
-    from spl_batch.cli.watching import watching  # noqa: PLC0415
+    from spl_batch.cli import screen, view  # noqa: PLC0415
 
-    with watching() as view:
-        summary = api.simulate(scene, output, progress=view.simulated)
+    with view.watching() as seen:
+        summary = api.simulate(scene, output, progress=seen.simulated)
     screen.print_simulation(summary, output)
     return 0
 
@@ -99,20 +108,13 @@ def simulate(scene: Path, output: Path) -> int:
 @WORKFLOW
 @limits
 @SETTINGS
-@document.option
-def plan(
-    workflow: Path,
-    workers: int,
-    memory: str | None,
-    overrides: tuple[str, ...],
-    as_json: bool,  # noqa: FBT001 - click passes flags by name
-) -> int:
-    """Say what a run of WORKFLOW would do, and what is wrong with its inputs."""
-    with saying_if_slow(_LOADING):
-        from spl_batch import api  # noqa: PLC0415
-        from spl_batch.cli import screen  # noqa: PLC0415
+@JSON
+def plan(workflow: Path, as_json: bool, **options: Any) -> int:  # noqa: FBT001 - click passes flags by name
+    """Estimate what a run of WORKFLOW would do, and name what is wrong with its inputs."""
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen  # noqa: PLC0415
 
-        summary = api.plan(workflow, workers=workers, memory=memory, overrides=overrides)
+    summary = api.plan(workflow, **options)
     if as_json:
         document.print_document(document.of_plan(summary))
     else:
@@ -132,58 +134,45 @@ def plan(
 @click.option(
     "--only",
     metavar="'KIND NAME'",
-    help="Do one task alone, here, from what is finished; says where its traceback is.",
+    help="Do one task alone, here, from what is finished; prints where its traceback is.",
 )
 @SETTINGS
-@document.option
+@JSON
 def run(
     workflow: Path,
-    workers: int,
-    memory: str | None,
-    scheduler: str | None,
-    fresh: bool,  # noqa: FBT001 - click passes flags by name
-    verify: bool,  # noqa: FBT001
-    until: str | None,
     only: str | None,
-    overrides: tuple[str, ...],
-    as_json: bool,  # noqa: FBT001
+    as_json: bool,  # noqa: FBT001 - click passes flags by name
+    **options: Any,
 ) -> int:
     """Process the survey of WORKFLOW; run again, it continues where it stopped."""
-    with saying_if_slow(_LOADING) as begun:
+    from spl_batch.cli import view  # noqa: PLC0415
+
+    if only is not None:
+        return _alone(workflow, only, as_json=as_json, **options)
+    with view.watching() as seen:
+        seen.loading()
         from spl_batch import api  # noqa: PLC0415
         from spl_batch.cli import screen  # noqa: PLC0415
-        from spl_batch.cli.watching import watching  # noqa: PLC0415
 
-        if only is not None:
-            if scheduler or fresh or verify or until or as_json:
-                raise click.UsageError("--only goes with --workers, --memory and --set alone")
-            alone = api.run_alone(
-                workflow, only, workers=workers, memory=memory, overrides=overrides
-            )
-            screen.print_alone(alone)
-            return alone.exit_status
-        with watching() as view:
-
-            def listen(event: Any) -> None:
-                begun()
-                view.on_event(event)
-
-            result = api.run(
-                workflow,
-                workers=workers,
-                memory=memory,
-                scheduler=scheduler,
-                fresh=fresh,
-                verify=verify,
-                until=until,
-                overrides=overrides,
-                listener=listen,
-            )
+        result = api.run(workflow, listener=seen.on_event, **options)
     if as_json:
         document.print_document(document.of_result(result))
     else:
-        screen.print_result(result, CLOCK.get().took_s)
+        screen.print_result(result)
     return result.exit_status
+
+
+def _alone(workflow: Path, only: str, *, as_json: bool, **options: Any) -> int:
+    """Do one task alone."""
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen  # noqa: PLC0415
+
+    taken = {name: options.pop(name) for name in ("workers", "memory", "overrides")}
+    if as_json or any(options.values()):
+        raise click.UsageError("--only goes with --workers, --memory and --set alone")
+    alone = api.run_alone(workflow, only, **taken)
+    screen.print_alone(alone)
+    return alone.exit_status
 
 
 @cli.command()
@@ -197,23 +186,13 @@ def run(
 )
 @limits
 @SETTINGS
-def compare(
-    workflow: Path, methods: str, workers: int, memory: str | None, overrides: tuple[str, ...]
-) -> int:
+def compare(workflow: Path, methods: str, **options: Any) -> int:
     """Run several methods on the inputs of WORKFLOW: a table, and profiles side by side."""
     from spl_batch import api  # noqa: PLC0415
-    from spl_batch.cli import screen  # noqa: PLC0415
-    from spl_batch.cli.watching import watching  # noqa: PLC0415
+    from spl_batch.cli import screen, view  # noqa: PLC0415
 
-    with watching() as view:
-        result = api.compare(
-            workflow,
-            methods,
-            workers=workers,
-            memory=memory,
-            overrides=overrides,
-            listener=view.on_event,
-        )
+    with view.watching() as seen:
+        result = api.compare(workflow, methods, listener=seen.on_event, **options)
     screen.print_comparison(result)
     return result.exit_status
 
@@ -223,9 +202,9 @@ def compare(
 @click.option(
     "--watch", is_flag=True, help="Show it until the run ends; wait for one that has not begun."
 )
-@document.option
+@JSON
 def status(output: Path, watch: bool, as_json: bool) -> int:  # noqa: FBT001 - click passes flags by name
-    """Say what is done, running, failed and left in OUTPUT, also while a run works there."""
+    """Show what is done, running, failed and left in OUTPUT, also while a run works there."""
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
 
@@ -245,17 +224,56 @@ def status(output: Path, watch: bool, as_json: bool) -> int:  # noqa: FBT001 - c
 @OUTPUT
 def report(output: Path) -> int:
     """Write the report of OUTPUT again from what is on disk."""
-    with saying_if_slow("writing the report"):
-        from spl_batch import api  # noqa: PLC0415
-        from spl_batch.cli import screen  # noqa: PLC0415
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen  # noqa: PLC0415
 
-        result = api.report(output)
+    result = api.report(output)
     screen.print_result(result)
     return int(result.exit_status)
 
 
-cli.add_command(denoise)
-cli.add_command(init)
+@cli.command()
+@click.argument("source", metavar="IN.laz", type=_FILE)
+@click.argument("target", metavar="OUT.laz", type=_FILE)
+@click.option("--trajectory", metavar="FILE", help="Where the sensor was: CSV, Parquet or SBET.")
+@click.option("--sensor", metavar="NAME", help="The instrument, such as hrqls; by default spl100.")
+@click.option("--ground", is_flag=True, help="Find the ground as well: class 2.")
+@click.option("--dtm", metavar="FILE.tif", type=_FILE, help="Write the terrain as a GeoTIFF.")
+@click.option("--force", is_flag=True, help="Replace results that are there.")
+@limits
+@SETTINGS
+def denoise(source: Path, target: Path, **options: Any) -> int:
+    """Label the noise of IN.laz in OUT.laz, without a workflow file.
+
+    OUT.laz has every point, in order. Noise has class 7 (below the surface) or 18 (above it),
+    afterpulses too; `noise_class` tells them apart. What is not given is guessed, and printed.
+    """
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen, view  # noqa: PLC0415
+
+    with view.watching() as seen:
+        result = api.denoise(source, target, listener=seen.on_event, **options)
+    screen.print_result(result)
+    return result.exit_status
+
+
+@cli.command()
+@click.argument("folder", type=_FILE)
+@click.option("--force", is_flag=True, help="Replace a workflow that is there.")
+def init(folder: Path, force: bool) -> int:  # noqa: FBT001 - click passes flags by name
+    """Write a commented workflow for the files below FOLDER, and plan it.
+
+    Headers and both ends of the files are looked at: beamlet numbers, times, CRS, trajectories,
+    other clouds. What they do not hold is listed, and marked with `?` in FOLDER/workflow.yaml.
+    """
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen  # noqa: PLC0415
+
+    begun = api.init(folder, force=force)
+    screen.print_beginning(begun)
+    summary = api.plan(begun.workflow)
+    screen.print_plan(summary)
+    return summary.exit_status
 
 
 @cli.command()
@@ -275,37 +293,30 @@ def completion(shell: str) -> int:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the status of the contract."""
-    told = threading.Event()
     given = sys.argv[1:] if arguments is None else arguments
-    goes_on = bool(given) and given[0] in _CONTINUES
-    interrupted = "interrupted" + "; the same command continues" * goes_on
-    # As the command of its process it began with that: loading Python and packages counts.
-    CLOCK.set(CommandClock(process_age_s() if arguments is None else 0.0))
-    document.ASKED.set("--json" in given)  # options may not be read as far as that
+    as_json, interrupted = "--json" in given, threading.Event()
+    goes_on = "; the same command continues" if given[:1] and given[0] in _CONTINUES else ""
     try:
-        with _ended_in_order(told, _STOPPING + "; what is finished is kept" * goes_on):
+        with _ended_in_order(interrupted):
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
     except click.ClickException as error:
-        _say_usage(error)
-        if document.ASKED.get():
-            document.print_error(error.format_message(), 2)
-        sys.exit(2)
-    except click.Abort:
-        _end(interrupted, 3)
+        error.show()
+        _end("", 2, error.format_message() if as_json else "")
+    except (click.Abort, KeyboardInterrupt):
+        _end(f"interrupted{goes_on}", 3, as_json and "interrupted")
     except SplBatchError as error:
-        _end(f"spl-batch: {error}", error.exit_status)
+        _end(f"spl-batch: {error}", error.exit_status, as_json and str(error))
     except TimeoutError as error:
-        said = str(error) or "no answer in time"
-        _end(f"spl-batch: {said}; the machine is busy, run again to continue", 3)
+        text = f"{str(error) or 'no answer in time'}; the machine is busy, run again to continue"
+        _end(f"spl-batch: {text}", 3, as_json and text)
     except OSError as error:
         full = error.errno in {errno.ENOSPC, errno.EDQUOT}
-        remedy = "free some space and run again" if full else ""
-        _end(f"spl-batch: {told_by_system(error, remedy)}", 3 if full else 2)
-    except Exception:
-        # The interrupt may come up as something else: in a callback of a compiler it is lost.
-        if not told.is_set():
+        text = told_by_system(error, "free some space and run again" if full else "")
+        _end(f"spl-batch: {text}", 3 if full else 2, as_json and text)
+    except Exception:  # an interrupt may come up as something else, as in a compiler's callback
+        if not interrupted.is_set():
             raise
-        _end(interrupted, 3)
+        _end(f"interrupted{goes_on}", 3, as_json and "interrupted")
     status = status if isinstance(status, int) else 0
     if arguments is None:
         _leave(status)
@@ -313,85 +324,41 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _leave(status: int) -> None:
-    """End this process at once: what is at work ends, what is written is flushed.
-
-    Python would take apart every module that it has loaded, which takes a second; the system does
-    that in no time. Where a thread or a profiler is still at work, or nobody
-    reads on, Python ends as usual.
-    """
-    others = [t for t in threading.enumerate() if t is not threading.current_thread()]
-    if sys.getprofile() or sys.gettrace() or not all(thread.daemon for thread in others):
-        return
-    atexit._run_exitfuncs()  # noqa: SLF001 - as multiprocessing does before os._exit
-    try:
-        for stream in (sys.stdout, sys.stderr):
-            if stream is not None:  # as it is where it was closed before the start
-                stream.flush()
-    except (OSError, ValueError):  # of a pipe that is closed
-        return
-    os._exit(status)
+    """End this process at once: taking apart every module that is loaded takes a second."""
+    if all(t.daemon for t in threading.enumerate() if t is not threading.current_thread()):
+        atexit._run_exitfuncs()  # noqa: SLF001 - as multiprocessing does before os._exit
+        try:
+            sys.stdout.flush()
+            sys.stderr.flush()
+        except (OSError, ValueError, AttributeError):  # of a pipe that is closed
+            return
+        os._exit(status)
 
 
-def _say_usage(error: click.ClickException) -> None:
-    """Say what is wrong with a command line, as click does, in short lines."""
-    shown = io.StringIO()
-    error.show(shown)
-    for line in shown.getvalue().splitlines():
-        say_error(line)
-
-
-def _end(text: str, status: int) -> NoReturn:
-    """Say why the command ends, and end it."""
-    say_error(text)
-    if document.ASKED.get():
-        document.print_error(text, status)
+def _end(text: str, status: int, document_text: object = "") -> NoReturn:
+    """Print why the command ends, and end it."""
+    if text:
+        say_error(text)
+    if document_text:
+        document.print_error(str(document_text), status)
     sys.exit(status)
 
 
 @contextmanager
-def _ended_in_order(told: threading.Event, saying: str) -> Iterator[None]:
-    """Take the end of a queue system's time like Ctrl-C: in order, to be continued.
-
-    Sets ``told`` when either comes, and says so.
-    """
+def _ended_in_order(interrupted: threading.Event) -> Iterator[None]:
+    """Take the end of a queue system's time like Ctrl-C: in order, to be continued."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def interrupt(*_: object) -> None:
-        if not told.is_set():
-            # Nothing else may write here: the interrupt may have come amid a line of the console.
-            for show in DRAWN:
-                show(saying)
-            with suppress(OSError):  # of a terminal that is gone
-                os.write(2, b"" if DRAWN else f"\n{saying}\n".encode())
-        told.set()
+        interrupted.set()
         raise KeyboardInterrupt
 
-    def unraisable(found: Any) -> None:
-        # Raised in a destructor or a callback, where Python drops it: it comes again.
-        if told.is_set() and isinstance(found.exc_value, KeyboardInterrupt):
-            again = threading.Timer(_AGAIN_S, _thread.interrupt_main, [signal.SIGTERM])
-            again.daemon = True
-            again.start()
-        else:
-            hook(found)
-
-    def uncaught(kind: type[BaseException], value: BaseException, trace: Any) -> None:
-        # Callbacks of compiled libraries print what they drop, as if the program ended with it.
-        if not (told.is_set() and issubclass(kind, KeyboardInterrupt)):
-            shown(kind, value, trace)
-
-    before = {
-        sign: signal.signal(sign, interrupt)
-        for sign in (signal.SIGTERM, signal.SIGINT)
-        if signal.getsignal(sign) != signal.SIG_IGN  # of a command in the background
-    }
-    hook, sys.unraisablehook = sys.unraisablehook, unraisable
-    shown, sys.excepthook = sys.excepthook, uncaught
+    signs = [s for s in (signal.SIGTERM, signal.SIGINT) if signal.getsignal(s) != signal.SIG_IGN]
+    before = [(sign, signal.signal(sign, interrupt)) for sign in signs]
     try:
         yield
     finally:
-        sys.unraisablehook, sys.excepthook = hook, shown
-        for sign, handler in before.items():
+        for sign, handler in before:
             signal.signal(sign, handler)

@@ -1,23 +1,18 @@
-"""A console for texts that others wrote, and whether somebody sits before it."""
+"""A console for texts that others wrote: names and texts in files are only shown."""
 
 import os
 from collections.abc import Iterable
 
+import click
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
+from rich.text import Text
 
-from spl_batch.cli.lines import LINE_MAX
 from spl_batch.errors import plain
 
 
 class PlainConsole(Console):
-    """A console of short lines that writes out whatever in a text a terminal would obey."""
-
-    @property
-    def options(self) -> ConsoleOptions:
-        """Those of the console: on a wide screen, or a pipe that counts as one, lines are short."""
-        found = super().options
-        return found.update_width(min(found.max_width, LINE_MAX))
+    """A console that writes out whatever in a text a terminal would obey."""
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
@@ -26,16 +21,24 @@ class PlainConsole(Console):
         for segment in super().render(renderable, options):
             yield segment if segment.control else _shown(segment)
 
+    def say(self, text: str, style: str = "") -> None:
+        """Print a message as one line, which a terminal wraps."""
+        self.print(Text(plain(text), style=style), soft_wrap=True)
+
 
 def is_screen(console: Console) -> bool:
     """Whether what is printed can be drawn over later.
 
-    `FORCE_COLOR` asks for colours, and rich then takes a pipe for a terminal. Notebooks set it for
-    the commands of their cells, and show the codes that move a cursor as text. They may run these
-    commands in a terminal; Jupyter's kernels set `JPY_PARENT_PID`.
+    `FORCE_COLOR` asks for colours, and rich then takes a pipe for a terminal. Jupyter's kernels set
+    `JPY_PARENT_PID`.
     """
     terminal = console.is_interactive and console.file.isatty()
     return terminal and "JPY_PARENT_PID" not in os.environ
+
+
+def say_error(text: str) -> None:
+    """Print a message to standard error."""
+    click.echo(plain(text), err=True)
 
 
 def _shown(segment: Segment) -> Segment:

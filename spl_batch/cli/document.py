@@ -5,27 +5,13 @@ A document has ``exit_status``. One that has ``error`` has nothing else.
 
 import json
 from collections.abc import Mapping
-from contextvars import ContextVar
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:  # each command loads what it needs only
     from spl_batch.api import PlanSummary, RunResult, RunStatus
-
-ASKED: Final[ContextVar[bool]] = ContextVar("document asked for", default=False)
-"""Whether this command is to print one."""
-
-
-def _ask(_context: click.Context, _option: click.Parameter, value: bool) -> bool:  # noqa: FBT001
-    ASKED.set(value)
-    return value
-
-
-option: Final = click.option(
-    "--json", "as_json", is_flag=True, callback=_ask, help="Print one JSON document instead."
-)
 
 
 def print_document(content: Mapping[str, Any]) -> None:
@@ -42,13 +28,12 @@ def print_error(text: str, exit_status: int) -> None:
 
 def of_plan(summary: "PlanSummary") -> dict[str, Any]:
     """What a run would do."""
-    cost = asdict(summary.cost) | {"time_s": summary.cost.time_s}
     return {
         "exit_status": summary.exit_status,
         "files": summary.files,
-        "cost": cost,
+        "cost": asdict(summary.cost) | {"time_s": summary.cost.time_s},
         "limit_bytes": summary.limit_bytes,
-        "left": None if summary.left is None else asdict(summary.left),
+        "finished": summary.finished,
         "findings": [one.model_dump(mode="json") for one in summary.findings],
         "faults": summary.faults,
     }
@@ -56,7 +41,7 @@ def of_plan(summary: "PlanSummary") -> dict[str, Any]:
 
 def of_result(result: "RunResult") -> dict[str, Any]:
     """How a run ended: its numbers as the report has them, and where the files are."""
-    told = {} if result.report is None else result.report.model_dump(mode="json")
+    found = {} if result.report is None else result.report.model_dump(mode="json")
     parts = ("counts", "accuracy", "performance", "findings", "failures")
     return {
         "exit_status": result.exit_status,
@@ -64,16 +49,17 @@ def of_result(result: "RunResult") -> dict[str, Any]:
         "results": {
             label: [str(path) for path in paths if path.exists()] for label, paths in result.results
         },
-        **{name: told[name] for name in parts if name in told},
+        **{name: found[name] for name in parts if name in found},
     }
 
 
 def of_status(status: "RunStatus") -> dict[str, Any]:
     """State of a run."""
     names = ("total", "done", "failed", "left", "points", "points_per_s", "elapsed_s", "left_s")
+    state = "working" if status.holder is not None else "stopped"
     return {
         "exit_status": 0,
-        "state": _state(status),
+        "state": "ended" if status.ended is not None else state,
         "ended": status.ended and {k: status.ended.get(k) for k in ("exit_status", "reason")},
         "holder": status.holder,
         "left_s": status.left_s,
@@ -82,13 +68,6 @@ def of_status(status: "RunStatus") -> dict[str, Any]:
             stage.stage: {name: getattr(stage, name) for name in names}
             for stage in status.stages.values()
         },
-        "running": [status.called[task] for task in status.running],
+        "running": list(status.running.values()),
         "failures": [asdict(one) for one in (*status.unusable, *status.failures)],
     }
-
-
-def _state(status: "RunStatus") -> str:
-    """In a word: a run works, has ended, or was stopped before its end."""
-    if status.ended is not None:
-        return "ended"
-    return "working" if status.holder is not None else "stopped"

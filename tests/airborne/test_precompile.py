@@ -11,7 +11,7 @@ import pytest
 
 from spl_batch.airborne import precompile
 from spl_batch.engine.flow.cluster import SETTINGS
-from spl_batch.engine.flow.executor import Ahead
+from spl_batch.engine.flow.warm_up import Ahead
 from spl_batch.errors import StoppedError
 from tests import surveys
 

@@ -1,15 +1,11 @@
 """What programs read: one JSON document on standard output; and what a shell completes."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from spl_batch import api
 from tests import surveys
 
 
@@ -22,7 +18,7 @@ def document(*arguments: Any, status: int = 0) -> dict[str, Any]:
 
 def test_plan_run_and_status_give_one_document_each(small: Path) -> None:
     plan = document("plan", small)
-    assert (plan["files"], plan["faults"], plan["left"]) == (2, [], None)
+    assert (plan["files"], plan["faults"], plan["finished"]) == (2, [], 0)
     assert plan["cost"]["time_s"] > 0
     run = document("run", small, "--workers", 0)
     assert run["counts"]["points_in"] == run["counts"]["points_out"] == plan["cost"]["points"]
@@ -33,24 +29,7 @@ def test_plan_run_and_status_give_one_document_each(small: Path) -> None:
     assert status["ended"] == {"exit_status": 0, "reason": ""}
     assert status["stages"]["deliver"]["done"] == status["stages"]["deliver"]["total"] > 0
     plan = document("plan", small)
-    assert plan["left"]["stage"] == ""
-
-
-def test_results_are_shown_by_python_in_lines_that_a_person_reads(small: Path) -> None:
-    small.unlink()
-    begun = repr(api.init(small.parent))
-    assert begun.startswith("Beginning\n  workflow  ")
-    assert "  not told  " in begun
-    plan = repr(api.plan(small)).splitlines()
-    assert plan[0] == "PlanSummary"
-    assert [line for line in plan if line.split()[:2] == ["points", "6"]]
-    ended = api.RunResult(0, small, None, (("points", "7 in, 7 out"),), (("cloud", [small]),))
-    rows = [line.split(maxsplit=1) for line in repr(ended).splitlines()[1:]]
-    assert ["points", "7 in, 7 out"] in rows
-    assert ["cloud", str(small)] in rows
-    status = api.RunStatus()
-    assert "denoise" in repr(status)
-    assert "stopped before its end" in repr(status)
+    assert plan["finished"] > 10
 
 
 def test_faults_and_errors_are_in_the_document(small: Path, tmp_path: Path) -> None:
@@ -66,27 +45,9 @@ def test_faults_and_errors_are_in_the_document(small: Path, tmp_path: Path) -> N
     assert "No such option" in document("run", tmp_path, "--wrong", status=2)["error"]
 
 
-def test_in_a_pipe_each_pair_is_one_line(small: Path) -> None:
-    out = surveys.command("plan", small).out
-    (halo,) = [line for line in out.splitlines() if line.startswith("halo")]
-    assert halo.endswith("for its rasters")
-
-
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_shell_is_told_how_to_complete(shell: str) -> None:
     ended = surveys.command("completion", shell)
     assert ended.status == 0
     assert f"_SPL_BATCH_COMPLETE={shell}_complete" in ended.out
     assert surveys.command("completion", "csh").status == 2
-
-
-def test_commands_and_options_are_completed() -> None:
-    asked = {"_SPL_BATCH_COMPLETE": "bash_complete", "COMP_WORDS": "spl-batch run --sch"}
-    found = subprocess.run(
-        [sys.executable, "-m", "spl_batch"],
-        env={**os.environ, **asked, "COMP_CWORD": "2"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert found.stdout.strip() == "plain,--scheduler"

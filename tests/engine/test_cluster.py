@@ -13,7 +13,8 @@ import pytest
 from distributed import Client, LocalCluster
 
 from spl_batch.engine.flow import cluster, dask_flow, job
-from spl_batch.engine.flow.executor import Footing, OnDask
+from spl_batch.engine.flow.cluster import OnDask
+from spl_batch.engine.flow.job import Footing
 from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task, WorkersSeen
 from spl_batch.errors import StoppedError
 from tests import clusters

@@ -27,7 +27,7 @@ from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
 from spl_batch.engine.store import working_store
 from spl_batch.engine.store.working_store import Store, write_receipt
 from spl_batch.engine.tasks import runner
-from spl_batch.engine.tasks.receipt_index import Shelf
+from spl_batch.engine.tasks.ledger import Shelf
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.formats.files import atomic

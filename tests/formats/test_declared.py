@@ -1,6 +1,5 @@
 """What files declare is compared with what can be, before anything is read by it."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from rasterio.transform import Affine
 
 from spl_batch.altimetry.formats.photons import inspect as inspect_track
 from spl_batch.altimetry.formats.terrain import sample_terrain
-from spl_batch.engine.settings.yaml_text import NoTextError, parse_yaml
+from spl_batch.engine.settings.yaml_text import parse_yaml
 from spl_batch.errors import InputError
 from spl_batch.formats.declared import BOMB_RATIO, SMALL_BYTES, bounded, refuse_bomb
 from spl_batch.formats.las.reader import iter_points
@@ -148,34 +147,3 @@ def test_what_is_no_yaml_of_settings_is_refused_in_one_line(text: str, tmp_path:
     ended = surveys.command("run", path)
     assert ended.status == 2
     assert str(path) in ended.text
-    assert max(map(len, ended.text.splitlines())) <= 300
-
-
-def test_characters_that_json_writes_in_halves_are_put_together() -> None:
-    texts = ["My survey \U0001f600", "M\u00fcnchen \U0001d11e\U0001f600", "plain"]
-    written = {text: [text] for text in texts}
-    assert parse_yaml(json.dumps(written)) == written
-
-
-NO_TEXTS = (
-    r'survey: {name: "\ud800x"}',
-    r'"\udc00\ud800": 1',
-    r'output: "a\0b"',
-    r'survey: {flightlines: ["\ud83d*.laz"]}',
-)
-
-
-@pytest.mark.parametrize("text", NO_TEXTS)
-def test_a_text_that_no_file_can_hold_is_refused(text: str) -> None:
-    with pytest.raises(NoTextError) as caught:
-        parse_yaml(f"# first\n{text}\n")
-    assert caught.value.problem_mark is not None
-    assert caught.value.problem_mark.line == 1
-
-
-def test_a_setting_that_no_file_can_hold_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "workflow.yaml"
-    path.write_text("output: out\n")
-    ended = surveys.command("plan", path, "--set", r'survey.name="\ud83d"')
-    assert ended.status == 2
-    assert "--set survey.name" in ended.err

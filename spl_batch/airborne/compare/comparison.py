@@ -21,6 +21,7 @@ from spl_batch.airborne.compare.contrast import (
     terrain_contrast,
 )
 from spl_batch.airborne.filter.denoise import METHODS as FILTERS
+from spl_batch.airborne.filter.shot_filters import OF_SHOTS
 from spl_batch.airborne.ground.ground_methods import METHODS as GROUND
 from spl_batch.airborne.plan.block_size import Holders, remember_stretch, remembered_stretch
 from spl_batch.airborne.report.model import Report
@@ -163,10 +164,11 @@ def _share(source: Store, target: Store, settings: Workflow, method: str) -> set
         stages |= {"shots", "shuffle", "denoise"}
     elif method != PUBLISHED:
         stages.add("shots")
-        # The points of a tile carry the verdict of single shots, which one method alone asks for.
+        # The points of a tile carry the verdict of single shots, which some methods alone ask for.
         asked = settings.filter.method if method in AFTERPULSES else method
         other = method in AFTERPULSES and not method.endswith(f":{settings.afterpulse.method}")
-        if (settings.filter.method == "dcc") == (asked == "dcc") and not other:
+        same = settings.filter.method == asked or not {settings.filter.method, asked} & {*OF_SHOTS}
+        if same and not other:
             stages.add("shuffle")
     points = remembered_stretch(source)
     if "shots" in stages and points is not None:

@@ -27,7 +27,6 @@ from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.engine.plan.input_files import matching
 from spl_batch.engine.report.number_format import as_ascii, of_all
 from spl_batch.engine.settings.mistaken_file import refuse_urls
-from spl_batch.engine.store.output_lock import refuse_lost
 from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.conclusion import RunResult
@@ -192,7 +191,6 @@ def _refuse(
             raise WorkflowError(f"{path}: write a name that ends in {suffix}{but}")
         if path.exists() and source.exists() and path.samefile(source):
             raise WorkflowError(f"{path}: this is the input; name another file")
-        refuse_lost(path.parent, str(path), Path.cwd())
         mine = path.exists() and own.get(str(real_path(path))) == _stamp(path)
         if path.exists() and not force and not mine:
             raise WorkflowError(f"{path} is there already; name another file, or add --force")

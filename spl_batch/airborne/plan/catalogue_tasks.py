@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from spl_batch.airborne.accuracy.evidence import LEVELS
-from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, virtual_cloud
 from spl_batch.airborne.lines.comparison import shifts_of
 from spl_batch.airborne.lines.sentences import done_sentence
 from spl_batch.airborne.plan.flightlines import swath_totals
@@ -61,14 +60,6 @@ def catalogue(survey: Survey) -> Iterator[Task]:
         *(("surface", name) for name in sorted(survey.of("surface"))),
     )
     yield Task("deliver_catalogue", "all", args, needs)
-
-
-def catalogue_files(task: Task, _: Any) -> list[str]:
-    """Files, below the output, that the catalogues are."""
-    clouds = [cloud["href"] for cloud in task.args["clouds"]]
-    rasters = task.args["rasters"]
-    files = (virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME)
-    return [*stac.stac_files(clouds, rasters), *files, *map(qgis.style_name, rasters)]
 
 
 def _steps(survey: Survey) -> Iterator[str]:

@@ -23,7 +23,6 @@ from spl_batch.engine.report.maps import (
     Raster,
     draw_ramp,
     draw_relief,
-    map_place,
     nice,
     reduce_raster,
     spread,
@@ -127,11 +126,9 @@ def _with_line(inputs: PictureInputs) -> PictureInputs:
     return replace(inputs, **lined)
 
 
-def _finished(drawn: Figure, title: str, caption: str, shown: Raster | None = None) -> Picture:
-    """Picture of a figure, which is a map where a raster is shown."""
+def _finished(drawn: Figure, title: str, caption: str) -> Picture:
     png, width, height = style.to_png(drawn)
-    place = None if shown is None else map_place(shown)
-    return Picture(title, caption, f"{title}. {caption}", png, width, height, place)
+    return Picture(title, caption, f"{title}. {caption}", png, width, height)
 
 
 def _or_missing(
@@ -180,9 +177,7 @@ def _relief(inputs: PictureInputs, key: str, *, photons: bool) -> Picture:
         getattr(inputs, key),
         title,
         "This raster was not made.",
-        lambda raster: _finished(
-            draw_relief(raster, title, "height [m]", limits), title, caption, raster
-        ),
+        lambda raster: _finished(draw_relief(raster, title, "height [m]", limits), title, caption),
     )
 
 
@@ -286,7 +281,7 @@ def _amount(raster: Raster | None, of: Amount) -> Picture:
         shown = given if of.scale == 1.0 else Raster(of.scale * given.masked(), given.extent_m)
         top = max(spread(reduce_raster(shown).values, 1, of.percent)[1], of.least)
         drawn = draw_ramp(shown, of.title, of.legend, ramp=of.ramp, limits=(0.0, top))
-        return _finished(drawn, of.title, of.caption, shown)
+        return _finished(drawn, of.title, of.caption)
 
     return _or_missing(raster, of.title, of.missing, draw)
 
@@ -312,7 +307,6 @@ def _difference(raster: Raster | None, statistics: Statistics | None) -> Picture
             "Blue is too low, red too high, white is right. Patches that follow buildings or "
             "trees point to the ground filter, stripes that follow the flight to the alignment "
             "of flightlines, an even tint to a bias between the two sensors.",
-            scaled,
         )
 
     return _or_missing(raster, title, NO_REFERENCE, draw)

@@ -15,7 +15,6 @@ from spl_batch.airborne.report.verdicts import (
 )
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.engine.report import number_format as text
-from spl_batch.engine.report.layers import layers
 from spl_batch.engine.report.page import Front, render_page
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.verdict import speed_remark
@@ -70,6 +69,10 @@ HOW: Final[Mapping[str, str]] = MappingProxyType(
             "Each shot is then judged by itself: its fullest long range bin and the two beside it "
             "are taken for signal, what lies in the others tells its background, and of the short "
             "bins those are signal that hold more returns than that background explains."
+        ),
+        "pixels": (
+            "Each shot is then judged by itself: a return is signal when enough of the beamlets "
+            "beside its own returned from about its range."
         ),
         "voxel": (
             "This filter makes no use of that: space is cut into flat voxels, and all returns of a "
@@ -126,9 +129,9 @@ def render(report: Report, pictures: Mapping[str, Picture], clip: Clip | None = 
         pictures=pictures,
         photons=photons,
         layers=[
-            layer
-            for layer in layers(_layer_keys(report, photons=photons), pictures, report.failures)
-            if layer.picture.png or layer.key != "strips"  # the section on flightlines says why
+            {"key": key, "picture": shown}
+            for key in _layer_keys(report, photons=photons)
+            if (shown := pictures.get(key)) is not None and (shown.png or key != "strips")
         ],
         clip=None if clip is None else view_of(clip),
         script_hash="" if clip is None else SCRIPT_HASH,

@@ -28,10 +28,15 @@ class Noise(NamedTuple):
 
     solar_per_m: float
     dark_per_m: float
+    ground_share: float  #: Of the sunlight, what the ground sends back; the air the rest.
 
     def at(self, sky: NDArray[np.float64]) -> NDArray[np.float64]:
         """Background where the sky is this bright: (n,) float64 [1/m]."""
         return self.solar_per_m * sky + self.dark_per_m
+
+    def ground_at(self, sky: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What of it the ground sends back: (n,) float64 [1/m]."""
+        return self.ground_share * self.solar_per_m * sky
 
 
 def channel_gain(scene: Scene) -> NDArray[np.float64]:
@@ -112,7 +117,8 @@ def physical_noise(scene: Scene) -> Noise:
         transmission=transmission_above(sky.extinction_per_m, altitude, sky.scale_height_m),
         reflectance=scene.terrain.reflectance,
     )
-    return Noise(rate_per_m(atmosphere + surface), rate_per_m(sensor.dark_rate_hz))
+    share = surface / max(atmosphere + surface, 1e-300)
+    return Noise(rate_per_m(atmosphere + surface), rate_per_m(sensor.dark_rate_hz), share)
 
 
 def solve_noise(scene: Scene, passes: list[Pass], pieces: list[list[Chunk]]) -> Noise:
@@ -135,7 +141,7 @@ def solve_noise(scene: Scene, passes: list[Pass], pieces: list[list[Chunk]]) -> 
     if density <= 0:
         raise WorkflowError("sky: background_per_m3 needs some sunlight or dark current to scale")
     factor = scene.sky.background_per_m3 / density
-    return Noise(noise.solar_per_m * factor, noise.dark_per_m * factor)
+    return Noise(noise.solar_per_m * factor, noise.dark_per_m * factor, noise.ground_share)
 
 
 def tune_wires(

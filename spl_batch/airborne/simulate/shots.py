@@ -20,6 +20,7 @@ from spl_batch.airborne.simulate.haze import Air, add_air
 from spl_batch.airborne.simulate.noise_grid import NoiseGrid, deposit, deposit_air
 from spl_batch.airborne.simulate.scene.beam_layers import look
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
+from spl_batch.airborne.simulate.sunlight import brightness
 from spl_batch.numerics.compiled import njit
 
 
@@ -46,7 +47,10 @@ class Shots(NamedTuple):
     #: (n,): range gate [m].
     gate_start: NDArray[np.float64]
     gate_stop: NDArray[np.float64]
-    noise_per_m: NDArray[np.float64]  #: (n,): background of a channel of gain 1 [1/m].
+    #: (n,): background of a channel of gain 1, and what comes beside it from ground of mean
+    #: brightness, where that is by albedo [1/m].
+    noise_per_m: NDArray[np.float64]
+    ground_per_m: NDArray[np.float64]
     time_s: NDArray[np.float64]  #: (n,): since the scene's take-off [s].
 
 
@@ -252,7 +256,10 @@ def _look(  # type: ignore[no-untyped-def]
         shots.turn[shot], shots.angle[shot], optics.half_cone_rad, optics.pixel_x[c],
         optics.pixel_y[c], axis,
     )  # fmt: skip
-    noise = gain * shots.noise_per_m[shot]
+    glow = 0.0
+    if scene.light.shape[0] > 0:
+        glow = brightness(scene, (origin, axis), optics.sigma_rad, room.layers)
+    noise = gain * (shots.noise_per_m[shot] + glow * shots.ground_per_m[shot])
     n = add_background(rng, ranges, facts, start, stop, noise, air.gate_fall)
     ray = (origin, axis, path)
     n, hard = add_signal(rng, scene, optics, gain, ray, room.layers, ranges, facts, n)

@@ -47,6 +47,7 @@ from spl_batch.airborne.simulate.shots import (
     fire,
     first_rows,
 )
+from spl_batch.airborne.simulate.sunlight import lit
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.numerics.attitude import rotations
 
@@ -162,9 +163,10 @@ def simulate(
     pieces = [list(chunks(run, layout.arrays)) for run in passes]
     _check_coverage(passes, pieces)
     noise = solve_noise(scene, passes, pieces)
+    arrays = tune_wires(scene, layout, optics, passes, pieces)
     rig = _Rig(
         scene,
-        tune_wires(scene, layout, optics, passes, pieces),
+        lit(scene, arrays) if scene.sky.by_albedo else arrays,
         optics,
         receiver,
         noise,
@@ -223,7 +225,8 @@ def _fly(
     centres = gate_centres(pieces)
     counts = np.zeros(len(KINDS), dtype=np.int64)
     gate = rig.scene.gate_of(run.flight)
-    peak = rig.noise.at(np.array([run.flight.sky * (1 + rig.scene.sky.variation)]))
+    sky = np.array([run.flight.sky * (1 + rig.scene.sky.variation)])
+    peak = rig.noise.at(sky) + rig.noise.ground_at(sky) * rig.arrays.light.max(initial=0.0)
     gain = float(rig.optics.gain.max(initial=0.0))
     nearest = min(float(piece.ground_range_m.min()) for piece in pieces) - gate / 2
     brightest = gain * rig.optics.signal_m2 / max(nearest, 1.0) ** 2
@@ -295,9 +298,19 @@ def _shots(rig: _Rig, run: Pass, piece: Chunk, gate_start_m: float) -> Shots:
         run.scan_angle(piece.shot),
         start,
         start + rig.scene.gate_of(run.flight),
-        rig.noise.at(run.sky(time_s)),
+        *_background(rig, run.sky(time_s)),
         time_s - rig.scene.acquisition.start_s,
     )
+
+
+def _background(
+    rig: _Rig, sky: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Background of one rate, and what follows the albedo: (n,) float64 each [1/m]."""
+    everywhere, ground = rig.noise.at(sky), rig.noise.ground_at(sky)
+    if rig.scene.sky.by_albedo:
+        return everywhere - ground, ground
+    return everywhere, np.zeros(len(sky))
 
 
 def _columns(

@@ -16,11 +16,10 @@ from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.filter.published import shot_noise
+from spl_batch.airborne.filter.shot_filters import shot_noise
 from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.sensors.sensor import Sensor
-from spl_batch.airborne.settings import DccSettings
 from spl_batch.airborne.store.voxel_parts import write_voxels
 from spl_batch.airborne.tasks import lines_of_sight
 from spl_batch.airborne.tasks.index import CHUNK_POINTS
@@ -228,8 +227,9 @@ def _assess(
     density[known] = line_noise.line_density(subset, model)
     if workflow.afterpulse.enabled:
         table = _with_afterpulses(table, known, beams, law, model.gate_m, args, context)
-    if args["dcc"] is not None:
-        noise = shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
+    if args["of_shots"] is not None:
+        array = _sensor(args, context).array_columns
+        noise = shot_noise(subset, beams, workflow.filter, model.gate_m, array)
         flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
     parts = voxel_noise.deposit_apart(subset, beams, model, workflow.noise)

@@ -1,8 +1,9 @@
 """Filters of [W17] as published, on a window and its margin for a channel.
 
-mDBSCAN [W17 3.1.2] takes photons in the ellipse of one that has four mean densities in its own. The
-posterior [W17 4.1] is that of circles on an axis stretched by the noise rate, and the n_s photons
-least like noise are signal, n_s being all photons less the noise expected.
+mDBSCAN [W17 3.1.2] takes photons in the ellipse of one whose own holds four times what ellipses at
+random places of the gate hold in the mean. The posterior [W17 4.1] is that of circles on an axis
+stretched by the noise rate, and the n_s photons least like noise are signal, n_s being all photons
+less the noise expected. Both take the noise rate from ours, the source from its product.
 """
 
 from typing import Final
@@ -19,6 +20,9 @@ from spl_batch.constants import QUANTA_PER_M
 
 NEIGHBOURS: Final = 20
 """Largest k of the source [count]."""
+
+ELLIPSES: Final = 100
+"""Random ellipses of a window that give the mean; the source takes several [count]."""
 
 _STRETCH_LEAST: Final = 0.05
 """Shortest that a night may press its track to [m/m]."""
@@ -59,12 +63,22 @@ def mdbscan(
     settings : BaselineSettings
         Ellipse and factor.
     """
-    s_m, area_m2 = _stretched(along, known, cell_m, scaled=settings.scaled)
-    plane = np.stack([s_m / settings.along_m, height / QUANTA_PER_M / settings.height_m], axis=1)
-    inside = cKDTree(plane).query_ball_point(plane, 1.0, return_length=True)
-    mean = len(along) / max(area_m2, 1e-9)
-    least = settings.factor * mean * np.pi * settings.along_m * settings.height_m
-    core: NDArray[np.bool_] = np.asarray(inside >= least)
+    z_m = height / QUANTA_PER_M
+    s_m, _ = _stretched(along, known, cell_m, scaled=settings.scaled)
+    semi_m = np.array([settings.along_m, settings.height_m])
+    plane = np.stack([s_m, z_m], axis=1) / semi_m
+    tree = cKDTree(plane)
+    inside = tree.query_ball_point(plane, 1.0, return_length=True)
+    # The number of photons alone seeds the draw, so that no cut of the track changes it.
+    rng = np.random.default_rng(len(along))
+    at = rng.integers(len(along), size=ELLIPSES)
+    low = np.full(len(known.index), np.inf)
+    np.minimum.at(low, known.cell, z_m)
+    there = known.cell[at]
+    places = np.stack([s_m[at], low[there] + rng.random(ELLIPSES) * known.gate_m[there]], axis=1)
+    mean = tree.query_ball_point(places / semi_m, 1.0, return_length=True).mean()
+    # Where all drawn ellipses are empty a photon of its own is no multiple of them.
+    core: NDArray[np.bool_] = np.asarray(inside >= settings.factor * max(mean, 1.0))
     if not core.any():
         return core
     nearest, _ = cKDTree(plane[core]).query(plane, distance_upper_bound=np.nextafter(1.0, 2.0))

@@ -1,31 +1,35 @@
-"""Workers on this machine, and whether workers that were started elsewhere can do the work."""
+"""Somewhere to run tasks: this process, workers on this machine, or those of a scheduler elsewhere.
+
+dask is the scheduler, not the data structure: tasks are coarse, few are in flight, and messages
+carry only names and small facts.
+"""
 
 import contextlib
 import logging
+import re
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from importlib.util import find_spec
 from typing import Any, Final
 
-from spl_batch.engine.flow.dask_flow import PATIENCE_S, lost, workers_of
-from spl_batch.engine.flow.job import Footing, misfit
-from spl_batch.errors import WorkflowError
+from spl_batch.engine.flow.dask_flow import PATIENCE_S, OnDask, lost, workers_of
+from spl_batch.engine.flow.job import Executor, Footing, InProcess, Observer, misfit
+from spl_batch.engine.flow.warm_up import Ahead
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.task import Job, Outcome
+from spl_batch.errors import StoppedError, WorkflowError
 
 KEPT_BYTES: Final = 1 << 40
 """Freed memory that a worker keeps for what it allocates next [byte]: all of it."""
 
-WATCHING: Final[Mapping[str, Any]] = {
+SETTINGS: Final[Mapping[str, Any]] = {
     # dask samples what each worker executes a hundred times a second, and measures event loops
     # fifty times: 4 % of a core for each process, on a machine whose cores all work.
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "1s",
     "distributed.worker.memory.monitor-interval": "200ms",
-}
-"""What dask watches of itself, and how often."""
-
-SETTINGS: Final[Mapping[str, Any]] = {
-    **WATCHING,
     # A worker that dies takes the blame for what waits on it, so the rest waits at the scheduler.
     # More of it would serve tasks of milliseconds; with tasks of a second this keeps workers busy
     # as well: `python -m benchmarks.scheduler cluster` prints both.
@@ -55,6 +59,10 @@ SETTINGS: Final[Mapping[str, Any]] = {
 }
 
 
+_ADDRESS: Final = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^/\s]+:\d+")
+"""What an address of a scheduler looks like."""
+
+
 def machine_memory() -> int:
     """Memory of this machine, or what its control group or user is allowed of it [byte]."""
     from distributed.system import memory_limit  # noqa: PLC0415 - slow import, only when used
@@ -62,41 +70,155 @@ def machine_memory() -> int:
     return int(memory_limit())
 
 
+def refuse_no_address(scheduler: str | None) -> None:
+    """Refuse what no scheduler listens to, before anything is done: a run may need no workers."""
+    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
+        raise WorkflowError(f"--scheduler {scheduler}: write tcp://HOST:PORT or tls://HOST:PORT")
+
+
+@contextlib.contextmanager
+def executor(
+    *,
+    workers: int,
+    memory_bytes: int,
+    scheduler: str | None,
+    observer: Observer,
+    footing: Footing,
+    ahead: Ahead | None = None,
+) -> Iterator[Executor]:
+    """Give somewhere to run tasks; workers are started, or looked for, before the first of them.
+
+    Parameters
+    ----------
+    workers : int
+        Worker processes of a local cluster; 0 works in this process.
+    memory_bytes : int
+        Memory limit of each local worker, or what a task may need of others' workers [byte].
+    scheduler : str or None
+        Address of a running scheduler, which is used instead.
+    observer : Observer
+        Notified of what happens to tasks and workers.
+    ahead : Ahead, optional
+        What local workers do before their first task.
+
+    Yields
+    ------
+    Executor
+        Where to run tasks; before the first one it raises what follows.
+
+    Raises
+    ------
+    WorkflowError
+        If the workers that are there cannot do the work.
+    StoppedError
+        If the scheduler cannot be reached.
+    """
+    if scheduler is None and workers == 0:
+        yield InProcess(observer)
+        return
+    stack = contextlib.ExitStack()
+
+    def begin() -> Executor:
+        client = _client(stack, footing, workers, memory_bytes, scheduler)
+        dashboard = str(client.dashboard_link or "") if find_spec("bokeh") else ""
+        observer.ready(scheduler or "", dashboard)
+        return OnDask(client, observer, footing, local=scheduler is None, ahead=ahead)
+
+    pool = _WhenNeeded(begin)
+    try:
+        yield pool
+    finally:
+        pool.close()
+        with contextlib.suppress(TimeoutError):  # on a busy machine workers end with this process
+            stack.close()
+
+
+class _WhenNeeded:
+    """An executor that is begun before its first job: a run may find all its tasks finished."""
+
+    def __init__(self, begin: Callable[[], Executor]) -> None:
+        self._begin = begin
+        self._begun: Executor | None = None
+
+    @property
+    def window(self) -> int:
+        """Jobs that it holds at once [count]."""
+        return 1 if self._begun is None else self._begun.window
+
+    def submit(self, job: Job, context: RunContext[Any]) -> None:
+        """Take a job; begin with the first."""
+        self._begun = self._begun or self._begin()
+        self._begun.submit(job, context)
+
+    def ended(self) -> Outcome:
+        """Wait for the next job to end."""
+        assert self._begun is not None, "nothing was submitted"  # noqa: S101 - for the type alone
+        return self._begun.ended()
+
+    def close(self) -> None:
+        """Let go of jobs that are still on their way."""
+        if self._begun is not None:
+            self._begun.close()
+
+
+def _client(
+    stack: contextlib.ExitStack,
+    footing: Footing,
+    workers: int,
+    memory_bytes: int,
+    scheduler: str | None,
+) -> Any:
+    """Client of a scheduler, ended by a stack."""
+    import dask  # noqa: PLC0415 - slow import, only when used
+    from distributed import Client  # noqa: PLC0415
+
+    stack.enter_context(dask.config.set(SETTINGS))
+    stack.enter_context(silent())
+    address = scheduler or stack.enter_context(local_cluster(workers, memory_bytes))
+    try:
+        client = stack.enter_context(Client(address))
+    except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: TLS without keys
+        raise StoppedError(
+            f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
+        ) from error
+    if scheduler is not None:
+        check_workers(client, footing, memory_bytes)
+    return client
+
+
 @contextlib.contextmanager
 def local_cluster(workers: int, memory_bytes: int) -> Iterator[Any]:
     """Start worker processes on this machine, and end them."""
     from distributed import LocalCluster  # noqa: PLC0415
 
-    with contextlib.ExitStack() as stack:
-        with _deaf_children():
-            cluster = stack.enter_context(
-                LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    memory_limit=memory_bytes,
-                    dashboard_address="127.0.0.1:0",
-                    silence_logs=logging.CRITICAL,
-                )
-            )
+    with _deaf_children():
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=memory_bytes,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        )
+    with cluster:
         yield cluster
 
 
 @contextlib.contextmanager
 def silent() -> Iterator[None]:
-    """Keep dask's own complaints off the screen: a line tells what matters of them.
+    """Keep dask's own complaints off the screen: a line reports what matters of them.
 
     It reads its settings for logging when it is imported, and has a logger for each part.
     """
     names = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]
-    levels = {name: logging.getLogger(name).level for name in names}
-    for name in names:
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    levels = [(logging.getLogger(name), logging.getLogger(name).level) for name in names]
+    for logger, _ in levels:
+        logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        for name, level in levels.items():
-            logging.getLogger(name).setLevel(level)
+        for logger, level in levels:
+            logger.setLevel(level)
 
 
 @contextlib.contextmanager

@@ -91,11 +91,6 @@ class Performance(Part):
     """Cost of the run."""
 
     wall_s: Number = Field(None, description="From start to the report [s].")
-    earlier_wall_s: Number = Field(
-        None,
-        description="The part of it that earlier runs took, whose work was found, those that were "
-        "stopped included; null where nothing tells it, and wall_s is this run's part alone [s].",
-    )
     compile_s: Number = Field(
         None,
         description="The part of it in which workers compiled kernels for this machine, before the "
@@ -104,8 +99,8 @@ class Performance(Part):
     )
     points_per_s: Number = Field(
         None,
-        description="Input points per second, end to end but for compiling; null where wall_s "
-        "is a part [1/s].",
+        description="Input points per second, end to end but for compiling; null where some of the "
+        "work was found finished [1/s].",
     )
     peak_rss_mb: Number = Field(None, description="Highest resident memory of a worker [MB].")
     workers: Count | None = Field(None, description="Workers [count].")
@@ -114,8 +109,7 @@ class Performance(Part):
     @property
     def part_alone(self) -> bool:
         """Whether its duration leaves out that of work which it found finished."""
-        found = any(stage.skipped for stage in self.stages.values())
-        return found and self.earlier_wall_s is None
+        return any(stage.skipped for stage in self.stages.values())
 
 
 class Failure(Part):

@@ -3,18 +3,6 @@
 import base64
 from dataclasses import dataclass
 
-Extent = tuple[float, float, float, float]
-"""West, east, south, north edges [m]."""
-
-
-@dataclass(frozen=True, slots=True)
-class MapPlace:
-    """Where a map lies on its picture, and in the world."""
-
-    #: Left and upper edge, width and height, as shares of the picture.
-    box: tuple[float, float, float, float]
-    extent_m: Extent
-
 
 @dataclass(frozen=True, slots=True)
 class Picture:
@@ -23,12 +11,11 @@ class Picture:
     #: Heading, and what to look for (or why the picture is missing).
     title: str
     caption: str
-    alt: str = ""  #: What a reader who cannot see it is told.
+    alt: str = ""  #: For a reader who cannot see it.
     png: bytes = b""  #: Empty where there is no picture.
     #: Size that the page lays out.
     width_px: int = 0
     height_px: int = 0
-    place: MapPlace | None = None  #: Where a map lies on it, so that a page can mark places.
 
     @property
     def data_uri(self) -> str:

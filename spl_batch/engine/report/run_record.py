@@ -1,6 +1,5 @@
 """Record of a run beside its receipts, and the parts that every receiver's report has."""
 
-import hashlib
 import json
 import platform
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,7 +22,6 @@ from spl_batch.engine.report.parts import (
 from spl_batch.engine.report.reported import reported
 from spl_batch.engine.store.working_store import Store, read_json, write_json
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.runner import LIBRARIES, build_version, library_version
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import StoreError
@@ -37,10 +35,7 @@ REPORT_FILES: Final = ("report.json", "report.html")
 RUN: Final = "run.json"
 """File of the store that a report is written from."""
 
-_TOLD: Final = "told"
-
-_POLYGONS: Final = ("aoi", "water", "breaklines")
-"""Keys of a workflow that name files whose hash a report gives."""
+_CONTENT: Final = "content"
 
 Receipts = Mapping[str, Mapping[str, Receipt]]
 """Finished tasks by kind and name."""
@@ -75,21 +70,15 @@ class StageCost:
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What the receipts do not say."""
+    """What the receipts do not have."""
 
-    #: Duration of the run so far, that of earlier runs whose work it found included [s].
-    wall_s: float
+    wall_s: float  #: Duration of the run so far [s].
     workers: int
     costs: Mapping[str, StageCost] = field(default_factory=dict)
     failures: Iterable[Failure] = ()  #: What did not make it.
     findings: Iterable[Finding] = ()  #: What the run has warned of.
     reference: Iterable[str] = ()
     not_read: int = 0  #: Points that unreadable files promise [count].
-    #: The part of its duration that earlier runs took [s]; None where they did something and
-    #: nothing tells how long, as their log is gone or another output's.
-    earlier_s: float | None = 0.0
-    #: Length of the log when this was known: later runs add to the duration [byte].
-    log_bytes: int = 0
     #: Time that workers compiled before the first task [s]; None where nothing was left to compile,
     #: or tasks did it.
     compile_s: float | None = None
@@ -109,40 +98,11 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
         "findings": list(facts.findings),
         "reference": list(facts.reference),
         "not_read": facts.not_read,
-        "earlier_s": facts.earlier_s,
-        "log_bytes": facts.log_bytes,
         "compile_s": facts.compile_s,
         "done": {kind: list(names) for kind, names in done.items()},
-        "report": _standing(done, context, facts),
     }
     # As a text: the order of stages and kinds counts.
-    write_json(context.store.local / RUN, {_TOLD: json.dumps(content)})
-
-
-def stands(done: Receipts, context: RunContext[Any], facts: RunFacts) -> bool:
-    """Whether the present report still holds, but for the cost of the run."""
-    try:
-        kept = recall(context.output)
-    except StoreError:
-        return False
-    return bool(kept.get("report") == _standing(done, context, facts))
-
-
-def _standing(done: Receipts, context: RunContext[Any], facts: RunFacts) -> dict[str, Any]:
-    """Hash of what decides a report, and stamps of its files."""
-    workflow = context.workflow.model_dump(mode="json")
-    polygons = [workflow[key] for key in _POLYGONS if workflow.get(key)]
-    beside = [*map(Path, facts.reference), *map(context.resolve, polygons)]
-    says = [
-        *(workflow, context.crs_wkt, context.code, report_code(context.workflow.kind)),
-        *(list(facts.findings), list(facts.reference), facts.not_read),
-        [failure.model_dump() for failure in facts.failures],
-        [stamp_if_there(path) for path in beside],
-        {kind: [[name, r.digest] for name, r in found.items()] for kind, found in done.items()},
-    ]
-    text = json.dumps(says, sort_keys=True)
-    files = {name: stamp_if_there(context.output / name) for name in REPORT_FILES}
-    return {"hash": hashlib.blake2b(text.encode(), digest_size=16).hexdigest(), "files": files}
+    write_json(context.store.local / RUN, {_CONTENT: json.dumps(content)})
 
 
 @cache
@@ -167,19 +127,19 @@ def recall(output: Path) -> dict[str, Any]:
     path = Store(output).local / RUN
     if not path.exists():
         raise StoreError(f"{output}: no finished run here; `spl-batch run` comes first")
-    content: dict[str, Any] = json.loads(read_json(path)[_TOLD])
+    content: dict[str, Any] = json.loads(read_json(path)[_CONTENT])
     return content
 
 
 def common_parts(
     context: RunContext[Any], facts: RunFacts, points: int, inputs: Sequence[InputFile]
 ) -> dict[str, Any]:
-    """What a receiver's report says of the run as such, by the name of its part.
+    """What a receiver's report has of the run as such, by the name of its part.
 
     Parameters
     ----------
     facts : RunFacts
-        What the receipts do not say.
+        What the receipts do not have.
     points : int
         Points, photons, detections or frames of all inputs [count].
     """
@@ -193,10 +153,9 @@ def common_parts(
 
 def performance(facts: RunFacts, points: int) -> Performance:
     """Cost of a run, for its report."""
-    whole = facts.wall_s > 0 and facts.earlier_s is not None
+    whole = facts.wall_s > 0 and not any(cost.skipped for cost in facts.costs.values())
     return Performance(
         wall_s=facts.wall_s,
-        earlier_wall_s=facts.earlier_s,
         compile_s=facts.compile_s,
         points_per_s=points / max(facts.wall_s - (facts.compile_s or 0.0), 0.001)
         if whole

@@ -48,15 +48,12 @@ def _failed(failure: Failure) -> str:
 
 
 def _of_which(work: Performance, noun: str) -> str:
-    """Speed of a run, and its own time where it went on with earlier runs' work."""
+    """Speed of a run, unless it went on with earlier runs' work."""
     if work.part_alone:
         return f" for this part alone; the rest was finished before{_compiling(work)}"
     apart = " apart from compiling" if work.compile_s else ""
     speed = f" ({large(work.points_per_s)} {noun}/s{apart})"
-    if not work.earlier_wall_s or work.wall_s is None:
-        return speed + _compiling(work)
-    own = duration(work.wall_s - work.earlier_wall_s)
-    return f" of all its runs together{speed}, {own} of it in this one{_compiling(work)}"
+    return speed + _compiling(work)
 
 
 def _compiling(work: Performance) -> str:
@@ -68,8 +65,7 @@ def speed_remark(work: Performance, noun: str = "points") -> str:
     """What a page says beside the duration of a run."""
     if work.part_alone:
         return "this part alone"
-    runs = " over all its runs" if work.earlier_wall_s else ""
-    return f"{large(work.points_per_s)} {noun}/s{runs}{_compiling(work)}"
+    return f"{large(work.points_per_s)} {noun}/s{_compiling(work)}"
 
 
 def failure_verdict(failures: Sequence[Failure], findings: Sequence[FindingReport]) -> Verdict:

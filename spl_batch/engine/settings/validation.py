@@ -42,16 +42,8 @@ def _fault(error: Any, model: type[BaseModel]) -> str:
         return f"{place}: no such key; the nearest known key is {near!r}"
     message = error["msg"].removeprefix("Value error, ")
     given = error.get("input")
-    shown = "" if isinstance(given, dict) else f" (found {brief(_written(given), 100)})"
+    shown = "" if isinstance(given, dict) else f" (found {brief(repr(given), 100)})"
     return f"{place}: {message[0].lower()}{message[1:]}{shown}" if place else message
-
-
-def _written(given: Any) -> str:
-    """A value as it is written; Python writes no whole number of thousands of digits."""
-    try:
-        return repr(given)
-    except ValueError:
-        return "a number of thousands of digits"
 
 
 def _nearest(place: Sequence[str], model: type[BaseModel]) -> str:

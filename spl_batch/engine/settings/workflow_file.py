@@ -10,9 +10,8 @@ import yaml
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.settings.mistaken_file import called, is_scene
 from spl_batch.engine.settings.validation import validated
-from spl_batch.engine.settings.yaml_text import NoTextError, parse_yaml
+from spl_batch.engine.settings.yaml_text import parse_yaml
 from spl_batch.errors import WorkflowError, reason_of
-from spl_batch.formats.files.atomic import of_a_file
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
 
 
@@ -76,7 +75,7 @@ def workflow_content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
 def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
     """Content of a YAML file that holds a mapping.
 
-    ``otherwise``: what is said when it holds something else.
+    ``otherwise``: the message where it holds something else.
 
     Raises
     ------
@@ -87,8 +86,7 @@ def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
     if what:
         raise WorkflowError(f"{path}: {what}")
     try:
-        with open(path, encoding="utf-8", opener=of_a_file) as stream:
-            content = parse_yaml(stream.read())
+        content = parse_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise WorkflowError(f"{path}: cannot be read: {reason_of(error)}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -116,8 +114,6 @@ def _apply(content: dict[str, Any], override: str) -> None:
         node = child
     try:
         node[last] = parse_yaml(text)
-    except NoTextError as error:
-        raise WorkflowError(f"--set {key}: {error.problem}") from None
     except yaml.YAMLError:
         raise WorkflowError(
             f"--set {override}: the value is not valid YAML; quote it: key='*.laz'"

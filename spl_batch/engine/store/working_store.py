@@ -26,9 +26,9 @@
 Always on the file system, wherever the store lies::
 
     store/lock                         held by the run at work
-    store/identity.json                whose store elsewhere is: as STORE/output.json says
+    store/identity.json                the same id as STORE/output.json of a store elsewhere
     store/run.json                     what the report is written from
-    store/shared.json                  how long what another store shares with it took
+    store/rest.json                    the state of a finished run
     store/noise.tif                    map of the noise, for the report
     store/tracebacks/KIND_NAME.txt     where a task that was done alone has failed
 """

@@ -1,13 +1,20 @@
-"""Ledger of a run: its inputs, its limits, and what is finished."""
+"""Ledger of a run: its inputs, its limits, and what is finished, in little memory.
 
-from collections.abc import Sequence
+A survey has a tile for every 10 000 m2, and a receipt with its mappings takes kilobytes. A shelf
+keeps digest, points and the facts that something reads as one short string for each task, and makes
+receipts of them on demand.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.settings.base import BaseWorkflow
-from spl_batch.engine.tasks.receipt_index import Shelf
+from spl_batch.engine.tasks.step import Step
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import InputError
 from spl_batch.receivers import steps
 
@@ -48,11 +55,53 @@ I = TypeVar("I", bound=AnyInputs)  # noqa: E741
 W = TypeVar("W", bound=BaseWorkflow)
 
 
+class Shelf(Mapping[str, Receipt]):
+    """Receipts of the finished tasks of one step, by name.
+
+    They lack the key, the cost and the step's unread facts, and the outputs too unless a user sees
+    them.
+    """
+
+    def __init__(self, step: Step) -> None:
+        self._step = step
+        self._kept: dict[str, bytes] = {}
+
+    def put(self, receipt: Receipt) -> None:
+        """Keep a receipt, in place of an earlier one of that name."""
+        facts = {k: v for k, v in receipt.facts.items() if k not in self._step.unread}
+        outputs = dict(receipt.outputs) if self._step.delivers else {}
+        content = [receipt.digest, receipt.points, outputs, facts]
+        text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+        self._kept[receipt.name] = text.encode()
+
+    def digest(self, name: str) -> str:
+        """Hash of what a task produced; much quicker than its receipt."""
+        kept = self._kept[name]
+        return kept[2 : kept.index(b'"', 2)].decode()
+
+    def sort(self) -> None:
+        """Put the receipts in the order of their names."""
+        self._kept = dict(sorted(self._kept.items()))
+
+    def __getitem__(self, name: str) -> Receipt:
+        digest, points, outputs, facts = json.loads(self._kept[name])
+        return Receipt(self._step.name, name, "", digest, "", outputs, facts, points, 0.0, 0.0)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._kept
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._kept)
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+
 @dataclass
 class Ledger(Generic[I, W]):
     """What a run knows so far: inputs, limits, and the receipts of what is finished.
 
-    ``shared``: the memory limit is the workers' share of this machine, unless told otherwise.
+    ``shared``: the memory limit is the workers' share of this machine, as none was given.
     ``remarks``: oddities of the limits.
     """
 

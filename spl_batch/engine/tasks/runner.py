@@ -9,7 +9,7 @@ import resource
 import sys
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -23,7 +23,7 @@ from spl_batch import __version__
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt, write_receipt
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.spare_memory import give_back
-from spl_batch.engine.tasks.step import Step, delivering
+from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
 from spl_batch.errors import DamagedError, InputError, SplBatchError, StoppedError, one_line
 from spl_batch.formats.files.atomic import checksum, size, stop_if_full
@@ -169,34 +169,6 @@ def _unchanged(name: str, receipt: Receipt, context: RunContext[Any], *, verify:
     return checksum(path) == receipt.outputs[name]
 
 
-def _tells_damage(name: str) -> bool:
-    """Whether who reads an output sees that it is damaged: all of the store but rasters."""
-    return name.startswith("store/") and not name.endswith(RASTER)
-
-
-def damaged_rasters(
-    done: Mapping[str, Mapping[str, Receipt]], context: RunContext[Any]
-) -> Iterator[DamagedError]:
-    """Say which rasters, that a report shows, are not what their tasks wrote.
-
-    The checksum of one that was delivered is looked at if it was written to since, that of one in
-    the store always. A user may have taken away what was delivered.
-
-    ``done``: finished tasks by kind and name.
-    """
-    for kind in filter(done.__contains__, delivering(context.workflow.kind)):
-        # Of many thousand tiles none is looked up in the store.
-        made = (r.name for r in done[kind].values() if any(o.endswith(RASTER) for o in r.outputs))
-        for receipt in filter(None, (read_receipt(context.store, kind, name) for name in made)):
-            for output in receipt.outputs:
-                inner = output.removeprefix("./").startswith("store/")
-                path = context.store.named(output)
-                if not output.endswith(RASTER) or not (inner or path.exists()):
-                    continue
-                if not _unchanged(output, receipt, context, verify=inner):
-                    yield DamagedError(path, "it is not what was written")
-
-
 def _written_ns(path: Path) -> int:
     return path.stat().st_mtime_ns
 
@@ -234,7 +206,11 @@ def run_task(task: Task, key: str, context: RunContext[Any], run: str = "") -> R
             time.perf_counter() - start,
             _peak_rss_mb(),
             {name: size(path) for name, path in paths.items()},
-            {n: _written_ns(p) for n, p in paths.items() if not _tells_damage(n)},
+            {
+                n: _written_ns(p)
+                for n, p in paths.items()
+                if n.endswith(RASTER) or not n.startswith("store/")
+            },
             produced.inputs,
         )
     except (StoppedError, KeyboardInterrupt):

@@ -3,7 +3,7 @@
 Plan, run, status, report, the keys of receipts, progress, cost and remedies read this table.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -26,7 +26,7 @@ class Step:
     tasks: Callable[[Any], Iterator[Task]] | str
     settings: tuple[str, ...] = ()  #: Parts of the workflow that its result depends on.
     #: Steps whose receipts its plan reads: its tasks are made when these are over. All that are
-    #: declared before it, unless said otherwise. What its tasks need beyond that reaches them as
+    #: declared before it, unless stated otherwise. What its tasks need beyond that reaches them as
     #: it is finished.
     after: tuple[str, ...] | None = None
     #: Of a task's arguments and the receipts of what it needs, those that failed missing: the
@@ -36,9 +36,7 @@ class Step:
     unit: str = ""  #: What a user calls that which one of its tasks works on, such as ``tile``.
     #: Edge of that, where it is a square, by the receiver's ledger [m].
     edge_m: Callable[[Any], float] | None = None
-    #: Names below the output of the files that one of its tasks delivers, by task and workflow; a
-    #: name that ends in ``/`` stands for all files of a folder. None where users see none.
-    delivers: Callable[[Task, Any], Sequence[str]] | str | None = None
+    delivers: bool = False  #: Whether users see what its tasks write.
     #: Facts that are read from receipts on disk alone: memory does without them.
     unread: frozenset[str] = frozenset()
     bytes_per_point: int = 0  #: Peak memory by each point that a task holds at once [byte].
@@ -72,14 +70,6 @@ class Step:
         args = bind(task.args, found)
         return None if args is None else replace(task, args=args, needs=needs)
 
-    def targets(self, task: Task, workflow: Any) -> Sequence[str]:
-        """Names of the files, below the output, that a task delivers."""
-        if self.delivers is None:
-            return ()
-        name = load(self.delivers) if isinstance(self.delivers, str) else self.delivers
-        found: Sequence[str] = name(task, workflow)
-        return found
-
 
 Steps = Mapping[str, Step]
 """Steps of a receiver by name, in order."""
@@ -97,4 +87,4 @@ def stages(receiver: str) -> tuple[str, ...]:
 
 def delivering(receiver: str) -> list[str]:
     """Names of the steps of a receiver whose outputs a user sees."""
-    return [step.name for step in steps(receiver).values() if step.delivers is not None]
+    return [step.name for step in steps(receiver).values() if step.delivers]

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from spl_batch.engine.store.output_lock import locked
-from spl_batch.engine.store.output_owner import this_survey, usable
-from spl_batch.engine.store.store_owner import claim
 from spl_batch.engine.tasks.runner import run_task
 from spl_batch.engine.tasks.task import Job, Receipt
 from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.engine.verbs.output_owner import claim, this_survey, usable
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.errors import WorkflowError
@@ -26,14 +25,11 @@ class AloneResult:
     receipt : Receipt
         Its receipt, with a reason where it failed.
     traceback : Path or None
-        File that says where in the code it failed.
-    notes : tuple of str
-        Files that were moved aside instead of being replaced.
+        File with where in the code it failed.
     """
 
     receipt: Receipt
     traceback: Path | None
-    notes: tuple[str, ...] = ()
 
     @property
     def exit_status(self) -> int:
@@ -76,19 +72,16 @@ def run_alone(
         claim(prepared.context.store)
         deliveries.begin(this_survey(prepared))
         job = _find(task, prepared)
-        step = prepared.steps[job.task.kind]
-        prepared.receiver.before(step, prepared)
-        moved = deliveries.make_room(step.targets(job.task, prepared.context.workflow))
-        notes = tuple(moved)
+        prepared.receiver.before(prepared.steps[job.task.kind], prepared)
         receipt = run_task(job.task, job.key, prepared.context)
         deliveries.wrote(receipt)
         deliveries.save()
     if not receipt.failed:
-        return AloneResult(receipt, None, notes)
+        return AloneResult(receipt, None)
     name = f"{job.task.kind}_{job.task.name.replace('/', '~')}.txt"
     path = prepared.context.output / "store" / "tracebacks" / name
     write_bytes(path, str(receipt.facts.get("traceback", "")).encode())
-    return AloneResult(receipt, path, notes)
+    return AloneResult(receipt, path)
 
 
 def _find(wanted: str, prepared: Prepared[Any, Any]) -> Job:

@@ -8,7 +8,6 @@ from typing import Final
 
 from spl_batch.engine.store.deliveries import RECORD
 from spl_batch.engine.store.output_lock import lock_file
-from spl_batch.engine.watch.listing import listed
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.receivers import HOMES, beginner
@@ -22,14 +21,9 @@ class Beginning:
     """A workflow that was written, and what it rests on."""
 
     workflow: Path
-    found: tuple[tuple[str, str], ...]  #: Key or word, and what the files tell of it.
-    unknown: tuple[tuple[str, str], ...]  #: Key, and what they do not tell.
+    found: tuple[tuple[str, str], ...]  #: Key or word, and what the files hold of it.
+    unknown: tuple[tuple[str, str], ...]  #: Key, and what they do not hold.
     left_out: tuple[str, ...]  #: Files that the workflow does not name, and why.
-
-    def __repr__(self) -> str:
-        unknown = (("not told", f"{label}: {text}") for label, text in self.unknown)
-        left = (("left out", text) for text in self.left_out)
-        return listed("Beginning", (("workflow", str(self.workflow)), *self.found, *unknown, *left))
 
 
 def init(folder: Path | str, *, force: bool = False) -> Beginning:

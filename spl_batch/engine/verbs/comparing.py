@@ -20,14 +20,12 @@ from spl_batch.engine.report.parts import Performance
 from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.store.links import share_finished
 from spl_batch.engine.store.output_lock import locked
-from spl_batch.engine.store.output_owner import usable
 from spl_batch.engine.store.working_store import Store
+from spl_batch.engine.verbs.output_owner import usable
 from spl_batch.engine.verbs.preparing import prepare
-from spl_batch.engine.verbs.repair import TRIES, forget_makers
 from spl_batch.engine.verbs.running import run
-from spl_batch.engine.watch.earlier_runs import share_time
-from spl_batch.engine.watch.events import Event, Listener, Note, ignore
-from spl_batch.errors import DamagedError, WorkflowError
+from spl_batch.engine.watch.events import Listener, Note, ignore
+from spl_batch.errors import WorkflowError
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.receivers import HOMES, comparison, steps
 
@@ -135,66 +133,27 @@ def compare(
             keys[name].append(f"outputs.store={json.dumps(store.url)}")
         load_any(path, keys[name])
     usable(prepare(path, overrides, memory=memory, workers=workers))  # before the lock's file
-    listener = _once(listener)
     process = partial(run, path, workers=workers, memory=memory, listener=listener)
     source, tasks = Store(output, url), steps(settings.kind)
-    stores = {name: store_of(output, name, url) for name in keys}
-
-    def each() -> tuple[int, Any]:
+    with locked(output / FOLDER):
         # What the methods share is finished first, under the workflow's own settings.
         status = process(until=found.until(keys), overrides=overrides).exit_status
         reports = {}
         for count, (name, own) in enumerate(keys.items(), start=1):
             listener(Note("info", f"{name}, {count} of {len(keys)}"))
-            stages = found.share(source, stores[name], settings, name)
+            target = store_of(output, name, url)
+            stages = found.share(source, target, settings, name)
             shared = [name for name, step in tasks.items() if step.stage in stages]
-            share_finished(source, stores[name], shared)
-            share_time(output, stores[name].output, stages)
+            share_finished(source, target, shared)
             result = process(overrides=own)
             status = max(status, result.exit_status)
             if result.report is not None:
                 reports[name] = result.report
         if not reports:
             raise WorkflowError(f"{output}: no method has finished; nothing can be compared")
-        return status, found.write(output, reports)
-
-    with locked(output / FOLDER):
-        status, report = _whole(each, [source, *stores.values()], tasks, listener)
+        report = found.write(output, reports)
     rows = tuple(found.row(method) for method in report.methods)
     return ComparisonResult(status, output, report, found.titles, rows)
-
-
-def _whole(
-    each: Callable[[], tuple[int, Any]],
-    stores: Sequence[Store],
-    kinds: Collection[str],
-    listener: Listener,
-) -> tuple[int, Any]:
-    """What all methods give; once more where the comparison reads something that is damaged."""
-    for _ in range(TRIES):
-        try:
-            return each()
-        except DamagedError as error:
-            # Stores share files: whichever has made it does it again.
-            made = [forget_makers(one, kinds, [one.name_of(error.path)]) for one in stores]
-            if not any(made):
-                raise
-            listener(Note("info", f"{error.told}, is made again"))
-    return each()
-
-
-def _once(listener: Listener) -> Listener:
-    """A listener that is told each warning once: methods share inputs, and what is odd of them."""
-    told: set[Note] = set()
-
-    def listen(event: Event) -> None:
-        if isinstance(event, Note):
-            if event in told:
-                return
-            told.add(event)
-        listener(event)
-
-    return listen
 
 
 def _chosen(

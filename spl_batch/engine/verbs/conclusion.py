@@ -1,26 +1,38 @@
-"""How a run ends: what is stale is deleted, the report is written, and a user is told."""
+"""How a run ends: what is stale is deleted, the report is written, a finished run is recorded.
 
+A survey has a receipt for each tile and step; to look at each takes minutes on a million tiles. So
+a run that has finished everything records what decides its results, the times of its inputs, of
+what it has delivered and of the folders of its store. A later one that finds them as they were has
+nothing to do. A file that was altered within the store is noticed where it is read, or by
+``--verify``.
+"""
+
+import hashlib
+import json
+import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.number_format import as_ascii, duration
-from spl_batch.engine.report.run_record import REPORT_FILES, RunFacts, stands
-from spl_batch.engine.tasks.ledger import Ledger
-from spl_batch.engine.tasks.runner import damaged_rasters
+from spl_batch.engine.report.run_record import REPORT_FILES, RunFacts, report_code
+from spl_batch.engine.store.deliveries import Deliveries
+from spl_batch.engine.store.working_store import read_json, write_json
+from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.step import delivering, stages
 from spl_batch.engine.verbs.failures import failures
+from spl_batch.engine.verbs.progress import Progress
 from spl_batch.engine.verbs.receiver import Prepared
-from spl_batch.engine.verbs.resting import rest
-from spl_batch.engine.watch.earlier_runs import earlier_wall_s, log_bytes
-from spl_batch.engine.watch.events import Note, ReportStarted
-from spl_batch.engine.watch.listing import listed
-from spl_batch.engine.watch.progress import Progress
+from spl_batch.engine.watch.events import ReportStarted
 from spl_batch.errors import DamagedError
+from spl_batch.formats.files.atomic import remove
 from spl_batch.receivers import report_model
+
+REST: Final = "rest.json"
+"""File beside the receipts that records the state of a finished run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +47,7 @@ class RunResult:
         Folder of the results.
     report : BaseModel or None
         The receiver's model of its report, that of an airborne survey is
-        :class:`~spl_batch.airborne.report.model.Report`; None when the run was told to stop before
-        it.
+        :class:`~spl_batch.airborne.report.model.Report`; None when the run was to stop before it.
     screen : tuple of (str, str)
         Label and value of the numbers that matter.
     results : tuple of (str, list of Path)
@@ -49,21 +60,6 @@ class RunResult:
     screen: tuple[tuple[str, str], ...] = ()
     results: tuple[tuple[str, list[Path]], ...] = ()
 
-    def __repr__(self) -> str:
-        files = ((label, ", ".join(map(str, paths))) for label, paths in self.results if paths)
-        own = (("exit status", str(self.exit_status)), ("output", str(self.output)))
-        return listed("RunResult", (*own, *self.screen, *files))
-
-
-def stages_of(prepared: Prepared[Any, Any]) -> tuple[str, ...]:
-    """Stages of a run, in order."""
-    return stages(kind_of(prepared))
-
-
-def kind_of(prepared: Prepared[Any, Any]) -> str:
-    """Kind of the workflow of a run."""
-    return str(prepared.context.workflow.kind)
-
 
 def concluded(
     prepared: Prepared[Any, Any],
@@ -71,12 +67,14 @@ def concluded(
     until: str | None,
     took: tuple[float, float | None],
 ) -> RunResult | None:
-    """Result of a run; None where a file that its report reads has to be made again."""
+    """Result of a run; None where a file that its report reads has to be made again.
+
+    ``took`` is when the run began, and how long it has compiled [s].
+    """
     try:
         return _conclude(prepared, progress, until, took)
     except DamagedError as error:
-        also = damaged_rasters(prepared.ledger.done, prepared.context)
-        if not progress.repair(prepared.ledger, [error, *also]):
+        if not progress.repair(prepared.ledger, [error]):
             raise
         return None
 
@@ -87,91 +85,97 @@ def _conclude(
     until: str | None,
     took: tuple[float, float | None],
 ) -> RunResult:
-    """Delete what is stale, and write the report unless the run was to stop before it.
-
-    ``took`` is when the run began, and how long it has compiled [s].
-    """
+    """Delete what is stale, and write the report unless the run was to stop before it."""
     ledger, context, receiver = prepared.ledger, prepared.context, prepared.receiver
-    order = stages_of(prepared)
-    first = prepared.steps[delivering(kind_of(prepared))[0]].stage
+    kind, output = context.workflow.kind, context.output
+    order, first = stages(kind), prepared.steps[delivering(kind)[0]].stage
     if until is None or order.index(until) >= order.index(first):
-        _withdraw(progress, ledger)
+        for text in progress.deliveries.withdraw(ledger, failed=bool(progress.failures)):
+            progress.note(text)
+        if progress.deliveries.spared:
+            progress.warn([Finding("E02", {"files": list(progress.deliveries.spared)})])
     if until is not None and until != "report":
-        status = int(bool(progress.failures or ledger.inputs.bad))
-        return RunResult(status, context.output, None)
-    found = any(cost.skipped for cost in progress.costs.values())
-    earlier_s = earlier_wall_s(context.output) if found else 0.0
+        return RunResult(int(bool(progress.failures or ledger.inputs.bad)), output, None)
     facts = RunFacts(
-        time.perf_counter() - took[0] + (earlier_s or 0.0),
+        time.perf_counter() - took[0],
         progress.invocation.workers,
         progress.costs,
         tuple(failures(prepared, progress.failures)),
         progress.findings,
         receiver.reference(ledger),
         receiver.not_read(ledger),
-        earlier_s,
-        log_bytes(context.output),
         took[1],
     )
-    written = _standing(prepared, facts) if progress.idle else None
-    now = []
-    if written is None:
-        for damaged in damaged_rasters(ledger.done, context):
-            raise damaged
-        progress.tell(ReportStarted())
-        written = receiver.report(ledger.done, context, facts)
-        progress.late(written.findings)
-    else:
-        now = _looked(took[0])
+    progress.tell(ReportStarted())
+    written = receiver.report(ledger.done, context, facts)
+    progress.late(written.findings)
     if not written.failures:
         rest(prepared, progress.deliveries)
-    return _result(prepared, written, now)
+    return result_of(receiver, output, written)
+
+
+def result_of(
+    receiver: Any, output: Path, written: Any, more: Iterable[tuple[str, str]] = ()
+) -> RunResult:
+    """Result of a run whose report is there."""
+    screen = (*receiver.screen(written), *more)
+    status = int(bool(written.failures))
+    return RunResult(status, output, written, screen, tuple(receiver.results(output)))
+
+
+def rest(prepared: Prepared[Any, Any], deliveries: Deliveries) -> None:
+    """Record that everything is finished."""
+    store = prepared.context.store
+    if store.url is not None:  # folders elsewhere have no times
+        return
+    below = (place for place, _, _ in os.walk(store.local))
+    folders = sorted({str(Path(place).relative_to(store.local)) for place in below} - {"."})
+    content = {"folders": folders, "state": _state(prepared, deliveries, folders)}
+    write_json(store.local / REST, content)
 
 
 def rested(prepared: Prepared[Any, Any], progress: Progress, start: float) -> RunResult | None:
-    """Result of a run that finds everything as it has left it; None where its report is not.
+    """Result of a run that finds everything as it was left; None where there is work to do.
 
-    ``start``: when the run began [s].
+    From here on everything may not be finished. ``start``: when the run began [s].
     """
-    written = _read_report(prepared)
-    if written is None:
-        return None
-    progress.late(written.findings)
-    return _result(prepared, written, _looked(start))
-
-
-def _result(
-    prepared: Prepared[Any, Any], written: Any, now: Sequence[tuple[str, str]]
-) -> RunResult:
-    output, receiver = prepared.context.output, prepared.receiver
-    screen, shown = (*receiver.screen(written), *now), tuple(receiver.results(output))
-    return RunResult(int(bool(written.failures)), output, written, screen, shown)
-
-
-def _looked(start: float) -> list[tuple[str, str]]:
-    seconds = as_ascii(duration(time.perf_counter() - start))
-    return [("now", f"nothing was left to do: looked at in {seconds}")]
-
-
-def _withdraw(progress: Progress, ledger: Ledger[Any, Any]) -> None:
-    """Delete what is stale, and tell of it."""
-    deliveries = progress.deliveries
-    for text in deliveries.withdraw(ledger, failed=bool(progress.failures)):
-        progress.tell(Note("info", text))
-    if deliveries.spared:
-        progress.warn([Finding("E02", {"files": list(deliveries.spared)})])
-
-
-def _standing(prepared: Prepared[Any, Any], facts: RunFacts) -> Any:
-    """The report that is there; None where it would say something else now."""
-    return _read_report(prepared) if stands(prepared.ledger.done, prepared.context, facts) else None
-
-
-def _read_report(prepared: Prepared[Any, Any]) -> Any:
-    """The report that is there; None where it cannot be read."""
-    context = prepared.context
-    model = report_model(kind_of(prepared))
+    file, output = prepared.context.store.local / REST, prepared.context.output
+    model = report_model(prepared.context.workflow.kind)
     try:
-        return model.model_validate_json((context.output / REPORT_FILES[0]).read_bytes())
-    except (OSError, ValueError):  # damaged in spite of its time of writing: it is written again
-        return None
+        kept = read_json(file)
+        if kept["state"] == _state(prepared, progress.deliveries, kept["folders"]):
+            written = model.model_validate_json((output / REPORT_FILES[0]).read_bytes())
+            progress.late(written.findings)
+            took = as_ascii(duration(time.perf_counter() - start))
+            now = [("now", f"nothing was left to do: looked at in {took}")]
+            return result_of(prepared.receiver, output, written, now)
+    except (DamagedError, OSError, ValueError):  # none, or none to be trusted: receipts have it
+        pass
+    remove(file)
+    return None
+
+
+def _state(prepared: Prepared[Any, Any], deliveries: Deliveries, folders: Iterable[str]) -> str:
+    """Hash of what decides the results, and of the times of what is there."""
+    context, ledger = prepared.context, prepared.ledger
+    inputs = [*(source.path for source in ledger.inputs.sources)]
+    inputs += [Path(bad.path) for bad in ledger.inputs.bad]
+    reports = (context.output / name for name in REPORT_FILES)
+    parts = [
+        context.workflow.model_dump(mode="json"),
+        *(context.crs_wkt, context.code, report_code(context.workflow.kind)),
+        ledger.memory_bytes,
+        prepared.receiver.decisive(prepared),
+        [[str(path), *stamp_if_there(path)] for path in (*inputs, *reports)],
+        [[name, *stamp_if_there(context.output / name)] for name in sorted(deliveries.files)],
+        [_written_ns(context.store.local / name) for name in folders],
+    ]
+    return hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+def _written_ns(folder: Path) -> int:
+    """When a folder has got or lost a name [ns since 1970]; 0 without it."""
+    try:
+        return folder.stat().st_mtime_ns
+    except OSError:
+        return 0

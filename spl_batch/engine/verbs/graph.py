@@ -12,14 +12,15 @@ from functools import cache
 from typing import Any
 
 from spl_batch.engine.findings import of_receipts
-from spl_batch.engine.flow.executor import Executor
+from spl_batch.engine.flow.job import Executor
 from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Job, Need, Outcome, Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.engine.verbs.progress import Progress
 from spl_batch.engine.verbs.receiver import Prepared, Receiver
-from spl_batch.engine.watch.events import Note, PhaseStarted, TaskSettled
-from spl_batch.engine.watch.progress import Progress
+from spl_batch.engine.watch.events import PhaseStarted, TaskSettled
+from spl_batch.errors import named
 
 
 class _Open:
@@ -115,16 +116,11 @@ class Graph:
             verify=self._verify,
             is_over=self._is_over,
         )
-        targets: list[str] = []
-        for task, receipt in work.look():
-            if receipt is None:
-                targets += step.targets(task, prepared.context.workflow)
-            else:
+        for _, receipt in work.look():
+            if receipt is not None:
                 self._found(step, receipt)
-        for text in progress.deliveries.make_room(targets):
-            progress.tell(Note("info", text))
         if work.altered:
-            progress.altered(work.altered)
+            progress.note(f"gone or not as written, made again: {named(work.altered)}")
         if work.left or work.ready:
             event = PhaseStarted(step.stage, step.name, work.left, work.ready, work.points)
             progress.tell(event)
@@ -207,7 +203,7 @@ class Graph:
         self.progress.ended(task, receipt)
         if receipt.failed:
             self._missing.add(outcome.need)
-            if "damaged" in receipt.facts and self.progress.repairs.wanted([receipt], ledger):
+            if "damaged" in receipt.facts and self.progress.mends(receipt):
                 self._ends_early = True
 
     def _close_steps(self) -> None:

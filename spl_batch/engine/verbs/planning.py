@@ -1,55 +1,20 @@
 """What a run will do, from headers alone: points, tasks, disk, memory, time."""
 
 import shutil
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, refuse_too_large
 from spl_batch.engine.report.parts import FindingReport
 from spl_batch.engine.report.reported import reported
-from spl_batch.engine.report.run_record import REPORT_FILES
-from spl_batch.engine.store.output_owner import gone_inputs, usable
-from spl_batch.engine.tasks.step import Step, stages
-from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.engine.verbs.output_owner import gone_inputs, usable
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.receiver import Prepared
-from spl_batch.engine.watch.listing import listed
-from spl_batch.errors import grouped, refuse_without, storage, told_together
+from spl_batch.errors import refuse_without, storage, told_together
 from spl_batch.formats.files.atomic import names_in
-
-LOOKED_AT: Final = 50_000
-"""Finished tasks that a plan looks at one by one: more take it minutes [count]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Left:
-    """What earlier runs in the same output have left to do.
-
-    Parameters
-    ----------
-    finished : int
-        Tasks that they have finished, as far as can be told before others are done [count].
-    stage : str
-        First stage that has something to do; empty where nothing is left.
-    tasks, of : int
-        Tasks of its first unfinished step that are left, and all of them [count].
-    time_s : float
-        Time that this stage and those behind it take at most, with the run's workers [s].
-    counted : bool
-        Whether each task was looked at; of more than :data:`LOOKED_AT` only how many there are
-        is told, and what they were done for may have changed since.
-    """
-
-    finished: int
-    stage: str = ""
-    tasks: int = 0
-    of: int = 0
-    time_s: float = 0.0
-    counted: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +38,8 @@ class PlanSummary:
         What is wrong with the inputs and the output.
     findings : tuple of FindingReport
         What is odd about them.
-    left : Left or None
-        What is left to do; None where nothing of this work is finished.
+    finished : int
+        Tasks that earlier runs have finished there, whatever has changed since [count].
     unusable : int
         Input files that cannot be used [count]; ``faults`` has the reasons.
     """
@@ -87,22 +52,8 @@ class PlanSummary:
     rows: tuple[tuple[str, str], ...]
     faults: tuple[str, ...]
     findings: tuple[FindingReport, ...]
-    left: Left | None = None
+    finished: int = 0
     unusable: int = 0
-
-    def __repr__(self) -> str:
-        needed, limit = (grouped(n / 2**20) for n in (self.cost.memory_bytes, self.limit_bytes))
-        own = (
-            ("files", f"{grouped(self.files)}, {grouped(self.unusable)} unusable beside them"),
-            ("points", grouped(self.points)),
-            *self.rows,
-            ("tasks", grouped(self.cost.tasks)),
-            ("disk", storage(self.cost.disk_bytes)),
-            ("memory", f"{needed} of each worker's {limit} MiB"),
-            ("time", f"{grouped(self.cost.time_s)} s"),
-        )
-        odd = (("warning", one.text) for one in self.findings)
-        return listed("PlanSummary", (*own, *odd, *(("unusable", text) for text in self.faults)))
 
     @property
     def exit_status(self) -> int:
@@ -145,8 +96,10 @@ def plan(
     deliveries = usable(prepared)
     receiver = prepared.receiver
     look = receiver.first_look(prepared)
-    output, left = prepared.context.output, _left(prepared, cost)
-    whole = left is None and prepared.context.store.url is None
+    output, store = prepared.context.output, prepared.context.store
+    folders = (store.path("receipts", kind) for kind in prepared.steps)
+    finished = sum(len(names_in(folder, ".json")) for folder in folders)
+    needed = 0 if finished or store.url else cost.disk_bytes
     return PlanSummary(
         len(inputs.sources) - look.unreadable,
         cost.points - look.unreadable_points,
@@ -166,12 +119,12 @@ def plan(
                     for step in prepared.steps.values()
                     for one in receiver.aside(step, prepared)
                 ),
-                *_too_full(output, cost.disk_bytes if whole else 0),
+                *_too_full(output, needed),
             ),
             prepared.context.workflow.report.ignore,
             notes=True,
         ),
-        left,
+        finished,
         len(inputs.bad) + look.unreadable,
     )
 
@@ -192,45 +145,8 @@ def fitting_cost(prepared: Prepared[Any, Any]) -> Cost:
 
 def _too_full(output: Path, needed: int) -> list[Finding]:
     """A note where the file system of the output has less room than is expected to be taken."""
-    free = shutil.disk_usage(_existing(output)).free
+    there = next(place for place in (output, *output.parents) if place.exists())
+    free = shutil.disk_usage(there).free
     if needed <= free:
         return []
     return [Finding("E01", {"kind": "disk", "needed": storage(needed), "free": storage(free)})]
-
-
-def _existing(path: Path) -> Path:
-    """The path, or the nearest one above it that exists."""
-    return next(place for place in (path, *path.parents) if place.exists())
-
-
-def _left(prepared: Prepared[Any, Any], cost: Cost) -> Left | None:
-    """What a run would find finished, step after step up to the first that has work to do."""
-    context, done = prepared.context, 0
-    folders = [context.store.path("receipts", kind) for kind in prepared.steps]
-    receipts = sum(len(names_in(folder, ".json")) for folder in folders)
-    if receipts > LOOKED_AT:
-        return Left(receipts, counted=False)
-    for step in prepared.steps.values():
-        work = Worklist(step, prepared.ledger, context)
-        deque(work.look(), maxlen=0)
-        done += work.ready
-        if work.left and not done:
-            return None
-        if work.left:
-            return _left_from(step, work, done, prepared, cost)
-    if all((context.output / name).exists() for name in REPORT_FILES):
-        return Left(done)
-    return Left(done, "report", 1, 1)
-
-
-def _left_from(
-    first: Step, work: Worklist, done: int, prepared: Prepared[Any, Any], cost: Cost
-) -> Left:
-    """What is left where a step is the first that is not finished."""
-    order = stages(prepared.context.workflow.kind)
-    stage, whole = first.stage, work.left + work.ready
-    *_, last = (step for step in prepared.steps.values() if step.stage == stage)
-    share = work.left / whole if first == last else 1.0
-    after = order[order.index(stage) + 1 :]
-    left_s = share * cost.stages_s.get(stage, 0.0) + sum(cost.stages_s.get(s, 0.0) for s in after)
-    return Left(done, stage, work.left, whole, left_s / cost.workers)

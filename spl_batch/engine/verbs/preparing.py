@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.findings import Finding
-from spl_batch.engine.flow.executor import machine_memory
+from spl_batch.engine.flow.cluster import machine_memory
 from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped, told_together

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from spl_batch.engine.findings import Finding
-from spl_batch.engine.flow.executor import Work
+from spl_batch.engine.flow.warm_up import Work
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow

@@ -10,11 +10,11 @@ from spl_batch.engine.settings.mistaken_file import no_output
 from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.engine.store.working_store import Store, read_receipt
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.receipt_index import Shelf
-from spl_batch.engine.tasks.runner import code_version, damaged_rasters
-from spl_batch.engine.verbs.conclusion import RunResult
+from spl_batch.engine.tasks.ledger import Shelf
+from spl_batch.engine.tasks.runner import code_version
+from spl_batch.engine.verbs.conclusion import RunResult, result_of
+from spl_batch.engine.verbs.progress import forget_makers
 from spl_batch.engine.verbs.receiver import Place, Receiver
-from spl_batch.engine.verbs.repair import forget_makers
 from spl_batch.errors import DamagedError, SplBatchError, StoreError, WorkflowError, refuse_without
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.receivers import receiver, steps
@@ -44,8 +44,6 @@ def report(output: Path | str) -> RunResult:
     folder = real_path(output)
     done, context, facts = recalled(folder)
     try:
-        for damaged in damaged_rasters(done, context):
-            raise damaged
         return _written(done, context, facts)
     except DamagedError as error:
         # A run that finds all finished would not look at it.
@@ -69,8 +67,7 @@ def _written(done: dict[str, Shelf], context: Any, facts: RunFacts) -> RunResult
             f"{context.output}: made by spl-batch {context.code}, whose records this version "
             "cannot read; run the workflow again, which does anew only what has changed"
         ) from error
-    screen, results = tuple(found.screen(written)), tuple(found.results(context.output))
-    return RunResult(int(bool(written.failures)), context.output, written, screen, results)
+    return result_of(found, context.output, written)
 
 
 def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
@@ -97,9 +94,7 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
         [Finding(*one) for one in kept["findings"]],
         kept["reference"],
         kept["not_read"],
-        kept.get("earlier_s", 0.0),  # of a run before there was such a thing
-        kept.get("log_bytes", 0),
-        kept.get("compile_s"),
+        kept["compile_s"],
     )
     return _receipts(context, kept["done"]), context, facts
 

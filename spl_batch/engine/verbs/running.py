@@ -1,28 +1,26 @@
 """Run a workflow: step after step, skipping what is finished, isolating what fails."""
 
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.engine.flow.executor import Ahead, Executor, Footing, executor, refuse_no_address
+from spl_batch.engine.flow.cluster import executor, refuse_no_address
+from spl_batch.engine.flow.job import Executor, Footing
+from spl_batch.engine.flow.warm_up import Ahead
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.store.output_lock import lock_file, locked, was_stopped
-from spl_batch.engine.store.output_owner import gone_inputs, this_survey, usable
-from spl_batch.engine.store.store_owner import claim
-from spl_batch.engine.verbs.conclusion import RunResult, concluded, kind_of, rested, stages_of
+from spl_batch.engine.tasks.step import stages
+from spl_batch.engine.verbs.conclusion import REST, RunResult, concluded, rested
 from spl_batch.engine.verbs.failures import Invocation
 from spl_batch.engine.verbs.graph import Graph
+from spl_batch.engine.verbs.output_owner import claim, gone_inputs, this_survey, usable
 from spl_batch.engine.verbs.planning import fitting_cost
 from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.progress import Progress
 from spl_batch.engine.verbs.receiver import Prepared
-from spl_batch.engine.verbs.repair import Repairs
-from spl_batch.engine.verbs.resting import at_rest, stir
-from spl_batch.engine.watch.events import Listener, Note, RunEnded, RunStarted, ignore
-from spl_batch.engine.watch.progress import Progress
+from spl_batch.engine.watch.events import Listener, RunEnded, RunStarted, ignore
 from spl_batch.errors import (
     SplBatchError,
     StoppedError,
@@ -31,7 +29,7 @@ from spl_batch.errors import (
     told_by_system,
     told_together,
 )
-from spl_batch.formats.files.atomic import stop_if_full
+from spl_batch.formats.files.atomic import remove, stop_if_full
 
 COMPILING: Final = (
     "getting the kernels ready; the first run on a machine compiles them, which usually takes a "
@@ -91,66 +89,58 @@ def run(
     prepared = prepare(
         Path(workflow), overrides, memory=memory, workers=workers, remote=scheduler is not None
     )
-    order = stages_of(prepared)
-    if until is not None and until not in order:
-        raise WorkflowError(f"--until {until}: write one of {', '.join(order)}")
+    context, kind = prepared.context, prepared.context.workflow.kind
+    if until is not None and until not in stages(kind):
+        raise WorkflowError(f"--until {until}: write one of {', '.join(stages(kind))}")
     if _reports(until):
         refuse_without("matplotlib", "reports", "report")
     cost = fitting_cost(prepared)
-    output = prepared.context.output
-    invocation = Invocation(workflow, workers, prepared.ledger.memory_bytes, overrides)
+    output = context.output
     usable(prepared)  # before the lock, which would leave a file in somebody else's folder
     look = prepared.receiver.first_look(prepared)  # refuses what a plan refuses
     new, stopped = not output.exists(), was_stopped(output)
     with locked(output) as mark:
         deliveries = usable(prepared)
-        claim(prepared.context.store)
+        claim(context.store)
         gone = [*gone_inputs(prepared, deliveries)]
         deliveries.begin(this_survey(prepared))
         if fresh:
-            prepared.context.store.clear()
-            claim(prepared.context.store)
-        repairs = Repairs(prepared.context.store)
+            context.store.clear()
+            claim(context.store)
         progress = Progress(
-            output,
             listener,
-            invocation,
-            repairs,
+            Invocation(workflow, workers, prepared.ledger.memory_bytes, overrides),
+            context.store,
             deliveries,
             prepared.steps,
             {str(source.key): source.name for source in prepared.ledger.inputs.sources},
-            ignored=prepared.context.workflow.report.ignore,
+            context.workflow.report.ignore,
         )
         progress.tell(_started(prepared, workflow, workers, cost))
-        if stopped:
-            progress.tidy()
-        compiles = prepared.receiver.compiles
-        ahead = compiles and Ahead(compiles, COMPILING)
-        with _telling_the_end(progress), _stopped_by_system():
-            if new and not output.is_relative_to(prepared.context.base):  # a slip would show
-                progress.tell(Note("info", f"created folder {output}"))
-            progress.warn((*prepared.ledger.remarks, *gone))
-            progress.warn(prepared.ledger.inputs.warnings)
+        with _logging_the_end(progress), _stopped_by_system():
+            if stopped:
+                progress.tidy()
+            if new and not output.is_relative_to(context.base):  # a slip would show
+                progress.note(f"created folder {output}")
+            progress.warn((*prepared.ledger.remarks, *gone, *prepared.ledger.inputs.warnings))
             for text in (*told_together(prepared.ledger.inputs.bad), *look.late):
-                progress.tell(Note("error", text))
-            workforce = partial(
-                executor,
-                workers=workers,
-                memory_bytes=prepared.ledger.memory_bytes,
-                scheduler=scheduler,
-                observer=progress,
-                footing=Footing(
-                    kind_of(prepared), prepared.context.code, str(lock_file(output)), mark
-                ),
-                ahead=ahead,
-            )
+                progress.note(text, "error")
+            compiles = prepared.receiver.compiles
+            ahead = Ahead(compiles, COMPILING) if compiles else None
             result = None
-            if _reports(until) and not (fresh or verify) and at_rest(prepared, deliveries):
+            if _reports(until) and not (fresh or verify):
                 result = rested(prepared, progress, start)
-            if result is None:
-                stir(prepared)
+            else:
+                remove(context.store.local / REST)
             while result is None:
-                with workforce() as pool:
+                with executor(
+                    workers=workers,
+                    memory_bytes=prepared.ledger.memory_bytes,
+                    scheduler=scheduler,
+                    observer=progress,
+                    footing=Footing(kind, context.code, str(lock_file(output)), mark),
+                    ahead=ahead,
+                ) as pool:
                     _process(prepared, pool, progress, until, verify=verify)
                 compile_s = ahead.took_s if ahead else None
                 result = concluded(prepared, progress, until, (start, compile_s))
@@ -165,7 +155,7 @@ def _reports(until: str | None) -> bool:
 
 
 @contextmanager
-def _telling_the_end(progress: Progress) -> Iterator[None]:
+def _logging_the_end(progress: Progress) -> Iterator[None]:
     """Log why a run stops before its end, for those who watch it from elsewhere."""
     try:
         yield
@@ -202,17 +192,10 @@ def _started(
         str(workflow),
         workers,
         prepared.context.code,
-        _expected_s(cost),
-        stages_of(prepared),
-        Counter(step.stage for step in prepared.steps.values()),
-        not prepared.context.store.path("receipts").exists(),
+        {stage: round(s / cost.workers, 1) for stage, s in cost.stages_s.items()},
+        stages(prepared.context.workflow.kind),
         unusable,
     )
-
-
-def _expected_s(cost: Cost) -> dict[str, float]:
-    """Time that each stage is expected to take with these workers [s]."""
-    return {stage: round(s / cost.workers, 1) for stage, s in cost.stages_s.items()}
 
 
 def _process(
@@ -224,7 +207,7 @@ def _process(
     verify: bool,
 ) -> None:
     """Go through the steps, and once more where a file of the store had to be made again."""
-    order = stages_of(prepared)
+    order = stages(prepared.context.workflow.kind)
     last = order.index(until) if until else len(order)
     steps = [step for step in prepared.steps.values() if order.index(step.stage) <= last]
     again = True

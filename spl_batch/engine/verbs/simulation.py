@@ -2,13 +2,16 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from spl_batch.engine.settings.mistaken_file import is_workflow
+from spl_batch.engine.settings.mistaken_file import is_workflow, refuse_urls
 from spl_batch.engine.settings.workflow_file import known_kind, read_mapping
-from spl_batch.engine.store.simulated_folders import simulating
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, named
+from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.receivers import IMAGING, simulator
+
+SIMULATED: Final = ".simulated"
+"""Mark of a folder that a simulation may write into again."""
 
 
 def simulate(
@@ -24,12 +27,12 @@ def simulate(
         Folder to write to; an airborne survey has flightlines, trajectory, reference, truth
         and workflow.
     progress : callable, optional
-        Told the share that is done, 0..1.
+        Called with the share that is done, 0..1.
 
     Returns
     -------
     object
-        What was made, of which ``rows`` tells; of an airborne survey, a
+        What was made; its ``rows`` are for a console; of an airborne survey, a
         :class:`~spl_batch.airborne.simulate.survey.SimulationSummary`.
 
     Raises
@@ -42,7 +45,14 @@ def simulate(
     if is_workflow(content):
         raise WorkflowError(f"{scene}: this is a workflow, not a scene; `spl-batch run` is for it")
     kind = known_kind(content, str(scene)) if "kind" in content else IMAGING
-    with simulating(Path(output), Path(scene)):
-        if progress is not None:
-            progress(0.0)
-        return simulator(kind)(Path(scene), Path(output), progress=progress)
+    refuse_urls(output)
+    folder, own = Path(output), Path(scene).resolve()
+    if folder.exists() and not folder.is_dir():
+        raise WorkflowError(f"{folder} is a file; name a folder")
+    there = [path.name for path in sorted(folder.glob("*")) if path.resolve() != own]
+    if there and not (folder / SIMULATED).exists():
+        raise WorkflowError(f"{folder} holds {named(there, 3)}; name another folder, or empty it")
+    write_bytes(folder / SIMULATED, b"")
+    if progress is not None:
+        progress(0.0)
+    return simulator(kind)(Path(scene), folder, progress=progress)

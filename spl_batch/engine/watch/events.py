@@ -10,7 +10,7 @@ from spl_batch.engine.tasks.task import WorkersSeen
 
 @dataclass(frozen=True, slots=True)
 class RunStarted:
-    """A run begins; what the log says before it belongs to earlier ones."""
+    """A run begins; what the log has before it belongs to earlier ones."""
 
     workflow: str
     workers: int
@@ -18,9 +18,6 @@ class RunStarted:
     #: Time that each stage is expected to take if nothing of it is finished [s].
     expected_s: Mapping[str, float] = field(default_factory=dict)
     stages: Sequence[str] = ()  #: Names of all stages, in order.
-    phases: Mapping[str, int] = field(default_factory=dict)
-    #: Whether there is nothing that earlier runs have finished, or it was forgotten.
-    anew: bool = False
     #: Path and reason of each input file that cannot be used.
     unusable: Sequence[Mapping[str, str]] = ()
 

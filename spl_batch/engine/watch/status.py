@@ -1,23 +1,30 @@
-"""State of a run, event by event: what is done, running, failed and left.
+"""State of a run by stage: what is done, running, failed and left.
 
-It is made alike from the events of a run in this process and from the lines of its log
-(:mod:`spl_batch.engine.watch.log_follower`).
+It is made of the events of a run in this process, or of the lines of its log, which any process may
+read while it grows.
 """
 
+import json
+import mmap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
 from typing import Any, Final
 
+from spl_batch.engine.settings.mistaken_file import no_output
+from spl_batch.engine.store.output_lock import holder
 from spl_batch.engine.tasks.step import stages as stages_of
-from spl_batch.engine.watch.listing import listed
-from spl_batch.engine.watch.log_lines import seconds
+from spl_batch.errors import WorkflowError, reason_of
 from spl_batch.receivers import IMAGING
 
-PAGE: Final = "page"
-"""What the writing of the report is called among the stages."""
+LOG: Final = "log.jsonl"
+"""Name of the log, below the output."""
 
-TRUSTED_SHARE: Final = 0.2
-"""Share of a stage's points from which on the time left follows from its own speed alone."""
+_BEGINS: Final = b'"event": "RunStarted"'
+_WORKS: Final = b'"event": "PhaseStarted"'
+_NO_EVENT: Final = (ValueError, KeyError, TypeError, AttributeError)
+"""What a line of the log leads to that a kill has cut off."""
 
 
 @dataclass(slots=True)
@@ -31,16 +38,11 @@ class StageStatus:
     failed: int = 0
     found: int = 0  #: Tasks that this run found finished, among those [count].
     points: int = 0  #: Points handled by tasks that this run finished [count].
-    wall_s: float = 0.0  #: Summed time of those tasks [s].
     left_points: int = 0  #: Points of tasks that are still to do [count].
-    #: Points of tasks that this run had to do when their phases began [count].
-    points_to_do: int = 0
     #: When its first phase began, and its latest event; 0 before that [s since 1970].
     began_s: float = 0.0
     latest_s: float = 0.0
-    now_s: float = 0.0  #: Up to when it is known to be at work; 0 where it is not [s since 1970].
     expected_s: float = 0.0  #: Time that the whole stage was expected to take; 0 where unknown [s].
-    phases_left: int = 0  #: Phases of it that have not begun, as far as is known [count].
 
     @property
     def left(self) -> int:
@@ -48,51 +50,23 @@ class StageStatus:
         return self.total - self.done - self.failed
 
     @property
-    def of_earlier_runs(self) -> bool:
-        """Whether this run had nothing to do in it: earlier ones had done it all."""
-        return self.found == self.total > 0
-
-    @property
     def elapsed_s(self) -> float:
-        """Time from its beginning to its latest event, or to the present while it works [s]."""
-        return max(self.latest_s - self.began_s, self.now_s - self.began_s, 0.0)
-
-    @property
-    def counted_s(self) -> float:
-        """Time from its beginning to its latest event, up to which its points are counted [s]."""
+        """Time from its beginning to its latest event [s]."""
         return max(self.latest_s - self.began_s, 0.0)
 
     @property
     def points_per_s(self) -> float:
         """Points that all workers together handle in a second; 0 where unknown [1/s]."""
-        return self.points / self.counted_s if self.counted_s > 0.5 else 0.0
+        return self.points / self.elapsed_s if self.elapsed_s > 0.5 else 0.0
 
     @property
     def left_s(self) -> float:
-        """Time that it will still take, as far as can be told [s]."""
+        """Time that it will still take, by its speed or as was expected [s]."""
         if not self.began_s:
             return self.expected_s
-        if self.of_earlier_runs:  # nor has it anything to do in the phases that are to come
-            return 0.0
-        left_s = self._left_of_phases_s() if self.left else 0.0
-        left_s -= self.elapsed_s - self.counted_s
-        return max(left_s, self.expected_s - self.elapsed_s if self.phases_left else 0.0, 0.0)
-
-    def _left_of_phases_s(self) -> float:
-        """Time left of the phases that have begun [s]."""
-        expected_s = self.expected_s * self.left / self.total
-        if self.left_points == 0:  # tasks that handle no points: each takes as long as another
-            ended = self.total - self.left - self.found
-            return max(expected_s, self.counted_s * self.left / ended) if ended else expected_s
-        if self.points_per_s == 0:
-            return expected_s
-        # The first tasks compile kernels and warm caches: their rate tells little. Squared, as it
-        # multiplies a time that falls with the points that are done.
-        weight = 1.0
-        # A log that has lost lines may tell of points done and of none to do.
-        if expected_s and self.points_to_do:
-            weight = min(self.points / (TRUSTED_SHARE * self.points_to_do), 1.0) ** 2
-        return weight * self.left_points / self.points_per_s + (1 - weight) * expected_s
+        if self.points_per_s and self.left_points > 0:
+            return self.left_points / self.points_per_s
+        return self.expected_s * self.left / max(self.total, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +76,7 @@ class FailedTask:
     #: What a user calls it; why; the command that does it alone, none for a file.
     task: str
     reason: str
-    command: str
+    command: str = ""
 
 
 @dataclass(slots=True)
@@ -110,10 +84,8 @@ class RunStatus:
     """State of a run."""
 
     stages: dict[str, StageStatus] = field(default_factory=dict)  #: By name, in order.
-    #: Worker of each task that has begun, by kind and name.
+    #: What a user calls each task that has begun, by kind and name.
     running: dict[tuple[str, str], str] = field(default_factory=dict)
-    #: What a user calls those tasks.
-    called: dict[tuple[str, str], str] = field(default_factory=dict)
     failures: list[FailedTask] = field(default_factory=list)
     #: Input files that the latest run cannot use.
     unusable: list[FailedTask] = field(default_factory=list)
@@ -125,55 +97,22 @@ class RunStatus:
     ended: Mapping[str, Any] | None = None
     #: Host, process and start of the run that works here now; None where none does.
     holder: Mapping[str, Any] | None = None
-    #: When the phase of each kind of task that has begun did so [s since 1970].
-    kinds: dict[str, float] = field(default_factory=dict)
-    #: Stage of each task that has begun and of whose end nothing was heard, by kind and name.
-    begun: dict[tuple[str, str], str] = field(default_factory=dict)
-    #: Names of the stages, in order.
-    order: Sequence[str] = field(default_factory=lambda: stages_of(IMAGING))
-    #: Fields of a :class:`~spl_batch.engine.watch.events.RunStarted` whose work has not begun, and
-    #: of its phases so far, in which everything was finished.
-    waiting: list[Mapping[str, Any]] = field(default_factory=list)
-    reporting: bool = False  #: Whether the latest run is writing the report, or has.
-    #: The writing of the report: none of the tasks that it counts, and so a row of its own.
-    page: StageStatus = field(default_factory=lambda: StageStatus(PAGE))
-    #: What lies in the output folder though its store is gone, and with it all that was finished:
-    #: the next run starts over; None where the store is there.
-    delivered: tuple[str, ...] | None = None
-    lost_lines: int = 0  #: Lines of the log that were cut off by a kill, or damaged [count].
-
-    def __repr__(self) -> str:
-        state = "working" if self.holder else "stopped before its end"
-        if self.ended is not None:
-            state = f"ended with exit status {self.ended['exit_status']}"
-        done = (
-            (one.stage, f"{one.done} of {one.total} done, {one.failed} failed") for one in self.rows
-        )
-        failed = (("failed", f"{one.task}: {one.reason}") for one in self.failures)
-        return listed("RunStatus", (("run", state), *done, *failed))
+    kinds: set[str] = field(default_factory=set)  #: Kinds of task whose phases have begun.
+    #: Fields of a :class:`~spl_batch.engine.watch.events.RunStarted` whose phases have not begun:
+    #: the state is that of the run before.
+    started: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        self.stages = {name: StageStatus(name) for name in self.order}
-
-    @property
-    def rows(self) -> list[StageStatus]:
-        """What is shown line by line: the stages, and the writing of the report once it began."""
-        return [*self.stages.values(), *([self.page] if self.page.began_s else [])]
+        self._name_stages(stages_of(IMAGING))
 
     @property
     def left_s(self) -> float:
-        """Time that the run will still take, as far as can be told [s]."""
-        known = [stage for stage in self.stages.values() if stage.began_s]
-        # Phases of two stages may be done at once.
-        busy = [stage for stage in known if stage.left] or known[-1:]
-        first = self.order.index(busy[0].stage) if busy else 0
-        return sum(self.stages[name].left_s for name in self.order[first:])
-
-    def advance(self, now_s: float) -> None:
-        """Let the clocks of what is at work go on to the present [s since 1970]."""
-        busy = [self.stages[name] for name in {self.begun[task] for task in self.running}]
-        for stage in (*busy, *([self.page] if self.reporting and self.ended is None else [])):
-            stage.now_s = now_s
+        """Time that the run will still take [s]."""
+        stages = [*self.stages.values()]
+        busy = [k for k, stage in enumerate(stages) if stage.began_s and stage.left]
+        begun = [k for k, stage in enumerate(stages) if stage.began_s]
+        first = busy[0] if busy else max(begun, default=0)
+        return sum(stage.left_s for stage in stages[first:])
 
     def feed(self, record: Mapping[str, Any]) -> None:
         """Take in an event, as :func:`spl_batch.engine.watch.events.as_record` gives it."""
@@ -185,124 +124,157 @@ class RunStatus:
             "TaskEnded": self._task_ended,
             "TaskSettled": self._task_settled,
             "WorkersSeen": self._workers_seen,
-            "ReportStarted": self._report_started,
             "RunEnded": self._run_ended,
-        }.get(str(record.get("event")))
+        }.get(record["event"])
         if take is not None:
             take(record)
 
-    def _run_started(self, record: Mapping[str, Any]) -> None:
-        if self.kinds:  # what earlier runs did stands until this one has something to do
-            self.ended, self.waiting, self.reporting = None, [record], False
-            self.unusable = _unusable(record)
-        else:
-            self._start_over(record)
+    def _name_stages(self, names: Sequence[str]) -> None:
+        self.stages = {name: StageStatus(name) for name in names}
 
-    def _start_over(self, record: Mapping[str, Any]) -> None:
-        fresh = RunStatus(order=tuple(record.get("stages") or stages_of(IMAGING)))
-        for name in self.__slots__:
-            setattr(self, name, getattr(fresh, name))
-        self.unusable = _unusable(record)
-        for name, expected_s in record.get("expected_s", {}).items():
-            self.stages[name].expected_s = expected_s
-        for name, phases in record.get("phases", {}).items():
-            self.stages[name].phases_left = phases
+    def _run_started(self, record: Mapping[str, Any]) -> None:
+        self.ended, self.started = None, record
+        self.unusable = [
+            FailedTask(one["path"], one["reason"]) for one in record.get("unusable", ())
+        ]
 
     def _workers_ready(self, record: Mapping[str, Any]) -> None:
         self.dashboard = record.get("dashboard", "")
 
     def _phase_started(self, record: Mapping[str, Any]) -> None:
-        if self.waiting and not record["tasks"]:
-            self.waiting.append(record)
-            return
-        if self.waiting:
-            started, *finished = self.waiting
-            self._start_over(started)
-            for phase in finished:
-                self._begin(phase)
-        self._begin(record)
-
-    def _begin(self, record: Mapping[str, Any]) -> None:
-        if record["kind"] in self.kinds:
-            self._begin_again()
-        self.kinds[record["kind"]] = seconds(record)
+        if self.started is not None:
+            self._begin(self.started)
+        elif record["kind"] in self.kinds:  # again, as a file was damaged
+            self._forget()
+        self.kinds.add(record["kind"])
         stage = self.stages[record["stage"]]
-        stage.phases_left -= stage.phases_left > 0
         stage.total += record["tasks"] + record["skipped"]
         stage.done += record["skipped"]
         stage.found += record["skipped"]
         stage.left_points += record["points"]
-        stage.points_to_do += record["points"]
         stage.latest_s = seconds(record)
         stage.began_s = stage.began_s or stage.latest_s
 
-    def _begin_again(self) -> None:
-        """Forget what was done: phases are gone through again, as a file was damaged."""
-        self.stages = {
-            name: StageStatus(name, expected_s=stage.expected_s)
-            for name, stage in self.stages.items()
-        }
-        self.page, self.reporting = StageStatus(PAGE), False
-        for known in (self.kinds, self.begun, self.running, self.called, self.failures):
-            known.clear()
+    def _begin(self, started: Mapping[str, Any]) -> None:
+        self._name_stages(started.get("stages") or stages_of(IMAGING))
+        for name, expected_s in started.get("expected_s", {}).items():
+            self.stages[name].expected_s = expected_s
+        self._forget()
+        self.started, self.peak_mb = None, 0.0
+
+    def _forget(self) -> None:
+        """Forget what was done."""
+        self.stages = {k: StageStatus(k, expected_s=v.expected_s) for k, v in self.stages.items()}
+        self.kinds, self.running, self.failures = set(), {}, []
 
     def _task_started(self, record: Mapping[str, Any]) -> None:
         kind, name = record["kind"], record["name"]
-        self.running[kind, name] = record["worker"]
-        self.called[kind, name] = record.get("called") or f"{kind} {name}"
-        self.begun[kind, name] = record["stage"]
+        self.running[kind, name] = record.get("called") or f"{kind} {name}"
 
     def _task_ended(self, record: Mapping[str, Any]) -> None:
-        stage, kind, name = self.stages[record["stage"]], record["kind"], record["name"]
-        for known in (self.running, self.begun, self.called):
-            known.pop((kind, name), None)
-        failed = bool(record["reason"])
-        stage.latest_s = seconds(record)
-        stage.left_points -= record["points"]
+        stage, failed = self._over(record), bool(record["reason"])
         stage.failed += failed
         stage.done += not failed
+        stage.points += 0 if failed else record["points"]
         self.peak_mb = max(self.peak_mb, record.get("peak_rss_mb", 0.0))
         if failed and not record.get("mends"):
-            command = record.get("command", "")
-            called = record.get("called") or f"{kind} {name}"
-            self.failures.append(FailedTask(called, record["reason"], command))
-        if not failed:
-            stage.points += record["points"]
-            stage.wall_s += record["wall_s"]
+            called = record.get("called") or f"{record['kind']} {record['name']}"
+            self.failures.append(FailedTask(called, record["reason"], record.get("command", "")))
 
     def _task_settled(self, record: Mapping[str, Any]) -> None:
-        stage, found = self.stages[record["stage"]], bool(record["found"])
-        for known in (self.running, self.begun, self.called):
-            known.pop((record["kind"], record["name"]), None)
-        stage.latest_s = seconds(record)
-        stage.left_points -= record["points"]
-        stage.points_to_do -= record["points"]
+        stage, found = self._over(record), bool(record["found"])
         stage.done += found
         stage.found += found
         stage.total -= not found
 
+    def _over(self, record: Mapping[str, Any]) -> StageStatus:
+        """Stage of a task that is over."""
+        self.running.pop((record["kind"], record["name"]), None)
+        stage = self.stages[record["stage"]]
+        stage.latest_s = seconds(record)
+        stage.left_points -= record["points"]
+        return stage
+
     def _workers_seen(self, record: Mapping[str, Any]) -> None:
         self.workers = record
 
-    def _report_started(self, record: Mapping[str, Any]) -> None:
-        began_s = seconds(record)
-        for stage in self.stages.values():
-            stage.phases_left = 0  # small surveys go without some
-        self.page = StageStatus(PAGE, total=1, began_s=began_s, latest_s=began_s)
-        self.reporting = True
-
     def _run_ended(self, record: Mapping[str, Any]) -> None:
-        self.ended = record
-        if self.reporting and not record["reason"]:
-            self.page.done, self.page.latest_s = 1, seconds(record)
-        self.dashboard = ""
-        self.nothing_runs()
-
-    def nothing_runs(self) -> None:
-        """Take what was running for waiting: the run is over, or was killed."""
+        self.ended, self.dashboard = record, ""
         self.running.clear()
-        self.called.clear()
 
 
-def _unusable(started: Mapping[str, Any]) -> list[FailedTask]:
-    return [FailedTask(one["path"], one["reason"], "") for one in started.get("unusable", ())]
+def seconds(record: Mapping[str, Any]) -> float:
+    """When an event was logged [s since 1970]."""
+    return datetime.fromisoformat(record["time"]).timestamp()
+
+
+class Follower:
+    """Reads the log of an output folder as it grows, each line once.
+
+    Parameters
+    ----------
+    output : Path or str
+        Folder of the results.
+
+    Raises
+    ------
+    WorkflowError
+        If no run has worked there.
+    """
+
+    def __init__(self, output: Path | str) -> None:
+        self.output, self.status, self._rest = Path(output), RunStatus(), b""
+        fault = no_output(self.output, "status")
+        if fault:
+            raise WorkflowError(f"{output}: {fault}")
+        self._log = self.output / LOG
+        try:
+            self._read = _latest_run(self._log)
+        except OSError:
+            raise WorkflowError(f"{output}: no run has worked here (no {LOG})") from None
+
+    def update(self) -> RunStatus:
+        """State as of now."""
+        try:
+            with self._log.open("rb") as stream:
+                stream.seek(self._read)
+                content = stream.read()
+        except OSError as error:
+            raise WorkflowError(f"{self._log}: cannot be read: {reason_of(error)}") from None
+        self._read += len(content)
+        *lines, self._rest = (self._rest + content).split(b"\n")
+        for line in lines:
+            try:
+                self.status.feed(json.loads(line))
+            except _NO_EVENT:
+                continue
+        self.status.holder = holder(self.output)
+        if self.status.holder is None:  # the run is over, or was killed
+            self.status.running.clear()
+        return self.status
+
+
+def status(output: Path | str) -> RunStatus:
+    """State of the latest run of an output folder, which may be working at this moment.
+
+    Parameters
+    ----------
+    output : Path or str
+        Folder of the results.
+
+    Raises
+    ------
+    WorkflowError
+        If no run has worked there.
+    """
+    return Follower(output).update()
+
+
+def _latest_run(log: Path) -> int:
+    """Where the lines begin of the latest run that has found something to look at [byte]."""
+    if not log.stat().st_size:
+        return 0
+    with log.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as whole:
+        works = whole.rfind(_WORKS)
+        first = whole.rfind(_BEGINS, 0, works if works >= 0 else len(whole))
+        return whole.rfind(b"\n", 0, max(first, 0)) + 1

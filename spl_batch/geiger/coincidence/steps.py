@@ -1,14 +1,8 @@
 """Steps of the coincidence processing, in the order in which they are done."""
 
-from collections.abc import Sequence
 from typing import Any, Final
 
 from spl_batch.engine.tasks.step import Step, Steps, table
-from spl_batch.engine.tasks.task import Task
-
-
-def _points(task: Task, _: Any) -> Sequence[str]:
-    return [f"points/{task.args['tile']}.laz"]
 
 
 def _tile_m(ledger: Any) -> float:
@@ -55,7 +49,7 @@ STEPS: Final[Steps] = table(
         after=("coincide",),
         settings=("outputs.aggregate_bit",),
         edge_m=_tile_m,
-        delivers=_points,
+        delivers=True,
     ),
 )
 """The whole chain, in order."""

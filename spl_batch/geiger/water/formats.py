@@ -25,9 +25,6 @@ from spl_batch.errors import InputError
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.hdf5 import open_hdf5, refuse_foreign, told_as_damage
-from spl_batch.formats.verified.zarr_loop import end_in_order
-
-end_in_order()
 
 HDF5: Final = frozenset({".h5", ".hdf5", ".hdf"})
 ZARR: Final = ".zarr"

@@ -1,20 +1,8 @@
 """Steps of the water surface, in the order in which they are done."""
 
-from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 from spl_batch.engine.tasks.step import Step, Steps, table
-from spl_batch.engine.tasks.task import Task
-
-
-def _table_file(task: Task, _: Any) -> Sequence[str]:
-    return [f"points/{task.args['delivered']}.parquet"]
-
-
-def _raster_files(task: Task, _: Any) -> Sequence[str]:
-    name = task.args["delivered"]
-    return [f"surfaces/{name}.tif", f"surfaces/{name}/"]
-
 
 _TASKS: Final = "spl_batch.geiger.water.tasks"
 _SURFACE: Final = ("camera", "pixels", "mount", "surface", "path", "level")
@@ -55,7 +43,7 @@ STEPS: Final[Steps] = table(
         after=("make_surfaces",),
         settings=_SURFACE,
         unit="file",
-        delivers=_table_file,
+        delivers=True,
     ),
     Step(
         name="deliver_rasters",
@@ -65,7 +53,7 @@ STEPS: Final[Steps] = table(
         after=("make_surfaces",),
         settings=("outputs.cell_m", "outputs.each_acquisition", "survey.origin_m"),
         unit="file",
-        delivers=_raster_files,
+        delivers=True,
     ),
 )
 """What is done, in the order in which it is done."""

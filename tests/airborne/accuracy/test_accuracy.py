@@ -27,7 +27,6 @@ from spl_batch.airborne.accuracy import (
     tallies,
     terrain_differences,
 )
-from spl_batch.constants import NODATA
 
 errors = arrays(np.float64, st.integers(1, 60), elements=st.floats(-1e3, 1e3))
 
@@ -79,27 +78,6 @@ def test_bilinear_equals_scipys_grid_interpolator():
     assert np.isnan(got).any()
 
 
-def test_bilinear_beside_a_void_is_unknown():
-    raster = bumpy()
-    raster.values[10, 10] = NODATA
-    inside = np.array([[1000 + 2 * 10.7, 5000 - 2 * 10.7], [1000 + 2 * 12.7, 5000 - 2 * 12.7]])
-    assert np.isnan(raster.bilinear(inside)).tolist() == [True, False]
-    assert np.isnan(raster.at(inside)).tolist() == [True, False]
-
-
-def test_cells_are_half_open_upward():
-    raster = Raster(np.array([[1, 2], [3, 4]], np.float32), 0.0, 2.0, 1.0)
-    xy = np.array([[0, 0], [0.5, 0.999], [0.5, 1.0], [1.0, 1.0], [0, 2.0], [2.0, 0], [-0.1, 0]])
-    np.testing.assert_array_equal(raster.at(xy), [3, 3, 1, 2, np.nan, np.nan, np.nan])
-
-
-def test_slope_of_a_plane():
-    y, x = np.mgrid[0:8, 0:9].astype(np.float32)
-    slope = Raster((3 * x + 4 * y).astype(np.float32), 0.0, 0.0, 5.0).slope_deg().values
-    np.testing.assert_allclose(slope[1:-1, 1:-1], 45, rtol=1e-5)
-    assert (slope[0] == NODATA).all()
-
-
 def flat(value, size=40):
     return Raster(np.full((size, size), value, np.float32), 0.0, float(size), 1.0)
 
@@ -146,14 +124,6 @@ def test_what_is_near_is_what_all_distances_say(seed, extent_m, on_lattice):
         assert np.array_equal(differences._near(points, others, radius_m), expected)
 
 
-def test_the_canopy_model_takes_ground_out_of_the_open():
-    chm = flat(0.0)
-    chm.values[40 - 1 - 10, 30] = 3.0
-    d = terrain_differences(flat(5.5), reference((2, GROUND)), chm=chm)
-    assert len(d["all"]) == 5
-    assert len(d["open_ground"]) == 4
-
-
 def test_ground_that_the_terrain_cuts_off_is_open_ground_that_is_wrong():
     ref = reference((2, GROUND))
     dtm, chm = flat(5.2), flat(0.0)
@@ -174,17 +144,6 @@ def test_points_of_the_margin_only_tell_what_stands_nearby():
     assert (len(d["all"]), len(d["open_ground"])) == (2, 1)
     none = terrain_differences(flat(5.0), Reference(ref.xyz_m, ref.classification, counted & False))
     assert all(len(values) == 0 for values in none.values())
-
-
-def test_the_dtm_is_taken_at_each_ground_point_once(monkeypatch):
-    ref = reference((2, GROUND), (7, [[11, 10, 0.0]]), (5, [[10.5, 10, 9.0]]))
-    dtm, calls = Raster(bumpy(40, 40).values, 0.0, 40.0, 1.0), []
-    once, whole = ground_differences(dtm, ref), terrain_differences(dtm, ref)
-    np.testing.assert_array_equal(once.astype(np.float32), whole["all"])
-    monkeypatch.setattr(Raster, "bilinear", lambda *_: calls.append(_))
-    again = terrain_differences(dtm, ref, at_ground_m=once)
-    assert not calls
-    assert all(np.array_equal(again[name], whole[name]) for name in whole)
 
 
 def same(one, other):
@@ -209,13 +168,6 @@ def test_a_tally_says_what_its_errors_say(parts):
     few = total.sample_m(7)
     assert len(few) <= 7
     assert few[0] == np.float32(rounded[0])
-
-
-def test_many_places_are_added_up_in_turns():
-    places = [{"all": Tally.of(np.full(k % 5, k / 100.0))} for k in range(250)]
-    total = add_up(places)["all"]
-    assert total.n == sum(k % 5 for k in range(250))
-    assert dict(zip(total.steps.tolist(), total.counts.tolist(), strict=True))[24900] == 4
 
 
 def test_differences_of_chunks_with_margins_merge_into_those_of_the_whole():
@@ -271,12 +223,6 @@ def test_nothing_to_compare_gives_nulls_that_json_can_hold():
     assert report["vertical_bias_m"] is None
     assert report["usgs_quality_level"] is None
     assert accuracy_report({}, {})["dsm"]["all"]["rmse"] is None
-
-
-def test_void_rasters_are_not_compared():
-    d = terrain_differences(flat(NODATA), reference((2, GROUND)))
-    assert len(d["all"]) == 0
-    assert len(surface_differences(flat(NODATA), reference((2, GROUND)))["all"]) == 0
 
 
 @pytest.mark.parametrize(

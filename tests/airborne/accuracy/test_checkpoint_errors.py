@@ -11,7 +11,6 @@ from spl_batch.airborne.accuracy.checkpoint_errors import (
     AtCheckpoints,
     CheckpointError,
     at_checkpoints,
-    statement,
 )
 
 metres = st.floats(-2, 2)
@@ -54,31 +53,3 @@ def test_outliers_are_named_and_count() -> None:
 def test_equal_errors_have_no_outlier_within_a_centimetre() -> None:
     found = [CheckpointError(str(k), 0.01, 0.01) for k in range(5)]
     assert at_checkpoints([*found, CheckpointError("near", 0.018, 0.01)]).outliers == ()
-
-
-def test_the_statement_is_in_the_words_of_the_standard() -> None:
-    text = statement(many(30), many(31, scale=0.12, accuracy=0.05), 0.10)
-    assert text.startswith(
-        "This data set was tested to meet ASPRS Positional Accuracy Standards for Digital "
-        "Geospatial Data, Edition 2, Version 2 (2024) for a 10.0 cm RMSE_V Vertical Accuracy "
-        "Class. The Non-Vegetated Vertical Accuracy (NVA) was found to be RMSE_V = 5.0 cm at 30 "
-        "checkpoints: fit 4.0 cm"
-    )
-    assert "The Vegetated Vertical Accuracy (VVA) was found to be RMSE_V = 13.0 cm at 31" in text
-    few = statement(many(12), many(0), 0.10)
-    assert "RMSE_V = 5.0 cm at 12 checkpoints, using the reduced number of checkpoints" in few
-
-
-@pytest.mark.parametrize(
-    ("nva", "words"),
-    [
-        (many(29), "Insufficient for a statement: 29 of the 30"),
-        (many(30, accuracy=None), "Insufficient for a statement: the accuracy of the checkpoints"),
-        (many(0), "(NVA) was not tested"),
-        (many(30, scale=0.2), "This data set was tested and does not meet ASPRS"),
-    ],
-)
-def test_what_may_not_be_said_is_not(nva: AtCheckpoints, words: str) -> None:
-    text = statement(nva, many(0), 0.10)
-    assert words in text
-    assert "tested to meet" not in text

@@ -1,7 +1,5 @@
 """Reference points by square: what is said of a point does not depend on the cutting."""
 
-import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,12 +20,10 @@ from spl_batch.airborne.accuracy import (
 from spl_batch.airborne.plan import reference_tasks as planned
 from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.constants import NODATA
-from spl_batch.engine.report.run_record import recall
-from spl_batch.engine.store.working_store import write_json
 from spl_batch.engine.tasks.runner import run_task
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.preparing import prepare
-from spl_batch.errors import DamagedError, InputError
+from spl_batch.errors import DamagedError
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from tests import surveys
@@ -183,58 +179,6 @@ def test_what_a_square_said_is_made_again_where_it_is_damaged(tmp_path: Path) ->
 
 def squares(output: Path) -> list[Path]:
     return sorted((output / "store" / "accuracy").glob("*.npz"))
-
-
-def test_a_report_of_what_was_never_compared_says_so(tmp_path: Path) -> None:
-    """As of an output of a version whose receipts do not tell of a comparison."""
-    surveys.write_cloud(tmp_path / "ref.laz", surveys.flightline(shots=60))
-    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
-    first = api.run(survey, workers=0)
-    store = first.output / "store"
-    for kind in ("reference", "accuracy"):
-        shutil.rmtree(store / "receipts" / kind)
-    kept = recall(first.output)
-    kept["done"] = {k: v for k, v in kept["done"].items() if k not in {"reference", "accuracy"}}
-    write_json(store / "run.json", {"told": json.dumps(kept)})
-    again = api.report(first.output)
-    assert again.report is not None
-    assert again.report.accuracy is None
-    assert len(surveys.found(again.report.findings, "C02", "missing")) == 1
-    assert "not compared" in dict(again.screen)["accuracy"]
-    repaired = api.run(survey, workers=0)
-    assert first.report is not None
-    assert repaired.report is not None
-    assert repaired.report.accuracy == first.report.accuracy
-    assert repaired.report.findings == first.report.findings
-
-
-def test_what_failed_to_be_compared_is_no_earlier_versions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    surveys.write_cloud(tmp_path / "ref.laz", surveys.flightline(shots=60))
-    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
-
-    def broken(path: Path, **_: Any) -> None:
-        raise InputError(str(path), "broken")
-
-    monkeypatch.setattr("spl_batch.airborne.tasks.reference.iter_points", broken)
-    found = api.run(survey, workers=0).report
-    assert found is not None
-    assert [str(one.task).split()[0] for one in found.failures] == ["reference"]
-    assert found.accuracy is None
-    assert not surveys.found(found.findings, "C02")
-
-
-def test_an_empty_reference_says_nothing(tmp_path: Path) -> None:
-    none = {k: np.empty(0) for k in ("x", "y", "z")}
-    surveys.write_cloud(tmp_path / "e.laz", none, channel=False)
-    survey = surveys.small_survey(tmp_path, reference={"points": "e.laz"})
-    result = api.run(survey, workers=0)
-    assert result.report is not None
-    assert result.report.accuracy is not None
-    assert result.report.accuracy.reference_points == 0
-    assert result.report.accuracy.dtm["all"].n == 0
-    assert result.exit_status == 0
 
 
 def test_a_reference_that_changes_is_compared_anew_and_nothing_else(tmp_path: Path) -> None:

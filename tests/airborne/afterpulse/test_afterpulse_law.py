@@ -54,7 +54,7 @@ def counted(
     return {f"afterpulse_{name}": value for name, value in counts._asdict().items()}
 
 
-@pytest.mark.parametrize("share", [0.08, 0.25])
+@pytest.mark.parametrize("share", [0.25])
 def test_the_share_of_afterpulses_is_found(share: float) -> None:
     parts = [observed(afterpulses=share, seed=s) for s in range(2)]
     assert parts[0]["afterpulse_entries"].sum() > 3000
@@ -66,13 +66,6 @@ def test_the_share_of_afterpulses_is_found(share: float) -> None:
     again = afterpulse_law.fit(parts[::-1], 1e-3, SENSOR)
     np.testing.assert_array_equal(law.density, again.density)
     assert law[:-1] == again[:-1]
-
-
-def test_background_is_not_taken_for_afterpulses() -> None:
-    parts = [observed(afterpulses=0.1, noise_per_m=4e-3, seed=3)]
-    law, blind = (afterpulse_law.fit(parts, rate, SENSOR) for rate in (4e-3, 0.0))
-    assert law.probability == pytest.approx(0.1, abs=0.015)
-    assert blind.probability > law.probability + 0.006
 
 
 def test_without_hard_surfaces_the_sensor_is_believed() -> None:
@@ -91,7 +84,7 @@ def test_without_hard_surfaces_the_sensor_is_believed() -> None:
     assert observed(channels=False, number=20)["afterpulse_entries"].sum() == 0  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("scale", "longest"), [(0.3, 3.0), (0.7, 3.0), (1.0, 3.0), (0.7, 1.8)])
+@pytest.mark.parametrize(("scale", "longest"), [(0.3, 3.0), (0.7, 1.8)])
 def test_what_the_simulator_draws_is_what_the_fit_finds(scale: float, longest: float) -> None:
     sensor = SENSOR.model_copy(update={"afterpulse_lag_max_m": longest})
     rng, count = np.random.default_rng(7), 40_000
@@ -108,8 +101,7 @@ def test_what_the_simulator_draws_is_what_the_fit_finds(scale: float, longest: f
     np.testing.assert_allclose(at, true, rtol=0.12)
 
 
-@pytest.mark.parametrize("power", [0.0, 1.5])
-@pytest.mark.parametrize("longest", [8.0, 15.0, 30.0])
+@pytest.mark.parametrize(("power", "longest"), [(0.0, 8.0), (1.5, 30.0)])
 def test_a_tail_is_followed_as_deep_as_it_goes(power: float, longest: float) -> None:
     receiver = Receiver(SENSOR.dead_m, 0.25, 0.7, longest, 0.4, 4.0 if power == 0 else 0.5, power)
     rng = np.random.default_rng(3)
@@ -145,17 +137,7 @@ def test_stretches_that_do_not_follow_the_law_are_named() -> None:
         assert not odd or (said[0].values["first_s"], said[0].values["last_s"]) == (30.0, 40.0)
 
 
-def test_a_noise_model_that_falls_short_makes_no_tail() -> None:
-    rng = np.random.default_rng(3)
-    behind = rng.exponential(1 / 2e-3, 60_000)
-    for model in (1.6e-3, 2e-3, 2.6e-3):
-        law = afterpulse_law.fit([counted(behind, 60_000)], model, SENSOR)
-        assert law.longest_m == 3.0
-        assert law.probability < 0.003
-
-
-@pytest.mark.parametrize("parents", [10_000, 60_000, 300_000])
-@pytest.mark.parametrize("more", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize(("parents", "more"), [(10_000, 1.0), (300_000, 0.3)])
 def test_noise_that_falls_along_the_gate_makes_no_tail(parents: int, more: float) -> None:
     rng = np.random.default_rng(1)
     depth = np.arange(0.0, 80.0, 0.02)
@@ -239,20 +221,6 @@ def test_what_follows_a_plane_is_counted_as_by_hand(seed: int) -> None:
     np.testing.assert_array_equal(counts.followers[k], followers)
 
 
-def test_other_beamlets_at_one_depth_far_behind_tell_that_a_plane_is_not_alone() -> None:
-    n = 40
-    rng = np.random.default_rng(0)
-    w = np.concatenate([rng.normal(0, 0.05, n), 9.0 + rng.normal(0, 0.05, 6)])
-    rules = candidates.hard_rules(AfterpulseSettings(), SENSOR, sensor_law(SENSOR))
-    channel, lag = np.arange(len(w), dtype=np.uint8), np.zeros(len(w), np.float32)
-    for few in (False, True):
-        counts, some = no_counts(), slice(0, n + 2 if few else n + 6)
-        lag_counts._observe(
-            w[some], channel[some], lag[some], w[some], 0.05, 1.0, rules, LAG_EDGES_M, counts
-        )
-        assert counts.planes.sum() == few
-
-
 def test_tilted_planes_spread_by_the_width_of_the_beam_too() -> None:
     sigma_m = width_m = 0.05
     for tilt in (0.0, 0.4, 1.0, 1.7):
@@ -273,9 +241,7 @@ def test_a_dead_time_beyond_the_lags_that_are_looked_at_is_refused() -> None:
         Sensor.model_validate({"name": "slow", "dead_time_ns": 401.0, "afterpulse_lag_max_m": 70.0})
 
 
-@pytest.mark.parametrize(
-    ("dead_ns", "longest"), [(1.6, 0.35), (1.6, 0.241), (1.4, 0.21), (50.0, 8.0), (399.0, 70.0)]
-)
+@pytest.mark.parametrize(("dead_ns", "longest"), [(1.6, 0.241), (1.4, 0.21), (399.0, 70.0)])
 def test_any_sensor_that_is_admitted_has_a_law(dead_ns: float, longest: float) -> None:
     sensor = Sensor(dead_time_ns=dead_ns, afterpulse_lag_max_m=longest)
     drawn = np.random.default_rng(5).uniform(sensor.dead_m, longest, 8_000)
@@ -292,11 +258,6 @@ def test_any_sensor_that_is_admitted_has_a_law(dead_ns: float, longest: float) -
 @given(st.floats(0.06, 4.0), st.floats(1.0, 6.0))
 def test_scale_and_mean_are_inverse(scale: float, window: float) -> None:
     assert scale_of_mean(truncated_mean(scale, window), window) == pytest.approx(scale, rel=1e-3)
-
-
-def test_truncated_mean_is_that_of_a_sample() -> None:
-    sample = np.random.default_rng(1).exponential(0.7, 400_000)
-    assert truncated_mean(0.7, 1.5) == pytest.approx(sample[sample < 1.5].mean(), abs=0.003)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))

@@ -191,15 +191,6 @@ def test_no_return_is_an_afterpulse_farther_behind_than_the_longest_lag(longest:
     assert (found(table, track)[~due] > 0).any() == (longest < 3)
 
 
-def test_a_car_beside_its_ground_costs_no_ground() -> None:
-    def car(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.where((y > 0.9) & (x % 2.0 > 0.6), 1.4, 0.0)
-
-    table, track, kind = shots(car)
-    flagged = found(table, track) >= 0.5
-    assert flagged[kind == 0].mean() <= 0.003
-
-
 def test_shots_stand_alone_and_rows_may_be_cut_between_them() -> None:
     table, track, _ = shots(eave, number=TOGETHER + 12)
     whole = found(table, track)

@@ -55,30 +55,6 @@ def test_clumping_is_that_of_a_plain_loop(seed: int, n: int, p: int) -> None:
             assert got[row, k - 1] == pytest.approx(pairs / wide)
 
 
-def test_leaves_that_hang_evenly_have_one_density_and_clumps_the_more_the_smaller_they_are() -> (
-    None
-):
-    rng = np.random.default_rng(1)
-    found = {}
-    for radius in (math.inf, 0.8, 0.4, 0.2):
-        if math.isinf(radius):
-            points = rng.uniform(0, 9, (4000, 3))
-        else:
-            middle = rng.uniform(0, 9, (130, 3))
-            points = np.repeat(middle, 30, axis=0) + rng.uniform(-1, 1, (3900, 3)) * radius
-        xyz = np.rint(1000 * points).astype(np.int64)
-        rows = np.flatnonzero(np.all(np.abs(points - 4.5) < 2.5, axis=1))
-        weight = np.full(len(rows), UNIT, np.int16)
-        near = foliage.clumping(
-            xyz[:, 0], xyz[:, 1], rows, weight, counts_around(xyz, rows), rows[:1]
-        )
-        found[radius] = near[0]
-    assert found[math.inf] == pytest.approx(1.0, abs=0.05)
-    smallest = [found[radius][-1] for radius in (math.inf, 0.8, 0.4, 0.2)]
-    assert smallest == sorted(smallest)
-    assert smallest[2] > 2.0
-
-
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=100, deadline=None)
 def test_density_is_that_of_a_plain_loop_and_between_those_of_the_kernels(seed: int) -> None:
@@ -105,26 +81,6 @@ def test_density_is_that_of_a_plain_loop_and_between_those_of_the_kernels(seed: 
     got = foliage.density(counts[None], near[None])[0] / (even ** (1 - share) * dense**share)
     assert got == pytest.approx(found)
     assert min(each) * (1 - 1e-9) <= got <= max(each) * (1 + 1e-9)
-
-
-def test_a_few_pairs_of_returns_near_each_other_do_not_make_clumps() -> None:
-    largest = []
-    for seed, per_m3 in ((4, 0.1), (5, 0.1), (3, 30.0)):
-        rng = np.random.default_rng(seed)
-        xyz = np.rint(rng.uniform(0, 9000, (round(per_m3 * 9**3), 3))).astype(np.int64)
-        rows = np.flatnonzero(np.all(np.abs(xyz - 4500) < 3000, axis=1))
-        weight = np.full(len(rows), UNIT, np.int16)
-        near = foliage.clumping(xyz[:, 0], xyz[:, 1], rows, weight, counts_around(xyz, rows), rows)
-        largest.append(near[:, 1:].max())
-    assert max(largest) < 1.2
-
-
-def test_a_small_count_tells_where_leaves_clump_and_hardly_where_they_do_not() -> None:
-    full = [20 * volume for volume in VOLUME_M3]
-    for near, least, most in ((1.0, 0.97, 1.0), (5.0, 0.0, 0.05)):
-        clumping = np.array([[1.0, near, near]] * 2)
-        even, bare = foliage.density(np.array([full, [*full[:2], 0.0, 0.0]]), clumping)
-        assert least <= bare / even <= most
 
 
 def test_parents_on_a_plane_are_told_from_foliage_and_a_bed_below_is_believed() -> None:

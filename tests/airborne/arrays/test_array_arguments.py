@@ -64,13 +64,6 @@ def test_points_that_are_there_twice_are_told() -> None:
     assert not any("repeat" in text for text in told)
 
 
-def test_one_point_is_one_point() -> None:
-    assert len(spl_batch.filter_points([[1.0, 2.0, 3.0]])) == 1, "no point alone is in degrees"
-    assert repr(spl_batch.filter_points(CLOUD[:1] + 1000.0, 0.01)).startswith("Labels(1 point: ")
-    with pytest.raises(InputError, match="xyz: 1 point not finite, the first is number 0"):
-        spl_batch.filter_points([[np.nan, 0.0, 0.0], [1.0, 2.0, 3.0]])
-
-
 def test_a_given_density_decides() -> None:
     given = 0.0156
     labels = spl_batch.filter_points(CLOUD, given)
@@ -80,26 +73,6 @@ def test_a_given_density_decides() -> None:
     np.testing.assert_array_equal(labels.noise_class, one_each.noise_class)
     strict = spl_batch.filter_points(CLOUD, given, alpha=1e-4)
     assert np.count_nonzero(labels.signal & ~strict.signal) > 0
-
-
-def test_other_methods_are_a_word_away() -> None:
-    labels = spl_batch.filter_points(CLOUD, method="voxel")
-    assert np.isnan(labels.p_value).all()
-    assert set(labels.noise_class.tolist()) == {0, 1}
-    kept = spl_batch.filter_points(CLOUD, method="none")
-    assert kept.signal.all()
-
-
-def test_terrain_of_a_cloud_that_nobody_filtered() -> None:
-    ground = spl_batch.ground_points(GROUND)
-    assert ground.mean() > 0.95
-    made = spl_batch.rasterize(GROUND, cell_m=2.0)
-    assert made.dtm.shape == (20, 20)
-    assert np.nanmax(np.abs(made.dtm - 20.0)) < 0.1
-    assert (made.x[0], made.y[0], made.cell_m) == (1.0, 39.0, 2.0)
-    assert made.transform == (2.0, 0.0, 0.0, 0.0, -2.0, 40.0)
-    assert np.nanmean(made.density) == pytest.approx(5.0, rel=0.01)
-    assert repr(made).startswith("Rasters(dtm, dsm, chm, density: 20 x 20 cells of 2 m from west 0")
 
 
 @pytest.mark.parametrize("cell_m", [0.001, 1e-4, 0.3, 1.0004])
@@ -194,11 +167,6 @@ def test_each_fault_names_the_array_and_the_remedy(arguments: dict[str, Any], sa
 def test_each_wrong_setting_is_named(arguments: dict[str, Any], said: str) -> None:
     with pytest.raises(WorkflowError, match=said):
         spl_batch.filter_points(CLOUD, **arguments)
-
-
-def test_cells_of_no_size_are_refused() -> None:
-    with pytest.raises(WorkflowError, match="cell_m"):
-        spl_batch.rasterize(CLOUD, cell_m=0)
 
 
 def test_terrain_of_degrees_is_refused() -> None:

@@ -12,8 +12,6 @@ import shapely
 from numpy.typing import NDArray
 
 import spl_batch
-from spl_batch.airborne.arrays.empty_space import EmptySpace
-from spl_batch.airborne.arrays.filtering import _contradiction
 from spl_batch.formats.trajectory.positions import read_slice
 from spl_batch.lattice.tables import Trajectory
 from tests import surveys
@@ -126,12 +124,3 @@ def test_ground_and_rasters_are_those_of_a_run(
 
 def test_a_whole_survey_agrees_with_its_empty_space(labels: spl_batch.Labels) -> None:
     assert not any("empty space" in text for text in labels.warnings)
-
-
-def test_the_contradiction_is_a_number() -> None:
-    found = EmptySpace(np.full(10, 0.08), 1e5, 1.0)
-    (text,) = _contradiction(found, np.full(10, 0.04))
-    assert text.startswith("the cloud's empty space holds 2.0 times the noise")
-    assert "filter whole flightlines" in text
-    assert _contradiction(found, np.full(10, 0.07)) == ()
-    assert _contradiction(EmptySpace(np.zeros(10), 0.0, 0.0), np.full(10, 0.04)) == ()

@@ -72,29 +72,6 @@ def test_whole_beamlets_suffice(seed: int, n: int) -> None:
     np.testing.assert_array_equal(found[wanted], follow(table, dependent, label)[wanted])
 
 
-def test_few_others_are_taken_for_a_beamlet_s() -> None:
-    n = 20_000
-    rng = np.random.default_rng(5)
-    time, channel = rng.random(n) * 1e6, rng.integers(1, 101, n).astype(np.uint8)
-    table = PointTable({"gps_time": time, "channel": channel})
-    chosen = np.arange(n) % 10 == 0
-    found = families(table, chosen)
-    assert found[chosen].all()
-    assert found[~chosen].mean() < 1 / 32
-    minus = PointTable({"gps_time": np.array([0.0, -0.0]), "channel": channel[:2] * 0})
-    assert families(minus, np.array([True, False])).all(), "one time, two signs"
-
-
-def test_a_chain_goes_with_its_first_return() -> None:
-    heights = np.array([100_000, 97_000, 94_000, 80_000])
-    table = as_table(np.stack([0 * heights, 0 * heights, heights], axis=1), gps_time=np.zeros(4))
-    dependent = np.array([False, True, True, True])
-    label = np.array([NOISE_BACKGROUND, 0, 0, 0], np.uint8)
-    # The last one is too far behind to be an echo of the one in front of it.
-    expected = [NOISE_BACKGROUND, NOISE_AFTERPULSE, NOISE_AFTERPULSE, NOISE_SIGNAL]
-    np.testing.assert_array_equal(follow(table, dependent, label), expected)
-
-
 def test_who_depends() -> None:
     table = as_table(np.zeros((3, 3)))
     assert not dependents(table).any()

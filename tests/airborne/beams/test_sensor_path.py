@@ -12,7 +12,7 @@ from spl_batch.airborne.beams.shot_runs import blind_behind, run_starts
 from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import NoiseSettings
-from spl_batch.lattice.tables import COLUMNS, PointTable, Trajectory
+from spl_batch.lattice.tables import PointTable, Trajectory
 from tests.flightlines import Flight, cut, fly
 
 SETTINGS = NoiseSettings()
@@ -96,11 +96,6 @@ def test_few_or_contradicting_lines_tell_no_sensor(lines: sensor_path.Lines) -> 
     assert found.lines == len(lines.time_s)
 
 
-def test_no_lines_solve_to_the_prior() -> None:
-    none = look(60).take(np.zeros(0, dtype=np.int64))
-    assert sensor_path.intersect(none, SECONDS)[:, 2] == pytest.approx(sensor_path.ABOVE_M[0])
-
-
 def slow_lines(table: PointTable) -> list[tuple[float, ...]]:
     """Best lines of each interval: time, mean place, slope and spread, beamlet by beamlet."""
     keys = np.stack([table["gps_time"], table["channel"]], axis=1)
@@ -137,16 +132,6 @@ def test_cutting_changes_no_bit(intervals: int, order: object) -> None:
     whole = sensor_path.merge([sensor_path.collect(table, 100, 60)])
     for one, other in zip(sensor_path.merge(parts), whole, strict=True):
         assert np.array_equal(one, other)
-
-
-def test_no_points_leave_no_lines() -> None:
-    empty = PointTable({k: np.empty(0, dtype=COLUMNS[k].dtype) for k in sensor_path.COLUMNS_NEEDED})
-    assert (
-        sensor_path.find_path(
-            sensor_path.merge([sensor_path.collect(empty, 100, 60)]), (0.0, 1.0)
-        ).lines
-        == 0
-    )
 
 
 @pytest.mark.parametrize(("beamlets", "limit_rad"), [(100, 1e-5), (1, 1.5e-3)])

@@ -3,7 +3,6 @@
 import datetime as dt
 import json
 import sqlite3
-import subprocess
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -23,10 +22,7 @@ from pystac.validation.local_validator import get_local_schema_cache
 from referencing import Registry, Resource
 from referencing.jsonschema import DRAFT7
 
-from spl_batch import api
-from spl_batch.airborne.catalogue import stac
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
-from spl_batch.airborne.catalogue.delivered_files import utc_span
 from tests import surveys
 from tests.formats.test_geoid import by_hand, write_grid
 
@@ -113,16 +109,6 @@ def test_models_come_above_the_geoid_in_a_crs_that_says_so(output: Path) -> None
         assert "NAVD88" not in items[model]["properties"]["proj:wkt2"]
     files = read(output / "report.json")["provenance"]["inputs"]
     assert [file["path"] for file in files if file["role"] == "geoid"] == ["a.gtx"]
-
-
-def test_items_have_names_of_their_own_that_files_can_have() -> None:
-    hrefs = ["laz/a.laz", "laz/b/c.laz", "laz/b-c.laz", f"laz/{'雪' * 83}.laz", "dtm.tif"]
-    plain, first, second, long, raster = stac.stac_files(hrefs[:-1], hrefs[-1:])[2:]
-    assert (plain, raster) == ("stac/laz-a.json", "stac/dtm.json")
-    assert first != second
-    assert all(name.startswith("stac/laz-b-c-") for name in (first, second))
-    assert len(long.encode()) < 220
-    assert long.startswith("stac/laz-雪雪")
 
 
 def test_every_link_of_stac_leads_somewhere(output: Path) -> None:
@@ -269,36 +255,6 @@ def xml(path: Path) -> ET.Element:
     return ET.fromstring(path.read_bytes())  # noqa: S314 - of our own making
 
 
-def test_layers_and_styles_are_xml_whose_sources_exist(output: Path) -> None:
-    root = xml(output / "survey.qlr")
-    sources = [layer.findtext("datasource") for layer in root.iter("maplayer")]
-    assert len(sources) >= 8
-    assert [s for s in sources if not (output / s.split("|")[0]).is_file()] == []
-    ids = [layer.findtext("id") for layer in root.iter("maplayer")]
-    assert ids == [layer.get("id") for layer in root.iter("layer-tree-layer")]
-    assert len(set(ids)) == len(ids)
-    # QgsRasterLayer::readSymbology looks for the blend mode beside the pipe
-    relief = next(layer for layer in root.iter("maplayer") if layer.findtext("id") == "relief")
-    assert relief.findtext("blendMode") == "6"
-    areas = [layer for layer in root.iter("maplayer") if layer.get("geometry") == "Polygon"]
-    filled = [option.get("value") for layer in areas for option in layer.iter("Option")
-              if option.get("name") == "style"]  # fmt: skip
-    assert filled == ["no"] * len(areas)  # an area hides no terrain
-    with rasterio.open(output / "swaths.tif") as swaths:
-        table = swaths.colormap(1)
-    entries = xml(output / "swaths.qml").findall("pipe/rasterrenderer/colorPalette/paletteEntry")
-    assert entries
-    for entry in entries:
-        red, green, blue, _ = table[int(entry.get("value"))]
-        assert entry.get("color") == f"#{red:02x}{green:02x}{blue:02x}"
-    for raster in output.glob("*.tif"):
-        style = xml(raster.with_suffix(".qml"))
-        shades = [float(item.get("value")) for item in style.iter("item")]
-        assert shades == sorted(shades)
-    classes = {one.get("value") for one in xml(output / "survey.qml").iter("category")}
-    assert {"2", "7", "18"} <= classes
-
-
 ORDER = {
     "MD_Metadata": "fileIdentifier language characterSet hierarchyLevel contact dateStamp "
     "metadataStandardName metadataStandardVersion referenceSystemInfo identificationInfo "
@@ -334,43 +290,6 @@ def test_metadata_keep_the_order_of_the_standard_and_tell_the_accuracy(output: P
     for words in ("elevation", "6 open checkpoints", "30 are needed", "32615", "EPSG",
                   "classified by the filter vsaes"):  # fmt: skip
         assert words in said
-
-
-def test_qgis_opens_every_layer(output: Path) -> None:
-    system = Path("/usr/bin/python3")
-    if (
-        not system.exists()
-        or subprocess.run(  # noqa: S603 - a program of the system
-            [system, "-c", "import qgis.core"], capture_output=True, check=False
-        ).returncode
-    ):
-        pytest.skip("the system's Python has no QGIS: apt install python3-qgis qgis-providers")
-    said = subprocess.run(  # noqa: S603 - the same
-        [system, "-c", QGIS, output / "survey.qlr"], capture_output=True, text=True, check=True,
-        env={"QT_QPA_PLATFORM": "offscreen", "PATH": "/usr/bin", "HOME": str(output.parent)},
-    ).stdout  # fmt: skip
-    version, styled, *layers = json.loads(said.splitlines()[-1])
-    assert styled == "no", "the style of failures loads, and leaves areas unfilled"
-    assert len(layers) >= 8
-    unreadable = ["clouds by class"] if version < 33200 else []  # virtual clouds came with 3.32
-    assert [name for name, valid in layers if not valid] == unreadable
-
-
-QGIS = """
-import json, sys
-from qgis.core import Qgis, QgsApplication, QgsLayerDefinition, QgsProject, QgsVectorLayer
-app = QgsApplication([], False); app.initQgis()
-project = QgsProject.instance(); root = project.layerTreeRoot()
-assert QgsLayerDefinition().loadLayerDefinition(sys.argv[1], project, root)[0]
-folder = sys.argv[1].rpartition("/")[0]
-areas = QgsVectorLayer(folder + "/index.gpkg|layername=blocks", "areas", "ogr")
-assert areas.loadNamedStyle(folder + "/failures.qml")[1]
-filled = areas.renderer().symbol().symbolLayer(0).properties()["style"]
-print(json.dumps([Qgis.QGIS_VERSION_INT, filled] +
-                 [[one.name(), one.layer().isValid()] for one in root.findLayers()]), flush=True)
-import os; os._exit(0)
-"""
-"""Run by the Python that QGIS comes with: opens a layer file, prints which layers are valid."""
 
 
 def test_a_run_owns_its_catalogues(output: Path) -> None:
@@ -426,17 +345,3 @@ def test_what_has_no_place_on_earth_is_not_listed(
     assert {path.name for path in written} == {"index.gpkg", "survey.qlr", "failures.qml"}
     with closing(sqlite3.connect(tmp_path / "index.gpkg")) as database:
         assert database.execute("SELECT srs_id FROM gpkg_contents").fetchall() == [(srs_id,)]
-
-
-def test_leap_seconds_are_taken_off() -> None:
-    span = utc_span(371_000_000.0, 371_000_001.5)
-    assert span.first.isoformat() == "2023-06-17T01:19:42+00:00"
-    assert (span.last - span.first).total_seconds() == 1.5
-
-
-def test_a_plan_has_disk_for_every_copy_of_the_points(tmp_path: Path) -> None:
-    workflow = surveys.small_survey(tmp_path)
-    overrides = ([], ["outputs.copc=true"], ["outputs.copc=true", "outputs.tiles=laz"])
-    disk = [api.plan(workflow, overrides=given).cost.disk_bytes for given in overrides]
-    points = api.plan(workflow).cost.points
-    assert np.diff(disk).tolist() == [12 * points] * 2

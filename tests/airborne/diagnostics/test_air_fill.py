@@ -88,14 +88,6 @@ def test_a_roof_a_wire_and_noise_fill_none():
     assert filled(bare, roof, wires, uniform(rng, NOISE_M3, 1.0, 100.0)) == []
 
 
-def test_bare_steep_ground_fills_none():
-    rng = np.random.default_rng(4)
-    points = ground(rng)
-    points[:, 2] += 1.2 * (points[:, 0] - 600)
-    rise = 1.2 * (np.arange(80) + 0.5)
-    assert filled(points, dtm=np.broadcast_to(20 + rise, (60, 80)).astype(np.float32)) == []
-
-
 def test_strips_of_a_cell_are_judged_as_the_whole():
     rng = np.random.default_rng(5)
     cloud, highest = table(ground(rng), uniform(rng, 1.0, 10.0, 20.0)), highest_ground(DTM)
@@ -107,13 +99,6 @@ def test_strips_of_a_cell_are_judged_as_the_whole():
         parts.append(filled_blocks(own, part, highest[:, west - 600 : east - 600], NOISE_M3))
     assert whole.any()
     assert np.array_equal(np.concatenate(parts, axis=1), whole)
-
-
-def test_a_cell_without_a_whole_place_or_ground_has_none():
-    assert filled_blocks(table(np.zeros((0, 3))), Bounds(0, 0, 9000, 9000), DTM, 0.1) is None
-    rng = np.random.default_rng(6)
-    void = np.full_like(DTM, -9999.0)
-    assert filled(ground(rng), uniform(rng, 1.0, 10.0, 20.0), dtm=void) == []
 
 
 def test_what_hangs_high_above_a_surface_floats_unless_it_is_a_thin_roof():

@@ -75,8 +75,8 @@ def shipped_table(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ellipsoid_test, "null_table", lambda _: table)
 
 
-@pytest.mark.parametrize("density", [0.02, 0.13, 1.0])
-def test_published_labels_are_the_slow_twins(density: float) -> None:
+def test_published_labels_are_the_slow_twins() -> None:
+    density = 0.13
     filtering = FilterSettings(test="published", neighbours=15, wires=ALONE)
     xyz = mixed_cloud(21, 500)
     low, high, volume = brute_counts(xyz, SHAPE, None)
@@ -171,20 +171,11 @@ def test_p_is_uniform_under_noise_with_the_scan_on() -> None:
         assert error < max(0.5 * level, 5e-5)
 
 
-def test_the_published_rule_keeps_much_of_pure_noise() -> None:
-    published = FilterSettings(test="published", neighbours=15, wires=ALONE)
-    for density in (0.05, 0.4):
-        table, inner = pure_noise(density)
-        found = denoise(table, np.full(len(table), density), inner, published)["noise_class"]
-        assert 0.11 < (found == 0).mean() < 0.27
-
-
 @pytest.mark.parametrize(
     ("alpha", "points", "largest"),
     [
         (0.05, 30_000, 0.04),
         (0.01, 60_000, 0.09),
-        pytest.param(0.001, 150_000, 0.17, marks=pytest.mark.slow),
     ],
 )
 def test_alpha_is_the_share_of_pure_noise_that_is_kept(
@@ -222,13 +213,6 @@ def standard_error(xyz: NDArray[np.int32], kept: NDArray[np.bool_]) -> float:
     _, cube = np.unique(xyz // 20_000, axis=0, return_inverse=True)
     number, size = np.bincount(cube.reshape(-1)), np.bincount(cube.reshape(-1), weights=kept)
     return float(np.sqrt(((size - kept.mean() * number) ** 2).sum()) / len(kept))
-
-
-def pure_noise(density: float, n: int = 50_000) -> tuple[PointTable, NDArray[np.bool_]]:
-    """Uniform noise, and its points away from the borders."""
-    side = (n / density) ** (1 / 3) * 1000
-    table = as_table(np.random.default_rng(5).uniform(0, side, (n, 3)))
-    return table, np.all([np.abs(table[a] - side / 2) < side / 2 - 16_000 for a in "xyz"], axis=0)
 
 
 def test_flags_and_afterpulses() -> None:
@@ -301,12 +285,6 @@ def test_odd_clouds(cloud: NDArray[Any], density: float, expected: list[int]) ->
     np.testing.assert_array_equal(labels(as_table(cloud), density), expected)
 
 
-def test_every_point_twice_keeps_a_surface() -> None:
-    xyz = mixed_cloud(26, 600)[200:400]
-    twice = np.repeat(xyz, 2, axis=0)
-    assert (labels(as_table(twice), 0.001) == 0).mean() > 0.99
-
-
 def test_reach_is_the_sum_of_the_links() -> None:
     assert reach_m(CLOSE) == 10.5 + afterpulse_decision.REACH_M
     alone = FilterSettings(link_count=0, neighbour_cap_m=9.0, axis_cap_m=7.0, wires=ALONE)
@@ -335,9 +313,9 @@ def test_order_and_place_do_not_matter(seed: int, shift: tuple[int, int]) -> Non
 
 
 @pytest.mark.usefixtures("shipped_table")
-@pytest.mark.parametrize("step", [1, 200])
-@pytest.mark.parametrize("filtering", [CLOSE, CLOSE.model_copy(update={"test": "published"})])
-def test_tiles_with_halo_give_the_whole(filtering: FilterSettings, step: int) -> None:
+@pytest.mark.parametrize("test", ["calibrated", "published"])
+def test_tiles_with_halo_give_the_whole(test: str) -> None:
+    filtering, step = CLOSE.model_copy(update={"test": test}), 200
     rng = np.random.default_rng(31)
     xyz = np.concatenate(
         [mixed_cloud(s, 900, step=step) + np.int32([8000 * s, 0, 0]) for s in range(3)]
@@ -381,24 +359,6 @@ def test_calibrated_labels_depend_on_neither_tiles_nor_order() -> None:
         found = denoise(part, 0.1 + 0.1 * (part["x"] > 60_000), mine, DEFAULT)
         np.testing.assert_array_equal(found["noise_class"], whole["noise_class"][own])
         np.testing.assert_array_equal(found["p_value"], whole["p_value"][own])
-
-
-def test_an_ordinary_scene_keeps_its_wires() -> None:
-    rng = np.random.default_rng(41)
-    side, gate = 40.0, 120.0
-    ground = rng.uniform(0, side, (int(15 * side**2), 3))
-    ground[:, 2] = 0.1 * ground[:, 0] + rng.normal(0, 0.05, len(ground))
-    noise = rng.uniform(0, 1, (int(0.13 * gate * side**2), 3)) * [side, side, gate] - [0, 0, 50]
-    along = rng.uniform(0, side, int(2.4 * side))
-    wire = np.stack([along, 0 * along + 20, 18 + 0.01 * (along - 20) ** 2], axis=1)
-    wire += rng.normal(0, 0.05, wire.shape)
-    xyz = np.concatenate([ground, noise, wire])
-    kind = np.repeat([0, 1, 2], [len(ground), len(noise), len(wire)])
-    kept = labels(as_table(np.rint(xyz * 1000)), 0.13) == 0
-    inner = np.all(np.abs(xyz[:, :2] - side / 2) < 0.4 * side, axis=1)
-    assert kept[inner & (kind == 0)].mean() >= 0.995
-    assert kept[inner & (kind == 1)].mean() <= 0.05
-    assert kept[inner & (kind == 2)].mean() >= 0.95
 
 
 @pytest.mark.usefixtures("shipped_table")

@@ -58,8 +58,7 @@ def brute_counts(
     [
         SHAPE,
         SHAPE._replace(power=0.5),
-        SHAPE._replace(neighbours=6, axis_cap=2500.0),
-        SHAPE._replace(neighbour_cap=700),
+        SHAPE._replace(neighbours=6, axis_cap=2500.0, neighbour_cap=700),
     ],
 )
 def test_counts_and_labels_are_the_oracles(shape: Shape, step: int) -> None:
@@ -86,8 +85,8 @@ def test_counts_and_labels_are_the_oracles(shape: Shape, step: int) -> None:
     )
 
 
-@pytest.mark.parametrize("power", [1.0, 0.5])
-def test_ties_are_broken_by_the_outermost_peer_inside(power: float) -> None:
+def test_ties_are_broken_by_the_outermost_peer_inside() -> None:
+    power = 0.5
     xyz = mixed_cloud(8, 500)
     shape = SHAPE._replace(power=power)
     rng = np.random.default_rng(5)

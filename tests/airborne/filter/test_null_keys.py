@@ -16,7 +16,10 @@ FILTERS: dict[str, Any] = {
     "method": "aes",
     "test": "published",
     "alpha": 0.02,
-    **{k: getattr(FILTER, k) for k in ("wires", "aes", "dcc", "voxel", "multilevel", "cylinder")},
+    **{
+        k: getattr(FILTER, k)
+        for k in ("wires", "aes", "dcc", "pixels", "voxel", "multilevel", "cylinder")
+    },
 }
 """Another value of each setting that the null distribution is said not to depend on."""
 
@@ -33,16 +36,6 @@ def test_a_setting_is_part_of_the_key_unless_it_is_named(
     fields = set(type(section).model_fields)
     assert irrelevant < fields, "a setting that there is no more"
     assert set(settings_key(section, irrelevant)) == fields - irrelevant
-
-
-@pytest.mark.parametrize(("section", "irrelevant"), TABLES)
-def test_a_new_setting_asks_for_a_table_of_its_own(
-    section: Section, irrelevant: frozenset[str]
-) -> None:
-    class Newer(type(section)):  # type: ignore[misc]
-        sharper: float = 1.0
-
-    assert settings_key(Newer(), irrelevant) != settings_key(section, irrelevant)
 
 
 def test_what_is_named_changes_nothing_that_is_drawn() -> None:

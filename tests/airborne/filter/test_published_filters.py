@@ -5,22 +5,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from spl_batch.airborne.filter.denoise import METHODS, denoise, reach_m
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
 from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.filter.published import (
-    in_cylinders,
-    in_spheres,
-    shot_noise,
     voxelise,
     window_counts,
 )
-from spl_batch.airborne.settings import DccSettings, FilterSettings
+from spl_batch.airborne.filter.shot_filters import shot_noise
+from spl_batch.airborne.settings import FilterSettings
 from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable, canonical_order
 from tests.airborne.beams.test_differential_cell_count import slow_dcc
 from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
@@ -129,8 +124,7 @@ def slow_aes(xyz: NDArray[Any], density: NDArray[Any]) -> tuple[list[bool], list
     return may, must
 
 
-@pytest.mark.parametrize("step", [1, 250])
-@pytest.mark.parametrize("shift", [0, -7_654_321])
+@pytest.mark.parametrize(("step", "shift"), [(1, 0), (250, -7_654_321)])
 def test_each_filter_is_its_slow_twin(step: int, shift: int) -> None:
     xyz = mixed_cloud(3, 500, step=step).astype(np.int64) + shift
     cloud = as_cloud(xyz)
@@ -157,20 +151,6 @@ def test_windows_do_not_wrap_around_the_lattice() -> None:
     np.testing.assert_array_equal(window_counts(voxels)[voxels.of_point], slow_window(xyz, 1000))
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 4000), st.integers(1, 3000))
-@settings(max_examples=25, deadline=None)
-def test_counts_in_spheres_and_cylinders(seed: int, radius: int, height: int) -> None:
-    rng = np.random.default_rng(seed)
-    xyz = mixed_cloud(seed % 1000, 240, step=int(rng.choice([1, 500])))
-    d = xyz[:, None].astype(np.int64) - xyz[None]
-    ball = ((d**2).sum(axis=2) < radius**2).sum(axis=1)
-    tube = (d[..., 0] ** 2 + d[..., 1] ** 2 < radius**2) & (2 * abs(d[..., 2]) < height)
-    np.testing.assert_array_equal(in_spheres(cKDTree(xyz), xyz, radius), ball)
-    for least in (3, 30):
-        found = in_cylinders(xyz, np.arange(len(xyz)), radius, height, least)
-        np.testing.assert_array_equal(found, tube.sum(axis=1) >= least)
-
-
 def as_table(xyz: NDArray[Any], **columns: NDArray[Any]) -> PointTable:
     n = len(xyz)
     zeros = np.zeros(n)
@@ -181,10 +161,9 @@ def as_table(xyz: NDArray[Any], **columns: NDArray[Any]) -> PointTable:
     return table.with_columns(**columns)
 
 
-@pytest.mark.parametrize("step", [1, 200])
 @pytest.mark.parametrize("method", SOURCES)
-def test_tiles_with_halo_give_the_whole(method: str, step: int) -> None:
-    filtering = chosen(method)
+def test_tiles_with_halo_give_the_whole(method: str) -> None:
+    filtering, step = chosen(method), 200
     parts = [mixed_cloud(s, 900, step=step) + np.int32([8000 * s, 0, 0]) for s in range(3)]
     table = as_table(np.concatenate(parts) - 11_111)
     table = table.take(canonical_order(table))
@@ -215,20 +194,6 @@ def test_odd_clouds(method: str, n: int) -> None:
             assert signal.tolist() == [method == "voxel"]
 
 
-@pytest.mark.parametrize("method", SOURCES)
-def test_the_surface_stays_and_most_noise_goes(method: str) -> None:
-    """With the defaults, on a scene for which they are meant: dense ground, thin noise."""
-    rng = np.random.default_rng(8)
-    ground = rng.uniform(0, 60, (20 * 60 * 60, 3))
-    ground[:, 2] = 10 + 0.05 * ground[:, 0] + rng.normal(0, 0.05, len(ground))
-    noise = rng.uniform(0, 1, (4300, 3)) * [60, 60, 60]
-    xyz = np.rint(np.concatenate([ground, noise]) * 1000).astype(np.int64)
-    far = (noise[:, 2] > 25) & np.all(abs(noise[:, :2] - 30) < 25, axis=1)
-    signal = METHODS[method].judge(as_cloud(xyz, 0.02), FilterSettings()).signal
-    assert signal[: len(ground)].mean() > 0.98
-    assert signal[len(ground) :][far].mean() < 0.1
-
-
 def test_shots_are_judged_one_by_one() -> None:
     rng = np.random.default_rng(4)
     sizes = [0, 1, 2, 60, 80, 3]
@@ -241,7 +206,7 @@ def test_shots_are_judged_one_by_one() -> None:
     n = len(time)
     beams = BeamTable(np.zeros((n, 3)), np.zeros((n, 3)), ranges, known)
     table = as_table(np.zeros((n, 3), np.int64), gps_time=time)
-    noise = shot_noise(table, beams, DccSettings(fine_bin_m=4.0), 300.0)
+    noise = shot_noise(table, beams, _dcc(4.0), 300.0, 10)
     assert not noise[~known].any()
     for shot in range(len(sizes)):
         rows = np.flatnonzero(known & (time == shot))
@@ -249,6 +214,33 @@ def test_shots_are_judged_one_by_one() -> None:
             expected = slow_dcc(ranges[rows].tolist(), 300.0, 30.0, 4.0)
             np.testing.assert_array_equal(~noise[rows], expected)
     assert 0.1 < noise.mean() < 0.9
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_pixels_are_counted_as_by_hand(count: int) -> None:
+    rng = np.random.default_rng(count)
+    time = np.repeat(np.arange(4.0), 60)
+    n = len(time)
+    ranges = np.where(rng.random(n) < 0.5, 3000 + rng.normal(0, 0.3, n), rng.uniform(2980, 3020, n))
+    channel = rng.integers(0, 101, n).astype(np.uint8)
+    beams = BeamTable(np.zeros((n, 3)), np.zeros((n, 3)), ranges, np.ones(n, np.bool_))
+    table = as_table(np.zeros((n, 3), np.int64), gps_time=time, channel=channel)
+    chosen = FilterSettings.model_validate({"method": "pixels", "pixels": {"count": count}})
+    noise = shot_noise(table, beams, chosen, 300.0, 10)
+    channel = channel.astype(int)
+    for i in range(n):
+        row, column = divmod(channel[i] - 1, 10)
+        near = {
+            int(c) for c, t, r in zip(channel, time, ranges, strict=True)
+            if t == time[i] and abs(r - ranges[i]) <= 1.0 and c > 0
+            and abs((c - 1) // 10 - row) <= 1 and abs((c - 1) % 10 - column) <= 1
+        }  # fmt: skip
+        assert noise[i] == (channel[i] > 0 and len(near) < count)
+    assert 0.1 < noise.mean() < 0.99
+
+
+def _dcc(fine_bin_m: float) -> FilterSettings:
+    return FilterSettings.model_validate({"method": "dcc", "dcc": {"fine_bin_m": fine_bin_m}})
 
 
 def test_what_shots_said_becomes_the_label() -> None:

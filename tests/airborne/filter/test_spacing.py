@@ -88,7 +88,7 @@ def test_only_peers_are_counted_inside_the_ellipsoid(ratio: float) -> None:
     np.testing.assert_array_equal(count, low)
 
 
-@pytest.mark.parametrize(("neighbours", "cap"), [(6, 3000), (20, 3000), (6, 20_000)])
+@pytest.mark.parametrize(("neighbours", "cap"), [(20, 3000), (6, 20_000)])
 def test_spacings_that_are_not_known_are_found_on_the_way(neighbours: int, cap: int) -> None:
     xyz = mixed_cloud(9, 3000)
     shape = Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0)

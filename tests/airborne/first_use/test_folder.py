@@ -9,7 +9,6 @@ import pytest
 import yaml
 
 from spl_batch import api
-from spl_batch.airborne.first_use import commented, folder
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.las.writer import write_classified
@@ -105,22 +104,6 @@ def test_a_delivered_cloud_is_no_flightline(tmp_path: Path) -> None:
         api.init(tmp_path, force=True)
 
 
-def test_references_that_are_not_looked_into_are_like_their_peers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(folder, "LOOKED_INTO", 4)
-    line = surveys.flightline(shots=100)
-    for name in "ab":
-        surveys.write_cloud(tmp_path / "raw" / f"{name}.laz", line)
-    bare = {k: v for k, v in line.items() if k != "channel"}
-    ground = {**bare, "classification": np.full(len(line["x"]), 2, np.uint8)}
-    for name in "abcdef":
-        surveys.write_cloud(tmp_path / "lidar" / f"{name}.laz", ground, channel=False)
-    _, content = begun(tmp_path)
-    assert content["survey"]["flightlines"] == "raw/*.laz"
-    assert content["reference"]["points"] == "lidar/*.laz"
-
-
 def test_without_times_only_ground_and_surfaces_are_proposed(tmp_path: Path) -> None:
     line = surveys.flightline(shots=50)
     line["gps_time"] = np.zeros_like(line["gps_time"])
@@ -146,13 +129,6 @@ def test_a_sparse_cloud_without_beamlets_is_taken_for_linear_mode(
     text = found.workflow.read_text(encoding="utf-8")
     assert "filter: {method: none}" in text
     assert max(map(len, text.splitlines())) <= 120
-
-
-def test_clouds_without_points_are_no_survey(tmp_path: Path) -> None:
-    nothing = surveys.take(surveys.flightline(shots=2), slice(0, 0))
-    surveys.write_cloud(tmp_path / "a.laz", nothing)
-    with pytest.raises(WorkflowError, match=r"no cloud can be used: .*a\.laz: the file holds no"):
-        api.init(tmp_path)
 
 
 def test_a_geocentric_crs_record_is_no_crs_of_a_survey(tmp_path: Path) -> None:
@@ -185,12 +161,6 @@ def test_flightlines_of_several_crs_are_told_with_what_helps(tmp_path: Path) -> 
     assert left.startswith("other/r.laz: ground in another CRS than the flightlines'; reproject")
     assert content["survey"]["flightlines"] == ["0.laz", "1.laz"]
     assert not api.plan(found.workflow).faults
-
-
-def test_a_small_density_is_told_in_digits_that_show_it() -> None:
-    assert [commented._density(d) for d in (1234.56, 16.04, 0.42, 0.03, 0.0004)] == [
-        "1 234.6", "16.0", "0.42", "0.03", "under 0.01",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

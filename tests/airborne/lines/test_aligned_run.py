@@ -95,21 +95,3 @@ def test_tiles_and_workers_do_not_count_and_going_back_gives_what_was(
     assert off_truth(shifted.output) < 0.8 * off_before
     surveys.run(workflow)
     assert products(plain.output) == recorded
-
-
-def test_flightlines_without_times_are_shifted_by_their_ids(tmp_path: Path) -> None:
-    workflow = survey(tmp_path, Shift(0.3, 0.0, 0.2), timed=False, survey={"align": "vertical"})
-    result = surveys.run(workflow)
-    (left,) = result.report.strips
-    assert abs(left.up_m or 0.0) < 3 * (left.up_sd_m or 0.0) + 0.002
-    assert left.east_m == pytest.approx(0.3, abs=0.08)
-    given, made = (laspy.read(tmp_path / where / "2.laz") for where in ("lines", "out/laz/lines"))
-    assert set((made.Z - given.Z).tolist()) <= set(range(-210, -189))
-
-
-def test_a_flightline_alone_stays_and_the_log_has_it(tmp_path: Path) -> None:
-    workflow = aligned(tmp_path)
-    (tmp_path / "lines" / "2.laz").unlink()
-    result = surveys.run(workflow, until="ground")
-    log = (result.output / "log.jsonl").read_text()
-    assert log.count("there is one flightline, nothing is shifted") == 1

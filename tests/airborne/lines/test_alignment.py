@@ -77,9 +77,3 @@ def test_a_flightline_that_is_absurdly_far_off_stays_and_spoils_no_other() -> No
     assert found[3].stays == TOO_FAR
     assert found[3].found_m < -2.0
     assert found[:3] == plain[:3]
-
-
-def test_groups_are_solved_apart_and_nothing_needs_a_pair() -> None:
-    found = align_lines("abcd", [pair("a", "b"), pair("c", "d")], SAME)
-    assert [one.up_m for one in found] == pytest.approx([0.0, 0.2, 0.0, -0.45])
-    assert align_lines([], [], {}) == []

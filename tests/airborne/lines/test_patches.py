@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.lines.patches import (
     MIN_RETURNS_PER_PATCH,
-    MOST,
-    MOST_LINES,
     THICKEST_M,
     Patches,
     add_moments,
@@ -22,16 +20,13 @@ from spl_batch.airborne.lines.patches import (
     region,
     seen_lines,
 )
-from spl_batch.airborne.store.flown_lines import FlownLines
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 from tests.airborne.lines.two_strips import (
     CORE,
     LINES,
     Shift,
-    ground,
     patches_between,
-    table,
     two_strips,
 )
 
@@ -98,13 +93,6 @@ def test_patches_are_what_least_squares_over_their_points_gives() -> None:
         assert patches["thickness"][k] <= THICKEST_M
 
 
-def test_no_square_is_used_twice() -> None:
-    patches = found_in(two_strips(Shift(), per_m2=0.4))
-    for k, edge in enumerate(patches["edge_m"]):
-        apart = np.maximum(*(np.abs(patches[axis] - patches[axis][k]) for axis in "xy"))
-        assert np.count_nonzero(apart < (edge + patches["edge_m"]) / 2 - 1e-6) == 1
-
-
 def test_flightlines_that_overlap_without_patches_are_known() -> None:
     rng = np.random.default_rng(3)
     crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
@@ -124,24 +112,6 @@ def test_crowns_and_lone_flightlines_have_no_patches() -> None:
     alone = whole.take(whole["point_source_id"] == 1)
     assert not len(found_in(alone)["rise"])
     assert not len(found_in(whole.take(slice(0, 0)))["rise"])
-
-
-def test_a_pair_that_shares_much_is_thinned_and_keeps_its_slopes() -> None:
-    patches = found_in(two_strips(Shift(), per_m2=4, edge_m=200), WIDE)
-    patches = {name: values[patches["beyond"] == 0] for name, values in patches.items()}
-    assert len(patches["rise"]) == MOST
-
-
-def test_of_many_flightlines_those_with_most_returns_are_compared() -> None:
-    sizes = [2.0, 2.0, *[0.5] * MOST_LINES]
-    many = table([ground(k + 1, Shift(), per_m2=d, edge_m=20) for k, d in enumerate(sizes)])
-    lines = FlownLines([])  # each is what has its point source id
-    seen = seen_lines([many], lines)
-    assert seen.left_out == 2
-    assert [lines.line(k).psid for k in seen.numbers[:2].tolist()] == [1, 2]
-    assert len(seen.numbers) == MOST_LINES
-    assert seen.returns.min() == 200
-    assert len(find_patches([many], lines, seen, CORE)[0]["rise"])
 
 
 def test_a_cell_in_parts_has_the_same_patches() -> None:
@@ -182,9 +152,6 @@ def test_cells_part_the_patches_of_a_survey_between_them() -> None:
         assert joined[name] == pytest.approx(whole[name], rel=1e-9, abs=1e-12)
 
 
-WIDE = Bounds(CORE.xmin, CORE.ymin, CORE.xmin + 200_000, CORE.ymin + 200_000)
-
-
 def quarters() -> list[Bounds]:
     """Cells whose edges are no multiple of the largest patch."""
     east, north = CORE.xmin + 33_000, CORE.ymin + 47_000
@@ -207,9 +174,3 @@ def found_in(points: PointTable, core: Bounds = CORE) -> Patches:
 
 def _same(one: Mapping[str, NDArray[Any]], other: Mapping[str, NDArray[Any]]) -> bool:
     return all(np.array_equal(one[k], other[k]) for k in other)
-
-
-def test_the_scene_is_what_its_shift_says() -> None:
-    points = table([ground(1, Shift()), ground(2, Shift(0, 0, 5.0))])
-    height = [points["z"][points["point_source_id"] == psid].mean() for psid in (1, 2)]
-    assert height[1] - height[0] == pytest.approx(5000, abs=100)

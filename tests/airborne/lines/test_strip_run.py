@@ -53,19 +53,6 @@ def test_an_offset_is_in_findings_report_and_page(tmp_path: Path) -> None:
     assert "Height between flightlines" in page
 
 
-def test_aligned_flightlines_raise_no_warning_and_tiling_does_not_count(tmp_path: Path) -> None:
-    found = []
-    for name, sections in (("whole", {}), ("fine", FINE)):
-        result = surveys.run(survey(tmp_path / name, Shift(), **sections))
-        assert not surveys.found(result.report.findings, "S01")
-        (pair,) = result.report.strips
-        found.append(pair)
-    whole, fine = found
-    assert (whole.patches, whole.first, whole.second) == (fine.patches, fine.first, fine.second)
-    assert fine.up_m == pytest.approx(whole.up_m, abs=1e-9)
-    assert fine.noise_m == pytest.approx(whole.noise_m, abs=1e-9)
-
-
 def test_flightlines_without_times_are_told_by_their_ids(tmp_path: Path) -> None:
     workflow = survey(tmp_path, Shift(up=0.2), timed=False, products={"maps": True})
     result = surveys.run(workflow)
@@ -81,12 +68,3 @@ def test_flightlines_without_times_are_told_by_their_ids(tmp_path: Path) -> None
     assert west - 10 <= x.min() <= west + 10
     assert north - 10 <= y.max() <= north + 10
     assert (east - west, north - south) == (10.0 * apart.shape[1], 10.0 * apart.shape[0])
-
-
-@pytest.mark.pictures
-def test_a_flightline_alone_is_compared_with_nothing(tmp_path: Path) -> None:
-    workflow = survey(tmp_path, Shift())
-    (tmp_path / "lines" / "2.laz").unlink()
-    result = surveys.run(workflow)
-    assert result.report.strips == ()
-    assert "No two flightlines share" in (result.output / "report.html").read_text()

@@ -31,8 +31,8 @@ def spheres(end_m: float, lean: tuple[float, float]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("way", [1, -1])
-@pytest.mark.parametrize("lean", [(0.0, 0.0), (0.2, 0.0), (-0.1, 0.15)])
-@pytest.mark.parametrize("end_m", [31.5, 33.0, 35.0, 36.8, 38.2])
+@pytest.mark.parametrize("lean", [(0.0, 0.0), (-0.1, 0.15)])
+@pytest.mark.parametrize("end_m", [31.5, 36.8])
 def test_the_end_is_as_high_as_the_plane(end_m: float, lean: tuple[float, float], way: int) -> None:
     share = spheres(end_m, lean)
     number = np.where(share > 0, NUMBER, 0)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,10 +17,8 @@ from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, SUMMARY
 from spl_batch.airborne.noise.noise_intervals import densest_window
-from spl_batch.airborne.report.summarise import _flightlines
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import NoiseSettings
-from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.engine.findings import Finding
 from spl_batch.lattice.tables import PointTable
 from tests.flightlines import ALTITUDE_M, Flight, cut, fly, relief
@@ -58,25 +55,6 @@ def test_rate_and_gate(scene: dict[str, object], gate_m: float, tolerance: float
     truth = scene.get("noise_per_m", 1.3e-3)
     assert model.mean_rate == pytest.approx(truth, rel=tolerance)
     assert model.gate_m == pytest.approx(gate_m, rel=0.02)
-
-
-def test_steep_relief_stays_out_of_the_noise_region() -> None:
-    def steep(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return 340.0 + 300.0 * np.sin(x / 80.0) * np.cos(y / 90.0)
-
-    flight = fly(surface=steep, gate_m=1000, scan_m=1200.0, shots=1200, noise_per_m=8e-4)
-    assert model_of(flight).mean_rate == pytest.approx(8e-4, rel=0.015)
-
-
-@pytest.mark.parametrize("noise_per_m", [3e-4, 1.5e-3, 4e-3, 1.2e-2])
-def test_rate_of_shots_without_channels(noise_per_m: float) -> None:
-    # From half a return in each 5 m of a shot on, hardly any is the first of its beamlet.
-    flight = fly(shots=1500 if noise_per_m < 2e-3 else 600, noise_per_m=noise_per_m)
-    table = flight.table.with_columns(channel=np.zeros(len(flight.table)))
-    beams = geometry.beams(table, flight.trajectory)
-    stats = line_noise.merge([line_noise.observe(table, beams, SETTINGS)])
-    model = line_noise.fit(stats, SETTINGS, SENSOR.model_copy(update={"beamlets": 1}))
-    assert model.mean_rate == pytest.approx(100 * noise_per_m, rel=0.02)
 
 
 def test_gate_cut_at_heights_is_told_from_one_in_range() -> None:
@@ -145,8 +123,8 @@ def test_a_gate_has_one_length_whatever_is_said_of_it(stated: float | None, nois
         assert gate.warnings == ()
 
 
-@pytest.mark.parametrize("strays", [(-500.0,), (-500.0, -430.0), (400.0,)])
-@pytest.mark.parametrize(("shots", "noise_per_m"), [(1500, 2e-4), (180, 1.3e-3)])
+@pytest.mark.parametrize("strays", [(-500.0, -430.0), (400.0,)])
+@pytest.mark.parametrize(("shots", "noise_per_m"), [(180, 1.3e-3)])
 def test_lone_returns_far_away_lengthen_no_gate(
     strays: tuple[float, ...], shots: int, noise_per_m: float
 ) -> None:
@@ -163,7 +141,7 @@ def test_lone_returns_far_away_lengthen_no_gate(
         np.testing.assert_allclose(found.far, sound.far, atol=1.5)
 
 
-@pytest.mark.parametrize("away_m", [-1000.0, 1000.0])
+@pytest.mark.parametrize("away_m", [-1000.0])
 @pytest.mark.parametrize("count", [50, 1000])
 def test_many_stray_returns_lengthen_no_gate(away_m: float, count: int) -> None:
     flight = fly(shots=1500, gate_m=200)
@@ -179,19 +157,7 @@ def test_many_stray_returns_lengthen_no_gate(away_m: float, count: int) -> None:
     assert "strays" not in kinds(sound.findings)
 
 
-@pytest.mark.parametrize("side", [-1, 1])
-def test_a_stray_return_in_a_short_gate_that_is_stated(side: int) -> None:
-    """Where hardly any noise is far enough from the surface to tell a spacing."""
-    flight = fly(shots=240, noise_per_m=1.3e-3, gate_m=60)
-    z = flight.table["z"].copy()
-    z[len(z) // 2] += side * 500_000
-    hurt = replace(flight, table=flight.table.with_columns(z=z))
-    sound, found = model_of(flight, 60.0), model_of(hurt, 60.0)
-    assert found.gate_m == pytest.approx(sound.gate_m, abs=1.0)
-    assert found.mean_rate == pytest.approx(sound.mean_rate, rel=0.05)
-
-
-@pytest.mark.parametrize(("each", "below"), [(0.4, 1.0), (3.0, 0.3), (3.0, 0.05), (60.0, 0.05)])
+@pytest.mark.parametrize(("each", "below"), [(0.4, 1.0), (3.0, 0.05)])
 def test_all_noise_of_a_sparse_night_lies_in_its_gate(each: float, below: float) -> None:
     """Noise below the ground may be rarer than above it, where few beamlets hear it."""
     rng = np.random.default_rng(3)
@@ -209,33 +175,6 @@ def test_all_noise_of_a_sparse_night_lies_in_its_gate(each: float, below: float)
     assert gate.basis == "estimated"
     lost = (gate.near > -extremes[0]) | (gate.far < extremes[1])
     assert not lost.any()
-
-
-@pytest.mark.parametrize(
-    ("found", "given", "sensor", "basis"),
-    [
-        ("stated", {"gate_m": 300.0, "prf_hz": 6e4}, "spl100", "given"),
-        ("stated", {}, {"gate_m": 300.0, "prf_hz": 6e4}, "given"),
-        ("stated", {}, "spl100", "sensor"),
-        ("estimated", {"gate_m": 150.0, "prf_hz": 3e4}, "spl100", "estimated"),
-        ("assumed", {}, "spl100", "assumed"),
-    ],
-)
-def test_the_report_says_where_gate_and_pulse_rate_come_from(
-    found: str, given: dict[str, float], sensor: str | dict[str, float], basis: str
-) -> None:
-    facts: dict[str, object] = dict.fromkeys(
-        ("points", "prf_hz", "seen_fraction", "noise_per_m"), 1
-    )
-    facts |= {"span_s": (0.0, 1.0), "basis": "vertical", "gate_m": 300.0}
-    facts |= {"gate_basis": found, "prf_basis": found.replace("stated", "given")}
-    content = {"survey": {"flightlines": "x.laz", "sensor": sensor}, "acquisition": given}
-    workflow = parse_workflow({**content, "output": "out"}, "w.yaml")
-    (line,) = _flightlines(
-        {"fit_line": {"1": SimpleNamespace(facts=facts)}},  # type: ignore[dict-item]
-        SimpleNamespace(workflow=workflow),  # type: ignore[arg-type]
-    )
-    assert (line.gate_basis, line.prf_basis) == (basis, basis)
 
 
 def test_dead_and_weak_channels() -> None:
@@ -267,14 +206,6 @@ def test_dead_channels_are_named(live: list[int], said: str) -> None:
     assert [one.values["what"] for one in active_channels(seen, 7)[2]] == [said]
 
 
-def test_channels_that_are_too_many_are_named_by_the_rarest() -> None:
-    seen = np.zeros(256, dtype=np.int64)
-    seen[1:8] = 100
-    seen[[3, 200]] = 1
-    _, _, (one,) = active_channels(seen, 6)
-    assert (one.values["alive"], one.values["channels"]) == (8, [3, 200])
-
-
 def test_rate_follows_the_sky_and_density_the_model() -> None:
     def sky(shot: np.ndarray) -> np.ndarray:
         return 1e-3 * (1 + 0.6 * np.sin(shot / 2000))
@@ -302,23 +233,6 @@ def test_hole_in_the_data_is_no_silence_and_silence_is_no_hole() -> None:
     assert kinds(quiet.findings)[-1] == "few"
 
 
-def test_unfolds_to_nothing_without_points() -> None:
-    flight = fly(shots=60)
-    empty = flight.table.take(slice(0, 0))
-    beams = geometry.beams(empty, flight.trajectory)
-    stats = line_noise.merge([line_noise.observe(empty, beams, SETTINGS)])
-    model = line_noise.fit(stats, SETTINGS, SENSOR)
-    assert model.mean_rate == 0.0
-    assert line_noise.line_density(flight.table, model).max() == 0.0
-
-
-def test_one_shot_and_one_return_are_finite() -> None:
-    flight = fly(shots=60)
-    model = model_of(Flight(flight.table.take(slice(0, 1)), flight.trajectory, flight.noise[:1]))
-    assert np.isfinite(model.rate).all()
-    assert np.isfinite(model.near).all()
-
-
 @settings(max_examples=10, deadline=None)
 @given(st.integers(1, 9), st.randoms(use_true_random=False))
 def test_cutting_changes_no_bit(intervals: int, order: object) -> None:
@@ -341,17 +255,6 @@ def test_parts_must_not_share_an_interval() -> None:
     )
     with pytest.raises(ValueError, match="share an interval"):
         line_noise.merge([part, part])
-
-
-def test_model_survives_npz(tmp_path: object) -> None:
-    model = model_of(fly(shots=600, gate_m=85))
-    np.savez(f"{tmp_path}/m.npz", **model.to_arrays())
-    with np.load(f"{tmp_path}/m.npz") as stored:
-        again = LineModel.from_arrays(dict(stored))
-    assert again.gate_basis == model.gate_basis
-    assert again.kind == model.kind
-    assert again.gate_m == model.gate_m
-    assert np.array_equal(again.rate, model.rate)
 
 
 @settings(deadline=None)
@@ -450,33 +353,6 @@ def test_signal_beyond_the_buffer_is_told_from_a_bright_sky() -> None:
     both = flat + np.eye(10)[line_noise.SUMMARY.index("signal_sd")] * 8.0
     assert line_noise._torn(even, exposure, both, 30.0).all()
     assert not line_noise._torn(even * np.array([0, 1]), exposure, both, 40.0).any()
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_short_gate_keeps_what_the_sky_and_bright_ground_add(seed: int) -> None:
-    """One side of the scan's turn twice as bright as the other, 17 intervals each."""
-
-    def sky(shot: np.ndarray) -> np.ndarray:
-        return 1e-3 * np.where(np.sin(2 * np.pi * 25.0 * shot / 50_000) > 0, 2.0, 1.0)
-
-    model = model_of(fly(noise_per_m=sky, shots=9000, gate_m=85, seed=seed), 85.0)
-    assert "short" in kinds(model.findings)
-    assert model.mean_rate == pytest.approx(1.5e-3, rel=0.03)
-    bright = sky(model.interval * 60 + 30) > 1.5e-3
-    assert model.rate[bright].mean() == pytest.approx(2e-3, rel=0.1)
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_towers_add_little_to_a_short_gate(seed: int) -> None:
-    def towers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        place = (np.floor(x / 60) * 73 + np.floor(y / 60) * 151) % 17 < 5
-        return 40.0 + np.where(place & (x % 60 < 35) & (y % 60 < 35), 36.0, 0.0)
-
-    flight = fly(surface=towers, noise_per_m=3e-4, shots=9000, gate_m=85, seed=seed)
-    assert model_of(flight, 85.0).mean_rate == pytest.approx(3e-4, rel=0.2)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(line_noise, "CLIP_SIGMA", 1e9)
-        assert model_of(flight, 85.0).mean_rate > 1.3 * 3e-4
 
 
 @pytest.mark.parametrize(("above", "more"), [(2000, "above"), (500, "below")])

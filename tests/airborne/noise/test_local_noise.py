@@ -77,7 +77,7 @@ def lean(until_m: float, rise_m: float = 0.0, beamlets: float = 200.0) -> np.nda
     return np.rint(np.repeat(part[:, None] * beamlets, SIZE[1] * 4, axis=1)).astype(np.uint32)
 
 
-@pytest.mark.parametrize("until_m", np.arange(40.3, 50.0, 0.9).tolist())
+@pytest.mark.parametrize("until_m", [40.3, 43.9, 47.5])
 def test_across_a_clear_edge_the_density_rises_over_two_squares(until_m: float) -> None:
     heard = made(spheres(until_m), lean(until_m))
     inside = np.array([-12.0, -6.0, -4.0, -2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 4.0, 8.0])
@@ -105,15 +105,7 @@ def test_beside_an_edge_flightlines_add_up() -> None:
     assert 47.0 < x[heard].max() < 47.0 + 2 * 2.5
 
 
-def test_up_to_the_end_of_a_gate_nothing_is_taken_off() -> None:
-    squares = np.full((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), 200, dtype=np.uint32)
-    squares[:, :, MIDDLE + 1 :] = 0
-    heard = made(np.ones(SIZE[0]), squares)
-    for z in (25.0, 29.9):
-        np.testing.assert_allclose(along_x(heard, np.linspace(20, 70, 50), z), PER_M3, rtol=1e-3)
-
-
-@pytest.mark.parametrize("end_m", np.arange(20.3, 30.0, 0.8).tolist())
+@pytest.mark.parametrize("end_m", [20.3, 24.3, 29.1])
 @pytest.mark.parametrize("upper", [True, False])
 def test_where_a_gate_ends_in_a_layer_it_counts_up_to_there(end_m: float, *, upper: bool) -> None:
     centres = (np.arange(SIZE[2]) + 0.5) * 10.0
@@ -134,11 +126,6 @@ def test_where_a_gate_ends_in_a_layer_it_counts_up_to_there(end_m: float, *, upp
             np.testing.assert_allclose(along_x(heard, x, height), part * PER_M3, rtol=0.03)
 
 
-def test_counts_and_squares() -> None:
-    squares = np.random.default_rng(1).poisson(1.5, (12, 8, 3))
-    np.testing.assert_array_equal(unpack(pack(squares)), squares)
-
-
 def test_shares_of_a_sphere_by_chance() -> None:
     rng = np.random.default_rng(2)
     ball = rng.normal(size=(400_000, 3))
@@ -147,26 +134,6 @@ def test_shares_of_a_sphere_by_chance() -> None:
     counts = np.zeros((4, 4))
     np.add.at(counts, tuple(index.T), 1)
     np.testing.assert_allclose(square_shares(), counts / len(ball), atol=2e-3)
-
-
-@pytest.mark.parametrize("until_m", np.arange(40.5, 51.0, 1.3).tolist())
-def test_up_to_an_edge_the_density_is_that_of_the_part_listened_to(until_m: float) -> None:
-    found = listened(until_m)
-    last = int(until_m // 2.5)
-    assert found[8 : last - 1].min() > 0.75 * PER_M3
-    # what is left of a square that the edge cuts shows in the voxel's noise, not in one beamlet
-    assert found[8 : last + 1].min() > 0.4 * PER_M3
-    assert found[8 : last + 1].max() < 1.6 * PER_M3
-    assert np.all(found[int(np.ceil(until_m / 2.5)) + 1 :] == 0.0)
-
-
-def test_far_from_edges_it_is_the_mean_with_gaps_or_without() -> None:
-    holes = np.zeros((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), dtype=bool)
-    holes[::3, ::3] = True
-    np.testing.assert_allclose(listened(90.0)[8:-8], PER_M3, rtol=0.01)
-    # one beamlet or none over a square says next to nothing
-    found = listened(90.0, holes=holes)[8:-8] / PER_M3
-    assert np.abs(found - 1).max() < 0.06
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.0, -1.0), (0.2, -0.3, -0.93), (0.9, 0.1, -0.4)])
@@ -197,16 +164,7 @@ def test_a_beam_marks_squares_half_way_up(direction: tuple[float, float, float])
         assert not np.any(squares & ~expected)
 
 
-def test_counts_stop_where_they_are_full() -> None:
-    counts = np.zeros((3, 3, 3, 16), dtype=np.uint16)
-    counts[1, 1, 1] = 65534
-    down, middle = np.array([0.0, 0.0, -1.0]), np.array([1, 1, 1])
-    for _ in range(3):
-        cover(middle, np.zeros(3), down, -3.0, 3.0, 10.0, RADIUS, counts)
-    assert sorted(np.unique(counts)) == [0, 65534, 65535]
-
-
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_what_lies_beyond_the_margin_changes_nothing(seed: int) -> None:
     rng = np.random.default_rng([8, seed])
     shape = (9, 9, 8)
@@ -245,7 +203,7 @@ def ridge(x_m: np.ndarray, wide_m: float) -> np.ndarray:
     return 1.0 + 2.0 * np.exp(-(((x_m - 46.3) / wide_m) ** 2))
 
 
-@pytest.mark.parametrize(("wide_m", "within"), [(4.0, 0.1), (6.0, 0.08), (12.0, 0.04)])
+@pytest.mark.parametrize(("wide_m", "within"), [(4.0, 0.1)])
 def test_over_a_ridge_of_beamlets_the_noise_is_theirs(wide_m: float, within: float) -> None:
     """It was that of the fullest square near by: half as much again on the flanks."""
     fine = (np.arange(SIZE[0] * 4 * 50) + 0.5) / 20.0
@@ -260,31 +218,7 @@ def test_over_a_ridge_of_beamlets_the_noise_is_theirs(wide_m: float, within: flo
     assert ratio[top].mean() == pytest.approx(1, abs=within)
 
 
-@pytest.mark.parametrize("per_square", [1.0, 5.0, 25.0, 100.0])
-def test_chance_makes_no_ridge(per_square: float) -> None:
-    even = np.ones((SIZE[0] * 4, SIZE[2]))
-    beamlets = np.random.default_rng(3).poisson(per_square, (SIZE[0] * 4, SIZE[1] * 4, 1)) + 1
-    beamlets = beamlets.repeat(SIZE[2], axis=2)
-    found = at_centres(strip(even, beamlets))[8:-8, 8:-8] / PER_M3
-    assert found.mean() == pytest.approx(1, abs=0.03)
-    assert found.std() < 0.17
-    assert np.quantile(found, 0.99) < 1.7
-
-
-@pytest.mark.parametrize(("per_square", "most"), [(25.0, 1.9), (100.0, 1.45)])
-def test_at_the_foot_of_a_slope_the_mean_of_the_voxel_counts_little(
-    per_square: float, most: float
-) -> None:
-    rate = np.interp((np.arange(SIZE[0] * 4) + 0.5) * 2.5, [40.0, 50.0], [0.1, 1.9])
-    rate = np.repeat(rate[:, None], SIZE[2], axis=1)
-    even = np.rint(rate[:, None] * per_square).astype(int).repeat(SIZE[1] * 4, axis=1)
-    found = at_centres(strip(rate, even))[:, 12:-12] / PER_M3 / rate[:, :1]
-    # the more beamlets there are, the less the mean of the voxel is worth
-    assert found.min() > 0.85
-    assert found[14:22].max() < most
-
-
-@pytest.mark.parametrize("shift_m", [0.0, 0.3, 0.9, 1.8])
+@pytest.mark.parametrize("shift_m", [0.3])
 def test_along_a_leaning_edge_that_rises_over_metres_the_noise_is_the_true_one_behind_the_last(
     shift_m: float,
 ) -> None:
@@ -326,20 +260,7 @@ def test_beyond_the_end_of_a_gate_the_next_layer_only_tells_where() -> None:
     np.testing.assert_allclose(along_x(heard, x, 41.0), 0.5 * PER_M3, rtol=1e-3)
 
 
-def test_between_layers_a_leaning_ridge_goes_on() -> None:
-    """As far from layer to layer as a beam that leans 15 degrees: what is linear follows it."""
-    fine = (np.arange(SIZE[0] * 4 * 50) + 0.5) / 20.0
-    rates = [ridge(fine - 2.7 * (k - MIDDLE), 8.0).reshape(-1, 50) for k in range(SIZE[2])]
-    rate = np.array([r.mean(axis=1) for r in rates]).T
-    heard = strip(rate, np.rint(rate[:, None] * 400).astype(int).repeat(SIZE[1] * 4, axis=1))
-    x = np.linspace(30, 60, 300)
-    for z in (20.5, 22.0, 25.0, 28.0, 29.5):
-        ratio = along_x(heard, x, z) / PER_M3 / ridge(x - 0.27 * (z - 25.0), 8.0)
-        assert np.abs(ratio - 1).mean() < 0.05, z
-        assert np.abs(ratio - 1).max() < 0.1, z
-
-
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1))
 def test_a_point_lies_between_the_centres_of_squares_and_of_layers(seed: int) -> None:
     rng = np.random.default_rng([9, seed])
     n, shape = 300, (12, 16, 5)

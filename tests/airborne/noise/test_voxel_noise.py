@@ -66,10 +66,6 @@ def test_steep_beamlets_deposit_what_they_do_one_by_one(seed: int) -> None:
     np.testing.assert_array_equal(squares, counted)
 
 
-def test_radius_of_equal_volume() -> None:
-    assert voxel_noise.sphere_radius_m(10.0) == pytest.approx(RADIUS_M, abs=1e-4)
-
-
 def slow_deposit(
     table: PointTable, flight: Flight, model: LineModel, part: VoxelPart
 ) -> np.ndarray:
@@ -173,14 +169,6 @@ def test_a_beamlet_counts_once() -> None:
     assert np.array_equal(key[:, again][:, ::2], key)
     other = voxel_noise.deposit(twice, geometry.beams(twice, flight.trajectory), model, SEEN)
     assert np.array_equal(part.amount, other.amount)
-
-
-def test_no_beam_deposits_nothing() -> None:
-    flight = fly(shots=120)
-    model, _ = run(flight)
-    away = type(flight.trajectory)(np.array([0.0, 1.0]), np.zeros((2, 3)))
-    beams = geometry.beams(flight.table, away)
-    assert voxel_noise.deposit(flight.table, beams, model, SEEN).amount.size == 0
 
 
 @settings(max_examples=8, deadline=None)

@@ -177,14 +177,6 @@ def test_groups_of_a_wide_file_share_its_points(tmp_path: Path) -> None:
     assert main.bounds[:3] == pytest.approx([1000 * v for v in corners], abs=2.0, rel=0)
 
 
-def test_groups_of_flightlines_some_kilometres_apart_are_no_reason_to_warn() -> None:
-    assert far(a=(0, 0, 4000, 500), b=(0, 4500, 4000, 5000), c=(9000, 0, 13_000, 500)) == []
-    assert far(a=(0, 0, 30_000, 500), b=(50_000, 0, 80_000, 500)) == []
-    assert far(plot=(0, 0, 20, 20), other=(8000, 0, 8020, 20)) == []
-    assert far(alone=(0, 0, 60_000, 40_000)) == []
-    assert far() == []
-
-
 def test_the_farthest_part_is_told_first_and_by_its_files() -> None:
     found = far(
         a=(0, 0, 1000, 1000), b=(1000, 0, 2000, 1000), c=(0, 1000, 1000, 2000),
@@ -230,18 +222,6 @@ def test_degrees_without_a_crs_are_refused(tmp_path: Path, verb: str) -> None:
     assert "coordinates look like degrees" in dict(begun.unknown)["crs"], "not taken as metres"
     assert "2" not in dict(begun.found)["flightlines"].partition("points")[2], "nor has it an area"
     assert not (tmp_path / "out").exists()
-
-
-def test_a_stated_crs_is_taken_at_its_word_and_told(tmp_path: Path) -> None:
-    told = "(lines/1.laz, lines/2.laz): the coordinates look like degrees"
-    stated = ("--set", f"survey.crs={surveys.CRS_NAME}")
-    for workflow, further in (
-        (degrees(tmp_path), stated),
-        (degrees(tmp_path / "named", crs=surveys.CRS_NAME), ()),
-    ):
-        ended = surveys.command("plan", workflow, *further)
-        assert ended.status == 0, ended.text
-        assert told in " ".join(ended.text.split())
 
 
 def test_a_file_in_degrees_among_others_is_set_aside(tmp_path: Path) -> None:

@@ -34,33 +34,6 @@ def test_a_survey_that_is_well_is_told_nothing(survey: Path) -> None:
     assert not [one for one in plan.findings if one.severity != "note"]
 
 
-@pytest.mark.parametrize(
-    ("ids", "told"),
-    [((1, 2), None), ((7, 7), "at least 1, by"), ((0, 0), "pauses of 60 s"), ((None, 2), "1 of 2")],
-)
-def test_how_files_share_flightlines_is_told(
-    survey: Path, ids: tuple[int | None, ...], told: str | None
-) -> None:
-    for path, number in zip(sorted((survey.parent / "lines").glob("*.laz")), ids, strict=True):
-        las = laspy.read(path)
-        half = np.arange(len(las.points)) * 2 // len(las.points) + 1
-        las.point_source_id[:] = half if number is None else number
-        las.write(path)
-    rows = dict(api.plan(survey).rows)
-    assert ("flightlines" in rows) == (told is not None)
-    assert told is None or told in rows["flightlines"]
-
-
-def test_what_is_missing_is_told_with_what_is_taken_instead(survey: Path) -> None:
-    assert not {"trajectory", "beamlets"} & dict(api.plan(survey).rows).keys()
-    bare = ["survey.trajectory=null", "survey.channel_dimension=null"]
-    rows = dict(api.plan(survey, overrides=bare).rows)
-    assert rows["trajectory"].startswith("none: beams come from where lines of sight meet")
-    assert rows["beamlets"].startswith("not numbered, as survey.channel_dimension is not set")
-    linear = [*bare, "filter.method=none", "afterpulse.enabled=false"]
-    assert not {"trajectory", "beamlets"} & dict(api.plan(survey, overrides=linear).rows).keys()
-
-
 def refused(survey: Path, *settings: str) -> str:
     """What a plan and a run say alike of what neither starts."""
     said = []
@@ -86,21 +59,10 @@ def test_what_is_refused_names_all_that_is_wrong(survey: Path) -> None:
     assert "survey.trajectory: " in said
 
 
-def test_files_that_are_not_looked_into_are_not_judged(
-    survey: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(first_look, "SAMPLE_FILES", 1)
-    columns = surveys.flightline(shots=120)
-    columns["gps_time"] = np.zeros(len(columns["x"]))
-    surveys.write_cloud(survey.parent / "lines" / "line_1.laz", columns)
-    assert surveys.found(api.plan(survey).findings, "I02")
-
-
 @pytest.mark.parametrize(
     ("dimension", "spoilt", "fault"),
     [
         ("user_data", 0, "survey.channel_dimension: user_data holds only 0 in "),
-        ("return_number", 1, "survey.channel_dimension: return_number holds only 1 in "),
         ("beamlets", 1, "survey.channel_dimension: no dimension 'beamlets' in "),
         ("intensity", 300, "dimension 'intensity' is 300 at point 0"),
         ("gps_time", 7.0, "lines/line_1.laz, lines/line_2.laz: no point has a usable gps_time"),
@@ -166,7 +128,7 @@ def test_seconds_of_the_week_are_no_other_day(survey: Path) -> None:
         api.plan(survey)
 
 
-@pytest.mark.parametrize("wrong", [-1, 77])
+@pytest.mark.parametrize("wrong", [77])
 def test_one_wrong_time_leaves_no_week_open(survey: Path, wrong: int) -> None:
     start = (surveys.START_S + 1e9 - 1) % 604_800
     path, back_m = survey.parent / "trajectory.csv", surveys.SPEED_M_S * (surveys.START_S - start)
@@ -184,18 +146,6 @@ def test_a_trajectory_without_its_columns_is_a_fault(survey: Path) -> None:
     assert "has no column gps_time" in fault
 
 
-def test_a_channel_that_is_all_zero_is_told(survey: Path) -> None:
-    line = surveys.flightline(shots=120, psid=2, start_s=surveys.START_S + 3)
-    line["channel"] = np.zeros_like(line["channel"])
-    path = surveys.write_cloud(survey.parent / "lines" / "line_2.laz", line)
-    with laspy.open(path, "r") as reader:
-        las = reader.read()
-    las["channel"] = line["channel"]
-    las.write(path)
-    (one,) = surveys.found(api.plan(survey).findings, "I04", "few")
-    assert (one.subject, one.values["numbers"]) == ("lines/line_2.laz", [0])
-
-
 def test_files_without_times_are_told_by_their_headers(survey: Path) -> None:
     line = surveys.flightline(shots=120, psid=2)
     lines = survey.parent / "lines"
@@ -208,14 +158,6 @@ def test_files_without_times_are_told_by_their_headers(survey: Path) -> None:
     assert "lines/line_1.laz, lines/line_2.laz: point format 0" in refused(survey)
     settings = ["filter.method=none", "afterpulse.enabled=false"]
     assert api.plan(survey, overrides=settings).faults == ()
-
-
-def test_times_that_are_all_the_same_are_told(survey: Path) -> None:
-    line = surveys.flightline(shots=120, psid=2)
-    line["gps_time"] = np.zeros(len(line["gps_time"]))
-    surveys.write_cloud(survey.parent / "lines" / "line_2.laz", line)
-    (one,) = surveys.found(api.plan(survey).findings, "I02")
-    assert one.subject == "lines/line_2.laz"
 
 
 def test_points_that_cannot_be_decoded_are_a_fault(survey: Path) -> None:
@@ -242,7 +184,7 @@ def test_points_that_cannot_be_decoded_are_a_fault(survey: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])
-@pytest.mark.parametrize("n", [0, 1, 5, 30, 120_000])
+@pytest.mark.parametrize("n", [0, 30, 120_000])
 def test_both_ends_of_a_file_are_looked_at(tmp_path: Path, suffix: str, n: int) -> None:
     line = surveys.flightline(shots=2)
     rows = np.arange(n) % len(line["x"])
@@ -276,7 +218,7 @@ def test_both_ends_of_a_file_are_looked_at(tmp_path: Path, suffix: str, n: int) 
         assert str(seen.value) == str(whole.value), "plan and run say the same"
 
 
-@pytest.mark.parametrize("records", [1, 2, 9000])
+@pytest.mark.parametrize("records", [1, 9000])
 def test_ends_of_trajectories(tmp_path: Path, records: int) -> None:
     time = 1000.0 + np.arange(records) / 4
     expected = (float(time[0]), float(time[-1]))

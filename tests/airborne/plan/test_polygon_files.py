@@ -11,7 +11,7 @@ from pyproj import Transformer
 from tests import surveys
 
 
-@pytest.mark.parametrize(("key", "status"), [("aoi", 2), ("water", 0), ("breaklines", 0)])
+@pytest.mark.parametrize(("key", "status"), [("aoi", 2), ("breaklines", 0)])
 @pytest.mark.parametrize("away_m", [0.0, 5000.0])
 def test_polygons_beyond_the_survey(tmp_path: Path, key: str, status: int, away_m: float) -> None:
     east, north = surveys.ORIGIN_M

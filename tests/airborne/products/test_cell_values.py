@@ -103,8 +103,9 @@ def cells_of(xyz, rows, cols):
     return xyz[order].astype(np.int32), order, start
 
 
-@pytest.mark.parametrize("counts", [(0, 0, 0), (2, 3, 4), (3, 6, 9), (99, 4, 7), (1, 99, 9)])
-@pytest.mark.parametrize("ratio", [1.0, 1.5])
+@pytest.mark.parametrize(
+    ("counts", "ratio"), [((0, 0, 0), 1.0), ((2, 3, 4), 1.5), ((99, 4, 7), 1.0), ((1, 99, 9), 1.5)]
+)
 def test_confirmed_tops_equal_the_count_of_every_pair(counts, ratio):
     rng = np.random.default_rng(sum(counts))
     rows, cols, n = 7, 6, 260
@@ -125,33 +126,6 @@ def test_confirmed_tops_equal_the_count_of_every_pair(counts, ratio):
     np.testing.assert_array_equal(tops, slow_tops(xyz, ground, start, by))
 
 
-def test_noise_above_a_dense_roof_stays_out_and_a_thin_crown_stays_in():
-    rng = np.random.default_rng(3)
-    roof = np.stack(
-        [rng.integers(0, 10_000, 2000), rng.integers(0, 10_000, 2000), rng.normal(0, 50, 2000)],
-        axis=1,
-    )
-    crown = np.stack(
-        [
-            rng.integers(10_000, 20_000, 500),
-            rng.integers(0, 10_000, 500),
-            rng.uniform(3000, 8000, 500),
-        ],
-        axis=1,
-    )
-    noise = np.array([[5500, 5500, 1500], [5600, 2500, 900]])
-    xyz, _, start = cells_of(np.concatenate([roof, crown, noise]).astype(np.int64), 10, 20)
-    tops = np.empty(200)
-    by = Support(
-        np.array([500, 1000, 1500]), np.array([[3, 5, 8]]), np.zeros(200, np.int64), 3, 1.5
-    )
-    confirmed_tops(xyz, np.zeros(len(xyz), bool), start, (20, SIZE), by, tops)
-    tops = tops.reshape(10, 20)
-    assert tops[:, :10].max() < 300
-    assert np.nanmedian(tops[:, 10:]) > 6000
-    assert np.isnan(tops[:, 10:]).mean() < 0.1
-
-
 def test_fill_voids_takes_the_nearest_and_of_several_the_lowest():
     rng = np.random.default_rng(5)
     values = rng.integers(0, 50, (23, 31)).astype(float)
@@ -166,11 +140,6 @@ def test_fill_voids_takes_the_nearest_and_of_several_the_lowest():
         np.testing.assert_equal(out[tuple(place)], expected)
     kept = ~np.isnan(values)
     np.testing.assert_array_equal(out[kept], values[kept])
-
-
-def test_ring_offsets_of_nothing_are_none():
-    assert len(ring_offsets(0.0)) == 0
-    assert len(ring_offsets(1.0)) == 4
 
 
 def test_tin_raster_equals_scipys_interpolator():
@@ -211,10 +180,6 @@ def test_vertices_without_area_lend_their_height_to_their_surroundings(vertices)
     for x, y, z in vertices:
         assert out[int(y), int(x)] == z
     assert np.isnan(out[9, 0])
-
-
-def test_no_vertices_give_an_empty_raster():
-    assert np.isnan(tin_raster(np.empty((0, 3)), 1.0, (3, 4), 5.0)).all()
 
 
 def test_centres_on_shared_edges_of_a_regular_net_are_all_filled():

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.products.footprint import SQUARE_M2, Covered, Footprint, Within
 from spl_batch.airborne.settings import ProductSettings
-from spl_batch.constants import NODATA
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, inside
 from tests import surveys
@@ -63,29 +62,6 @@ def raster(path: Path) -> NDArray[np.float64]:
     with rasterio.open(path) as source:
         values: NDArray[np.float64] = source.read(1).astype(np.float64)
     return values
-
-
-@pytest.mark.parametrize("per_m2", [0.2, 5.0])
-def test_density_and_area_do_not_depend_on_the_raster_cell(tmp_path: Path, per_m2: float) -> None:
-    n = plain(tmp_path / "lines/a.laz", per_m2)
-    said = set()
-    for cell_m in (0.5, 1.0, 2.0):
-        report = linear(tmp_path, cell_m, f"out{cell_m}")
-        density, area_m2 = report["density"], report["survey"]["area_km2"] * 1e6
-        rows = {row["name"]: row["found"] for row in report["requirements"]}
-        judged = [rows[name] for name in rows if "density" in name or "istribution" in name]
-        assert len(judged) == 2
-        said.add((density["mean_per_m2"], area_m2, *judged, rows["Data voids"]))
-        assert area_m2 == pytest.approx(SIDE_M**2, rel=0.02)
-        assert density["mean_per_m2"] == pytest.approx(n / area_m2, rel=1e-9)
-        assert density["mean_per_m2"] == pytest.approx(n / SIDE_M**2, rel=0.02)
-        values = raster(tmp_path / f"out{cell_m}/density.tif")
-        values = values[values != NODATA]
-        assert values.sum() * cell_m**2 / area_m2 == pytest.approx(density["mean_per_m2"], rel=1e-6)
-        assert density["median_per_m2"] == pytest.approx(np.median(values))
-        ground = report["counts"]["ground"] / area_m2
-        assert density["ground_per_m2"] == pytest.approx(ground)
-    assert len(said) == 1, "the same numbers, to the last digit"
 
 
 def test_all_pieces_count_and_the_console_says_so(tmp_path: Path) -> None:

@@ -76,19 +76,6 @@ def test_terrain_and_surface_end_where_a_slanting_edge_ends_them(depth):
         assert away[there].max() < 2.0
 
 
-def test_a_longest_edge_may_be_given():
-    points = terrain(density=12, around=45)
-    ground = points[beyond_a_bay(points) < 0]
-    table = table_of(ground, ground=1)
-    wide = SETTINGS.model_copy(update={"edge_max_m": 60.0})
-    in_bay = (beyond_a_bay(PLACES) > 2.5) & (beyond_a_bay(PLACES, 0.0) < -1)
-    held = [
-        (surfaces(table, CELL, some)["dtm"].ravel()[in_bay] != NODATA).mean()
-        for some in (SETTINGS, wide)
-    ]
-    assert held == [0.0, 1.0]
-
-
 def test_nothing_across_a_gap_at_a_step_overrules_the_returns_beside_it():
     points = terrain(density=12, noise=0.03, around=45) * [1, 1, 0]
     points[:, 2] = np.where(points[:, 0] < -10, 10.0, 0.0) + 0.1 * points[:, 1]
@@ -98,17 +85,6 @@ def test_nothing_across_a_gap_at_a_step_overrules_the_returns_beside_it():
     off = off_own_ground(rasters["dtm"], ground)
     assert off.max() <= 0.5
     assert (rasters["dtm"] != NODATA).all()
-
-
-def test_the_deviation_is_no_less_than_the_misfit_to_the_nearest_returns():
-    points = terrain(density=12, noise=0.03, around=45)
-    points[:, 2] += 3.0 * np.sin(points[:, 0] + points[:, 1])
-    ground = points[beyond_a_bay(points, 1.0) < 0]
-    rasters = surfaces(table_of(ground, ground=1), CELL, SETTINGS)
-    off = off_own_ground(rasters["dtm"], ground)
-    assert 0.1 < off.max() <= 0.5
-    known = (rasters["dtm"] != NODATA).ravel()
-    assert (rasters["dtm_quality"].ravel() >= off - 1e-4)[known].all()
 
 
 @pytest.mark.parametrize("seed", [13, 14, 16])

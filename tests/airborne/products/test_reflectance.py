@@ -20,9 +20,6 @@ from spl_batch.airborne.products.reflectance.first_surface import bounds, credib
 from spl_batch.airborne.products.reflectance.reflectance import detections, raster, reach_m
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import ProductSettings
-from spl_batch.airborne.simulate.scene.layout import lay_out
-from spl_batch.airborne.simulate.scene.scene_file import parse_scene
-from spl_batch.airborne.simulate.true_reflectance import mean_reflectance
 from spl_batch.lattice.tables import BeamTable, PointTable, ShotClock
 from spl_batch.lattice.tiles import Bounds
 
@@ -191,32 +188,6 @@ def test_reflectance_of_two_halves_with_dead_and_weak_channels() -> None:
     assert np.abs(np.reshape(ratios, (4, 2)).mean(axis=0) - 1).max() < 0.05
 
 
-def test_dead_channels_would_darken_if_they_counted() -> None:
-    gain = flat_gain()
-    gain[1:41] = 0.0
-    table, beams, _ = survey(lambda x, _: np.full(x.shape, 0.3), gain)
-    part = part_of(table, beams, gain)
-    alive = replace(part, gain=np.where(np.arange(len(part.gain)) > 0, 1.0, 0.0))
-    right, dark = (detections(in_halves(table), [p], CORE, PRODUCTS) for p in (part, alive))
-    assert np.nanmean(dark.reflectance) < 0.75 * np.nanmean(right.reflectance)
-    assert dark.fired.sum() > 1.5 * right.fired.sum()
-    np.testing.assert_array_equal(dark.seen, right.seen)
-
-
-def test_every_fired_beamlet_has_one_cell() -> None:
-    table, beams, _ = survey(lambda x, _: np.full(x.shape, 0.3), flat_gain())
-    found = detections(in_halves(table), [part_of(table, beams, flat_gain())], CORE, PRODUCTS)
-    sensor, lean = leans(np.arange(100))
-    ground = (sensor[:, None, :2] - lean * ALTITUDE_M).reshape(-1, 2)
-    col, row = np.floor(ground - [1000.0, 2000.0]).astype(int).T
-    inside = (col >= 0) & (col < 20) & (row >= 0) & (row < 20)
-    fired = np.zeros((20, 20), dtype=int)
-    np.add.at(fired, (row[inside], col[inside]), 1)
-    # the fit may move one across the rim of a cell, and the rim of what was seen at all is void
-    assert abs(found.fired.sum() / fired.sum() - 1) < 0.02
-    assert np.abs(found.fired - fired).sum() < 0.15 * fired.sum()
-
-
 def test_order_of_points_and_parts_does_not_matter() -> None:
     table, beams, _ = survey(two_halves, flat_gain())
     part = part_of(table, beams, flat_gain())
@@ -286,12 +257,6 @@ def test_most_likely_solves_its_equation(seen: list[float], silent: float) -> No
     assert out[1] == pytest.approx(brentq(excess, 1e-9, high, xtol=1e-13), rel=1e-6)
 
 
-def test_equal_beamlets_give_the_logarithm_of_the_silent_share() -> None:
-    out = np.empty(1)
-    most_likely(np.array([0, 30]), np.full(30, 2.5), np.array([70 * 2.5]), out)
-    assert out[0] == pytest.approx(-np.log(0.7) / 2.5)
-
-
 def test_slopes_do_not_look_across_walls() -> None:
     x = np.arange(12.0)
     roof = np.where(x < 6, 0.1 * x, 20.0 - 0.5 * x)
@@ -344,16 +309,6 @@ def test_rays_end_where_a_slow_walk_ends() -> None:
     assert same >= 280
 
 
-def test_rays_beside_the_surface_end_nowhere() -> None:
-    height = np.full((16, 16), np.nan)
-    height[:8] = 5.0
-    low, high = (bounds(height, keep) for keep in (np.fmin, np.fmax))
-    grid = Grid(1.0, height, slopes(height, 1.0), low, high)
-    sensor = np.array([8.0, 8.0, 1000.0])
-    up, down, far = (np.array(lean) / 995.0 for lean in ((0, 4.5), (0, -4.5), (300, 0)))
-    assert ends(grid, sensor, up, down, far) == [(3, 8), (-1, -1), (-1, -1)]
-
-
 def test_noise_in_the_air_is_no_surface() -> None:
     height, count = np.full((40, 40), 10.0), np.full((40, 40), 40)
     height[5, 5], count[5, 5] = 60.0, 1
@@ -365,24 +320,6 @@ def test_noise_in_the_air_is_no_surface() -> None:
     # a dark roof of few returns is believed: it is near a surface
     np.testing.assert_array_equal(found[20:24, 8:12], 18.0)
     assert np.isnan(found).sum() == 10
-
-
-def test_true_reflectance_is_that_of_the_top() -> None:
-    building = {"centre_m": [20, 20], "size_m": [12, 10], "reflectance": 0.7}
-    scene = parse_scene(
-        {
-            "extent_m": [40, 40],
-            "flights": [{"heading_deg": 0}],
-            "terrain": {"reflectance": 0.2, "reflectance_variation": 0.0},
-            "buildings": {"list": [building]},
-        },
-        "scene",
-    )
-    out = np.empty((40, 40))
-    mean_reflectance(lay_out(scene).arrays, 0.0, 40.0, 1.0, 4, out)
-    np.testing.assert_allclose(out[17:23, 16:24], 0.7)
-    np.testing.assert_allclose(out[:10], 0.2)
-    assert out.mean() == pytest.approx(0.2 + 0.5 * 120 / 1600, rel=0.02)
 
 
 def test_stretches_are_chosen_by_where_they_fired() -> None:

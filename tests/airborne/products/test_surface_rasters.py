@@ -65,14 +65,6 @@ def test_the_dtm_of_a_plane_is_the_plane_north_up():
     assert all(r.shape == (20, 20) and r.dtype == np.float32 for r in rasters.values())
 
 
-def test_averaging_takes_the_ranging_spread_out_of_the_dtm():
-    rasters = surfaces(table_of(terrain(noise=0.05, density=20), ground=1), CELL, SETTINGS)
-    x, y = centres()
-    error = rasters["dtm"] - (100 + 0.5 * x - 0.2 * y)
-    assert np.sqrt(np.mean(error**2)) < 0.02
-    assert abs(error.mean()) < 0.005
-
-
 def test_density_and_intensity_are_those_of_a_plain_loop():
     points = terrain(density=1.5)
     rng = np.random.default_rng(2)
@@ -119,34 +111,6 @@ def test_the_dsm_is_the_highest_confirmed_return_and_never_below_the_dtm():
     np.testing.assert_allclose(rasters["chm"], rasters["dsm"] - rasters["dtm"], atol=2e-5)
 
 
-def test_no_cell_of_fifteen_thousand_is_set_by_the_noise_left_above_ground():
-    rng = np.random.default_rng(9)
-    edge = 164
-    ground = np.stack(
-        [
-            rng.uniform(0, edge, 10 * edge**2),
-            rng.uniform(0, edge, 10 * edge**2),
-            rng.normal(0, 0.05, 10 * edge**2),
-        ],
-        axis=1,
-    )
-    # All noise up to 4 m above the ground is left, and one in a thousand farther up.
-    n = rng.poisson(0.1 * 100 * edge**2)
-    noise = np.stack([rng.uniform(0, edge, n), rng.uniform(0, edge, n), rng.uniform(0, 100, n)], 1)
-    left = (noise[:, 2] < 4) | (rng.random(n) < 1e-3)
-    table = table_of(
-        np.concatenate([ground, noise]),
-        ground=np.repeat([1, 0], [len(ground), n]),
-        noise_class=np.concatenate([np.zeros(len(ground)), np.where(left, 0, 1)]),
-    )
-    cell = Bounds(20_000, 20_000, 144_000, 144_000)
-    chm = surfaces(table, cell, SETTINGS)["chm"]
-    assert chm.size > 15_000
-    assert not (chm > 0.5).any()
-    loose = SETTINGS.model_copy(update={"dsm_support": 0, "dsm_false_alarm": 0.999})
-    assert (surfaces(table, cell, loose)["chm"] > 0.5).mean() > 0.2
-
-
 def test_pits_are_lifted_as_in_a_plain_loop():
     rng = np.random.default_rng(4)
     shape = (29, 31)
@@ -172,27 +136,6 @@ def test_pits_are_lifted_as_in_a_plain_loop():
     np.testing.assert_array_equal(lifted, expected)
     assert (lifted > tops).sum() > 3
     assert (np.isnan(tops) & ~np.isnan(lifted)).sum() > 3
-
-
-def test_a_sparse_cell_at_the_rim_of_a_crown_is_no_pit():
-    ground = terrain(density=8)
-    rng = np.random.default_rng(7)
-    base = ground[:, 2].mean()
-    crown = np.stack([rng.uniform(-18, -8, 4000), rng.uniform(42, 52, 4000),
-                      base + rng.uniform(9, 10, 4000)], axis=1)  # fmt: skip
-    bare = (crown[:, 0] > -14) & (crown[:, 0] < -13) & (crown[:, 1] > 46) & (crown[:, 1] < 47)
-    rest = np.concatenate([ground, crown[~bare]])
-    x, y = centres()
-    at = (np.abs(x + 13.5) < 0.5) & (np.abs(y - 46.5) < 0.5)
-    strict = SETTINGS.model_copy(update={"dsm_support": 30})
-    for up, found in ((40.0, False), (8.0, True)):
-        table = table_of(
-            np.concatenate([rest, [[-13.5, 46.5, base + up]]]),
-            ground=np.repeat([1, 0], [len(ground), len(rest) - len(ground) + 1]),
-        )
-        dsm = surfaces(table, CELL, strict)["dsm"]
-        assert (dsm[at] > base + 7).all() == found
-        assert dsm.max() < base + 10.1
 
 
 @pytest.mark.parametrize(("covered", "height"), [(True, 9.5), (False, 0.0)])
@@ -294,9 +237,7 @@ def test_returns_that_nothing_assessed_count_only_where_no_signal_is():
     assert (dsm[:, 12:] == 300).all()
 
 
-@pytest.mark.parametrize(
-    "flag", [PointFlag.WITHHELD, PointFlag.VENDOR_NOISE, PointFlag.OUTSIDE_AOI]
-)
+@pytest.mark.parametrize("flag", [PointFlag.WITHHELD, PointFlag.OUTSIDE_AOI])
 def test_points_that_take_part_in_nothing_leave_no_trace(flag):
     points = terrain(density=5)
     higher = points + np.array([0, 0, 10])

@@ -12,10 +12,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyproj import CRS
-from rasterio.enums import ColorInterp
 
 from spl_batch.airborne.products import hillshade
-from spl_batch.airborne.products.product_table import SWATHS
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage
 from spl_batch.airborne.pulses.pulse_maps import NAMES, PulseMaps, flightline_of
 from spl_batch.airborne.sensors.sensor import Sensor
@@ -149,50 +147,3 @@ def test_relief_has_no_value_beside_a_void_and_no_seam(monkeypatch: pytest.Monke
     ):
         again[row : row + block.shape[0], col : col + block.shape[1]] = block
     np.testing.assert_array_equal(again, whole)
-
-
-def test_maps_of_a_run_do_not_depend_on_its_tiles(tmp_path: Path) -> None:
-    found = []
-    for name, tile_m in (("a", 100), ("b", 30)):
-        workflow = surveys.small_survey(
-            tmp_path / name, products={"maps": True}, tiling={"tile_m": tile_m}
-        )
-        result = surveys.run(workflow)
-        assert result.exit_status == 0, result.report.failures
-        output = result.output
-        files = [*(f"{n}.tif" for n in NAMES), "hillshade.tif"]
-        found.append({n: (output / n).read_bytes() for n in files})
-        with rasterio.open(output / "swaths.tif") as source:
-            assert set(np.unique(source.read(1))) <= {0, 1, 2, 255}
-            assert source.nodata == 255
-            assert source.colorinterp == (ColorInterp.palette,)
-            table = source.colormap(1)
-            assert table[2] == (*bytes.fromhex(SWATHS[2][1:]), 255)
-            assert table[254] == (*bytes.fromhex(SWATHS[-1][1:]), 255)
-            assert table[255][3] == 0
-            assert 0 < float(source.tags(1)["STATISTICS_MEAN"]) < 2
-        with rasterio.open(output / "first_returns.tif") as source:
-            first = source.read(1)
-        with rasterio.open(output / "last_returns.tif") as source:
-            last = source.read(1)
-        assert first[first != NODATA].sum() == pytest.approx(last[last != NODATA].sum(), rel=0.01)
-    assert found[0] == found[1]
-
-
-def test_flightlines_are_known_where_nothing_is_filtered(tmp_path: Path) -> None:
-    workflow = surveys.small_survey(
-        tmp_path,
-        products={"maps": True},
-        filter={"method": "none"},
-        afterpulse={"enabled": False},
-    )
-    result = surveys.run(workflow)
-    assert result.exit_status == 0, result.report.failures
-    with rasterio.open(result.output / "swaths.tif") as source:
-        assert source.read(1, masked=True).max() == 2
-    assert {"flightlines", "files"} <= {
-        name for name, _ in pyogrio.list_layers(result.output / "index.gpkg")
-    }
-    told = {row.name: row for row in result.report.requirements}
-    assert told["GPS time"].found == "adjusted time"
-    assert "no two flightlines to be" not in told["Swath overlap difference"].why

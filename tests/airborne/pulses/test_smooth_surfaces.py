@@ -1,9 +1,6 @@
 """Smooth places of single flightlines, against loops and a least-squares solver."""
 
-import tracemalloc
-
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -100,22 +97,6 @@ def test_neither_order_nor_place_in_the_survey_matters(seed: int) -> None:
     assert np.array_equal(whole, west + sums_of(first, line, CORE._replace(xmin=0))["QL1"])
 
 
-def test_ranges_of_normal_heights_are_found_as_a_simulation_has_them() -> None:
-    rng = np.random.default_rng(5)
-    xy = rng.integers(0, 80_000, (80 * 80 * 10, 2))
-    z = np.rint(rng.normal(0, 20.0, len(xy)))
-    first = np.column_stack([xy, z]).astype(np.int64)
-    core = Bounds(0, 0, 80_000, 80_000)
-    sums = sums_of(first, np.zeros(len(first), np.int64), core)
-    found = repeatability(sums["QL2"])
-    assert found is not None
-    count = rng.poisson(40, 4000)
-    drawn = [np.ptp(rng.normal(0, 0.020, n)) for n in count if n]
-    assert found.rmsd_m == pytest.approx(np.sqrt(np.mean(np.square(drawn))), rel=0.03)
-    assert (found.places, found.cells) == (100, 1600)
-    assert found.noise_m == pytest.approx(0.020, abs=STEP_M)
-
-
 def test_overgrown_places_do_not_count() -> None:
     sums = np.zeros((STEPS, 3), np.int64)
     sums[4], sums[9], sums[20] = (10, 160, 160 * 50**2), (2, 32, 32 * 50**2), (9, 144, 144 * 900**2)
@@ -124,27 +105,3 @@ def test_overgrown_places_do_not_count() -> None:
     assert (found.rmsd_m, found.places, found.noise_m) == (0.05, 12, 0.025)
     assert TWICE * found.noise_m == 0.05
     assert repeatability(np.zeros((STEPS, 3), np.int64)) is None
-
-
-def test_a_pass_for_each_return_needs_no_memory_for_its_squares() -> None:
-    """As of times in microseconds, each of which lies in a minute of its own."""
-    n = 100_000
-    first = np.random.default_rng(1).integers(0, 100_000, (n, 3))
-    tracemalloc.start()
-    sums = sums_of(first, np.arange(n), Bounds(0, 0, 100_000, 100_000))
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert not any(found.any() for found in sums.values())
-    assert peak < 300 * n
-
-
-def test_many_returns_are_looked_at_a_few_columns_of_places_at_a_time() -> None:
-    n = 600_000
-    first = np.random.default_rng(2).integers(0, (64_000, 64_000, 60), (n, 3))
-    line = np.arange(n) % 3
-    tracemalloc.start()
-    found = sums_of(first, line, Bounds(0, 0, 64_000, 64_000))["QL2"]
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert found[:, :2].sum(axis=0).tolist() == [3 * 64, 3 * 64 * 16]
-    assert peak < 120 * n

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spl_batch.airborne.pulses import swath_outline
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS
 from spl_batch.airborne.pulses.swath_coverage import (
     GAP,
@@ -22,7 +21,6 @@ from spl_batch.airborne.pulses.swath_coverage import (
     outlines,
     pass_of,
 )
-from spl_batch.airborne.pulses.swath_outline import outline, packed
 from spl_batch.lattice.tiles import Bounds
 
 REACH_Q = 40_000
@@ -57,20 +55,6 @@ def test_outlines_of_cells_side_by_side_are_one() -> None:
     assert shapely.covers(shapely.buffer(true, 9), shape)
     assert len(shapely.get_coordinates(shape)) < 80, "most steps of squares become lines"
     assert outlines([], [("a", 7, 0.0, 60.0)]) == {}
-
-
-def test_a_long_flightline_is_drawn_in_coarser_squares(monkeypatch: pytest.MonkeyPatch) -> None:
-    def drawn() -> tuple[float, ...]:
-        boxes = [Bounds(west, 0, west + 100, 40) for west in (0, 100, 200)]
-        pieces = [packed(np.ones((40, 100), np.bool_), box) for box in boxes]
-        shape = outline(piece for piece in pieces if piece)
-        assert shape.area == 300 * 40
-        return shape.bounds
-
-    assert drawn() == (0, 0, 300, 40)
-    monkeypatch.setattr(swath_outline, "MOST", 120)
-    assert drawn() == (0, 0, 300, 40)
-    assert packed(np.zeros((4, 4), np.bool_), Bounds(0, 0, 4, 4)) is None
 
 
 def by_hand(core: Bounds, x, y) -> list[list[int]]:
@@ -160,12 +144,6 @@ def test_each_swath_is_judged_by_its_middle() -> None:
         assert swath.filled / swath.squares == pytest.approx(full, abs=0.006)
 
 
-def test_regions_side_by_side_count_as_one() -> None:
-    points = two_strips()
-    whole = by_flightline(facts_of(WHOLE, [], *points), FLOWN, "QL1")
-    assert by_flightline(facts_of(WHOLE, [90_000, 171_000], *points), FLOWN, "QL1") == whole
-
-
 def test_what_does_not_count_is_left_out() -> None:
     x, y, number = two_strips()
     there = np.zeros((2, 1), np.bool_)
@@ -186,9 +164,3 @@ def test_passes_of_one_id_belong_to_their_flightlines() -> None:
     flown = [("early", 3, 50.0, 70.0), ("late", 3, 390.0, 500.0), ("other", 4, 0.0, 900.0)]
     totals = by_flightline([found], flown, "QL2")
     assert {name: one.pulses for name, one in totals.items()} == {"": 1, "early": 2, "late": 2}
-
-
-def test_a_swath_narrower_than_its_rim_counts_as_a_whole() -> None:
-    x = y = np.array([1500])
-    found = found_in(Bounds(0, 0, 9000, 9000), x, y, np.array([1]))
-    assert by_flightline([found], [], "QL2")[""].middle_pulses == 1

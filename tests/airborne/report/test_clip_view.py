@@ -63,29 +63,12 @@ def test_the_page_holds_the_delivered_points_of_its_square(tiny_output: Path) ->
             )
 
 
-@pytest.mark.parametrize("points", [1, 2])
-def test_points_at_one_place_are_drawn(points: int) -> None:
-    view = view_of(Clip(np.ones((points, 3)), np.zeros(points, np.uint8), (0.0, 0.0), points))
-    assert (np.asarray(Image.open(io.BytesIO(view.still.png))) == 1).sum() == 9
-
-
 def test_the_largest_square_is_small() -> None:
     places = np.random.default_rng(0).uniform(0, 100, (MOST, 3))
     view = view_of(Clip(places, np.zeros(MOST, np.uint8), (0.0, 0.0), 10**7))
     assert len(view.packed) + len(view.still.data_uri) < 2e6
     assert len(base64.b64decode(view.packed)) == 7 * MOST
     assert re.search(r"of 10\W000\W000", view.still.caption)
-
-
-def test_a_plot_is_not_called_a_square_that_it_does_not_fill() -> None:
-    rng = np.random.default_rng(0)
-    whole, plot = (rng.uniform(0, size, (5_000, 3)) for size in ((100, 100, 5), (21, 9, 5)))
-    captions = [
-        view_of(Clip(xyz, np.zeros(len(xyz), np.uint8), (700.0, 700.0), len(xyz))).still.caption
-        for xyz in (whole, plot)
-    ]
-    assert "points of a square of 100 m from 700 E, 700 N" in captions[0]
-    assert "points of 21 m \N{MULTIPLICATION SIGN} 9 m from 700 E, 700 N" in captions[1]
 
 
 def test_the_still_picture_shows_what_is_nearest() -> None:
@@ -97,15 +80,6 @@ def test_the_still_picture_shows_what_is_nearest() -> None:
         drawn = np.asarray(Image.open(io.BytesIO(view_of(clip).still.png)))
         assert drawn[400, 800] == 2
         assert np.count_nonzero(drawn == 1) < 9, "but for rounding it hides all others"
-
-
-@pytest.mark.parametrize("noise", [2, 3])
-def test_noise_hides_nothing_of_the_still_picture(noise: int) -> None:
-    toward = np.array([-np.sin(0.5) * np.sin(1.1), -np.cos(0.5) * np.sin(1.1), np.cos(1.1)])
-    along = np.arange(-40, 41)
-    kind = np.where(along > 0, noise, 1).astype(np.uint8)
-    still = view_of(Clip(50.0 + along[:, None] * toward, kind, (0.0, 0.0), 81)).still
-    assert np.asarray(Image.open(io.BytesIO(still.png)))[400, 800] == 2
 
 
 def test_the_page_runs_our_script_alone() -> None:

@@ -32,21 +32,9 @@ def test_leaves_without_ground_are_passed_over() -> None:
     assert strip(height).ymin == 2 * 18
 
 
-def test_a_bare_survey_is_cut_where_it_is_covered() -> None:
-    height = np.full((60, 300), NODATA)
-    height[40, 150:290] = 0.0
-    found = strip(height)
-    assert (found.ymin, found.ymax) == (2 * 18, 2 * 21)
-    assert found.xmin == 2 * 150
-
-
 def test_a_mast_at_the_empty_edge_does_not_decide() -> None:
     height = np.full((60, 300), NODATA)
     height[10:] = 1.0
     height[2, 5] = 140.0
     found = strip(height)
     assert found.ymax <= 2 * 51
-
-
-def test_a_small_raster_gives_a_strip() -> None:
-    assert strip(np.ones((3, 7))).xmin == 0

@@ -183,57 +183,6 @@ def test_every_control_has_a_name(page: Page) -> None:
     assert stops == 0
 
 
-def test_a_reader_of_screens_is_told_which_layer_is_shown(page: Page) -> None:
-    def layers() -> dict[str, str]:
-        return {
-            node["name"]["value"]: next(
-                one["value"]["value"] for one in node["properties"] if one["name"] == "checked"
-            )
-            for node in page.accessible()
-            if node["role"]["value"] == "radio" and node["name"]["value"].startswith("Layer: ")
-        }
-
-    def maps() -> list[str]:
-        return [name for role, name, _ in told(page) if role == "figure" and name in titles]
-
-    titles = [name.removeprefix("Layer: ") for name in layers()]
-    assert layers() == {"Layer: Terrain (DTM)": "true", "Layer: Point density": "false"}
-    assert maps() == ["Terrain (DTM)"]
-    page.ask("document.getElementById('layer-dtm').focus()")
-    page.press("ArrowRight")
-    assert layers() == {"Layer: Terrain (DTM)": "false", "Layer: Point density": "true"}
-    assert maps() == ["Point density"], "a map that is not shown is not read"
-    seen = told(page)
-    (at,) = [k for k, one in enumerate(seen) if one[:2] == ("figure", "Point density")]
-    words = next(name for role, name, _ in seen[at:] if role == "image")
-    assert words.startswith("Point density. ")
-    assert any(role == "image" and "failed in stage" in name for role, name, _ in seen)
-
-
-def test_a_reader_of_screens_is_told_what_the_points_show_and_the_keys(page: Page) -> None:
-    before = [one for one in told(page) if "square of 100 m" in one[1]]
-    assert before, "the still picture is told in words"
-    assert ("button", "Turn these points", "") in told(page)
-    page.ask("document.querySelector('#clip .start').click()")
-    seen = told(page)
-    (points,) = [one for one in seen if one[0] == "application"]
-    assert "arrow keys to turn" in points[2]
-    assert "0 to begin again" in points[2]
-    boxes = [name for role, name, _ in seen if role == "checkbox"]
-    assert {"ground (2\u202f000)", "background noise (2\u202f000)"} <= set(boxes)
-
-
-def test_a_reader_of_screens_is_told_of_the_profile_and_its_sizes(page: Page) -> None:
-    seen = told(page)
-    title = "Vertical profile, before and after"
-    (at,) = [k for k, one in enumerate(seen) if one[:2] == ("figure", title)]
-    inside = [name for role, name, _ in seen[at:] if role == "radio"][:3]
-    assert inside == [f"{title}, size: {size}" for size in ("fit", "2 \u00d7", "4 \u00d7")]
-    image = next(name for role, name, _ in seen[at:] if role == "image")
-    assert image.startswith(f"{title}. ")
-    assert len(image) > 60
-
-
 def test_it_runs_no_other_script_and_asks_for_nothing(page: Page, path: Path) -> None:
     asked = [said for said in page.said if not said.startswith("data:image/png;base64,")]
     assert asked == [path.as_uri()]
@@ -254,55 +203,11 @@ def test_a_print_shows_every_map_and_no_buttons(page: Page) -> None:
     assert width(page, ".dtm img") < 600
 
 
-def test_a_sheet_of_paper_is_no_telephone(page: Page, path: Path) -> None:
-    page.media("print")
-    page.open(path, width=695)  # A4 between its margins
-    assert "Scroll" not in page.ask(
-        "[...document.querySelectorAll('figcaption')]"
-        ".map(c => getComputedStyle(c, '::before').content).join()"
-    )
-    page.ask("document.querySelector('main').innerHTML = '<table class=requirements><td>'")
-    cell = "getComputedStyle(document.querySelector('.requirements td')).display"
-    assert page.ask(cell) == "table-cell"
-
-
 def test_it_fits_a_telephone(page: Page, path: Path) -> None:
     page.open(path, width=390, height=800)
     assert page.ask("document.documentElement.scrollWidth") <= 390
     high = page.ask("document.querySelector('#clip .stage').getBoundingClientRect().height")
     assert high > 0.7 * width(page, "#clip .stage"), "points are no narrow strip"
-
-
-def test_only_what_is_too_wide_for_a_telephone_says_scroll(page: Page, path: Path) -> None:
-    page.open(path, width=390, height=800)
-    said = page.ask(
-        "[...document.querySelectorAll('figure')].map(f => [f.scrollWidth > f.clientWidth || "
-        "[...f.querySelectorAll('.sheet')].some(s => s.scrollWidth > f.clientWidth), "
-        "getComputedStyle(f.querySelector('figcaption'), '::before').content.includes('Scroll')])"
-    )
-    assert [True, True] in said
-    assert all(wide == told for wide, told in said), said
-
-
-def test_a_telephone_shows_rmse_without_scrolling(page: Page, path: Path) -> None:
-    page.open(path, width=400, height=900)
-    ends = page.ask(
-        "[...document.querySelectorAll('#accuracy .scroll')].map(box => ["
-        "[...box.querySelectorAll('th')].find(th => th.textContent.startsWith('RMSE'))"
-        ".getBoundingClientRect().right, box.getBoundingClientRect().right])"
-    )
-    assert ends
-    assert all(column <= box for column, box in ends)
-
-
-def test_on_a_telephone_the_button_is_below_the_points(page: Page, path: Path) -> None:
-    page.open(path, width=400, height=900)
-    assert page.ask(
-        "(() => { const b = document.querySelector('.clip .start').getBoundingClientRect();"
-        "const i = document.querySelector('.clip img').getBoundingClientRect();"
-        "const hint = getComputedStyle(document.querySelector('.clip figcaption'), '::before');"
-        "return b.height > 0 && b.top >= i.bottom && hint.content == 'none'; })()"
-    )
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

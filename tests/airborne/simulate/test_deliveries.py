@@ -8,13 +8,8 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import yaml
-from pyproj import Transformer
 
-from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.file_writers import PointFiles
-from spl_batch.airborne.simulate.scene.layout import lay_out
-from spl_batch.airborne.simulate.scene.ray_trace import KIND_WATER
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.errors import WorkflowError
 
@@ -106,74 +101,3 @@ def test_a_delivery_may_tell_less(tmp_path):
 def test_tiles_too_many_to_be_open_are_refused():
     with pytest.raises(WorkflowError, match=r"more than 400 files; choose larger tiles"):
         parse_scene({**SCENE, "delivery": {"tile_m": 2}}, "here")
-
-
-def test_flightlines_may_be_recorded_each_in_its_own_way(tmp_path):
-    """The same two flights plain, and with a roll and a longer gate, or in another zone."""
-    flights = [
-        {"heading_deg": 0, "offset_m": 300, "speed_m_s": 110},
-        {"heading_deg": 90, "offset_m": -280, "speed_m_s": 110, "altitude_agl_m": 1500},
-    ]
-    calm = {"extent_m": [20, 20], "terrain": {"relief_m": 0}, "sky": {"background_per_m3": 0.02},
-            "acquisition": {"prf_hz": 20_000, "gate_m": 120}}  # fmt: skip
-    unlike = [{"boresight_roll_deg": 0.02}, {"crs": "EPSG:32616", "gate_m": 200}]
-    found = {}
-    for name, more in (("plain", [{}, {}]), ("unlike", unlike)):
-        own = [{**flight, **extra} for flight, extra in zip(flights, more, strict=True)]
-        simulate(parse_scene({**calm, "flights": own}, "here"), tmp_path / name)
-        found[name] = read(tmp_path / name, "flightlines")
-    turned, plain = (found[name]["line_01"][0] for name in ("unlike", "plain"))
-    # Northwards starboard is east: there beams are turned down, and all of them to the west.
-    angle = np.radians(0.02)
-    np.testing.assert_allclose(turned.x - plain.x, -2500 * angle, atol=150 * angle)
-    starboard = plain.x - (272_010 + 300)
-    np.testing.assert_allclose(turned.z - plain.z, -starboard * angle, atol=0.02)
-    other, truth = found["unlike"]["line_02"]
-    assert other.header.parse_crs().to_epsg() == 32616
-    moved = Transformer.from_crs(32616, 32615, always_xy=True).transform(other.x, other.y)
-    middle = [np.mean(values[truth["kind"] == 1]) for values in moved]
-    np.testing.assert_allclose(middle, [272_010, 3_290_010], atol=5)
-    reach = [np.ptp(found[name]["line_02"][0].z) for name in ("plain", "unlike")]
-    assert reach == pytest.approx([120, 200], abs=8)
-    gates = [
-        yaml.safe_load((tmp_path / name / "workflow.yaml").read_text())["acquisition"].get("gate_m")
-        for name in found
-    ]
-    assert gates == [120, None]
-
-
-def test_recorded_positions_may_swing(tmp_path):
-    flight = {"heading_deg": 0, "offset_m": 300, "speed_m_s": 110}
-    calm = {"extent_m": [20, 20], "terrain": {"relief_m": 0}, "sky": {"background_per_m3": 0.02},
-            "acquisition": {"prf_hz": 20_000, "gate_m": 120}}  # fmt: skip
-    found = {}
-    for name, jitter_m in (("steady", 0.0), ("swings", 0.2)):
-        own = [{**flight, "jitter_m": jitter_m, "jitter_period_s": 0.4}]
-        simulate(parse_scene({**calm, "flights": own}, "here"), tmp_path / name)
-        found[name] = read(tmp_path / name, "flightlines")["line_01"][0]
-    off = [found["swings"][axis] - found["steady"][axis] for axis in "xyz"]
-    phase = 2 * np.pi * (found["steady"].gps_time % 0.4) / 0.4
-    for axis in off:
-        waves = np.column_stack([np.sin(phase), np.cos(phase)])
-        swing, *_ = np.linalg.lstsq(waves, axis, rcond=None)
-        assert np.hypot(*swing) == pytest.approx(0.2, abs=0.005)
-        np.testing.assert_allclose(waves @ swing, axis, atol=0.005)
-
-
-def test_a_crs_of_one_file_and_tiles_exclude_each_other():
-    flights = [{**SCENE["flights"][0], "crs": "EPSG:32616"}]
-    with pytest.raises(WorkflowError, match=r"crs is that of a file, which tile_m shares"):
-        parse_scene({**SCENE, "flights": flights, "delivery": {"tile_m": 20}}, "here")
-
-
-def test_a_city_is_high_and_opaque_water_has_waves():
-    ring = [[5, 5], [45, 5], [45, 45], [5, 45]]
-    lake = {"ring_m": ring, "waves_m": 0.3}
-    city = {"count": 5, "eave_m": [40, 60]}
-    scene = parse_scene({**SCENE, "extent_m": [200, 200], "buildings": city, "water": [lake]}, "x")
-    layout = lay_out(scene)
-    assert all(40 <= building.eave_m <= 60 for building in layout.buildings)
-    water = layout.arrays.ground_z[layout.arrays.ground_kind == KIND_WATER]
-    assert water.std() == pytest.approx(0.3, rel=0.3)
-    with pytest.raises(WorkflowError, match="waves_m needs opaque water"):
-        parse_scene({**SCENE, "water": [{**lake, "depth_m": 2}]}, "here")

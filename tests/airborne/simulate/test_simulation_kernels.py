@@ -14,18 +14,16 @@ from spl_batch.airborne.simulate import (
     detector,
     flight,
     preset_scene,
-    shots,
     wedge_scan,
 )
 from spl_batch.airborne.simulate.scene import beam_layers, ray_trace
 from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.objects import (
-    bridge_solid,
     building_solid,
     catenary,
     ground_at,
 )
-from spl_batch.airborne.simulate.scene.scene_file import Bridge, Building, parse_scene
+from spl_batch.airborne.simulate.scene.scene_file import Building, parse_scene
 from spl_batch.airborne.simulate.scene.terrain import Ground, make_ground
 from spl_batch.numerics import attitude
 
@@ -77,21 +75,6 @@ def test_steep_ground_is_met_where_marching_along_the_ray_meets_it_first():
         assert 0.0 <= cosine <= 1.0
 
 
-def test_a_deck_is_as_thick_as_said_and_leaves_the_valley_beside_it():
-    ground = Ground(
-        np.zeros((60, 60)), np.zeros((60, 60)), np.ones((60, 60), np.uint8), np.array([-30, -30, 1])
-    )
-    ground.z[:, 45:] = 4.0
-    deck = bridge_solid(Bridge(ends_m=((-20, 0), (20, 0)), width_m=6, thickness_m=1.5), ground)
-    down = np.array([0.0, 0.0, -1.0])
-    for x, y, top in ((0.0, 2.9, 2.0), (10.0, -2.9, 3.0)):
-        enter, leave, _ = ray_trace.clip_convex(deck.planes, 6, np.array([x, y, 50.0]), down)
-        assert 50 - enter == pytest.approx(top, abs=1e-6)
-        assert leave - enter == pytest.approx(1.5 * math.hypot(0.1, 1.0), abs=1e-6)
-    enter, leave, _ = ray_trace.clip_convex(deck.planes, 6, np.array([0.0, 3.1, 50.0]), down)
-    assert enter >= leave
-
-
 def test_landforms_are_as_high_as_said_and_fall_off_at_their_slope():
     flat = {"relief_m": 0, "roughness_m": 0}
     ring = [(20, 20), (60, 20), (60, 60), (20, 60)]
@@ -136,21 +119,6 @@ def test_a_building_is_hit_where_marching_along_the_ray_enters_it(roof):
     assert 40 < hits < 190
 
 
-def test_gable_roof_peaks_half_a_width_times_its_pitch_above_the_eaves():
-    flat = Ground(
-        np.full((9, 9), 2.0), np.zeros((9, 9)), np.ones((9, 9), np.uint8), np.array([0, 0, 10])
-    )
-    solid = building_solid(
-        Building(centre_m=(40, 40), size_m=(20, 10), eave_m=6, roof="gable", pitch_deg=30), flat
-    )
-    down = np.array([0.0, 0.0, -1.0])
-    for across, expected in ((0.0, 8 + 5 * math.tan(math.radians(30))), (4.999, 8.0)):
-        o = np.array([40 + across, 40, 100.0])
-        enter, _, _ = ray_trace.clip_convex(solid.planes, 6, o, down)
-        assert 100 - enter == pytest.approx(expected, abs=1e-3)
-    assert solid.top_m == pytest.approx(8 + 5 * math.tan(math.radians(30)))
-
-
 def test_crown_chord_is_the_quadratic_of_the_ellipsoid():
     rng = np.random.default_rng(3)
     crown = np.array([5.0, -3.0, 12.0, 3.0, 5.0, 0.4, 0.3, 0.0])
@@ -165,16 +133,6 @@ def test_crown_chord_is_the_quadratic_of_the_ellipsoid():
             assert leave <= enter
         else:
             np.testing.assert_allclose([enter, leave], np.sort(roots), atol=1e-6)
-
-
-def test_gaps_take_their_share_of_a_crown():
-    crown = np.array([0.0, 0.0, 10.0, 50.0, 5.0, 0.4, 0.3, 0.3])
-    down = np.array([0.0, 0.0, -1.0])
-    cells = [(i + 0.25, j + 0.25) for i in range(-30, 30) for j in range(-30, 30)]
-    through = sum(
-        ray_trace.clip_crown(crown, np.array([x / 2, y / 2, 100.0]), down)[1] < 0 for x, y in cells
-    )
-    assert through / len(cells) == pytest.approx(0.3, abs=4 * math.sqrt(0.21 / len(cells)))
 
 
 @given(
@@ -217,12 +175,6 @@ def test_distance_of_a_ray_from_a_wire_is_the_smallest_one():
         assert t == pytest.approx((place(best.x) - o) @ d, abs=0.3)
 
 
-def test_a_ray_beyond_the_ends_of_a_span_misses():
-    wire = np.array([0, 0, 1.0, 0, 50, 200.0, 25.0, -180.0, 0.01, 0.4])
-    o = np.array([-1.0, 0.0, 500.0])
-    assert ray_trace.meet_wire(wire, o, np.array([0, 0, -1.0]))[1] == math.inf
-
-
 def test_lit_share_integrates_the_beam_over_the_wire():
     for distance in (0.0, 0.04, 0.1):
         expected = stats.norm.cdf(distance + 0.015, scale=0.05) - stats.norm.cdf(
@@ -237,26 +189,6 @@ def test_signal_follows_equation_2_1():
     area = math.pi * 0.038**2
     expected = 0.8 * 0.2 * 0.05 * 0.83e-6 / h_nu * 0.25 * area / (math.pi * 2588**2)
     assert constant * 0.25 / 2588**2 == pytest.approx(expected)
-
-
-def test_sunlight_without_an_atmosphere_comes_from_the_ground_alone():
-    atmosphere, surface = link_budget.solar_rate_hz(
-        efficiency=0.01,
-        wavelength_nm=532.0,
-        aperture_m=0.076,
-        fov_rad=120e-6,
-        bandwidth_nm=0.5,
-        irradiance_w_m2_nm=1.84,
-        zenith_rad=0.7,
-        off_nadir_rad=0.26,
-        altitude_m=2500.0,
-        scale_height_m=8000.0,
-        transmission=1.0,
-        reflectance=0.25,
-    )
-    power = 1.84 * 0.5 * math.pi * (60e-6) ** 2 * math.pi * 0.038**2 * 0.25 / math.pi
-    assert atmosphere == 0.0
-    assert surface == pytest.approx(0.01 * power / link_budget.photon_energy_j(532.0))
 
 
 def test_transmission_is_the_integral_of_extinction():
@@ -283,29 +215,6 @@ def test_central_vector_follows_equation_2_12():
         )
 
 
-def test_the_array_turns_with_the_scan():
-    x, y = wedge_scan.pixel_offsets(10, 200e-6, 0.0)
-    cone, out, first = math.radians(15), np.empty(3), None
-    for angle in (0.0, 1.0, 3.0):
-        radial = np.array([math.sin(angle), math.cos(angle)])
-        tangent = np.array([radial[1], -radial[0]])
-        seen = []
-        for px, py in zip(x, y, strict=True):
-            shots.beam_direction(np.eye(3), angle, cone, px, py, out)
-            assert np.linalg.norm(out) == pytest.approx(1.0)
-            seen.append([out[:2] @ radial, out[:2] @ tangent])
-        first = np.array(seen) if first is None else first
-        np.testing.assert_allclose(seen, first, atol=1e-12)
-
-
-def test_pixels_are_numbered_row_by_row_and_centred():
-    x, y = wedge_scan.pixel_offsets(10, 1.0, 0.0)
-    assert (x[0], y[0]) == (4.5, -4.5)  # Eq. 2.9 at i = j = 1
-    assert (x[1], y[1]) == (4.5, -3.5)
-    assert x.sum() == pytest.approx(0)
-    assert y.sum() == pytest.approx(0)
-
-
 def test_heading_roll_and_pitch_turn_the_body_the_way_pilots_mean():
     quarter = np.array([math.pi / 2])
     zero = np.array([0.0])
@@ -315,15 +224,6 @@ def test_heading_roll_and_pitch_turn_the_body_the_way_pilots_mean():
     )
     assert (attitude.rotations(zero, small, zero)[0] @ [1, 0, 0])[2] < 0
     assert (attitude.rotations(zero, zero, small)[0] @ [0, 1, 0])[2] > 0
-
-
-def test_poisson_counts_have_the_poisson_law():
-    rng = np.random.default_rng(5)
-    n, mean = 20_000, 1.7
-    counts = np.bincount([detector.poisson_count(rng, mean) for _ in range(n)], minlength=12)
-    expected = stats.poisson.pmf(np.arange(7), mean) * n
-    seen = np.append(counts[:7], counts[7:].sum())
-    assert stats.chisquare(seen, np.append(expected, n - expected.sum())).pvalue > 1e-4
 
 
 def room(n=400):
@@ -381,7 +281,7 @@ def test_afterpulses_follow_their_law_and_name_their_parents():
     assert stats.kstest(lags, law.cdf).pvalue > 1e-4
 
 
-@pytest.mark.parametrize("power", [0.0, 1.5])
+@pytest.mark.parametrize("power", [1.5])
 def test_a_tail_takes_its_share_of_the_lags(power):
     receiver = detector.Receiver(0.24, 0.2, 0.5, 15.0, 0.4, 3.0, power)
     rng, window = np.random.default_rng(4), 15.0 - 0.24
@@ -399,28 +299,6 @@ def test_a_tail_takes_its_share_of_the_lags(power):
     assert stats.kstest(lags, law).pvalue > 1e-4
     assert lags.min() >= 0.0
     assert lags.max() <= window
-
-
-def test_bright_returns_walk_nearer_by_no_more_than_is_said():
-    walk = [detector.walked(100.0, n, 0.1) for n in (1, 2, 1000)]
-    assert walk == pytest.approx([100.0, 99.95, 99.9001])
-
-
-def test_nothing_is_recorded_behind_the_gate():
-    rng, (ranges, facts, kept, electrons) = np.random.default_rng(9), room()
-    receiver = detector.Receiver(0.24, 0.9, 0.7, 3.0)
-    for _ in range(100):
-        n = detector.add_event(ranges, facts, 0, 99.5, 1, detector.NO_PARENT, -1)
-        count = detector.record(rng, ranges, facts, n, 100.0, receiver, kept, electrons)
-        assert (ranges[kept[:count]] <= 100.0).all()
-
-
-def test_too_many_events_are_an_error_not_a_loss():
-    ranges, facts, _, _ = room(2)
-    for n in range(2):
-        detector.add_event(ranges, facts, n, float(n), 1, detector.NO_PARENT, -1)
-    with pytest.raises(ValueError, match="room"):
-        detector.add_event(ranges, facts, 2, 2.0, 1, detector.NO_PARENT, -1)
 
 
 def test_clear_water_is_a_surface_a_column_and_a_bottom():
@@ -448,8 +326,7 @@ def test_clear_water_is_a_surface_a_column_and_a_bottom():
     assert beam_layers.look(scene, o, d, d, 1e-4, layers)[0] == 0, "opaque water is its surface"
 
 
-@pytest.mark.parametrize("relief_m", [0.0, 60.0])
-@pytest.mark.parametrize("wobble_deg", [0.0, 2.0])
+@pytest.mark.parametrize(("relief_m", "wobble_deg"), [(60.0, 2.0)])
 def test_no_shot_near_the_scene_is_passed_over(relief_m, wobble_deg):
     tiny = preset_scene("tiny")
     scene = tiny.model_copy(

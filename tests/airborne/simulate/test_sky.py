@@ -6,9 +6,11 @@ import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
-from spl_batch.airborne.simulate import detector, haze, simulate
+from spl_batch.airborne.simulate import haze, simulate
 from spl_batch.airborne.simulate import survey as sky_of
+from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
+from spl_batch.airborne.simulate.sunlight import lit, sunlight
 from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.errors import WorkflowError
 
@@ -62,39 +64,60 @@ def test_patches_cover_the_share_of_the_sky_that_is_asked_for_and_drift_with_the
     np.testing.assert_allclose(later, strength[:200], atol=1e-9)
 
 
-def test_fog_falls_off_with_the_height_above_the_ground_and_ends_there(tmp_path):
-    fog = {"times_noise": 200, "scale_m": 1.5}
-    without, height = (
-        above_ground(fly(tmp_path / name, sky))
-        for name, sky in (("clear", {}), ("fog", {"fog": [fog]}))
-    )
-    assert len(height[height < 0]) == pytest.approx(len(without[without < 0]), rel=0.2)
-    low = height[(height > 0) & (height < 6)]
-    assert len(low) > 500
-    # a mean of the exponential that is cut at 6 m, with the uniform background counted in
-    background = len(without[without > 0]) / without.max() * 6
-    cut = 1.5 - 6 * np.exp(-4) / (1 - np.exp(-4))
-    want = (cut * (len(low) - background) + 3 * background) / len(low)
-    assert low.mean() == pytest.approx(want, rel=0.07)
-
-
-def test_background_may_fall_along_the_gate(tmp_path):
-    height = above_ground(fly(tmp_path, {"background_per_m3": 0.03, "gate_fall": 0.6}))
-    half = np.histogram(height, [-70, 0, 70])[0]
-    # linear from 1.6 at the gate's start, 80 m up, to 0.4
-    assert half[1] / half[0] == pytest.approx((1 + 0.6 * 0.4375) / (1 - 0.6 * 0.4375), rel=0.1)
-
-
-def test_a_falling_background_is_a_poisson_process_of_the_same_mean():
-    rng = np.random.default_rng(2)
-    ranges, facts = np.empty(100), np.empty((100, 3), np.int64)
-    counts = [
-        detector.add_background(rng, ranges, facts, 0.0, 300.0, 0.02, -1.0) for _ in range(4000)
-    ]
-    assert np.mean(counts) == pytest.approx(6.0, rel=0.02)
-    assert np.var(counts) == pytest.approx(6.0, rel=0.08)
-
-
 def test_a_layer_upside_down_is_refused():
     with pytest.raises(WorkflowError, match=r"haze\.0: top_m must be above base_m"):
         parse_scene({**FLAT, "sky": {"haze": [{"base_m": 50, "top_m": 20}]}}, "here")
+
+
+def box(**sky):
+    """A scene with a house 10 m high, its light, and the step of its nodes."""
+    house = {"centre_m": [20, 20], "size_m": [10, 10], "eave_m": 10, "reflectance": 0.8}
+    scene = parse_scene({**FLAT, "buildings": {"list": [house]}, "sky": sky}, "here")
+    return lit(scene, lay_out(scene).arrays)
+
+
+def at(arrays, x, y):
+    step = arrays.grid[2]
+    return arrays.light[round((y - arrays.grid[1]) / step), round((x - arrays.grid[0]) / step)]
+
+
+def test_houses_cast_shadows_away_from_the_sun_as_long_as_it_stands_low():
+    # the sun in the south at 45 degrees: the shadow reaches as far north as the house is high
+    arrays = box(zenith_deg=45, azimuth_deg=180, skylight=0.2)
+    assert at(arrays, 20, 30) == pytest.approx(0.2 * at(arrays, 20, 5))
+    assert at(arrays, 20, 38) == at(arrays, 8, 30) == at(arrays, 20, 5)
+    low = box(zenith_deg=70, azimuth_deg=180, skylight=0.2)
+    assert at(low, 20, 38) == pytest.approx(0.2 * at(low, 20, 5))
+
+
+def test_slopes_to_the_sun_are_brighter_than_those_away_from_it():
+    scene = parse_scene({**FLAT, "sky": {"zenith_deg": 60, "azimuth_deg": 90, "skylight": 0}}, "")
+    rise = 0.3 * np.abs(np.arange(41.0) - 20)
+    light = sunlight(np.tile(rise, (5, 1)), 1.0, scene)[2]
+    across = np.hypot(1.0, 0.3)
+    slope = 0.3 * np.tan(np.radians(60))
+    np.testing.assert_allclose(light[1:19], (1 + slope) / across)
+    np.testing.assert_allclose(light[22:39], (1 - slope) / across)
+
+
+def test_a_beamlet_over_a_bright_roof_hears_more_background_than_one_over_its_shadow(tmp_path):
+    house = {"centre_m": [20, 20], "size_m": [16, 16], "eave_m": 10, "reflectance": 0.9}
+    sky = {"background_per_m3": 0.05, "by_albedo": True, "zenith_deg": 70, "azimuth_deg": 180}
+    points = fly(tmp_path, sky, buildings={"list": [house]})
+    noise = points["kind"] == KINDS.index("background")
+    # beams lean by 15 degrees at the most: what is this near to the ground lies above its place
+    near = noise & (abs(points["z"] - 45) < 15)
+    x, y = points["x"][near] - 272_000, points["y"][near] - 3_290_000
+    roof, shade, sunny = (
+        np.count_nonzero((abs(x - 20) < 5) & (abs(y - north) < 3)) for north in (20, 33, 6)
+    )
+    assert roof > 2 * sunny > 2.5 * shade > 0
+
+
+def test_parcels_have_a_reflectance_each():
+    scene = parse_scene({**FLAT, "terrain": {**FLAT["terrain"], "parcel_m": 20}}, "here")
+    plain = parse_scene(FLAT, "here")
+    factor = lay_out(scene).arrays.ground_rho / lay_out(plain).arrays.ground_rho
+    values, count = np.unique(factor.round(6), return_counts=True)
+    assert 20 < len(values[count > 20]) < 120
+    assert values.max() / values.min() > 3

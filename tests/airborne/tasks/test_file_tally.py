@@ -1,20 +1,17 @@
 """Which times of a file are those of flightlines, and which are none."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from spl_batch.airborne.plan.flightlines import find_flightlines, is_timeless
-from spl_batch.airborne.plan.inputs.findings import judge_index
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.file_tally import SPANS_FEW, Tally
 from spl_batch.airborne.tasks.index import _without_time
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.errors import WorkflowError
 from spl_batch.formats.las.reader import iter_points
-from spl_batch.lattice.tables import PointFlag, PointTable
+from spl_batch.lattice.tables import PointTable
 from tests import surveys
 
 APART_S = 3600.0
@@ -64,17 +61,6 @@ def test_points_at_time_zero_have_none(points: PointTable, unset: int) -> None:
     assert len(told(receipt)) == 1
 
 
-def test_withheld_points_are_not_called_timeless(points: PointTable) -> None:
-    tally = Tally(60.0)
-    tally.add(points.with_columns(flags=np.full(len(points), PointFlag.WITHHELD, np.uint8)))
-    facts = {"name": "a.laz", **tally.facts(), "parts": []}
-    receipt = Receipt("index_file", "1", "", "", "", {}, facts, len(points), 0.0, 0.0)
-    assert not is_timeless(receipt, WORKFLOW)
-    survey: Any = SimpleNamespace(of=lambda _: {"1": receipt})
-    with pytest.raises(WorkflowError, match=r"a\.laz: every point is withheld"):
-        list(judge_index(survey, []))
-
-
 def test_scattered_times_are_no_flightlines(points: PointTable) -> None:
     """Each of them would cost a run some tasks: a small file would stop a survey."""
     receipt = indexed(points, [1] * 1500)
@@ -116,8 +102,3 @@ def test_many_short_spans_are_flightlines(points: PointTable, sizes: list[int]) 
     assert flown(receipt) == len(sizes)
     assert not receipt.facts["timeless"]
     assert not told(receipt)
-
-
-def test_more_flightlines_want_more_points_each(points: PointTable) -> None:
-    """A file of n points makes no more than about sqrt(n) of them."""
-    assert flown(indexed(points, [101] * 250)) == 0

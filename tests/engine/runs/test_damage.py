@@ -18,14 +18,13 @@ from spl_batch.airborne.store.raster_cells import create_raster_store, read_wind
 from spl_batch.airborne.store.voxel_parts import StoredVoxels, write_voxels
 from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.constants import NODATA
-from spl_batch.engine.store.working_store import Store, read_receipts, write_receipt
+from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.preparing import prepare
-from spl_batch.engine.verbs.repair import Repairs, also_damaged
-from spl_batch.engine.watch.events import Event, Note, TaskEnded
+from spl_batch.engine.verbs.progress import makers
+from spl_batch.engine.watch.events import Event, TaskEnded
 from spl_batch.errors import DamagedError
-from spl_batch.formats.files.atomic import checksum, write_bytes
 from spl_batch.formats.verified.parquet_npz import (
     group_ranges,
     read_arrays,
@@ -133,21 +132,6 @@ def test_a_damaged_description_of_cells_is_written_again(tmp_path: Path) -> None
     assert read() == expected
     assert group.read_bytes() == described
     assert expected[0][0] != NODATA
-
-
-def test_all_damaged_pieces_of_an_array_are_found_at_once(tmp_path: Path) -> None:
-    """Who joins them meets one at a time, and a survey has thousands."""
-    store = Store(tmp_path)
-    outputs = {f"{cell}": f"store/rasters.zarr/dtm/c/0/{cell}" for cell in range(4)}
-    for cell, name in outputs.items():
-        write_bytes(store.named(name), b"piece " + cell.encode())
-        made = {name: checksum(store.named(name))}
-        write_receipt(store, Receipt("surface", cell, "", "", "", made, {}, 1, 0.0, 0.0))
-    flip(store.named(outputs["1"]))
-    store.named(outputs["2"]).unlink()
-    found = also_damaged(store, ["surface"], ["store/rasters.zarr/dtm/zarr.json"])
-    assert found == {outputs[cell]: ("surface", cell) for cell in ("1", "2")}
-    assert not also_damaged(store, ["surface"], ["store/tiles/1.parquet"])
 
 
 # Whole runs
@@ -273,89 +257,8 @@ def test_delivered_files_are_looked_at_closely_where_they_were_written_to(
     os.utime(path, ns=(0, receipt_at(receipt).written_ns["laz/lines/1.laz"]))
     damaged = surveys.results(surveys.run(survey, until="deliver").output)
     assert damaged != expected, "by size and time alone it cannot be told"
-    told: list[Event] = []
-    again = surveys.run(survey, until="deliver", verify=True, listener=told.append)
+    again = surveys.run(survey, until="deliver", verify=True)
     assert surveys.results(again.output) == expected
-    (said,) = [e.text for e in told if isinstance(e, Note) and "not as written" in e.text]
-    assert said == "gone or not as written, made again: laz/lines/1.laz"
-
-
-@pytest.mark.parametrize("harmed", ["tiles/*.parquet", "noise/*.parquet", "noise.tif"])
-def test_what_the_report_finds_damaged_is_made_again_in_the_same_run(
-    survey: Path, expected: dict[str, bytes], harmed: str
-) -> None:
-    """Every task is finished, and only the report reads the file; its time tells nothing."""
-    output = survey.parent / "out"
-    assert surveys.run(survey).exit_status == 0
-    (output / "report.json").unlink()
-    whole = {path: path.read_bytes() for path in (output / "store").glob(harmed)}
-    for path in whole:
-        flip(path, keep_time=True)
-    heard: list[Event] = []
-    result = surveys.run(survey, listener=heard.append)
-    assert result.exit_status == 0
-    assert (output / "report.json").exists()
-    assert surveys.results(result.output) == expected
-    assert not [e for e in heard if isinstance(e, TaskEnded) and e.reason and not e.mends]
-    told = [e.text for e in heard if isinstance(e, Note) and "store/" in e.text]
-    assert bool(told) != (harmed == "noise/*.parquet"), "of these only sound columns are read"
-    for text in told[:-1]:
-        assert text.startswith(f"made again: {output}/store/")
-    for text in told[-1:]:
-        assert text.startswith("damaged, rebuilt: store/")
-        assert {path: path.read_bytes() for path in whole} == whole
-
-
-def test_a_raster_of_the_store_that_was_written_to_is_made_again(survey: Path) -> None:
-    raster = survey.parent / "out/store/noise.tif"
-    assert surveys.run(survey).exit_status == 0
-    content = raster.read_bytes()
-    flip(raster)
-    assert surveys.run(survey).exit_status == 0
-    assert raster.read_bytes() == content
-
-
-@pytest.mark.parametrize(
-    ("harmed", "again"),
-    [
-        ("store/noise.tif", True),
-        ("store/accuracy/*.npz", True),
-        ("store/overlaps/map.npz", True),
-        ("store/receipts/mosaic/dtm.json", True),
-        ("store/run.json", False),
-        ("dtm.tif", True),
-    ],
-)
-def test_a_report_that_meets_damage_names_it_and_a_run_makes_it_again(
-    damaged_output: Path, harmed: str, *, again: bool
-) -> None:
-    """It is no wrong request, and a run that would find all finished makes the file again."""
-    path = next(damaged_output.glob(harmed))
-    content, report = path.read_bytes(), (damaged_output / "report.html").read_bytes()
-    kept = damaged_output.parent / "kept"
-    shutil.copytree(damaged_output / "store/receipts", kept)
-    flip(path)
-    ended = surveys.command("report", damaged_output)
-    assert ended.status == 1, ended.text
-    (line,) = ended.err.splitlines()
-    assert f"spl-batch: {path}: damaged or missing (" in line
-    assert line.endswith("; run again to rebuild")
-    assert (damaged_output / "report.html").read_bytes() == report
-    there = {p.relative_to(kept) for p in kept.rglob("*.json")}
-    receipts = damaged_output / "store/receipts"
-    left = {p.relative_to(receipts) for p in receipts.rglob("*.json")}
-    told = path.is_relative_to(receipts)
-    assert len(there - left) == (again and not told), "what a run trusts no longer"
-    path.write_bytes(content)
-    shutil.copytree(kept, receipts, dirs_exist_ok=True)
-    shutil.rmtree(kept)
-
-
-@pytest.fixture(scope="module")
-def damaged_output(tiny_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Output of the tiny survey whose files may be harmed."""
-    copy = tmp_path_factory.mktemp("damaged") / "out"
-    return Path(shutil.copytree(tiny_output, copy))
 
 
 @pytest.mark.parametrize(
@@ -380,5 +283,5 @@ def test_who_meets_damage_for_the_report_leaves_its_maker_known(
         flip(path)
     with pytest.raises(DamagedError) as met:
         look(ledger.done, context)
-    again = Repairs(context.store).wanted([], ledger, [met.value.path])
-    assert [maker for maker, _ in again.values()] == [kind]
+    again = makers(context.store, ledger.done, [context.store.name_of(met.value.path)])
+    assert [maker[0] for maker in again.values() if maker] == [kind]

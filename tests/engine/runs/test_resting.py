@@ -8,7 +8,7 @@ import pytest
 
 from spl_batch import api
 from spl_batch.engine.tasks.worklist import Worklist
-from spl_batch.engine.verbs.resting import REST
+from spl_batch.engine.verbs.conclusion import REST
 from tests import surveys
 
 

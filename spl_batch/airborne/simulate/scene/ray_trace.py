@@ -65,6 +65,9 @@ class SceneArrays(NamedTuple):
     cell_item: NDArray[np.int64]  #: (k,): solids, then crowns, then wires, numbered through.
     #: Highest ground where some is so steep that a ray may meet it twice [m]; -inf without.
     steep_top: float = -math.inf
+    #: (ny, nx): sunlight at the nodes over the scene's mean brightness; empty where background has
+    #: one rate.
+    light: NDArray[np.float64] = np.empty((0, 0))
 
 
 @njit()

@@ -69,6 +69,9 @@ class Terrain(Section):
     roughness_m: NotNegative = Field(0.02, description="Spread of small bumps [m].")
     reflectance: Share = Field(0.25, description="Mean reflectance of the ground.")
     reflectance_variation: Share = Field(0.3, description="Relative spread of it.")
+    parcel_m: Positive | None = Field(
+        None, description="Size of fields of a reflectance each, from dark to bright [m]."
+    )
     grid_m: Positive = Field(1.0, description="Node spacing of the ground [m].")
     landforms: tuple[Landform, ...] = Field((), description="Plateaus, ridges, valleys.")
 
@@ -215,6 +218,13 @@ class Sky(Section):
     )
     irradiance_w_m2_nm: NotNegative = Field(1.84, description="Exoatmospheric [W/m2/nm].")
     zenith_deg: float = Field(45.0, ge=0, lt=88, description="Of the sun [deg].")
+    azimuth_deg: float = Field(160.0, description="Of the sun, clockwise from north [deg].")
+    by_albedo: bool = Field(
+        False,
+        description="Background of each beamlet and shot by what it looks at: reflectance, slope "
+        "to the sun, cast shadows; one rate for all without.",
+    )
+    skylight: Share = Field(0.15, description="Of the light, from the sky where no sun shines.")
     extinction_per_m: NotNegative = Field(1.0e-4, description="Atmospheric, at ground [1/m].")
     scale_height_m: Positive = Field(8000.0, description="Of the atmosphere [m].")
     variation: float = Field(0.3, ge=0, lt=1, description="Relative swing along a flightline.")

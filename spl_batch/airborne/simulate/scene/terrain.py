@@ -7,6 +7,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from spl_batch.airborne.simulate.scene.ray_trace import KIND_BOTTOM, KIND_GROUND, KIND_WATER
 from spl_batch.airborne.simulate.scene.scene_file import Landform, Scene
@@ -43,6 +44,8 @@ def make_ground(scene: Scene, rng: np.random.Generator) -> Ground:
     bright = _smooth_noise(rng, (ny, nx), 10.0 / step) - 0.5
     bright /= max(float(bright.std()), 1e-9)
     rho = terrain.reflectance * np.clip(1 + terrain.reflectance_variation * bright, 0.05, 3.0)
+    if terrain.parcel_m is not None:
+        rho *= _parcels(scene, (ny, nx))
     kind = np.full((ny, nx), KIND_GROUND, dtype=np.uint8)
     ground = Ground(z, np.clip(rho, 0.0, 1.0), kind, np.array([-apron, -apron, step]))
     return _flood(scene, ground)
@@ -92,6 +95,18 @@ def _waves(scene: Scene, shape: tuple[int, ...], step: float) -> NDArray[np.floa
     rough = ndimage.gaussian_filter(rng.standard_normal(shape), WAVE_M / step / 4, mode="wrap")
     waves: NDArray[np.float64] = (rough - rough.mean()) / max(float(rough.std()), 1e-12)
     return waves
+
+
+def _parcels(scene: Scene, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Factor of the reflectance, one for the places nearest to each of some random ones."""
+    rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(8,)))
+    step, parcel_m = scene.terrain.grid_m, scene.terrain.parcel_m or math.inf
+    size = np.array(shape) * step
+    middles = rng.random((max(round(float(np.prod(size)) / parcel_m**2), 2), 2)) * size
+    factors = np.exp(rng.uniform(-1.0, 1.0, len(middles)))
+    nodes = np.moveaxis(np.indices(shape), 0, -1) * step
+    factor: NDArray[np.float64] = factors[cKDTree(middles).query(nodes)[1]]
+    return factor
 
 
 def _raised(

@@ -44,7 +44,7 @@ def test_shares_are_interpolated_by_the_logarithm_and_hold_beyond() -> None:
 
 
 @pytest.mark.usefixtures("linear")
-@pytest.mark.parametrize("alpha", [1e-2, 6e-4, 1e-4, 1e-6])
+@pytest.mark.parametrize("alpha", [1e-2, 1e-4])
 def test_the_scan_gets_stricter_where_it_would_take_more_than_half(alpha: float) -> None:
     settings = FilterSettings(alpha=alpha)
     part = fitted(settings).alpha / settings.wires.alpha
@@ -65,19 +65,6 @@ def test_what_is_drawn_is_the_share_that_the_scan_keeps() -> None:
     assert ((share > 0.002) & (share < 0.4)).all()
     strict = loose.model_copy(update={"alpha": 0.02})
     assert (wire_null.draw_shares(strict, 8000, densities) < share).all()
-
-
-def test_smoothing_keeps_what_is_even() -> None:
-    np.testing.assert_allclose(wire_null.smoothed(np.full(5, 0.3)), 0.3)
-    np.testing.assert_allclose(wire_null.smoothed(np.array([0, 0, 9, 0, 0.0])), [1, 2, 3, 2, 1])
-    np.testing.assert_allclose(wire_null.smoothed(np.array([9, 0, 0, 0, 0.0])), [6, 3, 1, 0, 0])
-
-
-def test_the_shipped_table_has_the_steps_of_whole_counts() -> None:
-    """The critical count of a tube goes up by one, and what is kept falls to less than half."""
-    table = wire_null.wire_null(DEFAULT.wires)
-    falls = table.share[2:] < 0.5 * table.share[:-2]
-    assert falls.sum() > 4
 
 
 def test_other_settings_are_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.airborne.published.methods import WIRE, Columns, is_noise
+from benchmarks.sources.methods import WIRE, Columns, is_noise
 
 REGION_M = 7.0
 """Height and width of the region around a line [m]."""

@@ -15,8 +15,6 @@ from spl_batch import api
 from spl_batch.airborne.compare.comparison import PUBLISHED_FILTER, PUBLISHED_NOISE
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow, load_workflow
-from spl_batch.airborne.simulate import simulate
-from spl_batch.airborne.simulate.scene.scene_file import Scene
 
 KINDS = ("background", "ground", "roof", "vegetation", "wire", "water", "afterpulse", "other")
 BACKGROUND, GROUND, ROOF, VEGETATION, WIRE, WATER, AFTERPULSE, OTHER = range(len(KINDS))
@@ -168,13 +166,6 @@ def known_methods() -> dict[str, Method]:
 
 def _choices(key: str) -> tuple[str, ...]:
     return get_args(FilterSettings.model_fields[key].annotation)
-
-
-def make_survey(scene: Scene, folder: Path) -> Path:
-    """Simulate a scene into a folder unless it is there; the folder."""
-    if not (folder / "workflow.yaml").exists():
-        simulate(scene, folder)
-    return folder
 
 
 def load_truth(survey: Path) -> Columns:

@@ -1,20 +1,19 @@
 """The experiment of [W17] 7.4 again: terrain with and without afterpulse removal.
 
-Published: mean |difference| to linear-mode lidar 1.95 m without and 0.23 m with removal. Three
-chains: noise, plane rule and filter of [W17] with PTD; the same with our ground; and ours. Our PTD
-starts from the lowest returns, as the source's, but refuses pits and what lies under hard surfaces,
-so afterpulses hardly move it. Two twins: the campus with the sensor's lags, 0.24 to 3 m, and with
-lags up to 5 m, as deep as differences reach in Fig. 7-6.
+Three chains: noise, plane rule and filter of [W17] with PTD; the same with our ground; and ours.
+Our PTD starts from the lowest returns, as the source's, but refuses pits and what lies under hard
+surfaces, so afterpulses hardly move it. Lags reach 5 m, as deep as differences do in Fig. 7-6.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.airborne.published import methods
-from benchmarks.airborne.published.methods import (
+from benchmarks.sources import methods
+from benchmarks.sources.given import Figures, Given
+from benchmarks.sources.methods import (
     AS_W17,
     BY_BEAMLET,
     BY_PLANE,
@@ -25,7 +24,6 @@ from benchmarks.airborne.published.methods import (
     W17_FILTER,
     Method,
 )
-from benchmarks.airborne.published.twins import houston, houston_deep
 from spl_batch import api
 from spl_batch.airborne.accuracy import Reference, terrain_differences
 from spl_batch.airborne.accuracy.raster_and_reference import Raster
@@ -36,20 +34,11 @@ from spl_batch.formats.rasters.parts import read_overview
 Rules = Mapping[str, tuple[tuple[str, ...], dict[str, object]]]
 """Steps before the filter and what they claim, by whether afterpulses are removed."""
 
-PUBLISHED_M = {"left in": 1.95, "removed": 0.23}
-"""Mean absolute difference of [W17] 7.4, University of Houston campus, by removal [m]."""
-
-PIT_M = 2.0
-"""Differences beyond this are counted as pits and peaks [m]."""
-
 LOWEST = (
     "ground.method=ptd", "ground.ptd.layer_m=0.001", "ground.ptd.seed_cell_m=20",
     "ground.ptd.node_m=1",
 )  # fmt: skip
 """PTD whose layers are the lowest return of a cell."""
-
-TWINS = {"houston": houston, "houston_deep": houston_deep}
-"""The campus by the sensor's lags, and by longer ones."""
 
 
 def terrain_methods() -> dict[str, Method]:
@@ -74,35 +63,17 @@ def terrain_methods() -> dict[str, Method]:
     }
 
 
-def terrain_table(folder: Path, seeds: Sequence[int]) -> dict[str, float]:
-    """Run the chains on both twins of each seed and print the tables; mean |d| by row [m]."""
-    means: dict[str, float] = {}
-    for twin in TWINS:
-        means |= _terrain_of(twin, folder, seeds)
-    return means
+def measure(given: Given) -> Figures:
+    """Mean absolute difference of each chain on the twin with long lags, ``CHAIN, HOW`` [m]."""
+    survey = given.survey("houston deep")
+    return {
+        name: float(np.abs(_differences(survey, method).astype(np.float64)).mean())
+        for name, method in terrain_methods().items()
+    }
 
 
-def _terrain_of(twin: str, folder: Path, seeds: Sequence[int]) -> dict[str, float]:
-    names = ("mean |d|", "[W17]", "mean d", "RMSE", "P95 |d|", "> 2 m %", "n")
-    print(f"\n[W17] 7.4, {twin}: DTM minus linear-mode ground [m], afterpulses removed or not")
-    print(f"{'':44s}" + "".join(f"{n:>10s}" for n in names))
-    means = {}
-    for label, method in terrain_methods().items():
-        parts = [_differences(twin, folder, seed, method) for seed in seeds]
-        d = np.concatenate(parts).astype(np.float64)
-        size = float(np.abs(d).mean())
-        means[f"{twin}: {label}"] = size
-        rmse, p95 = float(np.sqrt(np.mean(d * d))), float(np.percentile(np.abs(d), 95))
-        pits = 100.0 * float(np.mean(np.abs(d) > PIT_M))
-        said = PUBLISHED_M[label.rpartition(", ")[2]]
-        figures = (size, said, float(d.mean()), rmse, p95, pits)
-        print(f"{label:44s}" + "".join(f"{v:10.3f}" for v in figures) + f"{len(d):10d}")
-    return means
-
-
-def _differences(twin: str, folder: Path, seed: int, method: Method) -> NDArray[np.float32]:
+def _differences(survey: Path, method: Method) -> NDArray[np.float32]:
     """DTM minus reference ground of one run [m]."""
-    survey = methods.make_survey(TWINS[twin](seed), folder / f"{twin}_{seed}")
     overrides = [*method.settings, *method.shots, "output=out_dtm"]
     methods.check(survey / "workflow.yaml", overrides, method.claims)
     result = api.run(survey / "workflow.yaml", overrides=overrides, until="deliver", workers=0)

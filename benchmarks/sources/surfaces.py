@@ -1,4 +1,4 @@
-"""[W17] Tables 5-1, 5-2 and 7-1 on simulated twins.
+"""[W17] Tables 5-1, 5-2, 6-4 and 7-1, Fig. 7-7 and 7-8 on simulated twins.
 
 Table 5-1, RMSE of the filtered returns against linear-mode lidar on roofs, bare ground and tree
 tops, five regions each of about 200 m2. The source does not say which returns it compares. Here
@@ -10,8 +10,7 @@ beneath 20 roofs that is removed.
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +20,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from shapely.affinity import scale
 
-from benchmarks.airborne.published import methods
-from benchmarks.airborne.published.methods import (
+from benchmarks.sources import methods
+from benchmarks.sources.given import Figures, Given
+from benchmarks.sources.methods import (
     AFTERPULSE,
     AS_W17,
     BACKGROUND,
     BY_PLANE,
-    LEFT_IN,
-    NO_RULE,
-    OWN_FILTER,
     PUBLISHED_PLANE,
     ROOF,
     W17_FILTER,
@@ -37,26 +34,12 @@ from benchmarks.airborne.published.methods import (
     Method,
     is_noise,
 )
-from benchmarks.airborne.published.twins import SHAPES, canopy, houston
-from spl_batch.airborne.compare.comparison import PUBLISHED_NOISE
+from benchmarks.sources.twins import SHAPES
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, QUANTUM_M
 from spl_batch.formats.las.reader import iter_points
 
 Patch = tuple[NDArray[np.int64], NDArray[np.float64]]
 """Rows of the returns above a region, and their heights over the reference surface [m]."""
-
-RMSE_M: Mapping[str, Mapping[str, float]] = {
-    "roofs": {"aes": 0.09, "voxel": 0.11},
-    "ground": {"aes": 0.12, "voxel": 0.14},
-    "canopy": {"aes": 2.07, "voxel": 2.55},
-}
-"""Means of [W17] Table 5-1 [m]."""
-
-REMOVED = {"aes": 81.7, "voxel": 41.9}
-"""Noise near eight roofs removed, [W17] Table 5-2: 1467 and 753 of 1795 [%]."""
-
-ROOFS_REMOVED = 90.6
-"""Noise beneath 20 roofs removed, [W17] Table 7-1: 8754 of 9662 [%]."""
 
 NEAR_M = 0.5
 """Returns farther from the reference surface are left out of the RMSE [m]."""
@@ -76,101 +59,110 @@ SQUARE_M = 14
 REGIONS = 5
 
 
-def surface_tables(folder: Path, seeds: Sequence[int]) -> dict[str, dict[str, float]]:
-    """Print Tables 5-1 and 5-2, means over regions and seeds; figures by method."""
-    known = {k: m for k, m in methods.known_methods().items() if not m.alone}
-    figures: dict[str, dict[str, list[float]]] = {key: {} for key in known}
-    for seed in seeds:
-        survey = methods.make_survey(canopy(seed), folder / f"canopy_{seed}")
+def measure(given: Given) -> Figures:
+    """Tables 5-1, 5-2 and 6-4 on twins of HRQLS and SPL100.
+
+    Keys are ``TWIN.METHOD.roofs``, ``.ground``, ``.canopy`` (RMSE [m]), ``.removed``,
+    ``.background``, ``.afterpulses`` (noise near roofs [%]), and ``vsaes.METHOD``.
+    """
+    found: Figures = {}
+    known = methods.known_methods()
+    for name in ("canopy matched", "canopy"):
+        survey = given.survey(name)
         points, reference = methods.load_truth(survey), reference_points(survey)
-        roofs = [
-            patch_above(points, reference, r, CLASS_BUILDING)
-            for r in roof_regions(survey, SQUARE_M**2)
-        ]
+        roofs = _roofs(survey, points, reference)
         lawns, groves = lawns_and_groves(survey)
         ground = [patch_above(points, reference, r, CLASS_GROUND) for r in lawns]
-        for key, method in known.items():
-            kept = methods.judge(survey, method) == 0
-            tops = [_top_rmse(points, reference, r, kept) for r in groves]
+        for key in ("aes", "voxel", "ours"):
+            kept = methods.judge(survey, known[key]) == 0
             values = {
-                "roofs": [near_rmse(p, kept) for p in roofs],
-                "ground": [near_rmse(p, kept) for p in ground],
-                "canopy": [rmse for rmse, _ in tops],
-                "spikes %": [share for _, share in tops],
-                "removed %": [noise_removed(roofs, points, kept, (BACKGROUND, AFTERPULSE))],
-                "backgr. %": [noise_removed(roofs, points, kept, (BACKGROUND,))],
-                "afterp. %": [noise_removed(roofs, points, kept, (AFTERPULSE,))],
+                "roofs": _mean([near_rmse(p, kept) for p in roofs]),
+                "ground": _mean([near_rmse(p, kept) for p in ground]),
+                "canopy": _mean([_top_rmse(points, reference, r, kept) for r in groves]),
+                "removed": noise_removed(roofs, points, kept, (BACKGROUND, AFTERPULSE)),
+                "background": noise_removed(roofs, points, kept, (BACKGROUND,)),
+                "afterpulses": noise_removed(roofs, points, kept, (AFTERPULSE,)),
             }
-            for name, found in values.items():
-                figures[key].setdefault(name, []).extend(found)
-    means = {key: {n: float(np.mean(v)) for n, v in f.items()} for key, f in figures.items()}
-    _print_surfaces(means, known)
-    return means
+            found |= {f"{name}.{key}.{what}": value for what, value in values.items()}
+    return found | dict(_by_both_tests(given))
 
 
-def _print_surfaces(means: Mapping[str, Mapping[str, float]], known: Mapping[str, Method]) -> None:
-    print(
-        "\n[W17] Tables 5-1 and 5-2: RMSE to linear-mode lidar [m], cells of tree tops with noise"
+def _mean(values: Sequence[float]) -> float:
+    return float(np.nanmean(values))
+
+
+def _roofs(survey: Path, points: Columns, reference: Columns) -> list[Patch]:
+    """Regions of 200 m2 on the roofs of a survey."""
+    regions = roof_regions(survey, SQUARE_M**2)
+    return [patch_above(points, reference, region, CLASS_BUILDING) for region in regions]
+
+
+def _by_both_tests(given: Given) -> Iterator[tuple[str, float]]:
+    """Table 6-4: RMSE on five roofs of the true returns, and of what either test keeps [m]."""
+    survey, known = given.survey("easton roofs"), methods.known_methods()
+    points, reference = methods.load_truth(survey), reference_points(survey)
+    roofs = _roofs(survey, points, reference)
+    yield "vsaes.manual", _mean([near_rmse(p, ~is_noise(points["kind"])) for p in roofs])
+    for key in ("aes_alone", "published", "ours"):
+        kept = methods.judge(survey, known[key]) == 0
+        yield f"vsaes.{key}", _mean([near_rmse(p, kept) for p in roofs])
+
+
+def afterpulses(given: Given) -> Figures:
+    """Table 7-1 and Fig. 7-7, 7-8 on a campus of 20 roofs.
+
+    Keys are ``METHOD.removed``, ``.lost``, ``.SHAPE`` [%], ``shot.signal``, ``shot.afterpulses``
+    (most common in a shot [count]) and ``r2``.
+    """
+    survey = given.survey("houston")
+    points, reference = methods.load_truth(survey), reference_points(survey)
+    regions = roof_regions(survey, ROOF_M2)
+    roofs = [patch_above(points, reference, region, CLASS_BUILDING) for region in regions]
+    found: Figures = {}
+    for name, method in roof_methods().items():
+        kept = methods.judge(survey, method) == 0
+        table = np.array([_beneath(patch, points, kept) for patch in roofs])
+        found |= {f"{name}.removed": _percent(table[:, 0], table[:, 1])}
+        found |= {f"{name}.lost": _percent(table[:, 2], table[:, 3])}
+        for k, shape in enumerate(SHAPES):
+            of = np.arange(len(table)) % len(SHAPES) == k
+            found[f"{name}.{shape}"] = _percent(table[of, 0], table[of, 1])
+    return found | _relations(survey, points, roofs)
+
+
+def _percent(part: NDArray[np.int64], whole: NDArray[np.int64]) -> float:
+    return 100.0 * float(part.sum()) / max(float(whole.sum()), 1.0)
+
+
+def _relations(survey: Path, points: Columns, roofs: Sequence[Patch]) -> Figures:
+    """Fig. 7-7, on what the differential cell count leaves, and Fig. 7-8.
+
+    The brightness of a roof is its reflectance, which the intensity of the source's linear-mode
+    lidar stands for.
+    """
+    truth = json.loads((survey / "truth" / "scene.json").read_text(encoding="utf-8"))
+    bright = np.array([b["reflectance"] for b in truth["buildings"]])
+    kept = methods.judge(survey, methods.known_methods()["dcc"]) == 0
+    _, shot = np.unique(
+        np.stack([points["line"][kept], points["gps_time"][kept]]), axis=1, return_inverse=True
     )
-    print(f"more than {TOP_M:g} m above them, noise {CLEAR_M}-{BENEATH_M:g} m from roofs removed:")
-    print("all, background, afterpulses")
-    names = (*RMSE_M, "spikes %", "removed %", "backgr. %", "afterp. %")
-    print(f"{'':24s}" + "".join(f"{n:>10s}{'[W17]':>8s}" for n in names))
-    for key, values in means.items():
-        said = {name: RMSE_M[name].get(key) for name in RMSE_M} | {"removed %": REMOVED.get(key)}
-        cells = [
-            f"{values[n]:10.{1 if '%' in n else 3}f}{'-' if said.get(n) is None else said[n]:>8}"
-            for n in names
-        ]
-        print(f"{known[key].label:24s}" + "".join(cells))
-
-
-def roof_table(folder: Path, seeds: Sequence[int]) -> dict[str, float]:
-    """Print Table 7-1 for 20 roofs of each seed; noise removed by variant [%]."""
-    variants = roof_methods()
-    counts: dict[str, list[NDArray[np.int64]]] = {name: [] for name in variants}
-    for seed in seeds:
-        survey = methods.make_survey(houston(seed), folder / f"houston_{seed}")
-        points, reference = methods.load_truth(survey), reference_points(survey)
-        roofs = [
-            patch_above(points, reference, r, CLASS_BUILDING) for r in roof_regions(survey, ROOF_M2)
-        ]
-        for name, method in variants.items():
-            kept = methods.judge(survey, method) == 0
-            counts[name] += [_beneath(patch, points, kept) for patch in roofs]
-    removed = {}
-    names = ("removed", "[W17]", "least", "most", "noise", "afterp.", "roof lost", *SHAPES)
-    print("\n[W17] Table 7-1: noise 0.3-5 m beneath roofs removed [%]; least and most of a roof;")
-    print("noise counted there; true afterpulses of roofs removed at any lag; roof returns lost;")
-    print("noise removed by shape of roof")
-    print(f"{'':28s}" + "".join(f"{n:>10s}" for n in names))
-    for name, rows in counts.items():
-        table = np.array(rows)
-        gone, noise, echo_gone, echo, lost, roof = table.sum(axis=0)
-        each = 100.0 * table[:, 0] / np.maximum(table[:, 1], 1)
-        removed[name] = 100.0 * gone / max(noise, 1)
-        shape = np.arange(len(table)) % len(roofs) % len(SHAPES)
-        sums = np.array([table[shape == k].sum(axis=0) for k in range(len(SHAPES))])
-        shares = 100.0 * sums[:, 0] / np.maximum(sums[:, 1], 1)
-        said = ROOFS_REMOVED if name == "published plane, VSAES" else np.nan
-        print(
-            f"{name:28s}{removed[name]:10.1f}"
-            + (f"{said:10.1f}" if np.isfinite(said) else f"{'-':>10s}")
-            + f"{each.min():10.1f}{each.max():10.1f}{noise:10d}"
-            f"{100.0 * echo_gone / max(echo, 1):10.1f}{100.0 * lost / max(roof, 1):10.2f}"
-            + "".join(f"{share:10.1f}" for share in shares)
-        )
-    return removed
+    late = points["kind"][kept] == AFTERPULSE
+    afterpulses, signal = (np.bincount(shot, weights=w) for w in (late, ~late))
+    pairs, count = np.unique(np.stack([signal, afterpulses]), axis=1, return_counts=True)
+    common = pairs[:, int(count.argmax())]
+    beneath = np.array([_beneath(p, points, np.ones(len(points["x"]), np.bool_))[1] for p in roofs])
+    return {
+        "shot.signal": float(common[0]),
+        "shot.afterpulses": float(common[1]),
+        "r2": float(np.corrcoef(bright, beneath)[0, 1] ** 2),
+    }
 
 
 def roof_methods() -> dict[str, Method]:
     """Rows of Table 7-1, and what each claims to be."""
-    ours = methods.known_methods()["ours"]
     return {
-        "VSAES alone": Method("", W17_FILTER, PUBLISHED_NOISE, claims=AS_W17 | NO_RULE),
-        "published plane, VSAES": Method("", W17_FILTER, PUBLISHED_PLANE, claims=AS_W17 | BY_PLANE),
-        "ours, no afterpulse stage": replace(ours, shots=LEFT_IN, claims=OWN_FILTER | NO_RULE),
-        "ours": ours,
+        "plane": Method("", W17_FILTER, PUBLISHED_PLANE, claims=AS_W17 | BY_PLANE),
+        "ours": methods.known_methods()["ours"],
     }
 
 
@@ -238,15 +230,11 @@ def noise_removed(
 
 
 def _beneath(patch: Patch, points: Columns, kept: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Counts of one roof: noise beneath removed, all; its afterpulses removed, all; lost, all."""
+    """Counts of one roof: noise beneath removed, all; its own returns lost, all."""
     rows, above = patch
     kind = points["kind"][rows]
     beneath = (above <= -CLEAR_M) & (above >= -BENEATH_M)
-    groups = (
-        beneath & is_noise(kind),
-        (kind == AFTERPULSE) & (points["parent"][rows] == ROOF),
-        kind == ROOF,
-    )
+    groups = (beneath & is_noise(kind), kind == ROOF)
     return np.array([v for g in groups for v in ((g & ~kept[rows]).sum(), g.sum())])
 
 
@@ -273,17 +261,13 @@ def lawns_and_groves(survey: Path) -> tuple[list[shapely.Polygon], list[shapely.
 
 def _top_rmse(
     points: Columns, reference: Columns, region: shapely.Polygon, kept: NDArray[np.bool_]
-) -> tuple[float, float]:
-    """RMSE of the highest returns of 1 m cells [m], and cells with a spike above them [%]."""
+) -> float:
+    """RMSE of the highest returns of 1 m cells, spikes far above the reference left out [m]."""
     theirs = {a: reference[a][_within(reference, region)] for a in "xyz"}
-    said = _tops(theirs, region)
     rows = np.flatnonzero(_within(points, region) & kept)
-    spike = points["z"][rows] > theirs["z"].max() + TOP_M
-    ours = _tops({a: points[a][rows[~spike]] for a in "xyz"}, region)
-    above = _tops({a: points[a][rows[spike]] for a in "xyz"}, region)
-    both = np.isfinite(ours) & np.isfinite(said)
-    rmse = float(np.sqrt(np.mean((ours[both] - said[both]) ** 2)))
-    return rmse, 100.0 * float(np.isfinite(above).mean())
+    rows = rows[points["z"][rows] <= theirs["z"].max() + TOP_M]
+    off = _tops({a: points[a][rows] for a in "xyz"}, region) - _tops(theirs, region)
+    return float(np.sqrt(np.mean(off[np.isfinite(off)] ** 2)))
 
 
 def _tops(points: Columns, region: shapely.Polygon) -> NDArray[np.float64]:

@@ -40,13 +40,18 @@ DARK_ROOF, BRIGHT_ROOF = 0.08, 0.8
 SHAPES = ("flat", "gable", "shed")
 """Shapes of the roofs of twins, in turn."""
 
+FEWER_AFTERPULSES = 0.04
+"""Afterpulses per detection of the twins of matched ratio [1]."""
 
-def easton(seed: int, extent_m: Place = (180.0, 70.0)) -> Scene:
-    """Twin of [W18]'s Easton, 10 November: a line of three cables, a distribution line.
+
+def easton(seed: int, share: float = 1.0) -> Scene:
+    """Twin of [W18]'s Easton, 10 November: a line of three cables, a distribution line, roofs.
 
     The cables of either line hang above each other, so that the region of 7 m x 7 m holds them.
+    ``share``: part of the edges that is flown.
     """
     rng = np.random.default_rng(seed)
+    extent_m = 100.0 * share, 70.0
     towers = across(rng, extent_m, 0.68 * extent_m[1], 200.0)
     poles = across(rng, extent_m, 0.25 * extent_m[1], 50.0)
     cables = [_cable("transmission", towers, 26.0 + up, 0.03, sag_m=5.0) for up in (0.0, 2.2, 4.4)]
@@ -61,30 +66,33 @@ def easton(seed: int, extent_m: Place = (180.0, 70.0)) -> Scene:
         {
             "extent_m": list(extent_m),
             "terrain": {"relief_m": 5.0},
-            "buildings": {"count": 2},
+            "buildings": {"list": _row_of_roofs(rng, extent_m, 0.46)},
             "trees": {"cover": 0.15},
             "wires": cables + thin,
             "flights": flights(rng, 3, altitude_agl_m=3500.0, offset_m=250.0, speed_m_s=72.0),
             "sensor_overrides": {"half_cone_deg": 9.0},
             "sky": {"zenith_deg": 56.0},
             "acquisition": {"prf_hz": 60_000.0, "gate_m": 300.0},
+            "reference": {"density_per_m2": 25.0},
         },
     )
 
 
-def easton_bright(seed: int, thicker: float = 4.0) -> Scene:
-    """Easton's twin with wires so much thicker that they return as much more."""
-    return _thicker(easton(seed), thicker, "easton_bright")
+EASTON_PER_M3, LUFKIN_PER_M3, CANOPY_PER_M3 = 0.0073, 0.0045, 0.12
+"""Background at which the corridors hold 8.0, 5.8 and 11 returns of wire for one of noise, as many
+as the source's did if its VSAES kept the share of noise that ours keeps there, and that of the
+canopy's twin [1/m3]."""
 
 
-def lufkin_bright(seed: int, thicker: float = 4.0) -> Scene:
-    """Lufkin's twin with wires so much thicker that they return as much more."""
-    return _thicker(lufkin(seed), thicker, "lufkin_bright")
+def easton_matched(seed: int, share: float = 1.0) -> Scene:
+    """Easton's twin with as much wire for one of noise in its corridors as the source had."""
+    return _matched(easton(seed, share), EASTON_PER_M3)
 
 
-def lufkin(seed: int, extent_m: Place = (180.0, 60.0)) -> Scene:
+def lufkin(seed: int, share: float = 1.0) -> Scene:
     """Twin of [W18]'s Lufkin, 23 February: three wires on top, one in the middle, one below."""
     rng = np.random.default_rng(seed)
+    extent_m = 120.0 * share, 60.0
     poles = across(rng, extent_m, 0.5 * extent_m[1], 55.0)
     wires = [
         {**_cable("distribution", poles, 12.5, 0.015, sag_m=0.8), "conductors": 3},
@@ -107,15 +115,21 @@ def lufkin(seed: int, extent_m: Place = (180.0, 60.0)) -> Scene:
     )
 
 
-def houston(seed: int, extent_m: Place = (160.0, 150.0)) -> Scene:
+def lufkin_matched(seed: int, share: float = 1.0) -> Scene:
+    """Lufkin's twin with as much wire for one of noise in its corridor as the source had."""
+    return _matched(lufkin(seed, share), LUFKIN_PER_M3)
+
+
+def houston(seed: int, share: float = 1.0) -> Scene:
     """Twin of [W17] 7.3: a campus of 20 roofs from dark to bright, flat, shed and gable.
 
     One flightline gives the source's 30 returns per m2 once most beamlets see the ground, as 7.5
     says they do; the pulse energy stands for that brightness.
     """
     rng = np.random.default_rng(seed)
+    extent_m = 160.0 * share, 150.0 * share
     bright = rng.permutation(np.linspace(DARK_ROOF, BRIGHT_ROOF, 20))
-    roofs = [_roof(rng, k, extent_m, float(bright[k])) for k in range(20)]
+    roofs = [_roof(rng, k, extent_m, float(bright[k]), share) for k in range(20)]
     return _scene(
         "Houston's twin",
         seed,
@@ -132,26 +146,25 @@ def houston(seed: int, extent_m: Place = (160.0, 150.0)) -> Scene:
     )
 
 
-def houston_deep(seed: int) -> Scene:
-    """Houston's twin with lags as long as [W17] Fig. 7-6 shows terrain to be off: up to 5 m."""
-    content = houston(seed).model_dump(mode="json", by_alias=True)
+def houston_deep(seed: int, share: float = 1.0) -> Scene:
+    """A part of Houston's twin with lags as long as [W17] Fig. 7-6 shows terrain to be off: 5 m."""
+    content = houston(seed, 0.6 * share).model_dump(mode="json", by_alias=True)
     content["detector"] |= {"afterpulse_scale_m": 2.0, "afterpulse_lag_max_m": 5.0}
     return parse_scene(content, "houston_deep")
 
 
-def canopy(seed: int, extent_m: Place = (130.0, 130.0)) -> Scene:
+def canopy(seed: int, share: float = 1.0) -> Scene:
     """Twin of [W17] 5.3: HRQLS over five roofs (three tilted), lawns and a grove."""
     rng = np.random.default_rng(seed)
-    east, north = extent_m
+    extent_m = 130.0 * share, 130.0 * share
     roofs = [
         {
-            "centre_m": [(0.14 + 0.18 * k) * east, 0.16 * north], "size_m": [16.0, 13.0],
-            "heading_deg": float(rng.uniform(0, 180)), "eave_m": float(rng.uniform(4, 10)),
-            "roof": SHAPES[k % 3], "pitch_deg": float(rng.uniform(15, 30)),
+            **roof,
+            "size_m": [16.0 * share, 13.0 * share],
             "reflectance": float(rng.uniform(0.4, 0.7)),
         }
-        for k in range(5)
-    ]  # fmt: skip
+        for roof in _row_of_roofs(rng, extent_m, 0.16)
+    ]
     return _scene(
         "Easton's twin, HRQLS",
         seed,
@@ -169,22 +182,36 @@ def canopy(seed: int, extent_m: Place = (130.0, 130.0)) -> Scene:
     )
 
 
-TWINS: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
+def canopy_matched(seed: int, share: float = 1.0) -> Scene:
+    """The canopy's twin with background near roofs in place of most afterpulses."""
+    return _matched(canopy(seed, share), CANOPY_PER_M3)
+
+
+TWINS: Mapping[str, Callable[..., Scene]] = MappingProxyType(
     {
+        "easton matched": easton_matched,
+        "lufkin matched": lufkin_matched,
+        "canopy matched": canopy_matched,
         "easton": easton,
-        "bright": easton_bright,
         "lufkin": lufkin,
-        "lufkin bright": lufkin_bright,
         "houston": houston,
         "houston deep": houston_deep,
         "canopy": canopy,
     }
 )
-"""Scene by name, of a seed."""
+"""Scene by name, of a seed and of the part of its edges that is flown."""
 
 
 def _scene(name: str, seed: int, content: dict[str, Any]) -> Scene:
     return parse_scene({"name": name, "seed": seed, **content}, name)
+
+
+def _matched(scene: Scene, background_per_m3: float) -> Scene:
+    """A twin of another background and fewer afterpulses."""
+    content = scene.model_dump(mode="json", by_alias=True)
+    content["sky"]["background_per_m3"] = background_per_m3
+    content["detector"]["afterpulse_probability"] = FEWER_AFTERPULSES
+    return parse_scene(content, scene.name)
 
 
 def _cable(
@@ -197,19 +224,27 @@ def _cable(
     }  # fmt: skip
 
 
-def _thicker(scene: Scene, thicker: float, name: str) -> Scene:
-    content = scene.model_dump(mode="json", by_alias=True)
-    for wire in content["wires"]:
-        wire["diameter_m"] *= thicker
-    return parse_scene(content, name)
+def _row_of_roofs(rng: np.random.Generator, extent_m: Place, at: float) -> list[dict[str, Any]]:
+    """Five roofs side by side, three of them tilted, at a part of the way north."""
+    east, north = extent_m
+    return [
+        {
+            "centre_m": [(0.14 + 0.18 * k) * east, at * north], "size_m": [12.0, 11.0],
+            "heading_deg": float(rng.uniform(0, 180)), "eave_m": float(rng.uniform(4, 10)),
+            "roof": SHAPES[k % 3], "pitch_deg": float(rng.uniform(15, 30)),
+        }
+        for k in range(5)
+    ]  # fmt: skip
 
 
-def _roof(rng: np.random.Generator, k: int, extent_m: Place, reflectance: float) -> dict[str, Any]:
+def _roof(
+    rng: np.random.Generator, k: int, extent_m: Place, reflectance: float, share: float
+) -> dict[str, Any]:
     """The k-th roof on a grid of five by four; the source's regions are parts of larger roofs."""
     column, row = k % 5, k // 5
     return {
         "centre_m": [(column + 0.5) / 5 * extent_m[0], (row + 0.5) / 4 * extent_m[1]],
-        "size_m": [float(rng.uniform(18, 24)), float(rng.uniform(13, 18))],
+        "size_m": [share * float(rng.uniform(18, 24)), share * float(rng.uniform(13, 18))],
         "heading_deg": float(rng.uniform(0, 180)),
         "eave_m": float(rng.uniform(4, 15)),
         "roof": SHAPES[k % 3],
