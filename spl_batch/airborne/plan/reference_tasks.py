@@ -62,7 +62,7 @@ def accuracy(survey: Survey) -> Iterator[Task]:
     edge, _ = _lattice(survey)
     for square in sorted(files):
         tiles = _tiles_of(survey, square, edge)
-        noise, (moved, first) = survey.holders.of(tiles), aligned(survey)
+        noise, (moved, first) = survey.denoised_in(tiles), aligned(survey)
         args = {
             **moved,
             "square": square,
