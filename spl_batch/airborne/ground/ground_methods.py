@@ -306,9 +306,8 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
 def _multiscale(cloud: Cloud, _: GroundSettings) -> Found:
     """By a surface whose scale follows the data."""
     points, own, asked, told_m, lines = cloud
-    most_m = 0.0 if told_m is None else told_m[own].max()
-    sigma = EVERYWHERE._replace(photons=bool(most_m > 0.0))
-    if told_m is not None and most_m > SIGMA_M:
+    sigma = EVERYWHERE
+    if told_m is not None and told_m[own].max() > SIGMA_M:
         sigma = reckoned(evidence(*cloud.some(own), told_m[own]))
     return multiscale_mask(points, own, asked, sigma, lines)
 

@@ -13,9 +13,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.ground.decks import on_decks
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
-from spl_batch.airborne.ground.level_ground import high_islands, levelled
+from spl_batch.airborne.ground.level_ground import levelled
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED, Nodes, lowest_layers
 from spl_batch.airborne.ground.multiscale.lines_apart import (
     FAR_M,
@@ -25,25 +24,20 @@ from spl_batch.airborne.ground.multiscale.lines_apart import (
     lines_apart,
     seen_lines,
 )
-from spl_batch.airborne.ground.multiscale.lone_returns import below_level
 from spl_batch.airborne.ground.multiscale.near_surface import (
     BAND_M,
     Near,
     Surface,
-    below_decks,
     near_surface,
     needed,
     surface_of,
     within,
 )
-from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
     BLOCK_M,
     EVERYWHERE,
     Spread,
-    off_planes,
 )
-from spl_batch.airborne.ground.multiscale.sloping_sides import with_sloping_sides
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
     CELL_M,
@@ -64,9 +58,8 @@ from spl_batch.airborne.ground.point_spacing import (
     in_squares,
     spacings,
 )
-from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.airborne.ground.steep_ground import continued
-from spl_batch.numerics.cell_groups import Cells, group_by_cell
+from spl_batch.numerics.cell_groups import group_by_cell
 
 _LAYER_SIGMA = 3.0
 _LAYER_M = 0.15
@@ -82,20 +75,6 @@ grows below."""
 _BAND_SPACINGS = 0.25
 """So many spacings of the points: between them the ground is not known better."""
 
-_LIMITS: Final = Limits(
-    terrain_slope=float(np.tan(np.radians(88.0))),
-    sin_angle=float(np.sin(np.radians(10.0))),
-    distance_m=1.4,
-    spread_m=0.15,
-    insert_m=0.05,
-)
-"""Iteration parameters of [Axelsson 2000] for what the opening cuts off."""
-
-_HARD_POINTS = 6
-_HARD_SIGMA = 1.6
-"""Cells of so many points that lie on a plane by less than so many standard deviations of a range
-are hard."""
-
 GROUND: Final = 1
 APART: Final = 2
 """Labels: on the surface, and on that of a flightline which lies apart from it."""
@@ -105,20 +84,6 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Labels = NDArray[np.uint8]
 Place = tuple[Float, Float, Float]
-
-
-def _joined(xyz: Float, hard: Mask, ground: Mask) -> Mask:
-    """Ground nodes and hard ones that the opening cut off next to them: tops of embankments.
-
-    A bank joins its foot without a wall, and unlike shrubs it is smooth.
-    """
-    others = np.flatnonzero(hard & ~ground)
-    if not len(others):
-        return ground
-    _, taken = densify(xyz[ground], xyz[others], np.zeros(len(others)), _LIMITS, BLOCK_M / 2)
-    joined = ground.copy()
-    joined[others[taken]] = True
-    return joined
 
 
 class Strip(NamedTuple):
@@ -244,30 +209,18 @@ def _of(places: Place, chosen: Mask) -> Place:
 
 def _ground_surface(evidence: Iterable[Place], sigma: Spread) -> Surface | None:
     """Surface of the ground by some points, strip by strip; None where none of them is believed."""
-    xyz, filled, hard, doubtful = _nodes(evidence, sigma)
+    xyz, filled, doubtful = _nodes(evidence, sigma)
     if not len(xyz):
         return None
     chosen, high = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma)
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
-    ground = ground_nodes(xyz, high, grid, nearest)
-    decks = on_decks(xyz, grid, nearest, ground, CELL_M)
-    ground &= ~decks
-    ground = continued(xyz, grid, ground, CELL_M)
+    ground = continued(xyz, grid, ground_nodes(xyz, high, grid, nearest), CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
-    if decks.any():  # Ends that have grown back.
-        decks |= on_decks(xyz, grid, nearest, ground | decks, CELL_M)
-    ground = _joined(xyz, chosen & hard, ground)
-    ground |= with_sloping_sides(xyz, grid, ground, CELL_M)
-    ground &= ~decks
-    ground &= ~on_houses(xyz, ground)
-    ground &= ~high_islands(xyz, ground, CELL_M)
     judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)
     ground &= ~under_ground(xyz, ground, judged)
-    if sigma.photons:
-        ground &= ~below_level(xyz, ground, ~filled)
     ground &= ~over_ground(xyz, ground, judged)
-    return below_decks(surface_of(xyz[ground]), xyz[decks])
+    return surface_of(xyz[ground])
 
 
 def _evidence(strip: Strip) -> Place:
@@ -342,18 +295,17 @@ def _on(known: _Known, near: Near, place: tuple[Float, Float]) -> Mask:
 
 
 class _Layers(NamedTuple):
-    """Nodes (n, 3) [m]; which are filled, of hard cells, and single returns below many."""
+    """Nodes (n, 3) [m]; which are filled, and which are single returns below many."""
 
     xyz: Float
     filled: Mask
-    hard: Mask
     doubtful: Mask
 
 
 def _nodes(strips: Iterable[Place], sigma: Spread) -> _Layers:
     """Lowest layers that are no low noise."""
     parts = [part for part in map(partial(_layers, sigma), strips) if part is not None]
-    found, hard, row, column = zip(*parts, strict=True)
+    found, row, column = zip(*parts, strict=True)
     at = [np.concatenate(some) for some in (row, column)]
     rows, columns = (int(np.ptp(along)) + 1 for along in at)
     cell = (at[0] - at[0].min()) * columns + at[1] - at[1].min()
@@ -366,12 +318,11 @@ def _nodes(strips: Iterable[Place], sigma: Spread) -> _Layers:
     if nodes.doubtful.any():
         above &= ~nodes.doubtful | supported(nodes, rows, columns, CELL_M)
     filled = nodes.points >= SUPPORTED
-    of_hard = np.concatenate(hard)[order]
-    return _Layers(nodes.xyz[above], filled[above], of_hard[above], nodes.doubtful[above])
+    return _Layers(nodes.xyz[above], filled[above], nodes.doubtful[above])
 
 
-def _layers(sigma: Spread, own: Place) -> tuple[Nodes, Mask, Index, Index] | None:
-    """Lowest layers of a strip; which are of hard cells; row and column of each; None without."""
+def _layers(sigma: Spread, own: Place) -> tuple[Nodes, Index, Index] | None:
+    """Lowest layers of a strip; row and column of each; None without."""
     x, y, z = own
     if not len(x):
         return None
@@ -379,16 +330,8 @@ def _layers(sigma: Spread, own: Place) -> tuple[Nodes, Mask, Index, Index] | Non
     south, west = (int(np.floor(v.min() / CELL_M)) for v in (y, x))
     along = (south + np.arange(cells.rows), west + np.arange(cells.columns))
     row, column = (np.floor(cell * CELL_M / BLOCK_M).astype(np.int64) for cell in along)
-    sigma_m = sigma.at(row[:, None], column[None, :]).ravel()
-    thin_m = _LAYER_SIGMA * sigma_m
+    thin_m = _LAYER_SIGMA * sigma.at(row[:, None], column[None, :]).ravel()
     crowded = np.diff(cells.start) >= _CROWDED
     nodes = lowest_layers(x, y, z, cells, np.where(crowded, thin_m, np.maximum(thin_m, _LAYER_M)))
     row, column = np.divmod(nodes.cell, cells.columns)
-    hard = _hard(x, y, z, cells, _HARD_SIGMA * sigma_m)[nodes.cell]
-    return nodes, hard, row + south, column + west
-
-
-def _hard(x: Float, y: Float, z: Float, cells: Cells, most_m: Float) -> Mask:
-    """Cells all of whose points lie on a plane, as those of bare ground and roofs do."""
-    hard: Mask = off_planes(x, y, z, cells, _HARD_POINTS) <= most_m**2
-    return hard
+    return nodes, row + south, column + west
