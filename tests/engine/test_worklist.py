@@ -9,11 +9,10 @@ import pytest
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import task_memory
+from spl_batch.airborne.plan.heaviest_tasks import needs
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs
-from spl_batch.airborne.plan.memory.heaviest_tasks import needs
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import (
-    STRETCH_POINTS,
     refusal,
     task_bytes,
 )
@@ -28,7 +27,7 @@ from spl_batch.engine.tasks.ledger import Shelf
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.lattice.density import from_counts
-from spl_batch.lattice.tiles import CellId, cell_bounds, parse_cell
+from spl_batch.lattice.tiles import CellId
 
 WORKFLOW = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "w")
 NAMES = ("a", "b", "c", "heavy")
@@ -159,10 +158,9 @@ def test_only_the_unit_that_cannot_fit_is_refused() -> None:
     known.of("index_file").put(receipt("index_file", "1", bounds=bounds, **none))
     for name, points in (
         ("0_0", 1000),
-        ("50_50", full // task_memory.BYTES_PER_POINT["ground"] * 60),
+        ("50_50", full // STEPS["ground"].bytes_per_point * 60),
     ):
-        slab = [*cell_bounds(parse_cell(name), known.tile_q), points]
-        tile = {"points": points, "slabs": [slab], "sources": [], "outside_aoi": 0, "no_beam": 0}
+        tile = {"points": points, "sources": [], "outside_aoi": 0, "no_beam": 0}
         known.of("build_tile").put(receipt("build_tile", name, **tile))
     for kind in ("denoise", "ground", "surface"):
         refused = {task.name: task.refused for task in STEPS[kind].planned(known)}
@@ -185,11 +183,11 @@ def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
     pieces = list(from_counts({CellId(3, 5): 10**6, CellId(900, 5): 10**5}, 100_000))
     track = tmp_path / "track.sbet"
     track.write_bytes(b"0" * 136 * 1000)
-    found = needs(pieces, WORKFLOW, STRETCH_POINTS, files=[10**9], limit=2**40, trajectory=[track])
+    found = needs(pieces, WORKFLOW, [10**9], 1, [track])
     told = " ".join(need.task for need in found)
     for words in (
         "a tile around x 350, y 550",
-        "a denoise block",
+        "a cell of denoise",
         "a ground cell",
         "a surface cell",
     ):
@@ -207,7 +205,7 @@ def track_need(folder: Path, records: int) -> int:
     track = folder / f"{records}.sbet"
     with track.open("wb") as file:
         file.truncate(136 * records)
-    found = needs([], WORKFLOW, STRETCH_POINTS, files=[1], limit=2**40, trajectory=[track])
+    found = needs([], WORKFLOW, [1], 1, [track])
     return next(n.memory_bytes for n in found if "trajectory" in n.task)
 
 

@@ -221,8 +221,15 @@ def scatter(survey: Survey) -> Iterator[Task]:
             needs = (*_files(line), ("gather", name), ("fit_line", line.name))
             needs += _path_needs(survey, line)
             yield Task("scatter", name, args, needs, survey.of("gather")[name].points)
+    # Of points without a flightline of their own their id and time tell which one they are of.
+    again = [[*line.as_pass] for line in survey.flown if line.number != line.psid]
     for name, receipt in sorted(survey.of("gather_range").items()):
-        args = {"stretch": name, "timeless": True, "polygons": list(survey.inputs.polygons)}
+        args = {
+            "stretch": name,
+            "timeless": True,
+            "passes": again,
+            "polygons": list(survey.inputs.polygons),
+        }
         yield Task("scatter", name, args, (("gather_range", name),), receipt.points)
 
 
@@ -232,6 +239,7 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
     return {
         "line": line.name,
         "psid": line.psid,
+        "number": line.number,
         "t0_s": line.clock.t0_s,
         "prf_hz": line.clock.prf_hz,
         "beamlets": survey.beamlets,
