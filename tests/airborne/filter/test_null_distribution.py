@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from spl_batch.airborne.filter.ellipsoid import null_distribution
-from spl_batch.airborne.filter.ellipsoid.evidence import evidence
+from spl_batch.airborne.filter.ellipsoid.evidence import evidence, shape_of
 from spl_batch.airborne.filter.ellipsoid.null_distribution import (
     DENSITIES,
     draw_table,
@@ -80,6 +80,11 @@ def test_other_settings_are_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     null_distribution._table.cache_clear()
     np.testing.assert_array_equal(null_table(odd).score, first.score)
     null_distribution._table.cache_clear()
+
+
+def test_axes_are_eigenvalues_or_their_roots() -> None:
+    powers = [shape_of(FilterSettings(axis_power=axes)).power for axes in ("eigenvalue", "root")]
+    assert powers == [1.0, 0.5]
 
 
 def test_the_shipped_table_is_what_is_drawn() -> None:

@@ -155,7 +155,7 @@ def cells(bounds, x, y):
 def test_ground_and_roofs_lie_on_the_true_surfaces(survey, lines):
     with rasterio.open(survey / "truth" / "dtm.tif") as raster:
         dtm, bounds = raster.read(1), raster.bounds
-        assert raster.crs.to_epsg() == 32615
+        assert (raster.crs.to_epsg(), raster.res) == (32615, (1.0, 1.0))
     with rasterio.open(survey / "truth" / "dsm.tif") as raster:
         dsm = raster.read(1)
     assert (dsm >= dtm - 1e-4).all()
