@@ -31,7 +31,6 @@ from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.formats.las.reader import LasFacts
-from spl_batch.lattice.eastings import SLAB_POINTS
 
 SPACE = ("build_tile", "denoise", "ground", "surface", "deliver_file", "mosaic")
 """Phases that are gone through."""
@@ -109,16 +108,6 @@ def _scatter(name: str, line: int, k: int, side: int) -> Receipt:
     return _receipt("scatter", name, facts, 2_000_000)
 
 
-def _slabs(i: int, j: int, points: int) -> list[list[int]]:
-    """Where the points of a tile lie, which are even."""
-    west, south, edge = i * TILE_M * 1000, j * TILE_M * 1000, TILE_M * 1000
-    ends = [*range(0, points, SLAB_POINTS), points]
-    return [
-        [west + edge * a // points, south, west + edge * b // points, south + edge, b - a]
-        for a, b in itertools.pairwise(ends)
-    ]
-
-
 def _hash(text: str) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -137,7 +126,7 @@ def _done(task: Task, side: int) -> Receipt:
         here = line * FILES_PER_LINE + i * FILES_PER_LINE // side
         sources = [str(10**18 + max(k, 0)) for k in (here - FILES_PER_LINE, here)]
         facts = {"points": task.points, "z": [0, 9], "outside_aoi": 0, "no_beam": 0, "copies": 0}
-        facts["sources"], facts["slabs"] = sources, _slabs(i, j, task.points)
+        facts["sources"] = sources
     if task.kind == "surface":
         facts["rasters"] = dict.fromkeys(("dtm", "dsm", "chm", "density", "noise"), "0" * 16)
     return _receipt(task.kind, task.name, facts, task.points)

@@ -129,8 +129,8 @@ def noise_ratios(track: Labelled, found: Found) -> tuple[float, float]:
     each = cells["false"]
     away, dry = ~over_land(track, middle), ~over_land(track, track.photons[0])
     return (
-        float(each.sum()) / max(np.count_nonzero(taken), 1),
-        float(each[away].sum()) / max(np.count_nonzero(taken & dry), 1),
+        float(each.sum()) / max(int(np.count_nonzero(taken)), 1),
+        float(each[away].sum()) / max(int(np.count_nonzero(taken & dry)), 1),
     )
 
 
@@ -152,8 +152,8 @@ def row(name: str, track: Labelled, found: Found) -> None:
         f1,
         balanced,
         floor,
-        both / max(kept.sum(), 1),
-        both / max(np.count_nonzero(signal), 1),
+        both / max(int(kept.sum()), 1),
+        both / max(int(np.count_nonzero(signal)), 1),
         *(noise_ratios(track, found) if name == "ours" else (np.nan, np.nan)),
         found.seconds / len(track.label) * 1e6,
     )

@@ -111,7 +111,7 @@ def knn_otsu(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> NDA
     distance, _ = NearestNeighbors(n_neighbors=count).fit(plane).kneighbors(plane)
     # The first neighbour is the photon itself; photons are a millimetre apart at least.
     mean = np.log(distance[:, 1:].mean(axis=1) + 1e-3) if count > 1 else np.zeros(len(plane))
-    found: NDArray[np.bool_] = mean < threshold_otsu(mean)
+    found: NDArray[np.bool_] = mean < threshold_otsu(mean)  # type: ignore[no-untyped-call]
     return found
 
 

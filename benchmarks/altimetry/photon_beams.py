@@ -76,15 +76,16 @@ def measures(track: Track, settings: TrackWorkflow) -> list[float]:
     """As :data:`MEASURES` names them."""
     beam = labelled(lattice(track.along_m, track.height_m), settings)
     kept, signal = beam.kept, track.truth > 0
-    both = np.count_nonzero(kept & signal)
+    both = int(np.count_nonzero(kept & signal))
+    kept_count, signal_count = int(np.count_nonzero(kept)), int(np.count_nonzero(signal))
     off = (track.height_m - track.ground_m)[kept]
     columns = profile(beam, settings)
     error = columns["ground"] - np.interp(columns["along_track"], *track.reference_m.T)
     known = np.isfinite(error)
     return [
-        both / max(np.count_nonzero(kept), 1),
-        both / np.count_nonzero(signal),
-        2 * both / max(np.count_nonzero(kept) + np.count_nonzero(signal), 1),
+        both / max(kept_count, 1),
+        both / signal_count,
+        2 * both / max(kept_count + signal_count, 1),
         float(np.sqrt(np.mean(off**2))) if len(off) else np.nan,
         float(np.sqrt(np.mean(error[known] ** 2))) if known.any() else np.nan,
         np.count_nonzero(known) / (track.along_m.max() / settings.profile.cell_m),

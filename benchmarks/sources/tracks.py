@@ -13,8 +13,8 @@ from benchmarks.sources.given import Figures, Given
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.simulate import Colour, Kind, Track, scene, simulate_track
 
-CHANNELS: Final = 4
-LENGTH_M: Final = 4000.0
+CHANNELS: Final = 3
+LENGTH_M: Final = 3000.0
 """Channels of a colour, of 16 and 8 [count], and length of a track, of about 12 km [m]."""
 
 METHODS: Final = {

@@ -147,8 +147,8 @@ def houston(seed: int, share: float = 1.0) -> Scene:
 
 
 def houston_deep(seed: int, share: float = 1.0) -> Scene:
-    """Houston's twin with lags as long as [W17] Fig. 7-6 shows terrain to be off: up to 5 m."""
-    content = houston(seed, share).model_dump(mode="json", by_alias=True)
+    """A part of Houston's twin with lags as long as [W17] Fig. 7-6 shows terrain to be off: 5 m."""
+    content = houston(seed, 0.6 * share).model_dump(mode="json", by_alias=True)
     content["detector"] |= {"afterpulse_scale_m": 2.0, "afterpulse_lag_max_m": 5.0}
     return parse_scene(content, "houston_deep")
 

@@ -8,28 +8,19 @@ from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, vir
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
 from spl_batch.airborne.lines.sentences import done_sentence, left_out_warnings, offset_warnings
-from spl_batch.airborne.plan.block_size import (
-    remember_sizes,
-    remember_stretch,
-    remembered_sizes,
-    remembered_stretch,
-)
 from spl_batch.airborne.plan.cost import SurveyCost, estimate
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.findings import (
     beams_without_trajectory,
-    blocks_anew,
     copies,
     heights_in_other_unit,
     judge_index,
     looks_ahead,
     merged_shots,
     refuse_empty_area,
-    stretches_anew,
 )
 from spl_batch.airborne.plan.inputs.first_look import first_look
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
-from spl_batch.airborne.plan.memory.cell_memory import strips_cost
 from spl_batch.airborne.plan.strip_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.precompile import compile_share
@@ -43,7 +34,6 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.warm_up import Work
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
-from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
@@ -54,9 +44,6 @@ from spl_batch.formats.las.header import waveform_file
 from spl_batch.formats.las.reader import promised_points
 from spl_batch.lattice.tiles import quanta
 
-FEW_PIECES: Final = 2
-"""Further pieces of a survey whose rasters the console names [count]."""
-
 
 class Imaging(Receiver[Survey, Context]):
     """Flightlines to classified clouds, terrain and surface rasters."""
@@ -66,12 +53,7 @@ class Imaging(Receiver[Survey, Context]):
     delivered: ClassVar[tuple[str, ...]] = (
         *("laz/**/*", "tiles/*", "copc/**/*", f"{stac.FOLDER}/*.json"),
         *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml"),
-        *(
-            f"{p.name}{piece}.tif"
-            for p in (*PRODUCTS, HILLSHADE, *ABOVE_GEOID)
-            if p.delivered
-            for piece in ("", "_[0-9]*")
-        ),
+        *(f"{p.name}.tif" for p in (*PRODUCTS, HILLSHADE, *ABOVE_GEOID) if p.delivered),
     )
 
     @property
@@ -88,7 +70,6 @@ class Imaging(Receiver[Survey, Context]):
         crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
         context = Context(workflow, place.base, place.output, crs_wkt, code_version(workflow.kind))
         survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
-        _recall(survey, context.store)
         return Prepared(self, survey, context)
 
     def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
@@ -101,32 +82,21 @@ class Imaging(Receiver[Survey, Context]):
         """Label and value of what a plan tells beside disk, memory and time."""
         settings = prepared.ledger.workflow
         area_km2 = cost.tiles * settings.tiling.tile_m**2 / 1e6
-        blocks = (
-            f"about {grouped(cost.blocks)} of up to {cost.block_tiles} x {cost.block_tiles} tiles; "
-            f"with their halos they read {cost.block_reads:.2f} times the points"
-        )
-        if cost.roomier is not None:
-            memory_bytes, read = cost.roomier
-            blocks += f", {read:.2f} times with --memory {memory_bytes / 2**30:g}GiB"
         halo = (
-            f"{cost.halo_m:g} m around a block; around a ground cell "
+            f"{cost.halo_m:g} m around a cell of denoise; around a ground cell "
             f"{settings.ground.buffer_m:g} m for the ground, "
             f"{surface_reach_m(settings):g} m for its rasters"
         )
-        cells = grouped(cost.cells)
-        for what, strips in (("the ground", cost.ground_strips), ("rasters", cost.strips)):
-            if strips > 1:
-                cells += (
-                    f"; --memory allows {what} in strips, up to {strips} of a cell: that takes "
-                    f"{strips_cost(strips):.1f} times as long as at once"
-                )
         rows = [
             ("area", f"{grouped(area_km2, 3)} km2 of tiles"),
             ("stretches", f"{grouped(cost.stretches)} of flightlines"),
             ("tiles", grouped(cost.tiles)),
-            ("blocks", blocks),
-            ("ground cells", cells),
-            ("halo", halo),
+            (
+                "cells of denoise",
+                f"{grouped(cost.denoise_cells)} of {cost.side} x {cost.side} tiles",
+            ),
+            ("ground cells", grouped(cost.cells)),
+            ("margin", halo),
         ]
         if settings.survey.align == "vertical":
             rows.append(("alignment", "survey.align: vertical: heights of flightlines are shifted"))
@@ -138,20 +108,8 @@ class Imaging(Receiver[Survey, Context]):
         return first_look(survey.inputs, survey.workflow, prepared.context.base)
 
     def before(self, step: Step, prepared: Prepared[Survey, Context]) -> None:
-        """Settle the size of stretches and blocks; make room for the raster cells of ``surfaces``.
-
-        What is remembered is read again: the run may have begun with emptying the store. It
-        stands until tasks that are cut otherwise are finished, so that a look with less memory
-        costs nothing.
-        """
-        survey, store = prepared.ledger, prepared.context.store
-        workflow = survey.workflow
-        if step == next(iter(prepared.steps.values())):
-            _recall(survey, store)
-        if step.name == "gather" and survey.filtering and survey.remembered_stretch is None:
-            remember_stretch(store, survey.stretch_points)
-        if step.name == "denoise" and survey.remembered is None:
-            _remember_blocks(survey, store)
+        """Make room for the raster cells of ``surfaces``."""
+        workflow = prepared.ledger.workflow
         if step.name == "surface":
             create_raster_store(
                 prepared.context.rasters,
@@ -164,14 +122,10 @@ class Imaging(Receiver[Survey, Context]):
         self, step: Step, prepared: Prepared[Survey, Context], failed: Sequence[Receipt]
     ) -> Iterable[Finding]:
         """Warn of what a step has brought to light, or stop."""
-        survey, store = prepared.ledger, prepared.context.store
+        survey = prepared.ledger
         if step.name == "index_file":
             yield from judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
-        if step.name == "denoise" and survey.has_other_blocks():
-            _remember_blocks(survey, store)
         if step.name == "gather":
-            if survey.has_other_stretches():
-                remember_stretch(store, survey.stretch_points)
             yield from merged_shots(survey)
             yield from looks_ahead(survey)
             yield from heights_in_other_unit(survey)
@@ -187,18 +141,16 @@ class Imaging(Receiver[Survey, Context]):
         yield from _swath_findings(step, survey)
 
     def aside(self, step: Step, prepared: Prepared[Survey, Context]) -> Iterable[Finding]:
-        """How much of earlier runs is done again for want of memory."""
+        """By how much flightlines are shifted."""
         survey = prepared.ledger
-        if step.name == "index_file":
-            return stretches_anew(survey)
-        if step.name == "align" and survey.workflow.survey.align != "none":
-            if bool(survey.of("index_file")) and is_one_flightline(survey):
-                texts = ["survey.align: there is one flightline, nothing is shifted"]
-            else:
-                found = (shifts_of(r.facts) for r in survey.of("align").values())
-                texts = [done_sentence(s) for s in found if not all(one.stays for one in s)]
-            return [Finding("E01", {"kind": "memory", "what": text}) for text in texts]
-        return blocks_anew(survey, prepared.context) if step.name == "build_tile" else ()
+        if step.name != "align" or survey.workflow.survey.align == "none":
+            return ()
+        if bool(survey.of("index_file")) and is_one_flightline(survey):
+            texts = ["survey.align: there is one flightline, nothing is shifted"]
+        else:
+            found = (shifts_of(r.facts) for r in survey.of("align").values())
+            texts = [done_sentence(s) for s in found if not all(one.stays for one in s)]
+        return [Finding("E01", {"kind": "memory", "what": text}) for text in texts]
 
     def reference(self, ledger: Survey) -> list[str]:
         """Files that the results are compared with."""
@@ -242,37 +194,14 @@ class Imaging(Receiver[Survey, Context]):
             ("report", [output / "report.html"]),
             (
                 "rasters",
-                [output / "dtm.tif", output / "dsm.tif", *_of_further_pieces(output)],
+                [output / "dtm.tif", output / "dsm.tif"],
             ),
             ("clouds", [output / "laz"]),
         ]
 
 
-def _of_further_pieces(output: Path) -> list[Path]:
-    """Terrain and surface of the other pieces of a survey, of few; their folder for more."""
-    dtms = sorted(output.glob("dtm_[0-9]*.tif"))
-    if len(dtms) > FEW_PIECES:
-        return [output]
-    return [path for dtm in dtms for path in (dtm, dtm.with_name(dtm.name.replace("dtm", "dsm")))]
-
-
 RECEIVER: Final[Receiver[Any, Any]] = Imaging()
 """The one there is."""
-
-
-def _recall(survey: Survey, store: Store) -> None:
-    """How earlier runs have cut what they have finished; what has led to nothing does not bind."""
-    gathered, denoised = (
-        any(not receipt.failed for receipt in read_receipts(store, kind))
-        for kind in ("gather", "denoise")
-    )
-    survey.remembered_stretch = remembered_stretch(store) if gathered else None
-    survey.remembered = remembered_sizes(store, survey.workflow) if denoised else None
-
-
-def _remember_blocks(survey: Survey, store: Store) -> None:
-    if survey.workflow.tiling.block_tiles is None:
-        remember_sizes(store, survey.workflow, survey.block_sizes)
 
 
 def _check_cells(workflow: Workflow, path: Path) -> None:
@@ -303,7 +232,6 @@ def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
         cells = survey.of("strip_patches").items()
         yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
     if step.name == "strip_pairs":
-        apart = sum(r.facts.get("apart", 0) for r in survey.of("ground").values())
         for receipt in survey.of("strip_pairs").values():
             align = survey.workflow.survey.align
-            yield from offset_warnings(pairs_of(receipt.facts), align, apart)
+            yield from offset_warnings(pairs_of(receipt.facts), align)

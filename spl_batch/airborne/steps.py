@@ -4,7 +4,6 @@ from functools import partial
 from typing import Any, Final
 
 from spl_batch.airborne.settings import AfterpulseSettings, NoiseSettings
-from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.step import Step, Steps, table
 
 _INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
@@ -38,20 +37,10 @@ def _step(name: str, stage: str, run: str, *, tasks: str, **options: Any) -> Ste
     )
 
 
-def _tile_m(survey: Any) -> float:
-    edge_m: float = survey.tile_q / QUANTA_PER_M
-    return edge_m
-
-
-def _cell_m(survey: Any) -> float:
-    edge_m: float = survey.cell_q / QUANTA_PER_M
-    return edge_m
-
-
 _SHUFFLED: Final = ("build_tile", "align")
 """What the space domain is planned from: its points by tile, and whether flightlines are moved."""
 
-_cell = partial(_step, unit="ground cell", edge_m=_cell_m)
+_cell = partial(_step, unit="ground cell")
 _delivery = partial(_step, stage="deliver", delivers=True)
 
 STEPS: Final[Steps] = table(
@@ -142,7 +131,6 @@ STEPS: Final[Steps] = table(
         "tasks.time_domain:build_tile",
         tasks="space_tasks:build",
         unit="tile",
-        edge_m=_tile_m,
         unread=frozenset({"z"}),
         bytes_per_point=280,
         remedy="lower tiling.tile_m",
@@ -153,8 +141,7 @@ STEPS: Final[Steps] = table(
         "tasks.space_domain:denoise",
         tasks="space_tasks:denoise",
         settings=("filter", "noise", "afterpulse", "outputs.diagnostics"),
-        unit="block",
-        edge_m=_tile_m,
+        unit="cell",
         unread=frozenset({"noise_class"}),
         bytes_per_point=150,
         remedy="lower tiling.tile_m",
@@ -204,7 +191,7 @@ STEPS: Final[Steps] = table(
         tasks="space_tasks:surface",
         settings=("ground.cell_m", "products", "classes", "aoi", "water", "breaklines"),
         unread=frozenset({"rasters"}),
-        bytes_per_point=175,
+        bytes_per_point=225,
         remedy="lower ground.cell_m or products.void_max_m",
         after=_SHUFFLED,
         bind=f"{_HOME}.tasks.bindings:on_ground",
@@ -229,7 +216,6 @@ STEPS: Final[Steps] = table(
         run="tasks.delivery:deliver_tile",
         tasks="space_tasks:deliver_tiles",
         settings=("outputs.tiles", *_CLASSES),
-        edge_m=_tile_m,
         bytes_per_point=280,
         after=_SHUFFLED,
         bind=f"{_HOME}.tasks.bindings:delivered_tile",

@@ -5,7 +5,6 @@ checkpoint alone, and is told in a sentence that names it.
 """
 
 import csv
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, isnan
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from spl_batch.errors import InputError, named
+from spl_batch.errors import InputError, counted, named
 from spl_batch.formats.crs import crs_name, horizontal, same_crs, vertical
 from spl_batch.formats.gdal_files import read_as, refuse_referring
 
@@ -277,51 +276,35 @@ def _in_crs(
     by_crs: dict[str, list[int]] = {}
     for k, row in enumerate(rows):
         by_crs.setdefault(str(row.get("crs") or "").strip(), []).append(k)
-    placed = list(rows)
+    placed: dict[int, _Row] = dict(enumerate(rows))
     for stated, members in by_crs.items():
-        source = _named_crs(stated) if stated else own
-        names = [rows[k]["id"] for k in members]
-        moved = np.full((len(members), 3), np.nan)
-        if stated and source is None:
-            remarks.append(_left_out(names, f"the CRS {stated!r} is not known"))
-        elif source is None or crs is None or _alike(source, crs):
+        try:
+            source = CRS.from_user_input(stated) if stated else own
+        except CRSError:
+            why = f"the CRS {stated!r} is not known"
+            remarks.append(_left_out([placed.pop(k)["id"] for k in members], why))
             continue
-        else:
-            xyz = np.array([rows[k]["xyz"] for k in members], np.float64)
-            moved = _transformed(path, source, crs, xyz)
-            there: NDArray[np.bool_] = np.all(np.isfinite(moved), axis=1)
-            remarks += _told(names, there, source, crs)
-        for k, place in zip(members, moved, strict=True):
-            placed[k] = {**rows[k], "xyz": place.tolist()} if np.isfinite(place).all() else {}
-    return [row for row in placed if row]
-
-
-def _named_crs(text: str) -> CRS | None:
-    try:
-        return CRS.from_user_input(text)
-    except CRSError:
-        return None
-
-
-def _alike(one: CRS, other: CRS) -> bool:
-    return same_crs(one, other) and not _heights_differ(one, other)
+        heights = source is not None and crs is not None and _heights_differ(source, crs)
+        if source is None or crs is None or (same_crs(source, crs) and not heights):
+            continue
+        moved = _transformed(path, source, crs, np.array([rows[k]["xyz"] for k in members], float))
+        whence = f"from {crs_name(source)} to {crs_name(crs)}"
+        lost = [k for k, xyz in zip(members, moved, strict=True) if not np.isfinite(xyz).all()]
+        for k, xyz in zip(members, moved, strict=True):
+            placed[k] = {**rows[k], "xyz": xyz.tolist()}
+        if lost:
+            names = [placed.pop(k)["id"] for k in lost]
+            remarks.append(_left_out(names, f"they cannot be transformed {whence}"))
+        if count := len(members) - len(lost):
+            how = "heights too" if heights else "heights are taken as they are"
+            are = counted(count, "checkpoints", "are")
+            remarks.append(f"{are} transformed {whence}; {how}")
+    return list(placed.values())
 
 
 def _heights_differ(one: CRS, other: CRS) -> bool:
     first, second = vertical(one), vertical(other)
     return first is not None and second is not None and not first.equals(second)
-
-
-def _told(names: Sequence[str], moved: NDArray[np.bool_], source: CRS, crs: CRS) -> Iterator[str]:
-    """What to say of checkpoints of another CRS that were transformed, and of those that cannot."""
-    heights = "heights too" if _heights_differ(source, crs) else "heights are taken as they are"
-    count, whence = int(moved.sum()), f"from {crs_name(source)} to {crs_name(crs)}"
-    if count:
-        noun = "checkpoint is" if count == 1 else "checkpoints are"
-        yield f"{count} {noun} transformed {whence}; {heights}"
-    lost = [name for name, there in zip(names, moved, strict=True) if not there]
-    if lost:
-        yield _left_out(lost, f"no place with such coordinates can be transformed {whence}")
 
 
 def _transformed(
@@ -333,43 +316,12 @@ def _transformed(
     try:
         # Without the grid of a geoid PROJ would leave heights as they are and keep silent.
         transformer = Transformer.from_crs(*ends, always_xy=True, only_best=whole)
+        x, y, z = xyz.T
+        moved = transformer.transform(x, y, z, errcheck=whole and len(xyz) == 1)
     except ProjError as error:
-        raise _untransformed(path, source, crs, error) from None
-    x, y, z = xyz.T
-    if whole:
-        moved = np.column_stack(transformer.transform(x, y, z))
-        if not np.isfinite(moved).any():
-            _refuse_without_grid(path, transformer, xyz, (source, crs))
-        return moved
-    return np.column_stack([*transformer.transform(x, y), z])
-
-
-def _refuse_without_grid(
-    path: Path, transformer: Transformer, xyz: NDArray[np.float64], ends: tuple[CRS, CRS]
-) -> None:
-    """Raise what PROJ says where it moves no place for want of a grid."""
-    try:
-        transformer.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], errcheck=True)
-    except ProjError as error:
-        if _LACKING.search(str(error)):
-            raise _untransformed(path, *ends, error) from None
-
-
-_LACKING: Final = re.compile(r"Grid (\S+) is not available")
-"""How PROJ says that a grid is not there."""
-
-
-def _untransformed(path: Path, source: CRS, crs: CRS, error: ProjError) -> InputError:
-    """What PROJ says, and what helps; it names the grids that it lacks."""
-    lacking = _LACKING.findall(str(error))
-    between = f"{crs_name(source)} to {crs_name(crs)}"
-    if lacking:
-        return InputError(
+        raise InputError(
             str(path),
-            f"cannot be transformed from {between}: PROJ lacks the grid {named(lacking)}; put it "
-            "into PROJ's data folder, or give the checkpoints in the survey's CRS",
-        )
-    return InputError(
-        str(path),
-        f"cannot be transformed from {between}; give the checkpoints in the survey's CRS",
-    )
+            f"cannot be transformed from {crs_name(source)} to {crs_name(crs)} ({error}): give the "
+            "checkpoints in the survey's CRS, or put the grid that PROJ lacks into its data folder",
+        ) from None
+    return np.column_stack([*moved[:2], moved[2] if whole else xyz[:, 2]])

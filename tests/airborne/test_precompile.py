@@ -93,17 +93,6 @@ def test_a_share_that_another_process_compiles_is_loaded(monkeypatch: pytest.Mon
         precompile.compile_share(15, 16)
 
 
-def test_compiling_ends_with_the_process_that_asked_for_it() -> None:
-    with subprocess.Popen(  # noqa: S603 - this project's own module
-        precompile._command(0, 1), cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as left:
-        assert left.stdin is not None
-        assert left.stdout is not None
-        assert left.stdout.readline().startswith(b"0 ")
-        left.stdin.close()
-        assert left.wait() == 1, "as its parent is gone, and it had not loaded all"
-
-
 class Told:
     """An observer that keeps what it is told."""
 
@@ -153,25 +142,6 @@ def test_the_other_process_finds_the_same_files_wherever_it_is_called(tmp_path: 
         input="",
     )  # fmt: skip
     assert "not these" not in done.stderr
-
-
-def test_beside_a_block_kernels_of_all_shares_are_compiled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert precompile.in_turn(["abc", "d", "ef"]) == ["a", "d", "e", "b", "f", "c"]
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(precompile.os, "cpu_count", lambda: 2)
-    end_s = time.monotonic() + 120.0
-    with precompile.compiling_beside(2) as child:
-        assert child is not None
-        while not list(tmp_path.rglob("*.nbc")):
-            assert child.poll() is None
-            assert time.monotonic() < end_s
-            time.sleep(0.05)
-    assert child.returncode < 0, "it has ended with the block"
-    monkeypatch.setattr(precompile.os, "cpu_count", lambda: 1)
-    with precompile.compiling_beside(2) as child:
-        assert child is None
 
 
 def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:

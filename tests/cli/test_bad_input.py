@@ -1,22 +1,17 @@
 """Bad input: one clear line each, never a traceback, the exit status of the contract."""
 
-import errno
 import json
-import os
 import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 import shapely
 
 from spl_batch import api
 from spl_batch.airborne.simulate.file_writers import write_polygons
-from spl_batch.engine.plan.input_files import source_key
-from spl_batch.engine.verbs import running
 from spl_batch.errors import grouped
 from tests import surveys
 from tests.io_files import patch
@@ -98,13 +93,6 @@ def cut_in_half(path: Path) -> None:
     path.write_bytes(content[: len(content) * 2 // 3])
 
 
-def garbled(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    middle = len(content) // 2
-    content[middle : middle + 400] = bytes(range(200)) * 2
-    path.write_bytes(content)
-
-
 def lost_chunk_table(path: Path) -> None:
     content = bytearray(path.read_bytes())
     start = struct.unpack_from("<I", content, 96)[0]
@@ -151,33 +139,6 @@ def test_a_broken_file_among_good_ones_is_named(
     assert run(survey).status == 0
 
 
-def test_names_as_long_as_they_may_be(survey: Path) -> None:
-    lines = survey.parent / "lines"
-    names = ["k" * 251 + ".laz", "雪" * 83 + ".laz"]
-    (lines / "good.laz").rename(lines / names[0])
-    surveys.write_cloud(lines / names[1], surveys.flightline(shots=TINY, psid=2, seed=4))
-    assert run(survey).status == 0
-    output = survey.parent / "out"
-    assert sorted(path.name for path in (output / "laz/lines").iterdir()) == sorted(names)
-    links = {path.name for path in (output / "stac").iterdir()}
-    assert len(links) == 4 + len(list(output.glob("*.tif")))
-    assert (output / "report.html").exists()
-
-
-def test_what_the_system_refuses_during_a_run_stops_it(
-    survey: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refused_by_system(*_: object) -> None:
-        raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG), "some/place")
-
-    monkeypatch.setattr(running, "concluded", refused_by_system)
-    ended = run(survey, "--until", "index")
-    assert ended.status == 3, "2 is where nothing was started"
-    assert "some/place: File name too long; mend that, and run again" in ended.err
-    monkeypatch.undo()
-    assert run(survey, "--until", "index").status == 0
-
-
 def test_a_file_is_mended_and_only_that_is_done(survey: Path) -> None:
     bad = survey.parent / "lines/bad.laz"
     line = surveys.flightline(shots=TINY, psid=2, seed=4)
@@ -187,17 +148,6 @@ def test_a_file_is_mended_and_only_that_is_done(survey: Path) -> None:
     surveys.write_cloud(bad, line)
     assert run(survey).status == 0
     assert (survey.parent / "out/laz/lines/bad.laz").exists()
-
-
-def test_damaged_points_never_pass_as_good_ones(survey: Path) -> None:
-    """LAZ carries no checksum: damage is found, or at least no point is lost or invented."""
-    bad = survey.parent / "lines/bad.laz"
-    surveys.write_cloud(bad, surveys.flightline(shots=TINY, psid=2, seed=4))
-    garbled(bad)
-    ended = run(survey)
-    assert ended.status in {0, 1}
-    if ended.status == 1:
-        failed(ended, survey, "bad.laz")
 
 
 def test_no_such_files(survey: Path) -> None:
@@ -221,18 +171,6 @@ def test_no_such_files(survey: Path) -> None:
         "survey.trajectory=t",
     ]
     refused(run(survey, *everything), "aoi: ", "water: ", "survey.trajectory: ")
-
-
-def test_an_output_elsewhere_is_named_where_it_is_made(survey: Path, tmp_path: Path) -> None:
-    other = tmp_path.parent / f"{tmp_path.name} results"
-    for new in (True, False):
-        ended = run(survey, "--until", "index", "--set", f"output={other}")
-        assert ended.status == 0, ended.text
-        assert (f"created folder {other}" in ended.err.replace("\n  ", " ")) == new
-    for beside in ("out", "results/new/night"):
-        ended = run(survey, "--until", "index", "--set", f"output={beside}")
-        assert ended.status == 0, ended.text
-        assert "created folder" not in ended.err
 
 
 def test_unknown_keys_and_options(survey: Path) -> None:
@@ -270,76 +208,6 @@ def test_all_times_zero(survey: Path) -> None:
     assert (survey.parent / "out/dtm.tif").exists()
 
 
-def test_some_times_are_nan(survey: Path) -> None:
-    line = surveys.flightline(shots=TINY, psid=2, seed=4)
-    line["gps_time"][::7] = np.nan
-    line["gps_time"][3] = np.inf
-    missing = int(np.count_nonzero(~np.isfinite(line["gps_time"])))
-    surveys.write_cloud(survey.parent / "lines/nan.laz", line)
-    ended = run(survey)
-    assert ended.status == 0, ended.text
-    columns = surveys.delivered(survey.parent / "out")["lines/nan.laz"]
-    assert np.array_equal(columns["noise_class"] == 255, ~np.isfinite(line["gps_time"]))
-    assert f'"no_beam": {missing}' in (survey.parent / "out/report.json").read_text()
-
-
-@pytest.mark.parametrize("time_s", [1e300, -1e100, 9e9, surveys.START_S - 4e7])
-def test_a_time_that_can_be_none(survey: Path, time_s: float) -> None:
-    line = surveys.flightline(shots=TINY, psid=2, seed=4)
-    line["gps_time"][[5, 40]] = time_s
-    surveys.write_cloud(survey.parent / "lines/stray.laz", line)
-    ended = run(survey)
-    warned(ended, "lines/stray.laz: 2 points have no usable gps_time")
-    assert max(map(len, ended.text.splitlines())) < 300
-    columns = surveys.delivered(survey.parent / "out")["lines/stray.laz"]
-    assert np.array_equal(columns["noise_class"] == 255, columns["gps_time"] == time_s)
-    assert '"no_beam": 2' in (survey.parent / "out/report.json").read_text()
-
-
-def test_two_seasons_in_a_tile_are_both_filtered(survey: Path) -> None:
-    first = surveys.flightline(shots=2 * TINY, psid=2, seed=4)
-    second = surveys.flightline(shots=TINY, psid=3, seed=5)
-    second["gps_time"] += 3 * 365.25 * 86_400
-    surveys.write_cloud(survey.parent / "lines/tile.laz", surveys.join(first, second))
-    ended = run(survey)
-    assert ended.status == 0, ended.text
-    assert "no usable gps_time" not in ended.text
-    columns = surveys.delivered(survey.parent / "out")["lines/tile.laz"]
-    assert not (columns["noise_class"] == 255).any()
-
-
-def test_a_file_of_nan_times(survey: Path) -> None:
-    line = line_without_time()
-    line["gps_time"][:] = np.nan
-    surveys.write_cloud(survey.parent / "lines/good.laz", line)
-    refused(run(survey), "good.laz", "usable gps_time")
-
-
-FORMATS = [("1.2", f) for f in range(4)] + [("1.3", 4), ("1.3", 5)]
-
-
-@pytest.mark.parametrize(("version", "point_format"), FORMATS)
-def test_old_point_formats(survey: Path, version: str, point_format: int) -> None:
-    path = survey.parent / "lines/good.laz"
-    line = surveys.flightline(shots=TINY)
-    if point_format in {4, 5}:
-        path.unlink()
-        path = path.with_suffix(".las")  # wave packets have no compression here
-    surveys.write_cloud(path, line, version=version, point_format=point_format)
-    if point_format in {0, 2}:
-        refused(run(survey), "has no gps_time", "filter.method: none")
-        settings = ["--set", "filter.method=none", "--set", "afterpulse.enabled=false"]
-        ended = run(survey, *settings)
-    else:
-        ended = run(survey)
-    assert ended.status == 0, ended.text
-    (columns,) = surveys.delivered(survey.parent / "out").values()
-    given = laspy.read(path)
-    for name in ("X", "Y", "Z", "intensity", "channel", "point_source_id"):
-        assert np.array_equal(columns[name], given[name]), name
-    assert np.count_nonzero(columns["classification"] == 2) > 100
-
-
 def test_the_trajectory_misses_a_part(survey: Path) -> None:
     line = surveys.flightline(shots=TINY)
     path = survey.parent / "trajectory.csv"
@@ -360,70 +228,6 @@ def test_the_trajectory_misses_a_part(survey: Path) -> None:
     assert np.array_equal(columns["noise_class"] == 255, uncovered)
 
 
-def test_what_stops_a_run_is_said_once(survey: Path) -> None:
-    start = surveys.START_S + 86_400
-    surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 10)
-    surveys.write_workflow(survey.parent)
-    ended = run(survey)
-    assert ended.status == 2
-    assert ended.text.count("outside trajectory.csv") == 1
-    assert "trajectory all" not in ended.text
-
-
-def test_files_that_share_a_fault_are_refused_together(survey: Path) -> None:
-    lines = survey.parent / "lines"
-    for name in ("first", "good", "third"):
-        surveys.write_cloud(lines / f"{name}.laz", surveys.flightline(), crs="EPSG:2277")
-    for ended in (run(survey), surveys.command("plan", survey)):
-        assert ended.text.count("US survey foot") == 1
-        assert all(str(lines / f"{name}.laz") in ended.text for name in ("first", "good", "third"))
-    assert " and Northing in " in ended.text or " and northing in " in ended.text.lower()
-
-
-def test_a_failed_file_is_called_by_its_name(survey: Path) -> None:
-    surveys.write_cloud(survey.parent / "lines" / "other.laz", surveys.flightline(psid=2))
-    garbled(survey.parent / "lines" / "other.laz")
-    ended = run(survey)
-    assert ended.status == 1
-    assert "failed: index file lines/other.laz: " in ended.err
-    key = str(source_key("lines/other.laz"))
-    assert key not in ended.text
-    assert key not in surveys.command("status", survey.parent / "out").text
-
-
-def test_the_trajectory_misses_everything(survey: Path) -> None:
-    surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=surveys.START_S + 5e4,
-                             stop_s=surveys.START_S + 5e4 + 10)  # fmt: skip
-    surveys.write_workflow(survey.parent)
-    ended = run(survey)
-    if ended.status == 2:
-        refused(ended, "trajectory")
-    else:
-        report = (survey.parent / "out/report.json").read_text()
-        assert "does not cover" in report
-
-
-def test_the_trajectory_is_somewhere_else(survey: Path) -> None:
-    path = surveys.write_trajectory(survey.parent / "trajectory.csv", shift_m=3e6)
-    surveys.write_workflow(survey.parent)
-    refused(run(survey), "survey.trajectory", str(path))
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("", "trajectory.csv"),
-        ("time,easting\n1,2\n", "trajectory.csv"),
-        ("gps_time,x,y,z\n1,two,3,4\n", "trajectory.csv"),
-        ("gps_time,x,y,z\n", "trajectory.csv"),
-    ],
-)
-def test_trajectories_that_are_none(survey: Path, content: str, words: str) -> None:
-    (survey.parent / "trajectory.csv").write_text(content)
-    surveys.write_workflow(survey.parent)
-    refused(run(survey), "survey.trajectory", words)
-
-
 def test_crs_mismatch_between_clouds(survey: Path) -> None:
     other = surveys.flightline(shots=TINY, psid=2, seed=4)
     surveys.write_cloud(survey.parent / "lines/other.laz", other, crs="EPSG:32616")
@@ -436,22 +240,6 @@ def test_crs_mismatch_of_the_reference(survey: Path) -> None:
     surveys.write_cloud(survey.parent / "reference.laz", reference, crs="EPSG:25832")
     ended = run(survey, "--set", "reference.points=reference.laz")
     refused(ended, "reference.points", "reference.laz", "reproject")
-
-
-def test_where_clouds_differ_themselves_the_reference_is_not_blamed_alone(survey: Path) -> None:
-    other = surveys.flightline(shots=10, psid=2)
-    surveys.write_cloud(survey.parent / "lines/other.laz", other, crs="EPSG:25832")
-    surveys.write_cloud(survey.parent / "reference.laz", other, crs="EPSG:25832")
-    ended = run(survey, "--set", "reference.points=reference.laz")
-    refused(ended, "reference.points", "reference.laz", "nor is that of", "other.laz", "is wrong")
-
-
-def test_a_reference_elsewhere_compares_nothing(survey: Path) -> None:
-    far = surveys.flightline(shots=10, origin_m=(280_000.0, 3_295_000.0))
-    far["classification"][:] = 2
-    surveys.write_cloud(survey.parent / "reference.laz", far)
-    ended = run(survey, "--set", "reference.points=reference.laz")
-    assert ended.status in {0, 1}, ended.text
 
 
 @pytest.mark.parametrize("crs", ["EPSG:2277", "EPSG:6588"])
@@ -469,43 +257,6 @@ def test_crs_in_degrees(survey: Path) -> None:
     refused(run(survey, "--set", "survey.crs=EPSG:4326"), "degree")
     refused(run(survey, "--set", "survey.crs=EPSG:nonsense"), "survey.crs", "not a known CRS")
     warned(run(survey), "no input file carries a CRS")
-
-
-def test_own_output_as_input(survey: Path) -> None:
-    assert run(survey).status == 0
-    refused(run(survey, "--set", "survey.flightlines=out/laz/lines/*.laz"), "output folder")
-    refused(run(survey, "--set", "survey.flightlines='**/*.laz'"), "output folder")
-    ended = run(survey, "--set", "output=lines")
-    refused(ended, "output folder")
-
-
-def test_a_file_in_place_of_the_output_folder(survey: Path) -> None:
-    (survey.parent / "out").write_text("mine")
-    refused(run(survey), "output", "cannot be written")
-    refused(run(survey, "--set", "output=out/deep"), "output", "cannot be written")
-    assert (survey.parent / "out").read_text() == "mine"
-
-
-def test_the_same_name_in_two_folders(survey: Path) -> None:
-    second = surveys.flightline(shots=TINY, psid=2, seed=4)
-    surveys.write_cloud(survey.parent / "more/good.laz", second)
-    ended = run(survey, "--set", "survey.flightlines=[lines/*.laz, more/*.laz, lines/good.laz]")
-    assert ended.status == 0, ended.text
-    got = surveys.delivered(survey.parent / "out")
-    assert list(got) == ["lines/good.laz", "more/good.laz"]
-    assert len(got["more/good.laz"]["X"]) == len(second["x"])
-
-
-def test_mixed_scales(survey: Path) -> None:
-    for k, scale in enumerate((0.01, 0.0025, 0.00025)):
-        line = surveys.flightline(shots=TINY, psid=2 + k, seed=4 + k)
-        surveys.write_cloud(survey.parent / f"lines/scale_{k}.laz", line, scale=scale)
-    ended = run(survey)
-    assert ended.status == 0, ended.text
-    for path in sorted((survey.parent / "lines").glob("*.laz")):
-        with laspy.open(path) as a, laspy.open(survey.parent / "out/laz/lines" / path.name) as b:
-            assert list(a.header.scales) == list(b.header.scales)
-            assert np.array_equal(a.read().xyz, b.read().xyz)
 
 
 def test_missing_channel_dimension(survey: Path) -> None:
@@ -533,49 +284,9 @@ def few(n: int) -> surveys.Columns:
     return surveys.take(line, np.linspace(0, len(line["x"]) - 1, n).astype(int))
 
 
-@pytest.mark.parametrize("n", [1, 2, 5, 14])
-def test_hardly_any_points(survey: Path, n: int) -> None:
-    surveys.write_cloud(survey.parent / "lines/good.laz", few(n))
-    ended = run(survey)
-    assert ended.status == 0, ended.text
-    (columns,) = surveys.delivered(survey.parent / "out").values()
-    assert len(columns["X"]) == n
-
-
-@pytest.mark.parametrize("n", [0, 1, 14])
-def test_hardly_any_points_beside_many(survey: Path, n: int) -> None:
-    surveys.write_cloud(survey.parent / "lines/few.laz", few(n))
-    ended = run(survey)
-    assert ended.status == 0, ended.text
-    assert len(surveys.delivered(survey.parent / "out")["lines/few.laz"]["X"]) == n
-
-
 def test_no_points_at_all(survey: Path) -> None:
     surveys.write_cloud(survey.parent / "lines/good.laz", few(0))
     refused(run(survey), "no input is usable", "no points")
-
-
-def test_all_points_in_one_place(survey: Path) -> None:
-    line = surveys.flightline(shots=TINY)
-    for axis in "xyz":
-        line[axis][:] = np.round(line[axis][0], 3)
-    surveys.write_cloud(survey.parent / "lines/good.laz", line)
-    ended = run(survey)
-    assert ended.status == 0, ended.text
-    (columns,) = surveys.delivered(survey.parent / "out").values()
-    assert len(columns["X"]) == len(line["x"])
-
-
-def test_points_in_one_shot(survey: Path) -> None:
-    line = surveys.take(surveys.flightline(shots=1, noise=0.9), slice(None))
-    surveys.write_cloud(survey.parent / "lines/good.laz", line)
-    assert run(survey).status == 0
-
-
-def test_an_area_of_interest_without_points(survey: Path) -> None:
-    write_polygons(survey.parent / "aoi.gpkg", [shapely.box(0, 0, 10, 10)], surveys.CRS_NAME)
-    ended = run(survey, "--set", "aoi=aoi.gpkg")
-    refused(ended, "aoi: ", "aoi.gpkg")
 
 
 @pytest.mark.parametrize("key", ["aoi", "water", "breaklines"])
@@ -629,12 +340,3 @@ def test_a_dimension_that_holds_no_beamlet_numbers_is_refused(
         ).status
         == 0
     )
-
-
-def test_what_headers_tell_is_said_once_and_for_all_files(survey: Path) -> None:
-    lines = survey.parent / "lines"
-    for name in ("first", "good", "third"):
-        surveys.write_cloud(lines / f"{name}.laz", surveys.flightline(shots=120), scale=0.00025)
-    (said,) = surveys.found(surveys.run(survey).report.findings, "I01", "header")
-    assert said.subjects == ("lines/first.laz", "lines/good.laz", "lines/third.laz")
-    assert surveys.found(api.plan(survey).findings, "I01") == [said]

@@ -4,12 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numba
 import pytest
 
-from spl_batch import receivers
-from spl_batch.airborne.arrays import compiling
-from spl_batch.errors import MissingPackageError, refuse_without
 from tests import surveys
 
 FOREIGN = ("matplotlib", "h5py", "skimage", "sklearn", "pystac", "s3fs", "xarray", "bokeh")
@@ -92,31 +88,3 @@ def test_a_run_that_could_write_no_report_does_not_begin(
     assert ended.status == 2
     assert "reports need the package matplotlib" in ended.err
     assert not (small.parent / "out").exists()
-
-
-def test_a_task_names_the_package_that_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = "spl_batch.geiger.water.surface.pixel_surface"
-    monkeypatch.setitem(sys.modules, "skimage", None)  # type: ignore[arg-type]
-    monkeypatch.delitem(sys.modules, "skimage.restoration", raising=False)
-    monkeypatch.delitem(sys.modules, module, raising=False)
-    with pytest.raises(MissingPackageError, match="these tasks need the package skimage"):
-        receivers.load(f"{module}:anything")
-
-
-def test_a_package_that_is_there_is_not_refused() -> None:
-    refuse_without("json", "things", "report")
-    with pytest.raises(MissingPackageError, match=r"pip install 'spl-batch\[report\]'"):
-        refuse_without("no_such_package_here", "things", "report")
-
-
-def test_compiling_is_told_once(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(compiling._TELLER, "told", False)
-
-    @compiling.telling
-    def compiled_anew(value: int) -> int:
-        return int(numba.njit(lambda x: x + 1)(value))
-
-    assert [compiled_anew(1), compiled_anew(2)] == [2, 3]
-    assert capsys.readouterr().err == compiling.LINE

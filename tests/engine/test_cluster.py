@@ -1,8 +1,5 @@
 """Workers that were started elsewhere: what they must find, and how work flows to them."""
 
-import ast
-import logging
-import re
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,36 +9,13 @@ from typing import Any
 import pytest
 from distributed import Client, LocalCluster
 
-from spl_batch.engine.flow import cluster, dask_flow, job
+from spl_batch.engine.flow import dask_flow, job
 from spl_batch.engine.flow.cluster import OnDask
 from spl_batch.engine.flow.job import Footing
 from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task, WorkersSeen
 from spl_batch.errors import StoppedError
-from tests import clusters
 
 # Processes
-
-
-def test_the_slurm_snippet_of_the_documentation_makes_a_job() -> None:
-    jobqueue = pytest.importorskip("dask_jobqueue")
-    page = (clusters.ROOT / "docs/cluster.md").read_text(encoding="utf-8")
-    (code,) = (
-        c for c in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "SLURMCluster" in c
-    )
-    (call,) = (
-        node
-        for node in ast.walk(ast.parse(code))
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "SLURMCluster"
-    )
-    options = {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
-    with jobqueue.SLURMCluster(
-        **options, interface="lo", scheduler_options={"dashboard_address": "127.0.0.1:0"}
-    ) as cluster:
-        script = cluster.job_script()
-    for words in ("-p compute", "--cpus-per-task=16", "--mem=96G", "--nworkers 16", "--nthreads 1"):
-        assert words in script, words
-    assert "--memory-limit 6.00GiB" in script, "what --memory says"
-    assert "--lifetime 7h50m" in script
 
 
 # The flow of jobs, on workers that are threads of this process
@@ -153,20 +127,6 @@ def test_a_job_is_given_what_it_waits_for_as_a_value(
     assert found[-1].need == later.need
 
 
-def test_what_a_task_needs_is_not_sent(
-    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sent: list[Task] = []
-
-    def do(one: Job, _: object) -> Outcome:
-        sent.append(one.task)
-        return Outcome(one.need, receipt(one.task, one.key))
-
-    given = Task("mosaic", "dtm", {"name": "dtm"}, (("surface", "0_0"),) * 1000, 7)
-    flow_through(threads, [Job(given, "key")], monkeypatch, do)
-    assert sent == [replace(given, needs=())]
-
-
 def test_a_task_knows_the_limit_of_its_worker(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,12 +148,6 @@ def test_the_window_follows_the_workers(threads: LocalCluster) -> None:
             time.sleep(0.05)
         assert on_dask.window == 6 * dask_flow.HELD_PER_THREAD
         on_dask.close()
-
-
-def test_workers_are_found_whatever_the_client_holds(threads: LocalCluster) -> None:
-    with Client(threads) as client:
-        client._scheduler_identity = {"workers": {}}  # as every two seconds
-        assert list(dask_flow.workers_of(client)) == [w.address for w in threads.workers.values()]
 
 
 def test_what_concerns_everything_stops_everything(
@@ -225,22 +179,3 @@ def test_a_task_that_cannot_be_done_fails_alone(
     found, _ = flow_through(threads, jobs(3), monkeypatch, do)
     failed = {o.need[1]: o.receipt.reason for o in found if o.receipt and o.receipt.failed}
     assert failed == {"1_0": "LookupError: nothing of the kind here"}
-
-
-def test_dask_says_nothing_while_a_run_works() -> None:
-    told: list[logging.LogRecord] = []
-    handler = logging.Handler()
-    handler.emit = told.append  # type: ignore[method-assign]
-    logger = logging.getLogger("distributed.client")
-    before = logger.level
-    logger.setLevel(logging.WARNING)
-    logger.addHandler(handler)
-    try:
-        with cluster.silent():
-            logger.error("a traceback")
-        assert told == []
-        logger.error("of somebody else's")
-        assert len(told) == 1
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(before)

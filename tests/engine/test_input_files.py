@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from spl_batch.altimetry.plan import Tracks, gather_inputs
-from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.engine.plan.input_files import check_keys, expand, refuse_own, stem_names
-from spl_batch.errors import WorkflowError, grouped
+from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import projected_crs
 
 
@@ -72,20 +70,6 @@ def test_results_of_files_of_one_name_are_told_apart() -> None:
     assert stem_names(files) == {1: "f_1", 2: "f_2", 3: "g"}
 
 
-def test_tracks_of_one_name_in_folders_of_one_name_do_not_overwrite_each_other(
-    tmp_path: Path,
-) -> None:
-    for folder in ("a/x", "b/x"):
-        (tmp_path / folder).mkdir(parents=True)
-        (tmp_path / folder / "f.csv").write_text("along_track,height\n1,2\n3,4\n")
-    workflow = TrackWorkflow.model_validate(
-        {"kind": "altimetry", "track": {"photons": "*/x/f.csv"}, "output": "out"}
-    )
-    inputs = gather_inputs(workflow, tmp_path, tmp_path / "out")
-    tracks = Tracks(inputs, workflow, 1 << 30, 1)
-    assert len(set(tracks.delivered.values())) == len(inputs.sources) == 2
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -100,14 +84,6 @@ def test_a_crs_that_does_not_serve_is_one_fault_among_others(text: str, says: st
     assert len(faults) > 1
     assert all(fault.startswith("survey.crs: ") for fault in faults[1:])
     assert says in faults[1]
-
-
-@pytest.mark.parametrize(
-    ("value", "digits", "shown"),
-    [(0, 0, "0"), (1234, 0, "1 234"), (1234567.891, 1, "1 234 567.9"), (-1e6, 0, "-1 000 000")],
-)
-def test_numbers_of_messages_have_groups(value: float, digits: int, shown: str) -> None:
-    assert grouped(value, digits) == shown
 
 
 def test_a_projected_crs_serves() -> None:

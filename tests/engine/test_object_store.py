@@ -117,15 +117,6 @@ def test_results_are_those_of_a_local_store(
     }
 
 
-@pytest.mark.slow
-def test_workers_share_it(survey: Path, expected: Results, bucket: str) -> None:
-    place = [f"outputs.store={bucket}/two"]
-    result = api.run(survey, workers=2, memory="2GiB", overrides=place, until="deliver")
-    assert result.exit_status == 0
-    assert surveys.results(result.output) == expected
-    assert keys("two/receipts")
-
-
 def test_a_store_belongs_to_one_output(survey: Path) -> None:
     place = "outputs.store=memory://shared"
     surveys.run(survey, place, until="index")
@@ -191,16 +182,6 @@ def test_brackets_in_the_name_of_a_store_are_no_pattern() -> None:
     remote.remove_remote(ours)
     assert not ours.exists()
     assert remote.read_object(theirs / "zones" / "0") == b"Block 1"
-
-
-@pytest.mark.slow
-def test_two_filters_are_compared_on_another_kind_of_store(survey: Path) -> None:
-    place = "outputs.store=memory://three"
-    result = api.compare(survey, "voxel,none", workers=0, overrides=[place])
-    assert result.exit_status == 0
-    there = fsspec.filesystem("memory")
-    assert there.ls("/three/compare/voxel/receipts/denoise")
-    assert there.ls("/three/compare/none/receipts/build_tile")
 
 
 def test_a_store_that_is_not_there_stops_the_run(

@@ -1,6 +1,5 @@
 """Receipts, atomic files, voxel parts: only what is whole is ever trusted."""
 
-import errno
 import json
 import os
 from pathlib import Path
@@ -17,7 +16,7 @@ from spl_batch.engine.store.working_store import (
     write_receipt,
 )
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.errors import StoppedError, StoreError, WorkflowError
+from spl_batch.errors import StoppedError, WorkflowError
 from spl_batch.formats.files.atomic import (
     checksum,
     owned_by,
@@ -99,29 +98,6 @@ def test_a_directory_is_replaced_whole(tmp_path: Path) -> None:
                 (temporary / name).write_text(name)
     assert [p.name for p in path.iterdir()] == ["c"]
     assert [p.name for p in tmp_path.iterdir()] == ["group"]
-
-
-@pytest.mark.parametrize(
-    ("number", "expected", "words"),
-    [
-        (errno.ENOSPC, StoppedError, "disk full"),
-        (errno.EDQUOT, StoppedError, "quota"),
-        (errno.EFBIG, StoppedError, "too large"),
-        (errno.EROFS, WorkflowError, "cannot be written"),
-    ],
-)
-def test_what_the_system_says_is_said_again(
-    tmp_path: Path, number: int, expected: type[Exception], words: str
-) -> None:
-    path = tmp_path / "a"
-
-    def fail() -> None:
-        with replacing(path):
-            raise OSError(number, os.strerror(number))
-
-    with pytest.raises(expected, match=words) as caught:
-        fail()
-    assert str(path) in str(caught.value)
 
 
 def test_content_is_on_disk_before_its_name_and_the_name_before_the_end(
@@ -228,13 +204,6 @@ def test_the_same_part_gives_the_same_bytes(tmp_path: Path) -> None:
     assert checksum(tmp_path / "a") == checksum(tmp_path / "b")
     write_voxels(tmp_path / "empty", part((0, 0, 0), (0, 0, 0), 5))
     StoredVoxels(tmp_path / "empty").add((0, 0, 0), {"amount": np.zeros((2, 2, 2), np.int64)})
-
-
-def test_missing_voxels_are_named(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match=r"none\.zarr"):
-        StoredVoxels(tmp_path / "none.zarr").add(
-            (0, 0, 0), {"amount": np.zeros((1, 1, 1), np.int64)}
-        )
 
 
 def test_the_log_has_one_line_for_each_event(tmp_path: Path) -> None:

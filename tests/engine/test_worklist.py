@@ -9,14 +9,11 @@ import pytest
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import task_memory
+from spl_batch.airborne.plan.heaviest_tasks import needs
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs
-from spl_batch.airborne.plan.memory.heaviest_tasks import needs
-from spl_batch.airborne.plan.space_tasks import build
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import (
-    STRETCH_POINTS,
     refusal,
-    stretch_points,
     task_bytes,
 )
 from spl_batch.airborne.settings.workflow import parse_workflow
@@ -24,15 +21,13 @@ from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.plan import budget, worker_memory
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
-from spl_batch.engine.store import working_store
 from spl_batch.engine.store.working_store import Store, write_receipt
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.ledger import Shelf
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
-from spl_batch.formats.files import atomic
 from spl_batch.lattice.density import from_counts
-from spl_batch.lattice.tiles import CellId, cell_bounds, parse_cell
+from spl_batch.lattice.tiles import CellId
 
 WORKFLOW = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "w")
 NAMES = ("a", "b", "c", "heavy")
@@ -154,57 +149,6 @@ def test_a_shelf_keeps_what_later_phases_read() -> None:
         shelf.digest("1_0")
 
 
-def test_tiles_are_built_of_every_piece_in_the_order_of_stretches() -> None:
-    known = survey()
-    for name, tiles in (
-        ("l/10", {"0_0": [0, 5], "-1_2": [1, 7]}),
-        ("l/2", {"0_0": [3, 1]}),
-        ("k/1", {}),
-    ):
-        known.of("scatter").put(receipt("scatter", name, tiles=tiles))
-    left, right = build(known)
-    assert (left.name, left.points, left.args["pieces"]) == ("-1_2", 7, [("l/10", 1)])
-    assert (right.name, right.points) == ("0_0", 6)
-    assert right.args["pieces"] == [("l/10", 0), ("l/2", 3)]
-    assert right.needs == (("scatter", "l/10"), ("scatter", "l/2"))
-    assert list(build(survey())) == []
-
-
-def test_a_stretch_is_read_from_the_parts_that_hold_its_flightline_then() -> None:
-    known = survey()
-    far = 1e4  # another lift of the same flightline
-    spans = {"7": [[0.0, 99.0, 600], [far, far + 9.0, 100]]}
-    parts = [{"7": [0.0, 30.0]}, {"7": [30.0, 99.0], "8": [0.0, 0.5]}, {"8": [1.0, 2.0]}, {}]
-    files: dict[str, dict[str, Any]] = {
-        "1": {"spans": {"7": [[90.0, 120.0, 500]]}, "parts": []},
-        "2": {"spans": {**spans, "8": [[0.0, 2.0, 9]]}, "parts": [*parts, {"7": [far, far + 9.0]}]},
-        "3": {"spans": {"7": [[50.0, 50.0, 10_000]]}, "parts": []},  # no times to speak of
-        "4": {"spans": {}, "parts": []},
-    }
-    for name, found in files.items():
-        points = sum(int(n) for listed in found["spans"].values() for _, _, n in listed)
-        facts = {
-            "timeless": 0,
-            "excluded": 0,
-            "prf_hz": {},
-            "fullest": {psid: [points] for psid in found["spans"]},
-        }
-        known.of("index_file").put(receipt("index_file", name, points=points, **found, **facts))
-    read: dict[str, set[str]] = {}
-    for task in STEPS["gather"].planned(known):
-        read.setdefault(task.name.split("/")[0], set()).update(task.args["sources"])
-    assert read == {
-        "00007_0": {"1", "2-0", "2-1"},
-        "00007_10000": {"2-4"},
-        "00008_0": {"2-1", "2-2"},
-    }
-    held = known.pieces[7]
-    assert held.within(0.0, 29.0) == ["2-0"]
-    assert held.within(30.0, 30.0) == ["2-0", "2-1"]
-    assert held.within(100.0, 110.0) == ["1"]
-    assert held.within(130.0, 140.0) == []
-
-
 def test_only_the_unit_that_cannot_fit_is_refused() -> None:
     limit = 2**30
     full = int((usable_bytes(limit) - worker_memory.LOADED_BASE_BYTES) / 0.9)
@@ -214,10 +158,9 @@ def test_only_the_unit_that_cannot_fit_is_refused() -> None:
     known.of("index_file").put(receipt("index_file", "1", bounds=bounds, **none))
     for name, points in (
         ("0_0", 1000),
-        ("50_50", full // task_memory.BYTES_PER_POINT["ground"] * 60),
+        ("50_50", full // STEPS["ground"].bytes_per_point * 60),
     ):
-        slab = [*cell_bounds(parse_cell(name), known.tile_q), points]
-        tile = {"points": points, "slabs": [slab], "sources": [], "outside_aoi": 0, "no_beam": 0}
+        tile = {"points": points, "sources": [], "outside_aoi": 0, "no_beam": 0}
         known.of("build_tile").put(receipt("build_tile", name, **tile))
     for kind in ("denoise", "ground", "surface"):
         refused = {task.name: task.refused for task in STEPS[kind].planned(known)}
@@ -240,11 +183,11 @@ def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
     pieces = list(from_counts({CellId(3, 5): 10**6, CellId(900, 5): 10**5}, 100_000))
     track = tmp_path / "track.sbet"
     track.write_bytes(b"0" * 136 * 1000)
-    found = needs(pieces, WORKFLOW, STRETCH_POINTS, files=[10**9], limit=2**40, trajectory=[track])
+    found = needs(pieces, WORKFLOW, [10**9], 1, [track])
     told = " ".join(need.task for need in found)
     for words in (
         "a tile around x 350, y 550",
-        "a denoise block",
+        "a cell of denoise",
         "a ground cell",
         "a surface cell",
     ):
@@ -257,59 +200,22 @@ def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
     assert tile.memory_bytes == task_bytes("build_tile", 10**6)
 
 
-def test_an_octree_needs_the_memory_of_the_largest_file() -> None:
-    files = [10**6, 10**8, 10**7]
-    outputs = WORKFLOW.outputs.model_copy(update={"copc": True})
-    both = [WORKFLOW, WORKFLOW.model_copy(update={"outputs": outputs})]
-    without, found = (
-        [n for n in needs([], one, STRETCH_POINTS, files=files, limit=2**40) if "octree" in n.task]
-        for one in both
-    )
-    assert without == []
-    assert [n.memory_bytes for n in found] == [task_bytes("deliver_copc", 10**8)]
-    assert "outputs.copc: false" in found[0].remedy
-
-
 def track_need(folder: Path, records: int) -> int:
     """Memory that the plan expects for a trajectory of so many records."""
     track = folder / f"{records}.sbet"
     with track.open("wb") as file:
         file.truncate(136 * records)
-    found = needs([], WORKFLOW, STRETCH_POINTS, files=[1], limit=2**40, trajectory=[track])
+    found = needs([], WORKFLOW, [1], 1, [track])
     return next(n.memory_bytes for n in found if "trajectory" in n.task)
 
 
-def test_stretches_shrink_with_memory() -> None:
-    sizes = [stretch_points(m * 2**20) for m in (256, 1024, 2048, 4096, 65536)]
-    assert sizes == sorted(sizes)
-    assert (sizes[0], sizes[-1]) == (task_memory.LEAST_STRETCH_POINTS, task_memory.STRETCH_POINTS)
-    for limit in (1024, 2048, 4096):
-        points = task_memory.UNEVEN * stretch_points(limit * 2**20)
-        assert points <= task_memory.points_within("scatter", limit * 2**20)
-
-
-def test_rates_are_those_of_a_stage_whose_kinds_handle_the_same_points(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(budget, "SAMPLE", 3)
-    store = Store(tmp_path)
-    for kind, tasks, points, wall_s in (("scatter", 2, 60, 9.0), ("build_tile", 12, 10, 1.0)):
-        for k in range(tasks):
-            done = Receipt(kind, f"{k}", "", "", "", {}, {}, points, wall_s, 9.0)
-            write_receipt(store, done)
-    listed: list[Path] = []
-
-    def names_in(folder: Path, suffix: str) -> list[str]:
-        listed.append(folder)
-        return atomic.names_in(folder, suffix)
-
-    for module in (budget, working_store):
-        monkeypatch.setattr(module, "names_in", names_in, raising=False)
-    rates, measured = budget.measured_rates({"shuffle": 1.0, "ground": 7.0}, context(tmp_path))
-    assert measured
-    # 120 points take 2 x 9 s to scatter and 12 x 1 s to gather in tiles.
-    assert rates == {"shuffle": pytest.approx(4.0), "ground": 7.0}
-    assert len(listed) == len(set(listed)) > 2, "a request each, where the store is far away"
+def test_rates_are_those_of_the_last_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cost = {"wall_s": 30.0, "points": {"scatter": 120, "build_tile": 120}}
+    typical = {"shuffle": 1.0, "ground": 7.0}
+    assert budget.measured_rates(typical, context(tmp_path)) == (typical, False)
+    monkeypatch.setattr(budget, "recall", lambda _: {"costs": {"shuffle": cost}})
+    found = {"shuffle": 4.0, "ground": 7.0}
+    assert budget.measured_rates(typical, context(tmp_path)) == (found, True)
 
 
 def test_the_speed_of_a_stage_counts_each_point_once() -> None:

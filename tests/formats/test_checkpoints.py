@@ -87,32 +87,6 @@ def test_another_crs_is_transformed_and_an_unknown_one_left_out(tmp_path: Path) 
     assert "'EPSG:nonsense' is not known: C" in remarks[1]
 
 
-def test_a_place_that_no_crs_has_is_left_out_alone(tmp_path: Path) -> None:
-    text = (
-        "id,x,y,z,surface,accuracy_m,crs\n"
-        "A,-95.4,29.7,20,open,0.02,EPSG:4326\n"
-        "B,29.7,-95.4,20,open,0.02,EPSG:4326\n"  # latitude and longitude the wrong way round
-        "C,1e9,1e9,20,open,0.02,EPSG:2193\n"
-        "D,272000,3290000,20,open,0.02,\n"
-    )
-    found, remarks = read(tmp_path / "c.csv", text)
-    assert [one.id for one in found] == ["A", "D"]
-    said = {remark.rpartition(": ")[2]: remark for remark in remarks if "left out" in remark}
-    assert sorted(said) == ["B", "C"]
-    for remark in said.values():
-        assert remark.startswith("1 checkpoint is left out, as no place with such coordinates can")
-    (told,) = [remark for remark in remarks if "left out" not in remark]
-    assert told.startswith("1 checkpoint is transformed from ")
-
-
-def test_heights_above_a_geoid_need_its_grid(tmp_path: Path) -> None:
-    path = tmp_path / "c.csv"
-    path.write_text(HEAD + "A,272000,3290000,20,open,0.02\n")
-    survey, own = (CRS.from_user_input(f"EPSG:6344+{code}") for code in (5703, 5773))
-    with pytest.raises(InputError, match=r"c\.csv: cannot be .* lacks the grid us_nga"):
-        read_checkpoints(path, survey, own)
-
-
 def test_points_of_a_geopackage_are_the_same(tmp_path: Path) -> None:
     path = tmp_path / "c.gpkg"
     pyogrio.raw.write(
@@ -130,19 +104,6 @@ def test_points_of_a_geopackage_are_the_same(tmp_path: Path) -> None:
         ("A", 1.0, 2.0, 3.0, 0.01),
         ("B", 4.0, 5.0, 6.0, 0.02),
     ]
-
-
-def test_an_empty_point_is_left_out_alone(tmp_path: Path) -> None:
-    path = tmp_path / "c.gpkg"
-    shapes = np.array([shapely.Point(1.0, 2.0, 3.0), shapely.Point()], object)
-    columns = [np.array(["A", "B"], object), np.array(["open", "open"], object)]
-    pyogrio.raw.write(
-        path, shapely.to_wkb(shapes), columns, ["id", "surface"],
-        geometry_type="Point Z", crs="EPSG:32615",
-    )  # fmt: skip
-    found, (remark,) = read_checkpoints(path, UTM)
-    assert [one.id for one in found] == ["A"]
-    assert remark.endswith(": B")
 
 
 @pytest.mark.parametrize(

@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 import rasterio
 from pyproj import CRS
-from pyproj.crs import BoundCRS, CompoundCRS
-from pyproj.crs.coordinate_operation import ToWGS84Transformation
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
-    compound,
     crs_from_geotiff,
     crs_problems,
     horizontal,
-    other_crs,
     parse_crs,
     same_crs,
     vertical,
@@ -118,15 +114,6 @@ def test_what_is_no_vertical_crs_of_the_files_is_refused(
         with_vertical(given, text, "key")
 
 
-def test_another_crs_of_the_same_name_is_called_so() -> None:
-    zone = CRS.from_epsg(32615)
-    moved = CRS.from_wkt(zone.to_wkt().replace('"False easting",500000', '"False easting",500001'))
-    assert not same_crs(moved, zone)
-    assert other_crs(moved, zone).endswith("has other parameters than the survey's of that name")
-    said = other_crs(CRS.from_epsg(32616), zone)
-    assert said == "CRS 'WGS 84 / UTM zone 16N' is not the survey's 'WGS 84 / UTM zone 15N'"
-
-
 def _keys(*keys: tuple[int, int]) -> CRS | None:
     values = [1, 1, 0, len(keys), *(v for key, value in keys for v in (key, 0, 1, value))]
     return crs_from_geotiff(np.array(values, "<u2").tobytes(), b"", b"")
@@ -158,15 +145,3 @@ def test_a_unit_of_heights_alone_is_no_vertical_crs() -> None:
     assert crs is not None
     assert crs.to_epsg() == 32615
     assert vertical(crs) is None
-
-
-def test_the_horizontal_part_of_a_compound_crs_with_a_datum_shift_is_no_bound_one() -> None:
-    flat = CRS.from_epsg(28992)
-    shift = ToWGS84Transformation(flat.geodetic_crs, 565.2, 50.0, 465.7, 0.4, -0.35, 1.87, 4.08)
-    bound = BoundCRS(flat, CRS.from_epsg(4326), shift)
-    whole = CompoundCRS("RD New + NAP", [bound, CRS.from_epsg(5709)])
-    assert horizontal(whole).to_epsg() == 28992
-    assert same_crs(whole, horizontal(whole))
-    heights = vertical(whole)
-    assert heights is not None
-    assert compound(whole, heights).is_compound

@@ -87,16 +87,6 @@ def test_photons_of_another_file_are_refused(
         inspect_track(path, None)
 
 
-def test_a_group_of_another_file_is_refused(tmp_path: Path) -> None:
-    """Labels would be written there."""
-    path, other = (write_atl03(tmp_path / n, {"gt1r": small_track()}) for n in ("a.h5", "b.h5"))
-    with h5py.File(path, "r+") as file:
-        del file["gt1r/heights"]
-        linked(file, "gt1r/heights", other)
-    with pytest.raises(InputError, match="gt1r/heights/h_ph lies in another file"):
-        inspect_track(path, None)
-
-
 @pytest.mark.parametrize("harm", [linked, virtual, external])
 def test_frames_of_another_file_are_refused(
     tmp_path: Path, harm: Callable[[h5py.File, str, Path], None]

@@ -9,7 +9,6 @@ from pyproj import CRS, Transformer
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.geoid import Geoid, grid_file
-from tests import surveys
 
 UTM = CRS.from_epsg(32615)
 SOUTH, WEST, STEP = 29.0, -96.0, 0.25
@@ -51,11 +50,6 @@ def test_a_grid_that_is_not_there_is_told(tmp_path: Path, grid: str) -> None:
         Geoid(grid, tmp_path / grid, UTM)
 
 
-def test_a_survey_without_a_place_on_earth_has_none(tmp_path: Path) -> None:
-    with pytest.raises(WorkflowError, match="no CRS on earth"):
-        Geoid(write_grid(tmp_path / "a.gtx"), tmp_path / "a.gtx", None)
-
-
 @pytest.mark.parametrize("datum", ["5703", "5773"])
 def test_heights_above_a_geoid_are_not_taken_above_another(tmp_path: Path, datum: str) -> None:
     name = write_grid(tmp_path / "a.gtx")
@@ -73,10 +67,3 @@ def test_the_file_of_a_grid_lies_where_it_is_named_or_where_proj_looks(
     write_grid(tmp_path / "own" / "a.gtx")
     assert grid_file(name, tmp_path / "own" / name) == tmp_path / "own" / name
     assert grid_file("nowhere.gtx", tmp_path / "nowhere.gtx") is None
-
-
-def test_a_run_without_its_grid_does_not_start(tmp_path: Path) -> None:
-    workflow = surveys.small_survey(tmp_path, outputs={"geoid": {"grid": "nowhere.gtx"}})
-    ended = surveys.command("run", workflow)
-    assert ended.status == 2
-    assert "nowhere.gtx is no grid that PROJ can read" in ended.text

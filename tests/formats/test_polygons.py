@@ -1,10 +1,8 @@
 """Polygons of areas of interest and water."""
 
 import json
-import sqlite3
 import struct
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,6 @@ from pyproj import CRS, Transformer
 
 from spl_batch.errors import InputError
 from spl_batch.formats.breaklines import read_breaklines
-from spl_batch.formats.checkpoints import read_checkpoints
 from spl_batch.formats.polygons import check_polygons, contains, read_polygons
 
 UTM = CRS.from_epsg(32615)
@@ -85,23 +82,6 @@ def test_every_layer_and_only_polygons(tmp_path: Path) -> None:
     assert read_polygons(path, UTM).area == 2
 
 
-@pytest.mark.parametrize("suffix", ["gpkg", "geojson"])
-def test_a_layer_of_no_declared_kind_holds_polygons_and_points(tmp_path: Path, suffix: str) -> None:
-    kind = "Unknown"
-    line = shapely.LineString([(0, 0), (9, 0), (9, 9), (0, 0)])
-    sound = {"a": [SQUARE, shapely.Point(1, 1)], "b": [SQUARE, shapely.Polygon()]}
-    for name, shapes in sound.items():
-        path = write(tmp_path / f"{name}.{suffix}", shapes, kind=kind)
-        assert read_polygons(path, UTM).area == SQUARE.area
-    for name, shape in {"c": line, "d": shapely.GeometryCollection([FAR])}.items():
-        path = write(tmp_path / f"{name}.{suffix}", [SQUARE, shape], kind=kind)
-        with pytest.raises(InputError, match=r"feature [12]: is no polygon"):
-            read_polygons(path, UTM)
-        path = write(tmp_path / f"{name}2.{suffix}", [shape, shapely.Polygon()], kind=kind)
-        with pytest.raises(InputError, match="holds no polygons"):
-            read_polygons(path, UTM)
-
-
 def test_faults(tmp_path: Path) -> None:
     text, empty = tmp_path / "a.gpkg", tmp_path / "empty.geojson"
     text.write_text("this is no vector file")
@@ -119,29 +99,6 @@ def test_faults(tmp_path: Path) -> None:
             read_polygons(path, crs)
         assert words in str(caught.value)
         assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("kind", "read"),
-    [("Polygon", check_polygons), ("Polygon", read_breaklines), ("Point", read_checkpoints)],
-)
-def test_a_name_that_is_no_text_is_one_line(
-    tmp_path: Path, kind: str, read: Callable[..., Any]
-) -> None:
-    shape = shapely.Point(0, 0) if kind == "Point" else shapely.box(0, 0, 1, 1)
-    column = write(tmp_path / "a.geojson", [shape], kind=kind)
-    properties = b'"properties": { }'
-    content = column.read_bytes()
-    assert properties in content
-    column.write_bytes(content.replace(properties, b'"properties": {"\x98d": 1}'))
-    view = write(tmp_path / "b.gpkg", [shape], kind=kind)
-    with closing(sqlite3.connect(view)) as database:
-        database.execute("CREATE VIEW aaaaaa AS SELECT * FROM b")
-        database.commit()
-    view.write_bytes(view.read_bytes().replace(b"aaaaaa", b"aaa\xd5aa"))
-    for path in (column, view):
-        with pytest.raises(InputError, match=r"cannot be read as \w+: .*: copy it again"):
-            read(path, UTM)
 
 
 @pytest.mark.filterwarnings("ignore:'crs' was not provided")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 from spl_batch.errors import InputError, WorkflowError, counted
-from spl_batch.formats.gps_clock import clock, contradicted_bit, time_standard
+from spl_batch.formats.gps_clock import clock, time_standard
 from spl_batch.formats.trajectory import merge
 from spl_batch.formats.trajectory.positions import (
     PointExtent,
@@ -21,7 +21,7 @@ from spl_batch.formats.trajectory.positions import (
     read_slice,
     write_trajectory,
 )
-from spl_batch.formats.trajectory.records import COLUMNS, conversions, read_records
+from spl_batch.formats.trajectory.records import COLUMNS, read_records
 from spl_batch.formats.trajectory.sbet import SBET_RECORD
 from spl_batch.lattice.tables import Trajectory
 from tests.formats.whole_trajectory import read_trajectory
@@ -74,21 +74,6 @@ def test_csv_parquet_and_sbet_agree(tmp_path: Path) -> None:
         np.testing.assert_allclose(loaded.trajectory.xyz_m, rows[:, 1:], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("head", "order"),
-    [
-        ("Z,Roll,GPS_TIME,Y,X", (3, 0, 0, 2, 1)),
-        ("gps_time;X;Y;Z;note", (0, 1, 2, 3, 0)),
-        ("# gps_time, x , y , z", (0, 1, 2, 3)),
-        ("\ufeffgps_time,x,y,z", (0, 1, 2, 3)),
-    ],
-)
-def test_csv_heads(tmp_path: Path, head: str, order: tuple[int, ...]) -> None:
-    rows = flight()
-    trajectory = read(write_csv(tmp_path / "a.csv", rows[:, order], head)).trajectory
-    np.testing.assert_array_equal(trajectory.xyz_m, rows[:, 1:])
-
-
 def test_order_and_cut_do_not_matter(tmp_path: Path) -> None:
     rows = flight()
     mixed = np.random.default_rng(0).permutation(rows)
@@ -98,25 +83,6 @@ def test_order_and_cut_do_not_matter(tmp_path: Path) -> None:
     again = read(*parts, parts[0])
     np.testing.assert_array_equal(again.trajectory.time_s, rows[:, 0])
     assert again.warnings == ("trajectory: 17 records repeat a time: left out",)
-
-
-def test_heights_of_a_geographic_trajectory_stay(tmp_path: Path) -> None:
-    rows = np.array([[0.0, -93.0, 40.0, 4123.25], [1.0, -93.001, 40.0, 4124.5]])
-    path = write_csv(tmp_path / "a.csv", rows)
-    for code in ("EPSG:4326", "EPSG:4979"):
-        xyz = read(path, crs=code).trajectory.xyz_m
-        np.testing.assert_array_equal(xyz[:, 2], rows[:, 3])
-        # On the central meridian, by definition, and 0.9996 times the arc along it.
-        np.testing.assert_allclose(xyz[0, 0], 500_000, atol=1e-6)
-        np.testing.assert_allclose(xyz[0, 1], 4_427_757.219, atol=1e-2)
-
-
-def test_survey_with_geoid_heights(tmp_path: Path) -> None:
-    path = write_sbet(tmp_path / "a.sbet", flight())
-    loaded = read(path, survey=CRS.from_user_input("EPSG:32615+5773"))
-    assert np.isfinite(loaded.trajectory.xyz_m).all()
-    moved = np.abs(loaded.trajectory.xyz_m[:, 2] - flight()[:, 3]) > 1
-    assert moved.all() or "PROJ grids" in loaded.warnings[0]
 
 
 @pytest.mark.parametrize("latitude", [np.nan, np.inf, 1e300, -1.7e308])
@@ -250,26 +216,6 @@ def test_time_standard(values: list[float], standard: str) -> None:
     assert time_standard(np.array(values, dtype=np.float64)) == standard
 
 
-def test_header_bit_that_contradicts_the_values() -> None:
-    assert contradicted_bit("adjusted", adjusted_bit=False) is not None
-    assert contradicted_bit("week", adjusted_bit=True) is not None
-    assert contradicted_bit("adjusted", adjusted_bit=True) is None
-    assert contradicted_bit("week", adjusted_bit=False) is None
-    assert contradicted_bit("none", adjusted_bit=False) is None
-
-
-def test_a_trajectory_of_another_day_is_refused(tmp_path: Path) -> None:
-    rows = flight()
-    path, place = write_csv(tmp_path / "a.csv", rows), (*rows[0, 1:3], 0.0, *rows[0, 1:3], 0.0)
-    first, last = rows[0, 0], rows[-1, 0]
-    options: Any = {"survey_crs": None, "trajectory_crs": None}
-    beside = read_trajectory([path], points=PointExtent((first - 5, first + 1), place), **options)
-    assert any("stay unfiltered" in text for text in beside.warnings)
-    for low, high, away in ((first - 50, first - 7, 7), (last + 400, last + 500, 400)):
-        with pytest.raises(InputError, match=rf"{away} s away: no point could be filtered; name"):
-            read_trajectory([path], points=PointExtent((low, high), place), **options)
-
-
 @given(
     start=st.integers(7 * 10**8, 15 * 10**8),
     length=st.integers(10, 80_000),
@@ -343,27 +289,6 @@ def cut(read: Any, size: int) -> Any:
     return smaller
 
 
-def test_few_records_wait_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(merge, "read_records", cut(read_records, 10))
-    monkeypatch.setattr(merge, "WAITING_RECORDS", 25)
-    rows = flight(500)
-    halves = [write_csv(tmp_path / f"{k}.csv", rows[k::2]) for k in (0, 1)]
-    np.testing.assert_array_equal(read(*halves).trajectory.time_s, rows[:, 0])
-    mixed = write_csv(tmp_path / "mixed.csv", np.random.default_rng(0).permutation(rows))
-    with pytest.raises(InputError, match="25 trajectory records are out of time order: sort"):
-        read(mixed)
-
-
-def test_what_is_written_does_not_depend_on_the_pieces(tmp_path: Path) -> None:
-    rows = flight(200_000)
-    for k, step in enumerate((200_000, 65_537, 1_111)):
-        cuts = range(0, len(rows), step)
-        pieces = ((rows[a : a + step, 0], rows[a : a + step, 1:]) for a in cuts)
-        write_trajectory(tmp_path / f"{k}.parquet", pieces)
-    first = (tmp_path / "0.parquet").read_bytes()
-    assert all((tmp_path / f"{k}.parquet").read_bytes() == first for k in (1, 2))
-
-
 @pytest.mark.parametrize(("end", "refused"), [("", True), ("25", True), ("25.125", False)])
 def test_a_csv_that_ends_within_a_number_is_refused(
     tmp_path: Path, *, end: str, refused: bool
@@ -378,8 +303,3 @@ def test_a_csv_that_ends_within_a_number_is_refused(
         assert time.tolist() == [1.5, 2.5]
     path.write_text(path.read_text() + "25\n")
     assert sum(len(time) for time, _ in read_records(path)) == 2, "a line that ends is believed"
-
-
-def test_heights_of_a_trajectory_in_feet_become_metres() -> None:
-    convert = conversions(Path("a.csv"), CRS.from_epsg(32618), "EPSG:2263")[-1].convert
-    assert convert(np.array([[1e6, 2e5, 10_000.0]]))[0, 2] == pytest.approx(3048.006, abs=1e-3)

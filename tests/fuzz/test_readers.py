@@ -1,5 +1,6 @@
-"""A short round of mutants through every reader; ``python -m tests.fuzz`` has a long one."""
+"""Mutants through every reader; ``MUTANTS=1000`` in the environment makes a long round of it."""
 
+import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,7 +14,7 @@ from tests.fuzz.readers import BrokenPromiseError, attempt, little_memory
 from tests.fuzz.seeds import SEEDS, seed
 
 SHORT = settings(
-    max_examples=30,
+    max_examples=int(os.environ.get("MUTANTS", "30")),
     deadline=None,
     derandomize=True,
     database=None,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.plan.ground_cells import GroundCells
+from spl_batch.airborne.plan.cells import units
 from spl_batch.lattice import density
 from spl_batch.lattice.density import Box, Peak, from_boxes, from_counts, largest
 from spl_batch.lattice.tiles import (
@@ -88,9 +88,7 @@ counts = st.dictionaries(
 @given(counts, st.sampled_from([100, 300, 250]), st.sampled_from([0, 30, 130]))
 def test_tiles_tell_the_fullest_unit(held: dict[CellId, int], unit: int, halo: int) -> None:
     pieces = list(from_counts(held, EDGE))
-    reached = [cell_bounds(tile, EDGE) for tile in held]
-    cells = GroundCells.of_boxes(reached, unit, 0)
-    listed = list(cells.units(held, EDGE, halo))
+    listed = list(units(held, EDGE, unit, halo))
     assert sum(p.units(unit) for p in pieces) == len(listed)
     share = largest(p.peak(unit, halo) for p in pieces)
     assert share.points == pytest.approx(max(u.held for u in listed), abs=1.0 + 1e-9 * share.points)

@@ -5,7 +5,6 @@ import pkgutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -118,11 +117,6 @@ def test_the_stamp_follows_what_is_called() -> None:
     files = imported(Path(walk.py_func.__code__.co_filename))
     assert {"ellipsoid_walk.py", "kdtree.py", "compiled.py"} <= {file.name for file in files}
     assert source_stamp(Path(walk.py_func.__code__.co_filename)) == content_hash(files)
-
-
-def test_another_numba_keeps_code_in_its_own_way() -> None:
-    own = SimpleNamespace()
-    assert compiled.kept(SimpleNamespace(_cache_file=own)) is own
 
 
 def test_a_kernel_that_is_called_with_a_constant_is_that_for_any_number() -> None:

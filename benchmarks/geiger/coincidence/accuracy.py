@@ -14,6 +14,7 @@ from spl_batch.geiger.coincidence.simulate.scene import (
     PLACES_M,
     SPOKE_RADIUS_M,
     TARGET_HEIGHT_M,
+    Target,
     bars,
 )
 from spl_batch.geiger.coincidence.simulate.scene_rays import Targets
@@ -92,7 +93,7 @@ def completeness(
     return float(np.isfinite(near).mean())
 
 
-def spoke_heights(xyz_m: NDArray[np.float64], name: str = "spokes") -> NDArray[np.float64]:
+def spoke_heights(xyz_m: NDArray[np.float64], name: Target = "spokes") -> NDArray[np.float64]:
     """Heights of the points on a spoke target, from its true height [m]."""
     x, y = PLACES_M[name]
     near = np.hypot(xyz_m[:, 0] - x, xyz_m[:, 1] - y) < SPOKE_RADIUS_M

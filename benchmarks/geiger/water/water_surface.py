@@ -22,6 +22,7 @@ from dataclasses import astuple, replace
 from functools import reduce
 from operator import add
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -93,7 +94,7 @@ WAVES = replace(
 )
 """15 cm from trough to crest, as the source's wave maker gave, with shorter waves on it."""
 
-ON_WATER = {"peak_photoelectrons": 2.0, "beam_px": 11.5}
+ON_WATER: dict[str, Any] = {"peak_photoelectrons": 2.0, "beam_px": 11.5}
 """The beam over water."""
 
 SOURCE_WAY = SurfaceSettings(method="windowed")

@@ -18,7 +18,7 @@ from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.labels import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.plan.ground_cells import GroundCells
-from spl_batch.airborne.plan.memory.cell_memory import RASTER_BYTES
+from spl_batch.airborne.plan.task_memory import RASTER_BYTES
 from spl_batch.airborne.products import surface_points, surface_rasters
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M

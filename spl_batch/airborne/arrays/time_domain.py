@@ -4,20 +4,18 @@ The same functions as in a run, flightline by flightline; a flightline is one st
 """
 
 from collections.abc import Iterator
-from typing import Any, Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse import afterpulse_law, candidates
+from spl_batch.airborne import shots
 from spl_batch.airborne.beams import geometry, sensor_path
 from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.filter.expected_noise import HeldVoxels, NoiseModel, model_of_lines
-from spl_batch.airborne.noise import line_noise, voxel_noise
+from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
-from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
@@ -25,11 +23,6 @@ from spl_batch.engine.report.reported import texts
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable, ShotClock, VoxelPart
-
-_ADDED: Final = (
-    "line_density", "afterpulse", "afterpulse_rate", "afterpulse_share", "range_sigma",
-)  # fmt: skip
-"""Columns that the time domain adds."""
 
 
 class Assessed(NamedTuple):
@@ -78,31 +71,35 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
     known = usable_times(table["gps_time"])
     channels = table["channel"]
     apart = bool(len(channels)) and bool((channels != channels[0]).any())
-    sensor = settings.sensor
-    if not apart:
-        sensor = sensor.model_copy(update={"beamlets": 1})
-    added = {name: np.zeros(len(table), np.float32) for name in _ADDED}
+    sensor, count = settings.sensor, settings.sensor.beamlets if apart else 1
+    added = {name: np.zeros(len(table), np.float32) for name in shots.COLUMNS_ADDED}
     added["channel"] = channels.copy()
     flags = np.where(known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
     lines, bases, found = [], set(), list[Finding]()
     for name, rows in _flightlines(table, np.flatnonzero(known), settings.survey.gap_s):
-        one = _Line(
-            table.take(rows), None if origin_m is None else origin_m[rows], sensor, settings
-        )
-        bases.add(one.basis)
-        found += [finding._replace(subject=name) for finding in one.model.findings]
-        if one.rate_is_assumed:
+        time = table["gps_time"][rows]
+        rate = sensor.prf_hz or geometry.estimate_prf(geometry.shot_steps(time))
+        if rate is None:
             assumed = {"kind": "assumed", "prf_hz": FALLBACK_PRF_HZ}
             found.append(Finding("T01", assumed, name))
-        columns, parts = one.assess()
+        clock = ShotClock(float(np.floor(time[0])), rate or FALLBACK_PRF_HZ)
+        mine = table.take(rows).with_columns(shot=clock.shot(time))
+        basis, beams = _beams(mine, None if origin_m is None else origin_m[rows], count, settings)
+        bases.add(basis)
+        unnumbered = count < sensor.beamlets and basis != "vertical"
+        beamlets = shots.Beamlets(sensor, count, unnumbered)
+        observed = shots.observe(mine, beams, settings.noise, beamlets)
+        model, law, _ = shots.fit([observed], settings.noise, beamlets)
+        found += [finding._replace(subject=name) for finding in model.findings]
+        columns = shots.assess(mine, beams, (model, law), settings, beamlets)
         for key, values in columns.items():
             added[key][rows] = values
-        flags[rows] |= ~one.beams.known * np.uint8(PointFlag.NO_BEAM)
-        lines.append(parts)
+        flags[rows] |= ~beams.known * np.uint8(PointFlag.NO_BEAM)
+        lit = np.flatnonzero(beams.known)
+        mine, beams = mine.take(lit), beams.take(lit)
+        lines.append(voxel_noise.deposit_apart(mine, beams, model, settings.noise))
     basis = "vertical" if "vertical" in bases else next(iter(bases), "beams")
-    return Assessed(
-        table.with_columns(flags=flags, **added), lines, sensor.beamlets, basis, texts(found)
-    )
+    return Assessed(table.with_columns(flags=flags, **added), lines, count, basis, texts(found))
 
 
 def _flightlines(
@@ -119,81 +116,16 @@ def _flightlines(
             yield f"{table['point_source_id'][part[0]]:05d}_{np.floor(first):.0f}", part
 
 
-class _Line:
-    """One flightline in time order."""
-
-    def __init__(
-        self,
-        table: PointTable,
-        origin_m: NDArray[np.float64] | None,
-        sensor: Sensor,
-        settings: Workflow,
-    ) -> None:
-        time = table["gps_time"]
-        rate = sensor.prf_hz or geometry.estimate_prf(geometry.shot_steps(time))
-        self.rate_is_assumed = rate is None
-        clock = ShotClock(float(np.floor(time[0])), rate or FALLBACK_PRF_HZ)
-        self.table = table.with_columns(shot=clock.shot(time))
-        self.settings, self.sensor = settings, sensor
-        self.basis, self.beams = self._beams(origin_m)
-        # Beams may tell beamlets apart that nobody has numbered.
-        stated = settings.sensor
-        self.unnumbered = sensor.beamlets < stated.beamlets and self.basis != "vertical"
-        observed = line_noise.observe(self.table, self.beams, settings.noise)
-        seen, beams = self.table, self.beams
-        if self.unnumbered:
-            seen, order = told_apart(seen, beams, stated)
-            beams = beams.take(order)
-        observed |= candidates.observe(seen, beams, stated)
-        self.model = line_noise.fit(line_noise.merge([observed]), settings.noise, sensor)
-        beamlets = stated.beamlets if self.unnumbered else 1
-        self.law = afterpulse_law.fit([observed], self.model.mean_rate / beamlets, sensor)
-
-    def _beams(self, origin_m: NDArray[np.float64] | None) -> tuple[str, BeamTable]:
-        table = self.table
-        if origin_m is not None:
-            return "beams", _from_origins(table, origin_m)
-        interval = self.settings.noise.interval_shots
-        sights = sensor_path.collect(table, self.sensor.beamlets, interval)
-        span = float(table["gps_time"][0]), float(table["gps_time"][-1])
-        path = sensor_path.find_path(sensor_path.merge([sights]), span).trajectory
-        return "vertical" if path is None else "intersection", geometry.beams(table, path)
-
-    def assess(self) -> tuple[dict[str, NDArray[Any]], list[VoxelPart]]:
-        """Columns that the time domain adds, and the shares of the expected noise."""
-        rows = np.flatnonzero(self.beams.known)
-        table, beams, model = self.table.take(rows), self.beams.take(rows), self.model
-        added: dict[str, NDArray[Any]] = {
-            name: np.zeros(len(self.table), np.float32) for name in _ADDED
-        }
-        added["line_density"][rows] = line_noise.line_density(table, model)
-        added["channel"] = self.table["channel"].copy()
-        if self.settings.afterpulse.enabled:
-            self._add_afterpulses(added, table, beams, rows)
-        return added, voxel_noise.deposit_apart(table, beams, model, self.settings.noise)
-
-    def _add_afterpulses(
-        self,
-        added: dict[str, NDArray[Any]],
-        table: PointTable,
-        beams: BeamTable,
-        rows: NDArray[np.intp],
-    ) -> None:
-        """What shots say of afterpulses, for rows whose beams are known."""
-        sensor, of_shot = self.sensor, 1.0
-        if self.unnumbered:
-            sensor = self.settings.sensor
-            of_shot = float(sensor.beamlets)
-            table, order = told_apart(table, beams, sensor)
-            beams, rows = beams.take(order), rows[order]
-            added["channel"][rows] = table["channel"]
-        added["afterpulse"][rows] = candidates.probability(
-            table, beams, self.settings.afterpulse, sensor, gate_m=self.model.gate_m, law=self.law
-        )
-        rate = afterpulse_law.rate(table, beams, self.law)
-        added["afterpulse_rate"][rows] = rate * np.float32(of_shot)
-        added["afterpulse_share"][rows] = self.law.probability
-        added["range_sigma"][rows] = self.law.sigma_m
+def _beams(
+    table: PointTable, origin_m: NDArray[np.float64] | None, beamlets: int, settings: Workflow
+) -> tuple[str, BeamTable]:
+    """Lines of sight of a flightline, and what they are from."""
+    if origin_m is not None:
+        return "beams", _from_origins(table, origin_m)
+    sights = sensor_path.collect(table, beamlets, settings.noise.interval_shots)
+    span = float(table["gps_time"][0]), float(table["gps_time"][-1])
+    path = sensor_path.find_path(sensor_path.merge([sights]), span).trajectory
+    return "vertical" if path is None else "intersection", geometry.beams(table, path)
 
 
 def _from_origins(table: PointTable, origin_m: NDArray[np.float64]) -> BeamTable:

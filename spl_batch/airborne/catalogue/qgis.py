@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 from pyproj import CRS
 
 from spl_batch.airborne.catalogue.delivered_files import RasterFile
-from spl_batch.airborne.products.product_table import SWATHS, is_piece
+from spl_batch.airborne.products.product_table import SWATHS
 from spl_batch.formats.files.atomic import write_bytes
 
 NAME: Final = "survey.qlr"
@@ -203,7 +203,7 @@ def _hillshade() -> ET.Element:
 
 def _coloured(raster: RasterFile) -> ET.Element:
     """Colours of a raster: those of its own table where it has one."""
-    return _palette() if is_piece(raster.name, "swaths") else _pseudocolour(raster)
+    return _palette() if raster.name == "swaths" else _pseudocolour(raster)
 
 
 def _palette() -> ET.Element:

@@ -88,30 +88,23 @@ class _Planes(NamedTuple):
 
 
 class Floor:
-    """The ground around buildings: mean of each square metre, gathered part by part.
+    """The ground around buildings: mean of each square metre.
 
     Parameters
     ----------
     region : Bounds
         What all points lie in [quanta].
+    table : PointTable
+        Points with :data:`COLUMNS_NEEDED`.
+    usable : (n,) bool
+        Signal.
     """
 
-    def __init__(self, region: Bounds) -> None:
+    def __init__(self, region: Bounds, table: PointTable, usable: NDArray[np.bool_]) -> None:
         self.region = region
         self._grid = _Grid(region, quanta(GROUND_CELL_M))
         cells = self._grid.rows * self._grid.columns
         self._sum, self._count = np.zeros((2, cells), np.int64)
-
-    def add(self, table: PointTable, usable: NDArray[np.bool_]) -> None:
-        """Take the ground of some points in; each comes once.
-
-        Parameters
-        ----------
-        table : PointTable
-            Points with :data:`COLUMNS_NEEDED`.
-        usable : (n,) bool
-            Signal.
-        """
         ground = usable & (table["ground"] == 1)
         number = self._grid.number(table["x"][ground], table["y"][ground])
         np.add.at(self._sum, number, table["z"][ground])

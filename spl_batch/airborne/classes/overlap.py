@@ -4,7 +4,6 @@ Domain: space. The flag "overlap" of a point says that it lies where two or more
 R15, 2.6]; which of them is surplus is left to whoever thins them.
 """
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -25,31 +24,29 @@ def lines_by_square(first: NDArray[np.int64], line: NDArray[np.int64]) -> NDArra
     first : (n, 2) int64
         First signal returns of pulses, in any order [quanta].
     line : (n,) int64
-        Flightline of each; -1 where none is known.
+        Flightline of each.
 
     Returns
     -------
     (2, k) int64
         Number of a square, and flightline; each pair once.
     """
-    known = line >= 0
-    return np.unique(np.stack([_square(*first[known].T), line[known]]), axis=1)
+    return np.unique(np.stack([_square(*first.T), line]), axis=1)
 
 
 def overlapping(
-    covered: Sequence[NDArray[np.int64]], x: NDArray[np.int64], y: NDArray[np.int64]
+    covered: NDArray[np.int64], x: NDArray[np.int64], y: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """Which places lie in squares with first returns of two flightlines or more: (m,) bool.
 
     Parameters
     ----------
-    covered : sequence of (2, k) int64
+    covered : (2, k) int64
         What :func:`lines_by_square` found, the squares around each place among them.
     x, y : (m,) int64
         The places [quanta].
     """
-    pairs = np.unique(np.concatenate(covered, axis=1), axis=1)[0]
-    square, lines = np.unique(pairs, return_counts=True)
+    square, lines = np.unique(covered[0], return_counts=True)
     return np.isin(_square(x, y), square[lines > 1])
 
 

@@ -62,7 +62,6 @@ def classify(
     cell: Bounds,
     dtm: NDArray[np.float32],
     further: Further = NOTHING_FURTHER,
-    level_m: float | None = None,
 ) -> NDArray[np.uint8]:
     """ASPRS class of each point as delivered.
 
@@ -77,9 +76,6 @@ def classify(
         Its DTM, north up [m]; nodata where there is none.
     further : Further
         More classes.
-    level_m : float, optional
-        What stands for the surface where the DTM is void, if these are some of a cell's points
-        only [m].
 
     Returns
     -------
@@ -101,7 +97,7 @@ def classify(
     """
     noise_class, given = table["noise_class"], table["input_class"]
     ground, assessed = table["ground"] > 0, noise_class != NOISE_NOT_ASSESSED
-    surface, void = _surface_below(table, cell, dtm, level_m)
+    surface, void = _surface_below(table, cell, dtm)
     height = table["z"] * QUANTUM_M - surface
     at_surface = np.abs(height) <= NEAR_M + np.where(ground, APART_M, 0.0)
     water = table.has(PointFlag.WATER) & (void | at_surface)
@@ -145,37 +141,8 @@ def _add(
             result[open_to & (height >= least_m)] = kind
 
 
-def middle_m(heights: NDArray[np.int32]) -> float:
-    """Median of the heights of signal [m], -inf without any.
-
-    Parameters
-    ----------
-    heights : (n,) int32
-        In any order [quanta].
-    """
-    return float(np.median(heights) * QUANTUM_M) if len(heights) else -np.inf
-
-
-def middle_of_counts_m(heights: NDArray[np.int32], counts: NDArray[np.int64]) -> float:
-    """What :func:`middle_m` finds of heights that come with how many have each.
-
-    Parameters
-    ----------
-    heights : (n,) int32
-        In any order, some perhaps more than once [quanta].
-    counts : (n,) int64
-        Returns of each [count].
-    """
-    if not len(heights):
-        return -np.inf
-    order = np.argsort(heights, kind="stable")
-    past = np.cumsum(counts[order])
-    ranks = [(past[-1] - 1) // 2, past[-1] // 2]
-    return float(heights[order][np.searchsorted(past, ranks, side="right")].mean() * QUANTUM_M)
-
-
 def _surface_below(
-    table: PointTable, cell: Bounds, dtm: NDArray[np.float32], level_m: float | None
+    table: PointTable, cell: Bounds, dtm: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Height of the surface at each point [m], -inf if nothing is known; where the DTM is void."""
     rows, cols = dtm.shape
@@ -184,8 +151,8 @@ def _surface_below(
     col = np.clip((table["x"] - cell.xmin) // size, 0, cols - 1)
     surface = dtm[row, col].astype(np.float64)
     void = surface == np.float32(NODATA)
-    if void.any() and level_m is None:
+    if void.any():
         signal = (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], cell)
-        level_m = middle_m(table["z"][signal])
-    surface[void] = level_m
+        heights = table["z"][signal]
+        surface[void] = np.median(heights) * QUANTUM_M if len(heights) else -np.inf
     return surface, void

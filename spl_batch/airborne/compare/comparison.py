@@ -21,8 +21,8 @@ from spl_batch.airborne.compare.contrast import (
     terrain_contrast,
 )
 from spl_batch.airborne.filter.denoise import METHODS as FILTERS
+from spl_batch.airborne.filter.shot_filters import OF_SHOTS
 from spl_batch.airborne.ground.ground_methods import METHODS as GROUND
-from spl_batch.airborne.plan.block_size import Holders, remember_stretch, remembered_stretch
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.plots import Profile, draw_methods
 from spl_batch.airborne.report.profile_strips import read_strip, tallest_strip
@@ -45,7 +45,7 @@ from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.verbs.comparing import Methods, folder_of, per_million
 from spl_batch.engine.verbs.reporting import recalled
 from spl_batch.formats.rasters.parts import read_overview
-from spl_batch.lattice.tiles import Bounds, quanta
+from spl_batch.lattice.tiles import Bounds
 
 
 class MethodResult(ComparedMethod):
@@ -163,14 +163,12 @@ def _share(source: Store, target: Store, settings: Workflow, method: str) -> set
         stages |= {"shots", "shuffle", "denoise"}
     elif method != PUBLISHED:
         stages.add("shots")
-        # The points of a tile carry the verdict of single shots, which one method alone asks for.
+        # The points of a tile carry the verdict of single shots, which some methods alone ask for.
         asked = settings.filter.method if method in AFTERPULSES else method
         other = method in AFTERPULSES and not method.endswith(f":{settings.afterpulse.method}")
-        if (settings.filter.method == "dcc") == (asked == "dcc") and not other:
+        same = settings.filter.method == asked or not {settings.filter.method, asked} & {*OF_SHOTS}
+        if same and not other:
             stages.add("shuffle")
-    points = remembered_stretch(source)
-    if "shots" in stages and points is not None:
-        remember_stretch(target, points)  # what is shared is cut by it, whatever memory there is
     return stages
 
 
@@ -200,8 +198,7 @@ def _write(output: Path, reports: Mapping[str, Report]) -> ComparisonReport:
     runs = {}
     for name in reports:
         done, context, _ = recalled(output / folder_of(name))
-        holders = Holders(done.get("denoise", {}), quanta(context.workflow.tiling.tile_m))
-        runs[name] = Outcome(done, context, holders.of)
+        runs[name] = Outcome(done, context)
     found = contrast(list(runs.values()))
     terrain = terrain_contrast([output / folder_of(name) for name in reports])
     first = next(iter(reports.values()))

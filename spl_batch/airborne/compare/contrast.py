@@ -3,7 +3,7 @@
 Terrain models of several runs: how often they differ from the first one's, and where most.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.products.product_table import is_piece
-from spl_batch.airborne.report.profile_strips import LENGTH_M, WIDTH_M, best_strip, strip_sums
+from spl_batch.airborne.report.profile_strips import (
+    LENGTH_M,
+    WIDTH_M,
+    best_strip,
+    label_holders,
+    strip_sums,
+)
 from spl_batch.airborne.store.label_tables import read_labelled_tile
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
@@ -49,8 +54,7 @@ def terrain_contrast(outputs: Sequence[Path]) -> TerrainContrast:
     Parameters
     ----------
     outputs : sequence of Path
-        Folders with ``dtm.tif``, and ``dtm_2.tif`` and so on of a survey in pieces, of runs on the
-        same inputs; the first is what others differ from.
+        Folders with ``dtm.tif``, of runs on the same inputs; the first is what others differ from.
 
     Raises
     ------
@@ -58,20 +62,16 @@ def terrain_contrast(outputs: Sequence[Path]) -> TerrainContrast:
         If a raster cannot be read: it can be made again.
     """
     off, both = (np.zeros(len(outputs), np.int64) for _ in range(2))
-    most, strip = 0.0, None
-    for path in sorted(outputs[0].glob("dtm*.tif")):
-        others = [folder / path.name for folder in outputs]
-        if not is_piece(path.stem, "dtm") or not all(other.exists() for other in others):
-            continue
-        for first, *rest in _read(others):
+    models, strip = [folder / "dtm.tif" for folder in outputs], None
+    if all(model.exists() for model in models):
+        for first, *rest in _read(models):
             known = first > NODATA
             for k, values in enumerate(rest, start=1):
                 shared = known & (values > NODATA)
                 both[k] += np.count_nonzero(shared)
                 off[k] += np.count_nonzero(np.abs(values - first)[shared] > OFF_M)
-        place, differs = _strip([read_overview(other) for other in others])
-        if differs > most:
-            most, strip = differs, place
+        strip, differs = _strip([read_overview(model) for model in models])
+        strip = strip if differs > 0.0 else None
     share = np.where(both > 0, off / np.maximum(both, 1), np.nan)
     return TerrainContrast(share, strip)
 
@@ -122,8 +122,6 @@ class Outcome:
 
     done: Mapping[str, Mapping[str, Receipt]]  #: Finished tasks by kind and name.
     context: Context
-    #: Finished blocks that hold labels of some tiles, by tile.
-    holders: Callable[[Collection[CellId]], Mapping[CellId, Sequence[str]]]
 
 
 @dataclass
@@ -171,7 +169,8 @@ def _classes(runs: Sequence[Outcome], tile: CellId) -> Iterator[NDArray[np.uint8
     """What each run that has the tile took its points for."""
     for run in runs:
         if str(tile) in run.done.get("build_tile", {}):
-            holders = [("noise", name) for name in run.holders([tile])[tile]]
+            tile_q = quanta(run.context.workflow.tiling.tile_m)
+            holders = label_holders([tile], tile_q, "noise", run.done.get("denoise", {}))[tile]
             table = read_labelled_tile(run.context.store, tile, ("x",), {"noise_class": holders})
             yield table["noise_class"]
 

@@ -1,6 +1,6 @@
 """Noise of a block: as the model has it, and as it is where haze or cloud fills the air."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -9,13 +9,10 @@ from numpy.typing import NDArray
 from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.filter import denoise as denoising
 from spl_batch.airborne.filter.expected_noise import Expected, NoiseModel
-from spl_batch.airborne.noise import haze
 from spl_batch.airborne.noise.haze import (
     CUBE_M,
-    REACH_M,
     WINDOW,
     Air,
-    Axes,
     Layers,
     count_cubes,
     find_air,
@@ -26,21 +23,14 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta
 
-CUBES_MOST: Final = 2_000_000
-"""Cubes that are counted at once [count], 60 bytes each: those of a wide block with few points take
-more than the points do."""
-
-MARGIN: Final = round(REACH_M / CUBE_M)
-"""What a strip reads on each side [cubes]."""
-
 COLUMNS_NEEDED: Final = ("x", "y", "z", "flags", "afterpulse")
 
 
 class Look(NamedTuple):
-    """What a part of a block sees of its noise."""
+    """What a cell shows of its noise."""
 
-    core: Bounds  #: The part [quanta].
-    #: Air that holds more noise than the model expects, in the part and around it.
+    core: Bounds  #: What it owns [quanta].
+    #: Air that holds more noise than the model expects, in the cell and around it.
     air: Air | None = None
     layers: Layers | None = None  #: How the model fits elsewhere.
 
@@ -48,7 +38,7 @@ class Look(NamedTuple):
 def look_at_air(
     table: PointTable, model: NoiseModel | None, workflow: Workflow, core: Bounds
 ) -> Look:
-    """Air of a block and its halo that holds more noise than the model expects.
+    """Air of a cell and its margin that holds more noise than the model expects.
 
     ``table``: points with :data:`COLUMNS_NEEDED`.
     """
@@ -56,66 +46,12 @@ def look_at_air(
         return Look(core)
     counted = ~table.has(EXCLUDED | PointFlag.NO_BEAM) & ~dependents(table)
     x, y, z = (table[axis] for axis in "xyz")
-    looks = [_look_at(span, (x, y, z), counted, model, core) for span in _strips((x, y, z))]
-    airs = [look.air for look in looks if look.air is not None]
-    layers = [look.layers for look in looks if look.layers is not None]
-    return Look(core, _beside(airs) if airs else None, _added(layers) if layers else None)
-
-
-def _strips(xyz: Axes) -> Iterator[tuple[int, int]]:
-    """Spans of x, whole cubes, that hold no more than :data:`CUBES_MOST` each [quanta]."""
-    if not len(xyz[0]):
-        return
-    edge = quanta(CUBE_M)
-    (west, east), (south, north), (low, _) = (
-        (int(axis.min()) // edge, int(axis.max()) // edge + 1) for axis in xyz
-    )
-    layers = int(np.count_nonzero(np.bincount(xyz[2] // edge - low)))
-    wide = max(CUBES_MOST // ((north - south) * layers) - 2 * MARGIN, MARGIN)
-    for first in range(west, east, wide):
-        yield first * edge, min(first + wide, east) * edge
-
-
-def _look_at(
-    span: tuple[int, int], xyz: Axes, counted: NDArray[np.bool_], model: NoiseModel, core: Bounds
-) -> Look:
-    """Air of a strip, and noise by layer of the squares with their middles in it."""
-    (low, high), margin = span, quanta(REACH_M)
-    counts = count_cubes(xyz, counted & (xyz[0] >= low - margin) & (xyz[0] < high + margin))
+    counts = count_cubes((x, y, z), counted)
     if counts is None:
         return Look(core)
     air = find_air(counts, model.local)
-    mine = (max(core.xmin, low), core.ymin, min(core.xmax, high), core.ymax)
-    layers = noise_by_layer(counts, air, model.local, mine, _heard(model))
-    if air is None:
-        return Look(core, None, layers)
-    west = air.cube[:, 0] * quanta(CUBE_M)
-    own = np.flatnonzero((west >= low) & (west < high))
-    return Look(core, _beside([air], own) if len(own) else None, layers)
-
-
-def _heard(model: NoiseModel) -> haze.Expected | None:
-    """Where flightlines listen; None where none tells, as without its noise by squares."""
-    return model.listened if model.heard else None
-
-
-def _beside(parts: Sequence[Air], rows: NDArray[np.intp] | slice = slice(None)) -> Air:
-    """Air of strips side by side, or some of its rows."""
-    return Air(
-        np.concatenate([part.cube for part in parts])[rows],
-        np.concatenate([part.density for part in parts])[rows],
-        np.concatenate([part.held for part in parts])[rows],
-        np.concatenate([part.returns for part in parts])[rows],
-        np.concatenate([part.expected for part in parts])[rows],
-    )
-
-
-def _added(parts: Sequence[Layers]) -> Layers:
-    """Noise by layer of all strips."""
-    layer, at = np.unique(np.concatenate([part.layer for part in parts]), return_inverse=True)
-    returns = np.bincount(at, np.concatenate([part.returns for part in parts]), len(layer))
-    expected = np.bincount(at, np.concatenate([part.expected for part in parts]), len(layer))
-    return Layers(layer, returns.astype(np.int64), expected.astype(np.float64))
+    heard = model.listened if model.heard else None
+    return Look(core, air, noise_by_layer(counts, air, model.local, core, heard))
 
 
 def noise_in_air(
@@ -143,34 +79,25 @@ def noise_in_air(
     return Expected(mean, local)
 
 
-def facts_of(looks: Sequence[Look]) -> dict[str, Any]:
-    """Report entries of a block from those of its parts: ``air`` of :func:`_listed`, ``layers``.
+def facts_of(look: Look) -> dict[str, Any]:
+    """Report entries of a cell: ``air`` over what it owns, by :func:`_places`, and ``layers``.
 
     ``layers`` has index, returns and expected returns of each; none where nothing was looked at.
     """
-    layers: dict[int, tuple[int, float]] = {}
-    for told in (look.layers for look in looks if look.layers is not None):
-        for layer, returns, expected in zip(*(v.tolist() for v in told), strict=True):
-            before = layers.get(layer, (0, 0.0))
-            layers[layer] = before[0] + returns, before[1] + expected
-    listed = [[layer, *both] for layer, both in sorted(layers.items()) if any(both)]
-    return {"air": _listed(looks), "layers": listed}
+    layers = () if look.layers is None else zip(*(v.tolist() for v in look.layers), strict=True)
+    listed = [[layer, *both] for layer, *both in layers if any(both)]
+    return {"air": _listed(look), "layers": listed}
 
 
-def _listed(looks: Sequence[Look]) -> list[list[float]]:
-    """Air over what a block owns, by :func:`_places`."""
-    edge = quanta(CUBE_M)
-    own = []
-    for core, air, _ in looks:
-        if air is not None:
-            centre = air.cube * edge + edge // 2
-            mine = air.held & inside(centre[:, 0], centre[:, 1], core)
-            own.append((air.cube[mine], air.returns[mine], air.expected[mine]))
-    if not sum(len(cube) for cube, _, _ in own):
+def _listed(look: Look) -> list[list[float]]:
+    """Air over what a cell owns, by :func:`_places`."""
+    if look.air is None:
         return []
-    cube, count, expected = (np.concatenate(some) for some in zip(*own, strict=True))
-    order = np.lexsort(cube.T[::-1])  # the same sums, however many parts
-    return list(_places(cube[order], count[order], expected[order]))
+    centre = look.air.cube * quanta(CUBE_M) + quanta(CUBE_M) // 2
+    mine = look.air.held & inside(centre[:, 0], centre[:, 1], look.core)
+    if not mine.any():
+        return []
+    return list(_places(look.air.cube[mine], look.air.returns[mine], look.air.expected[mine]))
 
 
 def _places(

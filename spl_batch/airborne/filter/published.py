@@ -1,7 +1,8 @@
 """Filters of the sources, beside our own: numpy and scipy on a cloud and its halo.
 
-Each has a reach and a verdict on the points asked for; none has a p-value. All
-lattices lie on absolute grids, so that a label does not depend on what lies far away.
+Each has a reach and a verdict on the points asked for; none has a p-value. All lattices lie on
+absolute grids, so that a label does not depend on what lies far away. Filters of single shots are
+in :mod:`~spl_batch.airborne.filter.shot_filters`.
 
 - :func:`aes`: adaptive ellipsoid searching, the first form [W17 5.2; Eq. 5.4-5.6]. First the N_tot
   points with the least quotient of neighbours in a sphere and expected noise density are noise,
@@ -15,10 +16,6 @@ lattices lie on absolute grids, so that a label does not depend on what lies far
 - :func:`cylinder`: upright cylinder around each point [W17 3.2.2, Eq. 3.2, after Cossio 2009]. The
   points with a height difference below D1 / 2 and a squared horizontal distance below D2 are
   counted. The source gives neither D1, D2 nor the least count: the defaults are ours.
-- :func:`dcc`: differential cell count, shot by shot [W17 3.2.3; Eq. 3.3 with the correction of
-  :mod:`~spl_batch.airborne.beams.differential_cell_count`]. Ranges replace the source's elevations,
-  so a bin is as long in a slanting beam as in an upright one. :func:`shot_noise` works in the time
-  domain, which has whole shots; the flag travels with the point.
 - :func:`multilevel`: [W17 3.2.4, after Swatantran et al. 2016]. First the fullest height bin of
   30 m and the two beside it stay. Then a point stays if its voxel of 3 m and the 26 around it hold
   30 points; then the same with voxels of 1 m and a lower number. Each level counts what the one
@@ -38,16 +35,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spl_batch.airborne.beams.differential_cell_count import dcc_keep
-from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_ratio import passes_ratio
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict, without_p
-from spl_batch.airborne.settings import DccSettings, FilterSettings
+from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.lattice.tables import BeamTable, PointTable
 from spl_batch.lattice.tiles import quanta
-from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import build
 
 BATCH: Final = 1 << 14
@@ -131,64 +124,6 @@ def cylinder(cloud: Cloud, settings: FilterSettings) -> Verdict:
     radius, height = quanta(own.radius_m), quanta(own.height_m)
     enough = in_cylinders(cloud.xyz, rows, radius, height, own.count + 1)
     return without_p(enough)
-
-
-def shot_noise(
-    table: PointTable, beams: BeamTable, settings: DccSettings, gate_m: float
-) -> NDArray[np.bool_]:
-    """Returns that the differential cell count of their shot calls noise: (n,) bool.
-
-    Parameters
-    ----------
-    table : PointTable
-        Rows of one stretch, sorted by gps_time.
-    beams : BeamTable
-        Their beams; rows without a known one are not called noise.
-    """
-    noise = np.zeros(len(table), dtype=np.bool_)
-    rows = np.flatnonzero(beams.known)
-    keep = np.empty(len(rows), dtype=np.bool_)
-    starts = run_starts(table["gps_time"][rows])
-    _keep_by_shot(
-        starts, beams.range_m[rows], gate_m, settings.coarse_bin_m, settings.fine_bin_m, keep
-    )
-    noise[rows] = ~keep
-    return noise
-
-
-@njit()
-def _keep_by_shot(
-    starts: NDArray[np.int64],
-    range_m: NDArray[np.float64],
-    gate_m: float,
-    coarse_m: float,
-    fine_m: float,
-    keep: NDArray[np.bool_],
-) -> None:
-    """:func:`~spl_batch.airborne.beams.differential_cell_count.dcc_keep` for every shot.
-
-    Parameters
-    ----------
-    starts : (m + 1,) int64
-        Rows where shots start, then n.
-    range_m : (n,) float64
-        Slant ranges [m].
-    keep : (n,) bool
-        Filled: True where the return lies in a bin that holds signal.
-    """
-    for m in range(len(starts) - 1):
-        rows = slice(starts[m], starts[m + 1])
-        dcc_keep(range_m[rows], gate_m, coarse_m, fine_m, keep[rows])
-
-
-def dcc_reach_m(settings: FilterSettings) -> float:  # noqa: ARG001 - every method has this form
-    """Shots were judged whole: nothing is looked at around a point [m]."""
-    return 0.0
-
-
-def dcc(cloud: Cloud, settings: FilterSettings) -> Verdict:  # noqa: ARG001
-    """What the shots gave the points asked for."""
-    return without_p(~cloud.shot_noise[cloud.asked])
 
 
 def multilevel_reach_m(settings: FilterSettings) -> float:

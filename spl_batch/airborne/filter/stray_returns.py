@@ -19,8 +19,7 @@ In clean clouds few returns make a surface. As the filter may be any, the cloud 
 share of pure noise that is kept: by the boxes of which least was kept, which hold noise alone.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -87,6 +86,9 @@ BOXES: Final = (Box(1, 30, 0.2), Box(3, 60, 0.06))
 Count = NDArray[np.int64]
 
 _KINDS: Final = (NOISE_SIGNAL, NOISE_BACKGROUND)
+
+BOTH_KINDS: Final = 3
+"""What :func:`~spl_batch.airborne.filter.box_counts.lowest_and_highest` returns of both."""
 
 _BESIDE: Final = round(BESIDE_M / CELL_M)
 """The same in cells on each side; no box reaches farther [count]."""
@@ -188,36 +190,28 @@ def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
     (n,) bool
         True for signals in a column or a box with fewer of them than noise explains.
     """
-    bare = bare_cells(lambda: (table,), spare_above=spare_above)
+    bare = bare_cells(table, spare_above=spare_above)
     return np.zeros(len(table), np.bool_) if bare is None else bare.holds(table)
 
 
-def bare_cells(
-    tables: Callable[[], Iterable[PointTable]], *, spare_above: bool = False
-) -> Bare | None:
+def bare_cells(table: PointTable, *, spare_above: bool = False) -> Bare | None:
     """Cells whose signals are stray; None where there are no two kinds to compare.
 
     Parameters
     ----------
-    tables : callable
-        Gives all points of a place, table by table; it is called three times.
-    spare_above : bool
+    table, spare_above
         As in :func:`stray`.
     """
-    # A table is held by nothing while the next one is read: map, and no loop's variable.
-    extents = list(map(_extent, tables()))
-    if not all(any(met & kind for met, _ in extents) for kind in (1, 2)):
+    edge, ends = quanta(CELL_M), np.zeros((3, 2), np.int64)
+    if lowest_and_highest(_xyz(table), table["noise_class"], _KINDS, ends) != BOTH_KINDS:
         return None
-    edge, ends = quanta(CELL_M), np.stack([extent for met, extent in extents if met])
-    first, last = ends[:, :, 0].min(axis=0) // edge, ends[:, :, 1].max(axis=0) // edge
+    first, last = ends[:, 0] // edge, ends[:, 1] // edge
     corner = first * edge
     x, y, z = (np.zeros(count, np.bool_) for count in last - first + 1)
-    for _ in map(partial(_mark, corner, (x, y, z)), tables()):
-        pass
+    cells_held(_xyz(table), table["noise_class"], _KINDS, corner, float(edge), (x, y, z))
     place = _close_gaps(x, _BESIDE), _close_gaps(y, _BESIDE), _close_gaps(z, DEEP - 1)
     kept, gone = (np.zeros([int(along[-1]) + 1 for along in place], np.int64) for _ in _KINDS)
-    for _ in map(partial(_count, corner, place, (kept, gone)), tables()):
-        pass
+    _count(corner, place, (kept, gone), table)
     held = [_in_boxes(kept, gone, box) for box in BOXES]
     occupied = kept + gone > 0
     odds = _kept_of_noise(*(count[occupied] for count in held[-1]))
@@ -236,20 +230,6 @@ def bare_cells(
 
 def _xyz(table: PointTable) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
     return table["x"], table["y"], table["z"]
-
-
-def _extent(table: PointTable) -> tuple[int, Count]:
-    """Which kinds of points there are, and their lowest and highest coordinates: (3, 2)."""
-    extent = np.zeros((3, 2), np.int64)
-    return lowest_and_highest(_xyz(table), table["noise_class"], _KINDS, extent), extent
-
-
-def _mark(
-    corner: Count, held: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
-    table: PointTable,
-) -> None:  # fmt: skip
-    """Mark the cells along each axis that hold points of both kinds."""
-    cells_held(_xyz(table), table["noise_class"], _KINDS, corner, float(quanta(CELL_M)), held)
 
 
 def _count(

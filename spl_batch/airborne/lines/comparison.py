@@ -23,14 +23,13 @@ from spl_batch.airborne.lines.patches import (
     seen_lines,
 )
 from spl_batch.airborne.lines.sentences import stay_findings
-from spl_batch.airborne.store.flown_lines import SHIFTS, FlownLine, FlownLines, read_shifts
-from spl_batch.airborne.store.label_tables import label_units, read_region, tile_cells
+from spl_batch.airborne.store.cells import Cell
+from spl_batch.airborne.store.flown_lines import SHIFTS, Pass, Shifts, read_shifts
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
-from spl_batch.lattice.eastings import once, strips_between
 from spl_batch.lattice.tables import EXCLUDED, PointTable
-from spl_batch.lattice.tiles import Bounds, quanta
+from spl_batch.lattice.tiles import quanta
 
 MAP_CELLS = 500
 """Cells of the map of differences along its longer side, at most [count]."""
@@ -47,22 +46,14 @@ class _Cell(NamedTuple):
 
 def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
     """Find planar patches of a ground cell that flightlines share."""
-    core = Bounds(*args["core"])
-    noise, tiles = label_units(args["noise"]), tile_cells(args["tiles"])
-    parts = strips_between(region(core), args.get("cuts", {}).get("patches", ()))
-
-    def read(part: Bounds) -> PointTable:
-        columns = (*COLUMNS_NEEDED, "flags")
-        table, _ = read_region(
-            context.store, tiles, part, columns, {"noise_class": noise}, ordered=False, keep=_signal
-        )
-        return table.select(COLUMNS_NEEDED)
-
-    points, lines = once(parts, read), FlownLines([FlownLine(*one) for one in args["lines"]])
-    seen = seen_lines(map(points, parts), lines)
-    found, overlaps = find_patches(map(points, parts), lines, seen, core)
+    cell = Cell.of(args, context)
+    table, _ = cell.read(region(cell.core), (*COLUMNS_NEEDED, "noise_class", "flags"), _signal)
+    names = {one.number: one.name for one in (Pass(*fields) for fields in args["lines"])}
+    seen = seen_lines(table["line"])
+    found, overlaps = find_patches(table, seen, cell.core)
     of_lines = {
-        "names": np.array([lines.line(k).name for k in seen.numbers.tolist()], np.str_),
+        # points without times have no flightline but that of their id
+        "names": np.array([names.get(k, f"{k:05d}") for k in seen.numbers.tolist()], np.str_),
         "line_returns": seen.returns,
         "overlaps": np.array(sorted(overlaps), np.int64).reshape(-1, 2),
     }
@@ -79,15 +70,15 @@ def _signal(table: PointTable) -> NDArray[np.bool_]:
 
 def align(args: Mapping[str, Any], context: Context) -> Produced:
     """Find by how much each flightline is shifted, and leave it for all who read its points."""
-    flown = {one.name: one for one in (FlownLine(*fields) for fields in args["lines"])}
+    flown = {one.name: one for one in (Pass(*fields) for fields in args["lines"])}
     cells = [_read_cell(name, context) for name in args["cells"]]
     for name in {name for cell in cells for name in cell.names} - flown.keys():
-        flown[name] = FlownLine(name, int(name), -np.inf, np.inf)  # of points without times
+        flown[name] = Pass(int(name), name, int(name), -np.inf, np.inf)  # without times
     pairs = pair_table((cell.names, cell.patches) for cell in cells)
     shifts = align_lines([*flown], pairs, _returns(cells))
-    lines = [flown[one.name]._replace(up_q=quanta(one.up_m)) for one in shifts]
+    up_q = np.array([quanta(one.up_m) for one in shifts], np.int32)
     path = context.store.path(*SHIFTS)
-    write_arrays(path, FlownLines(lines).to_arrays())
+    write_arrays(path, Shifts([flown[one.name] for one in shifts], up_q).to_arrays())
     facts = {
         "name": "survey.align",
         "shifts": [list(one) for one in shifts],
@@ -122,9 +113,9 @@ def _read_cell(name: str, context: Context) -> _Cell:
     return _Cell(names, returns, overlaps, arrays)
 
 
-def _shifted(cell: _Cell, lines: FlownLines) -> _Cell:
+def _shifted(cell: _Cell, lines: Shifts) -> _Cell:
     """A ground cell whose flightlines have got their shifts."""
-    up = np.array([lines.up_of(name) for name in cell.names]) * QUANTUM_M
+    up = np.array([lines.of_name(name) for name in cell.names]) * QUANTUM_M
     patches = cell.patches
     rise = patches["rise"] + up[patches["second"]] - up[patches["first"]]
     return cell._replace(patches={**patches, "rise": rise})

@@ -10,20 +10,18 @@ discrepancies in airborne laserscanner data*, PE&RS 68(9), 933-940): heights, wh
 horizontal part. He takes points of a triangulation; whole patches have a known noise.
 """
 
-from collections.abc import Iterable
 from itertools import combinations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.store.flown_lines import NEEDED, FlownLines
 from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
 from spl_batch.numerics.compiled import njit
 
-COLUMNS_NEEDED: Final = ("x", "y", "z", *NEEDED)
+COLUMNS_NEEDED: Final = ("x", "y", "z", "line")
 """Columns of the points that patches are made of."""
 
 EDGE_M: Final = 5.0
@@ -69,50 +67,31 @@ Patches = dict[str, NDArray[Any]]
 class Seen(NamedTuple):
     """Flightlines of a region."""
 
-    #: (s,): numbers of those that are compared, rising; see
-    #: :class:`~spl_batch.airborne.store.flown_lines.FlownLines`.
+    #: (s,): numbers of those that are compared, rising.
     numbers: NDArray[np.intp]
     returns: NDArray[np.int64]  #: (s,): points of each [count].
-    lowest: int  #: Height of the lowest point [quanta].
     left_out: int  #: Flightlines that could have patches, beyond :data:`MOST_LINES` [count].
 
 
-def seen_lines(tables: Iterable[PointTable], lines: FlownLines) -> Seen:
-    """Flightlines that have points enough for patches.
-
-    Parameters
-    ----------
-    tables : iterable of PointTable
-        Points with :data:`COLUMNS_NEEDED`, table by table.
-    lines : FlownLines
-        All that were flown.
-    """
-    returns, lowest = np.zeros(lines.count, np.int64), 0
-
-    def add(table: PointTable) -> int:
-        number = lines.numbers(*(table[name] for name in NEEDED))
-        returns[:] += np.bincount(number, minlength=lines.count)
-        return int(table["z"].min(initial=np.iinfo(np.int32).max))
-
-    lowest = min(map(add, tables), default=0)
+def seen_lines(line: NDArray[np.uint16]) -> Seen:
+    """Flightlines that have points enough for patches; ``line``: (n,), of each point."""
+    returns = np.bincount(line)
     able = np.flatnonzero(returns >= MIN_RETURNS_PER_PATCH)
     most = np.sort(able[np.argsort(-returns[able], kind="stable")[:MOST_LINES]])
-    return Seen(most, returns[most], lowest, len(able) - len(most))
+    return Seen(most, returns[most], len(able) - len(most))
 
 
 def find_patches(
-    tables: Iterable[PointTable], lines: FlownLines, seen: Seen, core: Bounds
+    table: PointTable, seen: Seen, core: Bounds
 ) -> tuple[Patches, set[tuple[int, int]]]:
     """Patches of a ground cell that two flightlines share.
 
     Parameters
     ----------
-    tables : iterable of PointTable
-        Signal returns with :data:`COLUMNS_NEEDED` of :func:`region`, table by table.
-    lines : FlownLines
-        All that were flown.
+    table : PointTable
+        Signal returns with :data:`COLUMNS_NEEDED` of :func:`region`.
     seen : Seen
-        Those among these returns, by :func:`seen_lines`.
+        Those that are compared, by :func:`seen_lines`.
     core : Bounds
         What the cell owns: patches in squares that begin in it [quanta].
 
@@ -133,19 +112,14 @@ def find_patches(
     columns, rows = (whole.xmax - whole.xmin) // edge, (whole.ymax - whole.ymin) // edge
     if count < 2 or not rows or not columns:
         return _joined([]), set()
-    place = np.full(lines.count, -1, np.int16)
+    place = np.full(int(table["line"].max()) + 1, -1, np.int16)
     place[seen.numbers] = np.arange(count)
-    corner = np.array([whole.xmin, whole.ymin, seen.lowest], np.int64)
+    corner = np.array([whole.xmin, whole.ymin, table["z"].min()], np.int64)
     moments = np.zeros((count, rows, columns, 10), np.int64)
-
-    def add(table: PointTable) -> None:
-        line = place[lines.numbers(*(table[name] for name in NEEDED))]
-        mine = line >= 0
-        x, y, z = (np.ascontiguousarray(table[axis][mine], np.int64) for axis in "xyz")
-        add_moments(x, y, z, line[mine], corner, edge, joined, moments)
-
-    for _ in map(add, tables):  # a table is held by nothing while the next one is read
-        pass
+    line = place[table["line"]]
+    mine = line >= 0
+    x, y, z = (np.ascontiguousarray(table[axis][mine], np.int64) for axis in "xyz")
+    add_moments(x, y, z, line[mine], corner, edge, joined, moments)
     found: list[Patches] = []
     free = {pair: np.ones((rows, columns), np.bool_) for pair in combinations(range(count), 2)}
     for level in range(LEVELS):

@@ -15,14 +15,11 @@ NEXT_TO: Final = 0.1
 """Part of the larger of two horizontal differences below which the smaller is not told."""
 
 
-def offset_warnings(
-    pairs: Sequence[PairDifference], align: str = "none", apart: int = 0
-) -> Iterator[Finding]:
+def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Iterator[Finding]:
     """Pairs whose flightlines differ by more than a single range does.
 
-    ``align``: how flightlines were shifted before they were compared. ``apart``: returns of the
-    ground of flightlines that lie apart from the terrain [count]. It names the worst pair, as one
-    flightline that lies off is off from all others; the report has all pairs.
+    ``align``: how flightlines were shifted before they were compared. It names the worst pair, as
+    one flightline that lies off is off from all others; the report has all pairs.
     """
     off = [(away, pair) for pair in pairs if (away := _away(pair)) > 0]
     if not off:
@@ -37,7 +34,6 @@ def offset_warnings(
         "offset": " and ".join(_parts(pair)) + _tilt(pair),
         "up_m": pair.up_m,
         "noise_m": pair.noise_m,
-        "apart": apart,
         "remedy": _remedy(pair, align),
     }
     yield Finding("S01", values, place=(pair.x_m, pair.y_m, pair.x_m, pair.y_m))

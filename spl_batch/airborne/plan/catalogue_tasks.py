@@ -44,7 +44,7 @@ def catalogue(survey: Survey) -> Iterator[Task]:
         "flightlines": list(_flightlines(survey, clouds)),
         "blocks": [
             [unit.name, list(unit.core), unit.name in survey.of("denoise")]
-            for unit in survey.blocks()
+            for unit in survey.denoise_cells()
         ],
         "tiles": {str(tile): count for tile, count in sorted(survey.counts.items())},
         "tile_q": survey.tile_q,
@@ -99,6 +99,7 @@ def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[
             yield {
                 "id": line.name,
                 "psid": line.psid,
+                "number": line.number,
                 "points": line.points,
                 "first_s": line.first_s,
                 "last_s": line.last_s,

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN
-from spl_batch.airborne.pulses.swath_coverage import Flown, SwathTotals, by_flightline
+from spl_batch.airborne.pulses.swath_coverage import SwathTotals, by_flightline
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.store.flown_lines import Pass, numbers
 from spl_batch.airborne.tasks.cells.pulses import SWATHS
 from spl_batch.airborne.tasks.return_rate import most_points
 from spl_batch.engine.tasks.task import Receipt
@@ -28,6 +29,7 @@ class Flightline:
     """One pass: a point source id, between two long pauses."""
 
     name: str  #: Point source id and the second in which it begins.
+    number: int  #: What its points carry as ``line``.
     psid: int
     #: Times of its first and last return [s].
     first_s: float
@@ -37,6 +39,11 @@ class Flightline:
     prf_basis: str  #: ``given``, ``estimated`` or ``assumed``.
     sources: tuple[str, ...]  #: Keys of the files that hold it.
     stretch_shots: int
+
+    @property
+    def as_pass(self) -> Pass:
+        """What tasks know of it."""
+        return Pass(self.number, self.name, self.psid, self.first_s, self.last_s)
 
     def stretches(self) -> Iterable[tuple[str, int]]:
         """Names and numbers of its stretches."""
@@ -74,17 +81,11 @@ def points_of_a_shot(workflow: Workflow) -> int:
     return workflow.sensor.beamlets * 8 if workflow.survey.channel_dimension else 64
 
 
-def find_flightlines(
-    receipts: Mapping[str, Receipt], workflow: Workflow, stretch_points: int = STRETCH_POINTS
-) -> list[Flightline]:
+def find_flightlines(receipts: Mapping[str, Receipt], workflow: Workflow) -> list[Flightline]:
     """Flightlines of a survey, by name.
 
-    Parameters
-    ----------
-    stretch_points : int
-        Points that a stretch should hold on average [count]; none holds more than
-        :data:`~spl_batch.airborne.plan.task_memory.UNEVEN` times as many, however unevenly they lie
-        in time.
+    A stretch holds :data:`~spl_batch.airborne.plan.task_memory.STRETCH_POINTS` on average, and
+    none more than :data:`~spl_batch.airborne.plan.task_memory.UNEVEN` times as many.
     """
     spans: dict[int, list[tuple[float, float, int, str]]] = {}
     for key, receipt in sorted(receipts.items()):
@@ -92,13 +93,15 @@ def find_flightlines(
             continue
         for psid, listed in receipt.facts["spans"].items():
             spans.setdefault(int(psid), []).extend((a, b, n, key) for a, b, n in listed)
-    lines: list[Flightline] = []
-    for psid, listed in sorted(spans.items()):
-        lines.extend(
-            _flightline(psid, lift, receipts, workflow, stretch_points)
-            for lift in _lifts(sorted(listed), workflow.survey.gap_s)
-        )
-    return lines
+    lifts = [
+        (psid, lift)
+        for psid, listed in sorted(spans.items())
+        for lift in _lifts(sorted(listed), workflow.survey.gap_s)
+    ]
+    return [
+        _flightline(number, psid, lift, receipts, workflow)
+        for number, (psid, lift) in zip(numbers([p for p, _ in lifts]), lifts, strict=True)
+    ]
 
 
 def _lifts(
@@ -116,11 +119,11 @@ def _lifts(
 
 
 def _flightline(
+    number: int,
     psid: int,
     lift: list[tuple[float, float, int, str]],
     receipts: Mapping[str, Receipt],
     workflow: Workflow,
-    stretch_points: int,
 ) -> Flightline:
     first, last = lift[0][0], max(span[1] for span in lift)
     points = sum(span[2] for span in lift)
@@ -128,16 +131,17 @@ def _flightline(
     clock = ShotClock(float(math.floor(first)), prf)
     shots = max(round((last - first) * prf), 1)
     interval = workflow.noise.interval_shots
-    wanted = shots * stretch_points / points / interval
+    wanted = shots * STRETCH_POINTS / points / interval
     stretch = interval * 2 ** max(math.floor(math.log2(max(wanted, 1.0))), 0)
     rates = [(a, b, receipts[key].facts["fullest"][str(psid)]) for a, b, _, key in lift]
     start, end = clock.shot(np.array([first, last])).tolist()
     while stretch > interval and start // (stretch // 2) == end // (stretch // 2):
         stretch //= 2  # one that holds all of it is the same, however much memory there is
-    while stretch > interval and fullest_span(rates, stretch / prf) > UNEVEN * stretch_points:
+    while stretch > interval and fullest_span(rates, stretch / prf) > UNEVEN * STRETCH_POINTS:
         stretch //= 2
     return Flightline(
         f"{psid:05d}_{math.floor(first)}",
+        number,
         psid,
         first,
         last,
@@ -209,9 +213,5 @@ def swath_totals(
     facts = [receipt.facts for receipt in cells if not receipt.failed]
     if any(SWATHS not in of_cell for of_cell in facts):
         return {}
-    return by_flightline((of_cell[SWATHS] for of_cell in facts), spans_flown(lines), spacing)
-
-
-def spans_flown(lines: Sequence[Flightline]) -> list[Flown]:
-    """Name, point source id, first and last time of each flightline [s]."""
-    return [(line.name, line.psid, line.first_s, line.last_s) for line in lines]
+    names = {line.number: line.name for line in lines}
+    return by_flightline((of_cell[SWATHS] for of_cell in facts), names, spacing)

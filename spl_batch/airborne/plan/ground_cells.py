@@ -4,19 +4,16 @@ A TIN is known where its surroundings are, so each square is read with a buffer.
 enters a column or a row of squares by no more than that buffer, the next one reads all of it
 anyway, and owns it too: alone a strip costs as much as the buffer along it.
 
-What the survey reaches is told by the bounding boxes of its files, so that tiles and blocks are
-free to lie as they like.
+What the survey reaches follows from the bounding boxes of its files, so that tiles are free to lie
+as they like.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple, Self
 
-import numpy as np
-
-from spl_batch.airborne.plan.space_units import Unit, unit_within
+from spl_batch.airborne.plan.cells import Unit, unit_of
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.lattice.density import Box, Peak, largest
-from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, grow, quanta
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, quanta
 
 MOST_ACROSS: Final = 500
 """Raster cells along a square up to which strips are joined [count]: rasters of a joined cell are
@@ -62,13 +59,6 @@ class GroundCells(NamedTuple):
         """Cells of a survey, as its workflow says; see :meth:`of_boxes`."""
         return cls.of_boxes(boxes, quanta(workflow.ground.cell_m), strip_q(workflow))
 
-    @property
-    def alone(self) -> Bounds:
-        """Squares that are cells by themselves [quanta]."""
-        east, north = self.high.i + 1, self.high.j + 1
-        corners = self.low.i, self.low.j, east, north
-        return Bounds(*(corner * self.edge for corner in corners))
-
     def keeper(self, square: CellId) -> CellId:
         """Cell that owns a square of the grid."""
         return CellId(
@@ -89,62 +79,11 @@ class GroundCells(NamedTuple):
         """Squares that a cell owns, row by row."""
         return cells_touching(self.core(cell), self.edge)
 
-    def kept(self, region: Bounds) -> Bounds:
-        """The same region without strips: it shares area with the cells that own its squares."""
-        alone = self.alone
-        return Bounds(
-            min(max(region.xmin, alone.xmin), alone.xmax - 1),
-            min(max(region.ymin, alone.ymin), alone.ymax - 1),
-            max(min(region.xmax, alone.xmax), alone.xmin + 1),
-            max(min(region.ymax, alone.ymax), alone.ymin + 1),
-        )
-
-    def fullest_joined(self, boxes: Sequence[Box], reach: int) -> Peak:
-        """The cell with a strip that reads most, of points that spread evenly over boxes.
-
-        Parameters
-        ----------
-        boxes : sequence of Box
-            Bounding boxes of files and their points.
-        reach : int
-            What a cell reads around its core [quanta].
-        """
-        bounds = np.array([box.bounds for box in boxes], np.float64).reshape(-1, 4)
-        points = np.array([box.points for box in boxes])
-        sides = np.maximum(bounds[:, 2:] - bounds[:, :2], 1.0)
-        found = []
-        for cell in self._rim([grow(box.bounds, reach) for box in boxes]):
-            core = self.core(cell)
-            near = np.array(grow(core, reach), np.float64)
-            shared = np.minimum(bounds[:, 2:], near[2:]) - np.maximum(bounds[:, :2], near[:2])
-            parts = (np.maximum(shared, 0.0) / sides).prod(axis=1)
-            found.append(Peak(float(parts @ points), core))
-        return largest(found)
-
-    def _rim(self, regions: Iterable[Bounds]) -> list[CellId]:
-        """Cells that own more than their square and share area with a region, row by row."""
-        found: set[CellId] = set()
-        for region in regions:
-            west, south, east, north = (edge // self.edge for edge in region)
-            low, high = self.keeper(CellId(west, south)), self.keeper(CellId(east, north))
-            for j in {self.low.j, self.high.j} & {low.j, high.j}:
-                found.update(CellId(i, j) for i in range(low.i, high.i + 1))
-            for i in {self.low.i, self.high.i} & {low.i, high.i}:
-                found.update(CellId(i, j) for j in range(low.j, high.j + 1))
-        joined = (cell for cell in found if self.core(cell) != cell_bounds(cell, self.edge))
-        return sorted(joined, key=lambda cell: (cell.j, cell.i))
-
-    def units(self, counts: Mapping[CellId, int], tile_q: int, halo_q: int) -> Iterator[Unit]:
-        """Cells that may own points of a tile, with what they read; in their order.
-
-        Parameters
-        ----------
-        tile_q, halo_q : int
-            Edge of a tile, and what a cell reads around its core [quanta].
-        """
+    def units(self, counts: Mapping[CellId, int], tile_q: int, margin: int) -> Iterator[Unit]:
+        """Cells that may own points of a tile, with what they read; in their order."""
         touched = {cell for tile in counts for cell in self._of_tile(tile, tile_q)}
         for cell in sorted(touched):
-            yield unit_within(self.core(cell), counts, tile_q, halo_q, (str(cell), cell))
+            yield unit_of(cell, self.core(cell), counts, tile_q, margin)
 
     def owners(self, tiles: Iterable[CellId], tile_q: int) -> dict[CellId, list[str]]:
         """Cells that may hold labels of each tile, by tile."""

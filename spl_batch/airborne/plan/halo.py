@@ -1,7 +1,7 @@
-"""Halo of each unit: how far beyond what it owns a block or a ground cell reads.
+"""Margin of a cell: how far beyond what it owns it reads.
 
 A chain of neighbourhood steps is exact at a seam only with the sum of their reaches. Each step
-says its own reach; tasks carry the halo in their arguments.
+states its own reach; tasks carry the margin in their arguments.
 """
 
 from spl_batch.airborne.classes import buildings
@@ -13,14 +13,9 @@ from spl_batch.airborne.settings.workflow import Workflow
 
 
 def halo_m(workflow: Workflow) -> float:
-    """Halo of a denoise block: the sum of the reaches of the filter and of the noise in air [m]."""
+    """Margin of a cell of ``denoise``: reaches of the filter and of noise in air, added up [m]."""
     air = denoise.asks_for_air(workflow.filter, workflow.noise)
     return denoise.reach_m(workflow.filter) + (haze.REACH_M if air else 0.0)
-
-
-def filter_reach_m(workflow: Workflow) -> float:
-    """What of its halo the filter itself looks at [m]."""
-    return denoise.reach_m(workflow.filter)
 
 
 def surface_reach_m(workflow: Workflow) -> float:

@@ -8,7 +8,6 @@ import numpy as np
 
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import UNEVEN, points_within, refusal
-from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
@@ -58,7 +57,7 @@ def accuracy(survey: Survey) -> Iterator[Task]:
             files.setdefault(square, []).append(name)
             points[square] = points.get(square, 0) + count
     made = survey.of("mosaic")
-    rasters = [name for product in COMPARED for name in sorted(made) if is_piece(name, product)]
+    rasters = [name for name in COMPARED if name in made]
     edge, _ = _lattice(survey)
     for square in sorted(files):
         args = {
@@ -82,19 +81,16 @@ def _tiles_of(survey: Survey, square: str, edge: int) -> list[str]:
 
 
 def checkpoints(survey: Survey) -> Iterator[Task]:
-    """The file of checkpoints, to be compared with the terrain of each piece of the survey."""
+    """The file of checkpoints, to be compared with the terrain."""
     found = survey.inputs.checkpoints
-    rasters = [name for name in sorted(survey.of("mosaic")) if is_piece(name, "dtm")]
-    if found is None or not rasters:
+    if found is None or "dtm" not in survey.of("mosaic"):
         return
     args = {
         "name": found.name,
         "path": str(found.path),
         "stamp": stamp_if_there(found.path),
-        "rasters": rasters,
     }
-    needs = tuple(("mosaic", name) for name in rasters)
-    yield Task("checkpoints", "all", args, needs)
+    yield Task("checkpoints", "all", args, (("mosaic", "dtm"),))
 
 
 def squares(survey: Survey) -> int:

@@ -1,41 +1,27 @@
-"""Tasks of the space domain: tiles, blocks, ground cells, and what is delivered of them."""
+"""Tasks of the space domain: tiles, cells, and what is delivered of them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import PurePath
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
-from spl_batch.airborne.plan.block_size import Holders
+from spl_batch.airborne.plan.cells import Unit, fired_index, voxel_index
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
-from spl_batch.airborne.plan.memory.block_parts import parts_of
-from spl_batch.airborne.plan.memory.cell_memory import Spread, cell_parts, whole_bytes
-from spl_batch.airborne.plan.space_units import (
-    Unit,
-    fired_index,
-    voxel_index,
-)
-from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
-from spl_batch.airborne.plan.task_memory import (
-    refusal,
-    task_bytes,
-)
-from spl_batch.airborne.products.product_table import (
-    ABOVE_GEOID,
-    HILLSHADE,
-    is_piece,
-    products,
-)
-from spl_batch.engine.plan.worker_memory import usable_bytes
+from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
+from spl_batch.airborne.plan.task_memory import cell_bytes, refusal
+from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, products
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
+from spl_batch.errors import grouped
 from spl_batch.formats.las.header import waveform_file
-from spl_batch.lattice.eastings import Eastings, Slab, Slabs
 from spl_batch.lattice.tiles import CellId, cell_runs, grow, parse_cell, quanta
+
+MOST_PIXELS: Final = 2**34
+"""Cells of a raster of a whole survey, at most [count]: 130 km x 130 km of square metres."""
 
 
 class _Pieces(NamedTuple):
@@ -87,7 +73,7 @@ def _pieces(survey: Survey) -> _Pieces:
 
 
 def denoise(survey: Survey) -> Iterator[Task]:
-    """Blocks of tiles, with the stretches whose noise reaches them."""
+    """Cells of tiles, with the stretches whose noise reaches them."""
     voxel_q = quanta(survey.workflow.noise.voxel_m)
     stretch_of: dict[str, str] = {}
     voxels: dict[str, Sequence[int]] = {}
@@ -99,56 +85,40 @@ def denoise(survey: Survey) -> Iterator[Task]:
     index = voxel_index(voxels, voxel_q)
     # what a density depends on, whatever the halo of the points
     margin = survey.halo_q + MARGIN_VOXELS * voxel_q
-    for block in survey.blocks():
-        parts = index.overlapping(grow(block.core, margin))
+    for cell in survey.denoise_cells():
+        parts = index.overlapping(grow(cell.core, margin))
         args = {
-            "block": block.name,
-            "core": list(block.core),
-            "tiles": [str(t) for t in block.tiles],
+            **cell_args(cell),
             "halo": survey.halo_q,
             "voxels": parts,
             "beamlets": survey.beamlets,
         }
         needs = (
-            *tile_needs(block),
+            *tile_needs(cell),
             *(("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))),
         )
-        points = Slabs.of(_slabs(block.tiles, survey)).within
-        cut = parts_of(block.core, points, survey.workflow, survey.memory_bytes)
-        worst = max(cut, key=lambda part: part.memory_bytes)
-        refused = refusal("denoise", worst.held, survey.memory_bytes, worst.memory_bytes)
-        how = {"parts": [list(part.core) for part in cut]}
-        yield Task("denoise", block.name, args, needs, block.points, refused, how)
+        refused = refused_cell("denoise", cell, survey)
+        yield Task("denoise", cell.name, args, needs, cell.points, refused)
 
 
 def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
-    halo = quanta(survey.workflow.ground.buffer_m)
-    holders, (moved, first) = survey.holders, aligned(survey)
-    several = survey.workflow.ground.method == "multiscale"
-    told_by = survey.line_columns if several else ()
-    lines = {"columns": list(told_by), "span_s": survey.workflow.survey.gap_s}
-    for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
-        noise = holders.of(cell.tiles)
-        read = {"halo": halo, "noise": named_units("noise", noise), "lines": lines}
-        args = {**cell_args(cell), **moved, **read}
+    halo, (moved, first) = quanta(survey.workflow.ground.buffer_m), aligned(survey)
+    for cell in survey.ground_cells(halo):
+        noise = survey.denoised_in(cell.tiles)
+        args = {**cell_args(cell), **moved, "halo": halo, "noise": named_units("noise", noise)}
         needs = (*tile_needs(cell), *label_needs("denoise", noise), *first)
-        refused, how = cell_in_memory("ground", cell, survey)
-        yield Task("ground", cell.name, args, needs, cell.points, refused, how)
+        refused = refused_cell("ground", cell, survey)
+        yield Task("ground", cell.name, args, needs, cell.points, refused)
 
 
 def surface(survey: Survey) -> Iterator[Task]:
     """Ground cells whose ground is found, with what their rasters read around them."""
     halo = quanta(surface_reach_m(survey.workflow))
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
-    holders, (moved, first) = survey.holders, aligned(survey)
-    # Only the map of swaths and the flag of overlap ask which flightline a return belongs to.
-    asked = survey.workflow.products.maps or survey.workflow.classes.overlap
-    lines = survey.flown if asked else []
-    passes = [[line.psid, line.first_s, line.last_s] for line in lines]
-    for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
-        noise = holders.of(cell.tiles)
-        ground_of = survey.ground_cells.owners(cell.tiles, survey.tile_q)
+    moved, first = aligned(survey)
+    for cell in survey.ground_cells(halo):
+        noise, ground_of = survey.denoised_in(cell.tiles), survey.grounded_in(cell.tiles)
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
             **cell_args(cell),
@@ -158,38 +128,17 @@ def surface(survey: Survey) -> Iterator[Task]:
             "ground": named_units("ground", ground_of),
             "polygons": [*survey.inputs.polygons, *survey.inputs.breaklines],
             "fired": parts,
-            "passes": passes,
         }
         labels = (*label_needs("denoise", noise), *label_needs("ground", ground_of))
         needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()), *first)
-        refused, how = cell_in_memory("surface", cell, survey)
-        yield Task("surface", cell.name, args, needs, cell.points, refused, how)
+        refused = refused_cell("surface", cell, survey)
+        yield Task("surface", cell.name, args, needs, cell.points, refused)
 
 
-def cell_in_memory(kind: str, cell: Unit, survey: Survey) -> tuple[str, dict[str, object]]:
-    """Why a task of a ground cell cannot be started, empty if it can; and how it is cut."""
-    limit = survey.memory_bytes
-    most = sum(survey.counts[tile] for tile in cell.tiles)
-    # wherever in the tiles they are
-    if whole_bytes(kind, cell.core, most, survey.workflow) <= usable_bytes(limit):
-        held = kind == "surface" and task_bytes("surface_held", most) <= usable_bytes(limit)
-        return "", {"cuts": {}, **({"held": True} if held else {})}
-    spread = spread_over(cell.tiles, survey)
-    parts = cell_parts(kind, cell.core, spread, survey.workflow, limit)
-    cuts = {look: list(cut) for look, cut in parts.cuts.items()}
-    return refusal(kind, cell.held, limit, parts.memory_bytes), {"cuts": cuts}
-
-
-def spread_over(tiles: Sequence[CellId], survey: Survey) -> Spread:
-    """Where the points of some tiles lie."""
-    return partial(Eastings.of_slabs, _slabs(tiles, survey))
-
-
-def _slabs(tiles: Sequence[CellId], survey: Survey) -> list[Slab]:
-    """Rectangles in which the points of some tiles lie, and how many in each."""
-    built = survey.of("build_tile")
-    found = (slab for tile in tiles for slab in built[str(tile)].facts["slabs"])
-    return [(slab[:4], slab[4]) for slab in found]
+def refused_cell(kind: str, cell: Unit, survey: Survey) -> str:
+    """Why a task of a cell cannot be started, empty if it can."""
+    needed = cell_bytes(kind, cell.core, cell.held, survey.workflow)
+    return refusal(kind, cell.held, survey.memory_bytes, needed)
 
 
 def knows_reflectance(survey: Survey) -> bool:
@@ -207,13 +156,13 @@ def deliver(survey: Survey) -> Iterator[Task]:
     for tile in survey.counts:
         for source in built[str(tile)].facts["sources"]:
             tiles_of.setdefault(source, []).append(tile)
-    holders, (moved, first) = survey.holders, aligned(survey)
+    moved, first = aligned(survey)
     for source in survey.inputs.sources:
         key = str(source.key)
         receipt = survey.of("index_file").get(key)
         if receipt is None:
             continue
-        labels = _label_units(survey, tiles_of.get(key, []), holders)
+        labels = _label_units(survey, tiles_of.get(key, []))
         args = {
             **source_args(source),
             **moved,
@@ -248,63 +197,68 @@ def deliver_tiles(survey: Survey) -> Iterator[Task]:
     """Tiles, where they are delivered."""
     if survey.workflow.outputs.tiles == "none":
         return
-    holders, (moved, first) = survey.holders, aligned(survey)
+    moved, first = aligned(survey)
     for tile, count in survey.counts.items():
-        labels = _label_units(survey, [tile], holders)
+        labels = _label_units(survey, [tile])
         args = {**moved, "tile": str(tile), "units": labels[tile]}
         needs = (*_delivery_needs(labels), *first)
         yield Task("deliver_tile", str(tile), args, needs, count)
 
 
 def mosaic(survey: Survey) -> Iterator[Task]:
-    """Rasters of each piece of the survey."""
-    for number, (cells, bounds) in enumerate(mosaic_parts(survey), start=1):
-        keepers = dict.fromkeys(map(survey.ground_cells.keeper, cells))
-        needs = tuple(("surface", str(cell)) for cell in keepers)
-        maps = survey.workflow.products.maps
-        for product in products(reflectance=knows_reflectance(survey), maps=maps):
-            name = product.name if number == 1 else f"{product.name}_{number}"
-            args = {
-                "product": product.name,
-                "name": name,
-                "cells": cell_runs(cells),
-                "bounds": list(bounds),
-                "delivered": product.delivered,
-                "meaning": product.meaning,
-                "unit": product.unit,
-                "colours": list(product.colours),
-            }
-            yield Task("mosaic", name, args, needs)
+    """Rasters of the survey."""
+    cells = sorted(map(parse_cell, survey.of("surface")))
+    if not cells:
+        return
+    bounds, maps = mosaic_bounds(survey), survey.workflow.products.maps
+    pixels = bounds.area_m2 / survey.workflow.products.cell_m**2
+    refused = (
+        ""
+        if pixels <= MOST_PIXELS
+        else (
+            f"a raster of the whole survey has {grouped(pixels)} cells, more than "
+            f"{grouped(MOST_PIXELS)}; leave out the files that lie far from the others"
+        )
+    )
+    squares = [square for cell in cells for square in survey.grid.squares(cell)]
+    needs = tuple(("surface", str(cell)) for cell in cells)
+    for product in products(reflectance=knows_reflectance(survey), maps=maps):
+        args = {
+            "product": product.name,
+            "name": product.name,
+            "cells": cell_runs(sorted(squares)),
+            "bounds": list(bounds),
+            "delivered": product.delivered,
+            "meaning": product.meaning,
+            "unit": product.unit,
+            "colours": list(product.colours),
+        }
+        yield Task("mosaic", product.name, args, needs, 0, refused)
 
 
 def hillshade(survey: Survey) -> Iterator[Task]:
-    """Relief of each terrain model, where maps are asked for."""
-    if not survey.workflow.products.maps:
-        return
-    for name in sorted(survey.of("mosaic")):
-        if is_piece(name, "dtm"):
-            made = name.replace("dtm", HILLSHADE.name)
-            args = {"source": f"{name}.tif", "target": f"{made}.tif"}
-            yield Task("deliver_hillshade", made, args, (("mosaic", name),))
+    """Relief of the terrain model, where maps are asked for."""
+    if survey.workflow.products.maps and "dtm" in survey.of("mosaic"):
+        made = HILLSHADE.name
+        args = {"source": "dtm.tif", "target": f"{made}.tif"}
+        yield Task("deliver_hillshade", made, args, (("mosaic", "dtm"),))
 
 
 def geoid(survey: Survey) -> Iterator[Task]:
     """Terrain and surface above a geoid, where one is named."""
     if survey.workflow.outputs.geoid is None:
         return
-    for name in sorted(survey.of("mosaic")):
-        for product in ABOVE_GEOID:
-            source = product.name.removesuffix("_geoid")
-            if is_piece(name, source):
-                made = name.replace(source, product.name)
-                args = {
-                    "source": f"{name}.tif",
-                    "target": f"{made}.tif",
-                    "meaning": product.meaning,
-                    "unit": product.unit,
-                    "grid": [*survey.inputs.geoid],
-                }
-                yield Task("deliver_geoid", made, args, (("mosaic", name),))
+    for product in ABOVE_GEOID:
+        source = product.name.removesuffix("_geoid")
+        if source in survey.of("mosaic"):
+            args = {
+                "source": f"{source}.tif",
+                "target": f"{product.name}.tif",
+                "meaning": product.meaning,
+                "unit": product.unit,
+                "grid": [*survey.inputs.geoid],
+            }
+            yield Task("deliver_geoid", product.name, args, (("mosaic", source),))
 
 
 def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
@@ -321,7 +275,7 @@ def aligned(survey: Survey) -> tuple[dict[str, object], tuple[tuple[str, str], .
 
 
 def cell_args(cell: Unit) -> dict[str, object]:
-    """What the tasks of a ground cell are told of it."""
+    """A cell as the arguments of a task name it."""
     return {
         "cell": str(cell.cell),
         "core": list(cell.core),
@@ -344,12 +298,9 @@ def label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[st
     return tuple((kind, name) for name in sorted({n for names in listed.values() for n in names}))
 
 
-def _label_units(
-    survey: Survey, tiles: list[CellId], holders: Holders
-) -> dict[CellId, dict[str, list[str]]]:
+def _label_units(survey: Survey, tiles: list[CellId]) -> dict[CellId, dict[str, list[str]]]:
     """Units that hold the delivered labels of each tile, by tile and label."""
-    noise = holders.of(tiles)
-    classes = survey.ground_cells.owners(tiles, survey.tile_q)
+    noise, classes = survey.denoised_in(tiles), survey.grounded_in(tiles)
     return {t: {"noise": noise[t], "classes": classes[t]} for t in tiles}
 
 

@@ -8,9 +8,9 @@ from spl_batch.airborne.plan.flightlines import is_timeless
 from spl_batch.airborne.plan.space_tasks import (
     aligned,
     cell_args,
-    cell_in_memory,
     label_needs,
     named_units,
+    refused_cell,
     tile_needs,
 )
 from spl_batch.airborne.plan.survey_ledger import Survey
@@ -54,14 +54,12 @@ def _patches(kind: str, survey: Survey) -> Iterator[Task]:
     """Ground cells, where there can be more than one flightline."""
     if is_one_flightline(survey):
         return
-    halo = quanta(SQUARE_M)
-    holders = survey.holders
-    for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
-        noise = holders.of(cell.tiles)
+    for cell in survey.ground_cells(quanta(SQUARE_M)):
+        noise = survey.denoised_in(cell.tiles)
         args = {**cell_args(cell), "noise": named_units("noise", noise), "lines": _lines(survey)}
         needs = (*tile_needs(cell), *label_needs("denoise", noise))
-        refused, how = cell_in_memory("strip_patches", cell, survey)
-        yield Task(kind, cell.name, args, needs, 0, refused, how)
+        refused = refused_cell("strip_patches", cell, survey)
+        yield Task(kind, cell.name, args, needs, 0, refused)
 
 
 def _together(kind: str, of: str, survey: Survey) -> Task:
@@ -87,4 +85,4 @@ def _has_timeless(survey: Survey) -> bool:
 
 def _lines(survey: Survey) -> list[list[object]]:
     """Flightlines with times."""
-    return [[line.name, line.psid, line.first_s, line.last_s] for line in survey.flown]
+    return [[*line.as_pass] for line in survey.flown]

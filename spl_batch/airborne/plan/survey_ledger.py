@@ -1,28 +1,24 @@
 """What a run knows about its survey: inputs, limits, and what is finished so far."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.plan.block_layout import Block
-from spl_batch.airborne.plan.block_size import Holders, Sizes, blocks, choose_sizes, layout_of
+from spl_batch.airborne.plan.cells import Unit, owners, tile_counts, tiles_along, units
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.airborne.plan.ground_cells import GroundCells
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
-from spl_batch.airborne.plan.mosaics import split_mosaic
-from spl_batch.airborne.plan.space_units import Unit, tile_counts
-from spl_batch.airborne.plan.task_memory import stretch_points
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import part_name
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.density import from_counts
-from spl_batch.lattice.tiles import Bounds, CellId, parse_cell, quanta
+from spl_batch.lattice.tiles import Bounds, CellId, quanta
 
 
 def _most_timed(indexed: tuple[str, Receipt]) -> tuple[int, str]:
@@ -46,14 +42,7 @@ class Pieces(NamedTuple):
 
 @dataclass
 class Survey(Ledger[Inputs, Workflow]):
-    """What a run on an airborne survey knows so far.
-
-    ``remembered`` are the sizes of the blocks that earlier runs had, ``remembered_stretch`` the
-    points of their stretches.
-    """
-
-    remembered: Sizes | None = None
-    remembered_stretch: int | None = None
+    """What a run on an airborne survey knows so far."""
 
     @property
     def beamlets(self) -> int:
@@ -74,40 +63,7 @@ class Survey(Ledger[Inputs, Workflow]):
     @cached_property
     def flown(self) -> list[Flightline]:
         """Flightlines with times, also of a survey that is not filtered; complete likewise."""
-        return find_flightlines(self.of("index_file"), self.workflow, self.stretch_points)
-
-    @cached_property
-    def line_columns(self) -> tuple[str, ...]:
-        """Columns that tell the flightlines of points; none where all are of one."""
-        ids = [line.psid for line in self.flown]
-        files = self.of("index_file").values()
-        timed = not any(is_timeless(receipt, self.workflow) for receipt in files)
-        if len(ids) < 2 and timed:
-            return ()
-        if len(set(ids)) == len(ids) and timed:
-            return ("point_source_id",)
-        return ("point_source_id", "gps_time")
-
-    @property
-    def stretch_points(self) -> int:
-        """Points of a stretch on average: as memory allows, and no more than in earlier runs."""
-        points = stretch_points(self.memory_bytes)
-        return min(points, self.remembered_stretch or points)
-
-    @cached_property
-    def cut_anew(self) -> list[Flightline]:
-        """Flightlines with shorter stretches than in earlier runs; known once they are indexed."""
-        before = self.remembered_stretch
-        if not self.filtering or before is None or self.stretch_points >= before:
-            return []
-        then = find_flightlines(self.of("index_file"), self.workflow, before)
-        pairs = zip(then, self.flightlines, strict=True)
-        return [now for was, now in pairs if was.stretch_shots != now.stretch_shots]
-
-    def has_other_stretches(self) -> bool:
-        """Whether stretches are gathered that another choice than the remembered one made."""
-        gathered = self.of("gather")
-        return any(name in gathered for line in self.cut_anew for name, _ in line.stretches())
+        return find_flightlines(self.of("index_file"), self.workflow)
 
     @cached_property
     def pieces(self) -> dict[int, Pieces]:
@@ -136,67 +92,33 @@ class Survey(Ledger[Inputs, Workflow]):
         """Points by tile; complete once the shuffle is."""
         return tile_counts(self.of("build_tile"))
 
-    def blocks(self) -> Iterator[Unit]:
-        """Denoise blocks; complete once the shuffle is."""
-        layout = layout_of(self.counts, self.workflow)
-        found = blocks(layout, self.block_sizes, self.workflow, self.memory_bytes)
-        return map(layout.unit, found)
+    @cached_property
+    def denoise_q(self) -> int:
+        """Edge of a cell of ``denoise`` [quanta]; complete once the shuffle is."""
+        pieces = list(from_counts(self.counts, self.tile_q))
+        return self.tile_q * tiles_along(pieces, self.workflow, self.memory_bytes, self.workers)
+
+    def denoise_cells(self) -> Iterator[Unit]:
+        """Cells of ``denoise``; complete once the shuffle is."""
+        return units(self.counts, self.tile_q, self.denoise_q, self.halo_q)
+
+    def ground_cells(self, margin_q: int) -> Iterator[Unit]:
+        """Ground cells with a margin [quanta]; complete once the shuffle is."""
+        return self.grid.units(self.counts, self.tile_q, margin_q)
 
     @cached_property
-    def block_sizes(self) -> Sizes:
-        """How large denoise blocks are; known once the shuffle is complete."""
-        found = self.remembered if self.workflow.tiling.block_tiles is None else None
-        if found is None:
-            pieces = list(from_counts(self.counts, self.tile_q))
-            found = choose_sizes(pieces, self.workflow, self.memory_bytes, self.workers)
-        return found._replace(memory_bytes=found.under(self.memory_bytes))
-
-    @property
-    def block_memory_bytes(self) -> int | None:
-        """Memory limit that blocks of earlier runs were chosen for, where it is known [byte]."""
-        given = self.workflow.tiling.block_tiles is not None
-        return None if given or self.remembered is None else self.remembered.memory_bytes
-
-    def with_memory_of_blocks(self) -> "Survey | None":
-        """The survey under the limit that its blocks were chosen for, none of them looked at.
-
-        None where this run's blocks are those. Known once the shuffle is complete.
-        """
-        then, now = self._blocks_then_and_now
-        if then <= now or self.block_memory_bytes is None:
-            return None
-        done = {kind: shelf for kind, shelf in self.done.items() if kind != "denoise"}
-        return replace(self, memory_bytes=self.block_memory_bytes, done=done)
-
-    def has_other_blocks(self) -> bool:
-        """Whether blocks are finished that another choice than the remembered one made."""
-        if self.remembered is not None and self.remembered.memory_bytes is None:
-            return True  # of a version that did not say what they were chosen for
-        then, now = self._blocks_then_and_now
-        finished = self.of("denoise")
-        return any(str(block) in finished for block in now - then)
-
-    @cached_property
-    def _blocks_then_and_now(self) -> tuple[set[Block], set[Block]]:
-        """Blocks that the remembered memory limit makes, and this run's; none where it has more."""
-        sizes, before = self.remembered, self.block_memory_bytes
-        if sizes is None or before is None or before <= self.memory_bytes or not self.counts:
-            return set(), set()
-        layout = layout_of(self.counts, self.workflow)
-        limits = before, self.memory_bytes
-        then, now = (set(blocks(layout, sizes, self.workflow, limit)) for limit in limits)
-        return then, now
-
-    @cached_property
-    def holders(self) -> Holders:
-        """Blocks by the tiles that they own; complete once the shuffle is."""
-        return Holders([unit.name for unit in self.blocks()], self.tile_q)
-
-    @cached_property
-    def ground_cells(self) -> GroundCells:
-        """Ground cells; complete once the index stage is."""
+    def grid(self) -> GroundCells:
+        """Grid of the ground cells; complete once the index is."""
         boxes = [(xmin, ymin, xmax + 1, ymax + 1) for xmin, ymin, _, xmax, ymax, _ in _boxes(self)]
         return GroundCells.of_workflow(boxes, self.workflow)
+
+    def denoised_in(self, tiles: Iterable[CellId]) -> dict[CellId, list[str]]:
+        """Cell of ``denoise`` that holds labels of each tile, by tile."""
+        return owners(tiles, self.tile_q, self.denoise_q)
+
+    def grounded_in(self, tiles: Iterable[CellId]) -> dict[CellId, list[str]]:
+        """Ground cells that hold labels of each tile, by tile."""
+        return self.grid.owners(tiles, self.tile_q)
 
     @property
     def tile_q(self) -> int:
@@ -210,7 +132,7 @@ class Survey(Ledger[Inputs, Workflow]):
 
     @property
     def halo_q(self) -> int:
-        """Halo of a denoise block [quanta]."""
+        """Margin of a cell of ``denoise`` [quanta]."""
         return quanta(halo_m(self.workflow))
 
 
@@ -226,18 +148,16 @@ def timeless_sources(survey: Survey) -> list[Source]:
     ]
 
 
-def mosaic_parts(survey: Survey) -> list[tuple[list[CellId], Bounds]]:
-    """Ground cells and region of each mosaic, the part with most points first.
-
-    One mosaic, unless the survey lies in pieces so far apart that it would be empty space.
-    """
-    squares: dict[CellId, int] = {}
-    for name, receipt in survey.of("surface").items():
-        cell = parse_cell(name)
-        squares |= dict.fromkeys(survey.ground_cells.squares(cell), 0)
-        squares[cell] = receipt.points
-    pixel_q = quanta(survey.workflow.products.cell_m)
-    return split_mosaic(squares, _boxes(survey), survey.cell_q, pixel_q)
+def mosaic_bounds(survey: Survey) -> Bounds:
+    """Whole raster cells around the points of the survey."""
+    pixel = quanta(survey.workflow.products.cell_m)
+    west, south, _, east, north, _ = zip(*_boxes(survey), strict=True)
+    return Bounds(
+        min(west) // pixel * pixel,
+        min(south) // pixel * pixel,
+        (max(east) // pixel + 1) * pixel,
+        (max(north) // pixel + 1) * pixel,
+    )
 
 
 def _boxes(survey: Survey) -> list[Sequence[int]]:

@@ -1,13 +1,15 @@
 """What tasks hold in memory, and which of them cannot fit into a worker.
 
-A task's need is that of a worker that has loaded its kernels and the points that the
-task holds at once times the bytes of each; `benchmarks/memory.py` measures them.
+A task's need is that of a worker that has loaded its kernels and the points that the task holds
+times the bytes of each; ``benchmarks/memory.py`` measures them.
 """
 
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
+from spl_batch.airborne.plan.halo import surface_reach_m
+from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.plan.worker_memory import (
     LOADED_BASE_BYTES,
@@ -16,27 +18,13 @@ from spl_batch.engine.plan.worker_memory import (
     usable_bytes,
 )
 from spl_batch.errors import grouped
-from spl_batch.lattice.tiles import quanta
+from spl_batch.lattice.tiles import Bounds, grow, quanta
 
-BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
-    {
-        **{name: step.bytes_per_point for name, step in STEPS.items() if step.bytes_per_point},
-        "denoise_air": 90,
-        "surface_held": 225,
-    }
-)
-"""Peak memory of a task by each of the points that it holds at once [byte]. A worker keeps what it
-frees, in pieces: a task holds more in it than by itself, of a surface cell 166 bytes, not 150."""
+RASTER_BYTES: Final = 400
+"""Memory of a surface cell by each raster cell of it and its margin [byte]."""
 
-LEAST_PART_Q: Final = quanta(12.5)
-"""Least side of a part that a block is cut into where memory is short [quanta]: smaller ones would
-read little but their halo."""
-
-STRETCH_POINTS: Final = 2_000_000
-"""Points that a stretch holds on average, where memory allows [count]."""
-
-LEAST_STRETCH_POINTS: Final = 125_000
-"""The same in the smallest worker [count]."""
+STRETCH_POINTS: Final = 1_000_000
+"""Points that a stretch holds on average [count]."""
 
 UNEVEN: Final = 2
 """A stretch is a span of time: where much returns, it holds more than the average, up to this."""
@@ -44,49 +32,30 @@ UNEVEN: Final = 2
 
 def task_bytes(kind: str, points: float) -> int:
     """Memory of a task that holds so many points, its worker included [byte]."""
-    return LOADED_BASE_BYTES + int(points * BYTES_PER_POINT[kind])
+    return LOADED_BASE_BYTES + int(points * STEPS[kind].bytes_per_point)
 
 
-def stretch_bytes(points: int) -> int:
-    """Memory of a task on the fullest stretch, where they hold so many points on average [byte]."""
-    return task_bytes("scatter", UNEVEN * points)
+def cell_bytes(kind: str, core: Bounds, points: float, workflow: Workflow) -> int:
+    """Memory of a task of a cell: of its points, or of its raster cells [byte]."""
+    needed = task_bytes(kind, points)
+    if kind != "surface":
+        return needed
+    wide = grow(core, quanta(surface_reach_m(workflow)))
+    cells = wide.area_m2 / workflow.products.cell_m**2
+    return max(needed, LOADED_BASE_BYTES + int(cells * RASTER_BYTES))
 
 
 def points_within(kind: str, limit: int) -> int:
     """Points that a task can hold within a worker's memory limit [count]."""
-    return max(usable_bytes(limit) - LOADED_BASE_BYTES, 0) // BYTES_PER_POINT[kind]
-
-
-def part_bytes(held: float, near: float) -> int:
-    """Memory of a part of a denoise block, its worker included [byte].
-
-    Parameters
-    ----------
-    held : float
-        Points that it reads: for air it looks at all of them, with few columns [count].
-    near : float
-        Those among them that the filter looks at [count].
-    """
-    return max(task_bytes("denoise_air", held), task_bytes("denoise", near))
-
-
-def stretch_points(limit: int) -> int:
-    """Points that a stretch should hold on average under a memory limit [count].
-
-    Halved as long as a full one does not fit, so that a run that is continued with a
-    little more memory finds its stretches again.
-    """
-    points = STRETCH_POINTS
-    while points > LEAST_STRETCH_POINTS and UNEVEN * points > points_within("scatter", limit):
-        points //= 2
-    return points
+    return max(usable_bytes(limit) - LOADED_BASE_BYTES, 0) // STEPS[kind].bytes_per_point
 
 
 NAMES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "build_tile": "a tile",
-        "denoise": "a denoise block",
+        "denoise": "a cell of denoise",
         "ground": "a ground cell",
+        "recorded_patches": "a ground cell whose flightlines are compared",
         "strip_patches": "a ground cell whose flightlines are compared",
         "surface": "a surface cell",
         "accuracy": "a square of the reference",
@@ -104,7 +73,7 @@ def refusal(kind: str, points: float, limit: int, needed: int | None = None) -> 
     limit : int
         Memory limit of a worker [byte].
     needed : int, optional
-        What it needs, where that is not told by its points alone [byte].
+        What it needs, where that does not follow from its points alone [byte].
     """
     needed = task_bytes(kind, points) if needed is None else needed
     if needed <= usable_bytes(limit):

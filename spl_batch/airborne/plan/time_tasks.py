@@ -9,6 +9,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Final
 
+from spl_batch.airborne.filter.shot_filters import OF_SHOTS
 from spl_batch.airborne.plan.flightlines import Flightline
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
 from spl_batch.airborne.plan.survey_ledger import Survey
@@ -205,22 +206,30 @@ def fit_line(survey: Survey) -> Iterator[Task]:
 def scatter(survey: Survey) -> Iterator[Task]:
     """Stretches that are shared among tiles."""
     filtering = survey.workflow.filter
-    # Only that one filter reads what shots say: the others share the points as they are.
-    dcc = filtering.dcc.model_dump() if filtering.method == "dcc" else None
+    # Only filters of single shots read what shots say: the others share the points as they are.
+    method = filtering.method
+    of_shots = {method: getattr(filtering, method).model_dump()} if method in OF_SHOTS else None
     positions = _positions(survey)
     for line in survey.flightlines:
         if line.name not in survey.of("fit_line"):
             continue
         for name, k in _gathered(survey, line):
             args = {**_stretch_args(survey, line, name, k), "timeless": False}
-            args["dcc"] = dcc
+            args["of_shots"] = of_shots
             args["positions"] = _near(positions, line, k)
             args["polygons"] = list(survey.inputs.polygons)
             needs = (*_files(line), ("gather", name), ("fit_line", line.name))
             needs += _path_needs(survey, line)
             yield Task("scatter", name, args, needs, survey.of("gather")[name].points)
+    # Of points without a flightline of their own their id and time tell which one they are of.
+    again = [[*line.as_pass] for line in survey.flown if line.number != line.psid]
     for name, receipt in sorted(survey.of("gather_range").items()):
-        args = {"stretch": name, "timeless": True, "polygons": list(survey.inputs.polygons)}
+        args = {
+            "stretch": name,
+            "timeless": True,
+            "passes": again,
+            "polygons": list(survey.inputs.polygons),
+        }
         yield Task("scatter", name, args, (("gather_range", name),), receipt.points)
 
 
@@ -230,6 +239,7 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
     return {
         "line": line.name,
         "psid": line.psid,
+        "number": line.number,
         "t0_s": line.clock.t0_s,
         "prf_hz": line.clock.prf_hz,
         "beamlets": survey.beamlets,

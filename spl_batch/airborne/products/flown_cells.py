@@ -37,13 +37,6 @@ def ground_heights(table: PointTable, region: Bounds) -> Heights | None:
     return (int(ground.min()), int(ground.max())) if len(ground) else None
 
 
-def both(one: Heights | None, other: Heights | None) -> Heights | None:
-    """Lowest and highest ground of two regions."""
-    if one is None or other is None:
-        return one or other
-    return min(one[0], other[0]), max(one[1], other[1])
-
-
 def about_ground(table: PointTable, region: Bounds, ground: Heights | None) -> NDArray[np.bool_]:
     """Returns of a region that lie about as high as the ground: (n,) bool.
 

@@ -13,13 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.products.flown_cells import (
-    Heights,
-    about_ground,
-    both,
-    close,
-    ground_heights,
-)
+from spl_batch.airborne.products.flown_cells import about_ground, close, ground_heights
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable
@@ -46,7 +40,7 @@ Within = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
 
 
 class Covered:
-    """Squares of a ground cell that some returns cover; these come part by part.
+    """Squares of a ground cell that some returns cover.
 
     Off the edge of a swath, and of a lake, there is noise but no signal: what is covered depends on
     which returns are asked.
@@ -116,37 +110,31 @@ class Covered:
         return bool(within_discs(held, reach).all())
 
 
-class Footprint:
+def footprint(
+    table: PointTable, cell: Bounds, settings: ProductSettings, within: Within | None = None
+) -> NDArray[np.bool_]:
     """Squares of a ground cell that were flown: covered by returns about as high as its ground.
-
-    Points come part by part, and twice: all are to be :meth:`look`-ed at before the first of them
-    is :meth:`add`-ed.
 
     Parameters
     ----------
+    table : PointTable
+        Points of the cell and twice the widest void around it, with ``x, y, z, ground``.
     cell, settings
         As of :class:`Covered`.
+    within : callable, optional
+        Which squares count, by their centres.
+
+    Returns
+    -------
+    (rows, cols) bool
+        Squares of :func:`whole_squares`, from the south.
     """
-
-    def __init__(self, cell: Bounds, settings: ProductSettings) -> None:
-        self._cell, self._covered = cell, Covered(cell, settings)
-        self._ground: Heights | None = None
-
-    def look(self, table: PointTable, part: Bounds) -> None:
-        """See how high the ground is; points of a part, with ``x, y, z, ground``."""
-        mine = shared(part, self._covered.region)
-        self._ground = both(self._ground, ground_heights(table, mine))
-
-    def add(self, table: PointTable, part: Bounds) -> None:
-        """Take the points of a part in; those beyond it are passed over."""
-        mine = shared(part, self._covered.region)
-        there = about_ground(table, mine, self._ground)
-        self._covered.add(table["x"][there], table["y"][there])
-
-    def squares(self, within: Within | None = None) -> NDArray[np.bool_]:
-        """Squares of :func:`whole_squares`, from the south, without those refused: (r, c) bool."""
-        squares = self._covered.squares()
-        return squares if within is None else refused(squares, self._cell, within)
+    covered = Covered(cell, settings)
+    region = covered.region
+    there = about_ground(table, region, ground_heights(table, region))
+    covered.add(table["x"][there], table["y"][there])
+    squares = covered.squares()
+    return squares if within is None else refused(squares, cell, within)
 
 
 def whole_squares(cell: Bounds) -> Bounds:

@@ -28,8 +28,8 @@ HELD: Final = 0.25
 """Least part of a square that counts as flown over: the rim of a survey has no density."""
 
 
-class RefusedReturns:
-    """Where returns were refused, and how high; looked at part by part.
+def noise_by_cell(table: PointTable, wide: Bounds, near: Bounds, size: int) -> NDArray[np.float64]:
+    """Noise around raster cells [1/m3].
 
     The central 96 % of the heights of refused returns stand for the gate, so that strays do not
     stretch it; the raster cells with any return stand for the ground flown over. A square's own
@@ -37,64 +37,45 @@ class RefusedReturns:
 
     Parameters
     ----------
+    table : PointTable
+        Points with ``x``, ``y``, ``z`` and ``noise_class``.
     wide : Bounds
-        What is looked at, whole raster cells [quanta].
+        Where returns count, whole raster cells [quanta].
+    near : Bounds
+        Raster cells that are asked for, within ``wide`` [quanta].
     size : int
         Edge of a raster cell [quanta].
+
+    Returns
+    -------
+    (rows * cols,) float64
+        Row by row from the south-west; 0 without noise.
     """
-
-    def __init__(self, wide: Bounds, size: int) -> None:
-        self._wide, self._size = wide, size
-        self._shape = (wide.ymax - wide.ymin) // size, (wide.xmax - wide.xmin) // size
-        self._held = np.zeros(self._shape[0] * self._shape[1], np.bool_)
-        self._heights: list[NDArray[np.int32]] = []
-        self._cells: list[NDArray[np.int32]] = []
-
-    def add(self, table: PointTable) -> None:
-        """Look at some points, with ``x``, ``y``, ``z`` and ``noise_class``; each comes once."""
-        heights, cell = np.empty(len(table), np.int32), np.empty(len(table), np.int32)
-        count = flown_over(
-            (table["x"], table["y"], table["z"]), (table["noise_class"], NOISE_BACKGROUND),
-            (*self._wide,), float(self._size), self._held, heights, cell,
-        )  # fmt: skip
-        self._heights.append(heights[:count].copy())
-        self._cells.append(cell[:count].copy())
-
-    def by_cell(self, near: Bounds) -> NDArray[np.float64]:
-        """Noise around raster cells [1/m3].
-
-        Parameters
-        ----------
-        near : Bounds
-            Raster cells that are asked for, within what is looked at [quanta].
-
-        Returns
-        -------
-        (rows * cols,) float64
-            Row by row from the south-west; 0 without noise.
-        """
-        size, wide, shape = self._size, self._wide, self._shape
-        heights, cells = np.concatenate(self._heights), np.concatenate(self._cells)
-        count = len(heights)
-        row, col = (np.arange(low, high, size) // size for low, high in (near[1::2], near[::2]))
-        if count < 2:
-            return np.zeros(len(row) * len(col))
-        low, high = np.percentile(heights, (2, 98))
-        per_m3 = 0.96 / ((size * QUANTUM_M) ** 2 * max(float(high - low) * QUANTUM_M, 1.0))
-        mean = per_m3 * count / np.count_nonzero(self._held)
-        side = max(quanta(SQUARE_M) // size, 1)
-        first = wide.ymin // size, wide.xmin // size
-        noise, flown = (
-            _by_square(number, first, shape, side) for number in (cells, np.flatnonzero(self._held))
-        )
-        flown = np.maximum(flown, HELD * side * side)
-        clear = per_m3 * (noise - 2.0 * np.sqrt(noise)) / flown > CLEARLY * mean
-        own = STEP ** np.ceil(np.log(per_m3 * noise[clear] / flown[clear]) / np.log(STEP))
-        density = np.full(noise.shape, mean)
-        density[clear] = own
-        squares = row // side - first[0] // side, col // side - first[1] // side
-        found: NDArray[np.float64] = density[np.ix_(*squares)].ravel()
-        return found
+    shape = (wide.ymax - wide.ymin) // size, (wide.xmax - wide.xmin) // size
+    held = np.zeros(shape[0] * shape[1], np.bool_)
+    heights, cells = np.empty(len(table), np.int32), np.empty(len(table), np.int32)
+    count = flown_over(
+        (table["x"], table["y"], table["z"]), (table["noise_class"], NOISE_BACKGROUND),
+        (*wide,), float(size), held, heights, cells,
+    )  # fmt: skip
+    heights, cells = heights[:count], cells[:count]
+    row, col = (np.arange(low, high, size) // size for low, high in (near[1::2], near[::2]))
+    if count < 2:
+        return np.zeros(len(row) * len(col))
+    low, high = np.percentile(heights, (2, 98))
+    per_m3 = 0.96 / ((size * QUANTUM_M) ** 2 * max(float(high - low) * QUANTUM_M, 1.0))
+    mean = per_m3 * count / np.count_nonzero(held)
+    side = max(quanta(SQUARE_M) // size, 1)
+    first = wide.ymin // size, wide.xmin // size
+    noise, flown = (_by_square(some, first, shape, side) for some in (cells, np.flatnonzero(held)))
+    flown = np.maximum(flown, HELD * side * side)
+    clear = per_m3 * (noise - 2.0 * np.sqrt(noise)) / flown > CLEARLY * mean
+    own = STEP ** np.ceil(np.log(per_m3 * noise[clear] / flown[clear]) / np.log(STEP))
+    density = np.full(noise.shape, mean)
+    density[clear] = own
+    squares = row // side - first[0] // side, col // side - first[1] // side
+    found: NDArray[np.float64] = density[np.ix_(*squares)].ravel()
+    return found
 
 
 def _by_square(

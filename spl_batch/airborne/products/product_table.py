@@ -70,13 +70,3 @@ def products(*, reflectance: bool, maps: bool = False) -> tuple[Product, ...]:
     of_detections = {REFLECTANCE.name: REFLECTANCE} if reflectance else {}
     wanted = (product for product in PRODUCTS if maps or not product.is_map)
     return tuple(of_detections.get(product.name, product) for product in wanted)
-
-
-def is_piece(name: str, product: str) -> bool:
-    """Whether a raster is a product's: its own, or ``_2`` and so on of a survey in pieces.
-
-    ``name``: name of a raster, as ``dtm_2`` and ``dtm_quality_2``.
-    """
-    return name == product or (
-        name.startswith(f"{product}_") and name.removeprefix(f"{product}_").isdigit()
-    )

@@ -33,9 +33,3 @@ def relative(
         (table["y"].take(order) - corner.ymin).astype(np.int32),
         table["z"].take(order),
     )
-
-
-def columns_of(part: Bounds, cell: Bounds, columns: int) -> slice:
-    """Columns of raster cells of a strip of a ground cell that has so many."""
-    size = (cell.xmax - cell.xmin) // columns
-    return slice((part.xmin - cell.xmin) // size, (part.xmax - cell.xmin) // size)

@@ -26,7 +26,7 @@ def holds_ground(table: PointTable, bare: Bare | None = None) -> NDArray[np.bool
     bare : Bare, optional
         Where signals of the cell are stray; found from these points without.
     """
-    usable = stands(table, bare_cells(lambda: (table,)) if bare is None else bare)
+    usable = stands(table, bare_cells(table) if bare is None else bare)
     return usable & ~off_surface(table, usable)
 
 
@@ -40,7 +40,7 @@ def stands(table: PointTable, bare: Bare | None) -> NDArray[np.bool_]:
     return usable
 
 
-def makes_surfaces(table: PointTable, bare: Bare | None = None) -> PointTable:
+def makes_surfaces(table: PointTable) -> PointTable:
     """Points that a raster may rest on, or that say how much noise there is.
 
     A point that no unit has labelled, or that lies outside the area, is none.
@@ -49,11 +49,9 @@ def makes_surfaces(table: PointTable, bare: Bare | None = None) -> PointTable:
     ----------
     table : PointTable
         ``x, y, z, flags, noise_class, ground``, and what intensity is made of where it is there.
-    bare : Bare, optional
-        Where signals are stray, if these are some of a cell's points only.
     """
     chosen = known(table)
-    chosen &= ~(stray(table, spare_above=True) if bare is None else bare.holds(table))
+    chosen &= ~stray(table, spare_above=True)
     optional = (*surface_rasters.COLUMNS_OF_INTENSITY, "afterpulse")
     also = [name for name in optional if name in table]
     return table.select((*surface_rasters.COLUMNS_NEEDED, *also)).take(chosen)

@@ -41,16 +41,10 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.water.level import REACH_M, Levels, flattened, in_water
 from spl_batch.airborne.products.cell_values import robust_cell_means, sort_into_cells
-from spl_batch.airborne.products.flown_cells import (
-    Heights,
-    about_ground,
-    both,
-    close,
-    ground_heights,
-)
+from spl_batch.airborne.products.flown_cells import about_ground, close, ground_heights
 from spl_batch.airborne.products.gap_surface import FAR_M, bridged
-from spl_batch.airborne.products.noise_aloft import RefusedReturns
-from spl_batch.airborne.products.raster_grid import cell_number, columns_of, relative, shape_of
+from spl_batch.airborne.products.noise_aloft import noise_by_cell
+from spl_batch.airborne.products.raster_grid import cell_number, relative, shape_of
 from spl_batch.airborne.products.terrain_quality import Scatter, scatter_of, terrain_sigma
 from spl_batch.airborne.products.top_surface import (
     cells_within,
@@ -61,7 +55,7 @@ from spl_batch.airborne.products.top_surface import (
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
-from spl_batch.lattice.tiles import Bounds, grow, inside, overlap, quanta, shared
+from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.nearest_heights import nearest_heights
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
 
@@ -105,165 +99,96 @@ def reach_m(settings: ProductSettings) -> float:
 def surfaces(
     table: PointTable, cell: Bounds, settings: ProductSettings
 ) -> dict[str, NDArray[np.float32]]:
-    """Rasters of one ground cell whose points are all at hand.
+    """Rasters of one ground cell.
 
     Parameters
     ----------
     table : PointTable
         Points of the cell and of a margin of at least :func:`reach_m`, in any order, with
         :data:`COLUMNS_NEEDED`; points farther out are ignored.
-    cell, settings
-        As of :class:`Surfaces`.
-
-    Returns
-    -------
-    dict of str to (rows, cols) float32
-        As of :meth:`Surfaces.rasters`.
-    """
-    made = Surfaces(cell, settings)
-    made.look(table, made.region)
-    made.add(table, made.region)
-    return made.rasters()
-
-
-class Surfaces:
-    """Rasters of one ground cell, made of its points part by part.
-
-    Parts are strips whose edges lie between raster cells, where there is water also between the
-    cells of its level. All of them together are the cell with its margin. Each comes twice: all
-    are to be :meth:`look`-ed at before the first of them is :meth:`add`-ed. Means of ground,
-    levels of water, heights and counts of noise are those of all parts, the TIN is made once of
-    the means, and a top is looked for in the part that owns its raster cell: however the parts are
-    cut, the rasters have the same bytes.
-
-    Parameters
-    ----------
     cell : Bounds
         The ground cell [quanta]; its edges are whole multiples of the raster cell.
     settings : ProductSettings
         Cell size and distances.
-    """
 
-    def __init__(self, cell: Bounds, settings: ProductSettings) -> None:
+    Returns
+    -------
+    dict of str to (rows, cols) float32
+        ``dtm, dsm, chm`` [m], ``dtm_quality`` (standard deviation of ``dtm`` [m]),
+        ``intensity`` (mean of first returns, as delivered; where the points have it),
+        ``density`` (signal returns per m2; 0 where there are none, nodata where nothing was
+        flown); row 0 is the northernmost; nodata :data:`~spl_batch.constants.NODATA`.
+    """
+    return _Surfaces(table, cell, settings).rasters()
+
+
+class _Surfaces:
+    """Rasters of one ground cell; see :func:`surfaces`."""
+
+    def __init__(self, table: PointTable, cell: Bounds, settings: ProductSettings) -> None:
         size = quanta(settings.cell_m)
         if any(edge % size for edge in cell):
             raise ValueError(f"ground cell {cell} is not aligned to raster cells of {size} quanta")
         self._cell, self._settings, self._size = cell, settings, size
         self.region = grow(cell, margin_cells(settings) * size)
-        rows, cols = shape_of(self.region, size)
-        self._means = np.full((rows * cols, 3), np.nan)
-        self._scatter = Scatter(
-            np.zeros(rows * cols, np.int32), np.zeros((rows * cols, 6), np.float32)
-        )
-        self._wet = np.zeros(rows * cols, np.bool_)
+        self._table = table
+        near = (table["ground"] == 1) & inside(table["x"], table["y"], self.region)
+        ground = table.select(("x", "y", "z", "flags")).take(near)
         # Under a deck what is left of the water may hang together with no other.
-        self._levels = Levels(beyond=True)
-        self._corners = np.zeros((2, 2), np.bool_)
-        self._ground: Heights | None = None
-        self._refused = RefusedReturns(self.region, size)
-        self._held = np.zeros((rows, cols), np.bool_)
-        self._made: dict[str, NDArray[np.float64]] = {}
-
-    def look(self, table: PointTable, part: Bounds) -> None:
-        """Gather what a part tells of the whole: points of it, with :data:`COLUMNS_NEEDED`."""
-        mine = shared(part, self.region)
-        ground, waits = self._of_terrain(table, mine)
-        self._levels.look(*in_water(ground)[1])
-        self._take_means(ground.take(~waits))
-        self._ground = both(self._ground, ground_heights(table, mine))
-        self._refused.add(table)
-        self._look_at_corners(table)
-
-    def add(self, table: PointTable, part: Bounds) -> None:
-        """Find the tops of a part: points of it and of :meth:`around` it."""
-        ground, waits = self._of_terrain(table, shared(part, self.region))
-        if waits.any():
-            water = flattened(ground.take(waits), self._levels)
-            self._take_means(water)
-            self._wet[cell_number(water, self.region, self._size)] = True
-        there = about_ground(table, shared(part, self.region), self._ground)
-        corner, size = self.region, self._size
-        row, col = (table["y"][there] - corner.ymin) // size, table["x"][there] - corner.xmin
-        self._held[row, col // size] = True
-        if not overlap(part, self._cell):
-            return
-        core, settings = shared(part, self._cell), self._settings
-        signal, level = _signal(table, core, settings)
-        near = grow(core, top_margin(settings) * size)
-        support = support_of(self._refused.by_cell(near), settings)
-        dsm, lent = top_surface(signal, level, support, core, settings)
-        low, high = self._honoured(table, near, shape_of(core, size))
-        made = {"dsm": dsm, "lent": lent.astype(np.float64), "low": low, "high": high}
-        for name, values in (made | _counts(signal, core, size)).items():
-            whole = self._made.setdefault(name, np.full(shape_of(self._cell, size), np.nan))
-            whole[:, columns_of(core, self._cell, whole.shape[1])] = values
-
-    def around(self, part: Bounds) -> Bounds:
-        """What :meth:`add` reads of a part and around it."""
-        if not overlap(part, self._cell):
-            return part
-        reach = top_margin(self._settings) * self._size
-        near = shared(grow(shared(part, self._cell), reach), self.region)
-        return Bounds(
-            *(min(ends) for ends in zip(part[:2], near[:2], strict=True)),
-            *(max(ends) for ends in zip(part[2:], near[2:], strict=True)),
-        )
+        levels = Levels(beyond=True)
+        levels.look(*in_water(ground)[1])
+        self._ground = flattened(ground, levels)
 
     def rasters(self) -> dict[str, NDArray[np.float32]]:
-        """What was made.
-
-        Returns
-        -------
-        dict of str to (rows, cols) float32
-            ``dtm, dsm, chm`` [m], ``dtm_quality`` (standard deviation of ``dtm`` [m]),
-            ``intensity`` (mean of first returns, as delivered; where the points have it),
-            ``density`` (signal returns per m2; 0 where there are none, nodata where nothing was
-            flown); row 0 is the northernmost; nodata :data:`~spl_batch.constants.NODATA`.
-        """
-        dtm, sigma = self._terrain()
-        dsm = self._made.pop("dsm")
-        dsm[(self._made.pop("lent") > 0) & np.isnan(dtm)] = np.nan
+        """Rasters as :func:`surfaces` returns them."""
+        table, cell, settings, size = self._table, self._cell, self._settings, self._size
+        signal, level = _signal(table, cell, settings)
+        near = grow(cell, top_margin(settings) * size)
+        support = support_of(noise_by_cell(table, self.region, near, size), settings)
+        dsm, lent = top_surface(signal, level, support, cell, settings)
+        dtm, sigma = self._terrain(near)
+        dsm[lent & np.isnan(dtm)] = np.nan
         dsm = np.where(dsm < dtm, dtm, dsm)
         rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
         rasters["dtm_quality"] = np.where(np.isnan(dtm), np.nan, sigma)
-        rasters |= self._made
-        margin = margin_cells(self._settings)
-        over = close(self._held, quanta(self._settings.void_max_m) // self._size)
-        over = over[margin:-margin, margin:-margin] | (rasters["density"] > 0)
+        rasters |= _counts(signal, cell, size)
+        over = self._flown() | (rasters["density"] > 0)
         rasters["density"] = np.where(over, rasters["density"], np.nan)
         return {name: _delivered(values) for name, values in rasters.items()}
 
-    def _of_terrain(self, table: PointTable, part: Bounds) -> tuple[PointTable, NDArray[np.bool_]]:
-        """Ground of a part, and what of it waits until the level of all water is known.
+    def _flown(self) -> NDArray[np.bool_]:
+        """Raster cells of the ground cell that were flown."""
+        table, corner, size = self._table, self.region, self._size
+        there = about_ground(table, corner, ground_heights(table, corner))
+        held = np.zeros(shape_of(corner, size), np.bool_)
+        row, col = (table["y"][there] - corner.ymin) // size, table["x"][there] - corner.xmin
+        held[row, col // size] = True
+        margin = margin_cells(self._settings)
+        over = close(held, quanta(self._settings.void_max_m) // size)
+        return over[margin:-margin, margin:-margin]
 
-        It is that of raster cells with water.
-        """
-        found = (table["ground"] == 1) & inside(table["x"], table["y"], part)
-        ground = table.select(("x", "y", "z", "flags")).take(found)
-        wet = ground.has(PointFlag.WATER)
-        if not wet.any():
-            return ground, wet
-        number = cell_number(ground, self.region, self._size)
-        return ground, np.isin(number, np.unique(number[wet]))
-
-    def _take_means(self, ground: PointTable) -> None:
-        """Robust means and scatter of some raster cells whose ground is there."""
-        number = cell_number(ground, self.region, self._size)
-        order, start = sort_into_cells(number, ground["z"], len(self._means))
-        means = np.empty_like(self._means)
-        place = relative(ground, order, self.region)
+    def _means(self) -> tuple[NDArray[np.float64], Scatter, NDArray[np.bool_]]:
+        """Robust means and scatter of the ground of raster cells, and which of them are wet."""
+        rows, cols = shape_of(self.region, self._size)
+        number = cell_number(self._ground, self.region, self._size)
+        order, start = sort_into_cells(number, self._ground["z"], rows * cols)
+        means = np.empty((rows * cols, 3))
+        place = relative(self._ground, order, self.region)
         robust_cell_means(place, start, GROUND_FLOOR_M / QUANTUM_M, means)
         held = start[1:] > start[:-1]
-        self._means[held] = means[held]
-        for whole, found in zip(self._scatter, scatter_of(place, start, QUANTUM_M), strict=True):
+        scatter = Scatter(np.zeros(rows * cols, np.int32), np.zeros((rows * cols, 6), np.float32))
+        for whole, found in zip(scatter, scatter_of(place, start, QUANTUM_M), strict=True):
             whole[held] = found
+        wet = np.zeros(rows * cols, np.bool_)
+        wet[number[self._ground.has(PointFlag.WATER)]] = True
+        return means, scatter, wet
 
-    def _terrain(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _terrain(self, near: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """DTM [quanta] and its standard deviation [m] from the south; NaN in voids."""
         cell, size, settings = self._cell, self._size, self._settings
         margin, (rows, cols) = margin_cells(settings), shape_of(self.region, size)
-        means = self._means
-        scatter = Scatter(*(v.reshape(rows, cols, *v.shape[1:]) for v in self._scatter))
+        means, scatter, wet = self._means()
+        scatter = Scatter(*(v.reshape(rows, cols, *v.shape[1:]) for v in scatter))
         sigma = terrain_sigma(means.reshape(rows, cols, 3) * QUANTUM_M, settings.cell_m, scatter)
         vertices = means[~np.isnan(means[:, 2])]
         vertices = np.concatenate([vertices, self._covered_corners(vertices)])
@@ -272,23 +197,21 @@ class Surfaces:
         longest = None if longest is None else longest / QUANTUM_M
         dtm = tin_raster(vertices, size, shape_of(cell, size), reach, longest, margin * size)
         corner = self.region.ymin // size, self.region.xmin // size
-        wet, far = self._wet.reshape(rows, cols), FAR_M / settings.cell_m
-        dtm = bridged(dtm, means.reshape(rows, cols, 3), wet, size, far, corner)
+        far = FAR_M / settings.cell_m
+        dtm = bridged(dtm, means.reshape(rows, cols, 3), wet.reshape(rows, cols), size, far, corner)
         sigma = sigma[margin:-margin, margin:-margin]
         # fmin and fmax pass over cells without returns near.
-        low, high = self._made.pop("low"), self._made.pop("high")
+        low, high = self._honoured(near, shape_of(cell, size))
         misfit = np.fmax(np.fmax(low - dtm, dtm - high), 0.0) * QUANTUM_M
         dtm = np.where(misfit > OFF_M, np.clip(dtm, low, high), dtm)
         return dtm, np.maximum(sigma, misfit)
 
-    def _honoured(
-        self, table: PointTable, near: Bounds, shape: tuple[int, int]
-    ) -> NDArray[np.float64]:
+    def _honoured(self, near: Bounds, shape: tuple[int, int]) -> NDArray[np.float64]:
         """Lowest and highest that the nearest ground allows in the cells within a rim: (2, ., .).
 
         [quanta]; NaN without ground within :data:`NEAR_M`.
         """
-        ground = flattened(self._of_terrain(table, near)[0], self._levels)
+        ground = self._ground.take(inside(self._ground["x"], self._ground["y"], near))
         rows, cols = shape_of(near, self._size)
         number = cell_number(ground, near, self._size)
         order, start = sort_into_cells(number, ground["z"], rows * cols)
@@ -297,9 +220,10 @@ class Surfaces:
         nearest_heights(relative(ground, order, near), start, lattice, reach, found)
         return found
 
-    def _look_at_corners(self, table: PointTable) -> None:
-        """See which corners of the area have returns."""
-        near, wide = CORNER_CELLS * self._size, self.region
+    def _held_corners(self) -> NDArray[np.bool_]:
+        """Which corners of the area have returns: (2, 2), west and east, south and north."""
+        near, wide, table = CORNER_CELLS * self._size, self.region, self._table
+        corners = np.zeros((2, 2), np.bool_)
         for i, west in enumerate((wide.xmin, wide.xmax)):
             beside = np.flatnonzero(np.abs(table["x"] - west) <= near)
             for j, south in enumerate((wide.ymin, wide.ymax)):
@@ -308,7 +232,8 @@ class Surfaces:
                 signal = inside(returns["x"], returns["y"], wide)
                 signal &= returns["noise_class"] == NOISE_SIGNAL
                 signal &= ~returns.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
-                self._corners[i, j] |= signal.any()
+                corners[i, j] = signal.any()
+        return corners
 
     def _covered_corners(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
         """Vertices for corners of an area that have returns but no ground: (k, 3) [quanta].
@@ -319,11 +244,12 @@ class Surfaces:
         where nothing was returned the survey ends, and so do the triangles.
         """
         near, wide, found = CORNER_CELLS * self._size, self.region, []
+        held = self._held_corners()
         for i, west in enumerate((0, wide.xmax - wide.xmin)):
             for j, south in enumerate((0, wide.ymax - wide.ymin)):
                 corner = west, south
                 away = np.abs(vertices[:, :2] - corner).max(axis=1)
-                if len(away) and away.min() > near and self._corners[i, j]:
+                if len(away) and away.min() > near and held[i, j]:
                     distance2 = ((vertices[:, :2] - corner) ** 2).sum(axis=1)
                     found.append([*corner, vertices[distance2.argmin(), 2]])
         return np.array(found, dtype=np.float64).reshape(-1, 3)

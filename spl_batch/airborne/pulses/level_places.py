@@ -6,15 +6,14 @@ squares has its slope and thickness. Smooth surfaces
 (:mod:`~spl_batch.airborne.pulses.smooth_surfaces`) are judged on such places.
 """
 
-from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.pulses.place_sums import add_up, count_columns, deal, number_places
+from spl_batch.airborne.pulses.place_sums import add_up, number_places
 from spl_batch.lattice.distinct import distinct
-from spl_batch.lattice.tiles import Bounds, quanta
+from spl_batch.lattice.tiles import Bounds, inside, quanta
 
 DOMAIN: Final = "space"
 
@@ -24,12 +23,9 @@ SQUARE_M: Final = 8.0
 RETURNS: Final = 24
 """Returns of a place, at least [count]."""
 
-AT_ONCE: Final = 1 << 18
-"""Returns of columns of places that are looked at together, about [count]."""
-
 
 class Places(NamedTuple):
-    """Places of some columns of squares, and the returns in them."""
+    """Places, and the returns in them."""
 
     rows: NDArray[np.intp]  #: (m,): which of all returns lie in a place.
     place: NDArray[np.intp]  #: (m,): which place.
@@ -49,8 +45,8 @@ class Places(NamedTuple):
         return slope
 
 
-def places_in(first: NDArray[np.int64], line: NDArray[np.int64], core: Bounds) -> Iterator[Places]:
-    """Places of a region, some columns of squares at a time.
+def places_in(first: NDArray[np.int64], line: NDArray[np.int64], core: Bounds) -> Places | None:
+    """Places of a region; None where no square holds enough returns.
 
     Parameters
     ----------
@@ -66,21 +62,17 @@ def places_in(first: NDArray[np.int64], line: NDArray[np.int64], core: Bounds) -
     grid = _Grid(
         west * square, south * square, core.xmax // square - west, core.ymax // square - south
     )
-    if grid.columns < 1 or grid.rows < 1 or not len(first):
-        return
+    rows = np.flatnonzero(
+        inside(first[:, 0], first[:, 1], Bounds(
+            grid.west, grid.south,
+            grid.west + grid.columns * square, grid.south + grid.rows * square,
+        ))
+    )  # fmt: skip
+    if not len(rows):
+        return None
     lines, rank = distinct(line)
-    held = np.zeros(grid.columns, np.int64)
-    count_columns(first, *grid[:2], square, held, grid.rows)
-    slab = _slabs(held)
-    ends = np.cumsum(np.bincount(slab, held)).astype(np.int64)
-    begin = np.concatenate([[0], ends[:-1]])
-    order = np.empty(int(ends[-1]), np.intp)
-    deal(first, *grid[:2], square, slab, grid.rows, begin.copy(), order)
-    for start, end in zip(begin.tolist(), ends.tolist(), strict=True):
-        rows = order[start:end]
-        found = _places(first, rank, rows, grid)
-        if found is not None:
-            yield found._replace(line=lines[found.line])
+    found = _places(first, rank, rows, grid)
+    return None if found is None else found._replace(line=lines[found.line])
 
 
 class _Grid(NamedTuple):
@@ -90,17 +82,6 @@ class _Grid(NamedTuple):
     south: int
     columns: int
     rows: int
-
-
-def _slabs(held: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number of the slab of each column, so that each slab holds about :data:`AT_ONCE` returns."""
-    slab, number, count = np.zeros(len(held), np.int64), 0, 0
-    for column, more in enumerate(held.tolist()):
-        if count and count + more > AT_ONCE:
-            number, count = number + 1, 0
-        slab[column] = number
-        count += more
-    return slab
 
 
 def _places(

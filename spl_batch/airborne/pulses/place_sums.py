@@ -4,26 +4,6 @@ from spl_batch.numerics.compiled import njit
 
 
 @njit()
-def count_columns(xyz, west, south, square, held, rows):  # type: ignore[no-untyped-def]
-    """Count returns by column of squares; those beyond any square are left out."""
-    east, north = west + len(held) * square, south + rows * square
-    for i in range(len(xyz)):
-        if west <= xyz[i, 0] < east and south <= xyz[i, 1] < north:
-            held[(xyz[i, 0] - west) // square] += 1
-
-
-@njit()
-def deal(xyz, west, south, square, slab, rows, after, out):  # type: ignore[no-untyped-def]
-    """Returns by slab of columns, in their order; ``after`` is where each slab begins."""
-    east, north = west + len(slab) * square, south + rows * square
-    for i in range(len(xyz)):
-        if west <= xyz[i, 0] < east and south <= xyz[i, 1] < north:
-            s = slab[(xyz[i, 0] - west) // square]
-            out[after[s]] = i
-            after[s] += 1
-
-
-@njit()
 def number_places(xyz, line, west, south, square, columns, rows, at):  # type: ignore[no-untyped-def]
     """Number of the square of each return, those of each flightline by themselves."""
     for i in range(len(xyz)):

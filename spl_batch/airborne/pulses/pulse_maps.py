@@ -4,10 +4,7 @@ Domain: space. Each cell has its own value; only :mod:`~spl_batch.airborne.pulse
 looks at cells around it.
 """
 
-from collections.abc import Sequence
-from itertools import groupby
-from operator import itemgetter
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +33,6 @@ class PulseMaps:
         self._shape = (core.ymax - core.ymin) // size, (core.xmax - core.xmin) // size
         self._empty = EmptySquares(core)
         self._first, self._last, self._swaths = np.zeros((3, *self._shape))
-        self._known = False
 
     def add(
         self, first: NDArray[np.int64], last: NDArray[np.int64], line: NDArray[np.int64]
@@ -49,13 +45,12 @@ class PulseMaps:
             Places of first and of last returns, the first of those that lie around the region too;
             all of a raster cell come at once [quanta].
         line : (n,) int64
-            Flightline of each first return; -1 where none is known.
+            Flightline of each first return.
         """
         self._empty.add(first[:, 0], first[:, 1])
         self._first += _counts(first, self._core, self._shape)
         self._last += _counts(last, self._core, self._shape)
         self._swaths += _swaths(first, line, self._core, self._shape)
-        self._known |= bool((line >= 0).any())
 
     def rasters(
         self, flown: NDArray[np.bool_], judged: NDArray[np.bool_]
@@ -75,8 +70,7 @@ class PulseMaps:
             Row 0 northernmost, nodata where nothing was flown: ``first_returns`` and
             ``last_returns`` [1/m2]; ``voids``, edge of the largest empty square of four nominal
             spacings that covers the cell's centre, 0 without any, nodata where nothing was judged
-            [m]; ``swaths``, flightlines with a first return in the cell [count], nodata everywhere
-            where no flightlines are known.
+            [m]; ``swaths``, flightlines with a first return in the cell [count].
         """
         area_m2 = (self._size * QUANTUM_M) ** 2
         voids = np.where(judged, 0.0, np.nan)
@@ -87,7 +81,7 @@ class PulseMaps:
             "first_returns": self._first / area_m2,
             "last_returns": self._last / area_m2,
             "voids": voids,
-            "swaths": self._swaths if self._known else np.full(self._shape, np.nan),
+            "swaths": self._swaths,
         }
         return {name: _delivered(values, flown) for name, values in found.items()}
 
@@ -108,7 +102,7 @@ def _counts(xy: NDArray[np.int64], core: Bounds, shape: tuple[int, ...]) -> NDAr
 def _swaths(
     xy: NDArray[np.int64], line: NDArray[np.int64], core: Bounds, shape: tuple[int, ...]
 ) -> NDArray[np.float64]:
-    mine = inside(xy[:, 0], xy[:, 1], core) & (line >= 0)
+    mine = inside(xy[:, 0], xy[:, 1], core)
     cells = shape[0] * shape[1]
     pairs = np.unique(line[mine] * cells + _cells(xy[mine], core, shape))
     return np.bincount(pairs % cells, minlength=cells).reshape(shape).astype(np.float64)
@@ -117,32 +111,3 @@ def _swaths(
 def _delivered(values: NDArray[np.float64], flown: NDArray[np.bool_]) -> NDArray[np.float32]:
     north_up = np.where(flown & ~np.isnan(values), values, NODATA)[::-1]
     return np.ascontiguousarray(north_up, dtype=np.float32)
-
-
-def flightline_of(
-    point_source_id: NDArray[np.integer[Any]],
-    time_s: NDArray[np.float64],
-    passes: Sequence[tuple[int, float, float]],
-) -> NDArray[np.int64]:
-    """Flightline of each return: number of the pass that holds it, -1 where none does.
-
-    Two instruments, or two aircraft, fly at the same time: a time alone tells no flightline.
-
-    Parameters
-    ----------
-    point_source_id : (n,) integer
-        Point source ids.
-    time_s : (n,) float64
-        Times [s].
-    passes : sequence of (int, float, float)
-        Point source id, first and last time of each flightline [s]; those of one id share no time.
-    """
-    line = np.full(len(time_s), -1, np.int64)
-    known = sorted((psid, first, last, k) for k, (psid, first, last) in enumerate(passes))
-    for psid, group in groupby(known, key=itemgetter(0)):
-        _, first_s, last_s, numbers = map(np.array, zip(*group, strict=True))
-        mine = np.flatnonzero(point_source_id == psid)
-        at = np.searchsorted(first_s, time_s[mine], side="right") - 1
-        held = (at >= 0) & (time_s[mine] <= last_s[np.maximum(at, 0)])
-        line[mine[held]] = numbers[at[held]]
-    return line

@@ -69,8 +69,7 @@ class Repeatability(NamedTuple):
 def smooth_sums(places: Places) -> dict[str, Sums]:
     """Level places by spacing and thickness; sums of several regions add up.
 
-    ``places``: of columns of squares, from
-    :func:`~spl_batch.airborne.pulses.level_places.places_in`.
+    ``places``: from :func:`~spl_batch.airborne.pulses.level_places.places_in`.
     """
     slope, edge, parts = places.slope, quanta(EDGE_M), quanta(SQUARE_M) // quanta(EDGE_M)
     step = np.floor(places.thickness / quanta(STEP_M))

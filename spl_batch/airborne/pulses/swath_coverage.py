@@ -12,7 +12,7 @@ path or an axis. Deviation: no ring deeper than :data:`RINGS`, or than a region'
 left out, so that of swaths wider than some 800 m more than the middle 95 % is judged.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
@@ -44,27 +44,21 @@ RINGS: Final = 30
 EDGE_SHARE: Final = 0.05
 """Share of a swath's area that its edges are, 0..1."""
 
-PASS_S: Final = 60
-"""Returns of one point source id in this minute or the next one are of one pass [s]."""
-
-NO_TIME: Final = -(2**40)
-"""Minute of what has no time."""
-
 SQUARE_M2: Final = (EDGE_Q * QUANTUM_M) ** 2
 """Area of a square of a swath [m2]."""
 
-Found = tuple[int, int, int, list[list[int]]]
-"""A swath of a region: point source id, first and last minute, rings.
+Found = tuple[int, list[list[int]]]
+"""A swath of a region: number of its flightline, rings.
 
 A ring is its number, first returns, squares of a swath, and squares of twice the spacing and those
 filled, by spacing.
 """
 
-Outlined = tuple[int, int, int, Packed]
-"""A swath of a region: point source id, first and last minute, and where it lies."""
+Outlined = tuple[int, Packed]
+"""A swath of a region: number of its flightline, and where it lies."""
 
-Flown = tuple[str, int, float, float]
-"""Name, point source id, first and last time of a flightline [s]."""
+Names = Mapping[int, str]
+"""Names of flightlines by their numbers."""
 
 
 class SwathTotals(NamedTuple):
@@ -79,17 +73,8 @@ class SwathTotals(NamedTuple):
     filled: int
 
 
-def pass_of(time_s: NDArray[np.float64], psid: NDArray[np.uint16]) -> NDArray[np.int64]:
-    """A number for each pass of a flightline by the minute; one that turns comes back later.
-
-    :data:`NO_TIME` stands for the minute of returns without a time.
-    """
-    minute = np.nan_to_num(np.floor(time_s / PASS_S), nan=NO_TIME).astype(np.int64)
-    return minute * 2**16 + psid
-
-
 class Swaths:
-    """Swaths of a region; their first returns come part by part.
+    """Swaths of a region.
 
     Parameters
     ----------
@@ -108,9 +93,9 @@ class Swaths:
         self._squares = {name: _owned(core, 2 * spacing) for name, spacing in SPACINGS.items()}
         self._held: dict[int, _Held] = {}
 
-    def add(self, x: NDArray[np.int64], y: NDArray[np.int64], number: NDArray[np.int64]) -> None:
-        """Take first returns in, in any order: places [quanta], and what :func:`pass_of` says."""
-        numbers, rank = distinct(number)
+    def add(self, x: NDArray[np.int64], y: NDArray[np.int64], line: NDArray[np.int64]) -> None:
+        """Take first returns in, in any order: places [quanta], and flightlines."""
+        numbers, rank = distinct(line)
         order = lexicographic_order([rank])
         x, y = x[order], y[order]
         ends = np.cumsum(np.bincount(rank, minlength=len(numbers))).tolist()
@@ -130,40 +115,28 @@ class Swaths:
             That region [quanta].
         """
         return [
-            (psid, first, last, rings)
-            for psid, first, last, held, closed in self._closed
+            (line, rings)
+            for line, held, closed in self._closed
             if (rings := self._rings(held, closed, there, region))
         ]
 
     def outlines(self) -> list[Outlined]:
-        """Where each pass lies within the region, water or not."""
+        """Where each swath lies within the region, water or not."""
         own = _owned(self._core, EDGE_Q)
         rows = slice(own.ymin - self._near.ymin, own.ymax - self._near.ymin)
         columns = slice(own.xmin - self._near.xmin, own.xmax - self._near.xmin)
         return [
-            (psid, first, last, squares)
-            for psid, first, last, _, closed in self._closed
+            (line, squares)
+            for line, _, closed in self._closed
             if (squares := packed(closed[rows, columns], own)) is not None
         ]
 
     @cached_property
-    def _closed(self) -> list[tuple[int, int, int, "_Held", NDArray[np.bool_]]]:
-        """Passes, and the squares of 1 m that they cover."""
+    def _closed(self) -> list[tuple[int, "_Held", NDArray[np.bool_]]]:
+        """Flightlines, and the squares of 1 m that they cover."""
         return [
-            (psid, first, last, held, close(held.count > 0, GAP))
-            for psid, first, last, held in self._passes()
+            (line, held, close(held.count > 0, GAP)) for line, held in sorted(self._held.items())
         ]
-
-    def _passes(self) -> Iterator[tuple[int, int, int, "_Held"]]:
-        """Point source id, first and last minute of each pass, and its returns."""
-        keys = sorted((key % 2**16, key // 2**16) for key in self._held)
-        for k, (psid, minute) in enumerate(keys):
-            if not k or keys[k - 1] != (psid, minute - 1):
-                first, held = minute, self._held[minute * 2**16 + psid]
-            else:
-                held = held.with_those_of(self._held[minute * 2**16 + psid])
-            if k + 1 == len(keys) or keys[k + 1] != (psid, minute + 1):
-                yield psid, first, minute, held
 
     def _rings(
         self,
@@ -199,7 +172,7 @@ class Swaths:
 
 
 class _Held:
-    """First returns of a pass: how many by squares of 1 m, and which squares hold any."""
+    """First returns of a flightline: how many by squares of 1 m, and which squares hold any."""
 
     def __init__(self, near: Bounds, squares: dict[str, Bounds]) -> None:
         self.count = np.zeros(_shape(near), np.int64)
@@ -212,12 +185,6 @@ class _Held:
         for name, own in squares.items():
             edge = 2 * SPACINGS[name]
             mark_squares(x, y, own.xmin, own.ymin, edge, self.filled[name])
-
-    def with_those_of(self, other: "_Held") -> "_Held":
-        both = object.__new__(_Held)
-        both.count = self.count + other.count
-        both.filled = {name: mine | other.filled[name] for name, mine in self.filled.items()}
-        return both
 
 
 def _owned(core: Bounds, edge: int) -> Bounds:
@@ -250,7 +217,7 @@ def places_on(
 
 
 def by_flightline(
-    found: Iterable[Sequence[Found]], flown: Sequence[Flown], spacing: str
+    found: Iterable[Sequence[Found]], names: Names, spacing: str
 ) -> dict[str, SwathTotals]:
     """Swaths of a survey, by the names of their flightlines; what has no area is left out.
 
@@ -258,15 +225,15 @@ def by_flightline(
     ----------
     found : iterable of sequence of Found
         What :meth:`Swaths.facts` found in each region, or a receipt has of it.
-    flown : sequence of (str, int, float, float)
-        The flightlines.
+    names : mapping of int to str
+        Names of the flightlines by their numbers; points of others have none.
     spacing : str
         Which of :data:`~spl_batch.airborne.pulses.pulse_coverage.SPACINGS`.
     """
     sums: dict[str, NDArray[np.int64]] = {}
     for of_region in found:
-        for psid, first, last, rings in of_region:
-            name = _flightline(psid, first, last, flown)
+        for line, rings in of_region:
+            name = names.get(line, "")
             total = sums.setdefault(name, np.zeros((RINGS + 1, 2 + 2 * len(SPACINGS)), np.int64))
             for number, *counts in rings:
                 total[number] += counts
@@ -274,35 +241,22 @@ def by_flightline(
     return {name: _totals(sums[name], level) for name in sorted(sums) if sums[name][:, 1].any()}
 
 
-def outlines(
-    found: Iterable[Sequence[Outlined]], flown: Sequence[Flown]
-) -> dict[str, shapely.MultiPolygon]:
+def outlines(found: Iterable[Sequence[Outlined]], names: Names) -> dict[str, shapely.MultiPolygon]:
     """Outline of each flightline, by its name.
 
     Parameters
     ----------
     found : iterable of sequence of Outlined
         What :meth:`Swaths.outlines` found in each region, or a receipt has of it.
-    flown : sequence of (str, int, float, float)
-        The flightlines.
+    names : mapping of int to str
+        Names of the flightlines by their numbers; points of others have none.
     """
     pieces: dict[str, list[Packed]] = {}
     for of_region in found:
-        for psid, first, last, squares in of_region:
-            name = _flightline(psid, first, last, flown)
+        for line, squares in of_region:
+            name = names.get(line, "")
             pieces.setdefault(name, []).append(squares)
     return {name: outline(of_line) for name, of_line in pieces.items() if name}
-
-
-def _flightline(psid: int, first: int, last: int, flown: Sequence[Flown]) -> str:
-    """Name of the flightline that a pass belongs to most of all; empty if it has no time."""
-    shared = {
-        name: min(end, (last + 1) * PASS_S) - max(start, first * PASS_S)
-        for name, of_line, start, end in flown
-        if of_line == psid
-    }
-    best = max(shared, key=lambda name: (shared[name], name), default="")
-    return best if best and shared[best] >= 0 else ""
 
 
 def _totals(rings: NDArray[np.int64], level: int) -> SwathTotals:

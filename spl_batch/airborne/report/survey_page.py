@@ -70,6 +70,10 @@ HOW: Final[Mapping[str, str]] = MappingProxyType(
             "are taken for signal, what lies in the others tells its background, and of the short "
             "bins those are signal that hold more returns than that background explains."
         ),
+        "pixels": (
+            "Each shot is then judged by itself: a return is signal when enough of the beamlets "
+            "beside its own returned from about its range."
+        ),
         "voxel": (
             "This filter makes no use of that: space is cut into flat voxels, and all returns of a "
             "voxel are signal when it holds at least the mean number of those around it that are "

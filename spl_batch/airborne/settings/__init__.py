@@ -10,6 +10,7 @@ from spl_batch.airborne.settings.filters import (
     DccSettings,
     FilterSettings,
     MultilevelSettings,
+    PixelSettings,
     VoxelSettings,
     WireSettings,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "MultilevelSettings",
     "NoiseSettings",
     "OutputSettings",
+    "PixelSettings",
     "ProductSettings",
     "PtdSettings",
     "ReferenceSettings",

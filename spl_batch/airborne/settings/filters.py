@@ -71,6 +71,15 @@ class DccSettings(Section):
     fine_bin_m: Positive = Field(5.0, description="Range bin that is kept or not [m].")
 
 
+class PixelSettings(Section):
+    """Neighbours in the detector's array, shot by shot [W17 3.2.1, after Zhang et al.]."""
+
+    range_m: Positive = Field(1.0, description="Farthest from the return's range [m]; ours.")
+    count: int = Field(
+        3, ge=1, le=9, description="Of 3 x 3 pixels that return there [count]; ours."
+    )
+
+
 class VoxelSettings(Section):
     """Voxels as full as the mean of those around [W17 5.4, after Tang et al. 2016]."""
 
@@ -105,8 +114,10 @@ class CylinderSettings(Section):
 class FilterSettings(Section):
     """Which points are background noise [W18 2.2.3]."""
 
-    method: Literal["vsaes", "aes", "dcc", "voxel", "multilevel", "cylinder", "none"] = Field(
-        "vsaes", description="Filter: ours, or an earlier one of the sources; none keeps all."
+    method: Literal["vsaes", "aes", "dcc", "pixels", "voxel", "multilevel", "cylinder", "none"] = (
+        Field(
+            "vsaes", description="Filter: ours, or an earlier one of the sources; none keeps all."
+        )
     )
     test: Literal["calibrated", "published"] = Field(
         "calibrated",
@@ -146,6 +157,7 @@ class FilterSettings(Section):
     wires: WireSettings = WireSettings()
     aes: AesSettings = AesSettings()
     dcc: DccSettings = DccSettings()
+    pixels: PixelSettings = PixelSettings()
     voxel: VoxelSettings = VoxelSettings()
     multilevel: MultilevelSettings = MultilevelSettings()
     cylinder: CylinderSettings = CylinderSettings()

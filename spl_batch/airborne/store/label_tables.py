@@ -4,7 +4,7 @@ A label names its point by tile and row in the tile's file, so units that are cu
 otherwise than the tiles (ground cells, blocks) need no join to find their points.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from spl_batch.airborne.store.flown_lines import NEEDED, FlownLines
+from spl_batch.airborne.store.flown_lines import Shifts
 from spl_batch.engine.store.working_store import Store
 from spl_batch.formats.verified.parquet_npz import (
     groups_between,
@@ -62,28 +62,6 @@ class Origin(NamedTuple):
     def of(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Origin":
         """Where some of them lie, given as (n,) bool or by their numbers."""
         return Origin(self.tiles, self.owner[chosen], self.row[chosen])
-
-
-class Marks:
-    """Some points, known by tile and row."""
-
-    def __init__(self, places: Iterable[Origin] = ()) -> None:
-        rows: dict[CellId, list[NDArray[np.uint32]]] = {}
-        for place in places:
-            for number, tile in enumerate(place.tiles.tolist()):
-                rows.setdefault(CellId(*tile), []).append(place.row[place.owner == number])
-        self._rows = {tile: np.sort(np.concatenate(found)) for tile, found in rows.items()}
-
-    def holds(self, place: Origin) -> NDArray[np.bool_]:
-        """Which points of a region are marked: (n,) bool."""
-        out = np.zeros(len(place.row), np.bool_)
-        for number, tile in enumerate(place.tiles.tolist()):
-            marked = self._rows.get(CellId(*tile))
-            if marked is not None and len(marked):
-                mine = np.flatnonzero(place.owner == number)
-                row = place.row[mine]
-                out[mine] = marked.take(np.searchsorted(marked, row), mode="clip") == row
-        return out
 
 
 Labelled = tuple[Origin, Mapping[str, NDArray[Any]]]
@@ -213,7 +191,7 @@ def read_labelled_tile(
     columns: Sequence[str],
     labels: Mapping[str, Sequence[tuple[str, str]]],
     files: LabelFiles | None = None,
-    shifts: FlownLines | None = None,
+    shifts: Shifts | None = None,
 ) -> PointTable:
     """One tile's points with the labels that some units gave them.
 
@@ -223,7 +201,7 @@ def read_labelled_tile(
         Label -> kind and name of the units that may hold it for this tile.
     files : LabelFiles, optional
         Of the same store, where more tiles are read.
-    shifts : FlownLines, optional
+    shifts : Shifts, optional
         Shifts of flightlines that are added to the heights.
     """
     table = read_table(store.tile(str(tile)), _read_for(columns, shifts))
@@ -276,7 +254,7 @@ def read_region(
     *,
     ordered: bool = True,
     keep: Callable[[PointTable], NDArray[np.bool_]] | None = None,
-    shifts: FlownLines | None = None,
+    shifts: Shifts | None = None,
 ) -> tuple[PointTable, Origin]:
     """Points of a region with labels, in canonical order or as they lie.
 
@@ -293,7 +271,7 @@ def read_region(
         which :func:`write_labels` wants them, and each tile's are in canonical order.
     keep : callable, optional
         Tells of each point by itself whether it is wanted; others are never held together.
-    shifts : FlownLines, optional
+    shifts : Shifts, optional
         Shifts of flightlines that are added to the heights.
 
     Returns
@@ -345,9 +323,9 @@ def read_region(
     return PointTable(joined), origin
 
 
-def _read_for(columns: Sequence[str], shifts: FlownLines | None) -> tuple[str, ...]:
+def _read_for(columns: Sequence[str], shifts: Shifts | None) -> tuple[str, ...]:
     """Columns that are read where some are asked for: what a flightline follows from, too."""
-    return tuple(columns if shifts is None else dict.fromkeys((*columns, *NEEDED)))
+    return tuple(columns if shifts is None else dict.fromkeys((*columns, "line")))
 
 
 def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArray[np.intp] | slice:

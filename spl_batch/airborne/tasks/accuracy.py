@@ -56,24 +56,17 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
     points = int(np.count_nonzero(known.counts))
     known = known.without_noise()  # once: each comparison below asks for it
     arrays: dict[str, NDArray[Any]] = {}
-    found: dict[str, list[Tallies]] = {"dtm": [], "dsm": []}
-    # a survey in pieces has rasters for each, and a square may lie on any of them
-    for piece in (name.removeprefix("dtm") for name in args["rasters"] if name.startswith("dtm")):
-        terrain, surface, height = (
-            _near(context, name, known) if name in args["rasters"] else None
-            for name in (f"dtm{piece}", f"dsm{piece}", f"chm{piece}")
-        )
-        if terrain is None or surface is None:
-            continue
+    terrain, surface, height = (
+        _near(context, name, known) if name in args["rasters"] else None
+        for name in ("dtm", "dsm", "chm")
+    )
+    if terrain is not None and surface is not None:
         at_ground_m = ground_differences(terrain, known)
-        if not piece:  # the map is that of the largest one
-            grid = Grid(*overview_frame(context.output / "dtm.tif"))
-            arrays = dict(zip(_MAP, difference_sums(at_ground_m, known, grid), strict=True))
+        grid = Grid(*overview_frame(context.output / "dtm.tif"))
+        arrays = dict(zip(_MAP, difference_sums(at_ground_m, known, grid), strict=True))
         by_class = terrain_differences(terrain, known, chm=height, at_ground_m=at_ground_m)
-        found["dtm"].append(tallies(by_class))
-        found["dsm"].append(tallies(surface_differences(surface, known)))
-    for product, counted in found.items():
-        arrays |= _as_arrays(product, add_up(counted))
+        arrays |= _as_arrays("dtm", tallies(by_class))
+        arrays |= _as_arrays("dsm", tallies(surface_differences(surface, known)))
     path = context.store.path("accuracy", f"{square}.npz")
     write_arrays(path, arrays)
     return Produced([path], {"own": _own_points(known, args["tiles"], context)}, points)

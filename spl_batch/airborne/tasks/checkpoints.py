@@ -1,6 +1,6 @@
 """Heights of the terrain model at the checkpoints of a field survey."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,10 @@ from spl_batch.formats.rasters.parts import read_part
 
 
 def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
-    """Compare the terrain of every piece of the survey with checkpoints."""
+    """Compare the terrain with checkpoints."""
     # What is wrong with single ones was told before the work began.
     known, _ = read_named(Path(args["path"]), context.crs, context.workflow.reference)
-    found = [_record(point, _terrain_m(point, args["rasters"], context)) for point in known]
+    found = [_record(point, _terrain_m(point, context)) for point in known]
     beyond = [one["id"] for one in found if one["error_m"] is None]
     lost = Finding("C01", {"kind": "beyond", "count": len(beyond), "names": beyond})
     facts = {
@@ -47,18 +47,15 @@ def read_named(
     return read_checkpoints(path, crs, own, settings.checkpoints_accuracy_m if settings else None)
 
 
-def _terrain_m(point: Checkpoint, rasters: Iterable[str], context: Context) -> float | None:
-    """Height of the terrain, bilinear between cell centres; None where no raster has one [m]."""
+def _terrain_m(point: Checkpoint, context: Context) -> float | None:
+    """Height of the terrain, bilinear between cell centres; None where there is none [m]."""
     place = (point.x_m, point.y_m)
-    for name in rasters:
-        part = read_part(context.output / f"{name}.tif", (*place, *place))
-        if part is None:
-            continue
-        terrain = Raster(part.values, part.left_m, part.top_m, part.cell_m)
-        height = float(terrain.bilinear(np.array([place]))[0])
-        if np.isfinite(height):
-            return height
-    return None
+    part = read_part(context.output / "dtm.tif", (*place, *place))
+    if part is None:
+        return None
+    terrain = Raster(part.values, part.left_m, part.top_m, part.cell_m)
+    height = float(terrain.bilinear(np.array([place]))[0])
+    return height if np.isfinite(height) else None
 
 
 def _record(point: Checkpoint, terrain_m: float | None) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from spl_batch.airborne.products.hillshade import BLOCK
 from spl_batch.airborne.products.product_table import HILLSHADE, SWATH_DIFFERENCES
 from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
 from spl_batch.airborne.pulses.swath_coverage import Outlined, outlines
-from spl_batch.airborne.store.flown_lines import read_shifts, record_of
+from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
 from spl_batch.airborne.tasks import index
@@ -244,14 +244,21 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     table = read_labelled_tile(
         context.store, parse_cell(args["tile"]), columns, labels, shifts=lines
     )
-    said = [] if lines is None else [record_of([one for one in lines.lines if one.up_q])]
+    record = None if lines is None else lines.record()
     labelled = table["classification"].copy()
     _keep(labelled, table["noise_class"], context)
     table = table.with_columns(classification=kept_classes(labelled, table["input_class"]))
     copc = context.workflow.outputs.tiles == "copc"
     target = context.output / "tiles" / f"{args['tile']}{'.copc' if copc else ''}.laz"
     extra = {"noise_class": table["noise_class"]}
-    write_points(target, table, crs=context.crs, extra=extra, copc=copc, records_of_file=said)
+    write_points(
+        target,
+        table,
+        crs=context.crs,
+        extra=extra,
+        copc=copc,
+        records_of_file=[] if record is None else [record],
+    )
     return Produced([target], {"points": len(table)}, len(table))
 
 
@@ -267,7 +274,7 @@ def deliver_catalogue(args: Mapping[str, Any], context: Context) -> Produced:
     name = context.workflow.survey.name
     drawn = outlines(
         _outlined(args["cells"], context),
-        [(one["id"], one["psid"], one["first_s"], one["last_s"]) for one in args["flightlines"]],
+        {one["number"]: one["id"] for one in args["flightlines"]},
     )
     written, remarks = write_catalogues(context.output, name, context.crs, args, drawn)
     facts = {"name": "catalogue", "findings": [Finding("D01", {"what": text}) for text in remarks]}

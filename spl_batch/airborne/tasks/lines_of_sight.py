@@ -9,12 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from spl_batch.airborne.afterpulse import candidates
+from spl_batch.airborne import shots
 from spl_batch.airborne.beams import geometry, sensor_path
-from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.noise import line_noise
-from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.tasks.stretches import read_stretch
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.tasks.context import Produced
@@ -61,10 +58,12 @@ def basis(args: Mapping[str, Any]) -> str:
     return "vertical" if args["heading_rad"] is None else "scan_angle"
 
 
-def tells_beamlets(args: Mapping[str, Any], sensor: Sensor) -> bool:
-    """Whether beams tell beamlets apart which the files do not number."""
+def beamlets(args: Mapping[str, Any], context: Context) -> shots.Beamlets:
+    """How the shots of a stretch are seen; beams may separate beamlets that no file numbers."""
+    sensor = context.workflow.sensor
     unnumbered = args["beamlets"] == 1 and sensor.beamlets > 1
-    return unnumbered and bool(args["trajectory"] or args["sensor_path"])
+    known = bool(args["trajectory"] or args["sensor_path"])
+    return shots.Beamlets(sensor, args["beamlets"], unnumbered and known)
 
 
 def find_path(args: Mapping[str, Any], context: Context) -> Produced:
@@ -143,12 +142,7 @@ def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) 
         facts["leap_s"] = _leap(table, context.store)
     if args["trajectory"]:
         facts["other_unit"] = _other_unit(table, known, args, context)
-    sensor, noise = context.workflow.sensor, context.workflow.noise
-    observed = line_noise.observe(table, known, noise)
-    if tells_beamlets(args, sensor):
-        table, order = told_apart(table, known, sensor)
-        known = known.take(order)
-    observed |= candidates.observe(table, known, sensor)
+    observed = shots.observe(table, known, context.workflow.noise, beamlets(args, context))
     stats = context.store.path("observed", f"{args['stretch']}.npz")
     write_arrays(stats, observed)
     return Produced([stats], facts, int(np.count_nonzero(known.known)))

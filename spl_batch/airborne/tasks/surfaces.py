@@ -1,38 +1,29 @@
 """Stage ``surfaces``: raster cells and final classes of a ground cell.
 
-Four looks at the same points follow each other, each with the columns and the returns that it
-needs and no others. Where there is memory for all of them, points are read once for all looks.
-Where those of a single look do not fit, each look takes them strip by strip: what it needs of all
-of them (means of ground, heights of noise, counts) is gathered first, and each raster cell and
-point has the same value as in a cell at once.
+Points are read once; four looks at them follow each other, each with the columns and the returns
+that it needs.
 """
 
 import hashlib
 from collections.abc import Mapping
-from math import lcm
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_facts
-from spl_batch.airborne.filter.stray_returns import bare_cells
-from spl_batch.airborne.ground.water.level import CELL_M
 from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
-from spl_batch.airborne.products.footprint import Footprint
+from spl_batch.airborne.products.footprint import footprint
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
-from spl_batch.airborne.products.top_surface import top_margin
-from spl_batch.airborne.pulses.pulse_returns import ends_in_parts
-from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.store.flown_lines import read_shifts
+from spl_batch.airborne.pulses.pulse_returns import pulse_ends
+from spl_batch.airborne.store.cells import Cell
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks.cells import cell_classes, pulses
-from spl_batch.airborne.tasks.cells.ground_cell import Cell
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
@@ -40,45 +31,16 @@ from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
-from spl_batch.lattice.eastings import once
-from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, overlap, quanta
 
 Rasters = dict[str, NDArray[np.float32]]
 
 
-class Look(NamedTuple):
-    """How strips of a cell may be cut where it is looked at."""
-
-    step_q: int  #: They begin at multiples of this [quanta].
-    reach_q: int  #: What each of them reads on either side [quanta].
-    margin_q: int  #: What is read around the cell [quanta].
-
-
-def looks_at_surface(workflow: Workflow, halo_q: int) -> dict[str, Look]:
-    """The looks at a surface cell, by name.
-
-    ``tops`` are all that ask for whole raster cells alone, and where there is water for whole cells
-    of its level.
-
-    ``halo_q``: what is read around the cell at the most [quanta].
-    """
-    cell, near = quanta(workflow.products.cell_m), min(halo_q, pulses.reach(workflow.products))
-    around = cell_classes.reach_q(workflow.classes)
-    level = 1 if workflow.water is None else quanta(CELL_M)
-    return {
-        "tops": Look(lcm(cell, level), top_margin(workflow.products) * cell, halo_q),
-        "pulses": Look(lcm(cell, pulses.STEP_Q), 0, near),
-        "classes": Look(lcm(cell, cell_classes.step_q(workflow.classes)), around, around),
-    }
-
-
 def surface(args: Mapping[str, Any], context: Context) -> Produced:
-    """Raster cells and final classes of a ground cell, strip by strip where it is cut."""
-    workflow, core = context.workflow, Bounds(*args["core"])
-    cell = Cell(args, context, core, read_shifts(args, context.store))
-    if args.get("held"):
-        cell = cell.holding(*_at_once(cell))
+    """Raster cells and final classes of a ground cell."""
+    workflow, cell = context.workflow, Cell.of(args, context)
+    core = cell.core
+    cell = cell.holding(*_at_once(cell))
     reflected = {} if args["fired"] is None else _reflectance(cell)
     give_back()
     arrays, squares = _surfaces(cell)
@@ -118,22 +80,17 @@ def _at_once(cell: Cell) -> tuple[Bounds, list[str]]:
 def _reflectance(cell: Cell) -> Rasters:
     """Share of the fired beamlets that were seen, turned into reflectance."""
     products, store = cell.context.workflow.products, cell.context.store
-
-    def read(part: Bounds) -> PointTable:
-        return cell.read(
-            part, reflectance.COLUMNS_NEEDED, lambda some: some["noise_class"] == NOISE_SIGNAL
-        )[0]
-
-    parts = cell.parts(grow(cell.core, quanta(reflectance.reach_m(products))), "tops")
-    points = once(parts, read)
+    region = grow(cell.core, quanta(reflectance.reach_m(products)))
+    table = cell.read(
+        region, reflectance.COLUMNS_NEEDED, lambda some: some["noise_class"] == NOISE_SIGNAL
+    )[0]
     fired = []
     for name in cell.args["fired"]:
         part = FiredPart.from_arrays(read_arrays(store.path("fired", f"{name}.npz")))
         if cell.shifts is not None:
-            part = part.raised(cell.shifts.up_of(name.rpartition("/")[0]))
+            part = part.raised(cell.shifts.of_name(name.rpartition("/")[0]))
         fired.append(part)
-    values = reflectance.raster(lambda: map(points, parts), fired, cell.core, products)
-    return {"intensity": values}
+    return {"intensity": reflectance.raster(table, fired, cell.core, products)}
 
 
 def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_]]:
@@ -142,51 +99,21 @@ def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_]]:
     # The intensity raster is of detections or of what was delivered.
     seen = surfacing.COLUMNS_OF_INTENSITY if cell.args["fired"] is None else ()
     looked_at = (*surfacing.COLUMNS_NEEDED, "afterpulse", *seen)
-    parts = cell.parts(grow(cell.core, cell.args["halo"]), "tops")
-
-    def known(region: Bounds) -> PointTable:
-        return cell.read(region, looked_at, surface_points.known)[0]
-
-    bare = None
-    if len(parts) > 1:
-        bare = bare_cells(lambda: map(known, parts), spare_above=True)
-    points = once(parts, lambda region: surface_points.makes_surfaces(known(region), bare))
-    made, flown = surfacing.Surfaces(cell.core, products), Footprint(cell.core, products)
-
-    def look(part: Bounds) -> None:
-        table = points(part)
-        made.look(table, part)
-        flown.look(table, part)
-
-    def add(part: Bounds) -> None:
-        table = points(made.around(part))
-        made.add(table, part)
-        flown.add(table, part)
-
-    for take in (look, add):
-        for part in parts:
-            take(part)
-    squares = flown.squares(pulses.of_interest(cell.context))
-    return made.rasters(), squares
+    region = grow(cell.core, cell.args["halo"])
+    known = cell.read(region, looked_at, surface_points.known)[0]
+    table = surface_points.makes_surfaces(known)
+    del known
+    rasters = surfacing.surfaces(table, cell.core, products)
+    return rasters, footprint(table, cell.core, products, pulses.of_interest(cell.context))
 
 
 def _pulses(cell: Cell) -> pulses.Pulses:
     """What the pulses of a ground cell tell."""
-    workflow = cell.context.workflow
-    found = pulses.Pulses(cell.core, cell.args["passes"], cell.context)
-    near = min(cell.args["halo"], pulses.reach(workflow.products))
-    parts = cell.parts(grow(cell.core, near), "pulses")
-
-    def read(part: Bounds) -> PointTable:
-        columns = (*pulses.COLUMNS, "flags", "noise_class")
-        return cell.read(part, columns, pulses.usable)[0].select(pulses.COLUMNS)
-
-    points = once(parts, read)
-    # As many returns are looked at together as a strip has.
-    ends = ends_in_parts(lambda: map(points, parts), len(parts))
-    for part, of_part in zip(parts, ends, strict=True):
-        found.add(pulses.returns_of(points(part), of_part), part)
-    return found
+    near = min(cell.args["halo"], pulses.reach(cell.context.workflow.products))
+    columns = (*pulses.COLUMNS, "flags", "noise_class")
+    table = cell.read(grow(cell.core, near), columns, pulses.usable)[0].select(pulses.COLUMNS)
+    returns = pulses.returns_of(table, pulse_ends(table))
+    return pulses.Pulses(returns, cell.core, cell.context)
 
 
 def _flatten(arrays: Rasters, core: Bounds, context: Context) -> Banks | None:

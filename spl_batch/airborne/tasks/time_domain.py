@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse import afterpulse_law, candidates
+from spl_batch.airborne import shots
+from spl_batch.airborne.afterpulse import afterpulse_law
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
 from spl_batch.airborne.beams import geometry
-from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.filter.published import shot_noise
+from spl_batch.airborne.filter.shot_filters import shot_noise
 from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.products.reflectance import fired_beamlets
-from spl_batch.airborne.sensors.sensor import Sensor
-from spl_batch.airborne.settings import DccSettings
+from spl_batch.airborne.store.flown_lines import Pass, line_of
 from spl_batch.airborne.store.voxel_parts import write_voxels
 from spl_batch.airborne.tasks import lines_of_sight
 from spl_batch.airborne.tasks.index import CHUNK_POINTS
 from spl_batch.airborne.tasks.stretches import read_stretch, repeats, without_copies
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.formats.gps_clock import usable_times
@@ -36,7 +36,6 @@ from spl_batch.formats.verified.parquet_npz import (
     write_arrays,
     write_table,
 )
-from spl_batch.lattice.eastings import slabs_of
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import (
     CANONICAL_ORDER,
@@ -55,7 +54,7 @@ from spl_batch.lattice.tiles import cell_index, quanta
 GROUP_POINTS = 16_384
 """Points of a row group of a tile [count]: a halo is read from few."""
 
-ALIKE = (*CANONICAL_ORDER[:-2], "point_source_id", "intensity")
+ALIKE = (*CANONICAL_ORDER[:-2], "line", "intensity")
 """Sort keys of a tile, first one first. Points alike in all of them are copies, and where they have
 times those alike in all but intensity, which a later delivery may scale."""
 
@@ -90,16 +89,13 @@ def gather_range(args: Mapping[str, Any], context: Context) -> Produced:
 def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     """Line noise model of a flightline, from what its stretches observed."""
     parts = [read_arrays(context.store.path("observed", f"{s}.npz")) for s in args["stretches"]]
-    model = line_noise.fit(line_noise.merge(parts), context.workflow.noise, _sensor(args, context))
+    beamlets = lines_of_sight.beamlets(args, context)
+    model, law, rate = shots.fit(parts, context.workflow.noise, beamlets)
     path = context.store.path("lines", f"{args['line']}.npz")
-    sensor = _sensor(args, context)
-    # Without channels the model's noise is that of a whole shot.
-    stated = context.workflow.sensor
-    beamlets = stated.beamlets if lines_of_sight.tells_beamlets(args, stated) else 1
-    law = afterpulse_law.fit(parts, model.mean_rate / beamlets, sensor)
-    told = disagreements(law, sensor) if context.workflow.afterpulse.enabled else ()
+    found: tuple[Finding, ...] = ()
     if context.workflow.afterpulse.enabled:
-        told += uneven(parts, _spans_s(args), law, model.mean_rate / beamlets, sensor)
+        found = disagreements(law, beamlets.seen)
+        found += uneven(parts, _spans_s(args), law, rate, beamlets.seen)
     write_arrays(path, {**model.to_arrays(), **law.to_arrays()})
     seen = model.seen_fraction
     facts = {
@@ -117,7 +113,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
             "sigma_m": law.sigma_m,
             "seen": law.seen,
         },
-        "findings": [*model.findings, *told],
+        "findings": [*model.findings, *found],
     }
     return Produced([path], facts, args["points"])
 
@@ -135,16 +131,19 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     if args["timeless"]:
         path = context.store.path("stretches", f"{args['stretch']}.parquet")
         table, copies = read_table(path, SOURCE_COLUMNS), None
+        passes = [Pass(*one) for one in args["passes"]]
+        line = line_of(table["point_source_id"], table["gps_time"], passes)
     else:
         table, copies = read_stretch(
             args, context, (*_POINT_COLUMNS, *lines_of_sight.columns(args))
         )
+        line = np.full(len(table), args["number"], np.uint16)
     outputs: list[Path] = []
     facts: dict[str, Any] = {"tiles": {}}
     zeros = np.zeros(len(table), np.float32)
     table = table.with_columns(
         line_density=zeros, afterpulse=zeros, afterpulse_rate=zeros, afterpulse_share=zeros,
-        range_sigma=zeros,
+        range_sigma=zeros, line=line,
     )  # fmt: skip
     if len(table) and not args["timeless"]:
         table, parts = _assess(table, args, context, facts)
@@ -194,7 +193,6 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {
         "points": len(table),
         "z": [int(table["z"].min()), int(table["z"].max())] if len(table) else None,
-        "slabs": slabs_of(table["x"], table["y"]),
         "outside_aoi": int(np.count_nonzero(table.has(PointFlag.OUTSIDE_AOI))),
         "no_beam": int(np.count_nonzero(table.has(PointFlag.NO_BEAM))),
         "sources": sorted({str(s) for piece in pieces for s in _different(piece["source"])}),
@@ -219,17 +217,17 @@ def _assess(
     beams = lines_of_sight.beams(table, context.store, args)
     flags = np.where(beams.known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
     table = table.with_columns(flags=flags)
-    known = rows_of(beams.known)
-    subset, beams = table.take(known), beams.take(known)
     line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
     law = afterpulse_law.AfterpulseLaw.from_arrays(line)
     model = line_noise.LineModel.from_arrays(line)
-    density = np.zeros(len(table), np.float32)
-    density[known] = line_noise.line_density(subset, model)
-    if workflow.afterpulse.enabled:
-        table = _with_afterpulses(table, known, beams, law, model.gate_m, args, context)
-    if args["dcc"] is not None:
-        noise = shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
+    beamlets = lines_of_sight.beamlets(args, context)
+    known = rows_of(beams.known)
+    subset = table.take(known)
+    table = table.with_columns(**shots.assess(table, beams, (model, law), workflow, beamlets))
+    beams = beams.take(known)
+    if args["of_shots"] is not None:
+        array = beamlets.seen.array_columns
+        noise = shot_noise(subset, beams, workflow.filter, model.gate_m, array)
         flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
     parts = voxel_noise.deposit_apart(subset, beams, model, workflow.noise)
@@ -241,32 +239,7 @@ def _assess(
     boxes = [part.box() for part in parts]
     facts |= {"voxels": boxes[0]} if boxes else {}
     facts |= {"voxels_apart": dict(zip(names[1:], boxes[1:], strict=True))} if boxes[1:] else {}
-    table = table.with_columns(line_density=density)
     return table, [*paths, *_write_fired(subset, beams, model, args, context, facts)]
-
-
-def _with_afterpulses(
-    table: PointTable, known: slice | NDArray[np.intp], beams: BeamTable,
-    law: afterpulse_law.AfterpulseLaw, gate_m: float, args: Mapping[str, Any], context: Context,
-) -> PointTable:  # fmt: skip
-    """Table with what its shots say of afterpulses, for the rows whose beams are known."""
-    settings, stated = context.workflow.afterpulse, context.workflow.sensor
-    sensor, subset, found = _sensor(args, context), table.take(known), np.arange(len(table))[known]
-    channel, of_shot = table["channel"], 1.0
-    if lines_of_sight.tells_beamlets(args, stated):
-        # A beamlet is one of many of the shot's, whose noise is counted as that of one.
-        sensor, of_shot = stated, float(stated.beamlets)
-        subset, order = told_apart(subset, beams, sensor)
-        beams, found, channel = beams.take(order), found[order], channel.copy()
-        channel[found] = subset["channel"]
-    chance, rate, share, sigma = np.zeros((4, len(table)), np.float32)
-    chance[found] = candidates.probability(subset, beams, settings, sensor, gate_m=gate_m, law=law)
-    rate[found] = afterpulse_law.rate(subset, beams, law) * np.float32(of_shot)
-    share[found], sigma[found] = law.probability, law.sigma_m
-    return table.with_columns(
-        channel=channel, afterpulse=chance, afterpulse_rate=rate, afterpulse_share=share,
-        range_sigma=sigma,
-    )  # fmt: skip
 
 
 def _write_fired(
@@ -281,7 +254,8 @@ def _write_fired(
     if not (args["trajectory"] or args["sensor_path"]) or args["beamlets"] < 2:
         return []
     clock = ShotClock(args["t0_s"], args["prf_hz"])
-    part = fired_beamlets.aim(table, beams, model, _sensor(args, context), clock)
+    sensor = lines_of_sight.beamlets(args, context).seen
+    part = fired_beamlets.aim(table, beams, model, sensor, clock)
     facts["fired"] = part.reach()
     facts["fired_blocks"] = [len(part.first), part.dropped]
     path = context.store.path("fired", f"{args['stretch']}.npz")
@@ -301,11 +275,6 @@ def _mark_places(table: PointTable, context: Context) -> PointTable:
             polygons = read_polygons(context.resolve(name), context.crs)
             flags[contains(polygons, table["x"], table["y"]) == within] |= np.uint8(flag)
     return table.with_columns(flags=flags)
-
-
-def _sensor(args: Mapping[str, Any], context: Context) -> Sensor:
-    """The instrument; without a channel dimension a shot is one beamlet."""
-    return context.workflow.sensor.model_copy(update={"beamlets": args["beamlets"]})
 
 
 def _input_chunks(

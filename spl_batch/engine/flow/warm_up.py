@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -32,12 +33,7 @@ class Ahead:
     steps: dict[int, tuple[int, int]] = field(default_factory=dict)
 
     def share_out(self, client: Any, workers: Sequence[str], observer: Observer) -> None:
-        """Have each worker do its share, unless that is done.
-
-        Failures are told and left to the tasks, which do it when they need it.
-
-        ``observer``: notified where a worker takes steps, of the time that runs out, of failures.
-        """
+        """Have each worker do its share, unless that is done; what fails is left to the tasks."""
         if self.done:
             return
         self.done, begin_s = True, time.monotonic()
@@ -58,12 +54,8 @@ class Ahead:
                           allow_other_workers=True, pure=False, key=f"{self.work.__name__}-{k}")
             for k, address in enumerate(workers)
         ]  # fmt: skip
-        try:
+        with suppress(TimeoutError):
             wait(shares, timeout=PATIENCE_S)
-        except TimeoutError:
-            observer.noted(
-                f"not ready after {PATIENCE_S:g} s, the tasks start all the same: {self.what}"
-            )
         client.unsubscribe_topic(TOPIC)
         if any(share.result() for share in shares if share.status == "finished"):
             self.took_s = time.monotonic() - begin_s
@@ -74,7 +66,7 @@ class Ahead:
 
 
 def _work(work: Work, share: int, shares: int) -> int:
-    """Do a share on a worker, and tell now and then how far it is."""
+    """Do a share on a worker, and report now and then how far it is."""
     from distributed import get_worker  # noqa: PLC0415 - slow import, and it runs on workers only
 
     worker, told_s = get_worker(), -TELL_S

@@ -2,16 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any
 
 from spl_batch.engine.plan.worker_memory import enough_mib, usable_bytes
-from spl_batch.engine.store.working_store import Store, read_receipt, receipt_names
+from spl_batch.engine.report.run_record import recall
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.errors import PlanError, grouped
-from spl_batch.receivers import steps
-
-SAMPLE: Final = 1000
-"""Receipts of a kind that measured rates are taken from, at most [count]."""
+from spl_batch.errors import PlanError, StoreError, grouped
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,48 +64,23 @@ def refuse_too_large(cost: Cost, limit: int, *, shared: bool = False) -> None:
 def measured_rates(
     typical: Mapping[str, float], context: RunContext[Any] | None
 ) -> tuple[Mapping[str, float], bool]:
-    """Points per second by stage: measured where the store holds receipts.
+    """Points per second and worker by stage, and whether any was measured by the last run here.
 
     Parameters
     ----------
     typical : mapping of str to float
         Points per second and worker where nothing was measured.
-
-    Returns
-    -------
-    rates : mapping of str to float
-        Points per second and worker.
-    measured : bool
-        Whether any of them was measured.
     """
-    if context is None:
-        return typical, False
-    rates = dict(typical)
-    measured = False
-    known = steps(context.workflow.kind)
-    for stage in rates:
-        works = [_work(context.store, k) for k, v in known.items() if v.stage == stage]
-        # The kinds of a stage handle the same points, one after the other.
-        points, wall = max(w.points for w in works), sum(w.wall_s for w in works)
-        if points > 0 and wall > 1.0:
-            rates[stage] = points / wall
-            measured = True
-    return rates, measured
-
-
-class _Work(NamedTuple):
-    """What the finished tasks of a kind have handled [count] and taken [s], all together."""
-
-    points: float
-    wall_s: float
-
-
-def _work(store: Store, kind: str) -> _Work:
-    """Points and time of a kind of task, from a sample where there are many."""
-    names = receipt_names(store, kind)
-    made = (read_receipt(store, kind, name) for name in names[:SAMPLE])
-    sample = [receipt for receipt in made if receipt and not receipt.failed]
-    if not sample:
-        return _Work(0.0, 0.0)
-    share = max(len(names) / SAMPLE, 1.0)
-    return _Work(share * sum(r.points for r in sample), share * sum(r.wall_s for r in sample))
+    try:
+        costs = recall(context.output)["costs"] if context is not None else {}
+    except StoreError:  # no run has finished here
+        costs = {}
+    # The kinds of a stage handle the same points, one after the other.
+    found = {
+        stage: most / cost["wall_s"]
+        for stage, cost in costs.items()
+        if stage in typical
+        and (most := max(cost["points"].values(), default=0))
+        and cost["wall_s"] > 1.0
+    }
+    return {**typical, **found}, bool(found)

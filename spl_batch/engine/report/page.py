@@ -113,7 +113,11 @@ def render_page(
             cards=front.cards,
             stages=_stages(report.performance.stages),
             written=_written(report.provenance.created),
-            changed=list(changed(used)),
+            changed=[
+                one
+                for one in changed(report.provenance.parameters)
+                if not _is_below(one[0], front.unused)
+            ],
             parameters=_compact(used),
             left_out=bool(front.unused),
             longest=LONGEST_TABLE,
@@ -168,6 +172,10 @@ def _shown(value: Any) -> Any:
     if type(value) is not str or value.isprintable():
         return value
     return "\n".join(map(errors.plain, value.split("\n")))
+
+
+def _is_below(key: str, above: tuple[str, ...]) -> bool:
+    return any(key == one or key.startswith(f"{one}.") for one in above)
 
 
 def _compact(parameters: Mapping[str, Any]) -> str:

@@ -121,9 +121,6 @@ class Failure(Part):
     reason: str = Field(description="What went wrong, in one line.")
     remedy: str | None = Field(None, description="What to do, or the command that tries again.")
     task: str | None = Field(None, description="Kind and name of the task.")
-    extent_m: tuple[float, float, float, float] | None = Field(
-        None, description="West, east, south, north edges, where it is a place [m]."
-    )
     inputs: tuple[str, ...] = Field((), description="Files, tiles and stretches that it reads.")
     command: str | None = Field(
         None, description="Command that does this task alone, to reproduce the failure."

@@ -43,28 +43,29 @@ Receipts = Mapping[str, Mapping[str, Receipt]]
 
 @dataclass
 class StageCost:
-    """What one stage has cost."""
+    """What one stage has cost, what earlier runs have finished of it included."""
 
     wall_s: float = 0.0
     tasks: int = 0
     skipped: int = 0
     failed: int = 0
-    points: int = 0
+    points: dict[str, int] = field(default_factory=dict)  #: By kind of task [count].
     peak_rss_mb: float = 0.0
 
     def add(self, receipt: Receipt) -> None:
         """Count a task that was done."""
         self.tasks += 1
         self.failed += receipt.failed
-        self.wall_s += receipt.wall_s
-        self.points += receipt.points
-        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
+        self._count(receipt)
 
     def skip(self, receipt: Receipt) -> None:
         """Count a task of an earlier run, with its cost then."""
         self.skipped += 1
+        self._count(receipt)
+
+    def _count(self, receipt: Receipt) -> None:
         self.wall_s += receipt.wall_s
-        self.points += receipt.points
+        self.points[receipt.kind] = self.points.get(receipt.kind, 0) + receipt.points
         self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
 
 

@@ -3,7 +3,6 @@
 Run ``python -m spl_batch.engine.report.schema [--check]``.
 """
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -16,13 +15,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def schemas() -> dict[str, str]:
-    """Text of every schema file, by file name.
-
-    Returns
-    -------
-    dict of str to str
-        JSON with a stable order of keys and a newline at its end.
-    """
+    """Text of every schema file, by file name: JSON with a stable order of keys."""
     found = {}
     for kind in HOMES:
         before = "" if kind == IMAGING else f"{kind}_"
@@ -48,24 +41,20 @@ def stale(folder: Path) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the schema files, or only check them."""
-    parser = argparse.ArgumentParser(
-        prog="python -m spl_batch.engine.report.schema", description=__doc__
-    )
-    parser.add_argument("folder", nargs="?", type=Path, default=Path("schemas"))
-    parser.add_argument("--check", action="store_true", help="write nothing, fail when stale")
-    options = parser.parse_args(arguments)
-    changed = stale(options.folder)
-    if options.check:
-        for name in changed:
-            sys.stderr.write(f"{options.folder / name}: stale; run {parser.prog}\n")
-        return 1 if changed else 0
-    options.folder.mkdir(parents=True, exist_ok=True)
-    texts = schemas()
-    for name in changed:
-        (options.folder / name).write_text(texts[name], encoding="utf-8")
-        sys.stdout.write(f"{options.folder / name}: written\n")
-    return 0
+    """Write the schema files of a folder, ``schemas`` by default, or only ``--check`` them."""
+    given = sys.argv[1:] if arguments is None else arguments
+    folder = Path(next((one for one in given if one != "--check"), "schemas"))
+    old, texts = stale(folder), schemas()
+    for name in old:
+        if "--check" in given:
+            sys.stderr.write(
+                f"{folder / name}: stale; run python -m spl_batch.engine.report.schema\n"
+            )
+            continue
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(texts[name], encoding="utf-8")
+        sys.stdout.write(f"{folder / name}: written\n")
+    return int(bool(old) and "--check" in given)
 
 
 def _text(schema: dict[str, Any]) -> str:

@@ -122,16 +122,11 @@ def to_png(drawn: Figure, largest: int = LARGEST_PNG) -> tuple[bytes, int, int]:
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     width, height = image.size
     png = _encode(image)
-    for colours, scale in ((256, 1.0), (128, 1.0), (64, 1.0), (64, 0.75), (48, 0.6), (32, 0.5)):
+    for colours, scale in ((256, 1.0), (64, 1.0), (64, 0.75), (32, 0.5)):
         if len(png) <= largest:
             break
-        shown = image
-        if scale < 1:
-            smaller = (round(width * scale), round(height * scale))
-            shown = image.resize(smaller, Image.Resampling.LANCZOS)
-        png = _encode(
-            shown.quantize(colours, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-        )
+        shown = image.resize((round(width * scale), round(height * scale)))
+        png = _encode(shown.quantize(colours, dither=Image.Dither.NONE))
     return png, width, height
 
 

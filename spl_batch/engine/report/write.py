@@ -18,13 +18,6 @@ def write_both(out: Path, report: BaseModel, page: str) -> None:
     """Write any receiver's report into a folder.
 
     ``out``: folder; made where it is missing.
-
-    Raises
-    ------
-    StoppedError
-        If the disk is full; an earlier report is then left as it was.
-    WorkflowError
-        If the folder cannot be written.
     """
     write_bytes(out / "report.json", report_json(report).encode())
     write_bytes(out / "report.html", page.encode())

@@ -16,20 +16,7 @@ from spl_batch.formats.files.remote import copy_object, is_remote
 
 
 def share_finished(source: Store, target: Store, kinds: Iterable[str]) -> int:
-    """Make what one store has finished known to another.
-
-    Parameters
-    ----------
-    source, target : Store
-        Where the work was done, and where it is wanted.
-    kinds : iterable of str
-        Kinds of tasks whose outputs and receipts are shared.
-
-    Returns
-    -------
-    int
-        Tasks whose results are newly in the target [count].
-    """
+    """Make what one store has finished of some kinds of task known to another: count of tasks."""
     shared = 0
     for kind in kinds:
         for receipt in read_receipts(source, kind):

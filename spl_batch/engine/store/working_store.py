@@ -1,27 +1,8 @@
 """The working store: where things lie, and the receipts that say what is finished.
 
-::
+What receivers put there is described in ``docs/formats.md``. ::
 
     store/receipts/KIND/NAME.json      what is done, what failed and why
-    store/trajectory.parquet           positions in the survey's CRS and the points' time
-    store/index/SOURCE.npz             how the points of an input file drift, second by second
-    store/given/SOURCE.parquet         of its records, what delivery needs to copy their layers
-    store/points/SOURCE.parquet        points of an input file in time order
-                                       (of a large file SOURCE-K, a part, in each of these three)
-    store/stretches/FILE/K.parquet     points of a file without times, where nothing filters
-    store/sights/LINE/K.npz            lines of sight of a stretch, without a trajectory
-    store/paths/LINE.parquet           where they meet: the path of the sensor
-    store/observed/LINE/K.npz          noise and afterpulse statistics of a stretch
-    store/lines/LINE.npz               noise model and afterpulse law of a flightline
-    store/voxels/LINE/K.zarr           a stretch's share of the expected noise
-    store/fired/LINE/K.npz             where a stretch's beamlets pointed, silent ones too
-    store/scatter/LINE/K.parquet       the stretch's points, a row group for each tile
-    store/tiles/I_J.parquet            points of a tile, in canonical order
-    store/blocks.json                  sizes of denoise blocks and stretches, as chosen
-    store/{noise,ground,classes}/      labels by work unit, a row group for each tile
-    store/rasters_G_P.zarr             raster cells, for edges of ground and raster cells
-    store/reference/FILE/I_J.parquet   reference points of a square and around it
-    store/accuracy/I_J.npz             how far the rasters are off there, by size of the error
 
 Always on the file system, wherever the store lies::
 
@@ -29,7 +10,6 @@ Always on the file system, wherever the store lies::
     store/identity.json                the same id as STORE/output.json of a store elsewhere
     store/run.json                     what the report is written from
     store/rest.json                    the state of a finished run
-    store/noise.tif                    map of the noise, for the report
     store/tracebacks/KIND_NAME.txt     where a task that was done alone has failed
 """
 

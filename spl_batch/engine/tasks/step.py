@@ -34,8 +34,6 @@ class Step:
     #: Without one a task is left out that misses anything.
     bind: Callable[[Mapping[str, Any], Mapping[Need, Receipt]], Any] | str | None = None
     unit: str = ""  #: What a user calls that which one of its tasks works on, such as ``tile``.
-    #: Edge of that, where it is a square, by the receiver's ledger [m].
-    edge_m: Callable[[Any], float] | None = None
     delivers: bool = False  #: Whether users see what its tasks write.
     #: Facts that are read from receipts on disk alone: memory does without them.
     unread: frozenset[str] = frozenset()

@@ -18,18 +18,10 @@ from spl_batch.formats.files.atomic import write_bytes
 
 @dataclass(frozen=True, slots=True)
 class AloneResult:
-    """What has come of a single task.
+    """What has come of a single task."""
 
-    Parameters
-    ----------
-    receipt : Receipt
-        Its receipt, with a reason where it failed.
-    traceback : Path or None
-        File with where in the code it failed.
-    """
-
-    receipt: Receipt
-    traceback: Path | None
+    receipt: Receipt  #: With a reason where it failed.
+    traceback: Path | None  #: File with where in the code it failed.
 
     @property
     def exit_status(self) -> int:

@@ -55,25 +55,12 @@ class Methods:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonResult:
-    """How a comparison ended.
+    """How a comparison ended."""
 
-    Parameters
-    ----------
-    exit_status : int
-        0 all done, 1 some files or tasks failed.
-    output : Path
-        Folder that holds ``compare.html`` and ``compare.json``.
-    report : pydantic.BaseModel
-        What they say; ``methods`` in the order asked for.
-    titles : tuple of str
-        Heads of the columns that the console shows.
-    rows : tuple of tuple of str
-        A row of them for each method, its name first.
-    """
-
-    exit_status: int
-    output: Path
-    report: Any
+    exit_status: int  #: 0 all done, 1 some files or tasks failed.
+    output: Path  #: Folder that holds ``compare.html`` and ``compare.json``.
+    report: Any  #: What they have; ``methods`` in the order asked for.
+    #: Heads of the columns that the console shows, and a row for each method, its name first.
     titles: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 

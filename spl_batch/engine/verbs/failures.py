@@ -64,7 +64,6 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
     names = {str(s.key): s.name for s in ledger.inputs.sources}
     for one in failed:
         task, step = one.task, prepared.steps[one.task.kind]
-        edge_m = step.edge_m(ledger) if step.edge_m else 0.0
         yield Failure(
             code=one.receipt.facts.get("code", "F04"),
             stage=one.stage,
@@ -72,35 +71,13 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
             reason=one.receipt.reason,
             remedy=_remedy(one, step),
             task=f"{task.kind} {task.name}",
-            extent_m=extent_m(task.name, edge_m) if edge_m else None,
             inputs=tuple(inputs(task, names, prepared.steps)),
             command=one.command,
         )
 
 
-def extent_m(name: str, edge_m: float) -> tuple[float, float, float, float]:
-    """West, east, south and north edges of a unit of squares with an edge of ``edge_m`` [m].
-
-    Units are named by the column and row of their first square, and by how many squares lie along
-    their sides where these are several: ``"-3_12"``, ``"-4_12_2_3"``.
-    """
-    numbers = [*name.split("_"), "1", "1"][:4]
-    west, south, wide, high = (int(number) * edge_m for number in numbers)
-    return (west, west + wide, south, south + high)
-
-
 def inputs(task: Task, names: Mapping[str, str], steps: Steps) -> list[str]:
-    """Files, tiles and stretches that a task reads, in the words of a user.
-
-    Parameters
-    ----------
-    task : Task
-        The task.
-    names : mapping of str to str
-        Names of the input files by key.
-    steps : mapping of str to Step
-        What the receiver does.
-    """
+    """Files and units of earlier steps that a task reads; ``names``: of input files, by key."""
     found = [names[str(task.args["source"])]] if task.args.get("source") in names else []
     found += [str(path) for path in task.args.get("paths", ())]
     if "path" in task.args and not found:
@@ -115,15 +92,7 @@ def inputs(task: Task, names: Mapping[str, str], steps: Steps) -> list[str]:
 
 
 def plain_name(task: Task, names: Mapping[str, str]) -> str:
-    """What a user calls a task: its kind, and the input file instead of the file's key.
-
-    Parameters
-    ----------
-    task : Task
-        The task.
-    names : mapping of str to str
-        Names of the input files by key.
-    """
+    """What a user calls a task; ``names``: names of the input files by key."""
     parts = [task.kind.replace("_", " ")]
     if task.name != "all":
         known = names.get(str(task.args.get("source"))) or names.get(task.name)

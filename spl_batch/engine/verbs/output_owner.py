@@ -42,6 +42,10 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
             f"output: {output} cannot be written: nothing can be made in {there}; name another "
             "output, or look at what is there and at its rights"
         )
+    if there not in {output, output.parent} and not output.is_relative_to(prepared.context.base):
+        raise WorkflowError(  # a slip, or a disk that is off
+            f"output: {output}: there is no folder {output.parent}; check the path"
+        )
     refuse_claimed(prepared.context.store)
     deliveries = Deliveries(prepared.context, stopped=was_stopped(output))
     survey = deliveries.survey

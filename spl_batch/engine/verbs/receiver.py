@@ -76,20 +76,11 @@ class FirstLook(NamedTuple):
 
 
 class Receiver(ABC, Generic[L, C]):
-    """What the verbs need of a receiver.
+    """What the verbs need of a receiver."""
 
-    Attributes
-    ----------
-    workflow : type
-        Model of its workflows.
-    noun : str
-        What its workflows are about.
-    delivered : tuple of str
-        Patterns of the files that its runs deliver, below the output.
-    """
-
-    workflow: ClassVar[type[BaseWorkflow]]
-    noun: ClassVar[str]
+    workflow: ClassVar[type[BaseWorkflow]]  #: Model of its workflows.
+    noun: ClassVar[str]  #: What its workflows are about.
+    #: Patterns of the files that its runs deliver, below the output.
     delivered: ClassVar[tuple[str, ...]] = ()
 
     @property

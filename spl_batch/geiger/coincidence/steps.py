@@ -1,13 +1,8 @@
 """Steps of the coincidence processing, in the order in which they are done."""
 
-from typing import Any, Final
+from typing import Final
 
 from spl_batch.engine.tasks.step import Step, Steps, table
-
-
-def _tile_m(ledger: Any) -> float:
-    return float(ledger.workflow.tiling.tile_m)
-
 
 _TASKS: Final = "spl_batch.geiger.coincidence.tasks"
 
@@ -35,7 +30,6 @@ STEPS: Final[Steps] = table(
         tasks="spl_batch.geiger.coincidence.plan:coincide",
         settings=("array", "coincidence", "tiling.tile_m"),
         unit="tile",
-        edge_m=_tile_m,
         remedy="take a smaller tiling.tile_m or coincidence.volume_voxels",
     ),
     Step(
@@ -44,7 +38,6 @@ STEPS: Final[Steps] = table(
         run=f"{_TASKS}.points:deliver_tile",
         tasks="spl_batch.geiger.coincidence.plan:deliver_tile",
         settings=("outputs.aggregate_bit",),
-        edge_m=_tile_m,
         delivers=True,
     ),
 )

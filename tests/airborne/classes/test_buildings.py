@@ -29,9 +29,7 @@ def terrain(x, y):
 
 def found_in(points: PointTable, usable):
     """Which points are of buildings."""
-    floor = Floor(REGION)
-    floor.add(points, usable)
-    return buildings(points, usable, floor)
+    return buildings(points, usable, Floor(REGION, points, usable))
 
 
 def scene(seed: int, per_m2: float = 12.0):

@@ -19,6 +19,4 @@ def test_each_square_is_looked_at_by_itself(seed: int, n: int) -> None:
             seen.setdefault((east // 5000, north // 5000), set()).add(one)
     places = zip((x // 5000).tolist(), (y // 5000).tolist(), strict=True)
     wanted = [len(seen.get(place, ())) > 1 for place in places]
-    k = len(line) // 2
-    halves = [lines_by_square(first[:k], line[:k]), lines_by_square(first[k:], line[k:])]
-    assert overlapping(halves, x, y).tolist() == wanted
+    assert overlapping(lines_by_square(first, line), x, y).tolist() == wanted

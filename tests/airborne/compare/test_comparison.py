@@ -179,7 +179,7 @@ def test_a_wrong_list_names_what_there_is(methods: str, small_lines: Path) -> No
     ended = surveys.command("compare", small_lines, "--methods", methods)
     assert ended.status == 2
     assert ended.err.strip().startswith("spl-batch: --methods: ")
-    assert "vsaes, aes, dcc, voxel, multilevel, cylinder, none" in ended.err
+    assert "vsaes, aes, dcc, pixels, voxel, multilevel, cylinder, none" in ended.err
     wrong = [
         name
         for name in ("voxels", "foo", "voxel:calibrated", "published:calibrated")

@@ -119,7 +119,7 @@ def test_floating_signal_is_a_fact_with_area_and_place():
     refused = uniform(rng, 0.05, -40.0, 100.0)
     kinds = np.full(len(lower) + len(cloud) + len(refused), NOISE_SIGNAL, np.uint8)
     kinds[-len(refused) :] = NOISE_BACKGROUND
-    bare = bare_cells(lambda: (table(lower, cloud, refused, kinds=kinds),))
+    bare = bare_cells(table(lower, cloud, refused, kinds=kinds))
     count, kept, area_m2, west, south, east, north = float_facts(bare, CORE)[FLOATS]
     assert count == pytest.approx(len(cloud), abs=5)
     assert kept == pytest.approx(len(cloud) + len(lower), abs=5)

@@ -35,31 +35,23 @@ def block(*, tapers: bool) -> PointTable:
 
 
 @pytest.mark.parametrize("tapers", [False, True])
-def test_strips_of_a_block_find_the_air_of_the_whole(monkeypatch: Any, *, tapers: bool) -> None:
+def test_air_and_layers_of_a_cell(*, tapers: bool) -> None:
     table = block(tapers=tapers)
     # Rising from west to east, so that a sum of floats would depend on its order.
     model: Any = SimpleNamespace(local=lambda at: 0.04 + (at[0] - CORNER[0]) * 1e-8 / 3, heard=())
     settings = Workflow.model_validate({"survey": {"flightlines": "x"}, "output": "o"})
     whole = looking.look_at_air(table, model, settings, CORE)
-    monkeypatch.setattr(looking, "CUBES_MOST", 12_000)
-    assert len(list(looking._strips([table[axis] for axis in "xyz"]))) > 3
-    strips = looking.look_at_air(table, model, settings, CORE)
     assert whole.air is not None
-    assert strips.air is not None
     assert whole.air.held.sum() > 500
-    for name in whole.air._fields:
-        assert np.array_equal(getattr(whole.air, name), getattr(strips.air, name)), name
-    told, told_of_strips = (looking.facts_of([look]) for look in (whole, strips))
-    assert told == told_of_strips
-    assert len(told["layers"]) == (27 if tapers else 20)
+    assert len(looking.facts_of(whole)["layers"]) == (27 if tapers else 20)
 
 
-def test_air_is_listed_by_squares_and_heights_whatever_the_parts_of_a_block() -> None:
+def test_air_is_listed_by_squares_and_heights() -> None:
     table = block(tapers=False)
     model: Any = SimpleNamespace(local=lambda at: np.full(len(at[0]), 0.04), heard=())
     settings = Workflow.model_validate({"survey": {"flightlines": "x"}, "output": "o"})
     (found,) = [looking.look_at_air(table, model, settings, CORE)]
-    places = looking.facts_of([found])["air"]
+    places = looking.facts_of(found)["air"]
     sides = np.array([place[:4] for place in places]) * 5000
     assert len({tuple(side // 25_000) for side in sides[:, :2]}) == len(sides) > 10
     assert np.all(sides[:, 2:] - sides[:, :2] <= 25_000)

@@ -56,7 +56,7 @@ def test_ground_in_dense_noise_is_what_fills_a_place_and_lies_close_together() -
 
 def test_a_surface_that_does_not_stand_out_is_no_ground() -> None:
     cloud, _ = scene(np.random.default_rng(2), 0.15)
-    bare = bare_cells(lambda: (cloud,))
+    bare = bare_cells(cloud)
     assert bare is not None
     assert holds_ground(cloud).sum() < 20
     most = bare.dense.max(axis=2)

@@ -16,7 +16,10 @@ FILTERS: dict[str, Any] = {
     "method": "aes",
     "test": "published",
     "alpha": 0.02,
-    **{k: getattr(FILTER, k) for k in ("wires", "aes", "dcc", "voxel", "multilevel", "cylinder")},
+    **{
+        k: getattr(FILTER, k)
+        for k in ("wires", "aes", "dcc", "pixels", "voxel", "multilevel", "cylinder")
+    },
 }
 """Another value of each setting that the null distribution is said not to depend on."""
 

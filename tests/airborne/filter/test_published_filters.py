@@ -11,11 +11,11 @@ from spl_batch.airborne.filter.denoise import METHODS, denoise, reach_m
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
 from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.filter.published import (
-    shot_noise,
     voxelise,
     window_counts,
 )
-from spl_batch.airborne.settings import DccSettings, FilterSettings
+from spl_batch.airborne.filter.shot_filters import shot_noise
+from spl_batch.airborne.settings import FilterSettings
 from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable, canonical_order
 from tests.airborne.beams.test_differential_cell_count import slow_dcc
 from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
@@ -206,7 +206,7 @@ def test_shots_are_judged_one_by_one() -> None:
     n = len(time)
     beams = BeamTable(np.zeros((n, 3)), np.zeros((n, 3)), ranges, known)
     table = as_table(np.zeros((n, 3), np.int64), gps_time=time)
-    noise = shot_noise(table, beams, DccSettings(fine_bin_m=4.0), 300.0)
+    noise = shot_noise(table, beams, _dcc(4.0), 300.0, 10)
     assert not noise[~known].any()
     for shot in range(len(sizes)):
         rows = np.flatnonzero(known & (time == shot))
@@ -214,6 +214,33 @@ def test_shots_are_judged_one_by_one() -> None:
             expected = slow_dcc(ranges[rows].tolist(), 300.0, 30.0, 4.0)
             np.testing.assert_array_equal(~noise[rows], expected)
     assert 0.1 < noise.mean() < 0.9
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_pixels_are_counted_as_by_hand(count: int) -> None:
+    rng = np.random.default_rng(count)
+    time = np.repeat(np.arange(4.0), 60)
+    n = len(time)
+    ranges = np.where(rng.random(n) < 0.5, 3000 + rng.normal(0, 0.3, n), rng.uniform(2980, 3020, n))
+    channel = rng.integers(0, 101, n).astype(np.uint8)
+    beams = BeamTable(np.zeros((n, 3)), np.zeros((n, 3)), ranges, np.ones(n, np.bool_))
+    table = as_table(np.zeros((n, 3), np.int64), gps_time=time, channel=channel)
+    chosen = FilterSettings.model_validate({"method": "pixels", "pixels": {"count": count}})
+    noise = shot_noise(table, beams, chosen, 300.0, 10)
+    channel = channel.astype(int)
+    for i in range(n):
+        row, column = divmod(channel[i] - 1, 10)
+        near = {
+            int(c) for c, t, r in zip(channel, time, ranges, strict=True)
+            if t == time[i] and abs(r - ranges[i]) <= 1.0 and c > 0
+            and abs((c - 1) // 10 - row) <= 1 and abs((c - 1) % 10 - column) <= 1
+        }  # fmt: skip
+        assert noise[i] == (channel[i] > 0 and len(near) < count)
+    assert 0.1 < noise.mean() < 0.99
+
+
+def _dcc(fine_bin_m: float) -> FilterSettings:
+    return FilterSettings.model_validate({"method": "dcc", "dcc": {"fine_bin_m": fine_bin_m}})
 
 
 def test_what_shots_said_becomes_the_label() -> None:

@@ -24,7 +24,6 @@ from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 from tests.airborne.lines.two_strips import (
     CORE,
-    LINES,
     Shift,
     patches_between,
     two_strips,
@@ -86,7 +85,7 @@ def test_patches_are_what_least_squares_over_their_points_gives() -> None:
         middle = np.array([patches["x"][k], patches["y"][k]])
         inside = ((xyz[:, :2] >= middle - half) & (xyz[:, :2] < middle + half)).all(axis=1)
         near = xyz - [*middle, 0]
-        sides = [near[inside & (points["point_source_id"] == psid)] for psid in (1, 2)]
+        sides = [near[inside & (points["line"] == psid)] for psid in (1, 2)]
         for name, value in oracle(*sides).items():
             assert patches[name][k] == pytest.approx(value, rel=1e-5, abs=1e-9), name
         assert min(map(len, sides)) >= MIN_RETURNS_PER_PATCH
@@ -97,9 +96,9 @@ def test_flightlines_that_overlap_without_patches_are_known() -> None:
     rng = np.random.default_rng(3)
     crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
     apart = two_strips(Shift())
-    apart = apart.take((apart["point_source_id"] == 1) ^ (apart["x"] > np.median(apart["x"])))
+    apart = apart.take((apart["line"] == 1) ^ (apart["x"] > np.median(apart["x"])))
     for points, met in ((crowns, {(0, 1)}), (apart, set())):
-        found, overlaps = find_patches([points], LINES, seen_lines([points], LINES), CORE)
+        found, overlaps = find_patches(points, seen_lines(points["line"]), CORE)
         assert not len(found["rise"])
         assert overlaps == met
 
@@ -109,25 +108,9 @@ def test_crowns_and_lone_flightlines_have_no_patches() -> None:
     crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
     assert not len(found_in(crowns)["rise"])
     whole = two_strips(Shift())
-    alone = whole.take(whole["point_source_id"] == 1)
+    alone = whole.take(whole["line"] == 1)
     assert not len(found_in(alone)["rise"])
     assert not len(found_in(whole.take(slice(0, 0)))["rise"])
-
-
-def test_a_cell_in_parts_has_the_same_patches() -> None:
-    points = two_strips(Shift(0.1, 0.0, 0.03), per_m2=1.0)
-    timeless = np.arange(len(points)) % 50 == 0
-    points = points.with_columns(gps_time=np.where(timeless, np.nan, points["gps_time"]))
-    west, east = np.quantile(points["x"], [0.2, 0.7])
-    cuts = np.searchsorted([west, east], points["x"], side="right")
-    parts = [points.take(cuts == k) for k in range(3)]
-    assert min(map(len, parts)) > 0
-    seen = [seen_lines(some, LINES) for some in ([points], parts)]
-    assert [LINES.line(k).name for k in seen[0].numbers] == ["one", "two", "00001", "00002"]
-    assert all(np.array_equal(*pair) for pair in zip(*seen, strict=True))
-    found = find_patches(parts, LINES, seen[1], CORE)[0]
-    assert len(found["rise"])
-    assert _same(found, found_in(points))
 
 
 @settings(max_examples=15)

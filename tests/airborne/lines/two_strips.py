@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.lines.patches import Patches, find_patches, seen_lines
-from spl_batch.airborne.store.flown_lines import FlownLine, FlownLines
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 
@@ -61,17 +60,15 @@ def ground(
 
 
 def table(lines: Sequence[Returns]) -> PointTable:
-    """Points of several flightlines, each a second long."""
+    """Points of several flightlines."""
     xyz = np.rint(1000 * np.concatenate([line.xyz for line in lines])).astype(np.int64)
     psid = np.concatenate([np.full(len(line.xyz), line.psid) for line in lines])
-    time = np.concatenate([np.linspace(0, 1, len(line.xyz)) for line in lines]) + 1000.0 * psid
     return PointTable(
         {
             "x": xyz[:, 0],
             "y": xyz[:, 1],
             "z": xyz[:, 2].astype(np.int32),
-            "gps_time": time,
-            "point_source_id": psid.astype(np.uint16),
+            "line": psid.astype(np.uint16),
         }
     )
 
@@ -95,11 +92,11 @@ def two_strips(
     )
 
 
-LINES = FlownLines([FlownLine("one", 1, 1000.0, 1001.0), FlownLine("two", 2, 2000.0, 2001.0)])
+NAMES = {1: "one", 2: "two"}
 
 
 def patches_between(points: PointTable, core: Bounds = CORE) -> tuple[list[str], Patches]:
     """Names of the two flightlines, and their patches."""
-    seen = seen_lines([points], LINES)
-    names = [LINES.line(number).name for number in seen.numbers.tolist()]
-    return names, find_patches([points], LINES, seen, core)[0]
+    seen = seen_lines(points["line"])
+    names = [NAMES[number] for number in seen.numbers.tolist()]
+    return names, find_patches(points, seen, core)[0]

@@ -10,37 +10,20 @@ import rasterio
 from numpy.typing import NDArray
 
 from spl_batch import api
-from spl_batch.airborne.plan.block_size import blocks, choose_sizes, layout_of
 from spl_batch.airborne.plan.inputs.file_positions import far_positions
 from spl_batch.airborne.plan.inputs.point_boxes import point_boxes
 from spl_batch.airborne.plan.inputs.survey_inputs import Source
-from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.constants import NODATA
 from spl_batch.engine.findings import Finding
 from spl_batch.formats.crs import look_like_degrees
 from spl_batch.formats.las.reader import LasFacts, inspect
-from spl_batch.lattice.density import Box, from_boxes, from_counts
-from spl_batch.lattice.tiles import Bounds, CellId, far_apart
+from spl_batch.lattice.density import Box, from_boxes
+from spl_batch.lattice.tiles import Bounds, far_apart
 from tests import surveys
 
 FAR_M = 1_500_000.0
 TINY = 60
 """Shots of the flightlines here."""
-
-
-class Looked(dict[CellId, int]):
-    """Counts of tiles that do not bear to be asked for empty ones without end."""
-
-    MOST = 200_000
-
-    def __init__(self, counts: dict[CellId, int]) -> None:
-        super().__init__(counts)
-        self.looked = 0
-
-    def __contains__(self, tile: object) -> bool:
-        self.looked += 1
-        assert self.looked < self.MOST, "empty tiles are looked at one by one"
-        return super().__contains__(tile)
 
 
 def facts(name: str, box: tuple[float, float, float, float], points: int = 10_000_000) -> LasFacts:
@@ -71,22 +54,6 @@ def raster(path: Path) -> NDArray[np.float32]:
 
 def far(**boxes: tuple[float, float, float, float]) -> list[Finding]:
     return list(far_positions([(name, facts(name, box)) for name, box in boxes.items()]))
-
-
-def test_blocks_of_tiles_far_apart_cost_what_the_tiles_do(tmp_path: Path) -> None:
-    surveys.write_workflow(tmp_path)
-    workflow = load_workflow(tmp_path / "workflow.yaml")
-    counts = {CellId(i + x, j): 5000 for x, y in ((0, 0), (15_000, 9_000)) for i in (0, 1)
-              for j in (y, y + 1)}  # fmt: skip
-    looked = Looked(counts)
-    layout = layout_of(looked, workflow)
-    sizes = choose_sizes(list(from_counts(counts, 100_000)), workflow, 1 << 33, 2)
-    found = blocks(layout, sizes, workflow, 1 << 33)
-    assert {t for b in found for t in counts if b.holds(t)} == set(counts)
-    both = layout.join(layout.squares(20_000), np.inf)
-    layout.divide(both[0], 3)
-    assert len(list(layout.cut(both, 4000))) == 8, "each tile by itself"
-    assert looked.looked < 20_000
 
 
 def test_a_stray_point_makes_a_plan_of_no_more_tiles_than_there_are_points() -> None:

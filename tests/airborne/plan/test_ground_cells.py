@@ -17,7 +17,6 @@ from spl_batch.airborne.tasks.surfaces import _write_rasters
 from spl_batch.constants import NODATA
 from spl_batch.engine.store.working_store import Store, read_receipt, write_receipt
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.lattice.density import Box
 from spl_batch.lattice.tiles import (
     Bounds,
     CellId,
@@ -74,17 +73,12 @@ def test_strips_up_to_the_buffer_belong_to_the_next_cell() -> None:
     assert cells.core(CellId(1, 0)) == Bounds(0, 0, 400, 200)  # 61 m in the south stay a cell
     assert cells.core(CellId(2, 3)) == Bounds(400, 600, 800, 800)
     assert cells.keeper(CellId(0, 0)) == CellId(1, 0)
-    assert cells.alone == Bounds(200, 0, 600, 800)
 
 
 def test_a_survey_of_two_strips_is_one_cell() -> None:
     cells = GroundCells.of_boxes([(150, 390, 250, 410)], EDGE, BUFFER)
     assert {cells.keeper(CellId(i, j)) for i in (0, 1) for j in (1, 2)} == {CellId(1, 2)}
     assert cells.core(CellId(1, 2)) == Bounds(0, 200, 400, 600)
-
-
-def test_without_files_there_are_no_cells() -> None:
-    assert list(GroundCells.of_boxes([], EDGE, BUFFER).units({}, 100, 50)) == []
 
 
 COUNTS = {CellId(i, j): 10 + i for i in range(-2, 3) for j in range(4)}
@@ -166,37 +160,6 @@ def test_a_receipt_does_not_speak_for_chunks_that_another_cell_writes_over(
     assert [path.is_file() for path in paths] == [True] * wide
     names = ["0_0", "1_0", "2_0", "1_1"]
     assert [n for n in names if read_receipt(store, "surface", n)] == [*left, "1_1"]
-
-
-@given(boxes)
-@settings(max_examples=100, deadline=None)
-def test_a_region_without_strips_touches_the_cells_that_own_it(listed: list[Bounds]) -> None:
-    cells = GroundCells.of_boxes(listed, EDGE, BUFFER)
-    for box in listed:
-        touched = set(cells_touching(cells.kept(box), EDGE))
-        assert touched == {cells.keeper(square) for square in cells_touching(box, EDGE)}
-
-
-@given(boxes, st.sampled_from([0, 40, 60]))
-@settings(max_examples=60, deadline=None)
-def test_the_fullest_joined_cell_is_found(listed: list[Bounds], reach: int) -> None:
-    cells = GroundCells.of_boxes(listed, EDGE, BUFFER)
-    held = {}
-    for cell in {cells.keeper(square) for square in cells_touching(hull(listed), EDGE)}:
-        if cells.core(cell) != cell_bounds(cell, EDGE):
-            near = grow(cells.core(cell), reach)
-            held[cell] = sum(7.0 * shared(b, near).area_m2 / b.area_m2 for b in listed)
-    found = cells.fullest_joined([Box(b, 7.0) for b in listed], reach)
-    assert found.points == pytest.approx(max(held.values(), default=0.0))
-
-
-def test_only_cells_near_a_file_are_looked_at() -> None:
-    far = [
-        Bounds(0, 0, 10, 10),
-        Bounds(10**6 * EDGE, 10**6 * EDGE, 10**6 * EDGE + 10, 10**6 * EDGE + 10),
-    ]
-    cells = GroundCells.of_boxes(far, EDGE, BUFFER)
-    assert cells._rim(far) == [cells.high], "of four million along the edges"
 
 
 def test_strips_are_not_joined_where_squares_hold_many_raster_cells() -> None:

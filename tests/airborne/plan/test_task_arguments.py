@@ -17,8 +17,8 @@ from spl_batch.airborne.products.product_table import (
     products,
 )
 from spl_batch.airborne.settings.workflow import load_workflow
+from spl_batch.airborne.store import cells
 from spl_batch.airborne.tasks import space_domain, surfaces
-from spl_batch.airborne.tasks.cells import ground_cell
 from spl_batch.lattice.tiles import Bounds, grow
 from tests import surveys
 from tests.formats.test_geoid import write_grid
@@ -41,14 +41,13 @@ def test_a_task_reads_as_far_as_its_plan_says(
         regions.append(region)
         raise ReadError
 
-    tasks, reads = (surfaces, ground_cell) if kind == "surface" else (space_domain, space_domain)
-    monkeypatch.setattr(reads, "read_region", read)
+    tasks = surfaces if kind == "surface" else space_domain
+    monkeypatch.setattr(cells, "read_region", read)
     workflow = load_workflow(surveys.write_workflow(tmp_path))
     context = Context(workflow, tmp_path, tmp_path / "out", "", "code")
     args = {
-        "core": list(CORE), "tiles": [], "halo": halo, "block": "b", "cell": "0_0", "noise": {},
+        "core": list(CORE), "tiles": [], "halo": halo, "cell": "0_0", "noise": {},
         "ground": {}, "fired": None, "voxels": [], "beamlets": 1,
-        "lines": {"columns": [], "span_s": 60.0},
     }  # fmt: skip
     with pytest.raises(ReadError):
         getattr(tasks, kind)(args, context)
@@ -56,12 +55,11 @@ def test_a_task_reads_as_far_as_its_plan_says(
 
 
 def mosaics(monkeypatch: pytest.MonkeyPatch, *, reflectance: bool) -> dict[str, dict[str, Any]]:
-    """Arguments of the mosaics of a survey of one piece."""
-    cells = SimpleNamespace(keeper=lambda cell: cell)
-    monkeypatch.setattr(space_tasks, "mosaic_parts", lambda _: [([], CORE)])
+    """Arguments of the mosaics of a survey."""
+    monkeypatch.setattr(space_tasks, "mosaic_bounds", lambda _: CORE)
     monkeypatch.setattr(space_tasks, "knows_reflectance", lambda _: reflectance)
-    workflow = SimpleNamespace(products=SimpleNamespace(maps=True))
-    survey: Any = SimpleNamespace(ground_cells=cells, workflow=workflow)
+    workflow = SimpleNamespace(products=SimpleNamespace(maps=True, cell_m=1.0))
+    survey: Any = SimpleNamespace(of=lambda _: ["0_0"], workflow=workflow)
     return {task.name: dict(task.args) for task in space_tasks.mosaic(survey)}
 
 

@@ -10,10 +10,10 @@ import pytest
 import rasterio
 from numpy.typing import NDArray
 
-from spl_batch.airborne.products.footprint import SQUARE_M2, Covered, Footprint, Within
+from spl_batch.airborne.products.footprint import SQUARE_M2, Covered, Within, footprint
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds, inside
+from spl_batch.lattice.tiles import Bounds
 from tests import surveys
 
 SIDE_M = 120.0
@@ -87,15 +87,8 @@ def table(x: NDArray[np.int64], y: NDArray[np.int64]) -> PointTable:
 def squares(
     points: PointTable, cell: Bounds, settings: ProductSettings, within: Within | None = None
 ) -> int:
-    """Squares that returns cover, seen in two parts [count]."""
-    found = Footprint(cell, settings)
-    middle = (cell.xmin + cell.xmax) // 2
-    everywhere = Bounds(-1_000_000, -1_000_000, 1_000_000, 1_000_000)
-    parts = everywhere._replace(xmax=middle), everywhere._replace(xmin=middle)
-    for take in (found.look, found.add):
-        for part in parts:
-            take(points.take(inside(points["x"], points["y"], part)), part)
-    return int(np.count_nonzero(found.squares(within)))
+    """Squares that returns cover [count]."""
+    return int(np.count_nonzero(footprint(points, cell, settings, within)))
 
 
 def test_ground_cells_share_the_area_among_them() -> None:

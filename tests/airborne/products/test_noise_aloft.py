@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.products.noise_aloft import STEP, RefusedReturns
+from spl_batch.airborne.products.noise_aloft import STEP, noise_by_cell
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
@@ -29,14 +29,6 @@ def refused(rng: np.random.Generator, times: float) -> PointTable:
         "x": x.astype(np.int64), "y": y.astype(np.int64), "z": z.astype(np.int32),
         "noise_class": kinds[order],
     })  # fmt: skip
-
-
-def noise_by_cell(table: PointTable, wide: Bounds, near: Bounds, size: int) -> np.ndarray:
-    """What is found in two parts, one of every second point."""
-    found = RefusedReturns(wide, size)
-    for first in (0, 1):
-        found.add(table.take(slice(first, None, 2)))
-    return found.by_cell(near)
 
 
 def cells(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:

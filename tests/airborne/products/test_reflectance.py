@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from spl_batch.airborne.noise.line_model import LineModel
-from spl_batch.airborne.plan.space_units import fired_index
+from spl_batch.airborne.plan.cells import fired_index
 from spl_batch.airborne.products.reflectance.beamlet_matching import SILENT
 from spl_batch.airborne.products.reflectance.detection_rate import most_likely
 from spl_batch.airborne.products.reflectance.exposed_cells import Grid, trace
@@ -160,11 +160,6 @@ def test_a_part_survives_the_way_to_disk() -> None:
     assert y.max() <= north
 
 
-def in_halves(table):
-    """A table in two parts, one of every second point."""
-    return lambda: (table.take(slice(first, None, 2)) for first in (0, 1))
-
-
 def two_halves(x: NDArray[np.float64], _: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(x < 1010.0, 0.15, 0.6)
 
@@ -176,7 +171,7 @@ def test_reflectance_of_two_halves_with_dead_and_weak_channels() -> None:
     ratios = []
     for seed in range(4):
         table, beams, _ = survey(two_halves, gain, seed=seed)
-        found = detections(in_halves(table), [part_of(table, beams, gain)], CORE, PRODUCTS)
+        found = detections(table, [part_of(table, beams, gain)], CORE, PRODUCTS)
         dense = found.fired >= 20
         left = np.arange(20)[None, :] < 9
         right = np.arange(20)[None, :] >= 11
@@ -191,7 +186,7 @@ def test_reflectance_of_two_halves_with_dead_and_weak_channels() -> None:
 def test_order_of_points_and_parts_does_not_matter() -> None:
     table, beams, _ = survey(two_halves, flat_gain())
     part = part_of(table, beams, flat_gain())
-    expected = raster(in_halves(table), [part], CORE, PRODUCTS)
+    expected = raster(table, [part], CORE, PRODUCTS)
     half = len(part.first) // 2
     names = ("first", "last", "middle", "half", "anchor", "coefficient", "origin", "pattern")
     pieces = [
@@ -199,39 +194,40 @@ def test_order_of_points_and_parts_does_not_matter() -> None:
         for rows in (slice(half, None), slice(None, half))
     ]
     mixed = table.take(np.random.default_rng(3).permutation(len(table)))
-    np.testing.assert_array_equal(raster(in_halves(mixed), pieces, CORE, PRODUCTS), expected)
+    np.testing.assert_array_equal(raster(mixed, pieces, CORE, PRODUCTS), expected)
     assert np.isfinite(expected).all()
+    assert expected.shape == (20, 20)
     assert (expected >= 0).any()
 
 
 def test_a_flightline_that_is_shifted_takes_its_beamlets_along() -> None:
     table, beams, _ = survey(lambda x, _: np.where(x < 1010, 0.2, 0.5), flat_gain())
     part, up = part_of(table, beams, flat_gain()), 50_000
-    here = detections(in_halves(table), [part], CORE, PRODUCTS)
+    here = detections(table, [part], CORE, PRODUCTS)
     moved = table.with_columns(z=table["z"] + up)
-    found = detections(in_halves(moved), [part.raised(up)], CORE, PRODUCTS)
+    found = detections(moved, [part.raised(up)], CORE, PRODUCTS)
     np.testing.assert_array_equal(found.seen, here.seen)
     np.testing.assert_array_equal(found.fired, here.fired)
-    left = detections(in_halves(moved), [part], CORE, PRODUCTS)
+    left = detections(moved, [part], CORE, PRODUCTS)
     assert np.abs(left.fired - here.fired).max() > 10
 
 
 def test_noise_is_no_detection_and_hides_none() -> None:
     table, beams, _ = survey(two_halves, flat_gain())
     part = part_of(table, beams, flat_gain())
-    expected = raster(in_halves(table), [part], CORE, PRODUCTS)
+    expected = raster(table, [part], CORE, PRODUCTS)
     high = table.with_columns(z=table["z"] + 30_000, noise_class=np.ones(len(table)))
     both = PointTable({k: np.concatenate([table[k], high[k]]) for k in table.columns})
-    np.testing.assert_array_equal(raster(in_halves(both), [part], CORE, PRODUCTS), expected)
+    np.testing.assert_array_equal(raster(both, [part], CORE, PRODUCTS), expected)
 
 
 def test_nothing_fired_is_nodata() -> None:
     table, beams, _ = survey(two_halves, flat_gain())
     part = part_of(table, beams, flat_gain())
-    assert (raster(in_halves(table), [], CORE, PRODUCTS) == -9999).all()
-    assert (raster(in_halves(table.take(slice(0, 0))), [part], CORE, PRODUCTS) == -9999).all()
+    assert (raster(table, [], CORE, PRODUCTS) == -9999).all()
+    assert (raster(table.take(slice(0, 0)), [part], CORE, PRODUCTS) == -9999).all()
     far = Bounds(*(edge + 500_000 for edge in CORE))
-    assert (raster(in_halves(table), [part], far, PRODUCTS) == -9999).all()
+    assert (raster(table, [part], far, PRODUCTS) == -9999).all()
     assert reach_m(PRODUCTS) >= PRODUCTS.void_max_m
 
 

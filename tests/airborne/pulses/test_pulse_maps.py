@@ -15,7 +15,7 @@ from pyproj import CRS
 
 from spl_batch.airborne.products import hillshade
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage
-from spl_batch.airborne.pulses.pulse_maps import NAMES, PulseMaps, flightline_of
+from spl_batch.airborne.pulses.pulse_maps import NAMES, PulseMaps
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.airborne.tasks.cells import pulses
@@ -89,19 +89,6 @@ def test_the_map_of_voids_is_what_the_table_of_requirements_counts(tmp_path: Pat
     assert (voids[12:48, 31:50] == np.float32(NODATA)).all(), "water is not judged"
     assert (voids[:, 51:] == np.float32(NODATA)).all(), "nor what lies beyond all signal"
     assert (voids[:, :20] == 0).all()
-
-
-def test_returns_belong_to_the_pass_of_their_id_that_holds_their_time() -> None:
-    passes = [(7, 0.0, 10.0), (7, 20.0, 30.0), (3, 5.0, 25.0)]
-    times = np.array([-1.0, 0.0, 10.0, 15.0, 25.0, 31.0, np.nan])
-    for psid, wanted in (
-        (7, [-1, 0, 0, -1, 1, -1, -1]),
-        (3, [-1, -1, 2, 2, 2, -1, -1]),
-        (5, [-1] * 7),
-    ):
-        ids = np.full(7, psid, np.uint16)
-        assert flightline_of(ids, times, passes).tolist() == wanted
-    assert flightline_of(ids, times, []).tolist() == [-1] * 7
 
 
 def test_flightlines_at_the_same_time_count_each(tmp_path: Path) -> None:

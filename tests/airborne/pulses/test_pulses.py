@@ -1,18 +1,14 @@
 """First returns and how evenly they lie, against loops over pulses and squares."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.airborne.products.footprint import Covered
-from spl_batch.airborne.pulses import pulse_returns
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage, EmptySquares
 from spl_batch.airborne.pulses.pulse_returns import (
     MOST_RETURNS,
-    ends_in_parts,
     pulse_ends,
 )
 from spl_batch.airborne.settings import ProductSettings
@@ -140,34 +136,3 @@ def test_a_wide_hole_lies_beyond_the_signal(gap_m: int) -> None:
     inside = covered.squares()
     assert inside.all() == (gap_m < 40)
     assert inside[400, 400] == (gap_m < 40)
-
-
-@pytest.mark.parametrize("clock_s", [1e-6, 1.0])
-def test_returns_in_parts_have_the_same_ends_and_a_coarse_clock_fills_no_share(
-    clock_s: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rng = np.random.default_rng(8)
-    n = 6_000
-    shot = np.sort(rng.integers(0, 3_000, n))
-    time = np.floor(shot * 1e-3 / clock_s) * clock_s
-    time[rng.random(n) < 0.1] = np.nan
-    time[:90] = 7.0  # a crowd in the first part, and a few of it in each of the others
-    time[::700] = 7.0
-    columns = {
-        "x": rng.integers(0, 99_000, n), "y": rng.integers(0, 99_000, n),
-        "z": rng.integers(0, 9_000, n).astype(np.int32), "gps_time": time,
-        "channel": (shot % 3).astype(np.uint8), "return_number": rng.integers(1, 3, n),
-    }  # fmt: skip
-    table = PointTable(columns)
-    parts = [table.take(slice(k, k + 1_000)) for k in range(0, n, 1_000)]
-    held: list[int] = []
-
-    def counted(some: PointTable) -> tuple[Any, Any]:
-        held.append(len(some))
-        return pulse_ends(some)
-
-    monkeypatch.setattr(pulse_returns, "pulse_ends", counted)
-    found = ends_in_parts(lambda: iter(parts), 8)
-    for side, whole in enumerate(pulse_ends(table)):
-        assert np.array_equal(np.concatenate([ends[side] for ends in found]), whole)
-    assert max(held) < n // 6, "a share is a share, however coarse the clock"

@@ -22,11 +22,10 @@ CORE = Bounds(-12_000, 4_000, 12_000, 28_000)
 
 
 def sums_of(first, line, core):
-    sums = {name: np.zeros((STEPS, 3), np.int64) for name in CELLS}
-    for places in places_in(first, line, core):
-        for name, found in smooth_sums(places).items():
-            sums[name] += found
-    return sums
+    places = places_in(first, line, core)
+    if places is None:
+        return {name: np.zeros((STEPS, 3), np.int64) for name in CELLS}
+    return smooth_sums(places)
 
 
 def returns(seed: int, n: int = 2600, noise: float = 30.0):

@@ -14,12 +14,10 @@ from scipy.spatial import cKDTree
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS
 from spl_batch.airborne.pulses.swath_coverage import (
     GAP,
-    NO_TIME,
     RINGS,
     Swaths,
     by_flightline,
     outlines,
-    pass_of,
 )
 from spl_batch.lattice.tiles import Bounds
 
@@ -42,19 +40,19 @@ def test_outlines_of_cells_side_by_side_are_one() -> None:
     along, across = rng.uniform(0, 380, 60_000), rng.uniform(-30, 30, 60_000)
     x = np.rint((along * 0.8 - across * 0.6 + 40) * 1000).astype(np.int64)
     y = np.rint((along * 0.6 + across * 0.8 + 60) * 1000).astype(np.int64)
-    number = pass_of(np.full(len(x), 30.0), np.full(len(x), 7, np.uint16))
+    number = np.full(len(x), 7)
     found = []
     for core in (Bounds(0, 0, 200_000, 400_000), Bounds(200_000, 0, 400_000, 400_000)):
         swaths = Swaths(core, REACH_Q)
         swaths.add(x, y, number)
         found.append(swaths.outlines())
-    (shape,) = outlines(found, [("a", 7, 0.0, 60.0), ("b", 8, 0.0, 60.0)]).values()
+    (shape,) = outlines(found, {7: "a", 8: "b"}).values()
     true = shapely.Polygon([(58, 36), (362, 264), (326, 312), (22, 84)])
     assert len(shape.geoms) == 1
     assert shapely.covers(shapely.buffer(shape, 6), true)
     assert shapely.covers(shapely.buffer(true, 9), shape)
     assert len(shapely.get_coordinates(shape)) < 80, "most steps of squares become lines"
-    assert outlines([], [("a", 7, 0.0, 60.0)]) == {}
+    assert outlines([], {7: "a"}) == {}
 
 
 def by_hand(core: Bounds, x, y) -> list[list[int]]:
@@ -96,8 +94,8 @@ def test_rings_equal_loops(seed: int, n: int) -> None:
     core = Bounds(west, south, west + 20_000, south + 16_500)
     x = rng.integers(west - 12_000, west + 25_000, n)
     y = rng.integers(south - 8_000, south + 40_000, n)
-    (psid, first, last, rings), *more = found_in(core, x, y, np.full(n, 7), parts=3)
-    assert (psid, first, last, more) == (7, 0, 0, [])
+    (line, rings), *more = found_in(core, x, y, np.full(n, 7), parts=3)
+    assert (line, more) == (7, [])
     assert rings == by_hand(core, x, y)
 
 
@@ -118,16 +116,15 @@ def facts_of(core: Bounds, cuts: list[int], x, y, number) -> list:
 
 
 WHOLE = Bounds(-60_000, -60_000, 360_000, 360_000)
-FLOWN = [("A", 1, 10.0, 20.0), ("B", 2, 200.0, 220.0)]
+FLOWN = {1: "A", 2: "B"}
 
 
 def two_strips() -> tuple[NDArray, NDArray, NDArray]:
     rng = np.random.default_rng(3)
     one, other = strip(rng, 200.0, 3.0), strip(rng, 200.0, 1.5, west_m=60.0)
-    time = np.concatenate([np.full(len(one[0]), 15.0), np.full(len(other[0]), 210.0)])
-    psid = np.repeat([1, 2], [len(one[0]), len(other[0])]).astype(np.uint16)
+    line = np.repeat([1, 2], [len(one[0]), len(other[0])])
     x, y = (np.concatenate(pair) for pair in zip(one, other, strict=True))
-    return x, y, pass_of(time, psid)
+    return x, y, line
 
 
 def test_each_swath_is_judged_by_its_middle() -> None:
@@ -153,14 +150,3 @@ def test_what_does_not_count_is_left_out() -> None:
     whole = by_flightline([found_in(core, x, y, number)], FLOWN, "QL2")
     for name, swath in half.items():
         assert swath.area_m2 == pytest.approx(whole[name].area_m2 / 2, rel=0.001)
-
-
-def test_passes_of_one_id_belong_to_their_flightlines() -> None:
-    x = y = np.array([1500, 2500, 3500, 4500, 5500])
-    time = np.array([55.0, 62.0, 400.0, 401.0, np.nan])
-    number = pass_of(time, np.full(5, 3, np.uint16))
-    found = found_in(Bounds(0, 0, 10_000, 10_000), x, y, number)
-    assert [one[:3] for one in found] == [(3, NO_TIME, NO_TIME), (3, 0, 1), (3, 6, 6)]
-    flown = [("early", 3, 50.0, 70.0), ("late", 3, 390.0, 500.0), ("other", 4, 0.0, 900.0)]
-    totals = by_flightline([found], flown, "QL2")
-    assert {name: one.pulses for name, one in totals.items()} == {"": 1, "early": 2, "late": 2}

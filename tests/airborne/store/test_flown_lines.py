@@ -1,57 +1,62 @@
-"""Flightlines of points, found by point source id and time, and their shifts."""
+"""Numbers of flightlines, and the shifts of their heights."""
+
+import json
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 
-from spl_batch.airborne.store.flown_lines import FlownLine, FlownLines
+from spl_batch.airborne.store.flown_lines import Pass, Shifts, line_of, numbers
 
-LINES = FlownLines(
-    [
-        FlownLine("00001_100", 1, 100.0, 200.0, 3),
-        FlownLine("00001_500", 1, 500.0, 600.0, -10),
-        FlownLine("00002", 2, -np.inf, np.inf, 7),
-        FlownLine("00003_100", 3, 100.0, 200.0),
-        FlownLine("00001", 1, -np.inf, np.inf, 5),
-    ]
-)
+PASSES = [
+    Pass(1, "00001_100", 1, 100.0, 200.0),
+    Pass(65535, "00001_500", 1, 500.0, 600.0),
+    Pass(2, "00002", 2, -np.inf, np.inf),
+    Pass(3, "00003_100", 3, 100.0, 200.0),
+]
+SHIFTS = Shifts(PASSES, np.array([3, -10, 7, 0], np.int32))
 
 
-def test_each_point_gets_the_shift_of_its_flightline() -> None:
+@given(st.lists(st.integers(0, 65535), max_size=40))
+def test_numbers_are_different_and_the_first_of_an_id_is_its_own(psids: list[int]) -> None:
+    found = numbers(psids)
+    assert len(set(found)) == len(found)
+    first = {psid: k for k, psid in reversed(list(enumerate(psids)))}
+    assert all(found[k] == psid for psid, k in first.items())
+
+
+def test_a_point_belongs_to_the_pass_of_its_id_and_time() -> None:
     points = [
-        (1, 150.0, "00001_100", 3), (1, 99.0, "00001_100", 3), (1, 201.0, "00001_100", 3),
-        (1, 500.0, "00001_500", -10), (1, 300.0, "00001", 5), (1, 98.9, "00001", 5),
-        (1, np.nan, "00001", 5), (2, np.nan, "00002", 7), (2, 1e9, "00002", 7),
-        (3, 150.0, "00003_100", 0), (3, np.nan, "00003", 0), (4, 150.0, "00004", 0),
+        (1, 150.0, 1), (1, 500.0, 65535), (1, 600.0, 65535), (1, 499.9, 1), (1, np.nan, 1),
+        (2, np.nan, 2), (3, 550.0, 3), (4, 550.0, 4),
     ]  # fmt: skip
-    psid, time, names, up_q = zip(*points, strict=True)
-    of_points = np.array(psid, np.uint16), np.array(time)
-    np.testing.assert_array_equal(LINES.up_q(*of_points), up_q)
-    numbers = LINES.numbers(*of_points).tolist()
-    assert [LINES.line(number).name for number in numbers] == list(names)
-    assert max(numbers) < LINES.count
+    psid, time, wanted = (np.array(column) for column in zip(*points, strict=True))
+    assert line_of(psid.astype(np.uint16), time, PASSES).tolist() == wanted.tolist()
 
 
 def test_heights_alone_change_and_keep_their_type() -> None:
     columns = {
         "y": np.array([10, 20], np.int64),
         "z": np.array([1, 2], np.int32),
-        "gps_time": np.array([150.0, 550.0]),
-        "point_source_id": np.array([1, 1], np.uint16),
+        "line": np.array([1, 65535], np.uint16),
     }
-    shifted = LINES.shifted(columns)
+    shifted = SHIFTS.shifted(columns)
     assert (shifted["y"].tolist(), shifted["z"].tolist()) == ([10, 20], [4, -8])
     assert {k: v.dtype for k, v in shifted.items()} == {k: v.dtype for k, v in columns.items()}
-    assert columns["z"].tolist() == [1, 2]
 
 
 def test_what_is_stored_comes_back() -> None:
-    assert FlownLines.from_arrays(LINES.to_arrays()).lines == LINES.lines
-    assert LINES.up_of("00001_500") == -10
-    assert FlownLines.from_arrays(FlownLines([]).to_arrays()).lines == []
+    again = Shifts.from_arrays(SHIFTS.to_arrays())
+    assert again.passes == PASSES
+    assert [again.of_name(one.name) for one in PASSES] == [3, -10, 7, 0]
+    assert Shifts.from_arrays(Shifts([], np.zeros(0, np.int32)).to_arrays()).passes == []
 
 
 def test_a_file_gets_a_record_where_it_holds_a_flightline_that_is_shifted() -> None:
-    assert LINES.of_file({"3": [[100.0, 200.0, 5]]}) is None
-    assert LINES.of_file({"1": [[700.0, 800.0, 5]], "9": []}) is not None  # of the id, in no line
-    found = LINES.of_file({})
+    assert SHIFTS.of_file({"3": [[100.0, 200.0, 5]]}) is None
+    found = SHIFTS.of_file({"1": [[100.0, 200.0, 5]], "9": []})
     assert found is not None
-    assert b"00001_100" not in found.record.data
+    listed = json.loads(found.record.data.rstrip(b"\0"))["flightlines"]
+    assert [one["name"] for one in listed] == ["00001_100", "00001_500"]
+    up_q = found.up_q(np.array([1, 1], np.uint16), np.array([150.0, 550.0]))
+    assert up_q.tolist() == [3, -10]

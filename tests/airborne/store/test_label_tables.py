@@ -13,7 +13,6 @@ from spl_batch.airborne.store.label_tables import (
     OPEN_FILES,
     LabelFiles,
     Labelled,
-    Marks,
     Origin,
     read_labelled_tile,
     read_region,
@@ -78,11 +77,6 @@ def test_labels_of_other_units_come_back_to_each_point(
         assert np.array_equal(back["ground"], back["index"] % 7)
         seen += len(back)
     assert seen == n
-    parts = (Bounds(-250, -250, 20, 250), Bounds(20, -250, 250, 250))
-    halves = [read_region(store, tiles, part, CANONICAL_ORDER, {}) for part in parts]
-    marks = Marks(origin.of(np.flatnonzero(half["index"] % 3 == 0)) for half, origin in halves)
-    back, origin = read_region(store, tiles, Bounds(-250, -250, 250, 250), CANONICAL_ORDER, {})
-    assert np.array_equal(marks.holds(origin), back["index"] % 3 == 0)
     region = Bounds(-120, -33, 155, 101)
     got, _ = read_region(store, tiles, region, CANONICAL_ORDER, {"ground": holders})
     mine = table.take(inside(table["x"], table["y"], region))

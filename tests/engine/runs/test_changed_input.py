@@ -5,18 +5,15 @@ import os
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import shapely
 import shapely.geometry
 
 from spl_batch import api
-from spl_batch.airborne.plan import block_size
-from spl_batch.airborne.tasks import index
 from spl_batch.engine.tasks.input_changes import unchanged
-from spl_batch.engine.watch.events import Event, PhaseStarted, RunStarted, TaskEnded
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.engine.watch.events import Event, PhaseStarted, TaskEnded
+from spl_batch.errors import InputError
 from tests import surveys
 
 GROUND = {"cell_m": 50, "buffer_m": 5}
@@ -95,24 +92,6 @@ def test_a_file_that_changes_during_the_run_is_named_and_read_anew_by_the_next(
     assert surveys.results(again.output) == clean(survey)
 
 
-def test_what_goes_between_header_and_index_is_named(survey: Path) -> None:
-    track = surveys.write_trajectory(survey.parent / "track.csv", stop_s=surveys.START_S + 20)
-
-    def run_without(path: Path, *overrides: str) -> api.RunResult:
-        def listen(event: Event) -> None:
-            if isinstance(event, RunStarted):
-                path.unlink()
-
-        given = [*SETTINGS, *overrides]
-        return api.run(survey, workers=0, until="index", overrides=given, listener=listen)
-
-    assert run_without(survey.parent / "lines" / "2.laz").exit_status == 1
-    (failure,) = api.status(survey.parent / "out").failures
-    assert "2.laz: is gone since the run began" in failure.reason
-    with pytest.raises(WorkflowError, match=r"track\.csv: is gone since the run began"):
-        run_without(track, "survey.trajectory=track.csv")
-
-
 def test_a_file_is_looked_at_before_and_after(tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_bytes(b"1")
@@ -124,22 +103,6 @@ def test_a_file_is_looked_at_before_and_after(tmp_path: Path) -> None:
         os.utime(path, ns=(0, stat.st_mtime_ns + 1))
     with pytest.raises(InputError, match="changed"), unchanged(path, stamp):
         pytest.fail("not read at all")
-
-
-def test_a_trajectory_that_changes_under_the_reader_is_named(
-    survey: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = surveys.write_trajectory(survey.parent / "trajectory.csv", stop_s=surveys.START_S + 20)
-    surveys.write_workflow(survey.parent, ground=GROUND)
-    written = index.write_trajectory
-
-    def write(*args: Any) -> None:
-        written(*args)
-        os.utime(path)
-
-    monkeypatch.setattr(index, "write_trajectory", write)
-    with pytest.raises(WorkflowError, match=r"trajectory\.csv: has changed"):
-        surveys.run(survey)
 
 
 def test_one_more_flightline_redoes_the_tiles_that_it_touches(survey: Path) -> None:
@@ -155,35 +118,6 @@ def test_one_more_flightline_redoes_the_tiles_that_it_touches(survey: Path) -> N
     output = survey.parent / "out"
     assert counting(survey)["surface"] == first["surface"], "and back"
     assert surveys.results(output) == clean(survey)
-
-
-def test_blocks_stay_as_they_are_when_the_survey_grows(
-    survey: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(block_size, "FEW_TILES", 0)
-    monkeypatch.setattr(block_size, "BLOCKS_PER_WORKER", 8)
-    settings = ("tiling.tile_m=50", "filter.method=none", "afterpulse.enabled=false")
-    output, size = survey.parent / "out", "store/blocks.json"
-    done: list[str] = []
-
-    def listen(event: Event) -> None:
-        if isinstance(event, TaskEnded) and event.kind == "denoise":
-            done.append(event.name)
-
-    def run(**options: Any) -> None:
-        done.clear()
-        api.run(survey, workers=0, until="denoise", overrides=settings, listener=listen, **options)
-
-    run()
-    first, before = set(done), (output / size).read_bytes()
-    for number in (3, 4, 5):
-        line(survey.parent, number, east_m=FAR_M * number)
-    run()
-    assert done
-    assert not first & set(done), "nothing is done again"
-    assert (output / size).read_bytes() == before
-    run(fresh=True)
-    assert (output / size).read_bytes() != before, "a survey of this size has larger blocks"
 
 
 def test_polygons_are_known_by_their_content(survey: Path) -> None:

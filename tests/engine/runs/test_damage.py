@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spl_batch import api
 from spl_batch.airborne.lines.comparison import difference_map
 from spl_batch.airborne.store.raster_cells import create_raster_store, read_window, write_cell
 from spl_batch.airborne.store.voxel_parts import StoredVoxels, write_voxels
@@ -23,7 +22,6 @@ from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.progress import makers
-from spl_batch.engine.watch.events import Event, TaskEnded
 from spl_batch.errors import DamagedError
 from spl_batch.formats.verified.parquet_npz import (
     group_ranges,
@@ -219,31 +217,6 @@ def test_what_is_damaged_while_a_run_goes_on_is_made_again_in_it(
     assert result.exit_status == 0
     assert surveys.results(result.output) == expected
     assert noise.read_bytes() == noise_map
-
-
-@pytest.mark.parametrize("harm", [cut, Path.unlink])
-def test_what_was_damaged_since_is_made_again(
-    survey: Path, expected: dict[str, bytes], harm: Callable[[Path], None]
-) -> None:
-    output = survey.parent / "out"
-    harmed = []
-    for kind in ("gather", "scatter", "denoise", "surface", "deliver_file"):
-        path = next((output / "store/receipts" / kind).glob("*.json"))
-        receipt = receipt_at(path)
-        for name in sorted(receipt.outputs)[:1]:
-            inside = [p for p in (output / name).rglob("*") if p.is_file()]
-            harm((inside or [output / name])[0])
-            harmed.append((receipt.kind, receipt.name))
-    done: list[tuple[str, str]] = []
-
-    def listen(event: Event) -> None:
-        if isinstance(event, TaskEnded):
-            done.append((event.kind, event.name))
-
-    result = api.run(survey, workers=0, until="deliver", listener=listen)
-    assert result.exit_status == 0
-    assert set(done) == set(harmed), "and nothing else: what depends on it is as before"
-    assert surveys.results(result.output) == expected
 
 
 def test_delivered_files_are_looked_at_closely_where_they_were_written_to(

@@ -15,9 +15,7 @@ from typing import Any
 
 import pytest
 
-from spl_batch.airborne.plan import block_size
-from spl_batch.airborne.plan import survey_ledger as survey_module
-from spl_batch.airborne.plan.flightlines import find_flightlines
+from spl_batch.airborne.plan import flightlines
 from spl_batch.engine.tasks.worklist import Worklist
 from tests import surveys
 
@@ -38,25 +36,13 @@ def stretches(points: int, *overrides: str) -> Way:
     """Run with stretches of so many points."""
 
     def way(workflow: Path, request: pytest.FixtureRequest) -> None:
-        def short(receipts: Any, settings: Any, _points: int) -> Any:
-            return find_flightlines(receipts, settings, points)
-
         patch: pytest.MonkeyPatch = request.getfixturevalue("monkeypatch")
-        patch.setattr(survey_module, "find_flightlines", short)
+        patch.setattr(flightlines, "STRETCH_POINTS", points)
         here(*overrides)(workflow, request)
         gathered = workflow.parent / "out/store/receipts/gather"
         assert len(list(gathered.iterdir())) > 4
 
     return way
-
-
-def blocks_cut(workflow: Path, request: pytest.FixtureRequest) -> None:
-    """Run with blocks of several sizes, as where memory is short in places."""
-    patch: pytest.MonkeyPatch = request.getfixturevalue("monkeypatch")
-    patch.setattr(block_size, "block_points", lambda _: 85_000)
-    here("tiling.tile_m=30")(workflow, request)
-    done = (workflow.parent / "out/store/receipts/denoise").iterdir()
-    assert len({tuple(path.stem.split("_")[2:]) for path in done}) > 1
 
 
 def shuffled(workflow: Path, request: pytest.FixtureRequest) -> None:
@@ -115,7 +101,6 @@ WAYS: dict[str, Way] = {
     "tiles of 33.3 m, blocks of 2 x 2, stretches of 5000": stretches(
         5000, "tiling.tile_m=33.3", "tiling.block_tiles=2"
     ),
-    "blocks that are cut": blocks_cut,
 }
 """Ways of running the survey that has one of everything, of which one process is enough."""
 

@@ -66,24 +66,6 @@ def test_every_version_and_point_format(
     np.testing.assert_allclose(table["scan_angle"], angle, rtol=1e-6)
 
 
-@pytest.mark.parametrize("signature", ["before", "behind", "none"])
-def test_version_1_0(tmp_path: Path, signature: str) -> None:
-    path = write_las(tmp_path / "a.las", version="1.2", point_format=1)
-    expected = read_all(path)
-    content = path.read_bytes()
-    start = int.from_bytes(content[96:100], "little")
-    if signature != "none":  # the offset to the points may count its two bytes or not
-        content = content[:start] + b"\xdd\xcc" + content[start:]
-    path.write_bytes(content)
-    patch(path, 96, "I", start + 2 * (signature == "before"))
-    patch(patch(path, 4, "I", 2**32 - 1), 24, "BB", 1, 0)  # four bytes are reserved
-    table, facts = read_all(path), inspect(path)
-    assert facts.version == (1, 0)
-    assert not facts.adjusted_standard_bit
-    for name in SOURCE_COLUMNS:
-        np.testing.assert_array_equal(table[name], expected[name])
-
-
 def test_chunk_size_zero_is_that_of_the_table(tmp_path: Path) -> None:
     columns = {name: np.arange(30_000, dtype=COLUMNS[name].dtype) for name in ("x", "y", "z")}
     path = tmp_path / "a.laz"
@@ -219,21 +201,6 @@ def test_scaled_extra_dimension(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["channel"], np.arange(40) * 2 + 5)
 
 
-def test_time_that_is_not_finite_stays(tmp_path: Path) -> None:
-    time = np.linspace(1e8, 1e8 + 1, 1000)
-    time[[3, 500]] = np.nan, np.inf
-    path = write_las(tmp_path / "a.laz", values={"gps_time": time})
-    np.testing.assert_array_equal(read_all(path)["gps_time"], time)
-
-
-def test_no_points(tmp_path: Path) -> None:
-    for suffix in (".las", ".laz"):
-        facts = inspect(write_las(tmp_path / f"a{suffix}", n=0))
-        assert facts.n_points == 0
-        assert any("no points" in w for w in facts.warnings)
-        assert len(read_all(tmp_path / f"a{suffix}")) == 0
-
-
 @pytest.mark.parametrize(
     ("version", "point_format"),
     [("1.2", 3), ("1.4", 1), ("1.4", 6)],
@@ -248,33 +215,3 @@ def test_crs_from_geotiff_and_wkt(
     found = inspect(path).crs
     assert found is not None
     assert found.to_epsg() == code
-
-
-def test_crs_in_an_extended_record(tmp_path: Path) -> None:
-    text = CRS.from_epsg(32615).to_wkt("WKT1_GDAL").encode() + b"\0"
-    path = write_las(tmp_path / "a.laz", evlrs=[laspy.VLR("LASF_Projection", 2112, "", text)])
-    found = inspect(path).crs
-    assert found is not None
-    assert found.to_epsg() == 32615
-
-
-def test_crs_that_is_not_understood_is_said(tmp_path: Path) -> None:
-    wrong = laspy.VLR("LASF_Projection", 2112, "", b"PROJCS[nonsense\0")
-    facts = inspect(write_las(tmp_path / "a.las", vlrs=[wrong]))
-    assert facts.crs is None
-    assert any("survey.crs" in w for w in facts.warnings)
-
-
-def test_no_crs(tmp_path: Path) -> None:
-    facts = inspect(write_las(tmp_path / "a.las"))
-    assert facts.crs is None
-    assert facts.warnings == ()
-
-
-def test_adjusted_standard_bit(tmp_path: Path) -> None:
-    path = write_las(tmp_path / "a.las")
-    assert not inspect(path).adjusted_standard_bit
-    content = bytearray(path.read_bytes())
-    content[6] |= 1
-    path.write_bytes(content)
-    assert inspect(path).adjusted_standard_bit

@@ -16,13 +16,13 @@ from spl_batch.errors import InputError, StoppedError, WorkflowError
 from spl_batch.formats.gps_clock import TimeStandard
 from spl_batch.formats.las.convert import EXTENDED_FORMAT
 from spl_batch.formats.las.copc_copy import copy_as_copc
-from spl_batch.formats.las.descriptors import header_changes, put_in_order
-from spl_batch.formats.las.header import EXTERNAL_BIT, read_header
+from spl_batch.formats.las.descriptors import header_changes
+from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records
-from spl_batch.formats.las.reader import header_crs, inspect, iter_points
+from spl_batch.formats.las.reader import header_crs, iter_points
 from spl_batch.formats.las.writer import write_classified, write_points
-from spl_batch.lattice.tables import SOURCE_COLUMNS, PointFlag, PointTable, concat
-from tests.io_files import VERSIONS, patch, with_record, write_las
+from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
+from tests.io_files import VERSIONS, patch, write_las
 
 
 def labels(start: int, stop: int) -> Mapping[str, NDArray[Any]]:
@@ -83,12 +83,6 @@ def test_every_version_and_point_format(
         np.testing.assert_array_equal(after[name], expected[name])
 
 
-def test_without_diagnostics(tmp_path: Path) -> None:
-    classify(write_las(tmp_path / "a.las"), tmp_path / "b.laz", diagnostics=False)
-    extra = laspy.read(tmp_path / "b.laz").point_format.extra_dimension_names
-    assert list(extra) == ["input_classification", "noise_class"]
-
-
 def test_header_is_kept_and_nothing_depends_on_the_clock(tmp_path: Path) -> None:
     src = write_las(tmp_path / "a.las", version="1.2", point_format=1)
     patch(src, 4, "HH", 77, 1)
@@ -135,32 +129,6 @@ def test_header_is_repaired_by_the_values(
     assert header_of(tmp_path / "c.laz") == (*expected[:2], "OTHER", expected[3])
 
 
-def test_copc_has_the_header_of_its_cloud(tmp_path: Path) -> None:
-    src = write_las(tmp_path / "a.laz", scales=(0.01,) * 3)
-    classify(src, tmp_path / "b.laz", standard="adjusted", last_s=0.0)
-    copy_as_copc(tmp_path / "b.laz", tmp_path / "b.copc.laz")
-    assert header_of(tmp_path / "b.copc.laz") == header_of(tmp_path / "b.laz")
-    assert header_of(tmp_path / "b.copc.laz")[:2] == (True, True)
-
-
-def test_keys_that_are_not_understood_stay_what_gives_the_crs(tmp_path: Path) -> None:
-    keys = laspy.VLR("LASF_Projection", 34735, "", b"\1\0\1\0\0\0\0\0")
-    classify(write_las(tmp_path / "a.las", point_format=1, vlrs=[keys]), tmp_path / "b.laz")
-    assert not header_of(tmp_path / "b.laz")[1]
-
-
-@pytest.mark.parametrize("there", [True, False])
-def test_the_bit_of_waveforms_tells_whether_they_are_there(tmp_path: Path, there: bool) -> None:  # noqa: FBT001
-    src = patch(write_las(tmp_path / "a.las", version="1.3", point_format=4), 6, "H", 4)
-    if there:
-        (tmp_path / "a.wdp").write_bytes(b"waves")
-    classify(src, tmp_path / "b.laz")
-    before, after = read_header(src), read_header(tmp_path / "b.laz")
-    assert bool(after.global_encoding & EXTERNAL_BIT) == there
-    assert ("waveform_bits" in header_changes(before, after)) == (not there)
-    assert len(list(put_in_order(before, 9, []))) == (not there)
-
-
 def test_second_run_replaces_its_own_dimensions_and_keeps_those_of_others(tmp_path: Path) -> None:
     others = {"noise_class": "f8", "input_classification": "u1", "height": "f4"}
     src = write_las(tmp_path / "a.laz", extra=others)
@@ -174,34 +142,6 @@ def test_second_run_replaces_its_own_dimensions_and_keeps_those_of_others(tmp_pa
         for before, after in zip(others, kept, strict=True):
             np.testing.assert_array_equal(cloud[after], given[before])
         np.testing.assert_array_equal(cloud["input_classification"], given.classification)
-
-
-def test_noise_of_an_earlier_run_is_not_the_vendors(tmp_path: Path) -> None:
-    classes = np.arange(20) % 20
-    src = write_las(tmp_path / "a.laz", n=20, values={"classification": classes})
-    classify(src, tmp_path / "b.laz")
-    again = next(iter_points(tmp_path / "b.laz", channel_dimension=None, source=0))
-    first = laspy.read(tmp_path / "b.laz")
-    labelled = np.isin(first.noise_class, (1, 2)) & np.isin(first.classification, (7, 18))
-    assert 0 < np.count_nonzero(labelled) < np.count_nonzero(np.isin(first.classification, (7, 18)))
-    expected = np.where(labelled, classes, first.classification)
-    np.testing.assert_array_equal(again["input_class"], expected)
-    np.testing.assert_array_equal(again.has(PointFlag.VENDOR_NOISE), np.isin(expected, (7, 18)))
-
-
-def test_bytes_that_nothing_describes(tmp_path: Path) -> None:
-    src = write_las(tmp_path / "a.las", extra={"a": "3f8", "b": "u2"}, n=50)
-    raw = laspy.read(src).points.array
-    place = src.read_bytes().index(b"LASF_Spec")
-    patch(src, place, "9s", b"forgotten")
-    names = [f"undescribed_{i}" for i in range(5)]
-    assert inspect(src).dimensions[-5:] == tuple(names)
-    classify(src, tmp_path / "b.laz")
-    classify(tmp_path / "b.laz", tmp_path / "c.laz")
-    after = laspy.read(tmp_path / "c.laz")
-    kept = b"".join(p[n].tobytes() for p in after.points.array for n in names)
-    before = np.frombuffer(raw.tobytes(), np.uint8).reshape(50, -1)[:, 30:]
-    assert kept == before.tobytes()
 
 
 def test_records_are_kept_but_for_those_of_the_old_packing(tmp_path: Path) -> None:
@@ -274,12 +214,6 @@ def test_a_record_without_a_vertical_datum_gets_that_of_the_survey(
         assert [one.record_id for one in both].count(2112) == 1
 
 
-def test_no_points(tmp_path: Path) -> None:
-    assert classify(write_las(tmp_path / "a.laz", n=0), tmp_path / "b.laz") == 0
-    assert len(laspy.read(tmp_path / "b.laz").points) == 0
-    assert inspect(tmp_path / "b.laz").n_points == 0
-
-
 class FullDisk(io.BytesIO):
     """A file on a disk that is full after a while."""
 
@@ -317,21 +251,6 @@ def test_damaged_input_leaves_nothing_and_keeps_the_old(tmp_path: Path) -> None:
         classify(src, dst)
     assert dst.read_bytes() == old
     assert list(dst.parent.iterdir()) == [dst]
-
-
-def test_place_that_cannot_be_written(tmp_path: Path) -> None:
-    src = write_las(tmp_path / "a.laz")
-    (tmp_path / "file").touch()
-    (tmp_path / "folder.laz" / "full").mkdir(parents=True)
-    for place in ("file/b.laz", "file/deeper/b.laz", "folder.laz"):
-        with pytest.raises(WorkflowError, match="cannot be written"):
-            classify(src, tmp_path / place)
-
-
-def test_own_input_as_output(tmp_path: Path) -> None:
-    src = write_las(tmp_path / "a.laz")
-    with pytest.raises(WorkflowError, match="is an input"):
-        classify(src, src)
 
 
 def test_points_of_a_tile(tmp_path: Path) -> None:
@@ -398,50 +317,3 @@ def test_a_record_that_no_reader_parses_is_left_out(
     kept = [record for record in records if record.user_id == "ours"]
     assert [bytes(record.record_data) for record in kept] == [b"whole"]
     assert not [record for record in records if bytes(record.record_data_bytes()) == data]
-
-
-@pytest.mark.parametrize("suffix", ["laz", "las"])
-def test_a_record_that_stands_twice_is_named(tmp_path: Path, suffix: str) -> None:
-    """The first describes the points; of two standard readers each may take another."""
-    src, dst = write_las(tmp_path / f"a.{suffix}", extra={"channel": "u1"}), tmp_path / "out.laz"
-    content = src.read_bytes()
-    for user, number in ((b"laszip encoded", 22204), (b"LASF_Spec", 4)):
-        content = with_record(content, user, number, b"\xff" * 192)
-    src.write_bytes(content)
-    told = list(broken_records(read_header(src)))
-    assert [text.split(" stands")[0] for text in told] == [
-        "header record laszip encoded 22204",
-        "header record LASF_Spec 4",
-    ]
-    assert classify(src, dst) == 1000
-    assert not list(broken_records(read_header(dst)))
-
-
-def test_a_user_id_that_is_no_text(tmp_path: Path) -> None:
-    """laspy cannot open such a file at all."""
-    src, dst = tmp_path / "a.las", tmp_path / "out.laz"
-    write_las(src, vlrs=[laspy.VLR("broken", 7, "x", b"1"), laspy.VLR("whole", 8, "y", b"2")])
-    content = src.read_bytes().replace(b"broken", b"br\xff\xfe\n\x1b")
-    src.write_bytes(content)
-    with pytest.raises(UnicodeDecodeError):
-        laspy.open(src)
-    (text,) = broken_records(read_header(src))
-    assert text.isprintable()
-    assert classify(src, dst) == 1000
-    with laspy.open(dst) as reader:
-        assert "whole" in [record.user_id for record in reader.header.vlrs]
-
-
-def test_what_laspy_cannot_open_takes_no_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    src, dst = write_las(tmp_path / "a.laz"), tmp_path / "out.laz"
-
-    def failing(*_: Any) -> None:
-        raise UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(laspy, "open", failing)
-        with pytest.raises(InputError, match="as it was written: it cannot be read"):
-            classify(src, dst)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.laz"]

@@ -50,6 +50,7 @@ IRRELEVANT: Final = frozenset(
         "wires",
         "aes",
         "dcc",
+        "pixels",
         "voxel",
         "multilevel",
         "cylinder",

@@ -1,26 +1,20 @@
 """What phases bring to light about the inputs of an airborne survey, in words."""
 
-import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Final
 
 import numpy as np
 
 from spl_batch.airborne.beams.geometry import ELSEWHERE_M, Ahead
-from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.plan.inputs.channel_dimension import unnamed_channels
 from spl_batch.airborne.plan.inputs.first_look import holds_few, in_files, too_few
 from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
-from spl_batch.airborne.plan.task_memory import stretch_bytes
 from spl_batch.engine.findings import Finding
-from spl_batch.engine.plan.worker_memory import enough_mib
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.errors import WorkflowError, counted, grouped, named, told_together
 from spl_batch.formats.las.number_dimensions import Numbers
-from spl_batch.receivers import steps
 
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
@@ -57,46 +51,6 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[Finding
             "there are no shots to filter by; set filter.method: none and afterpulse.enabled: "
             "false for ground and surfaces"
         )
-
-
-def stretches_anew(survey: Survey) -> Iterator[Finding]:
-    """Which flightlines this run cuts anew for want of memory, and what helps."""
-    before = survey.remembered_stretch
-    if before is None or not survey.cut_anew:
-        return
-    enough_bytes = max(enough_mib(stretch_bytes(before)) * 2**20, survey.block_memory_bytes or 0)
-    yield _cut_smaller(
-        survey,
-        f"{grouped(len(survey.cut_anew))} of {grouped(len(survey.flightlines))} flightlines are "
-        "cut into shorter stretches than in earlier runs, and what depends on them is done again",
-        enough_bytes,
-    )
-
-
-def blocks_anew(survey: Survey, context: Context) -> Iterator[Finding]:
-    """Which finished blocks this run cuts anew for want of memory, and what helps."""
-    then = survey.with_memory_of_blocks()
-    if then is None:
-        return
-    denoise = steps(context.workflow.kind)["denoise"]
-    deque(Worklist(denoise, then, context).look(), maxlen=0)
-    finished = set(then.of("denoise"))
-    if lost := finished - {unit.name for unit in survey.blocks()}:
-        yield _cut_smaller(
-            survey,
-            f"{grouped(len(lost))} of {grouped(len(finished))} finished blocks are cut smaller "
-            "and done again",
-            then.memory_bytes,
-        )
-
-
-def _cut_smaller(survey: Survey, what: str, enough_bytes: int) -> Finding:
-    """What less memory than earlier runs had does, and with how much it does not."""
-    text = (
-        f"a worker has {grouped(survey.memory_bytes / 2**20)} MiB, less than in earlier runs: "
-        f"{what}; with --memory {math.ceil(enough_bytes / 2**20)}MiB they are used as they are"
-    )
-    return Finding("E01", {"kind": "memory", "what": text})
 
 
 def channels_not_named(survey: Survey) -> tuple[Finding, ...]:

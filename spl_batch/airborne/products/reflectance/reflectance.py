@@ -30,8 +30,7 @@ that of a Lambertian surface in their place. It may exceed one, and is not cut: 
 dark.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -55,9 +54,6 @@ from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 
 DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "noise_class")
-
-Tables = Callable[[], Iterable[PointTable]]
-"""Gives the points of a place table by table."""
 
 FIRED_MIN: Final = 5
 """Cells that fewer beamlets were fired at hold nothing [count]."""
@@ -88,21 +84,21 @@ class Detections(NamedTuple):
 
 
 def raster(
-    tables: Tables, parts: Sequence[FiredPart], cell: Bounds, settings: ProductSettings
+    table: PointTable, parts: Sequence[FiredPart], cell: Bounds, settings: ProductSettings
 ) -> NDArray[np.float32]:
     """Reflectance of a ground cell, north up; nodata where too little was fired.
 
     Parameters
     ----------
-    tables, parts, cell, settings
+    table, parts, cell, settings
         As in :func:`detections`.
     """
-    values = detections(tables, parts, cell, settings).reflectance[::-1]
+    values = detections(table, parts, cell, settings).reflectance[::-1]
     return np.ascontiguousarray(np.where(np.isnan(values), NODATA, values), dtype=np.float32)
 
 
 def detections(
-    tables: Tables,
+    table: PointTable,
     parts: Sequence[FiredPart],
     cell: Bounds,
     settings: ProductSettings,
@@ -112,9 +108,8 @@ def detections(
 
     Parameters
     ----------
-    tables : callable
-        Gives the points of the cell and of a fixed margin, in any order, table by table, each point
-        once, with :data:`COLUMNS_NEEDED`; it is called twice, and holds no table itself.
+    table : PointTable
+        Points of the cell and of a fixed margin, in any order, with :data:`COLUMNS_NEEDED`.
     parts : sequence of FiredPart
         Stretches that may have fired at it, in any order.
     cell : Bounds
@@ -127,7 +122,8 @@ def detections(
     fired, silent = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     nothing = Detections(np.full(shape, np.nan), fired, fired.copy())
     parts = [p for p in parts if len(p.first)]
-    z = np.concatenate([*map(partial(_heights, wide), tables())])
+    signal = _signal(table, wide)
+    z = table["z"][signal]
     if not len(z) or not parts:
         return nothing
     blocks = _join(parts, wide)
@@ -141,13 +137,10 @@ def detections(
     top = np.full((near, blocks.pattern.shape[1]), SILENT)
     longest = float(np.max((blocks.last - blocks.first + 1) / blocks.prf_hz))
     cells = shape[0] + 2 * margin, shape[1] + 2 * margin
-    for table in tables():
-        match_points(
-            table["gps_time"], table["channel"], (table["x"], table["y"], table["z"]),
-            _signal(table, wide), (wide.xmin, wide.ymin, size, cells[1]), blocks, longest, number,
-            top,
-        )  # fmt: skip
-        del table
+    match_points(
+        table["gps_time"], table["channel"], (table["x"], table["y"], table["z"]),
+        signal, (wide.xmin, wide.ymin, size, cells[1]), blocks, longest, number, top,
+    )  # fmt: skip
     first = top[top != SILENT]
     height = (first >> 32).astype(np.int32)
     first &= CELL_BITS  # in place: of a dense cell each column is tens of megabytes
@@ -162,12 +155,6 @@ def detections(
     )  # fmt: skip
     del top, blocks, number, block, tau
     return _estimate(seen_cell[:count], amount[:count], silent, fired)
-
-
-def _heights(region: Bounds, table: PointTable) -> NDArray[np.int32]:
-    """Heights of the signal of a region [quanta]."""
-    heights: NDArray[np.int32] = table["z"][_signal(table, region)]
-    return heights
 
 
 def _signal(table: PointTable, region: Bounds) -> NDArray[np.intp]:

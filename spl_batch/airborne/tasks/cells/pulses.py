@@ -1,6 +1,6 @@
 """What the returns of a ground cell cover, how densely and evenly; added up for the report."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -11,18 +11,18 @@ from spl_batch.airborne.classes.overlap import lines_by_square
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.footprint import SQUARE_Q, Covered, Within, refused, whole_squares
 from spl_batch.airborne.products.surface_rasters import margin_cells
-from spl_batch.airborne.pulses.level_places import SQUARE_M, places_in
+from spl_batch.airborne.pulses.level_places import places_in
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, EmptySquares, not_flown, reach_q
-from spl_batch.airborne.pulses.pulse_maps import PulseMaps, flightline_of
+from spl_batch.airborne.pulses.pulse_maps import PulseMaps
 from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, Ends
-from spl_batch.airborne.pulses.smooth_surfaces import STEPS, smooth_sums
+from spl_batch.airborne.pulses.smooth_surfaces import Sums, smooth_sums
 from spl_batch.airborne.pulses.square_kernels import count_squares
-from spl_batch.airborne.pulses.swath_coverage import Swaths, at_places, pass_of
+from spl_batch.airborne.pulses.swath_coverage import Swaths, at_places
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
-from spl_batch.lattice.tiles import Bounds, quanta, shared
+from spl_batch.lattice.tiles import Bounds, quanta
 
 _SQUARES: Final = "footprint"
 """Fact of a ground cell: squares that returns cover [count]."""
@@ -58,11 +58,7 @@ flown squares, no water."""
 OUTLINES: Final = "swath_outlines"
 """Fact of a ground cell: where each swath lies in it."""
 
-STEP_Q: Final = quanta(SQUARE_M)
-"""Parts of a cell are cut at multiples of this: a place of smooth ground is judged as one
-[quanta]."""
-
-COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id")
+COLUMNS: Final = (*COLUMNS_NEEDED, "line")
 """What is looked at, and ``noise_class, flags``."""
 
 
@@ -102,8 +98,7 @@ class PulseReturns(NamedTuple):
 
     first: NDArray[np.int64]  #: (n, 3): where the first ones are [quanta].
     last: NDArray[np.int64]  #: (n, 2): where the last ones are [quanta].
-    time_s: NDArray[np.float64]  #: (n,): times of the first ones [s].
-    point_source_id: NDArray[np.uint16]  #: (n,): theirs.
+    line: NDArray[np.int64]  #: (n,): flightlines of the first ones.
 
 
 def usable(table: PointTable) -> NDArray[np.bool_]:
@@ -121,6 +116,13 @@ def reach(products: ProductSettings) -> int:
     return max(margin_cells(products) * quanta(products.cell_m), reach_q())
 
 
+def _held(sums: Sums | None) -> list[list[int]]:
+    """Sums of the thicknesses that there are, with their numbers."""
+    if sums is None:
+        return []
+    return [[k, *sums[k].tolist()] for k in np.flatnonzero(sums[:, 0]).tolist()]
+
+
 def returns_of(table: PointTable, ends: Ends) -> PulseReturns:
     """First and last returns of pulses.
 
@@ -134,8 +136,7 @@ def returns_of(table: PointTable, ends: Ends) -> PulseReturns:
     first, last = ends
     xyz = np.column_stack([table[axis][first] for axis in "xyz"]).astype(np.int64)
     xy = np.column_stack([table[axis][last] for axis in "xy"])
-    of_first = (table[name][first] for name in ("gps_time", "point_source_id"))
-    return PulseReturns(xyz, xy, *of_first)
+    return PulseReturns(xyz, xy, table["line"][first].astype(np.int64))
 
 
 class Judged(NamedTuple):
@@ -146,55 +147,45 @@ class Judged(NamedTuple):
 
 
 class Pulses:
-    """What the pulses of a ground cell tell; their returns come part by part.
-
-    Parts are rectangles whose edges lie at multiples of :data:`STEP_Q` and between raster cells.
+    """What the pulses of a ground cell tell.
 
     Parameters
     ----------
+    returns : PulseReturns
+        First and last returns in the cell and :func:`reach` around it.
     core : Bounds
         The cell [quanta].
-    passes : sequence of (int, float, float)
-        Point source id, first and last time of each flightline [s].
     context : Context
         The run.
     """
 
     def __init__(
-        self, core: Bounds, passes: Sequence[tuple[int, float, float]], context: Context
+        self,
+        returns: PulseReturns,
+        core: Bounds,
+        context: Context,
     ) -> None:
-        self._core, self._passes, self._context = core, passes, context
+        self._core, self._context = core, context
         workflow = context.workflow
         self._region = whole_squares(core)
-        self._signal, self._empty = Covered(core, workflow.products), EmptySquares(self._region)
-        self._count = np.zeros(self._signal.squares().shape, np.int64)
-        self._smooth = {level: np.zeros((STEPS, 3), np.int64) for level in SPACINGS}
-        self._swaths = Swaths(core, reach(workflow.products))
-        size = quanta(workflow.products.cell_m)
-        self._maps = PulseMaps(core, size) if workflow.products.maps else None
-        self._overlap = workflow.classes.overlap
-        self.lines: list[NDArray[np.int64]] = []
-
-    def add(self, returns: PulseReturns, part: Bounds) -> None:
-        """Take in the returns of a part."""
         x, y = (np.ascontiguousarray(axis) for axis in returns.first.T[:2])
+        self._signal, self._empty = Covered(core, workflow.products), EmptySquares(self._region)
         self._signal.add(x, y)
         self._empty.add(x, y)
+        self._count = np.zeros(self._signal.squares().shape, np.int64)
         west, south = self._region.xmin // SQUARE_Q, self._region.ymin // SQUARE_Q
         count_squares(x, y, west, south, SQUARE_Q, self._count)
-        number = pass_of(returns.time_s, returns.point_source_id)
-        self._swaths.add(x, y, number)
-        own = shared(part, self._core)
-        for places in places_in(returns.first, number, own):
-            for level, sums in smooth_sums(places).items():
-                self._smooth[level] += sums
-        if self._maps is None and not self._overlap:
-            return
-        line = flightline_of(returns.point_source_id, returns.time_s, self._passes)
-        if self._maps is not None:
-            self._maps.add(returns.first[:, :2], returns.last, line)
-        if self._overlap:
-            self.lines.append(lines_by_square(returns.first[:, :2], line))
+        self._swaths = Swaths(core, reach(workflow.products))
+        self._swaths.add(x, y, returns.line)
+        places = places_in(returns.first, returns.line, core)
+        self._smooth = {} if places is None else smooth_sums(places)
+        self._maps: PulseMaps | None = None
+        self.lines: NDArray[np.int64] | None = None  #: Flightlines by square, for overlap.
+        if workflow.products.maps:
+            self._maps = PulseMaps(core, quanta(workflow.products.cell_m))
+            self._maps.add(returns.first[:, :2], returns.last, returns.line)
+        if workflow.classes.overlap:
+            self.lines = lines_by_square(returns.first[:, :2], returns.line)
 
     def judged(self, squares: NDArray[np.bool_]) -> Judged:
         """Which of the cell's squares count.
@@ -227,10 +218,7 @@ class Pulses:
             },
             SWATHS: self._swaths.facts(dry, self._region),
             OUTLINES: self._swaths.outlines(),
-            SMOOTH: {
-                level: [[k, *sums[k].tolist()] for k in np.flatnonzero(sums[:, 0]).tolist()]
-                for level, sums in self._smooth.items()
-            },
+            SMOOTH: {level: _held(self._smooth.get(level)) for level in SPACINGS},
         }
 
     def rasters(
