@@ -65,7 +65,7 @@ def read_csv(path: Path) -> Labelled:
 def read_atl03(atl03: Path, atl08: Path) -> list[Labelled]:
     """Beams of ATL03 with the classes of ATL08: noise 1, signal 2, unknown 0."""
     found = []
-    for facts in inspect(atl03, None).beams:
+    for facts in inspect(atl03).beams:
         theirs = find_labels(atl03, [atl08], facts.name)
         if theirs is None:
             continue

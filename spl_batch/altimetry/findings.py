@@ -13,13 +13,32 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             {
                 "unplaced": "{count:photons} without height or place, delivered unlabelled",
                 "labels": "{what}: nothing is compared with it",
+                "granule": "no file of reference.labels has photons of this beam's segments and "
+                "times",
+                "terrain": "no file of reference.labels has a terrain height along this beam's "
+                "ground",
+                "points": "reference.points {name} has heights between {from_km:.7g} and "
+                "{to_km:.7g} km along the track, the ground lies between {first_km:.7g} and "
+                "{last_km:.7g} km",
+                "unplaced ground": "reference.dtm {name} needs latitude and longitude, which the "
+                "photons lack",
+                "dtm": "reference.dtm {name} has no height at any ground of this beam: it reaches "
+                "from {dtm[0]:.4f} to {dtm[2]:.4f} E and {dtm[1]:.4f} to {dtm[3]:.4f} N, the "
+                "ground from {ground[0]:.4f} to {ground[2]:.4f} E and {ground[1]:.4f} to "
+                "{ground[3]:.4f} N",
             },
             remedy="name files of the same track that have them",
             noun="beam",
         ),
         "P02": Code(
             "Labels of a beam are uncertain",
-            "{what}",
+            {
+                "all": "all {kept:photons} are signal; no noise is seen",
+                "none": "no photon of {noise} is signal: nothing but noise is seen",
+                "clumps": "the {kept:photons} called signal cannot be distinguished from noise, "
+                "which comes in clumps ({noise:photons} of noise are expected among them)",
+            },
+            "signal, ground and canopy are not to be relied on",
             noun="beam",
         ),
     }

@@ -54,9 +54,9 @@ def _looked_through(place: Path) -> _Folder:
             if suffix in HDF5 and _is_atl08(path):
                 found.labels.append(path)
             elif suffix in HDF5:
-                found.tracks.append(inspect(path, None))
+                found.tracks.append(inspect(path))
             elif suffix == ".csv" and is_track(path):
-                found.tables.append(inspect(path, None))
+                found.tables.append(inspect(path))
         except InputError as error:
             found.bad.append(error)
     return found

@@ -150,7 +150,7 @@ def _inspect(
     wanted = workflow.track.beams
     for path in paths:
         try:
-            file = inspect(path, workflow.track.prf_hz)
+            file = inspect(path)
         except InputError as error:
             bad.append(error)
             continue
@@ -235,6 +235,7 @@ def compare(tracks: Tracks) -> Iterator[Task]:
         labels = tracks.inputs.labels if source.file.layout == "atl03" else ()
         args = {
             **_beam_args(source, beam, key),
+            "name": f"{source.name}: {beam.name}",
             "segments": segments,
             "reference": stamps,
             "labels": [str(path) for path in labels],

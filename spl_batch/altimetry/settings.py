@@ -21,9 +21,6 @@ class TrackSettings(Section):
     beams: tuple[str, ...] = Field(
         (), description="Beams to process, as gt1r or channel006; all by default."
     )
-    prf_hz: Positive | None = Field(
-        None, description="Pulse repetition frequency of MABEL-like files [Hz]; theirs by default."
-    )
     off_nadir_deg: float = Field(
         0.0, ge=0, lt=60, description="Angle of the beam from the vertical, for refraction [deg]."
     )

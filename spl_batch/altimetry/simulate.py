@@ -4,8 +4,7 @@ Not a link budget (that is :mod:`spl_batch.airborne.simulate`): photons per metr
 per square metre are given, since these decide what a filter along a profile can do. Signal of
 one-minute flights at 20 km is about one photon per metre in the green and a few in the
 infrared; noise follows sky, albedo and slope and steps up over bright ground, as [W17]
-Fig. 4-5 shows it between 8 and 9 km. The gate follows a coarse terrain model and the product
-states a rate counted in the window far below ground that MABEL uses [W17 4.3].
+Fig. 4-5 shows it between 8 and 9 km. The gate follows a coarse terrain model.
 """
 
 from collections.abc import Callable
@@ -20,8 +19,6 @@ from pydantic import Field
 
 from spl_batch.altimetry.formats.mabel import write_mabel
 from spl_batch.altimetry.formats.track_csv import to_text
-from spl_batch.altimetry.photon_table import Background
-from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.engine.settings.base import Positive, Section
 from spl_batch.engine.settings.validation import validated
 from spl_batch.engine.settings.workflow_file import read_mapping
@@ -32,7 +29,6 @@ PIECE_M: Final = 4.0
 """Track of one noise rate: 0.02 s at 200 m/s [m]."""
 
 SPEED_M_S: Final = 200.0
-PRF_HZ: Final = 5000.0
 NOISE: Final = 0
 GROUND: Final = 1
 CANOPY: Final = 2
@@ -121,7 +117,6 @@ class Track:
     height_m: NDArray[np.float64]
     truth: NDArray[np.uint8]  #: (n,): 0 noise, 1 ground, 2 canopy.
     ground_m: NDArray[np.float64]  #: (n,): height of the ground below each photon [m].
-    background: Background
     #: (m, 2): along-track distance and height of the ground, every metre [m].
     reference_m: NDArray[np.float64]
 
@@ -147,8 +142,6 @@ def simulate_track(scene: TrackScene) -> Track:
     above, truth = _canopy(rng, scene, signal)
     surface = np.interp(signal, *reference.T) + above
     surface += rng.normal(0.0, scene.spread_m, len(signal))
-    window = 5000.0 * PIECE_M
-    rate = rng.poisson(density * window) / window
     along = np.concatenate([along, signal])
     order = np.argsort(along, kind="stable")
     along = along[order]
@@ -157,7 +150,6 @@ def simulate_track(scene: TrackScene) -> Track:
         np.concatenate([height, surface])[order],
         np.concatenate([np.zeros(many.sum(), np.uint8), truth])[order],
         np.interp(along, *reference.T),
-        Background(start + PIECE_M / 2, rate),
         reference,
     )
 
@@ -247,7 +239,6 @@ def simulate(
 ) -> TrackSummary:
     """Simulate a track that several channels see; see :func:`simulate_file`."""
     channels: dict[str, dict[str, NDArray[Any]]] = {}
-    rates: dict[str, dict[str, NDArray[Any]]] = {}
     reference = np.empty((0, 2))
     for stream, (name, light) in enumerate(scene.channels.items()):
         track = simulate_track(
@@ -261,16 +252,10 @@ def simulate(
             "longitude": np.zeros(len(latitude)),
             "truth": track.truth,
         }
-        # One that the product would state: counts per second of what the receiver hears.
-        per_s = track.background.per_m2 * SPEED_M_S * SPEED_OF_LIGHT_M_S / (2.0 * PRF_HZ)
-        rates[name] = {
-            "delta_time": _START_S + track.background.along_m / SPEED_M_S,
-            "noise_rate": per_s,
-        }
         reference = track.reference_m
         if progress is not None:
             progress((stream + 1) / len(scene.channels))
-    write_mabel(out / "track.h5", channels, rates, PRF_HZ)
+    write_mabel(out / "track.h5", channels)
     write_bytes(
         out / "reference.csv", to_text({"along_track": reference[:, 0], "height": reference[:, 1]})
     )

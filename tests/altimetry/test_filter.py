@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from benchmarks.altimetry.photon_beams import labelled, workflow
 from benchmarks.altimetry.photon_beams import lattice as lattice_of
-from spl_batch.altimetry.filter.neighbours import LAYER_M, SLOPES, areas, columns, leaning
-from spl_batch.altimetry.filter.noise_field import Boxes, density, gate
+from spl_batch.altimetry.filter.neighbours import LAYER_M, SLOPES, columns, leaning, log_areas
+from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, gate
 from spl_batch.altimetry.filter.published import mdbscan
 from spl_batch.altimetry.filter.track import COLUMNS, label, window_quanta
 from spl_batch.altimetry.filter.window import _threshold, assess
@@ -27,7 +27,7 @@ def test_areas_are_those_of_sorting_all_distances(seed: int, n: int, aspect: flo
     slope = rng.choice(SLOPES, n)
     own = np.where(rng.random(n) < 0.5, np.arange(n), -1)
     at = np.where(own >= 0, x, x + 1.0), np.where(own >= 0, z, z - 1.0)
-    found = areas(columns(x, z), at, slope, own, (5, aspect, 60.0))
+    found = np.exp(log_areas(columns(x, z), at, slope, own, (5, aspect, 60.0)))
     for q in range(n):
         dx = x - at[0][q]
         squared = (dx / aspect) ** 2 + (z - at[1][q] - slope[q] * dx) ** 2
@@ -60,11 +60,30 @@ def test_noise_is_photons_over_area_and_smooth() -> None:
     cells = 200
     area = np.full((cells, 60), 40.0)
     true = 0.02 * np.exp(0.4 * np.sin(np.arange(cells) / 30.0))[:, None]
-    found = density(rng.poisson(true * area).astype(float), area)
+    found = density(rng.poisson(true * area).astype(float), area, np.full(cells, -1))
     assert found.mean() == pytest.approx(true.mean(), rel=0.03)
     assert np.abs(found / true - 1.0).max() < 0.25
     boxes = Boxes(np.array([3.0, 12.9]), 2)
     assert boxes.table(boxes.of(np.array([0, 1, 1]), np.array([3.0, 12.9, 99.0]))).sum() == 3
+
+
+def test_noise_below_water_falls_with_depth_and_stays_as_it_is_above() -> None:
+    rng = np.random.default_rng(2)
+    cells, heights, top = 150, 40, 25
+    surface = np.where(np.arange(cells) < 100, top, -1)
+    area = np.full((cells, heights), 40.0)
+    depth = top - np.arange(heights)
+    true = np.full((cells, heights), 0.002)
+    true[:100] += np.where(depth >= 0, 0.03 * np.exp(-np.maximum(depth, 0) / 4.0), 0.0)
+    counts = rng.poisson(true * area).astype(float)
+    smooth = density(counts, area, surface)
+    assert smooth[20:80, top + 3 :].mean() == pytest.approx(0.002, rel=0.2)
+    found = below_water(smooth, counts, area, surface)
+    np.testing.assert_array_equal(found[100:], smooth[100:])
+    np.testing.assert_array_equal(found[:100, top + 1 :], smooth[:100, top + 1 :])
+    middle = found[20:80, : top + 1]
+    assert (np.diff(middle, axis=1) >= 0.0).all(), "upwards it grows"
+    np.testing.assert_allclose(middle.mean(axis=0), true[0, : top + 1], rtol=0.2, atol=1e-3)
 
 
 @pytest.mark.parametrize("noise", [0.0005, 0.02])

@@ -11,7 +11,7 @@ from rasterio import Affine
 
 from spl_batch.altimetry.formats import atl08 as atl08_io
 from spl_batch.altimetry.formats.atl08 import find_labels, terrain_heights
-from spl_batch.altimetry.formats.photons import Photons, inspect, iter_photons, read_background
+from spl_batch.altimetry.formats.photons import Photons, inspect, iter_photons
 from spl_batch.altimetry.formats.terrain import sample_terrain
 from spl_batch.altimetry.formats.track_csv import check_unit, read_profile
 from spl_batch.altimetry.simulate import SceneFile, TrackScene, simulate
@@ -20,7 +20,6 @@ from spl_batch.errors import InputError
 from tests.altimetry.tracks import (
     ORIGIN_M,
     SEGMENT_M,
-    SPEED_M_S,
     lattice,
     small_track,
     write_atl03,
@@ -42,30 +41,14 @@ def whole(path: Path, layout: str, beam: str, chunk: int = 1000) -> Photons:
 def test_atl03_photons_lie_where_their_segments_are(tmp_path: Path) -> None:
     track = small_track()
     path = write_atl03(tmp_path / "atl03.h5", {"gt1r": track, "gt2l": small_track(2)})
-    file = inspect(path, None)
+    file = inspect(path)
     assert file.layout == "atl03"
-    assert [(b.name, b.background) for b in file.beams] == [("gt1r", True), ("gt2l", True)]
+    assert [b.name for b in file.beams] == ["gt1r", "gt2l"]
     photons = whole(path, "atl03", "gt1r")
     along, height = lattice(track)
     np.testing.assert_array_equal(photons.row, np.arange(len(along)))
     assert np.abs(photons.along - along - round(ORIGIN_M * 1000)).max() <= 2, "float32 within 20 m"
     assert np.abs(photons.height - height).max() <= 1
-
-
-def test_the_background_of_a_clip_is_cut_to_its_photons(tmp_path: Path) -> None:
-    track = small_track()
-    path = write_atl03(tmp_path / "atl03.h5", {"gt1r": track})
-    with h5py.File(path, "r+") as file:
-        group = file["gt1r/bckgrd_atlas"]
-        time, rate = group["delta_time"][()], group["bckgrd_rate"][()]
-        del group["delta_time"], group["bckgrd_rate"]
-        group["delta_time"] = np.concatenate([time - 500.0, time, time + 500.0])
-        group["bckgrd_rate"] = np.concatenate([rate, rate, rate])
-    found = read_background(path, "atl03", "gt1r", None)
-    assert found is not None
-    assert len(found.along_m) == len(time)
-    np.testing.assert_allclose(found.along_m, time * SPEED_M_S, atol=0.5)
-    np.testing.assert_allclose(found.per_m2, track.background.per_m2, rtol=1e-3)
 
 
 def test_photons_without_height_or_place_are_left_out(tmp_path: Path) -> None:
@@ -82,16 +65,13 @@ def test_mabel_photons_lie_where_their_times_are(tmp_path: Path) -> None:
     scene = SceneFile(kind="altimetry", track=TrackScene(length_m=500.0, noise_per_m2=0.005))
     made = simulate(scene, tmp_path)
     path = tmp_path / "track.h5"
-    file = inspect(path, None)
+    file = inspect(path)
     assert file.layout == "mabel"
     assert {b.name: b.photons for b in file.beams} == made.photons
     photons = whole(path, "mabel", "channel006")
     with h5py.File(path) as stored:
         north = stored["photon/channel006/latitude"][()] * 110_574.0
     assert np.abs(photons.along / 1000 - north).max() < 0.2
-    found = read_background(path, "mabel", "channel006", None)
-    assert found is not None
-    assert found.per_m2.mean() == pytest.approx(scene.channels["channel006"].noise_per_m2, rel=1.5)
 
 
 def test_csv_columns_are_found_by_name(tmp_path: Path) -> None:
@@ -101,7 +81,7 @@ def test_csv_columns_are_found_by_name(tmp_path: Path) -> None:
     along, height = lattice(track)
     np.testing.assert_array_equal(photons.along, along)
     np.testing.assert_array_equal(photons.height, height)
-    assert inspect(path, None).beams[0].photons == pytest.approx(len(along), rel=0.2)
+    assert inspect(path).beams[0].photons == pytest.approx(len(along), rel=0.2)
 
 
 def test_heights_of_atl08_stand_where_their_segments_are(tmp_path: Path) -> None:
@@ -255,7 +235,7 @@ def test_a_wrong_hdf5_file_is_named_in_one_line(
     path = write_atl03(tmp_path / "atl03.h5", {"gt1r": small_track()})
     change(path)
     with pytest.raises(InputError, match=words) as caught:
-        inspect(path, None)
+        inspect(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -303,7 +283,7 @@ def test_a_wrong_csv_file_is_named_in_one_line(tmp_path: Path, text: str, words:
     path = tmp_path / "photons.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=words) as caught:
-        list(iter_photons(path, inspect(path, None).layout, "track", 100))
+        list(iter_photons(path, inspect(path).layout, "track", 100))
     assert "\n" not in str(caught.value)
 
 
@@ -331,10 +311,9 @@ def test_whatever_is_damaged_there_is_one_line_or_photons(tmp_path: Path, layout
             content[at : at + 4] = rng.bytes(4)
         path.write_bytes(content)
         try:
-            file = inspect(path, None)
+            file = inspect(path)
             for beam in file.beams:
                 whole(path, file.layout, beam.name)
-                read_background(path, file.layout, beam.name, None)
         except InputError as error:
             refused += 1
             assert "\n" not in str(error)  # noqa: PT017 - most of these files are refused

@@ -10,7 +10,7 @@ import yaml
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.simulate import Track, scene, simulate_track
-from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
+from spl_batch.constants import QUANTA_PER_M
 
 FIRST_SEGMENT = 700_001
 ORIGIN_M = 14_000_020.0
@@ -35,7 +35,7 @@ def lattice(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     return quanta(np.stack([track.along_m, track.height_m], axis=1))
 
 
-def write_atl03(path: Path, tracks: dict[str, Track], *, rate: bool = True) -> Path:
+def write_atl03(path: Path, tracks: dict[str, Track]) -> Path:
     """An ATL03 file with what this project reads, and one dataset that it does not."""
     with h5py.File(path, "w") as file:
         file.attrs["short_name"] = "ATL03"
@@ -57,14 +57,7 @@ def write_atl03(path: Path, tracks: dict[str, Track], *, rate: bool = True) -> P
                 "segment_id": FIRST_SEGMENT + np.arange(count, dtype=np.int32),
                 "delta_time": start / SPEED_M_S,
             }
-            per_s = track.background.per_m2 * SPEED_M_S * SPEED_OF_LIGHT_M_S / 2.0 / 10_000.0
-            background = {
-                "delta_time": (ORIGIN_M + track.background.along_m) / SPEED_M_S,
-                "bckgrd_rate": per_s.astype(np.float32),
-            }
             groups = {"heights": heights, "geolocation": geolocation}
-            if rate:
-                groups["bckgrd_atlas"] = background
             for name, columns in groups.items():
                 for key, values in columns.items():
                     place.create_dataset(f"{name}/{key}", data=values)

@@ -17,7 +17,7 @@ from pyproj import CRS
 
 from spl_batch.altimetry.formats.atl08 import find_labels
 from spl_batch.altimetry.formats.photons import inspect as inspect_track
-from spl_batch.altimetry.formats.photons import iter_photons, read_background
+from spl_batch.altimetry.formats.photons import iter_photons
 from spl_batch.altimetry.formats.terrain import sample_terrain
 from spl_batch.errors import SplBatchError
 from spl_batch.formats.las.header import read_header
@@ -95,11 +95,10 @@ def read_area(path: Path) -> int:
 
 
 def read_track(path: Path) -> int:
-    """Photons and noise rate of each beam."""
-    facts, found = inspect_track(path, 5000.0), 0
+    """Photons of each beam."""
+    facts, found = inspect_track(path), 0
     for beam in facts.beams:
         found += sum(p.read for p in iter_photons(path, facts.layout, beam.name, 1000))
-        read_background(path, facts.layout, beam.name, 5000.0)
     return found
 
 

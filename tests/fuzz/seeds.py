@@ -194,8 +194,7 @@ def _mabel(folder: Path) -> Path:
     time = np.sort(rng.uniform(100, 102, 200))
     photons = {"delta_time": time, "elev": rng.normal(5, 1, 200)}
     photons |= {"latitude": 30 + time / 500, "longitude": 0 * time - 104}
-    rate = {"delta_time": np.arange(100.0, 103.0), "noise_rate": np.full(3, 2e5)}
-    write_mabel(folder / "m.h5", {"channel006": photons}, {"channel006": rate}, 5000.0)
+    write_mabel(folder / "m.h5", {"channel006": photons})
     return folder / "m.h5"
 
 

@@ -15,6 +15,10 @@ from spl_batch.numerics.compiled import njit
 COLUMN_M: Final = 5.0
 """Width of a column of photons [m]."""
 
+_BOX_M: Final = 4.0
+_MOST_BOXES: Final = 512
+"""Height of a box of a column, and boxes of a column at most [m, count]."""
+
 SLOPES: Final = np.array(
     [0.0, 0.05, -0.05, 0.1, -0.1, 0.2, -0.2, 0.35, -0.35, 0.5, -0.5, 0.75, -0.75, 1.0, -1.0]
 )
@@ -37,25 +41,36 @@ class Columns(NamedTuple):
     x_m: NDArray[np.float64]  #: (n,): along the track, from the first column's start.
     z_m: NDArray[np.float64]  #: (n,): height.
     row: NDArray[np.int64]  #: (n,): rows of the photons.
-    start: NDArray[np.int64]  #: (c + 1,): first photon of each column.
+    start: NDArray[np.int64]  #: (c b + 1,): first photon of each box of each column, upwards.
+    low_m: float  #: Foot of the lowest box.
+    box_m: float  #: Height of a box.
+    boxes: int  #: b, boxes of a column.
 
 
 def columns(x_m: NDArray[np.float64], z_m: NDArray[np.float64]) -> Columns:
     """Put photons into columns; ``x_m`` is 0 or more."""
+    low_m = float(z_m.min(initial=0.0))
+    span_m = float(z_m.max(initial=0.0)) - low_m
+    box_m = max(_BOX_M, span_m / _MOST_BOXES)
+    boxes = int(span_m / box_m) + 1
     at = (x_m // COLUMN_M).astype(np.int64)
+    box = at * boxes + np.minimum((z_m - low_m) / box_m, boxes - 1).astype(np.int64)
+    count = np.bincount(box, minlength=(int(at.max(initial=0)) + 1) * boxes)
     order = np.lexsort((x_m, z_m, at))
-    start = np.searchsorted(at[order], np.arange(int(at.max(initial=0)) + 2))
-    return Columns(x_m[order], z_m[order], order, start)
+    start = np.concatenate([[0], np.cumsum(count)])
+    return Columns(x_m[order], z_m[order], order, start, low_m, box_m, boxes)
 
 
-def areas(
+def log_areas(
     photons: Columns,
     places: tuple[NDArray[np.float64], NDArray[np.float64]],
     slope: NDArray[np.float64],
     rows: NDArray[np.int64],
     shape: tuple[int, float, float],
 ) -> NDArray[np.float64]:
-    """Area within the k-th neighbour of each place, (q, K) float64 [m2]; infinite beyond the reach.
+    """Logarithm of the area [m2] within the k-th neighbour of each place, (q, K) float64.
+
+    Infinite where it lies beyond the reach.
 
     Parameters
     ----------
@@ -72,14 +87,14 @@ def areas(
     """
     most, aspect, reach_m = shape
     out = np.full((len(slope), most), np.inf)
-    _areas(*photons, *places, slope, rows, aspect, reach_m, out)
+    _log_areas(*photons, *places, slope, rows, aspect, reach_m, out)
     return out
 
 
 @njit()
-def _areas(x, z, row, start, at_x, at_z, slope, own, aspect, reach, out):  # type: ignore[no-untyped-def]
+def _log_areas(x, z, row, start, low_m, box_m, boxes, at_x, at_z, slope, own, aspect, reach, out):  # type: ignore[no-untyped-def]
     """Columns are searched outwards until none can hold a nearer photon."""
-    last = out.shape[1] - 1
+    last, count = out.shape[1] - 1, (len(start) - 1) // boxes
     near = np.empty(out.shape[1])
     cap = (reach / aspect) ** 2
     for q in range(len(at_x)):
@@ -89,7 +104,7 @@ def _areas(x, z, row, start, at_x, at_z, slope, own, aspect, reach, out):  # typ
         for side in range(2):
             step = 1 if side == 0 else -1
             c = middle if side == 0 else middle - 1
-            while 0 <= c < len(start) - 1:
+            while 0 <= c < count:
                 low, high = c * COLUMN_M - at_x[q], (c + 1) * COLUMN_M - at_x[q]
                 away = max(low, -high, 0.0) / aspect
                 if away * away >= near[last]:
@@ -97,13 +112,14 @@ def _areas(x, z, row, start, at_x, at_z, slope, own, aspect, reach, out):  # typ
                 lean0, lean1 = slope[q] * low, slope[q] * high
                 base, top = at_z[q] + min(lean0, lean1), at_z[q] + max(lean0, lean1)
                 ends = at_x[q], at_z[q], slope[q], aspect
-                found += _column(
-                    x, z, row, (start[c], start[c + 1]), ends, (base, top), own[q], near
-                )
+                height = np.int64(((base + top) / 2.0 - low_m) / box_m)
+                first = start[c * boxes + min(max(height, 0), boxes - 1)]
+                rows = start[c * boxes], first, start[(c + 1) * boxes]
+                found += _column(x, z, row, rows, ends, (base, top), own[q], near)
                 c += step
         for k in range(min(found, last + 1)):
             # Photons at one place are a millimetre apart at least.
-            out[q, k] = np.pi * aspect * max(near[k], 1e-6)
+            out[q, k] = np.log(np.pi * aspect * max(near[k], 1e-6))
 
 
 @njit(inline="always")
@@ -112,10 +128,10 @@ def _column(x, z, row, rows, at, span, own, near):  # type: ignore[no-untyped-de
     at_x, at_z, slope, aspect = at
     base, top = span
     last, found = len(near) - 1, 0
-    first = rows[0] + np.searchsorted(z[rows[0] : rows[1]], (base + top) / 2.0)
+    low, first, high = rows
     for way in range(2):
         i = first if way == 0 else first - 1
-        while rows[0] <= i < rows[1]:
+        while low <= i < high:
             beyond = z[i] - top if way == 0 else base - z[i]
             if beyond > 0.0 and beyond * beyond >= near[last]:
                 break

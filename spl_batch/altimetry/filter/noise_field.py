@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.optimize import isotonic_regression
 
 BOX_M: Final = 2.0
 """Height of a box that photons are counted in [m]."""
@@ -134,25 +135,76 @@ def first_density(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> 
     return np.repeat(np.maximum(found, least)[:, None], counts.shape[1], axis=1)
 
 
-def density(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Noise density of each box, (cells, heights) float64 [1/m2].
+def density(
+    counts: NDArray[np.float64], area_m2: NDArray[np.float64], surface: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Noise density of each box, (cells, heights) float64 [1/m2]: by itself in air and in water.
 
     Parameters
     ----------
     counts, area_m2 : (cells, heights) float64
         Photons that are noise, and area in which a photon would be, of each box [count, m2].
+    surface : (cells,) int64
+        Box of the water surface of each cell; -1 for none.
     """
+    place = _by_cell(counts, area_m2)
+    wet = surface[:, None] >= 0
+    below = wet & (np.arange(counts.shape[1]) <= surface[:, None])
+    medium = wet + below.astype(np.int64)
+    found = np.empty(counts.shape)
+    for one in np.unique(medium).tolist():
+        mine = medium == one
+        seen, expected = (
+            _sums(np.where(mine, values, 0.0), _PROFILE_CELLS, _PROFILE_BOXES)
+            for values in (counts, area_m2 * place)
+        )
+        np.copyto(found, place * (seen + _BELIEF) / (expected + _BELIEF), where=mine)
+    return found
+
+
+def below_water(
+    field: NDArray[np.float64],
+    counts: NDArray[np.float64],
+    area_m2: NDArray[np.float64],
+    surface: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """The field with noise that falls with depth below water, (cells, heights) float64 [1/m2].
+
+    What lies below a bright surface is light that came back late: the less, the deeper one looks.
+    The density that counts fit best so is their isotonic regression (R. Barlow et al., Statistical
+    Inference under Order Restrictions, 1972).
+
+    Parameters
+    ----------
+    field, counts, area_m2 : (cells, heights) float64
+        Noise as of :func:`density`, and what it was made of.
+    surface : (cells,) int64
+        As of :func:`density`.
+    """
+    place = _by_cell(counts, area_m2)
+    at = surface[:, None] - np.arange(counts.shape[1])
+    seen, expected = (
+        _sums(np.where(at >= 0, np.take_along_axis(values, np.maximum(at, 0), 1), 0.0),
+              _PROFILE_CELLS, 0)
+        for values in (counts, area_m2 * place)
+    )  # fmt: skip
+    found = field.copy()
+    for cell in np.flatnonzero(surface >= 0).tolist():
+        weight = expected[cell] + 1.0
+        falling = isotonic_regression((seen[cell] + 1.0) / weight, weights=weight, increasing=False)
+        top = int(surface[cell])
+        found[cell, : top + 1] = place[cell] * falling.x[top::-1]
+    return found
+
+
+def _by_cell(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Noise density of each cell, nearer by nearer, (cells, 1) float64 [1/m2]."""
     each, length = counts.sum(axis=1), area_m2.sum(axis=1)
     place = np.full(len(each), (each.sum() + 1.0) / (length.sum() + 1.0))
     for reach in _PLACES:
         believed = 2.0 * _BELIEF
         place = (around(each, reach) + believed) / (around(length, reach) + believed / place)
-    seen, expected = (
-        _sums(values, _PROFILE_CELLS, _PROFILE_BOXES)
-        for values in (counts, area_m2 * place[:, None])
-    )
-    found: NDArray[np.float64] = place[:, None] * (seen + _BELIEF) / (expected + _BELIEF)
-    return found
+    return place[:, None]
 
 
 def _sums(values: NDArray[np.float64], cells: int, boxes: int) -> NDArray[np.float64]:

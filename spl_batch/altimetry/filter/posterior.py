@@ -1,19 +1,103 @@
-"""Log posterior of being noise from the areas that the first neighbours reach [W17 Eq. 4.4-4.6]."""
+"""Log posterior of being noise from the areas that the first neighbours reach [W17 Eq. 4.4-4.6].
 
-import math
+Noise [W17 Eq. 4.4]: with x = alpha pi r^2 the noise expected within r, the k-th neighbour
+lies at x with density x^(k-1) e^-x / (k-1)!, a gamma law.
+
+Signal: the source takes the same law with the density of the signal, which "cannot be
+estimated directly because the area of the signal is unknown", and leaves its choice open.
+A track holds signal of many densities at once (bright and dark ground, canopy, slopes that
+spread it), so no single one is chosen here: the contrast c, signal and noise together over
+noise, is taken as unknown between 1 and C with equal probability per order of magnitude.
+That integral has a closed form,
+
+    p_k(x | signal) = [Q(k, x) - Q(k, C x)] / (x ln C),
+
+with Q the regularised upper incomplete gamma function, which is the chance of fewer than k
+noise photons within x.
+
+A neighbour that is not found within the reach is censored: its likelihood is the chance
+that it lies beyond, P_k(X > x) = Q(k, x) for noise, and its mean over c for signal.
+"""
+
+from functools import lru_cache
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import integrate, interpolate, special
 
-from spl_batch.altimetry.filter.likelihood import Ratios
 from spl_batch.numerics.compiled import njit
 
-_LARGE: float = 40.0  # 1 is nothing beside its exponential
-_FULL: float = 1e280  # the next factor still fits
+_FIRST: Final = float(np.log(1e-7))
+_LAST: Final = float(np.log(100.0))
+_COLUMNS: Final = 1024
+_STEPS: Final = 200
+"""Steps of the mean over contrasts [count]."""
+
+
+class Ratios(NamedTuple):
+    """Logarithms of the likelihood of signal over that of noise."""
+
+    #: (K, m): for neighbour k at x, and beyond x.
+    within: NDArray[np.float64]
+    beyond: NDArray[np.float64]
+    first: float  #: ln x of the first column.
+    step: float  #: Columns per unit of ln x.
+
+
+def _log_share(k: int, x: NDArray[np.float64], contrast_max: float) -> NDArray[np.float64]:
+    """Logarithm of [Q(k, x) - Q(k, C x)], from the tail in which it does not cancel."""
+    upper = special.gammaincc(k, x) - special.gammaincc(k, contrast_max * x)
+    lower = special.gammainc(k, contrast_max * x) - special.gammainc(k, x)
+    share = np.where(x < k, lower, upper)
+    log: NDArray[np.float64] = np.log(np.maximum(share, np.finfo(np.float64).tiny))
+    return log
+
+
+@lru_cache(maxsize=8)
+def ratios(neighbours: int, contrast_max: float) -> Ratios:
+    """Tables for :func:`noise_posterior`.
+
+    Parameters
+    ----------
+    contrast_max : float
+        C, largest density of signal over that of noise.
+    """
+    log_x = np.linspace(_FIRST, _LAST, _COLUMNS)
+    x = np.exp(log_x)
+    within = np.empty((neighbours, _COLUMNS))
+    for row in range(neighbours):
+        log_noise = row * log_x - x - special.gammaln(row + 1)
+        log_signal = _log_share(row + 1, x, contrast_max) - log_x - np.log(np.log(contrast_max))
+        within[row] = log_signal - log_noise
+    beyond = _beyond(neighbours, contrast_max, log_x)
+    return Ratios(within, beyond, _FIRST, (_COLUMNS - 1) / (_LAST - _FIRST))
+
+
+def _beyond(
+    neighbours: int, contrast_max: float, log_x: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Logarithm of P(X > x | signal) / P(X > x | noise), (K, m) float64.
+
+    It is smooth in ln x: every eighth value is integrated, a spline gives the others.
+    """
+    # Closest near a contrast of 1, where the chance falls fastest.
+    log_c = np.log(contrast_max) * np.linspace(0.0, 1.0, _STEPS) ** 2
+    knots = np.linspace(log_x[0], log_x[-1], len(log_x) // 8)
+    x = np.exp(knots)
+    tiny = np.finfo(np.float64).tiny
+    rows = np.empty((neighbours, len(log_x)))
+    for row in range(neighbours):
+        chance = special.gammaincc(row + 1, np.exp(log_c[:, None] + knots))
+        mean = integrate.trapezoid(chance, log_c, axis=0) / np.log(contrast_max)
+        noise = special.gammaincc(row + 1, x)
+        ratio = np.log(np.maximum(mean, tiny)) - np.log(np.maximum(noise, tiny))
+        rows[row] = interpolate.CubicSpline(knots, ratio)(log_x)
+    return rows
 
 
 def noise_posterior(
-    area_m2: NDArray[np.float64],
+    log_area: NDArray[np.float64],
     reach_m2: float,
     noise: NDArray[np.float64],
     log_prior: float,
@@ -23,8 +107,8 @@ def noise_posterior(
 
     Parameters
     ----------
-    area_m2 : (q, K) float64
-        Areas [m2]; infinite where a neighbour lies beyond the reach.
+    log_area : (q, K) float64
+        ln of areas [m2]; infinite where a neighbour lies beyond the reach.
     reach_m2 : float
         Area within the reach [m2].
     noise : (q,) float64
@@ -35,43 +119,28 @@ def noise_posterior(
         ln of the likelihood of signal over that of noise.
     """
     out = np.empty(len(noise))
-    _posterior(
-        area_m2, reach_m2, noise, log_prior, table.within, table.beyond, table.first, table.step,
-        out,
-    )  # fmt: skip
+    # ln(1 + exp(ratio)) of the tables' columns: none is left to take of each neighbour.
+    within, beyond = (np.logaddexp(0.0, rows + log_prior) for rows in table[:2])
+    ends = float(np.log(reach_m2)), table.first, table.step
+    _posterior(log_area, np.log(noise), within, beyond, ends, out)
     return out
 
 
-@njit(inline="always")
-def _at(table, k, position):  # type: ignore[no-untyped-def]
-    """Value of a row between its columns, the ends continued."""
-    last = table.shape[1] - 1
-    if position <= 0.0:
-        return table[k, 0]
-    if position >= last:
-        return table[k, last]
-    i = int(position)
-    share = position - i
-    return table[k, i] * (1.0 - share) + table[k, i + 1] * share
-
-
 @njit()
-def _posterior(area, reach, noise, log_prior, within, beyond, first, step, out):  # type: ignore[no-untyped-def]
-    """Logarithms of 1 + exp(ratio) are taken of products: they cost most."""
-    counted = area.shape[1]
-    for q in range(len(noise)):
-        total, product = 0.0, 1.0
+def _posterior(log_area, log_noise, within, beyond, ends, out):  # type: ignore[no-untyped-def]
+    log_reach, first, step = ends
+    counted, last = within.shape[0], within.shape[1] - 1
+    for q in range(len(log_noise)):
+        total = 0.0
         for k in range(counted):
-            if area[q, k] < np.inf:
-                ratio = _at(within, k, (math.log(area[q, k] * noise[q]) - first) * step)
+            found = log_area[q, k] < np.inf
+            log_x = (log_area[q, k] if found else log_reach) + log_noise[q]
+            # The ends of a row are continued.
+            position = min(max((log_x - first) * step, 0.0), float(last))
+            i = min(np.int64(position), last - 1)
+            share = position - i
+            if found:
+                total += within[k, i] * (1.0 - share) + within[k, i + 1] * share
             else:
-                ratio = _at(beyond, k, (math.log(reach * noise[q]) - first) * step)
-            ratio += log_prior
-            if ratio > _LARGE:
-                total -= ratio
-                continue
-            product *= 1.0 + math.exp(ratio)
-            if product > _FULL:
-                total -= math.log(product)
-                product = 1.0
-        out[q] = (total - math.log(product)) / counted
+                total += beyond[k, i] * (1.0 - share) + beyond[k, i + 1] * share
+        out[q] = -total / counted

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spl_batch.altimetry.filter.likelihood import ratios
-from spl_batch.altimetry.filter.neighbours import areas, columns
-from spl_batch.altimetry.filter.posterior import noise_posterior
+from spl_batch.altimetry.filter.neighbours import columns, log_areas
+from spl_batch.altimetry.filter.posterior import noise_posterior, ratios
 from spl_batch.altimetry.filter.window import Assessed
 from spl_batch.altimetry.settings import BaselineSettings, SignalSettings
 from spl_batch.constants import QUANTA_PER_M
@@ -102,7 +101,7 @@ def posterior(
     z_m = height / QUANTA_PER_M
     n, noise = len(along), float(known.expected.sum())
     shape = NEIGHBOURS, 1.0, settings.reach_m
-    near = areas(columns(s_m, z_m), (s_m, z_m), np.zeros(n), np.arange(n), shape)
+    near = log_areas(columns(s_m, z_m), (s_m, z_m), np.zeros(n), np.arange(n), shape)
     share = np.clip(noise / n, 0.01, 0.999)
     score = noise_posterior(
         near,

@@ -10,7 +10,7 @@ from spl_batch.altimetry.filter.published import mdbscan, posterior
 from spl_batch.altimetry.filter.window import Assessed, assess
 from spl_batch.altimetry.photon_table import LABELS, PHOTONS
 from spl_batch.altimetry.settings import TrackWorkflow
-from spl_batch.altimetry.water.surface import NO_WATER, water_levels
+from spl_batch.altimetry.water.surface import NO_WATER
 from spl_batch.lattice.tiles import quanta
 
 MARGIN_M: Final = 1000.0
@@ -90,6 +90,8 @@ def _window(
     cell_m, signal = settings.rate.cell_m, settings.signal
     known = assess(along, height, cell_m, signal, settings.profile.photons_factor)
     kept, ground, score = known.signal, known.ground, known.score
+    # The source knows no water.
+    level = known.level if signal.method == "likelihood" else np.full(len(known.index), NO_WATER)
     baseline = np.zeros(len(along), np.bool_)
     reference = settings.reference
     if signal.method == "mdbscan" or (reference is not None and reference.baseline):
@@ -100,9 +102,6 @@ def _window(
     elif signal.method == "mdbscan":
         kept = ground = baseline
         score = np.where(kept, _SURE, np.float32(0.0))
-    level = np.full(len(known.index), NO_WATER)
-    if signal.method == "likelihood":
-        level = water_levels(known.cell[kept], height[kept], known.index, cell_m)
     return {
         "score": score,
         "signal": kept.astype(np.uint8),

@@ -9,22 +9,32 @@ photon does (Slivnyak's theorem; Baddeley, *Spatial Point Processes*, 2007, 2.3)
 evenly over the gate are scored as photons are. That gives the noise among the photons above every
 score, hence the F1 to be expected, and the score where it is largest is the threshold.
 
+Below water it is another medium: where the signal shows a water surface, the noise below falls with
+depth, and what lies deeper than the surface has a threshold and a shape of its own.
+
 The places are those of Roberts' sequence (M. Roberts, *The Unreasonable Effectiveness of
 Quasirandom Sequences*, 2018), numbered by cell. A window is a function of its photons and those of
 its margin alone, so no cut of the track can change it.
 """
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.filter.likelihood import ratios
-from spl_batch.altimetry.filter.neighbours import LAYER_M, SLOPES, Columns, areas, columns, leaning
-from spl_batch.altimetry.filter.noise_field import Boxes, density, first_density, gate
-from spl_batch.altimetry.filter.posterior import noise_posterior
+from spl_batch.altimetry.filter.neighbours import (
+    LAYER_M,
+    SLOPES,
+    Columns,
+    columns,
+    leaning,
+    log_areas,
+)
+from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, first_density, gate
+from spl_batch.altimetry.filter.posterior import Ratios, noise_posterior, ratios
 from spl_batch.altimetry.settings import Shape, SignalSettings
+from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M, water_levels
 from spl_batch.constants import QUANTA_PER_M
 
 _ROUNDS: Final = 8
@@ -32,6 +42,12 @@ _AGREED: Final = 0.005
 """Rounds at most; change of the noise that ends them sooner, as a share of it."""
 _SURE_NOISE: Final = 0.8
 """Share of the noise whose scores are lowest: photons below are noise for its density."""
+
+_CLUMP: Final = 20.0
+"""Photons that noise comes in, at most, where it passes for signal [count]."""
+
+_SURE_SD: Final = 5.0
+"""Standard deviations by which signal has to exceed what noise alone gives."""
 
 _BINS: Final = np.linspace(-6.0, 6.0, 601)
 """Edges of bins of ln(-score)."""
@@ -52,9 +68,9 @@ class Assessed:
     score: NDArray[np.float32]  #: (n,): mean ln P(noise).
     signal: NDArray[np.bool_]  #: (n,): those labelled signal.
     ground: NDArray[np.bool_]  #: (n,): those that the ground is sought among.
-    noise: NDArray[np.float64]  #: (n,): noise density where each photon lies [1/m2].
     cell: NDArray[np.int64]  #: (n,): cell of each photon, rows of what follows.
     index: NDArray[np.int64]  #: (c,): number of each cell.
+    level: NDArray[np.int64]  #: (c,): its water surface [quanta]; ``NO_WATER`` for none.
     gate_m: NDArray[np.float64]  #: (c,): length of the gate [m].
     expected: NDArray[np.float64]  #: (c,): noise photons expected [count].
     false: NDArray[np.float64]  #: (c,): those of them expected among the signal [count].
@@ -71,18 +87,24 @@ class _Places:
     area_m2: NDArray[np.float64]  #: Area that each stands for; empty for photons.
 
 
+class _Seen(NamedTuple):
+    """Neighbours of photons and places by one shape."""
+
+    near: NDArray[np.float64]  #: (n, K): logarithms of areas, of photons.
+    empty: NDArray[np.float64]  #: (q, K): of places.
+    reach_m2: float  #: Area within the reach.
+    table: Ratios
+
+
 @dataclass(frozen=True, slots=True)
 class _Found:
     """What one shape of neighbourhood finds."""
 
-    f1: float
     score: NDArray[np.float64]
     above: NDArray[np.float64]  #: ln(-score) of each photon.
-    least: float
-    least_ground: float
-    noise: NDArray[np.float64]  #: Of each photon [1/m2].
+    other: NDArray[np.float64]  #: The same of each place.
+    field: NDArray[np.float64]  #: (cells, heights): noise density [1/m2].
     each: NDArray[np.float64]  #: Noise photons that each place stands for.
-    passed: NDArray[np.bool_]  #: Places where a photon would be signal.
 
 
 def assess(
@@ -92,7 +114,7 @@ def assess(
     settings: SignalSettings,
     photons_factor: float,
 ) -> Assessed:
-    """Tell signal from noise in a window and its margin.
+    """Signal and noise in a window and its margin.
 
     Parameters
     ----------
@@ -130,23 +152,57 @@ def assess(
     share = (gate_m * cell_m / np.maximum(np.bincount(at, minlength=cells), 1))[at]
     places = _Places(place_x, place_z, boxes.of(at, place_z), slopes(at, place_z), share)
     known = columns(photons.x_m, photons.z_m)
-    tried = [
-        _by_shape(known, photons, places, boxes, shape, (settings, photons_factor))
-        for shape in settings.shapes
-    ]
-    best = max(tried, key=lambda one: one.f1)
-    signal = best.above >= best.least
+    seen = [_seen(known, photons, places, shape, settings) for shape in settings.shapes]
+    field = first_density(boxes.table(photons.box), boxes.table(places.box, share))
+    dry = np.full(cells, -1)
+    tried = [_agreed(one, photons, places, boxes, field, dry) for one in seen]
+    every = np.ones(len(x_m), np.bool_), np.ones(len(at), np.bool_)
+    best = _best(tried, *every, photons_factor)
+    kept = best.found.above >= best.least
+    index = np.arange(start, start + cells)
+    level = water_levels(cell[kept], height[kept], index, cell_m)
+    groups = [every]
+    if (level != NO_WATER).any():
+        row = boxes.of(np.zeros(cells, np.int64), level / QUANTA_PER_M)
+        surface = np.where(level != NO_WATER, row, -1)
+        tried = [
+            _below_water(one, photons, places, boxes, before.field, surface)
+            for one, before in zip(seen, tried, strict=True)
+        ]
+        deep = [
+            (level[c] != NO_WATER) & (z < level[c] / QUANTA_PER_M - SURFACE_M)
+            for c, z in ((cell, z_m), (at, place_z))
+        ]
+        best = _best(tried, deep[0], deep[1], photons_factor)
+        floor = int(np.count_nonzero(best.found.above[deep[0]] >= best.least))
+        noise = best.found.each[deep[1] & (best.found.other >= best.least)].sum()
+        if stands_out(floor, noise):
+            groups = [(deep[0], deep[1]), (~deep[0], ~deep[1])]
+    score, signal, ground = (np.empty(len(x_m), dtype) for dtype in (np.float32, bool, bool))
+    each, passed = np.empty(len(at)), np.empty(len(at), np.bool_)
+    for mine, there in groups:
+        best = _best(tried, mine, there, photons_factor)
+        score[mine] = best.found.score[mine]
+        signal[mine] = best.found.above[mine] >= best.least
+        ground[mine] = best.found.above[mine] >= best.least_ground
+        each[there] = best.found.each[there]
+        passed[there] = best.found.other[there] >= best.least
     return Assessed(
-        score=best.score.astype(np.float32),
+        score=score,
         signal=signal,
-        ground=signal | (best.above >= best.least_ground),
-        noise=best.noise,
+        ground=signal | ground,
         cell=cell,
-        index=np.arange(start, start + cells),
+        index=index,
+        level=level,
         gate_m=gate_m,
-        expected=np.bincount(at, best.each, cells).astype(np.float64),
-        false=np.bincount(at, best.each * best.passed, cells).astype(np.float64),
+        expected=np.bincount(at, each, cells).astype(np.float64),
+        false=np.bincount(at, each * passed, cells).astype(np.float64),
     )
+
+
+def stands_out(kept: int, noise: float) -> bool:
+    """Whether so many photons are more than clumps of the noise expected among them."""
+    return bool(kept - noise >= _SURE_SD * (_CLUMP * (noise + 1.0)) ** 0.5)
 
 
 def _strewn(
@@ -163,47 +219,100 @@ def _strewn(
     return cell, (along, up)
 
 
-def _by_shape(
-    known: Columns,
+def _seen(
+    known: Columns, photons: _Places, places: _Places, form: Shape, settings: SignalSettings
+) -> _Seen:
+    """Neighbours of photons and places in ellipses of one shape."""
+    shape = form.neighbours, form.aspect, settings.reach_m
+    none = np.full(len(places.x_m), -1)
+    own = np.arange(len(photons.x_m))
+    return _Seen(
+        log_areas(known, (photons.x_m, photons.z_m), photons.slope, own, shape),
+        log_areas(known, (places.x_m, places.z_m), places.slope, none, shape),
+        np.pi * settings.reach_m**2 / form.aspect,
+        ratios(form.neighbours, settings.contrast_max),
+    )
+
+
+def _agreed(
+    seen: _Seen,
     photons: _Places,
     places: _Places,
     boxes: Boxes,
-    form: Shape,
-    settings: tuple[SignalSettings, float],
+    field: NDArray[np.float64],
+    surface: NDArray[np.int64],
 ) -> _Found:
-    """Noise and threshold by neighbourhoods of one shape, repeated until they agree."""
-    signal, photons_factor = settings
-    table = ratios(form.neighbours, signal.contrast_max)
-    shape = form.neighbours, form.aspect, signal.reach_m
-    none = np.full(len(places.x_m), -1)
-    own = np.arange(len(photons.x_m))
-    near = areas(known, (photons.x_m, photons.z_m), photons.slope, own, shape)
-    empty = areas(known, (places.x_m, places.z_m), places.slope, none, shape)
-    reach_m2 = np.pi * signal.reach_m**2 / form.aspect
-    field = first_density(boxes.table(photons.box), boxes.table(places.box, places.area_m2))
+    """Scores and noise by one shape, repeated from a first field until they agree."""
     total = 0.0
     for turn in range(_ROUNDS):
         here, there = field.reshape(-1)[photons.box], field.reshape(-1)[places.box]
         each = there * places.area_m2
         part = np.clip(each.sum() / len(photons.x_m), *_NOISE_SHARE)
         prior = float(np.log((1.0 - part) / part))
-        score = noise_posterior(near, reach_m2, here, prior, table)
+        score = noise_posterior(seen.near, seen.reach_m2, here, prior, seen.table)
         above, other = (
             np.clip(np.log(np.maximum(-values, 1e-9)), _BINS[0], _BINS[-2])
-            for values in (score, noise_posterior(empty, reach_m2, there, prior, table))
+            for values in (
+                score,
+                noise_posterior(seen.empty, seen.reach_m2, there, prior, seen.table),
+            )
         )
-        f1, least, ground = _threshold(above, other, each, photons_factor)
+        found = _Found(score, above, other, field, each)
         total, before = float(each.sum()), total
         if abs(total - before) <= _AGREED * total:
             break
         if turn < _ROUNDS - 1:
-            sure = _quantile(other, each)
-            low, empty_low = above < sure, other < sure
-            field = density(
-                boxes.table(photons.box[low]),
-                boxes.table(places.box[empty_low], places.area_m2[empty_low]),
-            )
-    return _Found(f1, score, above, least, ground, here, each, other >= least)
+            field = density(*_unexplained(found, photons, places, boxes), surface)
+    return found
+
+
+def _unexplained(
+    found: _Found, photons: _Places, places: _Places, boxes: Boxes
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Photons that are noise, and the area where a photon would be, (cells, heights) each [m2]."""
+    sure = _quantile(found.other, found.each)
+    low, empty = found.above < sure, found.other < sure
+    return boxes.table(photons.box[low]), boxes.table(places.box[empty], places.area_m2[empty])
+
+
+def _below_water(
+    seen: _Seen,
+    photons: _Places,
+    places: _Places,
+    boxes: Boxes,
+    field: NDArray[np.float64],
+    surface: NDArray[np.int64],
+) -> _Found:
+    """The same with noise of its own below water, which falls with depth where it is counted."""
+    found = _agreed(seen, photons, places, boxes, field, surface)
+    field = below_water(found.field, *_unexplained(found, photons, places, boxes), surface)
+    return replace(found, each=field.reshape(-1)[places.box] * places.area_m2)
+
+
+class _Best(NamedTuple):
+    """The shape with the largest F1 to be expected, and its thresholds."""
+
+    f1: float
+    least: float
+    least_ground: float
+    found: _Found
+
+
+def _best(
+    tried: list[_Found],
+    photons: NDArray[np.bool_],
+    places: NDArray[np.bool_],
+    photons_factor: float,
+) -> _Best:
+    """Shape and thresholds of some photons, by the places among them."""
+    each = [
+        _Best(
+            *_threshold(one.above[photons], one.other[places], one.each[places], photons_factor),
+            one,
+        )
+        for one in tried
+    ]
+    return max(each, key=lambda one: one.f1)
 
 
 def _quantile(score: NDArray[np.float64], weight: NDArray[np.float64]) -> float:

@@ -3,8 +3,6 @@
 ::
 
     photon/channelNNN/{delta_time, elev, latitude, longitude}   one value per photon
-    background/channelNNN/{delta_time, noise_rate}              [s, Hz], where there is one
-    attribute prf_hz of the file                                or track.prf_hz
 
 Along-track distance is time times the mean speed over ground, from the whole second in which
 the channel's first photon was recorded.
@@ -21,8 +19,6 @@ from pyproj import Geod
 
 from spl_batch.altimetry.formats.hdf5 import equal_lengths, finite
 from spl_batch.altimetry.formats.slices import Slice
-from spl_batch.altimetry.photon_table import Background
-from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import InputError
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.hdf5 import open_hdf5
@@ -30,8 +26,8 @@ from spl_batch.formats.hdf5 import open_hdf5
 _PHOTON: Final = ("delta_time", "elev", "latitude", "longitude")
 
 
-def beams(path: Path, file: h5py.File, prf_hz: float | None) -> list[tuple[str, int, str, bool]]:
-    """Name, photons, group and whether there is a noise rate, of each channel.
+def beams(path: Path, file: h5py.File) -> list[tuple[str, int, str]]:
+    """Name, photons and group of each channel.
 
     Raises
     ------
@@ -41,12 +37,7 @@ def beams(path: Path, file: h5py.File, prf_hz: float | None) -> list[tuple[str, 
     found = []
     for name in sorted(file["photon"]):
         count = equal_lengths(path, file, f"photon/{name}", _PHOTON)
-        rate = f"background/{name}/noise_rate" in file
-        if rate and prf_hz is None and "prf_hz" not in file.attrs:
-            raise InputError(
-                str(path), "states a noise rate but no attribute prf_hz: name track.prf_hz"
-            )
-        found.append((name, count, f"photon/{name}", rate))
+        found.append((name, count, f"photon/{name}"))
     if not found:
         raise InputError(str(path), "group photon holds no channel")
     return found
@@ -71,20 +62,6 @@ def slices(path: Path, beam: str, chunk: int) -> Iterator[Slice]:
             )
 
 
-def background(path: Path, beam: str, prf_hz: float | None) -> Background | None:
-    """Noise rate along the track, or none."""
-    with open_hdf5(path) as file:
-        group = f"background/{beam}"
-        if f"{group}/noise_rate" not in file or not len(file[f"photon/{beam}/elev"]):
-            return None
-        equal_lengths(path, file, group, ("delta_time", "noise_rate"))
-        origin, speed = _motion(path, file[f"photon/{beam}"])
-        prf = float(prf_hz if prf_hz is not None else file.attrs["prf_hz"])
-        rate = file[f"{group}/noise_rate"][()].astype(np.float64)
-        along = (file[f"{group}/delta_time"][()] - origin) * speed
-    return Background(along, rate * (2.0 / SPEED_OF_LIGHT_M_S) * prf / speed)
-
-
 def _motion(path: Path, group: h5py.Group) -> tuple[float, float]:
     """Time of along-track zero [s] and speed over ground [m/s]."""
     time = group["delta_time"]
@@ -103,12 +80,7 @@ def _motion(path: Path, group: h5py.Group) -> tuple[float, float]:
     return float(np.floor(ends["delta_time"][0])), distance / duration
 
 
-def write_mabel(
-    path: Path,
-    channels: Mapping[str, Mapping[str, NDArray[Any]]],
-    rates: Mapping[str, Mapping[str, NDArray[Any]]],
-    prf_hz: float,
-) -> None:
+def write_mabel(path: Path, channels: Mapping[str, Mapping[str, NDArray[Any]]]) -> None:
     """Write a file of this layout, atomically.
 
     Parameters
@@ -117,12 +89,8 @@ def write_mabel(
         Where.
     channels : mapping
         Channel -> delta_time, elev, latitude, longitude, and whatever else.
-    rates : mapping
-        Channel -> delta_time, noise_rate.
     """
     with replacing(path) as temporary, h5py.File(temporary, "w") as file:
-        file.attrs["prf_hz"] = prf_hz
-        for top, groups in (("photon", channels), ("background", rates)):
-            for name, columns in groups.items():
-                for key, values in columns.items():
-                    file.create_dataset(f"{top}/{name}/{key}", data=values, compression="gzip")
+        for name, columns in channels.items():
+            for key, values in columns.items():
+                file.create_dataset(f"photon/{name}/{key}", data=values, compression="gzip")

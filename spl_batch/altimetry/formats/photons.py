@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from spl_batch.altimetry.formats import atl03, mabel, track_csv
 from spl_batch.altimetry.formats.hdf5 import finite
 from spl_batch.altimetry.formats.slices import Slice
-from spl_batch.altimetry.photon_table import Background
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError
 from spl_batch.formats.hdf5 import SIGNATURE, open_hdf5
@@ -33,7 +32,6 @@ class BeamFacts:
     name: str  #: As the product calls it.
     photons: int  #: Photons, or an estimate where only reading tells [count].
     group: str = ""  #: Group of its photons in an HDF5 file.
-    background: bool = False  #: Whether the product states a noise rate.
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +58,13 @@ class Photons:
     read: int  #: Photons of the slice, placed or not [count].
 
 
-def inspect(path: Path, prf_hz: float | None) -> TrackFile:
+def inspect(path: Path) -> TrackFile:
     """Layout and beams of a file, from its header.
 
     Parameters
     ----------
     path : Path
         HDF5 or CSV.
-    prf_hz : float or None
-        Pulse repetition frequency for files that do not tell theirs [Hz].
 
     Raises
     ------
@@ -85,7 +81,7 @@ def inspect(path: Path, prf_hz: float | None) -> TrackFile:
         return TrackFile(path, "csv", tuple(beams), status.st_size, status.st_mtime_ns)
     with open_hdf5(path) as file:
         layout: Layout = "mabel" if "photon" in file else "atl03"
-        listed = mabel.beams(path, file, prf_hz) if layout == "mabel" else atl03.beams(path, file)
+        listed = mabel.beams(path, file) if layout == "mabel" else atl03.beams(path, file)
     beams = [BeamFacts(*values) for values in listed]
     return TrackFile(path, layout, tuple(beams), status.st_size, status.st_mtime_ns)
 
@@ -137,28 +133,3 @@ def _faults(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> Sequ
                 f"{name} {worst:g} m; at most {most:g} m is possible: check units and columns"
             )
     return faults
-
-
-def read_background(
-    path: Path, layout: Layout, beam: str, prf_hz: float | None
-) -> Background | None:
-    """Noise rate that the product states; none where it does not.
-
-    Raises
-    ------
-    InputError
-        If it is there and makes no sense.
-    """
-    if layout == "csv":
-        return None
-    found = (
-        atl03.background(path, beam) if layout == "atl03" else mabel.background(path, beam, prf_hz)
-    )
-    if found is None:
-        return None
-    known = finite(found.along_m) & finite(found.per_m2) & (found.per_m2 >= 0)
-    along, rate = found.along_m[known], found.per_m2[known]
-    order = np.argsort(along, kind="stable")
-    along, rate = along[order], rate[order]
-    fresh = np.diff(along, prepend=-np.inf) > 0
-    return Background(along[fresh], rate[fresh]) if np.count_nonzero(fresh) > 1 else None

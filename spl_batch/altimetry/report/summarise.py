@@ -46,7 +46,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
     inputs = [indexed_file(r.facts, "photons") for r in done["index_file"].values()]
     inputs += [input_file(Path(p), "reference") for p in facts.reference]
     parts = common_parts(context, facts, counts.points_in, inputs)
-    found = beam_findings(done)
+    found = [*beam_findings(done)]
     parts["findings"] = reported((*facts.findings, *found), context.workflow.report.ignore)
     ground = _overall(done, "ground", context)
     report = TrackReport(

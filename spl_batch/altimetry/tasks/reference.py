@@ -14,6 +14,7 @@ from spl_batch.altimetry.formats.track_csv import read_profile
 from spl_batch.altimetry.photon_table import LABELS
 from spl_batch.altimetry.tasks.context import Context, place, rows_between
 from spl_batch.altimetry.tasks.heights import COLUMNS
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_columns, write_arrays
 from spl_batch.numerics.error_statistics import statistics
@@ -25,19 +26,13 @@ REFERENCE_GAP_M: Final = 200.0
 """Points of a reference that are farther apart say nothing of what lies between them [m]."""
 
 
-_OTHER_GRANULE: Final = (
-    "reference.labels: none of its files has photons of this beam's segments and times; name the "
-    "ATL08 file of the same granule"
-)
-
-
 @dataclass(frozen=True, slots=True)
 class _Heights:
     """Heights of a reference along a beam."""
 
     at: NDArray[np.float64]  #: (m,): along-track distances at which both are compared [m].
     height: NDArray[np.float64]  #: (m,): of the reference's ground, NaN where it has none [m].
-    lacks: str  #: What to say where it has none anywhere.
+    lacks: Finding | None  #: Of a reference that has none anywhere.
 
 
 def compare(args: Mapping[str, Any], context: Context) -> Produced:
@@ -47,7 +42,7 @@ def compare(args: Mapping[str, Any], context: Context) -> Produced:
     if reference is None:
         return Produced()
     columns = read_columns(place(context, "profiles", beam, ".parquet"), tuple(COLUMNS))
-    facts: dict[str, Any] = {"said": []}
+    facts: dict[str, Any] = {"name": args["name"], "findings": []}
     truth = _reference_heights(columns, args, context)
     arrays = {"along_track": truth.at}
     for name in ("ground", "baseline_ground"):
@@ -58,10 +53,10 @@ def compare(args: Mapping[str, Any], context: Context) -> Produced:
     if args["labels"]:
         facts["labels"] = _agreement(args, context)
         if not facts["labels"]:
-            facts["said"].append(_OTHER_GRANULE)
+            facts["findings"].append(Finding("P01", {"kind": "granule"}))
     lacks = not facts["ground"]["n"] and np.isfinite(columns["ground"]).any()
-    if lacks and truth.lacks and not facts["said"]:
-        facts["said"].append(truth.lacks)
+    if lacks and truth.lacks and not facts["findings"]:
+        facts["findings"].append(truth.lacks)
     path = place(context, "compared", beam, ".npz")
     write_arrays(path, arrays)
     return Produced([path], facts, len(columns["cell"]))
@@ -76,42 +71,32 @@ def _reference_heights(
     ground = np.isfinite(columns["ground"])
     if reference is not None and reference.points is not None:
         known = read_profile(context.resolve(reference.points))
-        lacks = (
-            f"reference.points {reference.points} has no height near any ground of this beam: its "
-            f"heights lie between {_km(known[:, 0])} along the track, the ground between "
-            f"{_km(at[ground])}; give both distances from the same start"
-        )
-        return _Heights(at, between(at, known), lacks)
+        ends = [(v.min() / 1000, v.max() / 1000) for v in (known[:, 0], at[ground]) if len(v)]
+        names = ("from_km", "to_km", "first_km", "last_km")
+        values = dict(zip(names, map(float, np.ravel(ends)), strict=False))
+        far = Finding("P01", {"kind": "points", "name": reference.points, **values})
+        return _Heights(at, between(at, known), far)
     if reference is not None and reference.dtm is not None:
         path = context.resolve(reference.dtm)
         where = columns["latitude"], columns["longitude"]
-        lacks = _off_raster(reference.dtm, path, [values[ground] for values in where])
-        return _Heights(at, sample_terrain(path, *where), lacks)
+        off = _off_raster(reference.dtm, path, [values[ground] for values in where])
+        return _Heights(at, sample_terrain(path, *where), off)
     files = _label_files(args)
     fitted = terrain_heights(Path(args["path"]), files, args["beam"])
-    lacks = "reference.labels: its files have no terrain height along this beam's ground"
-    return _Heights(fitted[:, 0], fitted[:, 1], lacks if files else "")
+    lacks = Finding("P01", {"kind": "terrain"}) if files else None
+    return _Heights(fitted[:, 0], fitted[:, 1], lacks)
 
 
-def _km(along_m: NDArray[np.float64]) -> str:
-    return f"{along_m.min() / 1000:.7g} and {along_m.max() / 1000:.7g} km"
-
-
-def _off_raster(name: str, path: Path, where: list[NDArray[np.float64]]) -> str:
-    """Why a raster has no height along a beam."""
+def _off_raster(name: str, path: Path, where: list[NDArray[np.float64]]) -> Finding:
+    """A raster that has no height along a beam."""
     known = np.isfinite(where).all(axis=0)
     if not known.any():
-        return (
-            f"reference.dtm {name}: the photons have no latitude and longitude to find them in it; "
-            "use reference.points"
-        )
+        return Finding("P01", {"kind": "unplaced ground", "name": name})
     latitude, longitude = (values[known] for values in where)
-    west, south, east, north = extent_deg(path)
-    return (
-        f"reference.dtm {name} has no height at any ground of this beam: it reaches from "
-        f"{south:.4f} to {north:.4f} N and {west:.4f} to {east:.4f} E, the ground from "
-        f"{latitude.min():.4f} to {latitude.max():.4f} N and "
-        f"{longitude.min():.4f} to {longitude.max():.4f} E; name the raster of this place"
+    box = [float(v) for ends in ("min", "max") for v in (getattr(longitude, ends)(),
+                                                         getattr(latitude, ends)())]  # fmt: skip
+    return Finding(
+        "P01", {"kind": "dtm", "name": name, "dtm": list(extent_deg(path)), "ground": box}
     )
 
 

@@ -31,13 +31,10 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {"index": 0.4e6, "coincidence": 30_000.0, "deliver": 0.5e6}
 )
 """Detections per second and worker until a store has measured its own; points when delivering.
-``benchmarks/geiger/coincidence/known_scene.py`` prints them, ``benchmarks/engine/memory.py
-coincidence`` the first."""
+``python -m benchmarks.geiger.coincidence.known_scene`` prints them."""
 
 INDEX_BYTES: Final = 100 * 2**20
-"""Peak memory of indexing detections, of a file of any size [byte].
-
-``python -m benchmarks.engine.memory coincidence`` measures it."""
+"""Peak memory of indexing detections, of a file of any size [byte]."""
 
 INDEX_BYTES_PER_FRAME: Final = 400
 """Peak memory of indexing a file of frames, which is sorted at once [byte]."""

@@ -38,9 +38,7 @@ BYTES_PER_PIXEL: Final = 180
 """Of each acquisition's results while a task holds them [byte]."""
 
 WORK_BYTES_PER_PIXEL: Final = 1200
-"""Of the one acquisition that is being made [byte].
-
-``python -m benchmarks.engine.receivers_memory arrays`` measures it."""
+"""Of the one acquisition that is being made [byte]."""
 
 RATES_FRAMES_PER_S: Final = MappingProxyType(
     {"index": 6.0e4, "calibrate": 1.0e6, "surfaces": 7.0e3, "deliver": 2.0e5}

@@ -6,8 +6,13 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS
-from spl_batch.geiger.water.ranges.calibration import Calibration, Observation, faults_of, fit
-from spl_batch.geiger.water.ranges.range_walk import first_photon
+from spl_batch.geiger.water.ranges.calibration import (
+    Calibration,
+    Observation,
+    faults_of,
+    first_photon,
+    fit,
+)
 from spl_batch.geiger.water.settings import CalibrationSettings
 
 SHAPE = (8, 9)

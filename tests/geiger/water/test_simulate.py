@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import exponnorm
 
 from spl_batch.geiger.water.pixel_geometry import view_of
-from spl_batch.geiger.water.ranges.range_walk import first_photon
+from spl_batch.geiger.water.ranges.calibration import first_photon
 from spl_batch.geiger.water.settings import CameraSettings, MountSettings
 from spl_batch.geiger.water.simulate.frames import (
     Array,

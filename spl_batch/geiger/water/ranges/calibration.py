@@ -7,7 +7,7 @@ The measured time of a pixel is
 t being the actual time of flight. The source's own fit: R0 and R1 by a line through the means of
 dim pixels (Eq. 3-1, 3-2), then ``walk = A exp(B I)`` through what brighter ones lack (Eq. 3-4,
 3-5). The joint fit: R0, R1 and the echo's spread of the first-photon law
-(:mod:`~spl_batch.geiger.water.ranges.range_walk`) by weighted least squares over all pixels and
+(:func:`first_photon`) by weighted least squares over all pixels and
 distances, in turn with a delay for each pixel. The delay is shrunk towards nothing as far as the
 spread of its hits explains it.
 
@@ -15,19 +15,26 @@ Deviations from the source. The target is flat and stands across the axis, so an
 is longer than the axis'; the source takes one distance for all. The walk was defined as a
 difference of measured times: it is added to the measured time, before the scale is divided out.
 Delays of pixels are new.
+
+The first-photon law: a pixel that expects n photo-electrons of an echo fires at the first of them.
+Their times spread by a normal law with standard deviation s; I = 1 - exp(-n) is the share of frames
+with a hit, whose mean is early by s g(I), with g the mean over -I of z n phi(z) exp(-n Phi(z)). It
+follows from the Poisson law of detection alone; [G15 3.4.4] instead fits an exponential to its
+measurements, and puts it down to faster avalanches.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import curve_fit
+from scipy.special import ndtr
 
 from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS
 from spl_batch.geiger.water.ranges.hits import Hits
-from spl_batch.geiger.water.ranges.range_walk import exponential, first_photon
 from spl_batch.geiger.water.settings import CalibrationSettings
 
 Floats = NDArray[np.float64]
@@ -210,3 +217,35 @@ def _with_delays(observations: Sequence[Observation], fitted: CalibrationSetting
     pixel[known] = share * mean
     left_over = float(np.average(share * variance, weights=hits[known]))
     return Calibration(fitted, pixel, left_over**0.5)
+
+
+MOST: Final = 10.0
+"""Photo-electrons up to which the law is tabulated: I = 0.99995."""
+
+_STEP: Final = 0.02
+
+
+@cache
+def _table() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    expected = np.arange(0.0, MOST + _STEP / 2, _STEP)
+    z = np.linspace(-9.0, 9.0, 3601)
+    density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+    n = expected[1:, None]
+    early = -np.trapezoid(z * n * density * np.exp(-n * ndtr(z)), z, axis=1) / -np.expm1(-n[:, 0])
+    return expected, np.concatenate([[0.0], early])
+
+
+def first_photon(intensity: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How early hits are, in standard deviations of the echo, by their share of frames: g, >= 0."""
+    expected, early = _table()
+    n = -np.log1p(-np.minimum(intensity, -np.expm1(-MOST)))
+    walk: NDArray[np.float64] = np.interp(n, expected, early)
+    return walk
+
+
+def exponential(
+    intensity: NDArray[np.float64], amplitude: float, exponent: float
+) -> NDArray[np.float64]:
+    """``A exp(B I)`` [G15 Eq. 3-5]: (...) float64, in the unit of A."""
+    walk: NDArray[np.float64] = amplitude * np.exp(exponent * intensity)
+    return walk

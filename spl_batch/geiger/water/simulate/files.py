@@ -1,22 +1,58 @@
-"""Files of a simulated water surface: frames with truth, frames of targets, a workflow."""
+"""Scene of a simulated water surface, and its files: frames, truth, targets, a workflow."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
+from pydantic import Field
 
+from spl_batch.engine.settings.base import Positive, Section
 from spl_batch.engine.settings.validation import validated
 from spl_batch.engine.settings.workflow_file import read_mapping
 from spl_batch.errors import grouped
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.geiger.water.formats import FrameTruth, write_frames
 from spl_batch.geiger.water.pixel_geometry import view_of
-from spl_batch.geiger.water.settings import MountSettings
-from spl_batch.geiger.water.simulate.frames import Target, acquisitions
-from spl_batch.geiger.water.simulate.scene import TargetFrames, WaterScene
+from spl_batch.geiger.water.settings import CameraSettings, MountSettings
+from spl_batch.geiger.water.simulate.frames import Instrument, Target, acquisitions
+
+
+class TargetFrames(Section):
+    """Frames of a flat target for calibration, at several distances and amounts of light."""
+
+    distances_m: tuple[Positive, ...] = Field(
+        (2.0, 3.0, 4.0, 5.0), min_length=2, description="Of the target along the axis [m]."
+    )
+    lights: tuple[Positive, ...] = Field(
+        (0.04, 0.3, 1.0, 4.0), min_length=1, description="Shares of the light of the beam."
+    )
+    frames: int = Field(1000, ge=1, description="Frames at each distance and light [count].")
+    tape_m: float = Field(
+        0.0, ge=0, description="Standard deviation of the error of a distance [m]."
+    )
+
+
+class WaterScene(Section):
+    """A water surface to be simulated."""
+
+    kind: Literal["water_surface"] = Field(description="Receiver that the scene is for.")
+    name: str = Field("water", description="Title, and name of the files.")
+    seed: int = Field(1, ge=0, description="Every photon follows from it.")
+    camera: CameraSettings = CameraSettings()
+    mount: MountSettings = Field(
+        MountSettings(position_m=(0.0, 0.0, -3.1)), description="Where the lens is."
+    )
+    target: Target = Field(Target(0.0), description="Surface: down_m, waves, penetration_m.")
+    instrument: Instrument = Field(Instrument(), description="The array as it really is.")
+    files: int = Field(1, ge=1, le=10_000, description="Files of frames [count].")
+    acquisitions: int = Field(10, ge=1, description="Acquisitions of each file [count].")
+    frames_per_acquisition: int = Field(200, ge=1, description="Frames of each [count].")
+    calibration: TargetFrames | None = TargetFrames()
+    format: Literal["h5", "zarr"] = Field("h5", description="HDF5 or Zarr.")
+    in_water_m: float = Field(0.0, ge=0, description="Way in water of the workflow's rays [m].")
 
 
 @dataclass(frozen=True, slots=True)
