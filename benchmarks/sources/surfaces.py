@@ -99,7 +99,7 @@ def _roofs(survey: Path, points: Columns, reference: Columns) -> list[Patch]:
 
 def _by_both_tests(given: Given) -> Iterator[tuple[str, float]]:
     """Table 6-4: RMSE on five roofs of the true returns, and of what either test keeps [m]."""
-    survey, known = given.survey("easton roofs"), methods.known_methods()
+    survey, known = given.survey("easton matched"), methods.known_methods()
     points, reference = methods.load_truth(survey), reference_points(survey)
     roofs = _roofs(survey, points, reference)
     yield "vsaes.manual", _mean([near_rmse(p, ~is_noise(points["kind"])) for p in roofs])

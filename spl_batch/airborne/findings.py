@@ -42,12 +42,13 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "channel, return number and place",
                 "files": "{count:returns|are} in both files, at the same time and place",
                 "flightlines": "flightlines with other point source ids begin and end at the same "
-                "times ({first_s:.6f} to {last_s:.6f} s), and each has {points} returns",
+                "times ({first_s:.6f} to {last_s:.6f} s), and each has {points} returns: each "
+                "counts as a look of its own, and density is too high",
                 "elsewhere": "returns of the same time and channel lie more than {km:.0f} km "
-                "apart, as where a file is a copy in another place",
+                "apart, as where a file is a copy in another place: each counts as a look of its "
+                "own",
             },
-            "copies of single returns count once and are delivered as not assessed; whole copies "
-            "count as a look of their own, and density is too high",
+            "copies of single returns count once and are delivered as not assessed",
             "leave the copies out",
         ),
         "I04": Code(
@@ -78,10 +79,6 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         "I05": Code(
             "Place and CRS",
             {
-                "none": "no input file carries a CRS and survey.crs is not set: rasters will have "
-                "none; write `crs: EPSG:...` under survey",
-                "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
-                "others",
                 "degrees": "the coordinates look like degrees, but the CRS is in metres, so they "
                 "are taken as metres",
                 "wide": "its {points} points span {km:.0f} km; some of them must lie astray",
@@ -93,6 +90,17 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             },
             remedy="check the CRS, the order of its axes and the coordinates",
             noun="file",
+        ),
+        "I08": Code(
+            "No CRS",
+            {
+                "none": "no input file carries a CRS and survey.crs is not set",
+                "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
+                "others",
+            },
+            "rasters and clouds name none, or that of others",
+            "write `crs: EPSG:...` or `vertical_crs: EPSG:...` under survey",
+            "file",
         ),
         "I06": Code("A setting is without effect", "{what}"),
         "T01": Code(
@@ -292,7 +300,7 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "checkpoint {error_cm:.1f} cm",
             },
             "checkpoints without a value count for nothing, all others in every RMSE",
-            "look for a wrong height or position in the file of checkpoints, then at the terrain",
+            "correct the file of checkpoints; where it is right, look at the terrain there",
             "file",
         ),
         "C02": Code(

@@ -9,6 +9,7 @@ import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
+from pyproj.database import get_units_map
 from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
@@ -25,8 +26,9 @@ GEO_KEYS: Final = (
 
 _VERTICAL_CRS_KEY: Final = 4096
 _VERTICAL_UNIT_KEY: Final = 4099
+_LINEAR_UNIT_KEY: Final = 3076
 _METRE: Final = 9001
-"""GeoTIFF keys of heights, and the code of metres [OGC 19-008r4, B.4]."""
+"""GeoTIFF keys of heights and of lengths, and the code of metres [OGC 19-008r4, B.4]."""
 
 _NAMELESS: Final = ("", "unknown")
 """Names that GDAL gives to a vertical CRS of which keys have the unit only."""
@@ -105,6 +107,8 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
             found = CRS.from_wkt(image.crs.to_wkt()) if image.crs else None
     except (RasterioError, RasterioIOError) as error:
         raise CRSError(str(error)) from None
+    if found is not None and horizontal(found).is_engineering:
+        found = _in_own_unit(found, _entries(directory))
     heights = None if found is None else vertical(found)
     if found is None or _not_metres(found) or (heights is not None and heights.to_epsg()):
         return found
@@ -118,6 +122,16 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
 def _entries(directory: bytes) -> NDArray[np.uint16]:
     """Header and keys of a directory, (n, 4) uint16."""
     return np.frombuffer(directory[: len(directory) // 8 * 8], "<u2").reshape(-1, 4)
+
+
+def _in_own_unit(local: CRS, entries: NDArray[np.uint16]) -> CRS:
+    """A local CRS in the unit that its keys name, which GDAL takes for metres."""
+    codes = {str(code) for code in entries[1:][entries[1:, 0] == _LINEAR_UNIT_KEY, 3]}
+    units = get_units_map(auth_name="EPSG", category="linear").items()
+    for name, unit in units:
+        if unit.code in codes - {str(_METRE)}:
+            return CRS.from_wkt(f'LOCAL_CS["{local.name}",UNIT["{name}",{unit.conv_factor!r}]]')
+    return local
 
 
 def _named_heights(entries: NDArray[np.uint16]) -> CRS | None:

@@ -103,7 +103,9 @@ def in_crs(
         moved: NDArray[Any] = shapely.transform(shapes, move, include_z=heights)
     except ProjError:
         raise InputError(
-            str(path), f"cannot be transformed from {crs_name(source)} to {crs_name(crs)}"
+            str(path),
+            f"cannot be transformed from {crs_name(source)} to {crs_name(crs)}; check the order of "
+            "its axes",
         ) from None
     return moved
 

@@ -43,13 +43,6 @@ class Peak(NamedTuple):
     core: Bounds
 
 
-class Cut(NamedTuple):
-    """Units of one size."""
-
-    units: int
-    read: float  #: Points in their cores and halos, added up [count].
-
-
 @dataclass(frozen=True)
 class Piece:
     """Points in squares of an absolute grid over one rectangle."""
@@ -86,39 +79,6 @@ class Piece:
         south = (self.first.j * self.edge // step + int(row)) * step
         return Peak(float(read[row, column]), Bounds(west, south, west + unit_q, south + unit_q))
 
-    def cut(self, shapes: Sequence[tuple[int, int]], halo_q: int, most: float) -> list[Cut]:
-        """Units of the first shape; those that are too full in parts of the next shapes.
-
-        Parameters
-        ----------
-        shapes : sequence of (int, int)
-            Width and height of units, the largest first; each divides the one before [quanta].
-        most : float
-            Points beyond which a unit is cut, unless it is of the last shape [count].
-        """
-        found = []
-        above: tuple[NDArray[np.bool_], tuple[int, int]] | None = None
-        for shape in shapes:
-            steps = max(shape[0], self.edge), max(shape[1], self.edge)
-            read = self._shaped_sums(self._total, steps, shape, halo_q)
-            there = self._shaped_sums(self._total_touched, steps, steps, 0) > _TOUCHED
-            if above is not None:
-                columns, rows = (
-                    (np.arange(n) + first * self.edge // step) * step // larger
-                    - first * self.edge // larger
-                    for n, first, step, larger in zip(
-                        there.shape[::-1], self.first, steps, above[1], strict=True
-                    )
-                )
-                there &= above[0][np.ix_(rows, columns)]
-            full = there & (read > most) & (shape != shapes[-1])
-            there &= ~full
-            each = (steps[0] / shape[0]) * (steps[1] / shape[1])
-            units = _within(self._shaped_sums(self._total, steps, steps, 0)[there], each)
-            found.append(Cut(int(units.sum()), float(read[there] @ units)))
-            above = full, steps
-        return found
-
     @cached_property
     def _total(self) -> NDArray[np.float64]:
         return _integral(self.points)
@@ -131,14 +91,7 @@ class Piece:
         self, total: NDArray[np.float64], step: int, reach: tuple[int, int]
     ) -> NDArray[np.float64]:
         """Points of square units, one every ``step``; ``reach``: their edge, and the halo."""
-        return self._shaped_sums(total, (step, step), (reach[0], reach[0]), reach[1])
-
-    def _shaped_sums(
-        self, total: NDArray[np.float64], steps: tuple[int, int], shape: tuple[int, int], halo: int
-    ) -> NDArray[np.float64]:
-        """Points of units of a shape, one every ``steps`` along each axis, with a halo."""
-        along_y = self._between(total, 0, steps[1], (shape[1], halo))
-        return self._between(along_y, 1, steps[0], (shape[0], halo))
+        return self._between(self._between(total, 0, step, reach), 1, step, reach)
 
     def _between(
         self, total: NDArray[np.float64], axis: int, step: int, reach: tuple[int, int]

@@ -130,6 +130,13 @@ def test_heights_of_geotiff_keys_in_feet_are_refused(
     assert len(crs_problems(crs, *BOX)) == 1
 
 
+@pytest.mark.parametrize(("unit", "count"), [(9001, 0), (9002, 1), (9003, 1)])
+def test_a_local_crs_of_geotiff_keys_has_their_unit(unit: int, count: int) -> None:
+    crs = _keys((1024, 1), (3072, 32767), (3076, unit))
+    assert crs is not None
+    assert len(crs_problems(crs, *BOX)) == count
+
+
 def test_vertical_crs_of_geotiff_keys() -> None:
     crs = _keys((1024, 1), (3072, 32615), (4096, 5703), (4099, 9001))
     assert crs is not None

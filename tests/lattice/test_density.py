@@ -94,40 +94,6 @@ def test_tiles_tell_the_fullest_unit(held: dict[CellId, int], unit: int, halo: i
     assert share.points == pytest.approx(max(u.held for u in listed), abs=1.0 + 1e-9 * share.points)
 
 
-def cut_slowly(
-    held: dict[CellId, int], shapes: list[tuple[int, int]], halo: int, most: float
-) -> list[tuple[int, float]]:
-    """Units and what they read, shape by shape: lattice cells that own tiles, the full ones cut."""
-    found, left = [], {t: cell_bounds(t, EDGE) for t in held}
-    for wide, high in shapes:
-        cores: dict[tuple[int, int], list[CellId]] = {}
-        for tile, at in left.items():
-            cores.setdefault((at.xmin // wide, at.ymin // high), []).append(tile)
-        units_, read = 0, 0.0
-        for (i, j), own in cores.items():
-            core = Bounds(i * wide, j * high, (i + 1) * wide, (j + 1) * high)
-            around = grow(core, halo)
-            holds = sum(n * shared(cell_bounds(t, EDGE), around) for t, n in held.items())
-            if holds / EDGE**2 > most and (wide, high) != shapes[-1]:
-                continue
-            units_, read = units_ + 1, read + holds / EDGE**2
-            for tile in own:
-                del left[tile]
-        found.append((units_, read))
-    return found
-
-
-@settings(max_examples=40, deadline=None)
-@given(counts, st.sampled_from([0, 30, 130]), st.integers(1, 10**7))
-def test_units_that_are_too_full_are_halved(held: dict[CellId, int], halo: int, most: int) -> None:
-    shapes = [(400, 400), (200, 400), (200, 200), (100, 200), (100, 100)]
-    made = [piece.cut(shapes, halo, most + 0.5) for piece in from_counts(held, EDGE)]
-    slow = cut_slowly(held, shapes, halo, most + 0.5)
-    for level, (expected, read) in zip(zip(*made, strict=True), slow, strict=True):
-        assert sum(cut.units for cut in level) == expected
-        assert sum(cut.read for cut in level) == pytest.approx(read, abs=1e-3)
-
-
 def test_pieces_far_apart_are_counted_apart() -> None:
     near, far = Bounds(0, 0, 250, 250), Bounds(10**9, -(10**9), 10**9 + 250, 250 - 10**9)
     found = list(from_boxes([Box(near, 10), Box(far, 30), Box(near, 7)], EDGE))

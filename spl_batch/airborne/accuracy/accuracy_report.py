@@ -11,7 +11,11 @@ USGS_LEVELS: Final = ((0.05, "QL0"), (0.10, "QL1/QL2"), (0.20, "QL3"))
 
 
 def accuracy_report(
-    dtm: Mapping[str, Tally], dsm: Mapping[str, Tally], *, remove_bias: bool = False
+    dtm: Mapping[str, Tally],
+    dsm: Mapping[str, Tally],
+    returns: Mapping[str, Tally] | None = None,
+    *,
+    remove_bias: bool = False,
 ) -> dict[str, Any]:
     """Accuracy as ``report.json`` holds it.
 
@@ -19,13 +23,16 @@ def accuracy_report(
     ----------
     dtm, dsm : mapping of str to Tally
         By class of surface, of all places together; may be empty.
+    returns : mapping of str to Tally, optional
+        The same of the returns that the filter keeps.
     remove_bias : bool
         Subtract the vertical bias between the sensors from every difference first.
 
     Returns
     -------
     dict
-        ``dtm`` and ``dsm``: :func:`statistics` by class, ``all`` always among them;
+        ``dtm`` and ``dsm``: :func:`statistics` by class, ``all`` always among them; ``returns``:
+        the same without it;
         ``vertical_bias_m``: median of the DTM on open ground (else of all of it, else of
         the DSM on ground; None without any); ``bias_removed_m``: what was subtracted;
         ``usgs_quality_level``: the best level whose RMSEz the open ground meets, or None.
@@ -38,6 +45,11 @@ def accuracy_report(
             for name, found in {"all": Tally(), **counted}.items()
         }
         for product, counted in (("dtm", dtm), ("dsm", dsm))
+    }
+    report["returns"] = {
+        name: statistics(found.errors_m - removed, found.counts)
+        for name, found in (returns or {}).items()
+        if found.n
     }
     rmse = report["dtm"].get("open_ground", report["dtm"]["all"])["rmse"]
     report["vertical_bias_m"] = bias

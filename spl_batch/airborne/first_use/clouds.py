@@ -35,7 +35,7 @@ STANDARDS: Final[dict[TimeStandard, str]] = {
 """What the values of ``gps_time`` look like, in words."""
 
 
-_UNSEEN: Final = Ends(np.empty(0), np.empty(0, np.uint8), {}, (), ())
+_UNSEEN: Final = Ends(np.empty(0), np.empty(0, np.uint8), {}, (), (), used=True)
 
 
 class Guess(NamedTuple):

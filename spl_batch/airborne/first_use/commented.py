@@ -18,6 +18,7 @@ from spl_batch.airborne.first_use.clouds import (
     linear_mode_signs,
 )
 from spl_batch.airborne.first_use.folder import Folder, look_through
+from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.engine.settings.draft import Draft, headed, key_lines, patterns, wrapped
 from spl_batch.errors import counted, grouped, named, plain
@@ -54,18 +55,20 @@ def propose(folder: Folder) -> Draft:
     made.lines += key_lines("name", real_path(folder.path).name or "survey", "  ")
     lines = [*_paths(folder.lines), *folder.damaged_lines]
     made.known("flightlines", patterns(folder.path, lines), _clouds(folder.lines))
-    _times(made, folder)
-    _crs(made, folder, several)
-    made.supposed("sensor", SENSOR, "no file tells the instrument: spl100, hrqls, or its facts")
     channel = channel_guess(folder.lines, sensor)
+    linear = "" if channel.value is not None else linear_mode_signs(folder.lines)
+    _times(made, folder, linear)
+    _crs(made, folder, several)
+    if not linear:
+        made.supposed("sensor", SENSOR, "no file names the instrument: spl100, hrqls, or its facts")
     if channel.value is not None:
         made.known("channel_dimension", channel.value, f"{channel.value} {channel.reason}")
-    else:
+    elif not linear:
         made.open("channel_dimension", "user_data", channel.reason)
     _reference(made, folder)
     _polygons(made, folder)
     made.lines += ["", "output: out"]
-    _filter(made, folder, channel)
+    _filter(made, folder, channel, linear)
     made.left_out += _of_other_crs(folder, several)
     made.left_out += _left_out(folder)
     return made
@@ -90,17 +93,17 @@ def _density(per_m2: float) -> str:
     return grouped(per_m2, 1 if per_m2 >= 1.0 else 2)
 
 
-def _times(made: Draft, folder: Folder) -> None:
+def _times(made: Draft, folder: Folder, linear: str) -> None:
     spans = [look.span_s for look in folder.lines if look.span_s is not None]
     if not spans:
         has = all(look.facts.has_gps_time for look in folder.lines)
         seen = "one value for all points that were looked at" if has else "missing"
-        made.unknown.append(("gps_time", f"{seen}, so there are no shots: noise is not told"))
+        made.unknown.append(("gps_time", f"{seen}, so there are no shots: noise is not estimated"))
         return
     standards = sorted({look.standard for look in folder.lines if look.span_s is not None})
     first, last = min(low for low, _ in spans), max(high for _, high in spans)
     kind = " and ".join(STANDARDS[one] for one in standards)
-    seen = f"gps_time: {kind}, {grouped(first)} to {grouped(last)} s"
+    seen = f"gps_time: {kind}, {grouped(first)} to at least {grouped(last)} s"
     made.found.append(("gps_time", seen.removeprefix("gps_time: ")))
     made.lines.append(f"  # {seen}")
     if folder.trajectories:
@@ -114,7 +117,7 @@ def _times(made: Draft, folder: Folder) -> None:
             patterns(folder.path, paths),
             f"{names}: {whose} those of the flightlines{more if folder.doubles else ''}",
         )
-    else:
+    elif not linear:
         made.open(
             "trajectory",
             "trajectory/*.sbet",
@@ -195,17 +198,19 @@ _KEPT: Final = ("filter: {method: none}", "afterpulse: {enabled: false}")
 """Lines of a workflow by which every point stays."""
 
 
-def _filter(made: Draft, folder: Folder, channel: Guess) -> None:
+def _filter(made: Draft, folder: Folder, channel: Guess, linear: str) -> None:
     """Whether there is noise to be found, and what that needs."""
     if all(look.span_s is None for look in folder.lines):
-        text = "# Without times no noise is told: every point stays; ground and surfaces are made."
+        text = (
+            "# Without times noise is not known: every point stays; ground and surfaces are made."
+        )
         made.lines += ["", text, *_KEPT]
         return
-    signs = "" if channel.value is not None else linear_mode_signs(folder.lines)
-    if signs:
+    if linear:
         why = (
-            f"{signs}: taken for linear-mode lidar, of which every point stays; "
-            "if single photons were counted, delete the last two lines of the workflow"
+            f"{linear}: taken for linear-mode lidar, of which every point stays; "
+            "if single photons were counted, delete the last two lines of the workflow, and "
+            "name the instrument, survey.sensor"
         )
         made.unknown.append(("filter", why))
         made.lines += ["", *wrapped(f"? {why}"), *_KEPT]
@@ -230,7 +235,11 @@ def _left_out(folder: Folder) -> Iterator[str]:
         if Path(error.path) not in folder.damaged_lines:
             yield str(error)
     for paths, why in (
-        (_paths(folder.others), "no times or beamlet numbers like the others', no ground"),
+        ([look.facts.path for look in folder.others if not look.facts.n_points], NO_POINTS),
+        (
+            [look.facts.path for look in folder.others if look.facts.n_points],
+            "no times or beamlet numbers like the others', no ground",
+        ),
         (
             _paths(_foreign_references(folder)),
             "ground in another CRS than the flightlines'; reproject it to make it the reference",

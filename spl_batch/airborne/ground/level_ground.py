@@ -15,21 +15,14 @@ the nodes as a plane takes. Three things look alike and are kept out:
 - where no wall is within the window, the opening has cut off plants and cars: nothing grows there.
 - what an opening leaves of a roof would grow over all of it: nothing grows from ground that is an
   island, a few nodes that hang together without a step.
-
-Islands that stand as high as a house above all land around are no ground at the end
-(:func:`high_islands`): low roofs between higher ones, what stands in a court. Nodes on the wall of
-a cliff have land above them.
 """
 
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from spl_batch.airborne.ground.multiscale.raised_patches import HOUSE_M
 from spl_batch.airborne.ground.multiscale_surface import WINDOW_M
-from spl_batch.airborne.ground.node_grids import lowest_nodes
 from spl_batch.airborne.ground.point_spacing import in_squares, spacing_at_m
 from spl_batch.airborne.ground.steep_ground import (
     AROUND,
@@ -78,9 +71,6 @@ DECK_M: Final = 20.0
 
 ISLAND: Final = 50
 """Fewer nodes that hang together are an island [count]."""
-
-AROUND_M: Final = (4.0, 8.0)
-"""An island is compared with the land in nine cells: larger ones where the first hold none [m]."""
 
 _NONE: Final = 0
 _UNKNOWN: Final = 1
@@ -135,55 +125,6 @@ def _spacing(xyz: Float, grid: Index) -> Float:
     spacing = np.zeros(grid.shape)
     spacing[held] = spacing_at_m(in_squares(x, y), x, y)
     return spacing
-
-
-def high_islands(xyz: Float, ground: Mask, cell_m: float) -> Mask:
-    """Ground nodes of islands that stand as high as a house above all land around: (n,) bool.
-
-    They are islands among all nodes too: what is left of a plateau that was cut off is none.
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64
-        Nodes [m].
-    ground : (n,) bool
-        Those of the ground.
-    cell_m : float
-        Edge of a cell [m].
-    """
-    found = np.zeros(len(xyz), dtype=np.bool_)
-    everywhere = np.ones_like(ground)
-    of_ground = _islands_of(xyz, ground, everywhere, cell_m)
-    if not of_ground.any():
-        return found
-    alone = np.flatnonzero(_islands_of(xyz, everywhere, of_ground, cell_m))
-    land = ground.copy()
-    land[alone] = False
-    above = np.full(len(alone), np.inf)
-    for edge_m in AROUND_M:
-        above = np.where(np.isinf(above), _above_all(xyz, alone, land, edge_m), above)
-    found[alone] = (HOUSE_M[0] <= above) & (above < HOUSE_M[1])
-    return found
-
-
-def _islands_of(xyz: Float, chosen: Mask, asked: Mask, cell_m: float) -> Mask:
-    """Lowest nodes of cells, among those chosen, that are islands, as far as asked: (n,) bool."""
-    grid = lowest_nodes(xyz, chosen, cell_m)
-    near, held = np.maximum(NEXT * _spacing(xyz, grid), EDGE_M), grid >= 0
-    found = np.zeros(len(xyz), dtype=np.bool_)
-    found[grid[islands(xyz, grid, held, held & asked[grid], near, cell_m)]] = True
-    return found
-
-
-def _above_all(xyz: Float, asked: Index, land: Mask, edge_m: float) -> Float:
-    """How far nodes lie above all land in nine cells; infinite where these hold none (m,) [m]."""
-    column, row = (np.floor(v / edge_m).astype(np.int64) for v in xyz[:, :2].T)
-    column, row = column - column.min(), row - row.min()
-    highest = np.full((int(row.max()) + 1, int(column.max()) + 1), -np.inf)
-    np.maximum.at(highest, (row[land], column[land]), xyz[land, 2])
-    around = ndimage.maximum_filter(highest, 3, mode="nearest")
-    above: Float = xyz[asked, 2] - around[row[asked], column[asked]]
-    return above
 
 
 def edges(height: Float, asked: Mask, cell_m: float) -> Mask:

@@ -12,8 +12,6 @@ Deviations from the sources:
   of 1, 2, 4 or 8 m: the smallest in which most lowest nodes agree with the lowest of the next
   size (:func:`agreeing_nodes`). The opening always runs on cells of 1 m.
 - **Empty cells take the nearest node**, so that a wall stays as steep as it is.
-- **On steep ground an object stands out twice**: of the heights as they are, and of those above the
-  trend of what is left then. The edge of a slope does so only once.
 - **A fall of more than** :data:`STEP_M` from one window to the next is an object's at any radius.
 - **Low outliers** are told among the lowest nodes of :data:`PIT_CELL_M`: a node far below the third
   lowest around is none of the ground's, also where several lie beside each other. On steep ground,
@@ -60,10 +58,6 @@ there."""
 
 _SLOPE = 0.15
 """Slope tolerance of the opening, as published [rise/run]."""
-
-_STEEP = 0.5
-"""Rise of the trend from which on heights above it count as well: streets of towns are flatter
-[rise/run]."""
 
 STEP_M: Final = 2.0
 """A larger fall from one window to the next is an object's: a low storey [m]."""
@@ -328,9 +322,7 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
     return spread_below(depths_below(off, xyz[:, 0], xyz[:, 1]), MOST)
 
 
-def ground_nodes(
-    xyz: Float, high: Mask, grid: Index, nearest: Index, cell_m: float = CELL_M
-) -> Mask:
+def ground_nodes(xyz: Float, high: Mask, grid: Index, nearest: Index) -> Mask:
     """Chosen nodes that are on no object: (n,) bool.
 
     Parameters
@@ -340,39 +332,13 @@ def ground_nodes(
     high : (n,) bool
         Nodes that stand out by themselves.
     grid, nearest : (rows, columns) int64
-        Those that the surface is made of, by cells, or -1, and that of the nearest cell with one.
-    cell_m : float
-        Edge of the cells that the opening runs on [m].
+        Those that the surface is made of, by cells of :data:`CELL_M`, or -1, and that of the
+        nearest cell with one.
     """
-    raised = _raised(xyz[nearest, 2], grid >= 0, cell_m) | ((grid >= 0) & high[grid])
-    level = grid[(grid >= 0) & ~raised]  # the lowest node is one
-    x, y, z = xyz.T
-    trend = fit_trend(xyz[level], x, y)
-    row, column = np.nonzero((grid >= 0) & raised)
-    steep = _steep(trend, _STEEP, *xyz[grid[row, column], :2].T)
-    row, column = row[steep], column[steep]
-    if len(row):
-        part = tuple(_reach(places, cell_m) for places in (row, column))
-        used = nearest[part]
-        above = z[used] - trend_at(trend, x[used].ravel(), y[used].ravel()).reshape(used.shape)
-        asked, twice = np.zeros((2, *raised.shape), np.bool_)
-        asked[row, column] = True
-        twice[part] = _raised(above, asked[part], cell_m)
-        raised[row, column] = twice[row, column]
+    raised = object_cells(xyz[nearest, 2], CELL_M, _SLOPE, WINDOW_M, step_m=STEP_M, asked=grid >= 0)
     ground = np.zeros(len(xyz), dtype=np.bool_)
-    ground[grid[(grid >= 0) & ~raised]] = True
+    ground[grid[(grid >= 0) & ~raised & ~high[grid]]] = True  # the lowest node is one
     return ground
-
-
-def _raised(surface: Float, asked: Mask, cell_m: float) -> Mask:
-    """Cells that the opening cuts off, of those asked."""
-    return object_cells(surface, cell_m, _SLOPE, WINDOW_M, step_m=STEP_M, asked=asked)
-
-
-def _reach(places: Index, cell_m: float) -> slice:
-    """Rows or columns that some cells' openings depend on: two windows to each side."""
-    far = 2 * int(np.ceil(WINDOW_M / cell_m))
-    return slice(max(int(places.min()) - far, 0), int(places.max()) + far + 1)
 
 
 def _steep(trend: Trend, rise: float, x: Float, y: Float) -> Mask:

@@ -114,6 +114,11 @@ class Accuracy(Part):
 
     dtm: dict[str, Statistics] = Field({}, description="Terrain model minus reference ground.")
     dsm: dict[str, Statistics] = Field({}, description="Surface model minus reference surface.")
+    returns: dict[str, Statistics] = Field(
+        {},
+        description="Returns that the filter keeps minus the reference's nearest ground or roof, "
+        "within 0.5 m; one in eight.",
+    )
     reference_points: Count | None = Field(None, description="Reference points read [count].")
     bias_m: Number = Field(None, description="Median difference between the sensors [m].")
     bias_removed: bool = Field(

@@ -216,6 +216,7 @@ def _accuracy(found: Comparison | None) -> Accuracy | None:
     return Accuracy(
         dtm={k: Statistics(**v) for k, v in said["dtm"].items()},
         dsm={k: Statistics(**v) for k, v in said["dsm"].items()},
+        returns={k: Statistics(**v) for k, v in said["returns"].items()},
         reference_points=found.points,
         bias_m=said["vertical_bias_m"],
         bias_removed=removed,

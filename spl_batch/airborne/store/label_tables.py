@@ -64,46 +64,41 @@ class Origin(NamedTuple):
         return Origin(self.tiles, self.owner[chosen], self.row[chosen])
 
 
-Labelled = tuple[Origin, Mapping[str, NDArray[Any]]]
-"""Where some points lie, and their labels by column name."""
-
-
-def write_labels(path: Path, parts: Sequence[Labelled]) -> None:
+def write_labels(path: Path, origin: Origin, labels: Mapping[str, NDArray[Any]]) -> None:
     """Write labels atomically, sorted by tile and row; no more than a tile's are held again.
 
     Parameters
     ----------
     path : Path
         Final name.
-    parts : sequence of (Origin, mapping of str to (n,) ndarray)
-        Points in any order, each in one part, and their labels.
+    origin : Origin
+        Where the n points lie, in any order.
+    labels : mapping of str to (n,) ndarray
+        Their labels by column name.
     """
-    names = list(parts[0][1])
     dtypes: dict[str, Any] = {"tile_i": np.int32, "tile_j": np.int32, "row": np.uint32}
-    dtypes |= {name: COLUMNS[name].dtype for name in names}
-    tiles = {CellId(*tile) for origin, _ in parts for tile in origin.tiles.tolist()}
-    held = (_of_tile(tile, parts) for tile in sorted(tiles, key=lambda tile: (tile.j, tile.i)))
-    nothing = {name: np.empty(0, dtype) for name, dtype in dtypes.items()}
+    dtypes |= {name: COLUMNS[name].dtype for name in labels}
+    tiles = {CellId(*tile) for tile in origin.tiles.tolist()}
     written = 0
     with writing(path, dtypes, sought=("tile_i", "tile_j", "row")) as writer:
-        for found in held:
+        for tile in sorted(tiles, key=lambda tile: (tile.j, tile.i)):
+            found = _of_tile(tile, origin, labels)
             count = len(found["row"])
             columns = {name: np.asarray(found[name], dtype) for name, dtype in dtypes.items()}
             for first in range(0, count, GROUP_ROWS):
                 writer.write({k: v[first : first + GROUP_ROWS] for k, v in columns.items()})
             written += count
         if not written:
-            writer.write(nothing)
+            writer.write({name: np.empty(0, dtype) for name, dtype in dtypes.items()})
 
 
-def _of_tile(tile: CellId, parts: Sequence[Labelled]) -> dict[str, NDArray[Any]]:
+def _of_tile(
+    tile: CellId, origin: Origin, labels: Mapping[str, NDArray[Any]]
+) -> dict[str, NDArray[Any]]:
     """Labels of the points of a tile, by row."""
-    found = []
-    for origin, labels in parts:
-        number = np.flatnonzero((origin.tiles == tile).all(axis=1))
-        mine = np.flatnonzero((origin.owner == number[:, None]).any(axis=0))
-        found.append({"row": origin.row[mine], **{k: v[mine] for k, v in labels.items()}})
-    columns = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+    number = np.flatnonzero((origin.tiles == tile).all(axis=1))
+    mine = np.flatnonzero((origin.owner == number[:, None]).any(axis=0))
+    columns = {"row": origin.row[mine], **{k: v[mine] for k, v in labels.items()}}
     rows = columns["row"]
     if len(rows) and not in_order([rows]):
         order = lexicographic_order([rows])

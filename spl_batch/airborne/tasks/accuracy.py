@@ -18,14 +18,16 @@ from spl_batch.airborne.accuracy import (
     add_up,
     difference_sums,
     ground_differences,
+    return_differences,
     surface_differences,
     tallies,
     terrain_differences,
 )
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.store.label_tables import read_region
+from spl_batch.airborne.store.flown_lines import read_shifts
+from spl_batch.airborne.store.label_tables import label_units, read_region
 from spl_batch.airborne.tasks.reference import read_square
-from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.store.working_store import forget_receipt
@@ -33,7 +35,8 @@ from spl_batch.engine.tasks.context import Produced
 from spl_batch.errors import DamagedError
 from spl_batch.formats.rasters.parts import overview_frame, read_part
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
-from spl_batch.lattice.tiles import CellId, cell_bounds, inside, overlap, parse_cell, quanta
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, inside, overlap, parse_cell, quanta
 
 SAMPLE: Final = 500_000
 """Differences that the histogram is drawn from, at most [count]."""
@@ -43,6 +46,9 @@ OWN_EDGE_M: Final = 10.0
 
 OWN_SHARE: Final = 0.5
 """Share of these that are the survey's own to the millimetre: of another survey's hardly any is."""
+
+EVERY: Final = 8
+"""Of the kept returns one in so many is compared, by its coordinates [count]."""
 
 _MAP: Final = ("cell", "total", "count")
 """What a square says of the map of differences."""
@@ -67,9 +73,32 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
         by_class = terrain_differences(terrain, known, chm=height, at_ground_m=at_ground_m)
         arrays |= _as_arrays("dtm", tallies(by_class))
         arrays |= _as_arrays("dsm", tallies(surface_differences(surface, known)))
+        arrays |= _as_arrays("returns", add_up(_of_returns(known, core, args, context)))
     path = context.store.path("accuracy", f"{square}.npz")
     write_arrays(path, arrays)
     return Produced([path], {"own": _own_points(known, args["tiles"], context)}, points)
+
+
+def _of_returns(
+    known: Reference, core: Bounds, args: Mapping[str, Any], context: Context
+) -> Iterator[Tallies]:
+    """Kept returns of a square against the reference, a tile at a time."""
+    if context.workflow.filter.method == "none":
+        return
+    units, shifts = label_units(args["noise"]), read_shifts(args, context.store)
+
+    def chosen(table: PointTable) -> NDArray[np.bool_]:
+        some = (table["x"] + table["y"] + table["z"]) % EVERY == 0
+        wanted: NDArray[np.bool_] = some & (table["noise_class"] == NOISE_SIGNAL)
+        return wanted
+
+    for tile in map(parse_cell, args["tiles"]):
+        held, _ = read_region(
+            context.store, [tile], core, ("x", "y", "z"), {"noise_class": units}, ordered=False,
+            keep=chosen, shifts=shifts,
+        )  # fmt: skip
+        xyz = np.column_stack([held[axis] * QUANTUM_M for axis in "xyz"])
+        yield tallies(return_differences(xyz, known))
 
 
 def _own_points(known: Reference, tiles: Sequence[str], context: Context) -> tuple[int, int]:
@@ -151,7 +180,7 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
     errors = add_up(_squares(done, context, total, count))
     by_product = [
         {k.removeprefix(p): tally for k, tally in errors.items() if k.startswith(p)}
-        for p in ("dtm.", "dsm.")
+        for p in ("dtm.", "dsm.", "returns.")
     ]
     mean = np.full(len(total), NODATA)
     np.divide(total, count * STEPS_PER_M, out=mean, where=count > 0)

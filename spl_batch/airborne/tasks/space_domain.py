@@ -65,7 +65,7 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
         "noise_density": mean,
     }
     path = context.store.labels("noise", args["cell"])
-    write_labels(path, [(place, labels)])
+    write_labels(path, place, labels)
     kinds, counts = np.unique(labels["noise_class"], return_counts=True)
     facts = {
         "core": list(core),
@@ -92,8 +92,9 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         bare.count_chances(table, owned, P_VALUES, counts)
         facts |= {"p_values": counts.tolist()} if counts.any() else {}
     table = table.select(_GROUND_COLUMNS)
-    mask = grounding.ground_labels(table, usable, context.workflow.ground, owned)[owned]
+    mask = grounding.ground_mask(table, usable, context.workflow.ground, owned)[owned]
+    mask = mask.astype(np.uint8)
     path = context.store.labels("ground", args["cell"])
-    write_labels(path, [(origin.of(owned), {"ground": mask})])
+    write_labels(path, origin.of(owned), {"ground": mask})
     facts["ground"] = int(np.count_nonzero(mask))
     return Produced([path], facts, len(mask))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spl_batch.engine.store.output_lock import locked
+from spl_batch.engine.store.output_lock import locked, was_stopped
 from spl_batch.engine.tasks.runner import run_task
 from spl_batch.engine.tasks.task import Job, Receipt
 from spl_batch.engine.tasks.worklist import Worklist
@@ -59,8 +59,9 @@ def run_alone(
     """
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
     usable(prepared)
+    stopped = was_stopped(prepared.context.output)
     with locked(prepared.context.output):
-        deliveries = usable(prepared)
+        deliveries = usable(prepared, stopped=stopped)
         claim(prepared.context.store)
         deliveries.begin(this_survey(prepared))
         job = _find(task, prepared)

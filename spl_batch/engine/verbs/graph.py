@@ -203,7 +203,7 @@ class Graph:
         self.progress.ended(task, receipt)
         if receipt.failed:
             self._missing.add(outcome.need)
-            if "damaged" in receipt.facts and self.progress.mends(receipt):
+            if self.progress.can_mend(receipt):
                 self._ends_early = True
 
     def _close_steps(self) -> None:

@@ -24,8 +24,10 @@ _MARK: Final = "output.json"
 """Names the output that a store elsewhere belongs to."""
 
 
-def usable(prepared: Prepared[Any, Any]) -> Deliveries:
+def usable(prepared: Prepared[Any, Any], *, stopped: bool | None = None) -> Deliveries:
     """What earlier runs have left in the output folder of a run that may work there.
+
+    ``stopped``: whether the run before was stopped, where the lock that shows it is taken already.
 
     Raises
     ------
@@ -47,7 +49,8 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
             f"output: {output}: there is no folder {output.parent}; check the path"
         )
     refuse_claimed(prepared.context.store)
-    deliveries = Deliveries(prepared.context, stopped=was_stopped(output))
+    stopped = was_stopped(output) if stopped is None else stopped
+    deliveries = Deliveries(prepared.context, stopped=stopped)
     survey = deliveries.survey
     if survey is None:
         patterns = (*prepared.receiver.delivered, *REPORT_FILES)

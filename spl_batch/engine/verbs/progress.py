@@ -118,6 +118,13 @@ class Progress:
         name = PurePosixPath(self.store.name_of(damaged))
         return all(self.repaired[str(part)] < TRIES for part in (name, *name.parents))
 
+    def can_mend(self, receipt: Receipt) -> bool:
+        """Whether a task failed over a damaged file that some task makes again."""
+        if not self.mends(receipt):
+            return False
+        name = self.store.name_of(receipt.facts["damaged"])
+        return bool(makers(self.store, self.steps, [name]))
+
     def repair(self, ledger: Ledger[Any, Any], found: Iterable[DamagedError] = ()) -> bool:
         """Begin again where damaged files can be made again; whether there are any.
 

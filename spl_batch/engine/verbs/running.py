@@ -100,7 +100,7 @@ def run(
     look = prepared.receiver.first_look(prepared)  # refuses what a plan refuses
     new, stopped = not output.exists(), was_stopped(output)
     with locked(output) as mark:
-        deliveries = usable(prepared)
+        deliveries = usable(prepared, stopped=stopped)
         claim(context.store)
         gone = [*gone_inputs(prepared, deliveries)]
         deliveries.begin(this_survey(prepared))

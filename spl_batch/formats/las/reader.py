@@ -236,6 +236,7 @@ class Ends(NamedTuple):
     numbers: dict[str, Numbers]  #: Dimensions that hold small whole numbers, by name.
     classes: tuple[int, ...]  #: Classifications that occur.
     sources: tuple[int, ...]  #: Values of ``point_source_id`` that occur.
+    used: bool  #: Whether any of them is neither withheld nor noise of the vendor's.
 
 
 def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
@@ -277,10 +278,15 @@ def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
     records = np.concatenate([some for _, some in pieces])
     timed = "gps_time" in layout.names
     time = records["gps_time"].astype(np.float64) if timed else np.full(len(records), np.nan)
-    classes = np.unique(given_classes(records, layout))
+    given = given_classes(records, layout)
+    left_out = (dimension(records, layout, "withheld") != 0) | np.isin(
+        given, (CLASS_LOW_NOISE, CLASS_HIGH_NOISE)
+    )
+    classes = np.unique(given)
     sources = np.unique(records["point_source_id"])
     numbers = small_numbers(records, layout)
-    return Ends(time, channel, numbers, tuple(classes.tolist()), tuple(sources.tolist()))
+    of = tuple(classes.tolist()), tuple(sources.tolist())
+    return Ends(time, channel, numbers, *of, bool(np.any(~left_out)))
 
 
 def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:

@@ -22,6 +22,7 @@ from spl_batch.airborne.accuracy import (
     difference_sums,
     differences,
     ground_differences,
+    return_differences,
     statistics,
     surface_differences,
     tallies,
@@ -258,3 +259,15 @@ def test_sums_of_differences_are_those_of_each_cell_and_free_of_slope():
     assert count.sum() == 500
     half = Reference(ref.xyz_m, ref.classification, np.arange(501) < 250)
     assert difference_sums(ground_differences(dtm, half), half, grid)[2].sum() == 250
+
+
+def test_kept_returns_are_compared_with_the_nearest_ground_and_roof_that_is_near() -> None:
+    reference = Reference(
+        np.array([[0.0, 0, 10], [1, 0, 10], [5, 0, 20], [5.1, 0, 90]]),
+        np.array([2, 2, 6, 7], np.uint8),
+        np.zeros(4, np.bool_),  # those of the margin count as well
+    )
+    kept = np.array([[0.1, 0, 10.2], [0.9, 0.1, 9.9], [5, 0, 20.3], [5, 0, 21], [3, 0, 10]])
+    found = return_differences(kept, reference)
+    np.testing.assert_allclose(found["ground"], [0.2, -0.1], atol=1e-6)
+    np.testing.assert_allclose(found["building"], [0.3], atol=1e-6)

@@ -75,12 +75,6 @@ def test_a_given_density_decides() -> None:
     assert np.count_nonzero(labels.signal & ~strict.signal) > 0
 
 
-@pytest.mark.parametrize("cell_m", [0.001, 1e-4, 0.3, 1.0004])
-def test_cells_that_are_too_small_or_no_part_of_the_grid_are_refused(cell_m: float) -> None:
-    with pytest.raises(InputError, match="cell_m"):
-        spl_batch.rasterize(CLOUD, ground=np.ones(len(CLOUD), np.bool_), cell_m=cell_m)
-
-
 def test_points_far_off_do_not_cost_what_lies_between() -> None:
     far = np.vstack([CLOUD, [[5e8, 5e8, 0.0]]])
     np.testing.assert_array_equal(

@@ -47,7 +47,7 @@ def test_the_command_plans_what_it_wrote(small: Path) -> None:
     small.unlink()
     ended = surveys.command("init", small.parent)
     assert ended.status == 0, ended.text
-    assert "not told: trajectory: " in ended.out
+    assert "unknown: trajectory: " in ended.out
     assert "stretches" in ended.out
     assert small.exists()
     ended = surveys.command("init", small.parent)
@@ -126,6 +126,7 @@ def test_a_sparse_cloud_without_beamlets_is_taken_for_linear_mode(
     found, content = begun(tmp_path)
     assert ("filter" in content) == kept
     assert "linear-mode lidar" in dict(found.unknown)["filter"]
+    assert ("sensor" not in dict(found.unknown)) == kept
     text = found.workflow.read_text(encoding="utf-8")
     assert "filter: {method: none}" in text
     assert max(map(len, text.splitlines())) <= 120

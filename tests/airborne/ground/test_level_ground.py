@@ -19,7 +19,6 @@ from spl_batch.airborne.ground.level_ground import (
     STEP_M,
     STEP_SLOPE,
     edges,
-    high_islands,
     levelled,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
@@ -93,30 +92,6 @@ def test_nothing_grows_from_a_few_nodes_on_a_roof() -> None:
     ground = ~upper
     ground[few] = True
     assert not levelled(xyz, grid, nearest_node(grid), ground, 1.0)[upper].sum() > len(few)
-
-
-@pytest.mark.parametrize("gap_m", [1.0, 12.0])
-@pytest.mark.parametrize(("height_m", "off"), [(3.0, True), (1.0, False), (12.0, False)])
-def test_a_few_nodes_as_high_as_a_house_above_a_slope_are_no_ground(
-    gap_m: float, height_m: float, *, off: bool
-) -> None:
-    rng = np.random.default_rng(7)
-    xyz = np.column_stack([*rng.uniform(0, 80, (2, 2000)), rng.normal(0, 0.05, 2000)])
-    away = np.hypot(xyz[:, 0] - 40, xyz[:, 1] - 40)
-    few = away < 2.5
-    xyz[:, 2] += 0.03 * xyz[:, 0] + height_m * few
-    ground = few | (away > 2.5 + gap_m)
-    assert high_islands(xyz, ground, 1.0).tolist() == (few & off).tolist()
-
-
-def test_what_is_left_of_a_plateau_that_was_cut_off_stays() -> None:
-    rng = np.random.default_rng(7)
-    x, y = np.meshgrid(np.arange(80), np.arange(80)) + rng.uniform(0.2, 0.8, (2, 80, 80))
-    xyz = np.column_stack([x.ravel(), y.ravel(), rng.normal(0, 0.05, 6400)])
-    off = np.abs(xyz[:, :2] - 40).max(axis=1)
-    xyz[:, 2] += 3.0 * (off < 15)
-    left = (off < 15) & (np.hypot(xyz[:, 0] - 27, xyz[:, 1] - 27) < 2.5)
-    assert not high_islands(xyz, left | (off >= 15), 1.0).any()
 
 
 def test_a_rim_is_an_edge_and_neither_a_deck_nor_a_plain_is() -> None:

@@ -49,6 +49,21 @@ def refused(survey: Path, *settings: str) -> str:
     return said[0]
 
 
+def test_files_of_which_every_point_is_withheld_show_before_a_run(survey: Path) -> None:
+    def withhold(path: Path) -> None:
+        with laspy.open(path) as reader:
+            cloud = reader.read()
+        cloud.withheld[:] = 1
+        cloud.write(path)
+
+    first, *others = sorted((survey.parent / "lines").glob("*.laz"))
+    withhold(first)
+    assert surveys.found(api.plan(survey).findings, "I01", "withheld")
+    for path in others:
+        withhold(path)
+    assert "withheld" in refused(survey)
+
+
 def test_what_is_refused_names_all_that_is_wrong(survey: Path) -> None:
     later_s = surveys.START_S + 2 * DAY_S
     path = survey.parent / "trajectory.csv"

@@ -45,7 +45,7 @@ def test_a_survey_has_the_vertical_datum_of_its_files(tmp_path, crs, survey, wan
     assert code(inputs.crs) == wanted
     assert inputs.crs is not None
     assert len(inputs.sources) == len(crs)
-    assert not surveys.found(inputs.warnings, "I05", "vertical")
+    assert not surveys.found(inputs.warnings, "I08", "vertical")
 
 
 def test_files_of_another_datum_are_bad_and_those_of_none_are_told(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_files_of_another_datum_are_bad_and_those_of_none_are_told(tmp_path: Pat
     assert "its heights are 'EGM96 height' (EPSG:5773), the survey's 'NAVD88 height'" in str(
         inputs.bad[0]
     )
-    (one,) = surveys.found(inputs.warnings, "I05", "vertical")
+    (one,) = surveys.found(inputs.warnings, "I08", "vertical")
     assert one.subject == "3.laz"
     assert "NAVD88" in one.values["crs"]
 

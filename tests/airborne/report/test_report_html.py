@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from spl_batch.airborne.report import plots
 from spl_batch.airborne.report.model import Counts, Report, Survey
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
 from spl_batch.airborne.report.survey_files import write_report
@@ -237,14 +236,6 @@ class TestPictures:
         )
         assert first == second
 
-    def test_a_huge_profile_is_thinned(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(plots, "MOST_POINTS", 1000)
-        profile = make_profile(np.random.default_rng(1))
-        thin = plots._thinned(profile)
-        assert 900 < thin.along_m.size <= 1000
-        assert set(thin.along_m) <= set(profile.along_m)
-        assert np.ptp(thin.along_m) > 0.95 * np.ptp(profile.along_m)
-
     def test_two_threads_draw_what_one_draws(self, pictures: Mapping[str, Picture]) -> None:
         inputs, report = make_inputs(), make_report()
         part = PictureInputs(chm=inputs.chm, differences_m=inputs.differences_m)
@@ -252,13 +243,6 @@ class TestPictures:
             for made in pool.map(lambda _: make_pictures(part, report), range(2)):
                 for key in ("chm", "histogram"):
                     assert made[key].png == pictures[key].png
-
-    def test_drawing_leaves_settings_alone(self) -> None:
-        import matplotlib as mpl  # noqa: PLC0415
-
-        before = dict(mpl.rcParams)
-        make_pictures(PictureInputs(density=make_inputs().density), make_report())
-        assert dict(mpl.rcParams) == before
 
     def test_a_large_png_is_reduced(self) -> None:
         drawn = style.figure(2.0, 2.0)
@@ -285,52 +269,3 @@ class TestMaps:
                 expected = np.mean(block) if block else np.nan
                 np.testing.assert_allclose(made.values[row, column], expected, rtol=1e-12)
         assert made.extent_m == pytest.approx((0.0, 40.0, -1.0, 23.0))
-
-    def test_a_small_raster_is_left_as_it_is(self) -> None:
-        values = np.arange(12.0).reshape(3, 4)
-        made = maps.reduce_raster(Raster(values, EXTENT), largest=4)
-        np.testing.assert_array_equal(made.values, values)
-        assert made.extent_m == EXTENT
-
-    @pytest.mark.parametrize(
-        ("east", "south", "compare"),
-        [(0.0, 0.0, "equal"), (1.0, 1.0, "brighter"), (-1.0, -1.0, "darker")],
-    )
-    def test_slopes_that_face_the_north_west_are_bright(
-        self, east: float, south: float, compare: str
-    ) -> None:
-        column, row = np.meshgrid(np.arange(6.0), np.arange(6.0))
-        shade = maps.hillshade(0.4 * (east * column + south * row), 1.0)
-        assert np.ptp(shade) < 1e-12
-        difference = {"equal": 0.0, "brighter": 1.0, "darker": -1.0}[compare]
-        assert np.sign(np.round(shade[0, 0] - 0.78, 9)) == difference
-
-    def test_shading_against_the_angle_between_normal_and_sun(self) -> None:
-        heights = np.random.default_rng(6).normal(0, 1, (9, 8))
-        shade = maps.hillshade(heights, 2.0, exaggeration=3.0)
-        row, column = 4, 5
-        to_east = 3.0 * (heights[row, column + 1] - heights[row, column - 1]) / 4.0
-        to_north = 3.0 * (heights[row - 1, column] - heights[row + 1, column]) / 4.0
-        normal = np.array([-to_east, -to_north, 1.0])
-        normal /= np.linalg.norm(normal)
-        sun = np.array([-0.5, 0.5, np.sqrt(0.5)])
-        direct = max(normal @ sun, 0.0) / np.sqrt(0.5)
-        expected = min(0.78 * (0.55 * direct + 0.15 * normal[2] + 0.30), 1.0)
-        assert shade[row, column] == pytest.approx(expected, rel=1e-12)
-
-    @pytest.mark.parametrize("shape", [0.001, 0.1, 0.29, 0.31, 0.75, 1.0, 3.0, 40.0, 5000.0])
-    def test_map_and_colour_bar_lie_on_the_picture_apart(self, shape: float) -> None:
-        layout = maps._layout((0.0, 100.0, 0.0, 100.0 * shape))
-        assert layout.width <= maps.WIDTH_IN
-        assert layout.height < 6.5
-        beside = layout.width - layout.map_box[2]
-        assert beside < 0.62 * maps.WIDTH_IN, "a narrow map has a narrow picture"
-        (x, y, wide, high), (bar_x, bar_y, bar_wide, bar_high) = layout.map_box, layout.bar_box
-        for left, bottom, width, height in (layout.map_box, layout.bar_box):
-            assert min(left, bottom, width, height) > 0
-            assert left + width < layout.width
-            assert bottom + height < layout.height
-        assert x + wide < bar_x or bar_y + bar_high < y
-        assert max(bar_wide, bar_high) > 0.1
-        if 0.3 < shape < 3.0:
-            assert high / wide == pytest.approx(shape)

@@ -21,10 +21,9 @@ from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.objects import (
     building_solid,
     catenary,
-    ground_at,
 )
-from spl_batch.airborne.simulate.scene.scene_file import Building, parse_scene
-from spl_batch.airborne.simulate.scene.terrain import Ground, make_ground
+from spl_batch.airborne.simulate.scene.scene_file import Building
+from spl_batch.airborne.simulate.scene.terrain import Ground
 from spl_batch.numerics import attitude
 
 
@@ -73,19 +72,6 @@ def test_steep_ground_is_met_where_marching_along_the_ray_meets_it_first():
         below = [p[2] <= ray_trace.bilinear(z, grid, p[0], p[1])[0] for p in o + along[:, None] * d]
         assert t == pytest.approx(along[np.argmax(below)], abs=0.011)
         assert 0.0 <= cosine <= 1.0
-
-
-def test_landforms_are_as_high_as_said_and_fall_off_at_their_slope():
-    flat = {"relief_m": 0, "roughness_m": 0}
-    ring = [(20, 20), (60, 20), (60, 60), (20, 60)]
-    hill, pit = ({"ring_m": ring, "height_m": h, "slope_deg": 45} for h in (10, -10))
-    flights = [{"heading_deg": 0}]
-    for forms, expected in (([hill], (10, 5, 0)), ([pit], (-10, -5, 0)), ([hill, pit], (0, 0, 0))):
-        content = {"extent_m": (80, 80), "terrain": {**flat, "landforms": forms},
-                   "flights": flights, "origin_m": (0, 0, 0)}  # fmt: skip
-        ground = make_ground(parse_scene(content, "x"), np.random.default_rng(0))
-        found = [ground_at(ground, x, 40.0) for x in (40, 65, 75)]
-        assert found == pytest.approx(expected, abs=1e-9)
 
 
 def test_bilinear_interpolates_a_plane_exactly_and_gives_its_slope():
@@ -173,14 +159,6 @@ def test_distance_of_a_ray_from_a_wire_is_the_smallest_one():
         t, distance = ray_trace.meet_wire(wire, o, d)
         assert distance == pytest.approx(best.fun, abs=1e-3)
         assert t == pytest.approx((place(best.x) - o) @ d, abs=0.3)
-
-
-def test_lit_share_integrates_the_beam_over_the_wire():
-    for distance in (0.0, 0.04, 0.1):
-        expected = stats.norm.cdf(distance + 0.015, scale=0.05) - stats.norm.cdf(
-            distance - 0.015, scale=0.05
-        )
-        assert ray_trace.lit_share(distance, 0.015, 0.05) == pytest.approx(expected)
 
 
 def test_signal_follows_equation_2_1():

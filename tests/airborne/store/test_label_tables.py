@@ -12,7 +12,6 @@ from spl_batch.airborne.store.label_tables import (
     GROUP_ROWS,
     OPEN_FILES,
     LabelFiles,
-    Labelled,
     Origin,
     read_labelled_tile,
     read_region,
@@ -66,7 +65,7 @@ def test_labels_of_other_units_come_back_to_each_point(
         near = [t for t in tiles if t in set(cells_touching(core, TILE))]
         found, origin = read_region(store, near, core, CANONICAL_ORDER, {})
         # The label is a function of the point alone, so that it can be recomputed.
-        write_labels(store.labels("ground", str(u)), [(origin, {"ground": found["index"] % 7})])
+        write_labels(store.labels("ground", str(u)), origin, {"ground": found["index"] % 7})
     holders = {
         t: [("ground", str(u)) for u in cells_touching(cell_bounds(t, TILE), unit) if u in units]
         for t in tiles
@@ -106,8 +105,8 @@ def test_points_as_they_lie_are_the_same_and_labelled_alike(
             origin = Origin(origin.tiles, origin.owner[swap], origin.row[swap])
             value = value[swap]
         paths.append(folder / f"{number}.parquet")
-        parts = [(origin.of(some), {"ground": value[some]}) for some in (half, ~half)]
-        write_labels(paths[-1], parts if number else [(origin, {"ground": value})])
+        order = np.arange(len(table)) if not number else np.argsort(half, kind="stable")
+        write_labels(paths[-1], origin.of(order), {"ground": value[order]})
         seen.append(table["index"][canonical_order(table)].tolist())
     assert seen[0] == seen[1]
     assert paths[0].read_bytes() == paths[1].read_bytes()
@@ -128,17 +127,19 @@ def test_points_without_labels_say_so(tmp_path: Path) -> None:
 def test_a_unit_with_nothing_in_a_tile(tmp_path: Path) -> None:
     store = Store(tmp_path)
     path = store.labels("ground", "u")
-    write_labels(path, [labelled(np.empty((0, 2)), np.empty(0), np.empty(0))])
+    write_labels(path, *labelled(np.empty((0, 2)), np.empty(0), np.empty(0)))
     assert len(labels_of(store, "u", CellId(0, 0))["row"]) == 0
     tiles = np.array([[1, 0], [0, 1], [1, 0]], np.int32)
-    write_labels(path, [labelled(tiles, np.array([7, 3, 2]), np.array([1, 2, 3]))])
+    write_labels(path, *labelled(tiles, np.array([7, 3, 2]), np.array([1, 2, 3])))
     back = labels_of(store, "u", CellId(1, 0))
     assert back["row"].tolist() == [2, 7]
     assert back["ground"].tolist() == [3, 1]
     assert len(labels_of(store, "u", CellId(1, 1))["row"]) == 0
 
 
-def labelled(tiles: NDArray[Any], rows: NDArray[Any], ground: NDArray[Any]) -> Labelled:
+def labelled(
+    tiles: NDArray[Any], rows: NDArray[Any], ground: NDArray[Any]
+) -> tuple[Origin, dict[str, NDArray[Any]]]:
     named, owner = np.unique(tiles, axis=0, return_inverse=True)
     place = Origin(named.astype(np.int32), owner.ravel().astype(np.uint16), rows.astype(np.uint32))
     return place, {"ground": ground}
@@ -159,7 +160,7 @@ def test_of_a_long_tile_only_the_rows_in_question_are_read(tmp_path: Path) -> No
     gaps = np.delete(whole, [4, 2 * GROUP_ROWS + 9])
     for unit, row in {"whole": whole, "gaps": gaps}.items():
         tiles = np.zeros((len(row), 2), np.int32)
-        write_labels(store.labels("ground", unit), [labelled(tiles, row, ground[row])])
+        write_labels(store.labels("ground", unit), *labelled(tiles, row, ground[row]))
         for low, high in ((0, 0), (GROUP_ROWS - 1, GROUP_ROWS), (3 * GROUP_ROWS, count - 1)):
             back = labels_of(store, unit, CellId(0, 0), (low, high))
             assert np.array_equal(back["ground"], ground[back["row"]])
@@ -172,7 +173,7 @@ def test_more_units_than_files_that_may_be_open(tmp_path: Path) -> None:
     units = [f"u{k}" for k in range(OPEN_FILES + 2)]
     for k, unit in enumerate(units):
         label = labelled(np.array([tile]), np.array([0]), np.array([k]))
-        write_labels(store.labels("ground", unit), [label])
+        write_labels(store.labels("ground", unit), *label)
     with LabelFiles(store) as files:
         for k, unit in [*enumerate(units), *enumerate(units)]:
             back = files.read(("ground", unit), tile, ["ground"], (0, 0))

@@ -1,12 +1,15 @@
 """A finished run is found finished without a look at its receipts, and only while it is."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from spl_batch import api
+from spl_batch.engine.store import deliveries
+from spl_batch.engine.store.working_store import Store, read_receipts
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.engine.verbs.conclusion import REST
 from tests import surveys
@@ -30,8 +33,13 @@ def looked(workflow: Path, monkeypatch: pytest.MonkeyPatch, **options: bool) -> 
         looks.append(self.step.name)
         return look(self)
 
+    def read(store: Store, kind: str) -> Iterator[Receipt]:
+        looks.append(kind)
+        return read_receipts(store, kind)
+
     with monkeypatch.context() as patch:
         patch.setattr(Worklist, "look", counted)
+        patch.setattr(deliveries, "read_receipts", read)
         assert api.run(workflow, workers=0, **options).exit_status == 0
     return bool(looks)
 

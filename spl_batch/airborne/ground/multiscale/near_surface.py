@@ -35,9 +35,6 @@ SQUARE_M: Final = 1.0
 SPACINGS: Final = 2.0
 """Least edge of the squares [m], and their edge in spacings of the nodes."""
 
-UNDER_M: Final = 1.0
-"""So far below a deck ground may begin: more than a surface is asked for above itself [m]."""
-
 _SLACK_M = 1e-3
 """Heights of triangles are rounded by far less [m]."""
 
@@ -116,25 +113,6 @@ def surface_of(nodes: Float) -> Surface:
     _tops(tin.xyz, tin.facets, tin.neighbours, slopes, edge_m, (bottom, left), steep, top_m)
     top_m[np.isneginf(top_m)] = np.inf
     return Surface(nodes, slopes, tin, steep, Tops(top_m, edge_m, (bottom, left)))
-
-
-def below_decks(surface: Surface, decks: Float) -> Surface:
-    """A surface of which no deck is a part, though triangles span its ends.
-
-    Parameters
-    ----------
-    surface : Surface
-        Ground.
-    decks : (n, 3) float64
-        Nodes of decks [m].
-    """
-    tops = surface.tops
-    top_m = tops.top_m.copy()
-    column, row = (np.floor(v / tops.edge_m).astype(np.int64) for v in decks[:, :2].T)
-    row, column = row - tops.first[0], column - tops.first[1]
-    inside = (row >= 0) & (row < len(top_m)) & (column >= 0) & (column < top_m.shape[1])
-    np.minimum.at(top_m, (row[inside], column[inside]), decks[inside, 2] - UNDER_M)
-    return surface._replace(tops=tops._replace(top_m=top_m))
 
 
 @njit()

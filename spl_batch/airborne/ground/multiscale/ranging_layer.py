@@ -84,13 +84,10 @@ class Spread(NamedTuple):
         Standard deviation of a range [m].
     first : (int, int)
         Row and column of the first block.
-    photons : bool
-        Whether returns are single photons, noise among them: flightlines tell of their ranges.
     """
 
     sigma_m: Float
     first: tuple[int, int]
-    photons: bool = False
 
     def at(self, row: Index, column: Index) -> Float:
         """That of some blocks, by row and column of the grid [m]."""
@@ -256,7 +253,7 @@ def reckoned(shown: Squares) -> Spread:
     sigma_m[(told_m <= SIGMA_M) | ~scatter.any(axis=2)] = SIGMA_M
     sure = told_m > COVERED * SIGMA_M
     sigma_m[sure] = told_m[sure]
-    return Spread(sigma_m, shown.first, bool((told_m > 0.0).any()))
+    return Spread(sigma_m, shown.first)
 
 
 def _share(value: Float, none: Float | float, all_: Float | float) -> Float:

@@ -9,7 +9,7 @@ import numpy as np
 from spl_batch.airborne.beams.geometry import ELSEWHERE_M, Ahead
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.plan.inputs.channel_dimension import unnamed_channels
-from spl_batch.airborne.plan.inputs.first_look import holds_few, in_files, too_few
+from spl_batch.airborne.plan.inputs.first_look import holds_few, in_files, no_use, too_few
 from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.task import Receipt
@@ -31,10 +31,8 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[Finding
         reasons = [*told_together(survey.inputs.bad), *(r.reason for r in failures)]
         raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
     unused = [r for r in usable.values() if r.points and r.facts["excluded"] == r.points]
-    text = "every point is withheld or of class 7 or 18, so none of them is used"
     if sum(r.points for r in unused) == sum(r.points for r in usable.values()):
-        names = named([str(r.facts["name"]) for r in unused])
-        raise WorkflowError(f"{names}: {text}; clear the flag or the class of those that are valid")
+        raise WorkflowError(no_use([str(r.facts["name"]) for r in unused]))
     yield from (Finding("I01", {"kind": "withheld"}, str(r.facts["name"])) for r in unused)
     _check_channels(survey)
     yield from channels_not_named(survey)

@@ -55,6 +55,8 @@ order of their beamlet, so many hold more than the tenth of the beamlets that ar
 FEW_CHANNELS: Final = 10
 """A dimension that holds less than this part of the beamlets' numbers holds something else."""
 
+UNUSED: Final = "every point is withheld or of class 7 or 18, so none of them is used"
+
 Span = tuple[float, float]
 
 
@@ -64,6 +66,7 @@ class _Seen:
 
     spans: dict[str, Span] = field(default_factory=dict)
     untimed: list[str] = field(default_factory=list)
+    unused: list[str] = field(default_factory=list)
     channels: dict[str, tuple[int, ...]] = field(default_factory=dict)
     few: list[str] = field(default_factory=list)
     sources: dict[str, tuple[int, ...]] = field(default_factory=dict)
@@ -92,6 +95,8 @@ def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
     if len(seen.unreadable) == len(held):
         reasons = told_together([*inputs.bad, *seen.unreadable])
         raise WorkflowError("no input is usable: " + "; ".join(reasons))
+    if len(seen.unused) == len(held):
+        raise WorkflowError(no_use(seen.unused))
     paths = {error.path for error in seen.unreadable}
     lost = [source.facts.n_points for source in held if str(source.path) in paths]
     found = FirstLook(
@@ -99,6 +104,7 @@ def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
         unreadable=len(lost),
         unreadable_points=sum(lost),
         late=tuple(told_together(inputs.reference.bad)),
+        warnings=tuple(Finding("I01", {"kind": "withheld"}, name) for name in seen.unused),
     )
     if workflow.filter.method == "none" and not workflow.afterpulse.enabled:
         return found
@@ -117,7 +123,7 @@ def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
     warnings += unnamed_channels(seen.numbers, workflow.sensor) or _linear_mode(seen, workflow)
     rows = (*_flightlines(seen, workflow), *_missing(inputs, workflow))
     told = (*found.faults, *told_together(unread))
-    return found._replace(faults=told, warnings=(*warnings, *missed), rows=rows)
+    return found._replace(faults=told, warnings=(*found.warnings, *warnings, *missed), rows=rows)
 
 
 def _flightlines(seen: _Seen, workflow: Workflow) -> Iterator[tuple[str, str]]:
@@ -166,6 +172,11 @@ def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
     return enough and FEW_CHANNELS * channels <= sensor.beamlets
 
 
+def no_use(names: Sequence[str]) -> str:
+    """That none of these files, which are all, has a point to work with, and what helps."""
+    return f"{named(names)}: {UNUSED}; clear the flag or the class of those that are valid"
+
+
 def too_few(values: Iterable[int], where: str, workflow: Workflow) -> str:
     """That the dimension that is named holds too few values, and what helps.
 
@@ -197,6 +208,8 @@ def _look_into(source: Source, workflow: Workflow, count: int, seen: _Seen) -> N
     except InputError as error:
         seen.unreadable.append(error)
         return
+    if not found.used and len(found.channel) == source.facts.n_points:
+        seen.unused.append(source.name)
     if not source.facts.has_gps_time:
         return
     seen.sources[source.name] = found.sources

@@ -105,7 +105,7 @@ def without_heights(crs: CRS | None, files: Iterable[tuple[str, LasFacts]]) -> l
     if named is None or len(lacking) == len(some):
         return []
     values = {"kind": "vertical", "crs": crs_name(named)}
-    return [Finding("I05", values, name) for name in lacking]
+    return [Finding("I08", values, name) for name in lacking]
 
 
 def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:

@@ -133,7 +133,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     warnings += [*degrees_as_metres(placed), *far_positions(placed)]
     warnings += checkpoint_file.looked_into(checkpoints, crs, workflow.reference, good)
     if crs is None and good:
-        warnings.append(Finding("I05", {"kind": "none"}))
+        warnings.append(Finding("I08", {"kind": "none"}))
     warnings += without_heights(crs, placed)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
