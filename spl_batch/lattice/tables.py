@@ -54,9 +54,7 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
             np.uint8, "", "0 signal, 1 background, 2 afterpulse, 255 not assessed"
         ),
         "wire": Column(np.uint8, "", "1 where the scan along lines is sure of a conductor"),
-        "ground": Column(
-            np.uint8, "", "1 on the terrain, 2 ground of a flightline that lies apart, else 0"
-        ),
+        "ground": Column(np.uint8, "", "1 on the terrain, else 0"),
         "classification": Column(np.uint8, "", "ASPRS class as delivered"),
         "set_flags": Column(np.uint8, "", "LAS flags that are set: 4 withheld, 8 overlap"),
     }

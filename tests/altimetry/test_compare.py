@@ -1,7 +1,6 @@
 """Several methods on one track: counts, what is shared, and what is refused."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 from spl_batch import api
 from spl_batch.altimetry.compare.comparison import METHODS
 from spl_batch.altimetry.report.model import METHOD_NAMES
-from spl_batch.engine.watch.events import Note, TaskEnded
+from spl_batch.engine.watch.events import TaskEnded
 from tests import surveys
 from tests.altimetry.tracks import labels, small_track, write_atl03, write_atl08, write_workflow
 
@@ -69,24 +68,6 @@ def test_one_method_more_costs_itself_alone(compared: Path) -> None:
     assert again.exit_status == 0
     kinds = [event.kind for event in seen if isinstance(event, TaskEnded)]
     assert sorted(kinds) == sorted(["label", "profile", "compare", "deliver_beam", "deliver_file"])
-
-
-def test_what_only_the_comparison_reads_is_made_again_where_it_is_damaged(compared: Path) -> None:
-    """Each run finds all finished; by its size and time nothing has happened to the file."""
-    table = next(
-        path for path in (compared / "compare/likelihood/photons").rglob("*") if path.is_file()
-    )
-    content, before = table.read_bytes(), table.stat()
-    harmed = bytearray(content)
-    harmed[len(content) // 2] ^= 4
-    table.write_bytes(harmed)
-    os.utime(table, ns=(before.st_atime_ns, before.st_mtime_ns))
-    seen: list[Any] = []
-    workflow = compared.parent / "workflow.yaml"
-    again = api.compare(workflow, ["likelihood", "published"], workers=0, listener=seen.append)
-    assert again.exit_status == 0
-    assert table.read_bytes() == content
-    assert [e.text for e in seen if isinstance(e, Note) and str(table) in e.text]
 
 
 @pytest.mark.parametrize("methods", ["mdbscan", "mdbscan,mdbscan", "mdbscan,voxel", ""])

@@ -23,8 +23,7 @@ from spl_batch.airborne.ground.ground_seeds import (
     supported,
 )
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.multiscale.lines_apart import Lines
-from spl_batch.airborne.ground.multiscale.masks import GROUND, multiscale_mask
+from spl_batch.airborne.ground.multiscale.masks import multiscale_mask
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
     EVERYWHERE,
     SIGMA_M,
@@ -62,7 +61,7 @@ _GAP_SPACINGS = 10.0
 [count]."""
 
 Float = NDArray[np.float64]
-Found = NDArray[np.bool_] | NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 
 
 class Points(NamedTuple):
@@ -81,18 +80,15 @@ class Cloud(NamedTuple):
     points : Points
         All of them.
     own, asked : (n,) bool
-        Which are evidence, and which are to be told.
-    told_m : (n,) floating or None
-        Ranging spread that their flightlines tell [m], where these do.
-    lines : Lines or None
-        Their flightlines, where there are several.
+        Which are evidence, and which are to be judged.
+    sigma_m : (n,) floating or None
+        Ranging spread of their flightlines [m], where it is known.
     """
 
     points: Points
-    own: NDArray[np.bool_]
-    asked: NDArray[np.bool_]
-    told_m: NDArray[np.floating] | None
-    lines: Lines | None = None
+    own: Mask
+    asked: Mask
+    sigma_m: NDArray[np.floating] | None
 
     def some(self, chosen: NDArray[np.bool_]) -> Points:
         """Chosen points; no copy where all are."""
@@ -127,40 +123,14 @@ def ground_mask(
     (n,) bool
         True for ground; False wherever a point is not usable or not asked for.
     """
-    found: NDArray[np.bool_] = ground_labels(table, usable, settings, asked) == GROUND
-    return found
-
-
-def ground_labels(
-    table: PointTable,
-    usable: NDArray[np.bool_],
-    settings: GroundSettings,
-    asked: NDArray[np.bool_] | None = None,
-    lines: Lines | None = None,
-) -> NDArray[np.uint8]:
-    """Which points are ground, and which are that of a flightline that lies apart from it.
-
-    Parameters
-    ----------
-    table, usable, settings, asked
-        As :func:`ground_mask` has them.
-    lines : Lines, optional
-        Flightlines of the points, where there are several.
-
-    Returns
-    -------
-    (n,) uint8
-        1 for ground; 2 for that of a flightline that lies above or below it; else 0.
-    """
-    mask = np.zeros(len(table), dtype=np.uint8)
+    mask = np.zeros(len(table), dtype=np.bool_)
     own = usable & ~dependents(table)
-    told = usable if asked is None else usable & asked
-    if own.any() and told.any():
-        used = own | told
+    asked = usable if asked is None else usable & asked
+    if own.any() and asked.any():
+        used = own | asked
         spreads = table["range_sigma"][used] if "range_sigma" in table else None
-        of = None if lines is None else lines.some(used)
-        cloud = Cloud(metres(table, used), own[used], told[used], spreads, of)
-        mask[told] = METHODS[settings.method](cloud, settings)
+        cloud = Cloud(metres(table, used), own[used], asked[used], spreads)
+        mask[asked] = METHODS[settings.method](cloud, settings)
     return mask
 
 
@@ -303,28 +273,28 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
     return np.sqrt(squared)
 
 
-def _multiscale(cloud: Cloud, _: GroundSettings) -> Found:
+def _multiscale(cloud: Cloud, _: GroundSettings) -> Mask:
     """By a surface whose scale follows the data."""
-    points, own, asked, told_m, lines = cloud
+    points, own, asked, sigma_m = cloud
     sigma = EVERYWHERE
-    if told_m is not None and told_m[own].max() > SIGMA_M:
-        sigma = reckoned(evidence(*cloud.some(own), told_m[own]))
-    return multiscale_mask(points, own, asked, sigma, lines)
+    if sigma_m is not None and sigma_m[own].max() > SIGMA_M:
+        sigma = reckoned(evidence(*cloud.some(own), sigma_m[own]))
+    return multiscale_mask(points, own, asked, sigma)
 
 
-def _by_ptd(cloud: Cloud, settings: GroundSettings) -> Found:
+def _by_ptd(cloud: Cloud, settings: GroundSettings) -> Mask:
     return ptd_mask(cloud.some(cloud.own), cloud.some(cloud.asked), settings.ptd)
 
 
-def _by_smrf(cloud: Cloud, settings: GroundSettings) -> Found:
+def _by_smrf(cloud: Cloud, settings: GroundSettings) -> Mask:
     return smrf_mask(cloud.some(cloud.own), cloud.some(cloud.asked), settings.smrf)
 
 
-Method = Callable[[Cloud, GroundSettings], Found]
+Method = Callable[[Cloud, GroundSettings], Mask]
 
 METHODS: Final[Mapping[str, Method]] = {
     "multiscale": _multiscale,
     "ptd": _by_ptd,
     "smrf": _by_smrf,
 }
-"""Methods by their names in the settings: points, settings -> labels of those asked."""
+"""Methods by their names in the settings: points, settings -> mask of those asked."""

@@ -92,7 +92,8 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         bare.count_chances(table, owned, P_VALUES, counts)
         facts |= {"p_values": counts.tolist()} if counts.any() else {}
     table = table.select(_GROUND_COLUMNS)
-    mask = grounding.ground_labels(table, usable, context.workflow.ground, owned)[owned]
+    mask = grounding.ground_mask(table, usable, context.workflow.ground, owned)[owned]
+    mask = mask.astype(np.uint8)
     path = context.store.labels("ground", args["cell"])
     write_labels(path, origin.of(owned), {"ground": mask})
     facts["ground"] = int(np.count_nonzero(mask))

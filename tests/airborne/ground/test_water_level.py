@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.classes.point_classes import classify
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.water.level import Levels, flattened, in_water
-from spl_batch.airborne.ground.water.off_water import OffWater, off_surface
+from spl_batch.airborne.ground.water.off_water import off_surface
 from spl_batch.airborne.products.surface_rasters import surfaces
 from spl_batch.airborne.settings import GroundSettings, ProductSettings
 from spl_batch.lattice.tables import PointFlag, PointTable
@@ -305,26 +305,3 @@ def test_a_return_alone_under_a_deck_is_put_on_the_level_of_the_water_beside_it(
     x, y, z = (np.append(v[beside], add) for v, add in ((x, 52.0), (y, 52.0), (z, 50.2)))
     table = points(x, y, z)
     assert abs(flattened(table, level_of(table))["z"][-1] / 1000 - 50) < 0.02
-
-
-def test_parts_cut_between_cells_of_the_level_tell_the_same() -> None:
-    """A deck, an island, a boat and noise across the cuts; strips of 5 m, some without water."""
-    x, y, z, _ = noisy_water(12, 0.3)
-    z = np.where((np.hypot(x - 46, y - 50) < 6) & (z < 51), 51.0, z)
-    z = np.where((np.abs(x - 70) < 6) & (np.abs(y - 20) < 1) & (z < 50.5), 52.0, z)
-    table = points(x, y, z, (x > 12) & (x < 88))
-    usable = np.random.default_rng(12).random(len(x)) < 0.98
-    strip = np.digitize(x, [5, 40, 45, 65, 70, 95])
-    parts = [np.flatnonzero(strip == k) for k in range(7)]
-    waters, levels = OffWater(), Levels(beyond=True)
-    for rows in parts:
-        waters.look(table.take(rows), usable[rows])
-        levels.look(*in_water(table.take(rows))[1])
-    found = [waters.judge(table.take(rows), usable[rows]) for rows in parts]
-    gone, lifted = np.zeros(len(x), np.bool_), np.zeros(len(x), np.int32)
-    for rows, doubtful in zip(parts, found, strict=True):
-        gone[rows[doubtful.rows]] = waters.off(doubtful.layer)
-        lifted[rows] = flattened(table.take(rows), levels)["z"]
-    np.testing.assert_array_equal(gone, off_surface(table, usable))
-    np.testing.assert_array_equal(lifted, flattened(table, level_of(table))["z"])
-    assert 0.1 < gone.mean() < 0.9

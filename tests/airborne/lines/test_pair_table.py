@@ -141,7 +141,7 @@ def test_the_largest_difference_is_that_of_all_patches() -> None:
     x, y, second = (
         points["x"] - 10_000_000,
         points["y"] - 20_000_000,
-        points["point_source_id"] == 2,
+        points["line"] == 2,
     )
     step = second & (x // 5000 == 7) & (y // 5000 == 3)
     points = points.with_columns(z=points["z"] + np.where(step, 500, 0).astype(np.int32))

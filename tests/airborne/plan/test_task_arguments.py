@@ -59,7 +59,8 @@ def mosaics(monkeypatch: pytest.MonkeyPatch, *, reflectance: bool) -> dict[str, 
     monkeypatch.setattr(space_tasks, "mosaic_bounds", lambda _: CORE)
     monkeypatch.setattr(space_tasks, "knows_reflectance", lambda _: reflectance)
     workflow = SimpleNamespace(products=SimpleNamespace(maps=True, cell_m=1.0))
-    survey: Any = SimpleNamespace(of=lambda _: ["0_0"], workflow=workflow)
+    grid = SimpleNamespace(squares=lambda cell: [cell])
+    survey: Any = SimpleNamespace(of=lambda _: ["0_0"], workflow=workflow, grid=grid)
     return {task.name: dict(task.args) for task in space_tasks.mosaic(survey)}
 
 
