@@ -81,9 +81,10 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             {
                 "degrees": "the coordinates look like degrees, but the CRS is in metres, so they "
                 "are taken as metres",
-                "wide": "its {points} points span {km:.0f} km; some of them must lie astray",
+                "wide": "its {points} points span {km:.0f} km; some of them must lie astray, and "
+                "rasters too large for a file leave them out",
                 "far": "{km:.0f} km from the rest of the survey ({main}), farther than its files "
-                "are long ({length_m:.0f} m)",
+                "are long ({length_m:.0f} m); rasters too large for a file leave them out",
                 "shapes": "{key}: none of its polygons meets the survey: they lie within {shapes}, "
                 "its points within {points}",
                 "geoid": "{count:cells|lie} beyond the grid {grid}: void",

@@ -161,7 +161,7 @@ def test_no_such_files(survey: Path) -> None:
         ("aoi=none.gpkg", "aoi: "),
     ):
         refused(run(survey, "--set", name), words)
-    refused(run(survey.parent / "none.yaml"), "none.yaml", "no such file")
+    refused(run(survey.parent / "none.yaml"), "none.yaml", "No such file")
     everything = [
         "--set",
         "aoi=none.gpkg",

@@ -91,7 +91,7 @@ def modules() -> Iterator[tuple[Path, ast.Module]]:
 
 
 def fields(template: str) -> set[str]:
-    return {name for _, name, *_ in Formatter().parse(template) if name}
+    return {name.partition("[")[0] for _, name, *_ in Formatter().parse(template) if name}
 
 
 def dictionary(call: ast.Call, scope: ast.AST) -> ast.Dict | None:

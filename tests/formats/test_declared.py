@@ -73,7 +73,7 @@ def test_an_hdf5_bomb_is_refused_by_its_size(tmp_path: Path) -> None:
             file.create_dataset(f"photon/channel001/{name}", shape, "f8", chunks=chunks)
     assert path.stat().st_size < 10**5
     with pytest.raises(InputError, match="would unpack to"):
-        inspect_track(path, 5000.0)
+        inspect_track(path)
 
 
 def test_a_chunk_that_is_no_chunk_is_refused(tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_a_chunk_that_is_no_chunk_is_refused(tmp_path: Path) -> None:
             place = f"photon/channel001/{name}"
             file.create_dataset(place, (10,), "f8", chunks=(2**27,), maxshape=(None,))
     with pytest.raises(InputError, match="bytes of a chunk"):
-        inspect_track(path, 5000.0)
+        inspect_track(path)
 
 
 def test_frames_that_are_not_there_are_refused(tmp_path: Path) -> None:

@@ -79,12 +79,12 @@ def test_photons_of_another_file_are_refused(
     tmp_path: Path, harm: Callable[[h5py.File, str, Path], None], name: str
 ) -> None:
     path, other = (write_atl03(tmp_path / n, {"gt1r": small_track()}) for n in ("a.h5", "b.h5"))
-    inspect_track(path, None)
+    inspect_track(path)
     with h5py.File(path, "r+") as file:
         del file[name]
         harm(file, name, other)
     with pytest.raises(InputError, match=f"{name} lies in another file: copy its values"):
-        inspect_track(path, None)
+        inspect_track(path)
 
 
 @pytest.mark.parametrize("harm", [linked, virtual, external])

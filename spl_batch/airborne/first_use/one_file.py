@@ -108,6 +108,9 @@ def denoise(
     with _naming(options):
         guessed, content = _proposal(look, trajectory, sensor, ground=ground)
     new = [place for place in {path.parent for path, _ in results} if not place.exists()]
+    for place in new:
+        if not place.parent.exists():
+            raise WorkflowError(f"{place}: there is no folder {place.parent}; check the path")
     with _naming(options), _leaving_nothing(folder):
         write_bytes(folder / _WORKFLOW, yaml.safe_dump(content, sort_keys=False).encode())
         _refuse_linear_mode(look, load_workflow(folder / _WORKFLOW, overrides))

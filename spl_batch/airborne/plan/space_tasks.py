@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
 from spl_batch.airborne.plan.cells import Unit, fired_index, voxel_index
 from spl_batch.airborne.plan.halo import surface_reach_m
+from spl_batch.airborne.plan.inputs.file_positions import FAR_M
 from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import cell_bytes, refusal
@@ -18,7 +19,16 @@ from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
 from spl_batch.errors import grouped
 from spl_batch.formats.las.header import waveform_file
-from spl_batch.lattice.tiles import CellId, cell_runs, grow, parse_cell, quanta
+from spl_batch.lattice.tiles import (
+    Bounds,
+    CellId,
+    cell_runs,
+    far_apart,
+    grow,
+    parse_cell,
+    quanta,
+    shared,
+)
 
 MOST_PIXELS: Final = 2**34
 """Cells of a raster of a whole survey, at most [count]: 130 km x 130 km of square metres."""
@@ -211,6 +221,8 @@ def mosaic(survey: Survey) -> Iterator[Task]:
     if not cells:
         return
     bounds, maps = mosaic_bounds(survey), survey.workflow.products.maps
+    if bounds.area_m2 > MOST_PIXELS * survey.workflow.products.cell_m**2:  # some lie astray
+        cells, bounds = _main_part(survey, cells, bounds)
     pixels = bounds.area_m2 / survey.workflow.products.cell_m**2
     refused = (
         ""
@@ -234,6 +246,18 @@ def mosaic(survey: Survey) -> Iterator[Task]:
             "colours": list(product.colours),
         }
         yield Task("mosaic", product.name, args, needs, 0, refused)
+
+
+def _main_part(
+    survey: Survey, cells: Sequence[CellId], bounds: Bounds
+) -> tuple[list[CellId], Bounds]:
+    """Of groups of ground cells far apart the one with most points, and its bounds."""
+    cores = [survey.grid.core(cell) for cell in cells]
+    corners = np.array([(core.xmin, core.ymin) for core in cores], np.int64)
+    points = np.array([survey.of("surface")[str(cell)].points for cell in cells])
+    rows = max(map(np.sort, far_apart(corners, quanta(FAR_M))), key=lambda k: points[k].sum())
+    west, south, east, north = zip(*(shared(cores[k], bounds) for k in rows), strict=True)
+    return [cells[k] for k in rows], Bounds(min(west), min(south), max(east), max(north))
 
 
 def hillshade(survey: Survey) -> Iterator[Task]:

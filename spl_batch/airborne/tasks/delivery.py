@@ -360,26 +360,23 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
             unit=args["unit"],
         )
     lost = Finding("I05", {"kind": "geoid", "count": beyond, "grid": named.grid})
-    facts = {"name": args["target"], "findings": [lost] if beyond else []}
-    return Produced([target], facts)
+    return Produced([target], {"name": args["target"], "findings": [lost] if beyond else []})
 
 
 def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     """Join a product's raster cells into one cloud-optimised GeoTIFF."""
-    products = context.workflow.products
-    edge, pixel = quanta(context.workflow.ground.cell_m), quanta(products.cell_m)
+    cell_m, edge = context.workflow.products.cell_m, quanta(context.workflow.ground.cell_m)
     bounds = Bounds(*args["bounds"])
-    shape, origin_xy_m = frame(bounds, pixel)
-    folder = context.output if args["delivered"] else context.store.local
-    target = folder / f"{args['name']}.tif"
-    cells = list(cells_of_runs(args["cells"]))
+    shape, origin_xy_m = frame(bounds, quanta(cell_m))
+    target = (context.output if args["delivered"] else context.store.local) / f"{args['name']}.tif"
+    cells = [*cells_of_runs(args["cells"])]
     stored = partial(stored_blocks, context.rasters, bounds=bounds, cells=cells, ground_cell=edge)
     write_cog(
         target,
         stored(args["product"]),
         shape=shape,
         origin_xy_m=origin_xy_m,
-        cell_m=products.cell_m,
+        cell_m=cell_m,
         crs=context.crs_wkt or None,
         description=args["meaning"],
         unit=args["unit"],
@@ -387,7 +384,7 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     )
     facts = {"name": target.name, "rows": shape[0], "columns": shape[1]}
     if args["product"] == "dtm":
-        found = wide_voids(stored("dtm"), stored("density"), shape, origin_xy_m, products.cell_m)
+        found = wide_voids(stored("dtm"), stored("density"), shape, origin_xy_m, cell_m)
         facts["findings"] = _voids(found, context)
     return Produced([target], facts)
 

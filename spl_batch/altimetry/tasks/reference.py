@@ -71,10 +71,13 @@ def _reference_heights(
     ground = np.isfinite(columns["ground"])
     if reference is not None and reference.points is not None:
         known = read_profile(context.resolve(reference.points))
-        ends = [(v.min() / 1000, v.max() / 1000) for v in (known[:, 0], at[ground]) if len(v)]
-        names = ("from_km", "to_km", "first_km", "last_km")
-        values = dict(zip(names, map(float, np.ravel(ends)), strict=False))
-        far = Finding("P01", {"kind": "points", "name": reference.points, **values})
+        ends = [[v.min(), v.max()] if len(v) else [np.nan] * 2 for v in (known[:, 0], at[ground])]
+        from_km, to_km, first_km, last_km = (np.ravel(ends) / 1000).tolist()
+        values = {
+            "kind": "points", "name": reference.points, "from_km": from_km, "to_km": to_km,
+            "first_km": first_km, "last_km": last_km,
+        }  # fmt: skip
+        far = Finding("P01", values)
         return _Heights(at, between(at, known), far)
     if reference is not None and reference.dtm is not None:
         path = context.resolve(reference.dtm)

@@ -87,12 +87,6 @@ def test_keys_choose_a_map_and_its_size(page: Page) -> None:
     page.press("ArrowRight", times=2)
     assert width(page, ".density img") > 3 * whole
     page.press("Tab")
-    assert page.ask(FOCUS) == "show-marks"
-    mark = "document.querySelector('.density .mark').checkVisibility()"
-    assert page.ask(mark)
-    page.press("Space")
-    assert not page.ask(mark)
-    page.press("Tab")
     assert page.ask(FOCUS) == "pan"
     page.press("ArrowRight", times=3)
     place = page.ask(RESTING)

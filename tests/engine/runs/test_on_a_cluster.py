@@ -96,7 +96,7 @@ def test_workers_that_cannot_do_the_work_are_refused(
 def test_a_task_that_always_fails_costs_its_place_alone(
     small: Path, small_output: Path, cluster: Cluster
 ) -> None:
-    name = "2720_32900_1_1"
+    name = "2720_32900"
     cluster.plan.set(fault("denoise", "raise", name))
     ended = run_on(cluster, small, *BLOCKS)
     assert ended.status == 1
