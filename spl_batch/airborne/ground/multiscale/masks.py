@@ -20,6 +20,7 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     surface_of,
     within,
 )
+from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
 from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M, EVERYWHERE, Spread
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
@@ -118,6 +119,7 @@ def _ground_surface(evidence: Place, sigma: Spread) -> Surface | None:
     nearest = nearest_node(grid)
     ground = continued(xyz, grid, ground_nodes(xyz, high, grid, nearest), CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
+    ground &= ~on_houses(xyz, ground)
     judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)
     ground &= ~under_ground(xyz, ground, judged)
     ground &= ~over_ground(xyz, ground, judged)
