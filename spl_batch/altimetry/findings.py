@@ -37,6 +37,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "none": "no photon of {noise} is signal: nothing but noise is seen",
                 "clumps": "the {kept:photons} called signal cannot be distinguished from noise, "
                 "which comes in clumps ({noise:photons} of noise are expected among them)",
+                "floor": "the {floor:photons} called floor below water are no more than the noise "
+                "that is expected among the signal, {noise:photons}",
             },
             "signal, ground and canopy are not to be relied on",
             noun="beam",

@@ -199,6 +199,12 @@ def test_signal_that_noise_alone_gives_is_named(kept: int, false: float, warned:
     assert bool(list(of_labels(kept, 9, false))) == warned
 
 
+@pytest.mark.parametrize(("floor", "warned"), [(0, False), (9, True), (300, False)])
+def test_a_floor_of_no_more_photons_than_noise_is_named(floor: int, *, warned: bool) -> None:
+    found = [one.values["kind"] for one in of_labels(3000, 100, 30.0, floor)]
+    assert found == ["floor"] * warned
+
+
 def test_a_handful_of_photons_below_the_sea_is_no_floor(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     for name, below in (("few", 6), ("some", 30)):
