@@ -5,7 +5,7 @@ cell sizes, the tolerance around the surface and its growth on slopes follow fro
 points and from how much the ground scatters.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,12 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     within,
 )
 from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
-from spl_batch.airborne.ground.multiscale.ranging_layer import BLOCK_M, EVERYWHERE, Spread
+from spl_batch.airborne.ground.multiscale.ranging_layer import (
+    BLOCK_M,
+    EVERYWHERE,
+    Spread,
+    off_planes,
+)
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
     CELL_M,
@@ -37,6 +42,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
 from spl_batch.airborne.ground.pits import nearly_empty, over_ground, under_ground
 from spl_batch.airborne.ground.point_spacing import in_squares, spacings
+from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import group_by_cell
 
@@ -53,6 +59,21 @@ grows below."""
 
 _BAND_SPACINGS = 0.25
 """So many spacings of the points: between them the ground is not known better."""
+
+_LIMITS: Final = Limits(
+    terrain_slope=float(np.tan(np.radians(88.0))),
+    sin_angle=float(np.sin(np.radians(10.0))),
+    distance_m=1.4,
+    spread_m=0.15,
+    insert_m=0.05,
+)
+"""Iteration parameters of [Axelsson 2000] for what the opening cuts off."""
+
+_HARD_POINTS = 6
+_HARD_SIGMA = 1.6
+"""Cells of so many points that lie on a plane by less than so many standard deviations of a range
+are hard. Without them the tops of embankments go: RMSE on open ground of a simulated survey 1.5 to
+1.9 cm."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -109,9 +130,23 @@ def _of(places: Place, chosen: Mask) -> Place:
     return x, y, z
 
 
+def _joined(xyz: Float, hard: Mask, ground: Mask) -> Mask:
+    """Ground nodes and hard ones that the opening cut off next to them: tops of embankments.
+
+    A bank joins its foot without a wall, and unlike shrubs it is smooth.
+    """
+    others = np.flatnonzero(hard & ~ground)
+    if not len(others):
+        return ground
+    _, taken = densify(xyz[ground], xyz[others], np.zeros(len(others)), _LIMITS, BLOCK_M / 2)
+    joined = ground.copy()
+    joined[others[taken]] = True
+    return joined
+
+
 def _ground_surface(evidence: Place, sigma: Spread) -> Surface | None:
     """Surface of the ground by some points; None where none of them is believed."""
-    xyz, filled, doubtful = _nodes(evidence, sigma)
+    xyz, filled, hard, doubtful = _nodes(evidence, sigma)
     if not len(xyz):
         return None
     chosen, high = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma)
@@ -119,6 +154,7 @@ def _ground_surface(evidence: Place, sigma: Spread) -> Surface | None:
     nearest = nearest_node(grid)
     ground = continued(xyz, grid, ground_nodes(xyz, high, grid, nearest), CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
+    ground = _joined(xyz, chosen & hard, ground)
     ground &= ~on_houses(xyz, ground)
     judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)
     ground &= ~under_ground(xyz, ground, judged)
@@ -127,10 +163,11 @@ def _ground_surface(evidence: Place, sigma: Spread) -> Surface | None:
 
 
 class _Layers(NamedTuple):
-    """Nodes (n, 3) [m]; which are filled, and which are single returns below many."""
+    """Nodes (n, 3) [m]; which are filled, of hard cells, and single returns below many."""
 
     xyz: Float
     filled: Mask
+    hard: Mask
     doubtful: Mask
 
 
@@ -141,7 +178,8 @@ def _nodes(evidence: Place, sigma: Spread) -> _Layers:
     south, west = (int(np.floor(v.min() / CELL_M)) for v in (y, x))
     along = (south + np.arange(cells.rows), west + np.arange(cells.columns))
     row, column = (np.floor(cell * CELL_M / BLOCK_M).astype(np.int64) for cell in along)
-    thin_m = _LAYER_SIGMA * sigma.at(row[:, None], column[None, :]).ravel()
+    sigma_m = sigma.at(row[:, None], column[None, :]).ravel()
+    thin_m = _LAYER_SIGMA * sigma_m
     crowded = np.diff(cells.start) >= _CROWDED
     nodes = lowest_layers(x, y, z, cells, np.where(crowded, thin_m, np.maximum(thin_m, _LAYER_M)))
     above = ~sunk(nodes, cells.rows, cells.columns, CELL_M)
@@ -149,4 +187,5 @@ def _nodes(evidence: Place, sigma: Spread) -> _Layers:
     if nodes.doubtful.any():
         above &= ~nodes.doubtful | supported(nodes, cells.rows, cells.columns, CELL_M)
     filled = nodes.points >= SUPPORTED
-    return _Layers(nodes.xyz[above], filled[above], nodes.doubtful[above])
+    hard = (off_planes(x, y, z, cells, _HARD_POINTS) <= (_HARD_SIGMA * sigma_m) ** 2)[nodes.cell]
+    return _Layers(nodes.xyz[above], filled[above], hard[above], nodes.doubtful[above])
