@@ -4,7 +4,7 @@ Domain: time. A stretch is a run of whole shots; what is observed of several is 
 each is assessed by what was fitted. A survey's tasks and the functions on arrays call the same.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -26,8 +26,6 @@ COLUMNS_ADDED: Final = (
     "line_density", "afterpulse", "afterpulse_rate", "afterpulse_share", "range_sigma",
 )  # fmt: skip
 """Columns that :func:`assess` adds, float32; 0 where no beam is known."""
-
-Observed = Mapping[str, NDArray[Any]]
 
 
 class Beamlets(NamedTuple):

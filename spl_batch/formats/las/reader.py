@@ -30,7 +30,7 @@ from spl_batch.formats.las.records import (
     record_layout,
     scan_angle_deg,
 )
-from spl_batch.lattice.tables import COLUMNS, SOURCE_COLUMNS, PointFlag, PointTable
+from spl_batch.lattice.tables import COLUMNS, EXCLUDED, SOURCE_COLUMNS, PointFlag, PointTable
 
 _WKT_BYTES_MAX: Final = 1 << 20
 _CRS_TEXT_MAX: Final = 150
@@ -276,17 +276,16 @@ def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
         [_channel(some, header, layout, channel_dimension, first) for first, some in pieces]
     )
     records = np.concatenate([some for _, some in pieces])
-    timed = "gps_time" in layout.names
-    time = records["gps_time"].astype(np.float64) if timed else np.full(len(records), np.nan)
-    given = given_classes(records, layout)
-    left_out = (dimension(records, layout, "withheld") != 0) | np.isin(
-        given, (CLASS_LOW_NOISE, CLASS_HIGH_NOISE)
+    seen = _attributes(records, layout)
+    classes, sources = (np.unique(seen[name]) for name in ("input_class", "point_source_id"))
+    return Ends(
+        seen["gps_time"].astype(np.float64),
+        channel,
+        small_numbers(records, layout),
+        tuple(classes.tolist()),
+        tuple(sources.tolist()),
+        bool(np.any(seen["flags"] & EXCLUDED == 0)),
     )
-    classes = np.unique(given)
-    sources = np.unique(records["point_source_id"])
-    numbers = small_numbers(records, layout)
-    of = tuple(classes.tolist()), tuple(sources.tolist())
-    return Ends(time, channel, numbers, *of, bool(np.any(~left_out)))
 
 
 def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:

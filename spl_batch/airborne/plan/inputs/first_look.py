@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from spl_batch.airborne.findings import CODES
 from spl_batch.airborne.plan.flightlines import points_of_a_shot
 from spl_batch.airborne.plan.inputs.channel_dimension import POINTS_A_BEAMLET, unnamed_channels
 from spl_batch.airborne.plan.inputs.linear_mode import Density
@@ -54,8 +55,6 @@ order of their beamlet, so many hold more than the tenth of the beamlets that ar
 
 FEW_CHANNELS: Final = 10
 """A dimension that holds less than this part of the beamlets' numbers holds something else."""
-
-UNUSED: Final = "every point is withheld or of class 7 or 18, so none of them is used"
 
 Span = tuple[float, float]
 
@@ -174,7 +173,8 @@ def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
 
 def no_use(names: Sequence[str]) -> str:
     """That none of these files, which are all, has a point to work with, and what helps."""
-    return f"{named(names)}: {UNUSED}; clear the flag or the class of those that are valid"
+    fault = CODES["I01"].sentence("withheld")
+    return f"{named(names)}: {fault}; clear the flag or the class of those that are valid"
 
 
 def too_few(values: Iterable[int], where: str, workflow: Workflow) -> str:
