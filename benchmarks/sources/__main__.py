@@ -37,9 +37,9 @@ GROUPS: Final[Mapping[str, Callable[[Given], Figures]]] = {
 
 
 def commit() -> str:
-    """Commit that is checked out; empty outside a repository."""
+    """Commit that is checked out, with ``+`` where files differ; empty outside a repository."""
     shown = subprocess.run(
-        ["git", "rev-parse", "--short=8", "HEAD"],  # noqa: S607
+        ["git", "describe", "--always", "--abbrev=8", "--exclude=*", "--dirty=+"],  # noqa: S607
         cwd=Path(__file__).parent, capture_output=True, text=True, check=False,
     )  # fmt: skip
     return shown.stdout.strip()

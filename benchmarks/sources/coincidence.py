@@ -7,7 +7,7 @@ from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
 METHODS = ("published", "bridge_sign")
 """Names of :data:`~benchmarks.geiger.coincidence.known_scene.SETTINGS`."""
 
-QUICK = {"extent_m": (8.0, 4.0)}
+QUICK = {"extent_m": (5.0, 3.0)}
 
 
 def measure(given: Given) -> Figures:

@@ -1,15 +1,18 @@
 """What the groups of the page are given, and what they give back."""
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from benchmarks.sources.twins import TWINS
 from spl_batch.airborne.simulate import simulate
 
+Row = TypeVar("Row")
+
 Figures = dict[str, float]
 """Measured values by key."""
 
-QUICK_SHARE = 0.45
+QUICK_SHARE = 0.3
 """Part of a twin's edges that is flown with ``--quick``."""
 
 
@@ -19,6 +22,10 @@ class Given(NamedTuple):
     folder: Path
     quick: bool = False
     seed: int = 1
+
+    def some(self, rows: Iterable[Row], count: int = 1) -> tuple[Row, ...]:
+        """All of some rows, or the first of them where small twins do."""
+        return tuple(rows)[: count if self.quick else None]
 
     def survey(self, name: str) -> Path:
         """Folder of a twin, simulated unless it is there."""

@@ -35,7 +35,8 @@ class Method:
     shots : tuple of str
         The same of the steps before it; methods that share them share their work.
     alone : bool
-        Whether each flightline is filtered by itself, as [W17] ch. 5 does.
+        Whether each half of the scan of each flightline is filtered by itself, fore and aft, as
+        [W17] 6.1 and [W18] 2.1 do.
     claims : mapping
         Effective settings that its row in a table stands for, as :func:`effective` names them.
     """
@@ -149,8 +150,8 @@ def known_methods() -> dict[str, Method]:
             one = Method(name.upper(), (f"filter.method={name}",), LEFT_IN, claims=said)
             found[name] = replace(one, label=f"{one.label}, merged") if name == "aes" else one
     if "aes" in found:
-        found["aes_alone"] = replace(found["aes"], label="AES, lines alone", alone=True)
-    found["published_alone"] = replace(found["published"], label="VSAES, lines alone", alone=True)
+        found["aes_alone"] = replace(found["aes"], label="AES, halves alone", alone=True)
+    found["published_alone"] = replace(found["published"], label="VSAES, halves alone", alone=True)
     scan = "wires" in FilterSettings.model_fields
     alone, with_scan = (
         ((f"filter.wires.enabled={word}",) if scan else ()) for word in ("false", "true")
@@ -201,24 +202,45 @@ def judge(survey: Path, method: Method) -> NDArray[np.uint8]:
     output = f"out_{digest.hexdigest()}"
     if not method.alone:
         return _run(survey, method, output, flightlines(survey))
-    return np.concatenate([
-        _run(survey, method, f"{output}_{path.stem}", [path],
-             f"survey.flightlines=flightlines/{path.name}")
-        for path in flightlines(survey)
-    ])  # fmt: skip
+    found = []
+    for path in flightlines(survey):
+        fore = _looks_ahead(survey, path)
+        labels = np.empty(len(fore), np.uint8)
+        for name, rows in (("fore", fore), ("aft", ~fore)):
+            half = survey / "halves" / f"{path.stem}_{name}.laz"
+            if not half.exists():
+                half.parent.mkdir(exist_ok=True)
+                las = laspy.read(path)
+                las.points = las.points[rows]
+                las.write(half)
+            labels[rows] = _run(survey, method, f"{output}_{half.stem}", [half])
+        found.append(labels)
+    return np.concatenate(found)
 
 
-def _run(
-    survey: Path, method: Method, output: str, files: list[Path], *more: str
-) -> NDArray[np.uint8]:
+def _looks_ahead(survey: Path, path: Path) -> NDArray[np.bool_]:
+    """Which returns of a flightline lie ahead of the sensor: (n,)."""
+    time_s, *track = np.loadtxt(survey / "trajectory.csv", delimiter=",", skiprows=1).T[:3]
+    las = laspy.read(path)
+    at = np.asarray(las.gps_time)
+    ahead = np.zeros(len(at))
+    for values, axis in zip(track, "xy", strict=True):
+        way = np.interp(at + 0.5, time_s, values) - np.interp(at - 0.5, time_s, values)
+        ahead += way * (np.asarray(las[axis]) - np.interp(at, time_s, values))
+    return ahead > 0
+
+
+def _run(survey: Path, method: Method, output: str, files: list[Path]) -> NDArray[np.uint8]:
     """Noise classes that a run delivers."""
-    overrides = [*method.shots, *method.settings, *more]
+    folder = files[0].parent.name
+    names = files[0].name if len(files) == 1 else "line_*.laz"
+    overrides = [*method.shots, *method.settings, f"survey.flightlines={folder}/{names}"]
     check(survey / "workflow.yaml", overrides, method.claims)
     overrides += [f"output={output}", "reference=null"]
     result = api.run(survey / "workflow.yaml", overrides=overrides, until="deliver", workers=0)
     if result.exit_status:
         raise SystemExit(f"{survey}: the run with {method.label} failed; see {output}/log.jsonl")
-    clouds = [survey / output / "laz" / "flightlines" / path.name for path in files]
+    clouds = [survey / output / "laz" / folder / path.name for path in files]
     return np.concatenate([np.asarray(laspy.read(path)["noise_class"]) for path in clouds])
 
 

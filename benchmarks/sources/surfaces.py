@@ -67,7 +67,7 @@ def measure(given: Given) -> Figures:
     """
     found: Figures = {}
     known = methods.known_methods()
-    for name in ("canopy matched", "canopy"):
+    for name in given.some(("canopy matched", "canopy")):
         survey = given.survey(name)
         points, reference = methods.load_truth(survey), reference_points(survey)
         roofs = _roofs(survey, points, reference)
@@ -103,7 +103,7 @@ def _by_both_tests(given: Given) -> Iterator[tuple[str, float]]:
     points, reference = methods.load_truth(survey), reference_points(survey)
     roofs = _roofs(survey, points, reference)
     yield "vsaes.manual", _mean([near_rmse(p, ~is_noise(points["kind"])) for p in roofs])
-    for key in ("aes_alone", "published", "ours"):
+    for key in given.some(("aes_alone", "published", "ours")):
         kept = methods.judge(survey, known[key]) == 0
         yield f"vsaes.{key}", _mean([near_rmse(p, kept) for p in roofs])
 
@@ -119,7 +119,7 @@ def afterpulses(given: Given) -> Figures:
     regions = roof_regions(survey, ROOF_M2)
     roofs = [patch_above(points, reference, region, CLASS_BUILDING) for region in regions]
     found: Figures = {}
-    for name, method in roof_methods().items():
+    for name, method in given.some(roof_methods().items()):
         kept = methods.judge(survey, method) == 0
         table = np.array([_beneath(patch, points, kept) for patch in roofs])
         found |= {f"{name}.removed": _percent(table[:, 0], table[:, 1])}

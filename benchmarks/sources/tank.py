@@ -66,6 +66,8 @@ def _gates(instrument: Instrument, known: Calibration, dead: NDArray[np.bool_]) 
         down = ranges(hits, dead, known, water.CAMERA, water.PIXELS) / water.HARD_VIEW.norm
         found[f"gate {name}.spread"] = 100 * float(np.nanstd(down))
         found[f"gate {name}.mse"] = 1e4 * float(np.nanmean((down - water.HARD.down_m) ** 2))
+        found[f"gate {name}.spread_m"] = found[f"gate {name}.spread"] / 1e2
+        found[f"gate {name}.mse_m2"] = found[f"gate {name}.mse"] / 1e4
     for count in (1, 200, 5000):
         hits = add_up(frames[:count], proper)
         down = ranges(hits, dead, known, water.CAMERA, water.PIXELS) / water.HARD_VIEW.norm

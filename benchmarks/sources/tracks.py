@@ -35,7 +35,7 @@ def measure(given: Given) -> Figures:
     """RMSE [m], ``KIND.COLOUR.METHOD.mean``, ``.least`` and ``.most`` of channels."""
     found: Figures = {}
     length_m, channels = (1000.0, 1) if given.quick else (LENGTH_M, CHANNELS)
-    for kind in get_args(Kind):
+    for kind in given.some(get_args(Kind)):
         for colour in get_args(Colour):
             one = scene(kind, colour, given.seed, length_m=length_m)
             tracks = [simulate_track(one.model_copy(update={"stream": k})) for k in range(channels)]

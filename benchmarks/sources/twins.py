@@ -48,7 +48,7 @@ def easton(seed: int, share: float = 1.0) -> Scene:
     """Twin of [W18]'s Easton, 10 November: a line of three cables, a distribution line, roofs.
 
     The cables of either line hang above each other, so that the region of 7 m x 7 m holds them.
-    ``share``: part of the edges that is flown.
+    ``share``: part of the edges that is flown; a part has one flightline of the three.
     """
     rng = np.random.default_rng(seed)
     extent_m = 100.0 * share, 70.0
@@ -69,7 +69,9 @@ def easton(seed: int, share: float = 1.0) -> Scene:
             "buildings": {"list": _row_of_roofs(rng, extent_m, 0.46)},
             "trees": {"cover": 0.15},
             "wires": cables + thin,
-            "flights": flights(rng, 3, altitude_agl_m=3500.0, offset_m=250.0, speed_m_s=72.0),
+            "flights": flights(
+                rng, 3 if share == 1.0 else 1, altitude_agl_m=3500.0, offset_m=250.0, speed_m_s=72.0
+            ),
             "sensor_overrides": {"half_cone_deg": 9.0},
             "sky": {"zenith_deg": 56.0},
             "acquisition": {"prf_hz": 60_000.0, "gate_m": 300.0},
@@ -80,8 +82,8 @@ def easton(seed: int, share: float = 1.0) -> Scene:
 
 EASTON_PER_M3, LUFKIN_PER_M3, CANOPY_PER_M3 = 0.0073, 0.0045, 0.12
 """Background at which the corridors hold 8.0, 5.8 and 11 returns of wire for one of noise, as many
-as the source's did if its VSAES kept the share of noise that ours keeps there, and that of the
-canopy's twin [1/m3]."""
+as the source's did if its VSAES kept the share of noise that it keeps on the twins by the link
+budget, and that of the canopy's twin [1/m3]."""
 
 
 def easton_matched(seed: int, share: float = 1.0) -> Scene:
