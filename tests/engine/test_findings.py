@@ -87,7 +87,9 @@ def test_the_table_is_small_and_the_page_is_made_of_it() -> None:
 
 def modules() -> Iterator[tuple[Path, ast.Module]]:
     for path in ROOT.rglob("*.py"):
-        yield path, ast.parse(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if "Finding(" in text:
+            yield path, ast.parse(text)
 
 
 def fields(template: str) -> set[str]:

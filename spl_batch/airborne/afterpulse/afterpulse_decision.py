@@ -16,8 +16,7 @@ The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. In a second roun
 A surface is hard where returns without a parent make a plane, and next to nothing lies at the
 candidate's depth. Behind it a candidate is an afterpulse, unless other beamlets' returns fill a
 flat ellipsoid parallel to the plane: then there is a surface, such as the bottom of water. Within
-water polygons fewer of them do. Where the own flightline lacks its share of them, it is the surface
-of one that lies lower (:mod:`~spl_batch.airborne.afterpulse.own_flightline`).
+water polygons fewer of them do.
 
 A budget :math:`B` is the share of true returns that may go. At constant rates, odds of at least
 :math:`\theta` mean lags up to :math:`s \ln(p / (s \theta \lambda_t))`. The share of true returns
@@ -30,13 +29,12 @@ removed against lost beside the best that the simulation's laws allow.
 
 import math
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse import foliage, own_flightline
+from spl_batch.airborne.afterpulse import foliage
 from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane
 from spl_batch.airborne.afterpulse.weighted_counts import UNIT, columns, weigh_around
 from spl_batch.airborne.beams.dependent_returns import LAG_M, dependents
@@ -101,16 +99,9 @@ the afterpulses due there: few afterpulses come that late, but nothing else come
 BATCH: Final = 1 << 17
 """Candidates in crowns that are weighed at once [count]."""
 
-STRIP_POINTS: Final = 3 << 20
-"""Points of a strip that are listed by place at once [count]; a whole block's would take half as
-much memory again as the block."""
-
-STRIP_M: Final = 12 * REACH_M
-"""Least width of a strip, as each reads what lies around it [m]."""
-
 
 class Chances(NamedTuple):
-    """What the neighbourhood says of the time domain's candidates."""
+    """Probabilities of the time domain's candidates, by their neighbourhood."""
 
     #: (m,): candidates where noise is expected, so that the beamlets that listened are known; in
     #: no particular order.
@@ -186,35 +177,11 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
     if "afterpulse_rate" not in table or not len(table):
         none = np.empty(0, np.bool_)
         return Chances(np.empty(0, np.intp), np.empty(0), none, np.empty(0), none)
-    strips = []
-    for own, weighed, near in _strips(table["x"]):
-        start, end = weighed.start - near.start, weighed.stop - near.start
-        found = _within(table.take(near), density[near], start, end)
-        rows = found.rows + near.start
-        mine = (rows >= own.start) & (rows < own.stop)
-        strips.append((rows[mine], *(values[mine] for values in found[1:])))
-    return Chances(*map(np.concatenate, zip(*strips, strict=True)))
+    return _within(table, density)
 
 
-def _strips(x: NDArray[np.int64]) -> Iterator[list[slice]]:
-    """Rows of strips across x, which ascends: their own; those of round two; all in reach."""
-    most = int(x[-1] - x[0]) // quanta(STRIP_M)
-    count = max(min(len(x) // STRIP_POINTS, most), 1)
-    if count == 1:
-        yield [slice(0, len(x))] * 3
-        return
-    edges, end = [int(x[0])], int(x[-1]) + 1
-    for k in range(1, count):
-        cut = int(x[len(x) * k // count])
-        if min(cut - edges[-1], end - cut) >= quanta(STRIP_M):
-            edges.append(cut)
-    for low, high in pairwise([*edges, end]):
-        spans = ((low - margin, high + margin) for margin in map(quanta, (0.0, WIDE_M, REACH_M)))
-        yield [slice(*np.searchsorted(x, span).tolist()) for span in spans]
-
-
-def _within(table: PointTable, density: NDArray[np.float64], start: int, end: int) -> Chances:
-    """Chances in a strip and what lies around it; 0 for rows outside ``start`` to ``end``."""
+def _within(table: PointTable, density: NDArray[np.float64]) -> Chances:
+    """Chances of a table that is not empty."""
     usable = ~table.has(EXCLUDED)
     known = (table["afterpulse_rate"] > 0) & usable & (density > 0) & (table["line_density"] > 0)
     places = _Places(table)
@@ -232,7 +199,7 @@ def _within(table: PointTable, density: NDArray[np.float64], start: int, end: in
     hard |= behind
     chance = np.zeros(len(rows))
     clumping = places.clumping(rows, parents[~hard & (parents >= 0)], true)
-    open_ = np.flatnonzero(~hard & (rows >= start) & (rows < end))
+    open_ = np.flatnonzero(~hard)
     for last in (False, True):
         if last:
             # A sphere would hold the surface itself; a level ellipsoid that of a steep roof.
@@ -240,9 +207,6 @@ def _within(table: PointTable, density: NDArray[np.float64], start: int, end: in
                 flat_m = (FLAT_M[0], max(FLAT_M[1], SPREADS[0] * spread))
                 flat = places.around(at[own], true, (flat_m,), tilt[own])[:, 0] / UNIT**2
                 chance[own] = _behind_hard(flat, flat_m, rate[own], per_metre[own])
-                held = own[chance[own] < WATER_MAX]
-                flat = places.supported(at[held], true, flat_m, tilt[held]) / UNIT**2
-                chance[held] = _behind_hard(flat, flat_m, rate[held], per_metre[held])
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
         for first in range(0, len(open_), BATCH):
             some = open_[first : first + BATCH]
@@ -339,18 +303,6 @@ class _Places:
             np.zeros((len(places), 2)) if tilt is None else tilt, round(own * UNIT), sums,
         )  # fmt: skip
         return sums
-
-    def supported(
-        self, places: NDArray[np.int32], true: NDArray[np.int16], flat_m: tuple[float, float],
-        tilt: NDArray[np.float64],
-    ) -> NDArray[np.float64]:  # fmt: skip
-        """True returns in a flat ellipsoid, as far as the own flightline has its share of them.
-
-        In the units of :meth:`around`; the ball around the ellipsoid tells the share.
-        """
-        points = self._xyz, self._time, self._channel, true
-        flat = quanta(flat_m[0]), quanta(flat_m[1])
-        return own_flightline.supported(points, self._listed, places, flat, tilt)
 
     def clumping(
         self, rows: NDArray[np.intp], parents: NDArray[np.int32], true: NDArray[np.int16]

@@ -90,7 +90,6 @@ def make_receiver(scene: Scene) -> Receiver:
         0.0 if tail is None else tail.share,
         1.0 if tail is None else tail.scale_m,
         0.0 if tail is None or tail.power is None else tail.power,
-        own.range_walk_m,
     )
 
 

@@ -1,7 +1,4 @@
-"""Companions of the flightlines: trajectory, reference, checkpoints, truth, workflow.
-
-A scene seen from straight above: linear-mode returns, and heights of surfaces.
-"""
+"""Companions of the flightlines: trajectory, reference, checkpoints, truth, workflow."""
 
 import math
 from collections.abc import Iterator
@@ -14,7 +11,6 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from spl_batch.airborne.simulate.beamlet_room import empty_layers
 from spl_batch.airborne.simulate.file_writers import (
     folder_of,
     las_header,
@@ -27,132 +23,28 @@ from spl_batch.airborne.simulate.file_writers import (
 )
 from spl_batch.airborne.simulate.flight import Pass
 from spl_batch.airborne.simulate.noise_grid import NoiseGrid
-from spl_batch.airborne.simulate.scene.beam_layers import cell_range, look, nearest_node
+from spl_batch.airborne.simulate.scene.beam_layers import empty_layers
+from spl_batch.airborne.simulate.scene.from_above import (
+    linear_returns,
+    mean_reflectance,
+    surfaces_at,
+)
 from spl_batch.airborne.simulate.scene.layout import Layout, footprints
 from spl_batch.airborne.simulate.scene.ray_trace import (
-    KIND_BOTTOM,
     KIND_GROUND,
-    KIND_OTHER,
     KIND_ROOF,
     KIND_WATER,
     SceneArrays,
-    bilinear,
-    clip_convex,
 )
 from spl_batch.airborne.simulate.scene.scene_file import Scene
-from spl_batch.airborne.simulate.true_reflectance import mean_reflectance
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_UNCLASSIFIED, CLASS_WATER
 from spl_batch.formats.files.atomic import replacing, write_bytes
-from spl_batch.numerics.compiled import njit
-
-SEE_THROUGH = 0.15
-"""Share of a pulse that must be left for the hard surface to be recorded."""
-
-WIRE_SHARE = 0.02
-"""Share of a pulse that a wire must catch to be recorded."""
-
-
-@njit()
-def linear_returns(
-    rng: np.random.Generator,
-    scene: SceneArrays,
-    xy: NDArray[np.float64],
-    above_m: float,
-    spot_m: float,
-    layers: NDArray[np.float64],
-    z: NDArray[np.float64],
-    kind: NDArray[np.uint8],
-) -> None:
-    """Up to two returns of each vertical pulse: one of a layer, one of the hard surface.
-
-    The pulse is infrared: the surface of water is as far as it gets.
-
-    Parameters
-    ----------
-    xy : (n, 2) float64
-        Places of the pulses [m].
-    layers : (k, 5) float64
-        Room for :func:`~spl_batch.airborne.simulate.scene.beam_layers.look`.
-    z : (n, 2) float64
-        Filled with heights [m]; NaN where there is no return.
-    kind : (n, 2) uint8
-        Filled with what gave them.
-    """
-    origin, down = np.empty(3), np.array([0.0, 0.0, -1.0])
-    for p in range(len(xy)):
-        origin[0], origin[1], origin[2] = xy[p, 0], xy[p, 1], above_m
-        n, hard, _, _, hard_kind = look(scene, origin, down, down, spot_m / above_m, layers)
-        z[p, 0] = np.nan
-        left = 1.0
-        for k in range(n):
-            if layers[k, 4] == KIND_WATER:
-                hard, hard_kind = layers[k, 0], layers[k, 4]
-                break
-            share = layers[k, 2]
-            thin = layers[k, 1] == layers[k, 0]
-            seen = share > WIRE_SHARE if thin else rng.random() < share
-            if seen and np.isnan(z[p, 0]):
-                at = layers[k, 0]
-                if not thin:
-                    at += np.log(1 - rng.random() * share) / np.log(1 - share) * (layers[k, 1] - at)
-                z[p, 0] = above_m - at
-                kind[p, 0] = int(layers[k, 4])
-            left *= 1 - share
-        z[p, 1] = above_m - hard if left > SEE_THROUGH else np.nan
-        kind[p, 1] = int(hard_kind)
-
-
-@njit()
-def surface_heights(
-    scene: SceneArrays,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    ground: NDArray[np.float64],
-    surface: NDArray[np.float64],
-) -> None:
-    """Bare ground, and the highest of ground, roofs and crown envelopes, at places.
-
-    Of water it is the surface. Wires, towers and poles are no surface; gaps of crowns are closed.
-
-    Parameters
-    ----------
-    x, y : (n,) float64
-        Places [m].
-    ground, surface : (n,) float64
-        Filled [m].
-    """
-    origin, down = np.zeros(3), np.array([0.0, 0.0, -1.0])
-    solids, crowns = len(scene.solid), len(scene.crown)
-    for p in range(len(x)):
-        ground[p] = bilinear(scene.ground_z, scene.grid, x[p], y[p])[0]
-        j, i = nearest_node(scene, x[p], y[p])
-        if scene.ground_kind[j, i] == KIND_BOTTOM:
-            ground[p] = max(ground[p], scene.pond[scene.ground_pond[j, i], 0])
-        top = ground[p]
-        origin[0], origin[1], origin[2] = x[p], y[p], 1e4
-        first, last = cell_range(scene, x[p], y[p])
-        for entry in range(first, last):
-            item = scene.cell_item[entry]
-            if item < solids:
-                if scene.solid[item, 2] == KIND_OTHER:
-                    continue
-                enter, leave, _ = clip_convex(scene.planes[item], scene.faces[item], origin, down)
-                if leave > enter:
-                    top = max(top, 1e4 - enter)
-            elif item < solids + crowns:
-                crown = scene.crown[item - solids]
-                dx, dy = (x[p] - crown[0]) / crown[3], (y[p] - crown[1]) / crown[3]
-                inside = 1 - dx * dx - dy * dy
-                if inside > 0:
-                    top = max(top, crown[2] + crown[4] * np.sqrt(inside))
-        surface[p] = top
-
 
 TRAJECTORY_HZ = 200.0
 """Records per second of the trajectory [Hz]."""
 
 REFLECTANCE_SAMPLES = 4
-"""Places along one side of a cell whose reflectance is averaged [count]."""
+"""Locations along one side of a cell whose reflectance is averaged [count]."""
 
 PULSES_AT_ONCE = 250_000
 """Pulses of the reference that are simulated at once; they bound the memory [count]."""
@@ -167,8 +59,8 @@ LINEAR_SPOT_M = 0.1
 CHECKPOINTS: Final = {"open": 40, "vegetated": 32}
 """Checkpoints of each kind, as far as the scene has room [count]."""
 
-CHECKPOINT_PLACES: Final = 4000
-"""Places that are looked at [count]."""
+CHECKPOINTS_TRIED: Final = 4000
+"""Locations that are tried [count]."""
 
 CHECKPOINT_ACCURACY_M: Final = 0.015
 """Vertical accuracy of the field survey, one sigma [m]."""
@@ -310,10 +202,11 @@ def _checkpoints(scene: Scene, arrays: SceneArrays, layout: Layout, path: Path) 
     """Checkpoints of a field survey: true ground, open and below crowns, with a field's error."""
     rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(8,)))
     size = np.array(scene.extent_m)
-    xy = INSIDE_M + rng.random((CHECKPOINT_PLACES, 2)) * np.maximum(size - 2 * INSIDE_M, 0.0)
-    error_m = CHECKPOINT_ACCURACY_M * rng.standard_normal(CHECKPOINT_PLACES)
-    ground, surface = np.empty((2, CHECKPOINT_PLACES))
-    surface_heights(arrays, xy[:, 0].copy(), xy[:, 1].copy(), ground, surface)
+    xy = INSIDE_M + rng.random((CHECKPOINTS_TRIED, 2)) * np.maximum(size - 2 * INSIDE_M, 0.0)
+    error_m = CHECKPOINT_ACCURACY_M * rng.standard_normal(CHECKPOINTS_TRIED)
+    above = np.empty((3, CHECKPOINTS_TRIED))
+    surfaces_at(arrays, xy[:, 0].copy(), xy[:, 1].copy(), above)
+    ground, surface = above[:2]
     free = ~_built(scene, layout, xy)
     kinds = {"open": surface - ground <= OPEN_M, "vegetated": surface - ground >= CROWN_M}
     lines = ["id,x,y,z,surface,accuracy_m"]
@@ -354,10 +247,12 @@ def _rasters(scene: Scene, arrays: SceneArrays, out: Path) -> None:
         ]
         for first in range(0, len(y), ROWS_AT_ONCE):
             xs, ys = np.meshgrid(x, y[first : first + ROWS_AT_ONCE])
-            ground, surface, rho = (np.empty(xs.shape) for _ in range(3))
-            surface_heights(arrays, xs.ravel(), ys.ravel(), ground.ravel(), surface.ravel())
-            mean_reflectance(arrays, corner[0], corner[1] - first, 1.0, REFLECTANCE_SAMPLES, rho)
-            for values, to in zip((ground, surface, rho), write, strict=True):
+            above = np.empty((3, *xs.shape))
+            surfaces_at(arrays, xs.ravel(), ys.ravel(), above.reshape(3, -1))
+            mean_reflectance(
+                arrays, corner[0], corner[1] - first, 1.0, REFLECTANCE_SAMPLES, above[2]
+            )
+            for values, to in zip(above, write, strict=True):
                 to(first, values)
 
 

@@ -32,7 +32,6 @@ class Receiver(NamedTuple):
     tail_scale_m: float = 1.0  #: Scale of the tail behind the dead time [m].
     #: The tail's density falls as (1 + lag / scale) ** -power, > 1; 0 for an exponential.
     tail_power: float = 0.0
-    walk_m: float = 0.0  #: How much nearer than one photo-electron very many are measured [m].
 
 
 @njit()
@@ -73,12 +72,6 @@ def draw_lag(rng: np.random.Generator, receiver: Receiver) -> float:
     else:
         behind = truncated_exponential(rng, receiver.afterpulse_scale_m, window)
     return receiver.dead_m + behind
-
-
-@njit()
-def walked(at: float, electrons: int, walk_m: float) -> float:
-    """Range that is measured where several photo-electrons make one detection [m]."""
-    return at - walk_m * (1.0 - 1.0 / electrons)
 
 
 @njit()

@@ -137,9 +137,6 @@ class PointFiles:
         given = self._scene.delivery
         out = dict(columns)
         out[given.channel_dimension] = out.pop("channel")
-        if given.time_step_us:
-            step = given.time_step_us * 1e-6
-            out["gps_time"] = np.rint(out["gps_time"] / step) * step
         number = run.number if given.point_source_id else 0
         out["point_source_id"] = np.full(len(out["x"]), number, np.uint16)
         out["x"], out["y"] = self._moved(run, out["x"], out["y"])

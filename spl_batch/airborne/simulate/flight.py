@@ -61,12 +61,6 @@ class Pass:
         pitch = swing * (_wave(t, 9.0, p[3]) + 0.3 * _wave(t, 1.7, p[0]))
         return heading, roll, pitch
 
-    def jitter(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """By how much recorded positions are off, east, north and up: (n, 3) [m]."""
-        flight, since = self.flight, time_s - self.middle_s
-        swings = [_wave(since, flight.jitter_period_s, phase) for phase in self.phases[:3]]
-        return flight.jitter_m * np.column_stack(swings)
-
     def sky(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sunlight relative to the scene's mean: (n,) float64."""
         sky = self.scene.sky

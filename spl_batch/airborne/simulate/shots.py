@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.simulate.beamlet_room import Beamlet
 from spl_batch.airborne.simulate.detector import (
     NO_PARENT,
     Receiver,
@@ -14,14 +13,27 @@ from spl_batch.airborne.simulate.detector import (
     add_event,
     poisson_count,
     record,
-    walked,
 )
 from spl_batch.airborne.simulate.haze import Air, add_air
 from spl_batch.airborne.simulate.noise_grid import NoiseGrid, deposit, deposit_air
-from spl_batch.airborne.simulate.scene.beam_layers import look
+from spl_batch.airborne.simulate.scene.beam_layers import empty_layers, look
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.sunlight import brightness
 from spl_batch.numerics.compiled import njit
+
+
+class Beamlet(NamedTuple):
+    """Room for the events of a beamlet."""
+
+    axis: NDArray[np.float64]  #: (3,): unit vector.
+    #: (m,) float64 and (m, 3) int64: events as in
+    #: :func:`~spl_batch.airborne.simulate.detector.add_event`.
+    ranges: NDArray[np.float64]
+    facts: NDArray[np.int64]
+    #: (m,): what it records.
+    kept: NDArray[np.int64]
+    electrons: NDArray[np.int64]
+    layers: NDArray[np.float64]  #: (k, 5): layers of one beam.
 
 
 class Optics(NamedTuple):
@@ -184,12 +196,11 @@ def _store(
     channel: int,
     origin: Any,
     axis: Any,
-    walk_m: float,
 ) -> None:
     """Write one beamlet's recorded events as points."""
     ranges, facts, kept, electrons = events
     for k in range(count):
-        at = walked(ranges[kept[k]], electrons[k], walk_m)
+        at = ranges[kept[k]]
         source = facts[kept[k], 2]
         out.shot[row + k] = shot
         for c in range(3):
@@ -266,7 +277,7 @@ def _look(  # type: ignore[no-untyped-def]
     span, time_s = (start, min(hard, stop)), shots.time_s[shot]
     n = add_air(rng, scene, air, gain, time_s, (origin, axis), span, ranges, facts, n)
     deposit(grid, origin, axis, start, stop, noise * (stop - start), air.gate_fall)
-    deposit_air(air, grid.amount, grid.corner, grid.voxel_m, gain, time_s, (origin, axis), span)
+    deposit_air(grid, air, gain, time_s, (origin, axis), span)
     return _in_gate(ranges, facts, n, start)
 
 
@@ -280,21 +291,44 @@ def _finish(  # type: ignore[no-untyped-def]
         rng, ranges, facts, held, shots.gate_stop[shot], receiver, room.kept, room.electrons
     )
     events = (ranges, facts, room.kept, room.electrons)
-    origin, axis = shots.origin[shot], room.axis
-    _store(out, row, events, count, shot, c, origin, axis, receiver.walk_m)
+    _store(out, row, events, count, shot, c, shots.origin[shot], room.axis)
     return row + count
+
+
+def empty_points(rows: int) -> Points:
+    """Buffers of so many rows."""
+    one = np.uint8
+    types = (np.int64, np.float64, one, one, one, one, one, np.int64, np.int64)
+    shapes = ((rows, 3) if name == "xyz" else (rows,) for name in Points._fields)
+    return Points(*map(np.empty, shapes, types))
 
 
 def first_rows(points: Points, count: int) -> Points:
     """The rows of buffers that are filled."""
-    return Points(
-        points.shot[:count],
-        points.xyz[:count],
-        points.channel[:count],
-        points.return_number[:count],
-        points.returns[:count],
-        points.kind[:count],
-        points.parent[:count],
-        points.electrons[:count],
-        points.parent_row[:count],
+    return Points(*(column[:count] for column in points))
+
+
+def empty_beamlet(scene: SceneArrays, room: int) -> Beamlet:
+    """Room for ``room`` events."""
+    return Beamlet(
+        np.empty(3),
+        np.empty(room),
+        np.empty((room, 3), dtype=np.int64),
+        np.empty(room, dtype=np.int64),
+        np.empty(room, dtype=np.int64),
+        empty_layers(scene),
     )
+
+
+def event_room(background: float, signal: float, layers: int) -> int:
+    """Events that one beamlet must have room for, far beyond what chance makes likely.
+
+    Parameters
+    ----------
+    background, signal : float
+        Highest expected photo-electrons of background, and of one surface [count].
+    layers : int
+        Most layers that one beam can meet.
+    """
+    mean = background + signal
+    return int(2 * (mean + 12 * math.sqrt(mean + 1))) + 16 * (layers + 8)

@@ -12,11 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.simulate.companion_files import surface_heights
 from spl_batch.airborne.simulate.scene.beam_layers import look
+from spl_batch.airborne.simulate.scene.from_above import surfaces_at
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays, bilinear
 from spl_batch.airborne.simulate.scene.scene_file import Scene
-from spl_batch.airborne.simulate.true_reflectance import top_reflectance
 from spl_batch.numerics.compiled import njit
 
 BRIGHTEST: Final = 2.0
@@ -31,13 +30,11 @@ def lit(scene: Scene, arrays: SceneArrays) -> SceneArrays:
         for first, n in zip(arrays.grid[1::-1], arrays.ground_z.shape, strict=True)
     )
     xx, yy = np.meshgrid(x, y)
-    ground, surface = np.empty(xx.size), np.empty(xx.size)
-    surface_heights(arrays, xx.ravel(), yy.ravel(), ground, surface)
-    light = sunlight(surface.reshape(xx.shape), step, scene)
-    bright = np.empty(xx.size)
-    _reflectances(arrays, xx.ravel(), yy.ravel(), bright)
+    above = np.empty((3, *xx.shape))
+    surfaces_at(arrays, xx.ravel(), yy.ravel(), above.reshape(3, -1))
+    light = sunlight(above[1], step, scene)
     inside = (xx >= 0) & (xx <= scene.extent_m[0]) & (yy >= 0) & (yy <= scene.extent_m[1])
-    mean = float((light * bright.reshape(xx.shape))[inside].mean())
+    mean = float((light * above[2])[inside].mean())
     return arrays._replace(light=light / max(mean, 1e-9))
 
 
@@ -70,15 +67,6 @@ def sunlight(surface: NDArray[np.float64], step_m: float, scene: Scene) -> NDArr
         sunny[surface[there] > surface + k * step_m * slope] = 0.0
     light: NDArray[np.float64] = sky.skylight + (1.0 - sky.skylight) * sunny
     return light
-
-
-@njit()
-def _reflectances(
-    scene: SceneArrays, x: NDArray[np.float64], y: NDArray[np.float64], out: NDArray[np.float64]
-) -> None:
-    """Reflectance of the highest surface at places: fills (n,) float64."""
-    for p in range(len(x)):
-        out[p] = top_reflectance(scene, x[p], y[p])
 
 
 @njit()

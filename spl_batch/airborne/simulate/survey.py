@@ -1,9 +1,5 @@
-"""Fly a scene: flightlines with truth, trajectory, reference, and a workflow to run them.
+"""Fly a scene: flightlines with truth, trajectory, reference, and a workflow to run them."""
 
-Air of a scene as numbers for the kernels.
-"""
-
-import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -13,9 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
-from spl_batch.airborne.simulate.beamlet_room import empty_beamlet, event_room, layer_room
 from spl_batch.airborne.simulate.brightness import (
     Noise,
     make_optics,
@@ -35,8 +29,9 @@ from spl_batch.airborne.simulate.flight import (
     gate_centres,
     make_passes,
 )
-from spl_batch.airborne.simulate.haze import WAVES, Air
+from spl_batch.airborne.simulate.haze import Air, make_air
 from spl_batch.airborne.simulate.noise_grid import NoiseGrid
+from spl_batch.airborne.simulate.scene.beam_layers import layer_room
 from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.scene.scene_file import Scene
@@ -44,36 +39,15 @@ from spl_batch.airborne.simulate.shots import (
     Optics,
     Points,
     Shots,
+    empty_beamlet,
+    empty_points,
+    event_room,
     fire,
     first_rows,
 )
 from spl_batch.airborne.simulate.sunlight import lit
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.numerics.attitude import rotations
-
-
-def make_air(scene: Scene, noise_per_m: float) -> Air:
-    """Air of a scene.
-
-    ``noise_per_m``: mean background of a channel of gain 1, which strengths are relative to [1/m].
-    """
-    ground, sky = scene.origin_m[2], scene.sky
-    layers, waves = np.empty((len(sky.haze), 7)), np.empty((len(sky.haze), WAVES, 3))
-    for k, haze in enumerate(sky.haze):
-        rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(5, k)))
-        threshold = float(norm.isf(haze.cover)) if haze.cover < 1 else -math.inf
-        layers[k] = (
-            ground + haze.base_m, ground + haze.top_m, haze.edge_m,
-            haze.times_noise * noise_per_m, threshold, *haze.drift_m_s,
-        )  # fmt: skip
-        length = 2 * np.pi / haze.patch_m * rng.uniform(0.3, 1.0, WAVES)
-        turn = rng.uniform(0, 2 * np.pi, WAVES)
-        waves[k] = np.column_stack(
-            [length * np.cos(turn), length * np.sin(turn), rng.uniform(0, 2 * np.pi, WAVES)]
-        )
-    fog = np.array([(f.times_noise * noise_per_m, f.scale_m) for f in sky.fog])
-    return Air(layers, waves, fog.reshape(-1, 2), sky.gate_fall)
-
 
 BUFFER_POINTS = 400_000
 """Rows of the buffers that a kernel fills at once."""
@@ -236,7 +210,7 @@ def _fly(
     room = event_room(noise, brightest, layer_room(rig.arrays))
     channels = len(rig.optics.gain)
     beamlet = empty_beamlet(rig.arrays, room)
-    buffers = _buffers(max(BUFFER_POINTS, 2 * room * channels))
+    buffers = empty_points(max(BUFFER_POINTS, 2 * room * channels))
     for piece in pieces:
         centre = centres[int(piece.index * CHUNK_S / GATE_S)]
         shots = _shots(rig, run, piece, centre - gate * rig.scene.acquisition.gate_above)
@@ -273,20 +247,6 @@ def _fly(
 def _thickest(air: Air) -> float:
     """Most that haze and fog add to the rate of a channel of gain 1 [1/m]."""
     return float(air.layers[:, 3].sum() + air.fog[:, 0].sum())
-
-
-def _buffers(rows: int) -> Points:
-    return Points(
-        shot=np.empty(rows, dtype=np.int64),
-        xyz=np.empty((rows, 3)),
-        channel=np.empty(rows, dtype=np.uint8),
-        return_number=np.empty(rows, dtype=np.uint8),
-        returns=np.empty(rows, dtype=np.uint8),
-        kind=np.empty(rows, dtype=np.uint8),
-        parent=np.empty(rows, dtype=np.uint8),
-        electrons=np.empty(rows, dtype=np.int64),
-        parent_row=np.empty(rows, dtype=np.int64),
-    )
 
 
 def _shots(rig: _Rig, run: Pass, piece: Chunk, gate_start_m: float) -> Shots:
@@ -327,18 +287,12 @@ def _columns(
     angle = np.degrees(np.arctan2(starboard, -beam[:, 2]))
     # a silicon photomultiplier's pulse grows with the cells that fire [W17 2.2.1]
     pulse = 8000.0 + 1500.0 * (points.electrons - 1) + 600.0 * rng.standard_normal(len(time_s))
-    place = points.xyz + run.flight.strip_offset_m + run.jitter(time_s)
-    place[:, :2] += rig.scene.origin_m[:2]
-    if run.flight.boresight_roll_deg:
-        turned = math.radians(run.flight.boresight_roll_deg)
-        aside = starboard * (math.cos(turned) - 1) + beam[:, 2] * math.sin(turned)
-        place[:, 0] += aside * np.cos(heading)
-        place[:, 1] -= aside * np.sin(heading)
-        place[:, 2] += beam[:, 2] * (math.cos(turned) - 1) - starboard * math.sin(turned)
+    recorded = points.xyz + run.flight.strip_offset_m
+    recorded[:, :2] += rig.scene.origin_m[:2]
     return {
-        "x": place[:, 0],
-        "y": place[:, 1],
-        "z": place[:, 2],
+        "x": recorded[:, 0],
+        "y": recorded[:, 1],
+        "z": recorded[:, 2],
         "gps_time": time_s,
         "channel": points.channel,
         "intensity": np.clip(np.rint(pulse), 1, 65535).astype(np.uint16),

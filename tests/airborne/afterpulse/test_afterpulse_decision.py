@@ -305,31 +305,6 @@ def test_halo_and_order_do_not_matter() -> None:
         )
 
 
-def test_strips_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    table, density = _wide_crowns()
-    last = int(np.flatnonzero(table["afterpulse_rate"] > 0)[-1]) + 1  # the easternmost is one too
-    table, density = table.take(slice(0, last)), density[:last]
-
-    def by_row() -> list[np.ndarray]:
-        found = afterpulse_decision.probability(table, density)
-        return [values[np.argsort(found.rows)] for values in found]
-
-    whole, said = afterpulse_decision.resolve(table, density, DEFAULT), by_row()
-    monkeypatch.setattr(afterpulse_decision, "STRIP_POINTS", 900)
-    monkeypatch.setattr(afterpulse_decision, "STRIP_M", 2.5)
-    looked: list[int] = []
-    within = afterpulse_decision._within
-    monkeypatch.setattr(
-        afterpulse_decision, "_within", lambda t, *a: looked.append(len(t)) or within(t, *a)
-    )
-    for got, want in zip(afterpulse_decision.resolve(table, density, DEFAULT), whole, strict=True):
-        np.testing.assert_array_equal(got, want)
-    assert len(looked) > 4
-    assert max(looked) < len(table)
-    for got, want in zip(by_row(), said, strict=True):
-        np.testing.assert_array_equal(got, want)
-
-
 def test_of_two_parents_as_high_the_table_does_not_decide() -> None:
     def parent(edge: int, beyond: int) -> int:
         """Of a return below two of its beamlet; another one says where columns begin."""

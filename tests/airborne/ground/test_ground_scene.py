@@ -98,13 +98,21 @@ def whole(found: Scene, settings: GroundSettings) -> NDArray[np.bool_]:
     return ground_mask(found.table, np.ones(len(found.table), dtype=bool), settings)
 
 
+@cache
+def ground(method: Literal["multiscale", "ptd", "smrf"]) -> NDArray[np.bool_]:
+    """Ground of the whole scene; several tests look at it."""
+    return whole(scene(), GroundSettings(method=method))
+
+
 @pytest.mark.parametrize(
     ("method", "missed", "taken", "rmse_m"),
     [("multiscale", 0.02, 0.01, 0.05), ("ptd", 0.005, 0.01, 0.05), ("smrf", 0.06, 0.02, 0.15)],
 )
-def test_known_scene(method: str, missed: float, taken: float, rmse_m: float) -> None:
+def test_known_scene(
+    method: Literal["multiscale", "ptd", "smrf"], missed: float, taken: float, rmse_m: float
+) -> None:
     found = scene()
-    mask = whole(found, GroundSettings(method=method))
+    mask = ground(method)
     objects = ~found.ground & ~found.noise
     error = dtm_error(found, mask)
     assert np.mean(~mask[found.ground]) < missed
@@ -117,8 +125,7 @@ def test_known_scene(method: str, missed: float, taken: float, rmse_m: float) ->
 
 def test_ground_is_not_biased_low() -> None:
     found = scene()
-    mask = whole(found, GroundSettings())
-    kept = mask & found.ground
+    kept = ground("multiscale") & found.ground
     x = found.table["x"] / 1000 - ORIGIN_M[0]
     y = found.table["y"] / 1000 - ORIGIN_M[1]
     residual = found.table["z"] / 1000 - terrain(x, y)

@@ -10,7 +10,6 @@ from scipy import optimize, stats
 
 from spl_batch.airborne.beams import link_budget
 from spl_batch.airborne.simulate import (
-    beamlet_room,
     detector,
     flight,
     preset_scene,
@@ -291,7 +290,7 @@ def test_clear_water_is_a_surface_a_column_and_a_bottom():
     )  # fmt: skip
     d = np.array([math.sin(0.2), 0.0, -math.cos(0.2)])
     o = origin_for([10.0, 10.0, 8.0], d, 500.0)
-    layers = beamlet_room.empty_layers(scene)
+    layers = beam_layers.empty_layers(scene)
     n, hard, _, rho, what = beam_layers.look(scene, o, d, d, 1e-4, layers)
     assert (n, what, rho) == (2, ray_trace.KIND_BOTTOM, pytest.approx(0.2))
     assert hard == pytest.approx(500.0)

@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 from spl_batch.airborne.simulate import haze, simulate
-from spl_batch.airborne.simulate import survey as sky_of
 from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.airborne.simulate.sunlight import lit, sunlight
@@ -52,7 +51,7 @@ def test_patches_cover_the_share_of_the_sky_that_is_asked_for_and_drift_with_the
     scene = parse_scene(
         {**FLAT, "sky": {"haze": [{"cover": 0.3, "patch_m": 50, "drift_m_s": [4, -2]}]}}, "here"
     )
-    air = sky_of.make_air(scene, 1.0)
+    air = haze.make_air(scene, 1.0)
     rng = np.random.default_rng(1)
     at = rng.uniform(0, 3000, (20_000, 2))
     strength = [haze.patch_strength(air.layers[0], air.waves[0], *place, 0.0) for place in at]

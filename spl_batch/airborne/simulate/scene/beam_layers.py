@@ -181,3 +181,13 @@ def look(
     if kind == KIND_BOTTOM:
         n = _add_water(layers, n, scene.pond[scene.ground_pond[j, i]], o, d, hard)
     return n, hard, cosine, rho, kind
+
+
+def layer_room(scene: SceneArrays) -> int:
+    """Most objects listed for one cell, one more, and a water's surface and column."""
+    return 3 + int(np.diff(scene.cell_first, axis=1).max(initial=0))
+
+
+def empty_layers(scene: SceneArrays) -> NDArray[np.float64]:
+    """Room for the layers of one beam."""
+    return np.empty((layer_room(scene), LAYER_FIELDS))

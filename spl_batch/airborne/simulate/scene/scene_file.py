@@ -174,17 +174,9 @@ class Flight(Section):
     sky: Positive = Field(1.0, description="Sunlight relative to the scene's [1].")
     strip_offset_m: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0),
-        description="East, north and up by which its recorded returns lie off, as where strips are "
-        "not adjusted [m].",
+        description="East, north and up by which its recorded returns lie off, as where "
+        "flightlines are not adjusted [m].",
     )
-    boresight_roll_deg: float = Field(
-        0.0,
-        ge=-5,
-        le=5,
-        description="By which its recorded beams are turned about the way, starboard down [deg].",
-    )
-    jitter_m: NotNegative = Field(0.0, description="Swing of its recorded positions [m].")
-    jitter_period_s: Positive = Field(0.5, description="Of that swing [s].")
     gate_m: Positive | None = Field(None, description="Of its gate; the acquisition's without [m].")
     crs: Projected | None = Field(None, description="CRS of its file, where not the scene's.")
 
@@ -280,9 +272,6 @@ class Detector(Section):
     range_sigma_m: Positive | None = Field(
         None, description="Ranging spread, one sigma [m]; the sensor's without."
     )
-    range_walk_m: NotNegative = Field(
-        0.0, description="How much nearer the brightest returns are measured than the weakest [m]."
-    )
 
 
 class Reference(Section):
@@ -304,9 +293,6 @@ class Delivery(Section):
     )
     channel_dimension: Literal["channel", "user_data"] = Field(
         "channel", description="LAS dimension with the beamlet, from 1."
-    )
-    time_step_us: NotNegative = Field(
-        0.0, description="Whole multiples of it are recorded as gps_time; any time with 0 [us]."
     )
     scale_m: Positive = Field(0.001, description="Unit of the coordinates [m].")
     aoi: bool = Field(False, description="Whether the scene's extent comes as area of interest.")
