@@ -13,7 +13,6 @@ from spl_batch.airborne.diagnostics.air_fill import air_findings
 from spl_batch.airborne.diagnostics.noise_fit import noise_findings, p_values, uniformity
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_findings
 from spl_batch.airborne.hydro.flattening import bank_findings
-from spl_batch.airborne.report.clip_view import cut_clip
 from spl_batch.airborne.report.coverage import (
     area_km2,
     density,
@@ -42,7 +41,7 @@ from spl_batch.airborne.report.strip_pairs import (
     strip_map,
     strip_pairs,
 )
-from spl_batch.airborne.report.survey_files import write_report
+from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
@@ -60,6 +59,7 @@ from spl_batch.engine.report.run_record import (
     provenance,
     remember,
 )
+from spl_batch.engine.report.write import write_both
 from spl_batch.formats.geoid import grid_file
 from spl_batch.formats.rasters.parts import Part, read_overview
 
@@ -116,8 +116,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         provenance=_provenance(done, context, facts.reference),
     )
     pictures = make_pictures(_pictures(done, context, found), report)
-    clip = cut_clip(_overview(context.output / "chm.tif"), done, context)
-    write_report(context.output, report, pictures, clip)
+    write_both(context.output, report, render(report, pictures))
     remember(done, context, facts)
     return report
 
