@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, virtual_cloud
+from spl_batch.airborne.catalogue import index_layers, stac
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
 from spl_batch.airborne.lines.sentences import done_sentence, left_out_warnings, offset_warnings
@@ -24,7 +24,7 @@ from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.plan.strip_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.precompile import compile_share
-from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, NAMES, PRODUCTS
+from spl_batch.airborne.products.product_table import ABOVE_GEOID, NAMES, PRODUCTS
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
@@ -52,8 +52,8 @@ class Imaging(Receiver[Survey, Context]):
     noun: ClassVar[str] = "airborne survey"
     delivered: ClassVar[tuple[str, ...]] = (
         *("laz/**/*", "tiles/*", "copc/**/*", f"{stac.FOLDER}/*.json"),
-        *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml"),
-        *(f"{p.name}.tif" for p in (*PRODUCTS, HILLSHADE, *ABOVE_GEOID) if p.delivered),
+        *(stac.VIRTUAL, index_layers.NAME),
+        *(f"{p.name}.tif" for p in (*PRODUCTS, *ABOVE_GEOID) if p.delivered),
     )
 
     @property

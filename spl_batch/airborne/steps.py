@@ -243,18 +243,6 @@ STEPS: Final[Steps] = table(
         after=("deliver_file",),
     ),
     _delivery(
-        "deliver_hillshade",
-        run="tasks.delivery:deliver_hillshade",
-        tasks="space_tasks:hillshade",
-        after=("mosaic",),
-    ),
-    _delivery(
-        "deliver_differences",
-        run="tasks.delivery:deliver_differences",
-        tasks="strip_tasks:differences",
-        after=("strip_pairs",),
-    ),
-    _delivery(
         "deliver_geoid",
         run="tasks.delivery:deliver_geoid",
         tasks="space_tasks:geoid",

@@ -165,9 +165,8 @@ def _overlaps(cells: Iterable[_Cell]) -> set[tuple[str, str]]:
 
 def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:
     """Median height between flightlines by place, whichever lies above, north-up [m]."""
-    sample = [{k: cell[k][cell["beyond"] == 0] for k in ("x", "y", "rise")} for cell in cells]
     east, north, rise = (
-        np.concatenate([cell[k] for cell in sample] or [np.empty(0)]) for k in ("x", "y", "rise")
+        np.concatenate([cell[k] for cell in cells] or [np.empty(0)]) for k in ("x", "y", "rise")
     )
     if not len(rise):
         return {"values": np.empty((0, 0), np.float32), "extent_m": np.zeros(4)}

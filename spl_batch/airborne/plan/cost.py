@@ -114,8 +114,8 @@ def _copies(workflow: Workflow) -> int:
 def _rasters_and_comparisons(survey: Survey, cells: int) -> int:
     """Mosaics, comparisons of flightlines, checkpoints, twins and catalogue [count]."""
     workflow, sources = survey.workflow, survey.inputs.sources
-    maps, outputs = workflow.products.maps, workflow.outputs
-    rasters = len(products(reflectance=False, maps=maps)) + maps
+    outputs = workflow.outputs
+    rasters = len(products(reflectance=False))
     rasters += len(ABOVE_GEOID) * (outputs.geoid is not None)
     # flightlines are told by the index; until it is there, each file counts as one
     spans = [receipt.facts["spans"] for receipt in survey.of("index_file").values()]

@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.water.level import REACH_M, Levels, flattened, in_water
 from spl_batch.airborne.products.cell_values import robust_cell_means, sort_into_cells
-from spl_batch.airborne.products.flown_cells import about_ground, close, ground_heights
+from spl_batch.airborne.products.flown_cells import about_ground, covered_cells, ground_heights
 from spl_batch.airborne.products.gap_surface import FAR_M, bridged
 from spl_batch.airborne.products.noise_aloft import noise_by_cell
 from spl_batch.airborne.products.raster_grid import cell_number, relative, shape_of
@@ -158,14 +158,9 @@ class _Surfaces:
 
     def _flown(self) -> NDArray[np.bool_]:
         """Raster cells of the ground cell that were flown."""
-        table, corner, size = self._table, self.region, self._size
-        there = about_ground(table, corner, ground_heights(table, corner))
-        held = np.zeros(shape_of(corner, size), np.bool_)
-        row, col = (table["y"][there] - corner.ymin) // size, table["x"][there] - corner.xmin
-        held[row, col // size] = True
-        margin = margin_cells(self._settings)
-        over = close(held, quanta(self._settings.void_max_m) // size)
-        return over[margin:-margin, margin:-margin]
+        table, region = self._table, self.region
+        there = about_ground(table, region, ground_heights(table, region))
+        return covered_cells(table["x"][there], table["y"][there], self._cell, self._settings)
 
     def _means(self) -> tuple[NDArray[np.float64], Scatter, NDArray[np.bool_]]:
         """Robust means and scatter of the ground of raster cells, and which of them are wet."""

@@ -240,21 +240,6 @@ class StripPair(Part):
         None, description="Root mean square of the vertical differences of these [m]."
     )
     noise_m: Number = Field(description="Ranging noise: spread about the smoothest patches [m].")
-    largest_m: Number = Field(
-        None, description="Largest vertical difference of a smooth patch of up to 10 degrees [m]."
-    )
-    largest_sd_m: Number = Field(None, description="Standard deviation of it [m].")
-    largest_at_m: tuple[Number, Number] | None = Field(
-        None, description="Easting and northing of that patch [m]."
-    )
-    tilt_east_m: Number = Field(
-        None, description="Change of up_m on 100 m to the east; null where no tilt is sure [m]."
-    )
-    tilt_north_m: Number = Field(None, description="The same to the north [m].")
-    tilt_sd_m: Number = Field(
-        None, description="Standard deviation of these, in the worst direction [m]."
-    )
-    change_m: Number = Field(None, description="Change of up_m over all patches by that tilt [m].")
 
 
 class AlignedLine(Part):

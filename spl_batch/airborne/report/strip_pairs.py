@@ -14,7 +14,6 @@ def strip_pairs(done: Receipts, key: str = "pairs") -> tuple[StripPair, ...]:
         StripPair(
             **{k: v for k, v in pair._asdict().items() if k in StripPair.model_fields},
             centre_m=(pair.x_m, pair.y_m),
-            largest_at_m=None if pair.largest_m is None else (pair.largest_x_m, pair.largest_y_m),
         )
         for pair in rows
     )

@@ -132,7 +132,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
         sensor=workflow.sensor.name if _photons(context) else None,
-        area_km2=area_km2(done),
+        area_km2=area_km2(done, context),
         extent_m=(low[0], high[0], low[1], high[1]),
         cell_m=workflow.products.cell_m,
         flightlines=tuple(_flightlines(done, context)),

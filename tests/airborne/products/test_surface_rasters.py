@@ -61,7 +61,7 @@ def test_the_dtm_of_a_plane_is_the_plane_north_up():
     rasters = surfaces(table_of(terrain(), ground=1), CELL, SETTINGS)
     x, y = centres()
     np.testing.assert_allclose(rasters["dtm"], 100 + 0.5 * x - 0.2 * y, atol=0.002)
-    assert set(rasters) == {product.name for product in PRODUCTS if not product.is_map} - {"noise"}
+    assert set(rasters) == {product.name for product in PRODUCTS} - {"noise"}
     assert all(r.shape == (20, 20) and r.dtype == np.float32 for r in rasters.values())
 
 
