@@ -19,12 +19,6 @@ def strip_pairs(done: Receipts, key: str = "pairs") -> tuple[StripPair, ...]:
     )
 
 
-def pairs_not_compared(done: Receipts) -> tuple[tuple[str, str], ...]:
-    """Flightlines that overlap without planar patches enough to be compared."""
-    receipts = done.get("strip_pairs", {}).values()
-    return tuple((one, other) for r in receipts for one, other in r.facts.get("not_compared", ()))
-
-
 def alignment(done: Receipts) -> Alignment | None:
     """Shifts that were applied; None where none were asked for."""
     for receipt in done.get("align", {}).values():
