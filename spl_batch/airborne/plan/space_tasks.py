@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
-from spl_batch.airborne.plan.cells import Unit, fired_index, voxel_index
+from spl_batch.airborne.plan.cells import fired_index, voxel_index
+from spl_batch.airborne.plan.grid import Unit
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.file_positions import FAR_M
 from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
