@@ -218,7 +218,9 @@ def rasterize(
     }
     for core, near in _cells(table, workflow, reach):
         shown = surface_points.makes_surfaces(table.take(near))
-        made = surface_rasters.surfaces(shown, core, workflow.products)
+        made = surface_rasters.surfaces(
+            shown, core, workflow.products, workflow.sensor.range_sigma_m
+        )
         for name, layer in layers.items():
             _paste(layer, whole, made[name], core, size)
     return Rasters(

@@ -93,7 +93,7 @@ def _reflectance(cell: Cell) -> Rasters:
 
 def _surfaces(cell: Cell) -> Rasters:
     """Rasters of a ground cell."""
-    products = cell.context.workflow.products
+    workflow = cell.context.workflow
     # The intensity raster is of detections or of what was delivered.
     seen = surfacing.COLUMNS_OF_INTENSITY if cell.args["fired"] is None else ()
     looked_at = (*surfacing.COLUMNS_NEEDED, "afterpulse", *seen)
@@ -101,7 +101,7 @@ def _surfaces(cell: Cell) -> Rasters:
     known = cell.read(region, looked_at, surface_points.known)[0]
     table = surface_points.makes_surfaces(known)
     del known
-    return surfacing.surfaces(table, cell.core, products)
+    return surfacing.surfaces(table, cell.core, workflow.products, workflow.sensor.range_sigma_m)
 
 
 def _first(cell: Cell) -> PointTable:
