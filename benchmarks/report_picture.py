@@ -1,8 +1,7 @@
 """Pictures of a report: ``python -m benchmarks.report_picture OUTPUT [FOLDER]``.
 
 OUTPUT is the output folder of ``spl-batch quickstart``. A headless Chromium shows its report.
-``report.png`` has two parts of it, the map with its layers above the square that can be turned;
-``good_enough.png`` its top with the table of requirements.
+``report.png`` has its map with layers, ``good_enough.png`` its top with the table of requirements.
 """
 
 import shutil
@@ -19,8 +18,8 @@ IMAGES: Final = Path("docs/images")
 WIDTH_PX: Final = 1000
 """Width of the browser's window."""
 
-PARTS: Final = {".layers": 905, "#clip": 560}
-"""What is shown of the page, and the height that it takes [pixel]."""
+MAP_PX: Final = 905
+"""Height that the map takes [pixel]."""
 
 TOP_PX: Final = (1280, 1840)
 """Window that the top of a quickstart's report fills, with all requirements and the statement."""
@@ -38,7 +37,7 @@ def main(output: Path, folder: Path) -> None:
     if browser is None:
         sys.exit("no Chromium is installed")
     page = output / "report.html"
-    _write(_map_and_points(browser, page), folder / "report.png")
+    _write(_map(browser, page), folder / "report.png")
     _write(requirements(browser, page), folder / "good_enough.png")
 
 
@@ -49,15 +48,10 @@ def requirements(browser: str, page: Path) -> Image.Image:
     return seen.resize((width, height), Image.Resampling.LANCZOS)
 
 
-def _map_and_points(browser: str, page: Path) -> Image.Image:
-    """Both parts of the page, one above the other."""
-    whole = Image.new("RGB", (WIDTH_PX, sum(PARTS.values())))
-    top = 0
-    for part, height in PARTS.items():
-        hidden = f"header, footer, main > :not(#map), #map > :not({part})"
-        whole.paste(_seen(browser, page, hidden, (WIDTH_PX, height)), (0, top))
-        top += height
-    return whole
+def _map(browser: str, page: Path) -> Image.Image:
+    """The map of the page."""
+    hidden = "header, footer, main > :not(#map), #map > :not(.layers)"
+    return _seen(browser, page, hidden, (WIDTH_PX, MAP_PX))
 
 
 def _write(picture: Image.Image, png: Path) -> None:
@@ -73,7 +67,7 @@ def _seen(browser: str, page: Path, hidden: str, size: tuple[int, int]) -> Image
         copy.write_text(text.replace("</head>", f"<style>{style}</style></head>"), encoding="utf-8")
         switches = ["--headless", "--no-sandbox", "--hide-scrollbars", "--disable-gpu"]
         switches += [f"--user-data-dir={folder}", "--window-size={},{}".format(*size)]
-        switches += ["--enable-unsafe-swiftshader", "--virtual-time-budget=3000"]
+        switches += ["--virtual-time-budget=3000"]
         subprocess.run(  # noqa: S603
             [browser, *switches, f"--screenshot={shot}", copy.as_uri()],
             check=True, capture_output=True,

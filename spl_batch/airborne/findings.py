@@ -25,8 +25,6 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "file": "no usable gps_time (none, not finite, scattered, or the same for every "
                 "point)",
                 "points": "{count:points|have} no usable gps_time ({what})",
-                "ends": "the first and last points have no usable gps_time (not finite, or the "
-                "same for all)",
                 "format": "point format {format} has no gps_time",
             },
             "such points are delivered with noise_class 255, not assessed, and used for nothing "
@@ -57,11 +55,6 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "unnamed": "survey.channel_dimension is not set, but {dimension} holds {ranges}, "
                 "as the {beamlets} beamlets of {sensor} are numbered: write `channel_dimension: "
                 "{dimension}` under survey",
-                "few": "survey.channel_dimension: {dimension} holds only {numbers} in the first "
-                "and last points, and {sensor} has {beamlets} beamlets",
-                "linear": "this looks like linear-mode lidar ({signs}), of which the filter would "
-                "take true points for noise: write `filter: {{method: none}}` and `afterpulse: "
-                "{{enabled: false}}`, or name the instrument if single photons were counted",
                 "more": "returns come from {alive} channels, but the sensor has {beamlets}; "
                 "{alive} are assumed; least often seen: {channels}",
             },
@@ -128,8 +121,6 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "seem about {seconds:.1f} s {late}; a part of each scan alone looks so, too",
                 "uncovered": "the trajectory does not cover {count:returns} between gps_time "
                 "{first_s:.3f} and {last_s:.3f}, or they do not lie below it",
-                "ends": "gps_time of the first and last points, {low_s:.0f} to {high_s:.0f} s, is "
-                "{gap_s:.1f} s or more outside {trajectory}",
                 "unit": "puts the sensor {stated_m:.0f} m above its returns in {lines}, whose "
                 "lines of sight meet {met_m:.0f} m above them: its heights seem to be in {unit}; "
                 "name its CRS with that of its heights, survey.trajectory_crs: {crs}",
@@ -303,17 +294,6 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "checkpoints without a value count for nothing, all others in every RMSE",
             "correct the file of checkpoints; where it is right, look at the terrain there",
             "file",
-        ),
-        "C02": Code(
-            "The reference does not serve",
-            {
-                "missing": "the store holds no comparison with the reference; `spl-batch run` "
-                "computes it",
-                "own": "reference.points holds the survey's own points: {share:.0%} of those "
-                "looked at lie in the survey at the same x, y and z",
-            },
-            "there is no figure of accuracy",
-            "name points of another survey and run again",
         ),
         "D01": Code("A catalogue is not complete", "{what}"),
     }

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, virtual_cloud
+from spl_batch.airborne.catalogue import index_layers, stac
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
 from spl_batch.airborne.lines.sentences import done_sentence, left_out_warnings, offset_warnings
@@ -19,12 +19,11 @@ from spl_batch.airborne.plan.inputs.findings import (
     merged_shots,
     refuse_empty_area,
 )
-from spl_batch.airborne.plan.inputs.first_look import first_look
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.plan.strip_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.precompile import compile_share
-from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, NAMES, PRODUCTS
+from spl_batch.airborne.products.product_table import ABOVE_GEOID, NAMES, PRODUCTS
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
@@ -38,7 +37,7 @@ from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
+from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.formats.las.header import waveform_file
 from spl_batch.formats.las.reader import promised_points
@@ -52,8 +51,8 @@ class Imaging(Receiver[Survey, Context]):
     noun: ClassVar[str] = "airborne survey"
     delivered: ClassVar[tuple[str, ...]] = (
         *("laz/**/*", "tiles/*", "copc/**/*", f"{stac.FOLDER}/*.json"),
-        *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml"),
-        *(f"{p.name}.tif" for p in (*PRODUCTS, HILLSHADE, *ABOVE_GEOID) if p.delivered),
+        *(stac.VIRTUAL, index_layers.NAME),
+        *(f"{p.name}.tif" for p in (*PRODUCTS, *ABOVE_GEOID) if p.delivered),
     )
 
     @property
@@ -98,14 +97,14 @@ class Imaging(Receiver[Survey, Context]):
             ("ground cells", grouped(cost.cells)),
             ("margin", halo),
         ]
+        if not prepared.ledger.inputs.trajectory:
+            beams = "from where lines of sight meet, by scan_angle, or vertical"
+            rows.append(("trajectory", f"none: beams are taken {beams}"))
+        if settings.survey.channel_dimension is None and settings.sensor.beamlets > 1:
+            rows.append(("beamlets", "survey.channel_dimension is not set: a shot is one beamlet"))
         if settings.survey.align == "vertical":
             rows.append(("alignment", "survey.align: vertical: heights of flightlines are shifted"))
         return rows
-
-    def first_look(self, prepared: Prepared[Survey, Context]) -> FirstLook:
-        """What both ends of the files tell of their times and channels, and of the trajectory's."""
-        survey = prepared.ledger
-        return first_look(survey.inputs, survey.workflow, prepared.context.base)
 
     def before(self, step: Step, prepared: Prepared[Survey, Context]) -> None:
         """Make room for the raster cells of ``surfaces``."""

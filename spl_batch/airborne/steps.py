@@ -189,7 +189,15 @@ STEPS: Final[Steps] = table(
         "surfaces",
         "tasks.surfaces:surface",
         tasks="space_tasks:surface",
-        settings=("ground.cell_m", "products", "classes", "aoi", "water", "breaklines"),
+        settings=(
+            "ground.cell_m",
+            "products",
+            "classes",
+            "aoi",
+            "water",
+            "breaklines",
+            "survey.sensor",
+        ),
         unread=frozenset({"rasters"}),
         bytes_per_point=225,
         remedy="lower ground.cell_m or products.void_max_m",
@@ -243,18 +251,6 @@ STEPS: Final[Steps] = table(
         after=("deliver_file",),
     ),
     _delivery(
-        "deliver_hillshade",
-        run="tasks.delivery:deliver_hillshade",
-        tasks="space_tasks:hillshade",
-        after=("mosaic",),
-    ),
-    _delivery(
-        "deliver_differences",
-        run="tasks.delivery:deliver_differences",
-        tasks="strip_tasks:differences",
-        after=("strip_pairs",),
-    ),
-    _delivery(
         "deliver_geoid",
         run="tasks.delivery:deliver_geoid",
         tasks="space_tasks:geoid",
@@ -271,7 +267,6 @@ STEPS: Final[Steps] = table(
         bytes_per_point=300,
         remedy="cut the reference into files that fill their bounding boxes evenly",
         after=("reference", "mosaic"),
-        bind=f"{_HOME}.tasks.bindings:labelled",
     ),
     _step(
         "checkpoints",

@@ -108,8 +108,7 @@ def test_hostile_names_are_text_in_the_report(hostile: tuple[Path, surveys.Ended
     page = (folder / "out/report.html").read_bytes().decode()
     assert OBEYED.search(page) is None
     assert "<script>alert" not in page
-    ours = ['<script type="text/plain" id="clip-points">', "<script>"]
-    assert re.findall("<script[^>]*>", page) == ours
+    assert "<script" not in page
     assert "<img src=x" not in page
     assert "&lt;img src=x onerror=alert(1)&gt;" in page
     assert "{{7*7}}" in page, "no template of ours"

@@ -1,10 +1,7 @@
 """What a contract asks for and what a run knows of it: limits by quality level, evidence.
 
 Source: USGS Lidar Base Specification 2025 rev. A, Table 1 (aggregate nominal pulse spacing and
-density), Table 2 (relative vertical accuracy), Table 4 (absolute vertical accuracy). The largest
-difference between swaths is in none of its tables: it is that of a vertical accuracy class of the
-ASPRS standards of 2023, section 7.4, the 1.6fold of RMSE_V. Its other two factors, 0.6 within a
-swath and 0.8 (RMSDz) between two, give the numbers of Table 2.
+density), Table 2 (relative vertical accuracy), Table 4 (absolute vertical accuracy).
 """
 
 from collections.abc import Mapping
@@ -13,8 +10,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from spl_batch.airborne.accuracy.checkpoint_errors import AtCheckpoints
-from spl_batch.airborne.pulses.smooth_surfaces import Repeatability
-from spl_batch.airborne.pulses.swath_coverage import SwathTotals
+from spl_batch.airborne.pulses.swaths import SwathTotals
 
 
 class Level(NamedTuple):
@@ -24,18 +20,15 @@ class Level(NamedTuple):
     pulses_per_m2: float
     spacing: str  #: Key of its nominal pulse spacing.
     spacing_m: float
-    repeatability_m: float  #: Smooth surface precision (repeatability, until 2024), RMSDz.
-    #: Swath overlap difference, RMSDz; the largest one, of the ASPRS standards.
-    overlap_rmsd_m: float
-    overlap_max_m: float
+    overlap_rmsd_m: float  #: Swath overlap difference, RMSDz.
 
 
 LEVELS: Final[Mapping[str, Level]] = MappingProxyType(
     {
-        "QL0": Level(0.05, 8.0, "QL1", 0.35, 0.03, 0.04, 0.08),
-        "QL1": Level(0.10, 8.0, "QL1", 0.35, 0.06, 0.08, 0.16),
-        "QL2": Level(0.10, 2.0, "QL2", 0.71, 0.06, 0.08, 0.16),
-        "QL3": Level(0.20, 0.5, "QL3", 1.41, 0.12, 0.16, 0.32),
+        "QL0": Level(0.05, 8.0, "QL1", 0.35, 0.04),
+        "QL1": Level(0.10, 8.0, "QL1", 0.35, 0.08),
+        "QL2": Level(0.10, 2.0, "QL2", 0.71, 0.08),
+        "QL3": Level(0.20, 0.5, "QL3", 1.41, 0.16),
     }
 )
 """Limits by quality level."""
@@ -68,13 +61,9 @@ class SwathDifferences:
     """Heights of flightlines against each other where they overlap."""
 
     rmsd_m: float  #: RMSDz over all pairs, at smooth places of up to 10 degrees [m].
-    #: Largest difference at one of these places, and its standard deviation [m].
-    largest_m: float
-    largest_sd_m: float
     #: Pairs of flightlines; places that both of a pair have [count].
     pairs: int
     places: int
-    where: str  #: The pair with the largest difference, and the place.
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,14 +77,11 @@ class Evidence:
     #: Accuracy at checkpoints; None where none were given.
     nva: AtCheckpoints | None
     vva: AtCheckpoints | None
-    pulses: PulseTotals | None  #: First returns, by the level's spacing; None where nobody counted.
+    pulses: PulseTotals | None  #: First returns, by the level's spacing; None without any.
     single: bool  #: Whether each swath is judged by itself; else all of them together.
     by_swath: Mapping[str, SwathTotals]  #: First returns of each flightline, by its name.
     water_known: bool  #: Whether polygons say where water is.
     swaths: SwathDifferences | None  #: None where no flightlines were compared.
-    #: Smooth places of single flightlines; None where there are none, or nobody looked.
-    smooth: Repeatability | None
-    range_sigma_m: float  #: Ranging noise that the sensor is known to have [m].
     flightlines: int
     classes: Mapping[int, int]  #: Points by class [count].
     withheld_unclassified: int  #: Those of class 0 that the vendor withheld [count].

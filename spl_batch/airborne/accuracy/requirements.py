@@ -12,8 +12,7 @@ from typing import Final, Literal
 
 from spl_batch.airborne.accuracy.checkpoint_errors import EDITION, ENOUGH, STANDARD
 from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence
-from spl_batch.airborne.pulses.smooth_surfaces import TWICE
-from spl_batch.airborne.pulses.swath_coverage import SwathTotals
+from spl_batch.airborne.pulses.swaths import SwathTotals
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE
 from spl_batch.engine.report.number_format import centimetres, number, percent, significant
 from spl_batch.errors import named
@@ -61,7 +60,7 @@ class Requirement:
 def requirements(known: Evidence) -> tuple[Requirement, ...]:
     """Every line of the page, accuracy first."""
     rows = (_accuracy, _vegetated, _mean_error, _density, _distribution, _voids, _overlap,
-            _largest_overlap, _repeatability, _class_zero, _noise_classes, _no_class_12,
+            _class_zero, _noise_classes, _no_class_12,
             _vertical_datum, _gps_time)  # fmt: skip
     return tuple(row(known) for row in rows)
 
@@ -144,7 +143,7 @@ def _density(known: Evidence) -> Requirement:
 
 _NOT_COUNTED: Final = "the raster cells were made by a version that did not count: run again"
 
-_MIDDLE: Final = " in the middle 95 % of each flightline"
+_MIDDLE: Final = " within the edges of each flightline"
 
 SMALL_SHARE: Final = 0.01
 """A flightline with less than this share of the largest one's area is not judged by itself, and
@@ -231,8 +230,8 @@ def _voids(known: Evidence) -> Requirement:
             why = "it may be water, of which nothing is known: draw it and name it as water"
             return Requirement(*place, found, "cannot tell", why, *where)
         why = (
-            "dark surfaces and shadows of buildings are excepted too, and not told apart here; "
-            "voids.tif (products.maps: true) shows where"
+            "dark surfaces and shadows of buildings are excepted too, and not separated here; "
+            "density.tif shows where"
         )
         return Requirement(*place, found, "fail", why, *where)
     if pulses.bare_m2 > EDGE_SHARE * pulses.area_m2:
@@ -246,19 +245,6 @@ def _voids(known: Evidence) -> Requirement:
 
 _RELATIVE: Final = f"{PROCESSING}, Positional Accuracy Validation, Relative Vertical Accuracy"
 _OVERLAP: Final = f"{_RELATIVE}, Interswath (Overlap) Consistency; Table 2"
-_LARGEST: Final = f"{EDITION}, section 7.4"
-_SMOOTH: Final = f"{_RELATIVE}, Intraswath Precision (smooth surface precision); Table 2"
-
-SURE: Final = 3.0
-"""A difference is larger than a limit if it is by so many of its standard deviations."""
-
-
-FEWEST_PLACES: Final = 5
-"""Smooth squares that a verdict on repeatability rests on, at least [count]."""
-
-HARD: Final = 2.0
-"""The smoothest squares are hard where their returns spread by at most so many times the sensor's
-ranging noise; heath and forest floor spread by more."""
 
 
 def _not_overlapping(known: Evidence) -> str:
@@ -281,51 +267,6 @@ def _overlap(known: Evidence) -> Requirement:
         f"pair{'s' * (swaths.pairs != 1)} of flightlines"
     )
     return Requirement(*place, found, answer, why, LBS, _OVERLAP)
-
-
-def _largest_overlap(known: Evidence) -> Requirement:
-    limit = LEVELS[known.level].overlap_max_m
-    place = ("Swath overlap, largest difference", f"at most {centimetres(limit)}")
-    swaths = known.swaths
-    if swaths is None:
-        why = _not_overlapping(known)
-        return Requirement(*place, "not measured", "cannot tell", why, STANDARD, _LARGEST)
-    found = centimetres(swaths.largest_m)
-    why = f"at a smooth place of {swaths.where}; its standard deviation is "
-    why += centimetres(swaths.largest_sd_m)
-    if swaths.largest_m <= limit:
-        return Requirement(*place, found, "pass", why, STANDARD, _LARGEST)
-    if swaths.largest_m - SURE * swaths.largest_sd_m > limit:
-        return Requirement(*place, found, "fail", why, STANDARD, _LARGEST)
-    why += f", and noise alone may do as much at one of {number(swaths.places)} places"
-    return Requirement(*place, found, "cannot tell", why, STANDARD, _LARGEST)
-
-
-def _repeatability(known: Evidence) -> Requirement:
-    limit = LEVELS[known.level].repeatability_m
-    place = ("Smooth surface repeatability", f"RMSDz at most {centimetres(limit)}")
-    smooth = known.smooth
-    if smooth is None:
-        why = "no flightline has returns in all parts of a level square of 8 m"
-        return Requirement(*place, "not measured", "cannot tell", why, LBS, _SMOOTH)
-    found = f"RMSDz {centimetres(smooth.rmsd_m)}"
-    squares = f"{number(smooth.places)} smooth square{'s' * (smooth.places != 1)} of 8 m"
-    if smooth.places < FEWEST_PLACES:
-        why = f"{squares}: a verdict needs {FEWEST_PLACES}"
-        return Requirement(*place, found, "cannot tell", why, LBS, _SMOOTH)
-    if smooth.noise_m > HARD * known.range_sigma_m:
-        why = (
-            f"no level square of 8 m is hard: about the smoothest planes first returns spread by "
-            f"{centimetres(smooth.noise_m)}, the sensor's ranges by "
-            f"{centimetres(known.range_sigma_m)}"
-        )
-        return Requirement(*place, found, "cannot tell", why, LBS, _SMOOTH)
-    answer: Answer = "pass" if smooth.rmsd_m <= limit else "fail"
-    why = (
-        f"ranges of height in {number(smooth.cells)} cells of {squares}, each of one flightline; "
-        f"about their planes first returns spread by up to {centimetres(TWICE * smooth.noise_m)}"
-    )
-    return Requirement(*place, found, answer, why, LBS, _SMOOTH)
 
 
 def _class_zero(known: Evidence) -> Requirement:

@@ -17,7 +17,6 @@ from spl_batch.engine.plan.worker_memory import LOADED_BASE_BYTES, USABLE_SHARE,
 from spl_batch.errors import InputError, WorkflowError, counted, grouped
 from spl_batch.formats.crs import look_like_degrees
 from spl_batch.formats.gps_clock import usable_times
-from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointFlag, PointTable
 
 HIGHEST_M: Final = 1e6
@@ -38,12 +37,6 @@ MOST_OF_A_SHOT: Final = 10_000
 
 FEWEST: Final = 10
 """Points below which nothing tells degrees from metres: the box around them is small either way."""
-
-CHANCE: Final = 0.01
-"""Share of points that may lie where another one does, as in dense clouds of whole centimetres."""
-
-_COPIED: Final = ("gps_time", "channel", "return_number", "point_source_id", "x", "y", "z")
-"""Columns in which a copy is as its original."""
 
 Numbers = NDArray[Any]
 
@@ -221,22 +214,6 @@ def coarse(xyz: ArrayLike) -> tuple[str, ...]:
         return ()
     text = f"xyz is {place.dtype}, which holds {farthest:.0f} m to {step_m:.2g} m only"
     return (f"{text}; points are rounded to that; give float64",)
-
-
-def repeated(table: PointTable, *, timed: bool) -> tuple[str, ...]:
-    """What a caller should know of points that are there several times.
-
-    ``timed``: whether times tell copies; without, only many in one place can be no chance.
-    """
-    n = len(table)
-    order = lexicographic_order([table[name] for name in _COPIED]) if n else np.zeros(0, np.intp)
-    ordered = [table[name][order] for name in _COPIED]
-    count = int(np.all([key[1:] == key[:-1] for key in ordered], axis=0).sum())
-    if count <= (0 if timed else CHANCE * n):
-        return ()
-    as_said = "time, channel, return number and place" if timed else "place"
-    text = f"{grouped(count)} of {grouped(n)} points repeat an earlier one, with the same {as_said}"
-    return (f"{text}; copies vouch for each other, so more noise stays; give each point once",)
 
 
 def densities(given: ArrayLike, count: int) -> NDArray[np.float64]:

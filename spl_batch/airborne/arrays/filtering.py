@@ -16,7 +16,6 @@ from spl_batch.airborne.arrays.checked import (
     coarse,
     densities,
     points_of,
-    repeated,
     require_metres,
     require_shots,
     settings_of,
@@ -126,8 +125,7 @@ def filter_points(
     given = None if noise_density is None else densities(noise_density, len(table))
     known = assess(table, origin, chosen) if gps_time is not None and len(table) else None
     labels = _filtered(table if known is None else known.table, given, known, chosen)
-    odd = (*coarse(xyz), *repeated(table, timed=gps_time is not None))
-    return replace(labels, warnings=(*odd, *labels.warnings))
+    return replace(labels, warnings=(*coarse(xyz), *labels.warnings))
 
 
 @telling

@@ -17,7 +17,7 @@ from spl_batch.airborne.arrays.checked import (
 from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.labels import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
-from spl_batch.airborne.plan.ground_cells import GroundCells
+from spl_batch.airborne.plan.grid import Grid
 from spl_batch.airborne.plan.task_memory import RASTER_BYTES
 from spl_batch.airborne.products import surface_points, surface_rasters
 from spl_batch.airborne.settings.workflow import Workflow
@@ -218,7 +218,9 @@ def rasterize(
     }
     for core, near in _cells(table, workflow, reach):
         shown = surface_points.makes_surfaces(table.take(near))
-        made = surface_rasters.surfaces(shown, core, workflow.products)
+        made = surface_rasters.surfaces(
+            shown, core, workflow.products, workflow.sensor.range_sigma_m
+        )
         for name, layer in layers.items():
             _paste(layer, whole, made[name], core, size)
     return Rasters(
@@ -259,7 +261,7 @@ def _cells(
         return
     x, y = table["x"], table["y"]
     box = (int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
-    cells = GroundCells.of_workflow([box], workflow)
+    cells = Grid.of_workflow([box], workflow)
     order = np.argsort(x, kind="stable")
     ascending = x[order]
     squares = np.unique(np.stack([y, x]) // cells.edge, axis=1).T.tolist()

@@ -109,8 +109,6 @@ class RasterFile:
     cell_m: float
     meaning: str
     unit: str
-    #: Smallest and largest value of its overview; None where all is nodata.
-    range: tuple[float, float] | None
     crs: CRS | None
 
     @property
@@ -120,19 +118,12 @@ class RasterFile:
 
 
 def read_raster_file(output: Path, href: str) -> RasterFile:
-    """A delivered raster, from its header and its smallest overview."""
+    """A delivered raster, from its header."""
     with opened(output / href) as source:
-        bounds, shape = source.bounds, source.shape
-        meaning = source.descriptions[0] or href
-        unit = source.units[0] or ""
-        levels, cell_m, nodata = len(source.overviews(1)), source.transform.a, source.nodata
+        bounds, shape, cell_m = source.bounds, source.shape, float(source.transform.a)
+        meaning, unit = source.descriptions[0] or href, source.units[0] or ""
         crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None
-    coarse = {"overview_level": levels - 1} if levels else {}
-    with opened(output / href, **coarse) as source:
-        values = source.read(1)
-    held = values[values != nodata]
-    ends = (float(held.min()), float(held.max())) if held.size else None
-    return RasterFile(href, tuple(bounds), shape, float(cell_m), meaning, unit, ends, crs)
+    return RasterFile(href, tuple(bounds), shape, cell_m, meaning, unit, crs)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
-"""STAC 1.1: a collection with an item for each cloud and raster, and all items in one file.
+"""STAC 1.1: a collection with an item for each cloud and raster, and a virtual point cloud.
 
-Sources: STAC 1.1.0; extensions point cloud 1.0.0 and projection 2.0.0, by pystac. All links are
-relative, so that the folder can be moved.
+Sources: STAC 1.1.0; extensions point cloud 1.0.0 and projection 2.0.0, by pystac; the VPC
+specification of PDAL wrench, a GeoJSON file of the clouds' items whose readers take STAC 1.0.0 with
+projection 1.1.0 alone. All links are relative, so that the folder can be moved.
 """
 
 import hashlib
@@ -33,15 +34,13 @@ LAZ_TYPE: Final = "application/vnd.laszip"
 COPC_TYPE: Final = "application/vnd.laszip+copc"
 SOFTWARE: Final = "spl-batch"
 
+VIRTUAL: Final = "survey.vpc"
+"""Virtual point cloud, below the output."""
 
-def stac_files(delivery_clouds: list[str], rasters: list[str]) -> list[str]:
-    """Names of the files that :func:`write_stac` writes, below the output."""
-    names = _item_ids([*delivery_clouds, *rasters])
-    return [
-        f"{FOLDER}/collection.json",
-        f"{FOLDER}/items.json",
-        *(f"{FOLDER}/{name}.json" for name in names.values()),
-    ]
+VIRTUAL_EXTENSIONS: Final = (
+    "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json",
+    "https://stac-extensions.github.io/projection/v1.1.0/schema.json",
+)
 
 
 def _item_ids(hrefs: Sequence[str]) -> dict[str, str]:
@@ -65,7 +64,7 @@ def _short_id(name: str, href: str) -> str:
 
 
 def write_stac(output: Path, delivery: Delivery) -> list[Path]:
-    """Write ``stac/collection.json``, ``stac/items.json`` and the items."""
+    """Write ``stac/collection.json``, ``stac/items.json``, the items and ``survey.vpc``."""
     import pystac  # noqa: PLC0415 - needed here alone
 
     hrefs = [cloud.href for cloud in delivery.clouds]
@@ -112,9 +111,30 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
         folder / "items.json": f'{{"type": "FeatureCollection", "features": [\n{features}\n]}}',
         **written,
     }
+    clouds = records[: len(delivery.clouds)]
+    virtual = [_virtual(*one, delivery.crs) for one in zip(delivery.clouds, clouds, strict=True)]
+    texts[output / VIRTUAL] = _text({"type": "FeatureCollection", "features": virtual})
     for path, text in texts.items():
         write_bytes(path, f"{text}\n".encode())
     return list(texts)
+
+
+def _virtual(cloud: Cloud, record: dict[str, Any], crs: CRS) -> dict[str, Any]:
+    """Item of a cloud as readers of virtual point clouds want it."""
+    properties = {k: v for k, v in record["properties"].items() if k != "proj:code"}
+    code = crs.to_epsg()
+    return {
+        **record,
+        "stac_version": "1.0.0",
+        "stac_extensions": list(VIRTUAL_EXTENSIONS),
+        "properties": {
+            **properties,
+            "datetime": properties["start_datetime"],
+            **({"proj:epsg": code} if code is not None else {}),
+        },
+        "links": [],
+        "assets": {"data": {"href": f"./{cloud.href}", "roles": ["data"]}},
+    }
 
 
 def _text(content: Any) -> str:

@@ -9,16 +9,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, get_args
 
-import numpy as np
 from pydantic import Field
 
 from spl_batch.airborne.compare.contrast import (
     FAR_M,
     Contrast,
     Outcome,
-    TerrainContrast,
     contrast,
-    terrain_contrast,
 )
 from spl_batch.airborne.filter.denoise import METHODS as FILTERS
 from spl_batch.airborne.filter.shot_filters import OF_SHOTS
@@ -60,9 +57,6 @@ class MethodResult(ComparedMethod):
     far_per_m3: Number = Field(None, description="Signal far from where most returns lie [1/m3].")
     far_share: Number = Field(None, description="Of what was recorded there, 0..1.")
     ground: Count = Field(description="Points called ground [count].")
-    dtm_off_share: Number = Field(
-        None, description="DTM cells more than 0.5 m off the first method's, 0..1."
-    )
     dtm_rmse_m: Number = Field(None, description="DTM against the reference [m].")
     dtm_mean_m: Number = Field(None, description="DTM minus reference, mean [m].")
     dsm_median_m: Number = Field(None, description="DSM minus reference, median [m].")
@@ -200,11 +194,10 @@ def _write(output: Path, reports: Mapping[str, Report]) -> ComparisonReport:
         done, context, _ = recalled(output / folder_of(name))
         runs[name] = Outcome(done, context)
     found = contrast(list(runs.values()))
-    terrain = terrain_contrast([output / folder_of(name) for name in reports])
     first = next(iter(reports.values()))
     # Ground methods share the filter, or have none: they say nothing of noise.
     far_m3 = 0 if all(name in GROUND for name in reports) else found.far_m3
-    results = tuple(_result(*named, found, terrain, k) for k, named in enumerate(reports.items()))
+    results = tuple(_result(*named, found, k) for k, named in enumerate(reports.items()))
     report = ComparisonReport(
         survey=first.survey.name,
         version=first.provenance.version,
@@ -215,13 +208,11 @@ def _write(output: Path, reports: Mapping[str, Report]) -> ComparisonReport:
         methods=results,
         left_out=tuple(found.left_out),
     )
-    write(output, report, list(_profiles(runs, found, terrain)))
+    write(output, report, list(_profiles(runs, found)))
     return report
 
 
-def _result(
-    name: str, report: Report, found: Contrast, terrain: TerrainContrast, k: int
-) -> MethodResult:
+def _result(name: str, report: Report, found: Contrast, k: int) -> MethodResult:
     counts, accuracy = report.counts, report.accuracy
     dtm = accuracy.dtm.get("all") if accuracy else None
     dsm = accuracy.dsm.get("all") if accuracy else None
@@ -240,7 +231,6 @@ def _result(
         far_per_m3=kept / found.far_m3 if found.far_m3 and not of_ground else None,
         far_share=kept / found.far_points if found.far_points and not of_ground else None,
         ground=counts.ground,
-        dtm_off_share=None if np.isnan(terrain.off_share[k]) else float(terrain.off_share[k]),
         dtm_rmse_m=dtm.rmse if dtm else None,
         dtm_mean_m=dtm.mean if dtm else None,
         dsm_median_m=dsm.median if dsm else None,
@@ -253,7 +243,7 @@ def _result(
 
 
 def _profiles(
-    runs: Mapping[str, Outcome], found: Contrast, terrain: TerrainContrast
+    runs: Mapping[str, Outcome], found: Contrast
 ) -> Iterator[tuple[str, str, dict[str, Profile]]]:
     """The strip where most stands on the ground, and the one that is most disputed."""
     path = next(iter(runs.values())).context.output / "chm.tif"
@@ -268,12 +258,6 @@ def _profiles(
             "Where the filters disagree most",
             "Look for what is signal to one filter and noise to another near the surface.",
             _strips(runs, found.disputed),
-        )
-    if terrain.strip is not None:
-        yield (
-            "Where the terrain differs most",
-            "Look for roofs, crowns and decks that are ground, and for steep ground that is not.",
-            _strips(runs, terrain.strip),
         )
 
 

@@ -1,35 +1,59 @@
-"""A workflow for the files of a folder: what was found is written, what was not is said."""
+"""A workflow for the files of a folder: what was found is written, what was not is a comment."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from pyproj import CRS
-
 from spl_batch.airborne.first_use.clouds import (
     SENSOR,
-    STANDARDS,
     CloudLook,
-    Guess,
-    by_crs,
     channel_guess,
     crs_guess,
-    linear_mode_signs,
+    look_at,
 )
-from spl_batch.airborne.first_use.folder import Folder, look_through
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.constants import CLASS_GROUND
 from spl_batch.engine.settings.draft import Draft, headed, key_lines, patterns, wrapped
-from spl_batch.errors import counted, grouped, named, plain
-from spl_batch.formats.crs import crs_name, same_crs
+from spl_batch.engine.settings.mistaken_file import url_fault
+from spl_batch.engine.verbs.beginning import files_below
+from spl_batch.errors import InputError, WorkflowError, counted, grouped, named, plain
+from spl_batch.formats import checkpoints
 from spl_batch.formats.files.atomic import real_path
+from spl_batch.formats.trajectory.ends import ends
+from spl_batch.formats.trajectory.records import PARQUET_SUFFIXES
+from spl_batch.formats.trajectory.sbet import SBET_RECORD, SBET_SUFFIXES
 
-SMALL_M2: Final = 10_000.0
-"""Area below which it is told in square metres [m2]."""
+CLOUDS: Final = frozenset({".las", ".laz"})
+
+DELIVERED: Final = frozenset({"input_classification", "noise_class"})
+"""Dimensions that a run adds to each cloud."""
+
+EMPTY: Final = -1
+"""Rank of a cloud without points."""
+
+_KEPT: Final = ("filter: {method: none}", "afterpulse: {enabled: false}")
+"""Lines of a workflow by which every point stays."""
 
 
-ByCrs = tuple[CRS, Sequence[CloudLook]]
+@dataclass
+class _Folder:
+    """What was found in a folder; each file below it once."""
+
+    path: Path
+    lines: list[CloudLook] = field(default_factory=list)  #: Clouds that seem to be flightlines.
+    #: Other clouds: of which points are ground; the rest.
+    references: list[CloudLook] = field(default_factory=list)
+    others: list[CloudLook] = field(default_factory=list)
+    results: list[Path] = field(default_factory=list)  #: Clouds that a run delivered.
+    bad: list[InputError] = field(default_factory=list)  #: Clouds that cannot be read.
+    trajectories: list[Path] = field(default_factory=list)
+    checkpoints: list[Path] = field(default_factory=list)
+
+    def named(self, paths: Sequence[Path]) -> str:
+        """What the workflow calls some files."""
+        return named([path.relative_to(self.path).as_posix() for path in paths], 3)
 
 
 def begin(place: Path) -> Draft | None:
@@ -38,189 +62,163 @@ def begin(place: Path) -> Draft | None:
     Raises
     ------
     WorkflowError
-        If it is no folder, or no cloud in it can be used.
+        If there is no such folder, or no cloud in it can be used.
     """
-    folder = look_through(place, load_preset(SENSOR))
-    return propose(folder) if folder.lines else None
+    if not place.is_dir():
+        raise WorkflowError(f"{place}: {_no_folder(place)}")
+    folder, files = _Folder(place), files_below(place)
+    _sort_clouds([file for file in files if file.suffix.lower() in CLOUDS], folder)
+    for file in files:
+        if file.suffix.lower() in {".csv", ".txt", *PARQUET_SUFFIXES, *SBET_SUFFIXES}:
+            _sort_table(file, folder)
+    if not folder.lines and folder.bad:
+        raise WorkflowError(f"{place}: no cloud can be used: {folder.bad[0]}")
+    if not folder.lines and folder.results:
+        raise WorkflowError(
+            f"{place}: holds clouds that a run delivered alone, such as "
+            f"{folder.named(folder.results[:1])}; name the folder of the raw flightlines"
+        )
+    return _draft(folder) if folder.lines else None
 
 
-def propose(folder: Folder) -> Draft:
+def _no_folder(path: Path) -> str:
+    """Why a path is no folder, and which command takes it."""
+    if fault := url_fault(path):
+        return fault
+    if not path.exists():
+        return "no such folder; name the folder that holds the files"
+    if path.suffix.lower() in CLOUDS:
+        return (
+            "this is one file: `spl-batch denoise` takes it without a workflow, "
+            f"`spl-batch init {path.parent}` all files of its folder"
+        )
+    return f"is a file; name the folder that holds it: `spl-batch init {path.parent}`"
+
+
+def _sort_clouds(files: Sequence[Path], found: _Folder) -> None:
+    """Flightlines are what is most like a raw survey: with beamlet numbers, else with times."""
+    looks = []
+    for file in files:
+        try:
+            look = look_at(file)
+        except InputError as error:
+            found.bad.append(error)
+            continue
+        if set(look.facts.dimensions) >= DELIVERED:
+            found.results.append(file)
+        else:
+            looks.append(look)
+    ranks = [_rank(look) for look in looks]
+    for look, rank in zip(looks, ranks, strict=True):
+        if rank == EMPTY:
+            found.bad.append(InputError(str(look.facts.path), NO_POINTS))
+        elif rank == max(ranks):
+            found.lines.append(look)
+        elif CLASS_GROUND in look.ends.classes:
+            found.references.append(look)
+        else:
+            found.others.append(look)
+
+
+def _rank(look: CloudLook) -> int:
+    """How much a cloud is like a raw flightline."""
+    if not look.facts.n_points:
+        return EMPTY
+    numbered = channel_guess([look], load_preset(SENSOR)).value is not None
+    return 2 * numbered + look.timed
+
+
+def _sort_table(file: Path, found: _Folder) -> None:
+    """A table is a trajectory by its columns, or holds checkpoints."""
+    if file.suffix.lower() in SBET_SUFFIXES and file.stat().st_size % SBET_RECORD.itemsize:
+        return  # many programs call a log so
+    try:
+        if ends(file) is not None:
+            found.trajectories.append(file)
+    except InputError:
+        if file.suffix.lower() == ".csv" and _has_checkpoints(file):
+            found.checkpoints.append(file)
+
+
+def _has_checkpoints(file: Path) -> bool:
+    with file.open(encoding="utf-8", errors="replace", newline="") as stream:
+        head = checkpoints.table(stream).fieldnames or ()
+    return {name.strip().lower() for name in head} >= {*checkpoints.COLUMNS}
+
+
+def _draft(folder: _Folder) -> Draft:
     """Write a workflow for what a folder holds."""
-    sensor = load_preset(SENSOR)
-    several = by_crs(folder.lines)
-    apart = [path for _, looks in several[1:] for path in _paths(looks)]
-    folder = replace(folder, lines=[look for look in folder.lines if look.facts.path not in apart])
     made = headed("using")
     made.section("survey")
     made.lines += key_lines("name", real_path(folder.path).name or "survey", "  ")
-    lines = [*_paths(folder.lines), *folder.damaged_lines]
-    made.known("flightlines", patterns(folder.path, lines), _clouds(folder.lines))
-    channel = channel_guess(folder.lines, sensor)
-    linear = "" if channel.value is not None else linear_mode_signs(folder.lines)
-    _times(made, folder, linear)
-    _crs(made, folder, several)
-    if not linear:
-        made.supposed("sensor", SENSOR, "no file names the instrument: spl100, hrqls, or its facts")
-    if channel.value is not None:
-        made.known("channel_dimension", channel.value, f"{channel.value} {channel.reason}")
-    elif not linear:
-        made.open("channel_dimension", "user_data", channel.reason)
-    _reference(made, folder)
-    _polygons(made, folder)
-    made.lines += ["", "output: out"]
-    _filter(made, folder, channel, linear)
-    made.left_out += _of_other_crs(folder, several)
-    made.left_out += _left_out(folder)
-    return made
-
-
-def _clouds(looks: Sequence[CloudLook]) -> str:
-    """How much there is."""
-    points = sum(look.facts.n_points for look in looks)
-    said = f"{counted(len(looks), 'files')}, {counted(points, 'points')}"
-    area_m2 = sum(look.facts.area_m2 for look in looks)
-    if area_m2 < 1.0:  # of degrees, or of next to nothing
-        return said
-    small = area_m2 < SMALL_M2
-    area = f"{grouped(area_m2)} m2" if small else f"{grouped(area_m2 / 1e6, 3)} km2"
-    return f"{said}, boxes of {area} in all, {_density(points / area_m2)} points per m2 of them"
-
-
-def _density(per_m2: float) -> str:
-    """A density in digits that show it, however small."""
-    if per_m2 < 0.01:
-        return "under 0.01"
-    return grouped(per_m2, 1 if per_m2 >= 1.0 else 2)
-
-
-def _times(made: Draft, folder: Folder, linear: str) -> None:
-    spans = [look.span_s for look in folder.lines if look.span_s is not None]
-    if not spans:
-        has = all(look.facts.has_gps_time for look in folder.lines)
-        seen = "one value for all points that were looked at" if has else "missing"
-        made.unknown.append(("gps_time", f"{seen}, so there are no shots: noise is not estimated"))
-        return
-    standards = sorted({look.standard for look in folder.lines if look.span_s is not None})
-    first, last = min(low for low, _ in spans), max(high for _, high in spans)
-    kind = " and ".join(STANDARDS[one] for one in standards)
-    seen = f"gps_time: {kind}, {grouped(first)} to at least {grouped(last)} s"
-    made.found.append(("gps_time", seen.removeprefix("gps_time: ")))
-    made.lines.append(f"  # {seen}")
-    if folder.trajectories:
-        paths = [*folder.trajectories]
-        names = named([folder.named(path) for path in paths], 3)
-        whose = "its times meet" if len(paths) == 1 else "their times meet"
-        doubles = named([folder.named(path) for path in folder.doubles], 3)
-        more = f"; {doubles} {'has' if len(folder.doubles) == 1 else 'have'} them too"
-        made.known(
-            "trajectory",
-            patterns(folder.path, paths),
-            f"{names}: {whose} those of the flightlines{more if folder.doubles else ''}",
-        )
-    elif not linear:
-        made.open(
-            "trajectory",
-            "trajectory/*.sbet",
-            "no trajectory of these times is here: beams come from where lines of sight meet",
-        )
-
-
-def _crs(made: Draft, folder: Folder, several: Sequence[ByCrs]) -> None:
+    points = sum(look.facts.n_points for look in folder.lines)
+    many = f"{counted(len(folder.lines), 'files')}, {grouped(points)} points"
+    made.known("flightlines", patterns(folder.path, _paths(folder.lines)), many)
+    timed = any(look.timed for look in folder.lines)
+    _trajectory(made, folder, timed=timed)
     crs = crs_guess(folder.lines)
-    if len(several) > 1:
-        made.note("CRS", _of_several(folder, several))
-    elif crs.value is None:
+    if crs.value is None:
         made.open("crs", "EPSG:32615", crs.reason)
     else:
         made.found.append(("CRS", crs.reason))
         made.lines.append(f"  # CRS: {plain(crs.reason)}")
+    made.supposed("sensor", SENSOR, "no file names the instrument: spl100, hrqls, or its facts")
+    channel = channel_guess(folder.lines, load_preset(SENSOR))
+    if channel.value is None:
+        made.open("channel_dimension", "user_data", channel.reason)
+    else:
+        made.known("channel_dimension", channel.value, f"{channel.value} {channel.reason}")
+    _reference(made, folder)
+    made.lines += ["", "output: out"]
+    _filter(made, numbered=channel.value is not None, timed=timed)
+    made.left_out += _left_out(folder)
+    return made
 
 
-def _of_other_crs(folder: Folder, several: Sequence[ByCrs]) -> Iterator[str]:
-    """Flightlines that are not in the survey's CRS, which a run would refuse."""
-    for crs, looks in several[1:]:
-        names = named([folder.named(path) for path in _paths(looks)], 3)
-        yield (
-            f"{names}: in {crs_name(crs)}, the survey in {crs_name(several[0][0])}; reproject it, "
-            "or init it in a folder of its own"
-        )
+def _trajectory(made: Draft, folder: _Folder, *, timed: bool) -> None:
+    """One of the kinds of files that are there: others of the same flight would repeat it."""
+    if not timed:
+        made.unknown.append(("gps_time", "no usable times: there are no shots, noise is not known"))
+    elif folder.trajectories:
+        kind = min(folder.trajectories, key=lambda p: (p.suffix.lower() in SBET_SUFFIXES, p)).suffix
+        chosen = [path for path in folder.trajectories if path.suffix == kind]
+        rest = [path for path in folder.trajectories if path.suffix != kind]
+        more = f"; {folder.named(rest)} may hold the same" if rest else ""
+        reason = f"{folder.named(chosen)}, by its columns{more}"
+        made.known("trajectory", patterns(folder.path, chosen), reason)
+    else:
+        text = "no trajectory is here: beams come from where lines of sight meet"
+        made.open("trajectory", "trajectory/*.sbet", text)
 
 
-def _of_several(folder: Folder, several: Sequence[ByCrs]) -> str:
-    """That flightlines are in more than one CRS, and what helps."""
-    parts = []
-    for crs, looks in several:
-        names = named([folder.named(path) for path in _paths(looks)], 2)
-        parts.append(f"{crs_name(crs)} in {names}")
-    return (
-        f"the flightlines are in {len(several)} CRS: {'; '.join(parts)}. The workflow has the "
-        "first, and leaves the other files out: reproject them, or put the files of each CRS into "
-        "a folder of its own and init each"
-    )
-
-
-def _foreign_references(folder: Folder) -> list[CloudLook]:
-    """References that are not in the survey's CRS, which a run would refuse."""
-    several = by_crs(folder.lines)
-    return [
-        look
-        for look in folder.references
-        if several and look.facts.crs is not None and not same_crs(look.facts.crs, several[0][0])
-    ]
-
-
-def _reference(made: Draft, folder: Folder) -> None:
-    foreign = _foreign_references(folder)
-    references = [look for look in folder.references if look not in foreign]
-    if not references and not folder.checkpoints:
+def _reference(made: Draft, folder: _Folder) -> None:
+    if not folder.references and not folder.checkpoints:
         return
     made.section("reference")
-    if references:
-        paths = _paths(references)
-        reason = f"class 2, ground, in other clouds: {_clouds(references)}"
+    if folder.references:
+        paths = _paths(folder.references)
+        reason = "class 2, ground, in other clouds"
         made.known("points", patterns(folder.path, paths), reason, "reference")
     if folder.checkpoints:
-        names = [folder.named(path) for path in folder.checkpoints]
-        made.known("checkpoints", names[0], f"by its columns; of {named(names, 3)}")
+        first = folder.checkpoints[:1]
+        reason = f"by its columns; of {folder.named(folder.checkpoints)}"
+        made.known("checkpoints", folder.named(first), reason)
 
 
-def _polygons(made: Draft, folder: Folder) -> None:
-    if folder.polygons:
-        names = [folder.named(path) for path in folder.polygons]
-        made.lines.append("")
-        reason = (
-            f"polygons are here, {named(names, 3)}: of water, or of the area of interest (aoi)?"
-        )
-        made.open("water", names[0], reason, indent="")
-
-
-_KEPT: Final = ("filter: {method: none}", "afterpulse: {enabled: false}")
-"""Lines of a workflow by which every point stays."""
-
-
-def _filter(made: Draft, folder: Folder, channel: Guess, linear: str) -> None:
+def _filter(made: Draft, *, numbered: bool, timed: bool) -> None:
     """Whether there is noise to be found, and what that needs."""
-    if all(look.span_s is None for look in folder.lines):
+    if not timed:
         text = (
             "# Without times noise is not known: every point stays; ground and surfaces are made."
         )
         made.lines += ["", text, *_KEPT]
-        return
-    if linear:
-        why = (
-            f"{linear}: taken for linear-mode lidar, of which every point stays; "
-            "if single photons were counted, delete the last two lines of the workflow, and "
-            "name the instrument, survey.sensor"
-        )
-        made.unknown.append(("filter", why))
-        made.lines += ["", *wrapped(f"? {why}"), *_KEPT]
         return
     made.lines += [
         "",
         "# Pulse rate [Hz] and slant length of the range gate [m] are estimated from the points.",
         "# acquisition: {prf_hz: 60000, gate_m: 300}",
     ]
-    if channel.value is None:
+    if not numbered:
         why = (
             "if this is linear-mode lidar, which has no such noise, remove the # before the last "
             "two lines of the workflow"
@@ -229,27 +227,15 @@ def _filter(made: Draft, folder: Folder, channel: Guess, linear: str) -> None:
         made.lines += ["", *wrapped(f"? {why}"), *(f"# {line}" for line in _KEPT)]
 
 
-def _left_out(folder: Folder) -> Iterator[str]:
+def _left_out(folder: _Folder) -> Iterator[str]:
     """Files that the workflow does not name, and why."""
-    for error in folder.bad:
-        if Path(error.path) not in folder.damaged_lines:
-            yield str(error)
+    yield from map(str, folder.bad)
     for paths, why in (
-        ([look.facts.path for look in folder.others if not look.facts.n_points], NO_POINTS),
-        (
-            [look.facts.path for look in folder.others if look.facts.n_points],
-            "no times or beamlet numbers like the others', no ground",
-        ),
-        (
-            _paths(_foreign_references(folder)),
-            "ground in another CRS than the flightlines'; reproject it to make it the reference",
-        ),
+        (_paths(folder.others), "no times or beamlet numbers like the others', no ground"),
         (folder.results, "delivered by a run"),
-        (folder.elsewhen, "times of another flight"),
-        (folder.foreign, "files of another receiver"),
     ):
         if paths:
-            yield f"{named([folder.named(path) for path in paths], 3)}: {why}"
+            yield f"{folder.named(paths)}: {why}"
 
 
 def _paths(looks: Sequence[CloudLook]) -> list[Path]:

@@ -4,7 +4,6 @@ The chain is that of a run, in a folder beside the result that is deleted in the
 something failed or stopped the run, and the same command continues there.
 """
 
-import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,12 +17,10 @@ from spl_batch.airborne.first_use.clouds import (
     CloudLook,
     channel_guess,
     crs_guess,
-    linear_mode_signs,
     look_at,
 )
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.sensors.sensor import load_preset
-from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.engine.plan.input_files import matching
 from spl_batch.engine.report.number_format import as_ascii, of_all
 from spl_batch.engine.settings.mistaken_file import refuse_urls
@@ -37,9 +34,6 @@ from spl_batch.formats.files.atomic import real_path, remove, replacing, write_b
 
 WORK: Final = ".work"
 """How the name of the folder ends that a result is made in, beside it."""
-
-MOSTLY: Final = 0.5
-"""Share of noise from which on a cloud without beamlet numbers may be of another kind of lidar."""
 
 _WORKFLOW: Final = "workflow.yaml"
 _MOVED: Final = "moved.json"
@@ -104,16 +98,13 @@ def denoise(
     refuse_urls(source, target, trajectory, dtm)
     _refuse(Path(source), results, _moved(folder), force=force)
     look = look_at(Path(source))
-    options = {"sensor": sensor, "trajectory": trajectory}
-    with _naming(options):
-        guessed, content = _proposal(look, trajectory, sensor, ground=ground)
+    guessed, content = _proposal(look, trajectory, sensor, ground=ground)
     new = [place for place in {path.parent for path, _ in results} if not place.exists()]
     for place in new:
         if not place.parent.exists():
             raise WorkflowError(f"{place}: there is no folder {place.parent}; check the path")
-    with _naming(options), _leaving_nothing(folder):
+    with _leaving_nothing(folder):
         write_bytes(folder / _WORKFLOW, yaml.safe_dump(content, sort_keys=False).encode())
-        _refuse_linear_mode(look, load_workflow(folder / _WORKFLOW, overrides))
         for text in (*(f"creates folder {place}" for place in new), *guessed):
             listener(Note("info", text))
         found = run(
@@ -131,9 +122,7 @@ def denoise(
         return RunResult(found.exit_status, folder, None, (told,))
     moves = dict(_moves(found.output, delivered[0], cloud, raster))
     write_json(folder / _MOVED, {str(real_path(to)): _stamp(path) for path, to in moves.items()})
-    rows = (*_counts(delivered[0], ground=ground), *_acquisition(store))
-    if "channel_dimension" not in content["survey"]:
-        rows += (*_doubt(delivered[0]),)
+    rows = (*_counts(delivered[0], ground=ground),)
     if found.exit_status:
         rows += (("attention", f"a part failed; the same command tries it again in {folder}"),)
     for path, to in moves.items():
@@ -142,19 +131,6 @@ def denoise(
     if found.exit_status == 0:
         remove(folder)
     return RunResult(found.exit_status, cloud.parent, None, rows, _found(list(moves.values())))
-
-
-@contextmanager
-def _naming(options: Mapping[str, object]) -> Iterator[None]:
-    """Tell an error of a key that an option has set by the name of the option."""
-    try:
-        yield
-    except (InputError, WorkflowError) as error:
-        names = "|".join(name for name, value in options.items() if value is not None)
-        told = re.sub(rf"survey\.({names})\b", r"--\1", str(error)) if names else str(error)
-        if told == str(error):
-            raise
-        raise WorkflowError(told) from error
 
 
 @contextmanager
@@ -199,23 +175,6 @@ def _refuse(
             raise WorkflowError(f"{path} is there already; name another file, or add --force")
 
 
-def _refuse_linear_mode(look: CloudLook, workflow: Workflow) -> None:
-    """Refuse to filter linear-mode lidar, unless somebody has named the instrument."""
-    filtered = workflow.filter.method != "none" or workflow.afterpulse.enabled
-    numbered = workflow.survey.channel_dimension is not None
-    if numbered or not filtered or "sensor" in workflow.survey.model_fields_set:
-        return
-    signs = linear_mode_signs([look])
-    if signs:
-        path = look.facts.path
-        raise WorkflowError(
-            f"{path}: this looks like linear-mode lidar ({signs}), and denoise would take true "
-            f"points for noise; `spl-batch init {path.parent}` writes a workflow that keeps every "
-            "point and makes ground and surfaces; if single photons were counted, name the "
-            f"instrument: --sensor {SENSOR}"
-        )
-
-
 def _moved(folder: Path) -> Mapping[str, list[int]]:
     """Results of an earlier call that has failed in part, by their paths."""
     if folder.exists() and not (folder / _WORKFLOW).exists():
@@ -238,7 +197,7 @@ def _proposal(
     path = look.facts.path
     if not look.facts.n_points:
         raise InputError(str(path), NO_POINTS)
-    if look.span_s is None:
+    if not look.timed:
         raise InputError(
             str(path),
             "its first and last points have no usable gps_time, so there are no shots to tell "
@@ -299,27 +258,6 @@ def _counts(delivered: Receipt, *, ground: bool) -> Iterator[tuple[str, str]]:
     for name, n in counts:
         if n or name != "not assessed":
             yield name, f"{grouped(n)} ({as_ascii(of_all(n, delivered.points))})"
-
-
-def _doubt(delivered: Receipt) -> Iterator[tuple[str, str]]:
-    """That a cloud may be none of single photons: it tells no beamlets, and most of it is noise."""
-    share = delivered.facts["noise_class"].get("1", 0) / delivered.points
-    if share > MOSTLY:
-        text = (
-            f"{100 * share:.0f} % of the points were taken for noise, and the file holds no "
-            "beamlet numbers: linear-mode lidar has no such noise, so if it is that do not "
-            "use this result; workflows/linear_mode.yaml makes ground and surfaces of such clouds"
-        )
-        yield "attention", text
-
-
-def _acquisition(store: Store) -> Iterator[tuple[str, str]]:
-    """What was found of the pulse rate and the range gate, by the line with most points."""
-    lines = [receipt for receipt in read_receipts(store, "fit_line") if not receipt.failed]
-    for line in sorted(lines, key=lambda one: (-one.points, one.name))[:1]:
-        facts = line.facts
-        yield "pulse rate", f"{grouped(facts['prf_hz'])} Hz, {facts['prf_basis']}"
-        yield "range gate", f"{grouped(facts['gate_m'])} m, {facts['gate_basis']}"
 
 
 def _found(results: Sequence[Path]) -> tuple[tuple[str, list[Path]], ...]:

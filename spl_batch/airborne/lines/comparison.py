@@ -40,7 +40,6 @@ class _Cell(NamedTuple):
 
     names: list[str]  #: Flightlines that are compared.
     returns: list[int]  #: Signal returns of each [count].
-    overlaps: list[list[int]]  #: Pairs that overlap, by their places in ``names``.
     patches: Patches
 
 
@@ -50,12 +49,11 @@ def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
     table, _ = cell.read(region(cell.core), (*COLUMNS_NEEDED, "noise_class", "flags"), _signal)
     names = {one.number: one.name for one in (Pass(*fields) for fields in args["lines"])}
     seen = seen_lines(table["line"])
-    found, overlaps = find_patches(table, seen, cell.core)
+    found = find_patches(table, seen, cell.core)
     of_lines = {
         # points without times have no flightline but that of their id
         "names": np.array([names.get(k, f"{k:05d}") for k in seen.numbers.tolist()], np.str_),
         "line_returns": seen.returns,
-        "overlaps": np.array(sorted(overlaps), np.int64).reshape(-1, 2),
     }
     path = context.store.path("overlaps", f"{args['cell']}.npz")
     write_arrays(path, {**found, **of_lines})
@@ -100,17 +98,14 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     path = context.store.path("overlaps", "map.npz")
     write_arrays(path, _map([cell.patches for cell in cells]))
     facts["pairs"] = [list(pair) for pair in pairs]
-    known = {(one.first, one.second) for one in pairs}
-    return Produced([path], {**facts, "not_compared": sorted(_overlaps(cells) - known)})
+    return Produced([path], facts)
 
 
 def _read_cell(name: str, context: Context) -> _Cell:
     """What :func:`strip_patches` has left of a ground cell."""
     arrays = read_arrays(context.store.path("overlaps", f"{name}.npz"))
-    names, returns, overlaps = (
-        arrays.pop(key).tolist() for key in ("names", "line_returns", "overlaps")
-    )
-    return _Cell(names, returns, overlaps, arrays)
+    names, returns = (arrays.pop(key).tolist() for key in ("names", "line_returns"))
+    return _Cell(names, returns, arrays)
 
 
 def _shifted(cell: _Cell, lines: Shifts) -> _Cell:
@@ -153,21 +148,10 @@ def _returns(cells: Iterable[_Cell]) -> Counter[str]:
     return found
 
 
-def _overlaps(cells: Iterable[_Cell]) -> set[tuple[str, str]]:
-    """Pairs of flightlines that overlap in a cell, the lesser name first."""
-    found = set()
-    for cell in cells:
-        for one, other in cell.overlaps:
-            first, second = sorted((cell.names[one], cell.names[other]))
-            found.add((first, second))
-    return found
-
-
 def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:
     """Median height between flightlines by place, whichever lies above, north-up [m]."""
-    sample = [{k: cell[k][cell["beyond"] == 0] for k in ("x", "y", "rise")} for cell in cells]
     east, north, rise = (
-        np.concatenate([cell[k] for cell in sample] or [np.empty(0)]) for k in ("x", "y", "rise")
+        np.concatenate([cell[k] for cell in cells] or [np.empty(0)]) for k in ("x", "y", "rise")
     )
     if not len(rise):
         return {"values": np.empty((0, 0), np.float32), "extent_m": np.zeros(4)}

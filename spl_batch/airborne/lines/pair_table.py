@@ -6,10 +6,6 @@ found by least squares over the patches, weighted by their variance, with Huber'
 Tukey's biweight. The noise of slopes would make a horizontal shift seem less than it is, so their
 covariance is taken from the normal equations (W. A. Fuller, 1987, *Measurement Error Models*,
 section 2.2). A horizontal part that is not determined is not told.
-
-A flightline that is turned about its track, or drifts, is off by another height at each place, and
-that passes for a part of the horizontal shift. Where a tilt, one rise to the east and one to the
-north for all patches, is sure, it is found together with the shift.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -53,12 +49,6 @@ FEW_M: Final = 0.2
 """Horizontal difference that is told however few squares there are: on some few, aligned
 flightlines have been seen to differ by half as much, sure as each square was [m]."""
 
-TILT_PER_M: Final = 100.0
-"""A tilt is told as rise per so much of way [m]."""
-
-TILT_SURE: Final = 5.0
-"""Standard deviations from which on a tilt is believed: patches of one house may share a cause."""
-
 TWICE: Final = 2.0
 """A patch thicker than this times the noise is overgrown, and no measure of heights."""
 
@@ -88,30 +78,11 @@ class PairDifference(NamedTuple):
     rmsd_z_m: float | None  #: Root mean square of their vertical differences [m].
     noise_m: float  #: Standard deviation of ranges: that about the smoothest patches [m].
     squares: int  #: Squares of :data:`NEIGHBOURS_M` that hold the patches [count].
-    #: Largest vertical difference of a smooth patch of up to 10 degrees, without its sign, and its
-    #: standard deviation [m].
-    largest_m: float | None
-    largest_sd_m: float | None
-    #: Where that patch lies [m].
-    largest_x_m: float | None
-    largest_y_m: float | None
-    #: By how much ``up_m``, that at the place of all patches, rises on 100 m to the east and to the
-    #: north, its standard deviation in the worst direction, and the change over all patches; None
-    #: where no tilt is sure [m].
-    tilt_east_m: float | None = None
-    tilt_north_m: float | None = None
-    tilt_sd_m: float | None = None
-    change_m: float | None = None
 
     @property
     def is_off_vertically(self) -> bool:
         """Whether the flightlines differ by more than a single range does."""
         return abs(self.up_m) > max(self.noise_m, 3 * self.up_sd_m)
-
-    @property
-    def is_tilted(self) -> bool:
-        """Whether a tilt makes them differ by more than a single range does, here or there."""
-        return self.change_m is not None and self.change_m / 2 > self.noise_m
 
     @property
     def is_off_horizontally(self) -> bool:
@@ -143,7 +114,7 @@ def pair_table(cells: Iterable[tuple[Sequence[str], Patches]]) -> list[PairDiffe
     found = []
     for (first, second), listed in sorted(parts.items()):
         whole = {k: np.concatenate([part[k] for part in listed]) for k in listed[0]}
-        if np.count_nonzero(whole["beyond"] == 0) >= FEWEST:
+        if len(whole["rise"]) >= FEWEST:
             found.append(_difference(first, second, whole))
     return found
 
@@ -163,14 +134,10 @@ def _by_pair(names: Sequence[str], patches: Patches) -> Iterable[tuple[tuple[str
         yield (first, second), chosen
 
 
-def _difference(first: str, second: str, listed: Patches) -> PairDifference:
-    sample = listed["beyond"] == 0
-    patches = {name: values[sample] for name, values in listed.items()}
+def _difference(first: str, second: str, patches: Patches) -> PairDifference:
     noise = float(np.quantile(patches["thickness"], QUARTER))
-    slope = np.hypot(listed["east"], listed["north"])
-    smooth = (slope <= FLAT) & (listed["thickness"] <= TWICE * noise)
-    flat = listed["rise"][smooth & sample]
-    shift = fit_shift(patches)
+    slope = np.hypot(patches["east"], patches["north"])
+    flat = patches["rise"][(slope <= FLAT) & (patches["thickness"] <= TWICE * noise)]
     area = patches["edge_m"] ** 2
     return PairDifference(
         first,
@@ -179,31 +146,12 @@ def _difference(first: str, second: str, listed: Patches) -> PairDifference:
         float(area.sum()),
         float(np.average(patches["x"], weights=area)),
         float(np.average(patches["y"], weights=area)),
-        shift.up_m,
-        shift.up_sd_m,
-        shift.east_m,
-        shift.north_m,
-        shift.horizontal_sd_m,
+        *fit_shift(patches),
         len(flat),
         float(np.sqrt(np.mean(flat**2))) if len(flat) else None,
         noise,
         int(_square(patches).max()) + 1,
-        *_largest({name: values[smooth] for name, values in listed.items()}),
-    )._replace(
-        tilt_east_m=shift.tilt_east_m,
-        tilt_north_m=shift.tilt_north_m,
-        tilt_sd_m=shift.tilt_sd_m,
-        change_m=shift.change_m,
     )
-
-
-def _largest(smooth: Patches) -> tuple[float | None, ...]:
-    """Largest difference without its sign, its standard deviation, and where it lies [m]."""
-    if not len(smooth["rise"]):
-        return (None,) * 4
-    rise, x, y = np.abs(smooth["rise"]), smooth["x"], smooth["y"]
-    at = np.lexsort((y, x, -rise))[0]
-    return float(rise[at]), float(np.sqrt(smooth["variance"][at])), float(x[at]), float(y[at])
 
 
 class Shift(NamedTuple):
@@ -214,10 +162,6 @@ class Shift(NamedTuple):
     east_m: float | None = None
     north_m: float | None = None
     horizontal_sd_m: float | None = None
-    tilt_east_m: float | None = None
-    tilt_north_m: float | None = None
-    tilt_sd_m: float | None = None
-    change_m: float | None = None
 
 
 def fit_shift(patches: Mapping[str, NDArray[Any]]) -> Shift:
@@ -228,63 +172,11 @@ def fit_shift(patches: Mapping[str, NDArray[Any]]) -> Shift:
     patches : mapping of str to (p,) ndarray
         ``x, y, edge_m, rise, variance, east, north, ee, en, nn``; p >= 1.
     """
-    found = _without_tilt(patches)
-    # A tilt that nobody reckons with may hide the horizontal shift.
-    turned = _with_tilt(patches, slopes=True)
-    if found.east_m is not None:
-        return turned or found
-    if turned is not None and (turned.horizontal_sd_m or 0.0) <= DETERMINED_M:
-        return turned
-    return _with_tilt(patches, slopes=False) or found
-
-
-def _with_tilt(patches: Mapping[str, NDArray[Any]], *, slopes: bool) -> Shift | None:
-    """Shift and tilt; None where no tilt is sure."""
-    own = patches["variance"] + OWN_M**2
-    away = [
-        (patches[axis] - np.average(patches[axis], weights=patches["edge_m"] ** 2)) / TILT_PER_M
-        for axis in "xy"
-    ]
-    design, noise = _design(patches, [*away, np.ones(len(own))])
-    if not slopes:
-        design, noise = design[:, 2:].copy(), noise[:, 2:, 2:].copy()
-    whole = _robust(patches["rise"], design, own, noise, _square(patches))
-    if whole is None:
-        return None
-    found, covariance = whole
-    tilt, of_tilt = found[-3:-1], covariance[-3:-1, -3:-1]
-    change = float(np.ptp(tilt[0] * away[0] + tilt[1] * away[1]))
-    if change < OWN_M or tilt @ np.linalg.solve(of_tilt, tilt) < TILT_SURE**2:
-        return None
-    east = north = horizontal_sd = None
-    if slopes:
-        east, north = found[:2].tolist()
-        horizontal_sd = _worst(covariance[:2, :2])
-    up, up_sd = float(found[-1]), float(np.sqrt(covariance[-1, -1]))
-    turned = float(tilt[0]), float(tilt[1]), _worst(of_tilt), change
-    return Shift(up, up_sd, east, north, horizontal_sd, *turned)
-
-
-def _design(
-    patches: Mapping[str, NDArray[Any]], further: Sequence[NDArray[np.float64]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Columns of a horizontal shift and further ones, (p, k), and the noise of each, (p, k, k)."""
-    design = np.stack([-patches["east"], -patches["north"], *further], axis=1)
-    noise = np.zeros((*design.shape, design.shape[1]))
+    rise, own = patches["rise"], patches["variance"] + OWN_M**2
+    design = np.stack([-patches["east"], -patches["north"], np.ones(len(rise))], axis=1)
+    noise = np.zeros((len(rise), 3, 3))
     noise[:, 0, 0], noise[:, 1, 1] = patches["ee"], patches["nn"]
     noise[:, 0, 1] = noise[:, 1, 0] = patches["en"]
-    return design, noise
-
-
-def _worst(covariance: NDArray[np.float64]) -> float:
-    """Standard deviation in the worst direction."""
-    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
-
-
-def _without_tilt(patches: Mapping[str, NDArray[Any]]) -> Shift:
-    """Shift of all patches alike."""
-    rise, own = patches["rise"], patches["variance"] + OWN_M**2
-    design, noise = _design(patches, [np.ones(len(rise))])
     square = _square(patches)
     level = _robust(rise, design[:, 2:], own, noise[:, 2:, 2:], square)
     if level is None:  # one patch, or all alike: nothing to weigh
@@ -294,7 +186,7 @@ def _without_tilt(patches: Mapping[str, NDArray[Any]]) -> Shift:
     if whole is None:
         return Shift(up, up_sd)
     found, covariance = whole
-    worst = _worst(covariance[:2, :2])
+    worst = float(np.sqrt(max(np.linalg.eigvalsh(covariance[:2, :2])[-1], 0.0)))
     if worst > DETERMINED_M:
         return Shift(up, up_sd)
     east, north, up = found.tolist()

@@ -54,9 +54,6 @@ FLAT: Final = 0.176
 """Slope up to which a patch counts for differences of heights: 10 degrees, as the USGS Lidar Base
 Specification has it [rise/run]."""
 
-STEP_M: Final = 0.005
-"""Thicknesses that are told apart where the largest differences are kept [m]."""
-
 MOST: Final = 256
 """Patches of a pair that a ground cell keeps [count]: more tell no more of it."""
 
@@ -81,9 +78,7 @@ def seen_lines(line: NDArray[np.uint16]) -> Seen:
     return Seen(most, returns[most], len(able) - len(most))
 
 
-def find_patches(
-    table: PointTable, seen: Seen, core: Bounds
-) -> tuple[Patches, set[tuple[int, int]]]:
+def find_patches(table: PointTable, seen: Seen, core: Bounds) -> Patches:
     """Patches of a ground cell that two flightlines share.
 
     Parameters
@@ -97,21 +92,17 @@ def find_patches(
 
     Returns
     -------
-    patches : dict of str to (p,) ndarray
+    dict of str to (p,) ndarray
         ``first, second``: flightlines, by their place in ``seen``; ``x, y``: middle [m];
         ``edge_m``; ``rise``: the second above the first [m]; ``variance`` of it [m2];
         ``east, north``: slope [rise/run], and ``ee, en, nn``, its covariance; ``thickness``:
-        standard deviation about the plane [m]; ``returns``: those of both [count]; ``beyond``: 1
-        for one that is kept beyond the sample of its pair, as the highest or lowest ``rise`` of
-        those of up to 10 degrees and its thickness, else 0.
-    overlaps : set of (int, int)
-        Pairs with :data:`MIN_RETURNS_PER_PATCH` returns each in one of the largest squares.
+        standard deviation about the plane [m]; ``returns``: those of both [count].
     """
     whole, count = region(core), len(seen.numbers)
     edge, joined = quanta(EDGE_M), 2 ** (LEVELS - 1)
     columns, rows = (whole.xmax - whole.xmin) // edge, (whole.ymax - whole.ymin) // edge
     if count < 2 or not rows or not columns:
-        return _joined([]), set()
+        return _joined([])
     place = np.full(int(table["line"].max()) + 1, -1, np.int16)
     place[seen.numbers] = np.arange(count)
     corner = np.array([whole.xmin, whole.ymin, table["z"].min()], np.int64)
@@ -131,9 +122,7 @@ def find_patches(
         if level + 1 < LEVELS:
             moments = doubled(moments)
             free = {pair: _all_four(room) for pair, room in free.items()}
-    full = moments[..., 0] >= MIN_RETURNS_PER_PATCH
-    overlaps = {(a, b) for a, b in free if (full[a] & full[b]).any()}
-    return _thinned(_joined(found)), overlaps
+    return _thinned(_joined(found))
 
 
 def region(core: Bounds) -> Bounds:
@@ -220,18 +209,13 @@ def _rows(
 def _joined(found: list[Patches]) -> Patches:
     if not found:
         names = ("x", "y", "edge_m", "rise", "variance", "east", "north", "ee", "en", "nn")
-        empty = {name: np.empty(0) for name in (*names, "returns", "thickness", "beyond")}
+        empty = {name: np.empty(0) for name in (*names, "returns", "thickness")}
         return {"first": np.empty(0, np.int32), "second": np.empty(0, np.int32), **empty}
     return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
 
 def _thinned(patches: Patches) -> Patches:
-    """No more than :data:`MOST` patches of each pair, of all slopes, and the largest differences.
-
-    Which patches are smooth is known when those of all cells are together: of each thickness, in
-    steps of :data:`STEP_M`, the highest and the lowest difference are kept: one of them is the
-    largest, whatever height is added to a flightline.
-    """
+    """No more than :data:`MOST` patches of each pair: half of them the steepest."""
     pair = patches["first"].astype(np.int64) * 2**32 + patches["second"]
     slope = np.hypot(patches["east"], patches["north"])
     keep = []
@@ -245,14 +229,7 @@ def _thinned(patches: Patches) -> Patches:
             mine = np.sort(np.concatenate([rest[evenly], steep]))
         keep.append(mine)
     rows = np.concatenate(keep) if keep else np.empty(0, np.intp)
-    others = np.setdiff1d(np.flatnonzero(slope <= FLAT), rows)
-    step = np.floor(patches["thickness"][others] / STEP_M).astype(np.int64)
-    order = np.lexsort((patches["rise"][others], step, pair[others]))
-    starts = np.diff(pair[others][order], prepend=-1) | np.diff(step[order], prepend=-1)
-    ends = np.append(starts[1:], 1) if len(starts) else starts
-    beyond = others[order[(starts != 0) | (ends != 0)]]
-    kept = {name: values[np.append(rows, beyond)] for name, values in patches.items()}
-    return {**kept, "beyond": np.repeat(np.array([0, 1], np.uint8), [len(rows), len(beyond)])}
+    return {name: values[rows] for name, values in patches.items()}
 
 
 @njit()

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from spl_batch.airborne.lines.alignment import ALONE, MOST_M, TOO_FAR, LineShift
-from spl_batch.airborne.lines.pair_table import TILT_PER_M, PairDifference
+from spl_batch.airborne.lines.pair_table import PairDifference
 from spl_batch.airborne.lines.patches import MOST_LINES
 from spl_batch.engine.findings import Finding
 from spl_batch.errors import grouped
@@ -31,7 +31,7 @@ def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Ite
         "first": pair.first,
         "second": pair.second,
         "patches": pair.patches,
-        "offset": " and ".join(_parts(pair)) + _tilt(pair),
+        "offset": " and ".join(_parts(pair)),
         "up_m": pair.up_m,
         "noise_m": pair.noise_m,
         "remedy": _remedy(pair, align),
@@ -57,8 +57,6 @@ def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[Finding]:
 def _away(pair: PairDifference) -> float:
     """How far a pair is off, in parts of its ranging noise; 0 where it is not."""
     vertical = abs(pair.up_m) if pair.is_off_vertically else 0.0
-    if pair.is_tilted and pair.change_m is not None:
-        vertical = max(vertical, pair.change_m / 2)
     horizontal = 0.0
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
         horizontal = float(np.hypot(pair.east_m, pair.north_m))
@@ -76,21 +74,8 @@ def _remedy(pair: PairDifference, align: str) -> str:
     )
 
 
-def _tilt(pair: PairDifference) -> str:
-    """What a tilt means; nothing without one."""
-    east, north, change = pair.tilt_east_m, pair.tilt_north_m, pair.change_m
-    if east is None or north is None or change is None:
-        return ""
-    rise = float(np.hypot(east, north))
-    angle = np.degrees(np.arctan(rise / TILT_PER_M))
-    return (
-        f", and {100 * rise:.1f} cm more or less {TILT_PER_M:.0f} m from there, as if turned by "
-        f"{angle:.3f} degrees, which no shift mends"
-    )
-
-
 def _parts(pair: PairDifference) -> Iterator[str]:
-    if pair.is_off_vertically or (pair.is_tilted and not pair.is_off_horizontally):
+    if pair.is_off_vertically:
         yield f"{100 * abs(pair.up_m):.1f} cm {'higher' if pair.up_m > 0 else 'lower'}"
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
         ways = ((pair.east_m, "east", "west"), (pair.north_m, "north", "south"))

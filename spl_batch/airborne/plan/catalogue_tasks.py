@@ -4,8 +4,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from spl_batch.airborne.accuracy.evidence import LEVELS
-from spl_batch.airborne.lines.comparison import shifts_of
-from spl_batch.airborne.lines.sentences import done_sentence
 from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import refusal
@@ -34,7 +32,7 @@ def catalogue(survey: Survey) -> Iterator[Task]:
     if not survey.workflow.outputs.catalogue or not delivered:
         return
     twins = survey.of("deliver_copc")
-    made_of = ("mosaic", "deliver_hillshade", "deliver_differences", "deliver_geoid")
+    made_of = ("mosaic", "deliver_geoid")
     rasters = [(kind, name, r) for kind in made_of for name, r in sorted(survey.of(kind).items())]
     clouds = {key: _cloud(survey, key, key in twins) for key in sorted(delivered)}
     checkpoints = survey.of("checkpoints")
@@ -42,15 +40,8 @@ def catalogue(survey: Survey) -> Iterator[Task]:
         "clouds": list(clouds.values()),
         "rasters": [n for *_, r in rasters for n in r.outputs if "store/" not in n],
         "flightlines": list(_flightlines(survey, clouds)),
-        "blocks": [
-            [unit.name, list(unit.core), unit.name in survey.of("denoise")]
-            for unit in survey.denoise_cells()
-        ],
-        "tiles": {str(tile): count for tile, count in sorted(survey.counts.items())},
-        "tile_q": survey.tile_q,
         "checkpoints": [one for r in checkpoints.values() for one in r.facts["checkpoints"]],
         "cells": sorted(survey.of("surface")),
-        "steps": [*_steps(survey)],
     }
     needs = (
         *(("deliver_file", key) for key in clouds),
@@ -60,22 +51,6 @@ def catalogue(survey: Survey) -> Iterator[Task]:
         *(("surface", name) for name in sorted(survey.of("surface"))),
     )
     yield Task("deliver_catalogue", "all", args, needs)
-
-
-def _steps(survey: Survey) -> Iterator[str]:
-    """What is done to the points, for whoever asks where the results come from."""
-    workflow = survey.workflow
-    if workflow.filter.method != "none":
-        yield f"Noise was classified by the filter {workflow.filter.method}."
-    if workflow.afterpulse.enabled:
-        yield "Afterpulses of the detector were classified."
-    for receipt in survey.of("align").values():
-        sentence = done_sentence(shifts_of(receipt.facts))
-        yield f"{sentence[0].upper()}{sentence[1:]}."
-    yield f"Ground was classified by the method {workflow.ground.method}."
-    yield f"Rasters of {workflow.products.cell_m:g} m were made of the signal."
-    if workflow.breaklines is not None:
-        yield "The terrain model was hydro-flattened by breaklines."
 
 
 def _cloud(survey: Survey, key: str, as_copc: bool) -> dict[str, Any]:  # noqa: FBT001 - one caller

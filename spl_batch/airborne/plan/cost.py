@@ -1,5 +1,6 @@
 """What a run will do and cost: stretches, tiles, cells, tasks, disk, memory, time."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -10,14 +11,16 @@ from spl_batch.airborne.plan import reference_tasks
 from spl_batch.airborne.plan.cells import tiles_along
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.heaviest_tasks import needs
-from spl_batch.airborne.plan.inputs.point_boxes import point_boxes
+from spl_batch.airborne.plan.inputs.survey_inputs import Source
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.lattice import density
+from spl_batch.lattice.tiles import Bounds
 
 STORE_BYTES_PER_POINT: Final = 60
 """Working store, all of it [byte]."""
@@ -62,7 +65,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     """Cost of a survey whose files spread their points evenly over their bounding boxes."""
     workflow, sources = survey.workflow, survey.inputs.sources
     points = sum(s.facts.n_points for s in sources)
-    pieces = list(density.from_boxes(point_boxes(sources), survey.tile_q))
+    pieces = list(density.from_boxes((_box(s) for s in sources if s.facts.n_points), survey.tile_q))
     side = tiles_along(pieces, workflow, survey.memory_bytes, survey.workers)
     tiles, denoise_cells, cells = (
         sum(piece.units(edge) for piece in pieces)
@@ -106,6 +109,13 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     )
 
 
+def _box(source: Source) -> density.Box:
+    """Points of a file, by its header as if they spread evenly over their box."""
+    west, south = (math.floor(v * QUANTA_PER_M) for v in source.facts.mins_m[:2])
+    east, north = (math.floor(v * QUANTA_PER_M) + 1 for v in source.facts.maxs_m[:2])
+    return density.Box(Bounds(west, south, east, north), source.facts.n_points)
+
+
 def _copies(workflow: Workflow) -> int:
     """How often each point is delivered: in its file, in a tile, in a COPC twin [count]."""
     return 1 + (workflow.outputs.tiles != "none") + workflow.outputs.copc
@@ -114,8 +124,8 @@ def _copies(workflow: Workflow) -> int:
 def _rasters_and_comparisons(survey: Survey, cells: int) -> int:
     """Mosaics, comparisons of flightlines, checkpoints, twins and catalogue [count]."""
     workflow, sources = survey.workflow, survey.inputs.sources
-    maps, outputs = workflow.products.maps, workflow.outputs
-    rasters = len(products(reflectance=False, maps=maps)) + maps
+    outputs = workflow.outputs
+    rasters = len(products(reflectance=False))
     rasters += len(ABOVE_GEOID) * (outputs.geoid is not None)
     # flightlines are told by the index; until it is there, each file counts as one
     spans = [receipt.facts["spans"] for receipt in survey.of("index_file").values()]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN
-from spl_batch.airborne.pulses.swath_coverage import SwathTotals, by_flightline
+from spl_batch.airborne.pulses.swaths import SwathTotals, by_flightline
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.flown_lines import Pass, numbers
 from spl_batch.airborne.tasks.cells.pulses import SWATHS
@@ -199,7 +199,7 @@ def _prf(
 def swath_totals(
     cells: Iterable[Receipt], lines: Sequence[Flightline], spacing: str
 ) -> dict[str, SwathTotals]:
-    """First returns of each flightline by its name; empty where a cell was made without them.
+    """First returns of each flightline by its name.
 
     Parameters
     ----------
@@ -210,8 +210,6 @@ def swath_totals(
     spacing : str
         Which nominal pulse spacing.
     """
-    facts = [receipt.facts for receipt in cells if not receipt.failed]
-    if any(SWATHS not in of_cell for of_cell in facts):
-        return {}
     names = {line.number: line.name for line in lines}
-    return by_flightline((of_cell[SWATHS] for of_cell in facts), names, spacing)
+    found = (receipt.facts[SWATHS] for receipt in cells if not receipt.failed)
+    return by_flightline(found, names, spacing)

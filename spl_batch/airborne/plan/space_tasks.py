@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
-from spl_batch.airborne.plan.cells import Unit, fired_index, voxel_index
+from spl_batch.airborne.plan.cells import fired_index, voxel_index
+from spl_batch.airborne.plan.grid import Unit
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.file_positions import FAR_M
 from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import cell_bytes, refusal
-from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, products
+from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
 from spl_batch.errors import grouped
@@ -220,7 +221,7 @@ def mosaic(survey: Survey) -> Iterator[Task]:
     cells = sorted(map(parse_cell, survey.of("surface")))
     if not cells:
         return
-    bounds, maps = mosaic_bounds(survey), survey.workflow.products.maps
+    bounds = mosaic_bounds(survey)
     if bounds.area_m2 > MOST_PIXELS * survey.workflow.products.cell_m**2:  # some lie astray
         cells, bounds = _main_part(survey, cells, bounds)
     pixels = bounds.area_m2 / survey.workflow.products.cell_m**2
@@ -234,7 +235,7 @@ def mosaic(survey: Survey) -> Iterator[Task]:
     )
     squares = [square for cell in cells for square in survey.grid.squares(cell)]
     needs = tuple(("surface", str(cell)) for cell in cells)
-    for product in products(reflectance=knows_reflectance(survey), maps=maps):
+    for product in products(reflectance=knows_reflectance(survey)):
         args = {
             "product": product.name,
             "name": product.name,
@@ -243,7 +244,6 @@ def mosaic(survey: Survey) -> Iterator[Task]:
             "delivered": product.delivered,
             "meaning": product.meaning,
             "unit": product.unit,
-            "colours": list(product.colours),
         }
         yield Task("mosaic", product.name, args, needs, 0, refused)
 
@@ -258,14 +258,6 @@ def _main_part(
     rows = max(map(np.sort, far_apart(corners, quanta(FAR_M))), key=lambda k: points[k].sum())
     west, south, east, north = zip(*(shared(cores[k], bounds) for k in rows), strict=True)
     return [cells[k] for k in rows], Bounds(min(west), min(south), max(east), max(north))
-
-
-def hillshade(survey: Survey) -> Iterator[Task]:
-    """Relief of the terrain model, where maps are asked for."""
-    if survey.workflow.products.maps and "dtm" in survey.of("mosaic"):
-        made = HILLSHADE.name
-        args = {"source": "dtm.tif", "target": f"{made}.tif"}
-        yield Task("deliver_hillshade", made, args, (("mosaic", "dtm"),))
 
 
 def geoid(survey: Survey) -> Iterator[Task]:

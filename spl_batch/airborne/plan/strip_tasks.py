@@ -14,7 +14,6 @@ from spl_batch.airborne.plan.space_tasks import (
     tile_needs,
 )
 from spl_batch.airborne.plan.survey_ledger import Survey
-from spl_batch.airborne.products.product_table import SWATH_DIFFERENCES
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import quanta
 
@@ -67,15 +66,6 @@ def _together(kind: str, of: str, survey: Survey) -> Task:
     cells = sorted(name for name, r in survey.of(of).items() if r.facts["patches"])
     args = {"lines": _lines(survey), "cells": cells}
     return Task(kind, "all", args, tuple((of, name) for name in cells))
-
-
-def differences(survey: Survey) -> Iterator[Task]:
-    """Their map, where maps are asked for and there is a pair."""
-    made = survey.of("strip_pairs")
-    if survey.workflow.products.maps and any(r.facts["pairs"] for r in made.values()):
-        name = SWATH_DIFFERENCES.name
-        needs = tuple(("strip_pairs", one) for one in made)
-        yield Task("deliver_differences", name, {"target": f"{name}.tif"}, needs)
 
 
 def _has_timeless(survey: Survey) -> bool:

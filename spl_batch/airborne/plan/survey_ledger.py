@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.plan.cells import Unit, owners, tile_counts, tiles_along, units
+from spl_batch.airborne.plan.cells import tile_counts, tiles_along
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, is_timeless
-from spl_batch.airborne.plan.ground_cells import GroundCells
+from spl_batch.airborne.plan.grid import Grid, Unit
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.settings.workflow import Workflow
@@ -93,28 +93,29 @@ class Survey(Ledger[Inputs, Workflow]):
         return tile_counts(self.of("build_tile"))
 
     @cached_property
-    def denoise_q(self) -> int:
-        """Edge of a cell of ``denoise`` [quanta]; complete once the shuffle is."""
+    def denoise_grid(self) -> Grid:
+        """Grid of the cells of ``denoise``; complete once the shuffle is."""
         pieces = list(from_counts(self.counts, self.tile_q))
-        return self.tile_q * tiles_along(pieces, self.workflow, self.memory_bytes, self.workers)
+        side = tiles_along(pieces, self.workflow, self.memory_bytes, self.workers)
+        return Grid.plain(side * self.tile_q)
 
     def denoise_cells(self) -> Iterator[Unit]:
         """Cells of ``denoise``; complete once the shuffle is."""
-        return units(self.counts, self.tile_q, self.denoise_q, self.halo_q)
+        return self.denoise_grid.units(self.counts, self.tile_q, self.halo_q)
 
     def ground_cells(self, margin_q: int) -> Iterator[Unit]:
         """Ground cells with a margin [quanta]; complete once the shuffle is."""
         return self.grid.units(self.counts, self.tile_q, margin_q)
 
     @cached_property
-    def grid(self) -> GroundCells:
+    def grid(self) -> Grid:
         """Grid of the ground cells; complete once the index is."""
         boxes = [(xmin, ymin, xmax + 1, ymax + 1) for xmin, ymin, _, xmax, ymax, _ in _boxes(self)]
-        return GroundCells.of_workflow(boxes, self.workflow)
+        return Grid.of_workflow(boxes, self.workflow)
 
     def denoised_in(self, tiles: Iterable[CellId]) -> dict[CellId, list[str]]:
         """Cell of ``denoise`` that holds labels of each tile, by tile."""
-        return owners(tiles, self.tile_q, self.denoise_q)
+        return self.denoise_grid.owners(tiles, self.tile_q)
 
     def grounded_in(self, tiles: Iterable[CellId]) -> dict[CellId, list[str]]:
         """Ground cells that hold labels of each tile, by tile."""

@@ -11,8 +11,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.products.squares import held
+from spl_batch.airborne.settings import ProductSettings
 from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds, inside, quanta
+from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.nearest_cells import within_discs
 
 Heights = tuple[int, int]
@@ -56,12 +58,29 @@ def about_ground(table: PointTable, region: Bounds, ground: Heights | None) -> N
     return there
 
 
-def close(held: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+def covered_cells(
+    x: NDArray[np.int64], y: NDArray[np.int64], core: Bounds, settings: ProductSettings
+) -> NDArray[np.bool_]:
+    """Raster cells of a ground cell that returns cover, row 0 southernmost: (rows, columns) bool.
+
+    Parameters
+    ----------
+    x, y : (n,) int64
+        Returns of the cell and of twice ``products.void_max_m`` around it [quanta].
+    """
+    size = quanta(settings.cell_m)
+    reach = quanta(settings.void_max_m) // size
+    rim = 2 * reach + 1
+    cells = Bounds(*(side // size for side in grow(core, rim * size)))
+    return close(held(x, y, cells, size), reach)[rim:-rim, rim:-rim]
+
+
+def close(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """Held cells, and gaps between them that no disc of this radius fits into [cells].
 
     Parameters
     ----------
-    held : (rows, cols) bool
+    cells : (rows, cols) bool
         Cells; beyond the edge nothing is known, and cells there end no gap.
     reach : int
         Radius of the disc [cells].
@@ -70,10 +89,10 @@ def close(held: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     -------
     (rows, cols) bool
     """
-    if not held.any():
-        return held
-    near = within_discs(held, reach)
+    if not cells.any():
+        return cells
+    near = within_discs(cells, reach)
     if near.all():
-        return np.ones_like(held)
-    closed: NDArray[np.bool_] = held | ~within_discs(~near, reach)
+        return np.ones_like(cells)
+    closed: NDArray[np.bool_] = cells | ~within_discs(~near, reach)
     return closed

@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.water.level import REACH_M, Levels, flattened, in_water
 from spl_batch.airborne.products.cell_values import robust_cell_means, sort_into_cells
-from spl_batch.airborne.products.flown_cells import about_ground, close, ground_heights
+from spl_batch.airborne.products.flown_cells import about_ground, covered_cells, ground_heights
 from spl_batch.airborne.products.gap_surface import FAR_M, bridged
 from spl_batch.airborne.products.noise_aloft import noise_by_cell
 from spl_batch.airborne.products.raster_grid import cell_number, relative, shape_of
@@ -68,8 +68,9 @@ COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class", "ground", "flags")
 COLUMNS_OF_INTENSITY: Final = ("intensity", "return_number")
 """Columns that it reads where they are there, for a raster of what was delivered."""
 
-GROUND_FLOOR_M: Final = 0.15
-"""Ground returns this near to the median of their cell are no outliers: 3 sigma of a range [m]."""
+FLOOR_SIGMA: Final = 3.0
+"""Ground returns this near to the median of their cell are no outliers [standard deviations of a
+range]."""
 
 NEAR_M: Final = 2.0
 """A cell with ground returns no farther from its centre is as high as the nearest of them [m]."""
@@ -97,7 +98,7 @@ def reach_m(settings: ProductSettings) -> float:
 
 
 def surfaces(
-    table: PointTable, cell: Bounds, settings: ProductSettings
+    table: PointTable, cell: Bounds, settings: ProductSettings, range_sigma_m: float
 ) -> dict[str, NDArray[np.float32]]:
     """Rasters of one ground cell.
 
@@ -110,6 +111,8 @@ def surfaces(
         The ground cell [quanta]; its edges are whole multiples of the raster cell.
     settings : ProductSettings
         Cell size and distances.
+    range_sigma_m : float
+        Spread of the sensor's ranges, one sigma [m].
 
     Returns
     -------
@@ -119,17 +122,20 @@ def surfaces(
         ``density`` (signal returns per m2; 0 where there are none, nodata where nothing was
         flown); row 0 is the northernmost; nodata :data:`~spl_batch.constants.NODATA`.
     """
-    return _Surfaces(table, cell, settings).rasters()
+    return _Surfaces(table, cell, settings, range_sigma_m).rasters()
 
 
 class _Surfaces:
     """Rasters of one ground cell; see :func:`surfaces`."""
 
-    def __init__(self, table: PointTable, cell: Bounds, settings: ProductSettings) -> None:
+    def __init__(
+        self, table: PointTable, cell: Bounds, settings: ProductSettings, range_sigma_m: float
+    ) -> None:
         size = quanta(settings.cell_m)
         if any(edge % size for edge in cell):
             raise ValueError(f"ground cell {cell} is not aligned to raster cells of {size} quanta")
         self._cell, self._settings, self._size = cell, settings, size
+        self._floor_m = FLOOR_SIGMA * range_sigma_m
         self.region = grow(cell, margin_cells(settings) * size)
         self._table = table
         near = (table["ground"] == 1) & inside(table["x"], table["y"], self.region)
@@ -158,14 +164,9 @@ class _Surfaces:
 
     def _flown(self) -> NDArray[np.bool_]:
         """Raster cells of the ground cell that were flown."""
-        table, corner, size = self._table, self.region, self._size
-        there = about_ground(table, corner, ground_heights(table, corner))
-        held = np.zeros(shape_of(corner, size), np.bool_)
-        row, col = (table["y"][there] - corner.ymin) // size, table["x"][there] - corner.xmin
-        held[row, col // size] = True
-        margin = margin_cells(self._settings)
-        over = close(held, quanta(self._settings.void_max_m) // size)
-        return over[margin:-margin, margin:-margin]
+        table, region = self._table, self.region
+        there = about_ground(table, region, ground_heights(table, region))
+        return covered_cells(table["x"][there], table["y"][there], self._cell, self._settings)
 
     def _means(self) -> tuple[NDArray[np.float64], Scatter, NDArray[np.bool_]]:
         """Robust means and scatter of the ground of raster cells, and which of them are wet."""
@@ -174,7 +175,7 @@ class _Surfaces:
         order, start = sort_into_cells(number, self._ground["z"], rows * cols)
         means = np.empty((rows * cols, 3))
         place = relative(self._ground, order, self.region)
-        robust_cell_means(place, start, GROUND_FLOOR_M / QUANTUM_M, means)
+        robust_cell_means(place, start, self._floor_m / QUANTUM_M, means)
         held = start[1:] > start[:-1]
         scatter = Scatter(np.zeros(rows * cols, np.int32), np.zeros((rows * cols, 6), np.float32))
         for whole, found in zip(scatter, scatter_of(place, start, QUANTUM_M), strict=True):

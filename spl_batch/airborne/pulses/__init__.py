@@ -1,1 +1,1 @@
-"""Pulses: their first and last returns, how these cover what was flown, smooth surfaces."""
+"""Pulses: their first returns, and how densely and evenly these cover what was flown."""

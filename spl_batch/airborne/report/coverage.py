@@ -2,16 +2,15 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.diagnostics.terrain_sigma import unsure_share
-from spl_batch.airborne.products.footprint import SQUARE_M2
 from spl_batch.airborne.report.model import Density
 from spl_batch.airborne.settings import ClassSettings
-from spl_batch.airborne.tasks.cells.pulses import _CELLS, _SQUARES, _VOIDS
+from spl_batch.airborne.tasks.cells.pulses import CELLS, VOIDS
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 
@@ -19,23 +18,25 @@ VEGETATION_PER_M2: Final = 1.0
 """Below this density shrubs become ground (``docs/delivery.md``) [1/m2]."""
 
 
-def area_km2(done: Receipts) -> float | None:
-    """Area that the returns of all pieces of a survey cover [km2]; None where nobody counted."""
-    facts = _facts(done)
-    return None if facts is None else sum(f[_SQUARES] for f in facts) * SQUARE_M2 / 1e6
+def area_km2(done: Receipts, context: Context) -> float | None:
+    """Area of the raster cells that were flown [km2]; None without any ground cell."""
+    cells = _cells(done)
+    return cells.total() * context.workflow.products.cell_m**2 / 1e6 if cells else None
 
 
 def density(done: Receipts, context: Context, ground: int) -> Density:
-    """How densely returns cover all pieces of a survey."""
-    facts, area = _facts(done), area_km2(done)
-    if facts is None or not area:
-        return Density()
-    cells: Counter[int] = Counter()
-    for found in facts:
-        cells.update({int(returns): n for returns, n in found[_CELLS].items()})
+    """How densely returns cover all pieces of a survey.
+
+    Parameters
+    ----------
+    ground : int
+        Ground points that were delivered [count].
+    """
+    cells = _cells(done)
     if not cells:
         return Density()
-    cell_m2, area_m2 = context.workflow.products.cell_m**2, area * 1e6
+    cell_m2 = context.workflow.products.cell_m**2
+    area_m2 = cells.total() * cell_m2
     returns = sum(held * n for held, n in cells.items())
     return Density(
         mean_per_m2=returns / area_m2,
@@ -43,7 +44,7 @@ def density(done: Receipts, context: Context, ground: int) -> Density:
         p05_per_m2=_quantile(cells, 0.05) / cell_m2,
         # Without signal no ground was looked for.
         ground_per_m2=ground / area_m2 if returns else None,
-        void_share=sum(f[_VOIDS] for f in facts) / cells.total(),
+        void_share=sum(r.facts[VOIDS] for r in done["surface"].values()) / cells.total(),
         unsure_share=unsure_share(done),
     )
 
@@ -57,10 +58,12 @@ def sparse_vegetation(found: Density, asked: ClassSettings) -> tuple[Finding, ..
     return (Finding("G03", values),)
 
 
-def _facts(done: Receipts) -> list[Mapping[str, Any]] | None:
-    """What ground cells have counted; None where one is of a version that did not, or none is."""
-    found = [receipt.facts for receipt in done.get("surface", {}).values()]
-    return found if found and all(_SQUARES in facts for facts in found) else None
+def _cells(done: Receipts) -> Counter[int]:
+    """Raster cells that were flown, by the signal returns in them [count]."""
+    cells: Counter[int] = Counter()
+    for receipt in done.get("surface", {}).values():
+        cells.update({int(returns): n for returns, n in receipt.facts[CELLS].items()})
+    return cells
 
 
 def _quantile(cells: Mapping[int, int], share: float) -> int:

@@ -23,9 +23,7 @@ from spl_batch.airborne.accuracy.evidence import (
 from spl_batch.airborne.accuracy.requirements import requirements
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, swath_totals
-from spl_batch.airborne.products.footprint import SQUARE_M2
-from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage
-from spl_batch.airborne.pulses.smooth_surfaces import STEPS, Repeatability, repeatability
+from spl_batch.airborne.pulses.coverage import SPACINGS, Coverage
 from spl_batch.airborne.report.model import (
     Checkpoint,
     Checkpoints,
@@ -40,7 +38,6 @@ from spl_batch.airborne.tasks.cells import pulses
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
-from spl_batch.errors import grouped
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
 
@@ -67,13 +64,11 @@ def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
         pulses_per_m2=asked.pulses_per_m2 or limits.pulses_per_m2,
         nva=nva,
         vva=vva,
-        pulses=_pulses(done, limits.spacing),
+        pulses=_pulses(done, context, limits.spacing),
         single=asked.coverage == "single",
         by_swath=swath_totals(done.get("surface", {}).values(), flown, limits.spacing),
         water_known=workflow.water is not None,
         swaths=_swaths(strip_pairs(done)),
-        smooth=_smooth(done, limits.spacing),
-        range_sigma_m=workflow.sensor.range_sigma_m,
         flightlines=len(flown),
         classes=_classes(done),
         withheld_unclassified=sum(
@@ -161,20 +156,22 @@ def _tested(done: Receipts) -> tuple[AtCheckpoints, AtCheckpoints] | tuple[None,
     return at_checkpoints(errors["open"]), at_checkpoints(errors["vegetated"])
 
 
-def _pulses(done: Receipts, spacing: str) -> PulseTotals | None:
-    """First returns of all ground cells; None where one was made without counting."""
+def _pulses(done: Receipts, context: Context, spacing: str) -> PulseTotals | None:
+    """First returns of all ground cells; None without any."""
     facts: list[Mapping[str, Any]] = [r.facts for r in done.get("surface", {}).values()]
-    if not facts or any(pulses.FLOWN not in of_cell for of_cell in facts):
+    if not facts:
         return None
     found = [Coverage(*of_cell[pulses.LEVELS][spacing]) for of_cell in facts]
+    cells, returns, bare = (sum(of_cell[pulses.PULSES][k] for of_cell in facts) for k in range(3))
+    cell_m2 = context.workflow.products.cell_m**2
     place_m2 = (SPACINGS[spacing] * QUANTUM_M) ** 2
     return PulseTotals(
-        pulses=sum(of_cell[pulses.PULSES] for of_cell in facts),
-        area_m2=sum(of_cell[pulses.FLOWN] for of_cell in facts) * SQUARE_M2,
+        pulses=returns,
+        area_m2=cells * cell_m2,
         squares=sum(one.squares for one in found),
         filled=sum(one.filled for one in found),
         void_m2=sum(one.void for one in found) * place_m2,
-        bare_m2=sum(of_cell[pulses.BARE] for of_cell in facts) * SQUARE_M2,
+        bare_m2=bare * cell_m2,
     )
 
 
@@ -197,34 +194,12 @@ def swath_reports(done: Receipts, context: Context) -> tuple[Swath, ...]:
 
 def _swaths(pairs: Sequence[StripPair]) -> SwathDifferences | None:
     """Differences of all pairs of flightlines together; None where none were measured."""
-    known = [
-        (pair.flat_patches, pair.rmsd_z_m, pair.largest_m, pair)
-        for pair in pairs
-        if pair.flat_patches and pair.rmsd_z_m and pair.largest_m
-    ]
+    known = [(one.flat_patches, one.rmsd_z_m) for one in pairs if one.flat_patches and one.rmsd_z_m]
     if not known:
         return None
-    places = sum(count for count, *_ in known)
-    squares = sum(count * rmsd**2 for count, rmsd, *_ in known)
-    *_, largest_m, worst = max(known, key=lambda one: one[2])
-    east, north = (grouped(m or 0.0) for m in worst.largest_at_m or worst.centre_m)
-    return SwathDifferences(
-        rmsd_m=math.sqrt(squares / places),
-        largest_m=largest_m,
-        largest_sd_m=worst.largest_sd_m or 0.0,
-        pairs=len(known),
-        places=places,
-        where=f"{worst.first} and {worst.second} at {east} E, {north} N",
-    )
-
-
-def _smooth(done: Receipts, spacing: str) -> Repeatability | None:
-    """Smooth places of all ground cells together."""
-    sums = np.zeros((STEPS, 3), np.int64)
-    for receipt in done.get("surface", {}).values():
-        for step, *added in receipt.facts.get(pulses.SMOOTH, {}).get(spacing, ()):
-            sums[step] += added
-    return repeatability(sums)
+    places = sum(count for count, _ in known)
+    squares = sum(count * rmsd**2 for count, rmsd in known)
+    return SwathDifferences(math.sqrt(squares / places), len(known), places)
 
 
 def _classes(done: Receipts) -> Mapping[int, int]:

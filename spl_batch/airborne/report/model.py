@@ -114,17 +114,11 @@ class Accuracy(Part):
 
     dtm: dict[str, Statistics] = Field({}, description="Terrain model minus reference ground.")
     dsm: dict[str, Statistics] = Field({}, description="Surface model minus reference surface.")
-    returns: dict[str, Statistics] = Field(
-        {},
-        description="Returns that the filter keeps minus the reference's nearest ground or roof, "
-        "within 0.5 m; one in eight.",
-    )
     reference_points: Count | None = Field(None, description="Reference points read [count].")
     bias_m: Number = Field(None, description="Median difference between the sensors [m].")
     bias_removed: bool = Field(
         False, description="Whether the bias was subtracted before the statistics."
     )
-    own_points: bool = Field(False, description="Whether the reference is the survey itself.")
 
 
 class Density(Part):
@@ -240,21 +234,6 @@ class StripPair(Part):
         None, description="Root mean square of the vertical differences of these [m]."
     )
     noise_m: Number = Field(description="Ranging noise: spread about the smoothest patches [m].")
-    largest_m: Number = Field(
-        None, description="Largest vertical difference of a smooth patch of up to 10 degrees [m]."
-    )
-    largest_sd_m: Number = Field(None, description="Standard deviation of it [m].")
-    largest_at_m: tuple[Number, Number] | None = Field(
-        None, description="Easting and northing of that patch [m]."
-    )
-    tilt_east_m: Number = Field(
-        None, description="Change of up_m on 100 m to the east; null where no tilt is sure [m]."
-    )
-    tilt_north_m: Number = Field(None, description="The same to the north [m].")
-    tilt_sd_m: Number = Field(
-        None, description="Standard deviation of these, in the worst direction [m]."
-    )
-    change_m: Number = Field(None, description="Change of up_m over all patches by that tilt [m].")
 
 
 class AlignedLine(Part):
@@ -303,9 +282,6 @@ class Report(Part):
     swaths: tuple[Swath, ...] = Field((), description="Density of each flightline by itself.")
     strips: tuple[StripPair, ...] = Field(
         (), description="Pairs of flightlines that share enough planar patches, by their names."
-    )
-    strips_not_compared: tuple[tuple[str, str], ...] = Field(
-        (), description="Pairs of flightlines that overlap without planar patches enough."
     )
     alignment: Alignment | None = Field(
         None, description="Shifts that were applied; null without survey.align."

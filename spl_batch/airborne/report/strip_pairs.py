@@ -14,16 +14,9 @@ def strip_pairs(done: Receipts, key: str = "pairs") -> tuple[StripPair, ...]:
         StripPair(
             **{k: v for k, v in pair._asdict().items() if k in StripPair.model_fields},
             centre_m=(pair.x_m, pair.y_m),
-            largest_at_m=None if pair.largest_m is None else (pair.largest_x_m, pair.largest_y_m),
         )
         for pair in rows
     )
-
-
-def pairs_not_compared(done: Receipts) -> tuple[tuple[str, str], ...]:
-    """Flightlines that overlap without planar patches enough to be compared."""
-    receipts = done.get("strip_pairs", {}).values()
-    return tuple((one, other) for r in receipts for one, other in r.facts.get("not_compared", ()))
 
 
 def alignment(done: Receipts) -> Alignment | None:

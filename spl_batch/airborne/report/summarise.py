@@ -13,7 +13,6 @@ from spl_batch.airborne.diagnostics.air_fill import air_findings
 from spl_batch.airborne.diagnostics.noise_fit import noise_findings, p_values, uniformity
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_findings
 from spl_batch.airborne.hydro.flattening import bank_findings
-from spl_batch.airborne.report.clip_view import cut_clip
 from spl_batch.airborne.report.coverage import (
     area_km2,
     density,
@@ -38,15 +37,14 @@ from spl_batch.airborne.report.pictures import OF_PRODUCTS, PictureInputs, make_
 from spl_batch.airborne.report.profile_strips import cut_profile
 from spl_batch.airborne.report.strip_pairs import (
     alignment,
-    pairs_not_compared,
     strip_map,
     strip_pairs,
 )
-from spl_batch.airborne.report.survey_files import write_report
+from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.tasks.accuracy import Comparison, compared, not_compared, own_points
+from spl_batch.airborne.tasks.accuracy import Comparison, compared
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.maps import Raster
@@ -60,6 +58,7 @@ from spl_batch.engine.report.run_record import (
     provenance,
     remember,
 )
+from spl_batch.engine.report.write import write_both
 from spl_batch.formats.geoid import grid_file
 from spl_batch.formats.rasters.parts import Part, read_overview
 
@@ -91,7 +90,6 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         noise=noise,
         swaths=swath_reports(done, context),
         strips=strip_pairs(done),
-        strips_not_compared=pairs_not_compared(done),
         alignment=alignment(done),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
@@ -108,16 +106,13 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
                     r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts
                 ),
                 *checkpoint_findings(tested, context),
-                *not_compared(done, context, facts),
-                *own_points(None if found is None else found.own_share),
             ),
             context.workflow.report.ignore,
         ),
         provenance=_provenance(done, context, facts.reference),
     )
     pictures = make_pictures(_pictures(done, context, found), report)
-    clip = cut_clip(_overview(context.output / "chm.tif"), done, context)
-    write_report(context.output, report, pictures, clip)
+    write_both(context.output, report, render(report, pictures))
     remember(done, context, facts)
     return report
 
@@ -133,7 +128,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
         sensor=workflow.sensor.name if _photons(context) else None,
-        area_km2=area_km2(done),
+        area_km2=area_km2(done, context),
         extent_m=(low[0], high[0], low[1], high[1]),
         cell_m=workflow.products.cell_m,
         flightlines=tuple(_flightlines(done, context)),
@@ -216,11 +211,9 @@ def _accuracy(found: Comparison | None) -> Accuracy | None:
     return Accuracy(
         dtm={k: Statistics(**v) for k, v in said["dtm"].items()},
         dsm={k: Statistics(**v) for k, v in said["dsm"].items()},
-        returns={k: Statistics(**v) for k, v in said["returns"].items()},
         reference_points=found.points,
         bias_m=said["vertical_bias_m"],
         bias_removed=removed,
-        own_points=any(own_points(found.own_share)),
     )
 
 

@@ -5,7 +5,6 @@ from types import MappingProxyType
 from typing import Final
 
 from spl_batch.airborne.accuracy.requirements import answers
-from spl_batch.airborne.report.clip_view import SCRIPT_HASH, Clip, view_of
 from spl_batch.airborne.report.model import Counts, Report, Survey
 from spl_batch.airborne.report.verdicts import (
     noise_removed,
@@ -93,7 +92,7 @@ HOW: Final[Mapping[str, str]] = MappingProxyType(
 """What each noise filter does, for a reader of the report."""
 
 
-def render(report: Report, pictures: Mapping[str, Picture], clip: Clip | None = None) -> str:
+def render(report: Report, pictures: Mapping[str, Picture]) -> str:
     """The page of an airborne survey.
 
     Parameters
@@ -102,8 +101,6 @@ def render(report: Report, pictures: Mapping[str, Picture], clip: Clip | None = 
         What is shown.
     pictures : mapping of str to Picture
         As :func:`~spl_batch.airborne.report.pictures.make_pictures` gives them; any may be missing.
-    clip : Clip, optional
-        Points that a reader can turn.
 
     Returns
     -------
@@ -133,8 +130,6 @@ def render(report: Report, pictures: Mapping[str, Picture], clip: Clip | None = 
             for key in _layer_keys(report, photons=photons)
             if (shown := pictures.get(key)) is not None and (shown.png or key != "strips")
         ],
-        clip=None if clip is None else view_of(clip),
-        script_hash="" if clip is None else SCRIPT_HASH,
         shares=_shares(report.counts),
         set_aside=_set_aside(report.counts),
         how=HOW,

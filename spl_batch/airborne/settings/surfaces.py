@@ -92,11 +92,6 @@ class ProductSettings(Section):
     dsm_spacing_neighbours: int = Field(
         3, ge=1, le=64, description="That spacing is the distance to this neighbour [count]."
     )
-    maps: bool = Field(
-        False,
-        description="Further rasters: density of first and last returns, data voids, flightlines "
-        "in each cell, hillshade, height between flightlines.",
-    )
     intensity: Literal["detection", "las"] = Field(
         "detection",
         description="Intensity raster: reflectance from the share of beamlets that were seen, "

@@ -6,19 +6,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.lines.comparison import difference_map
-from spl_batch.airborne.products import hillshade
-from spl_batch.airborne.products.hillshade import BLOCK
-from spl_batch.airborne.products.product_table import HILLSHADE, SWATH_DIFFERENCES
 from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
-from spl_batch.airborne.pulses.swath_coverage import Outlined, outlines
+from spl_batch.airborne.pulses.swaths import Outlined, outlines
 from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
@@ -59,6 +55,9 @@ from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
 
 PASS_POINTS = 32_000_000
 """Points of a file whose labels are held in memory at once [count]."""
+
+BLOCK: Final = 1024
+"""Rows and columns of a raster that are read at once [cells]."""
 
 _DELIVERED = ("noise_class", "classification")
 _DIAGNOSTICS = ("noise_density", "p_value")
@@ -270,7 +269,7 @@ def deliver_copc(args: Mapping[str, Any], context: Context) -> Produced:
 
 
 def deliver_catalogue(args: Mapping[str, Any], context: Context) -> Produced:
-    """Write what other tools open at once: STAC, virtual point cloud, index, QGIS, metadata."""
+    """Write what other tools open at once: STAC, virtual point cloud, index."""
     name = context.workflow.survey.name
     drawn = outlines(
         _outlined(args["cells"], context),
@@ -287,42 +286,6 @@ def _outlined(cells: Iterable[str], context: Context) -> Iterator[Sequence[Outli
         receipt = read_receipt(context.store, "surface", name)
         if receipt is not None and not receipt.failed:
             yield receipt.facts.get(pulses.OUTLINES, ())
-
-
-def deliver_hillshade(args: Mapping[str, Any], context: Context) -> Produced:
-    """Shade a terrain model, some of it at a time."""
-    source, target = context.output / args["source"], context.output / args["target"]
-    with windows(source) as terrain:
-        write_cog(
-            target,
-            hillshade.blocks(terrain.read, terrain.shape, terrain.cell_m),
-            shape=terrain.shape,
-            origin_xy_m=(terrain.left_m, terrain.top_m),
-            cell_m=terrain.cell_m,
-            crs=context.crs_wkt or None,
-            description=HILLSHADE.meaning,
-            unit=HILLSHADE.unit,
-        )
-    return Produced([target], {"rows": terrain.shape[0], "columns": terrain.shape[1]})
-
-
-def deliver_differences(args: Mapping[str, Any], context: Context) -> Produced:
-    """Write by how much flightlines differ in height, where patches of two of them tell it."""
-    target, found = context.output / args["target"], difference_map(context)
-    if found is None:
-        raise WorkflowError(f"{args['target']}: no patch is shared by two flightlines")
-    values, (west, east, _, north) = found
-    write_cog(
-        target,
-        values,
-        shape=values.shape,
-        origin_xy_m=(west, north),
-        cell_m=(east - west) / values.shape[1],
-        crs=context.crs_wkt or None,
-        description=SWATH_DIFFERENCES.meaning,
-        unit=SWATH_DIFFERENCES.unit,
-    )
-    return Produced([target], {"rows": values.shape[0], "columns": values.shape[1]})
 
 
 def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
@@ -380,7 +343,6 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
         crs=context.crs_wkt or None,
         description=args["meaning"],
         unit=args["unit"],
-        colours=args["colours"],
     )
     facts = {"name": target.name, "rows": shape[0], "columns": shape[1]}
     if args["product"] == "dtm":

@@ -17,10 +17,9 @@ from spl_batch.airborne.diagnostics.terrain_sigma import terrain_facts
 from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
-from spl_batch.airborne.products.footprint import footprint
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
-from spl_batch.airborne.pulses.pulse_returns import pulse_ends
+from spl_batch.airborne.pulses.first_returns import first_returns
 from spl_batch.airborne.store.cells import Cell
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks.cells import cell_classes, pulses
@@ -31,6 +30,7 @@ from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
+from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, overlap, quanta
 
 Rasters = dict[str, NDArray[np.float32]]
@@ -43,20 +43,18 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     cell = cell.holding(*_at_once(cell))
     reflected = {} if args["fired"] is None else _reflectance(cell)
     give_back()
-    arrays, squares = _surfaces(cell)
+    arrays = _surfaces(cell)
     arrays |= reflected
     banks = _flatten(arrays, core, context)
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
-    counted = pulses.covered(squares, arrays, context)
+    counted = pulses.covered(arrays, workflow.products)
     counted |= terrain_facts(arrays["dtm_quality"], arrays["dtm"], core)
     give_back()
-    found = _pulses(cell)
-    judged = found.judged(squares)
-    counted |= found.facts(judged)
-    arrays |= found.rasters(arrays["density"], judged)
+    of_pulses, swaths = pulses.pulse_facts(_first(cell), arrays["density"], core, context)
+    counted |= of_pulses
     give_back()
-    labels, facts, n_points = cell_classes.classes(cell, arrays, found.lines)
+    labels, facts, n_points = cell_classes.classes(cell, arrays, swaths)
     counted |= facts | ({"banks": list(banks)} if banks else {})
     chunks = _write_rasters(args["cell"], core, arrays, context)
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
@@ -93,9 +91,9 @@ def _reflectance(cell: Cell) -> Rasters:
     return {"intensity": reflectance.raster(table, fired, cell.core, products)}
 
 
-def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_]]:
-    """Rasters of a ground cell, and its squares that returns cover."""
-    products = cell.context.workflow.products
+def _surfaces(cell: Cell) -> Rasters:
+    """Rasters of a ground cell."""
+    workflow = cell.context.workflow
     # The intensity raster is of detections or of what was delivered.
     seen = surfacing.COLUMNS_OF_INTENSITY if cell.args["fired"] is None else ()
     looked_at = (*surfacing.COLUMNS_NEEDED, "afterpulse", *seen)
@@ -103,17 +101,14 @@ def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_]]:
     known = cell.read(region, looked_at, surface_points.known)[0]
     table = surface_points.makes_surfaces(known)
     del known
-    rasters = surfacing.surfaces(table, cell.core, products)
-    return rasters, footprint(table, cell.core, products, pulses.of_interest(cell.context))
+    return surfacing.surfaces(table, cell.core, workflow.products, workflow.sensor.range_sigma_m)
 
 
-def _pulses(cell: Cell) -> pulses.Pulses:
-    """What the pulses of a ground cell tell."""
-    near = min(cell.args["halo"], pulses.reach(cell.context.workflow.products))
+def _first(cell: Cell) -> PointTable:
+    """First returns of the pulses in and around a ground cell."""
     columns = (*pulses.COLUMNS, "flags", "noise_class")
-    table = cell.read(grow(cell.core, near), columns, pulses.usable)[0].select(pulses.COLUMNS)
-    returns = pulses.returns_of(table, pulse_ends(table))
-    return pulses.Pulses(returns, cell.core, cell.context)
+    table = cell.read(grow(cell.core, cell.args["halo"]), columns, pulses.usable)[0]
+    return table.select(("x", "y", "line")).take(first_returns(table.select(pulses.COLUMNS)))
 
 
 def _flatten(arrays: Rasters, core: Bounds, context: Context) -> Banks | None:

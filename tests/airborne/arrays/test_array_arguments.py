@@ -46,24 +46,6 @@ def test_coordinates_that_lost_their_decimals_are_told() -> None:
         spl_batch.filter_points(cloud)  # type: ignore[arg-type]
 
 
-def test_points_that_are_there_twice_are_told() -> None:
-    some = CLOUD[::10]
-    twice = np.vstack([some, some[:200]])
-    (said,) = spl_batch.filter_points(twice, 0.01).warnings
-    assert said.startswith("200 of 1 300 points repeat an earlier one, with the same place; copies")
-    few = np.vstack([some, some[:2]])
-    assert spl_batch.filter_points(few, 0.01).warnings == (), "two in one place may be chance"
-    time = np.arange(len(some)) * 1e-4
-    origin = np.array([20.0, 20.0, 2_000.0])
-    told = spl_batch.filter_points(
-        few, 0.01, gps_time=np.r_[time, time[:2]], beam_origin=origin
-    ).warnings
-    assert told[0].startswith("2 of 1 102 points repeat an earlier one, with the same time")
-    later = np.r_[time, time[:2] + 1]
-    told = spl_batch.filter_points(few, 0.01, gps_time=later, beam_origin=origin).warnings
-    assert not any("repeat" in text for text in told)
-
-
 def test_a_given_density_decides() -> None:
     given = 0.0156
     labels = spl_batch.filter_points(CLOUD, given)

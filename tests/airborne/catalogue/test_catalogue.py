@@ -6,7 +6,6 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as ET
 
 import laspy
 import numpy as np
@@ -63,7 +62,6 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     workflow = surveys.small_survey(
         folder,
         outputs={"copc": True, "geoid": {"grid": write_grid(folder / "a.gtx"), "crs": "EPSG:5703"}},
-        products={"maps": True},
         reference={"checkpoints": "checkpoints.csv"},
     )
     x, y = (value for value in surveys.ORIGIN_M)
@@ -82,7 +80,7 @@ def read(path: Path) -> Any:
 
 def test_stac_keeps_to_its_schemas(output: Path) -> None:
     items = read(output / "stac" / "items.json")["features"]
-    assert len(items) == 13 + len([*(output / "laz").rglob("*.laz")])
+    assert len(items) == 8 + len([*(output / "laz").rglob("*.laz")])
     assert faults(read(output / "stac" / "collection.json")) == []
     assert [fault for item in items for fault in faults(item)] == []
     broken = {**items[0], "properties": {**items[0]["properties"], "pc:count": -1}}
@@ -188,7 +186,7 @@ def test_copc_holds_the_same_points(output: Path) -> None:
 
 def test_the_index_counts_what_is_there(output: Path) -> None:
     layers = {name for name, _ in pyogrio.list_layers(output / "index.gpkg")}
-    assert layers == {"checkpoints", "flightlines", "files", "blocks", "tiles"}
+    assert layers == {"checkpoints", "flightlines", "files"}
     columns: dict[str, Any] = {}
     places: dict[str, Any] = {}
     for layer in layers:
@@ -198,7 +196,7 @@ def test_the_index_counts_what_is_there(output: Path) -> None:
         assert len(shapes)
         assert "32615" in str(meta["crs"])
     points = sum(len(laspy.read(path)) for path in (output / "laz").rglob("*.laz"))
-    for layer in ("files", "tiles", "flightlines", "blocks"):
+    for layer in ("files", "flightlines"):
         assert columns[layer]["points"].sum() == points
         if layer == "flightlines":
             continue
@@ -214,20 +212,20 @@ def test_the_index_counts_what_is_there(output: Path) -> None:
     ):
         assert area == swaths[name]["area_m2"]
         assert density == pytest.approx(swaths[name]["pulses"] / area)
-        # by the delivered cloud: pulses of its signal, and squares of 1 m that hold any
+        # by the delivered cloud: pulses of its signal, and squares of 5 m that hold any
         cloud = laspy.read(output / "laz" / "lines" / f"line_{int(name[:5])}.laz")
         signal = np.asarray(cloud["noise_class"]) == 0
         sent = np.column_stack([cloud.gps_time, cloud["channel"]])[signal]
         share = swaths[name]["pulses"] / len(np.unique(sent, axis=0))
         assert 0.92 < share <= 1.0, "all but those on squares that its rim cuts"
-        held = np.unique(np.floor(cloud.xyz[signal, :2]), axis=0)
+        held = np.unique(np.floor(cloud.xyz[signal, :2] / 5), axis=0)
         shape = drawn[name]
-        centres = shapely.points(held + 0.5)
+        centres = shapely.points(5 * held + 2.5)
         assert shapely.distance(shape, centres).max() < 5.1, "each return lies in the outline"
         corners = shapely.get_coordinates(shapely.convex_hull(shapely.union_all(centres)))
         assert shapely.distance(shape, shapely.points(corners)).max() < 5.1
         assert shape.area < area + 8 * shape.length
-        assert area == pytest.approx(len(held), rel=0.2)
+        assert 15 * len(held) < area <= 25 * len(held), "all but squares that the rim cuts"
     errors = {one["id"]: one["error_m"] for one in report["checkpoints"]["points"]}
     told = dict(zip(columns["checkpoints"]["id"], columns["checkpoints"]["error_m"], strict=True))
     assert set(told) == set(errors)
@@ -251,47 +249,6 @@ def test_checkpoint_errors_are_those_of_the_raster(output: Path) -> None:
     assert report["statement"].startswith("Insufficient for a statement: 6 of the 30")
 
 
-def xml(path: Path) -> ET.Element:
-    return ET.fromstring(path.read_bytes())  # noqa: S314 - of our own making
-
-
-ORDER = {
-    "MD_Metadata": "fileIdentifier language characterSet hierarchyLevel contact dateStamp "
-    "metadataStandardName metadataStandardVersion referenceSystemInfo identificationInfo "
-    "dataQualityInfo",
-    "MD_DataIdentification": "citation abstract descriptiveKeywords spatialRepresentationType "
-    "spatialResolution language topicCategory extent",
-    "EX_Extent": "geographicElement temporalElement verticalElement",
-    "EX_VerticalExtent": "minimumValue maximumValue verticalCRS",
-    "DQ_DataQuality": "scope report lineage",
-    "DQ_AbsoluteExternalPositionalAccuracy": "nameOfMeasure measureDescription "
-    "evaluationMethodType result",
-    "LI_Lineage": "statement processStep source",
-}
-"""Children in the order of the ISO 19139 schemas."""
-
-GMD = "{http://www.isotc211.org/2005/gmd}"
-
-
-def test_metadata_keep_the_order_of_the_standard_and_tell_the_accuracy(output: Path) -> None:
-    root = xml(output / "metadata.xml")
-    assert root.tag == f"{GMD}MD_Metadata"
-    for name, wanted in ORDER.items():
-        (element,) = root.iter(f"{GMD}{name}")
-        tags = [child.tag.removeprefix(GMD) for child in element]
-        places = [wanted.split().index(tag) for tag in tags]
-        assert places == sorted(places)
-        assert set(tags) == set(wanted.split())
-    report = read(output / "report.json")
-    (value,) = root.iter(f"{GMD}value")
-    found = "".join(value.itertext()).strip()
-    assert float(found) == pytest.approx(report["checkpoints"]["nva"]["rmse_v_m"], abs=1e-4)
-    said = "".join(root.itertext())
-    for words in ("elevation", "6 open checkpoints", "30 are needed", "32615", "EPSG",
-                  "classified by the filter vsaes"):  # fmt: skip
-        assert words in said
-
-
 def test_a_run_owns_its_catalogues(output: Path) -> None:
     owned = set(read(output / "delivered.json")["files"])
     there = {
@@ -299,10 +256,8 @@ def test_a_run_owns_its_catalogues(output: Path) -> None:
         for pattern in (
             "stac/*",
             "copc/**/*.laz",
-            "*.qml",
-            "survey.*",
+            "survey.vpc",
             "index.gpkg",
-            "metadata.xml",
         )
         for path in output.glob(pattern)
     }
@@ -318,10 +273,10 @@ SITE = (
 
 def nothing_but(name: str) -> dict[str, Any]:
     """Arguments of a catalogue of one cloud alone."""
-    names = ("rasters", "flightlines", "blocks", "checkpoints", "steps")
+    names = ("rasters", "flightlines", "checkpoints")
     lists: dict[str, Any] = {key: [] for key in names}
     clouds = [{"href": name, "span_s": None}]
-    return {**lists, "clouds": clouds, "tiles": {}, "tile_q": 1000}
+    return {**lists, "clouds": clouds}
 
 
 @pytest.mark.parametrize(
@@ -342,6 +297,6 @@ def test_what_has_no_place_on_earth_is_not_listed(
     assert len(remarks) == 1
     assert remarks[0].startswith(reason)
     assert ("survey.crs" in remarks[0]) is (crs is None)
-    assert {path.name for path in written} == {"index.gpkg", "survey.qlr", "failures.qml"}
+    assert {path.name for path in written} == {"index.gpkg"}
     with closing(sqlite3.connect(tmp_path / "index.gpkg")) as database:
         assert database.execute("SELECT srs_id FROM gpkg_contents").fetchall() == [(srs_id,)]

@@ -58,9 +58,7 @@ def covered_twice(files: dict[str, Columns]) -> set[tuple[int, int]]:
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder, found = tmp_path_factory.mktemp("classes"), {}
     for name, tile_m in (("a", 100), ("b", 30)):
-        workflow = surveys.small_survey(
-            folder / name, classes=ALL, tiling={"tile_m": tile_m}, products={"maps": True}
-        )
+        workflow = surveys.small_survey(folder / name, classes=ALL, tiling={"tile_m": tile_m})
         result = surveys.run(workflow)
         assert result.exit_status == 0, result.report.failures
         found[name] = result.output

@@ -2,28 +2,23 @@
 
 import json
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import rasterio
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from spl_batch import api
 from spl_batch.airborne.compare.comparison import METHODS as METHODS_COMPARED
-from spl_batch.airborne.compare.contrast import Contrast, _far, _fullest_strip, terrain_contrast
+from spl_batch.airborne.compare.contrast import Contrast, _far, _fullest_strip
 from spl_batch.airborne.settings.workflow import parse_workflow
-from spl_batch.constants import NODATA
 from spl_batch.engine.store.links import share_finished
 from spl_batch.engine.store.working_store import Store, read_receipt, write_receipt
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.comparing import folder_of, listed
 from spl_batch.engine.watch.events import TaskEnded
 from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds, quanta
+from spl_batch.lattice.tiles import Bounds
 from tests import surveys
 
 METHODS = "vsaes:calibrated,dcc,published"
@@ -69,8 +64,6 @@ def test_the_table_says_what_the_clouds_hold(compared: Path) -> None:
         assert 0 <= method["far_share"] < 0.2
     assert methods["dcc"]["kept_only"] > 0
     assert methods["dcc"]["removed_only"] > 0
-    assert methods["vsaes:calibrated"]["dtm_off_share"] is None
-    assert all(0 <= m["dtm_off_share"] < 0.5 for m in list(methods.values())[1:])
     # Its time domain is its own: no afterpulses are called in it.
     assert methods["published"]["afterpulse"] == 0 < methods["dcc"]["afterpulse"]
 
@@ -95,59 +88,6 @@ def test_what_methods_share_is_done_once(compared: Path) -> None:
     none = again.report.methods[-1]
     assert none.background == 0
     assert none.far_share == 1.0
-
-
-def raster(path: Path, values: np.ndarray[Any, np.dtype[np.float32]]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    place = rasterio.Affine(1.0, 0.0, 500_000.0, 0.0, -1.0, 4_000_000.0)
-    rows, columns = values.shape
-    with rasterio.open(
-        path, "w", driver="GTiff", dtype="float32", count=1, nodata=NODATA, crs="EPSG:32633",
-        width=columns, height=rows, transform=place,
-    ) as target:  # fmt: skip
-        target.write(values, 1)
-
-
-@settings(max_examples=10, deadline=None)
-@given(st.integers(0, 1000))
-def test_terrain_is_compared_cell_by_cell(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    shape = int(rng.integers(2, 600)), int(rng.integers(2, 200))
-    models = [rng.normal(0.0, 0.4, shape).astype(np.float32) for _ in range(3)]
-    for values in models:
-        values[rng.uniform(size=shape) < 0.1] = NODATA
-    with tempfile.TemporaryDirectory() as folder:
-        outputs = [Path(folder) / str(k) for k in range(3)]
-        for output, values in zip(outputs, models, strict=True):
-            raster(output / "dtm.tif", values)
-            raster(output / "dtm_quality.tif", values + 9.0)
-        found = terrain_contrast(outputs)
-        empty = terrain_contrast([Path(folder) / "none", *outputs])
-    assert np.isnan(found.off_share[0])
-    for k in (1, 2):
-        off = [
-            abs(a - b) > 0.5
-            for a, b in zip(models[0].ravel(), models[k].ravel(), strict=True)
-            if min(a, b) > NODATA
-        ]
-        assert found.off_share[k] == pytest.approx(sum(off) / len(off))
-    assert np.isnan(empty.off_share).all()
-    assert empty.strip is None
-
-
-def test_the_strip_shows_where_terrain_differs_most(tmp_path: Path) -> None:
-    flat = np.zeros((300, 400), np.float32)
-    roof = flat.copy()
-    roof[200:203, 250:280] = 4.0
-    raster(tmp_path / "a/dtm.tif", flat)
-    raster(tmp_path / "b/dtm.tif", roof)
-    strip = terrain_contrast([tmp_path / "a", tmp_path / "b"]).strip
-    assert strip is not None
-    assert strip.xmin <= quanta(500_250.0)
-    assert strip.xmax >= quanta(500_280.0)
-    middle = (strip.ymin + strip.ymax) // 2
-    assert quanta(4_000_000.0 - 203.0) < middle < quanta(4_000_000.0 - 200.0)
-    assert terrain_contrast([tmp_path / "a", tmp_path / "a"]).strip is None
 
 
 def test_methods_are_listed_once_and_have_folders() -> None:

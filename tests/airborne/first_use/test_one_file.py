@@ -131,35 +131,3 @@ def test_what_stopped_goes_on_and_what_failed_in_part_is_tried_again(
     assert cloud.exists()
     assert denoise(line, cloud).status == 0  # what it wrote itself needs no --force
     assert not work.exists()
-
-
-def test_linear_mode_lidar_is_refused_unless_the_instrument_is_named(tmp_path: Path) -> None:
-    columns = {name: values[::13] for name, values in surveys.flightline().items()}
-    source = surveys.write_cloud(tmp_path / "in.laz", columns, channel=False)
-    ended = denoise(source, tmp_path / "out.laz")
-    assert ended.status == 2
-    for said in (
-        "in.laz: this looks like linear-mode lidar",
-        "few points per m2, only 2.0 points at the same gps_time",
-        "`spl-batch init ",
-        "--sensor spl100",
-    ):
-        assert said in ended.err.replace("\n  ", " "), said
-    assert [p.name for p in tmp_path.iterdir()] == ["in.laz"]
-    assert denoise(source, tmp_path / "out.laz", "--sensor", "spl100").status == 0
-
-
-def test_a_plan_doubts_linear_mode_lidar_unless_the_instrument_is_named(tmp_path: Path) -> None:
-    columns = surveys.flightline(shots=40)
-    shots = surveys.write_cloud(tmp_path / "shots.laz", columns, channel=False)
-    columns["gps_time"] = surveys.START_S + np.arange(len(columns["x"])) / 1e5
-    pulses = surveys.write_cloud(tmp_path / "pulses.laz", columns, channel=False)
-    for cloud, overrides, doubted in (
-        (pulses, [], True),
-        (pulses, ["survey.sensor=spl100"], False),
-        (shots, [], False),
-    ):
-        workflow = tmp_path / "workflow.yaml"
-        workflow.write_text(f"survey: {{flightlines: {cloud.name}}}\noutput: out\n")
-        found = api.plan(workflow, overrides=overrides).findings
-        assert bool(surveys.found(found, "I04", "linear")) == doubted

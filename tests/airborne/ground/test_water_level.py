@@ -169,7 +169,7 @@ def test_terrain_over_clear_water_is_its_flat_surface_and_the_bottom_stays() -> 
     ground = ground_mask(table, usable, GroundSettings())
     table = table.with_columns(ground=ground)
     cell = Bounds(*(int(v) for v in (*ORIGIN, *(ORIGIN + 100_000))))
-    dtm = surfaces(table, cell, ProductSettings(intensity="las"))["dtm"]
+    dtm = surfaces(table, cell, ProductSettings(intensity="las"), 0.05)["dtm"]
     row, col = np.mgrid[0:100, 0:100] + 0.5
     inner = np.hypot(row - 50, col - 50) < 27
     assert np.abs(dtm[inner] - 50).max() < 0.02
@@ -217,7 +217,7 @@ def terrain(table: PointTable) -> tuple[PointTable, Bounds, Float]:
     """Ground, the cell, and its DTM from the south [m]."""
     table = table.with_columns(ground=ground_mask(table, ~off(table), GroundSettings()))
     cell = Bounds(*(int(v) for v in (*ORIGIN, *(ORIGIN + 100_000))))
-    dtm = surfaces(table, cell, ProductSettings(intensity="las"))["dtm"]
+    dtm = surfaces(table, cell, ProductSettings(intensity="las"), 0.05)["dtm"]
     return table, cell, dtm
 
 

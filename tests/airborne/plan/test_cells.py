@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.plan.cells import MOST_TILES, owners, tile_counts, tiles_along, units
+from spl_batch.airborne.plan.cells import MOST_TILES, tile_counts, tiles_along
+from spl_batch.airborne.plan.grid import Grid
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.task_memory import task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
@@ -34,8 +35,8 @@ def workflow(**tiling: Any) -> Workflow:
 def test_cells_own_each_tile_and_read_their_margin(
     counts: dict[CellId, int], edge: int, margin: int
 ) -> None:
-    found = {unit.name: unit for unit in units(counts, EDGE, edge, margin)}
-    held_by = owners(counts, EDGE, edge)
+    found = {unit.name: unit for unit in Grid.plain(edge).units(counts, EDGE, margin)}
+    held_by = Grid.plain(edge).owners(counts, EDGE)
     assert set(found) == {name for names in held_by.values() for name in names}
     for name, unit in found.items():
         i, j = unit.cell

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.plan.ground_cells import GroundCells, strip_q
+from spl_batch.airborne.plan.grid import Grid, strip_q
 from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store, read_window, write_cell
 from spl_batch.airborne.tasks.surfaces import _write_rasters
@@ -46,7 +46,7 @@ def hull(listed: list[Bounds]) -> Bounds:
 @given(boxes, st.sampled_from([0, 60, 199, 500]))
 @settings(max_examples=200, deadline=None)
 def test_every_square_of_a_survey_belongs_to_one_cell(listed: list[Bounds], buffer: int) -> None:
-    cells = GroundCells.of_boxes(listed, EDGE, buffer)
+    cells = Grid.of_boxes(listed, EDGE, buffer)
     squares = list(cells_touching(hull(listed), EDGE))
     keepers = {cells.keeper(square) for square in squares}
     owned = [square for cell in keepers for square in cells.squares(cell)]
@@ -60,7 +60,7 @@ def test_every_square_of_a_survey_belongs_to_one_cell(listed: list[Bounds], buff
 @given(boxes)
 @settings(max_examples=200, deadline=None)
 def test_a_cell_reads_no_more_for_the_strip_that_it_owns(listed: list[Bounds]) -> None:
-    cells, survey = GroundCells.of_boxes(listed, EDGE, BUFFER), hull(listed)
+    cells, survey = Grid.of_boxes(listed, EDGE, BUFFER), hull(listed)
     for cell in {cells.keeper(square) for square in cells_touching(survey, EDGE)}:
         core = cells.core(cell)
         alone = grow(cell_bounds(cell, EDGE), BUFFER)
@@ -68,7 +68,7 @@ def test_a_cell_reads_no_more_for_the_strip_that_it_owns(listed: list[Bounds]) -
 
 
 def test_strips_up_to_the_buffer_belong_to_the_next_cell() -> None:
-    cells = GroundCells.of_boxes([(140, 139, 660, 661)], EDGE, BUFFER)
+    cells = Grid.of_boxes([(140, 139, 660, 661)], EDGE, BUFFER)
     assert cells.core(CellId(1, 1)) == Bounds(0, 200, 400, 400)  # 60 m enter in the west
     assert cells.core(CellId(1, 0)) == Bounds(0, 0, 400, 200)  # 61 m in the south stay a cell
     assert cells.core(CellId(2, 3)) == Bounds(400, 600, 800, 800)
@@ -76,7 +76,7 @@ def test_strips_up_to_the_buffer_belong_to_the_next_cell() -> None:
 
 
 def test_a_survey_of_two_strips_is_one_cell() -> None:
-    cells = GroundCells.of_boxes([(150, 390, 250, 410)], EDGE, BUFFER)
+    cells = Grid.of_boxes([(150, 390, 250, 410)], EDGE, BUFFER)
     assert {cells.keeper(CellId(i, j)) for i in (0, 1) for j in (1, 2)} == {CellId(1, 2)}
     assert cells.core(CellId(1, 2)) == Bounds(0, 200, 400, 600)
 
@@ -89,7 +89,7 @@ EXTENT = [Bounds(-200, 0, 300, 400)]
 @pytest.mark.parametrize("halo", [0, 30, 130])
 @pytest.mark.parametrize("buffer", [0, 60])
 def test_cells_own_everything_once_and_read_their_halo(edge: int, halo: int, buffer: int) -> None:
-    cells = GroundCells.of_boxes(EXTENT, edge, buffer)
+    cells = Grid.of_boxes(EXTENT, edge, buffer)
     found = list(cells.units(COUNTS, 100, halo))
     assert [u.cell for u in found] == sorted({u.cell for u in found})
     squares = {c for t in COUNTS for c in cells_touching(cell_bounds(t, 100), edge)}
@@ -102,7 +102,7 @@ def test_cells_own_everything_once_and_read_their_halo(edge: int, halo: int, buf
 
 
 def test_owners_are_the_cells_that_touch() -> None:
-    cells = GroundCells.of_boxes([Bounds(0, 0, 390, 300)], 150, 100)
+    cells = Grid.of_boxes([Bounds(0, 0, 390, 300)], 150, 100)
     asked = [CellId(1, 0), CellId(3, 0), CellId(9, 9)]
     found = cells.owners(asked, 100)
     # the third column is entered by 90 and belongs to the second

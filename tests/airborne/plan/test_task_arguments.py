@@ -58,7 +58,7 @@ def mosaics(monkeypatch: pytest.MonkeyPatch, *, reflectance: bool) -> dict[str, 
     """Arguments of the mosaics of a survey."""
     monkeypatch.setattr(space_tasks, "mosaic_bounds", lambda _: CORE)
     monkeypatch.setattr(space_tasks, "knows_reflectance", lambda _: reflectance)
-    workflow = SimpleNamespace(products=SimpleNamespace(maps=True, cell_m=1.0))
+    workflow = SimpleNamespace(products=SimpleNamespace(cell_m=1.0))
     grid = SimpleNamespace(squares=lambda cell: [cell])
     survey: Any = SimpleNamespace(of=lambda _: ["0_0"], workflow=workflow, grid=grid)
     return {task.name: dict(task.args) for task in space_tasks.mosaic(survey)}
@@ -68,7 +68,7 @@ def mosaics(monkeypatch: pytest.MonkeyPatch, *, reflectance: bool) -> dict[str, 
 def test_a_mosaic_says_what_it_holds(monkeypatch: pytest.MonkeyPatch, reflectance: bool) -> None:  # noqa: FBT001
     found = mosaics(monkeypatch, reflectance=reflectance)
     assert tuple(found) == NAMES
-    for product in products(reflectance=reflectance, maps=True):
+    for product in products(reflectance=reflectance):
         args = found[product.name]
         said = (args["product"], args["meaning"], args["unit"], args["delivered"])
         assert said == product[:4]

@@ -67,7 +67,7 @@ def test_terrain_and_surface_end_where_a_slanting_edge_ends_them(depth):
     along = (points[:, 1] - 50 + points[:, 0] + 10) / np.sqrt(2)
     points[:, 2] += 0.05 * along**2
     ground = points[beyond_a_bay(points, depth) < 0]
-    rasters = surfaces(table_of(ground, ground=1), CELL, SETTINGS)
+    rasters = surfaces(table_of(ground, ground=1), CELL, SETTINGS, 0.05)
     assert off_own_ground(rasters["dtm"], ground).max() <= 0.5
     away = cKDTree(ground[:, :2]).query(PLACES)[0]
     for name in ("dtm", "dsm"):
@@ -81,7 +81,7 @@ def test_nothing_across_a_gap_at_a_step_overrules_the_returns_beside_it():
     points[:, 2] = np.where(points[:, 0] < -10, 10.0, 0.0) + 0.1 * points[:, 1]
     gap = (np.abs(points[:, 0] + 10) < 3) & (np.sin(points[:, 1]) < 0.5)
     ground = points[~gap]
-    rasters = surfaces(table_of(ground, ground=1), CELL, SETTINGS)
+    rasters = surfaces(table_of(ground, ground=1), CELL, SETTINGS, 0.05)
     off = off_own_ground(rasters["dtm"], ground)
     assert off.max() <= 0.5
     assert (rasters["dtm"] != NODATA).all()
@@ -97,7 +97,7 @@ def test_terrain_of_a_steep_forest_is_as_high_as_its_nearest_ground(seed):
     ground[:, 2] += 0.8 * ground[:, 0] + 3.0 * np.abs(np.sin(ground[:, 1] / 6.0))
     brush = rng.random(len(ground)) < 0.15
     ground[:, 2] += np.where(brush, rng.uniform(0.5, 4.0, len(ground)), 0)
-    rasters = surfaces(table_of(ground, ground=1), CELL, SETTINGS)
+    rasters = surfaces(table_of(ground, ground=1), CELL, SETTINGS, 0.05)
     off = off_own_ground(rasters["dtm"], ground)
     assert off.max() <= 0.5
     assert (rasters["dtm"] != NODATA).all()

@@ -58,10 +58,10 @@ def centres():
 
 
 def test_the_dtm_of_a_plane_is_the_plane_north_up():
-    rasters = surfaces(table_of(terrain(), ground=1), CELL, SETTINGS)
+    rasters = surfaces(table_of(terrain(), ground=1), CELL, SETTINGS, 0.05)
     x, y = centres()
     np.testing.assert_allclose(rasters["dtm"], 100 + 0.5 * x - 0.2 * y, atol=0.002)
-    assert set(rasters) == {product.name for product in PRODUCTS if not product.is_map} - {"noise"}
+    assert set(rasters) == {product.name for product in PRODUCTS} - {"noise"}
     assert all(r.shape == (20, 20) and r.dtype == np.float32 for r in rasters.values())
 
 
@@ -74,7 +74,7 @@ def test_density_and_intensity_are_those_of_a_plain_loop():
         return_number=rng.integers(1, 3, len(points)),
         noise_class=rng.choice([0, 0, 0, 1, 2], len(points)),
     )
-    rasters = surfaces(table, CELL, SETTINGS)
+    rasters = surfaces(table, CELL, SETTINGS, 0.05)
     signal = table["noise_class"] == 0
     for row in range(20):
         for col in range(20):
@@ -84,7 +84,9 @@ def test_density_and_intensity_are_those_of_a_plain_loop():
             counted = first if first.any() else here
             mean = table["intensity"][counted].mean() if here.any() else NODATA
             assert rasters["intensity"][row, col] == pytest.approx(mean, rel=1e-6)
-    without = surfaces(table.select([n for n in table.columns if n != "intensity"]), CELL, SETTINGS)
+    without = surfaces(
+        table.select([n for n in table.columns if n != "intensity"]), CELL, SETTINGS, 0.05
+    )
     assert without.keys() == rasters.keys() - {"intensity"}
     assert np.array_equal(without["density"], rasters["density"])
 
@@ -102,7 +104,7 @@ def test_the_dsm_is_the_highest_confirmed_return_and_never_below_the_dtm():
         np.concatenate([ground, roof, spike, low]),
         ground=np.repeat([1, 0], [len(ground), len(roof) + 4]),
     )
-    rasters = surfaces(table, CELL, SETTINGS)
+    rasters = surfaces(table, CELL, SETTINGS, 0.05)
     x, y = centres()
     on_roof = (x > -15) & (x < -10) & (y > 45) & (y < 50)
     assert (rasters["dsm"][on_roof] == 120).all()
@@ -151,7 +153,7 @@ def test_a_sparse_twig_at_the_rim_of_a_crown_counts_where_no_ground_was_seen(cov
         ground=np.repeat([1, 0], [len(ground), len(crown) + 1]),
     )
     strict = SETTINGS.model_copy(update={"dsm_support": 20})
-    rasters = surfaces(table, CELL, strict)
+    rasters = surfaces(table, CELL, strict, 0.05)
     x, y = centres()
     at = (np.abs(x + 9.5) < 0.5) & (np.abs(y - 46.5) < 0.5)
     assert rasters["dsm"][at] == pytest.approx(height, abs=0.01)
@@ -161,7 +163,7 @@ def test_a_sparse_twig_at_the_rim_of_a_crown_counts_where_no_ground_was_seen(cov
 def test_voids_are_filled_up_to_the_stated_distance_only():
     points = terrain(density=20)
     hole = (points[:, 0] + 10) ** 2 + (points[:, 1] - 50) ** 2 < 9**2
-    rasters = surfaces(table_of(points[~hole], ground=1), CELL, SETTINGS)
+    rasters = surfaces(table_of(points[~hole], ground=1), CELL, SETTINGS, 0.05)
     x, y = centres()
     inward = 9 - np.hypot(x + 10, y - 50)
     assert (rasters["dtm"][inward > 6] == NODATA).all()
@@ -187,7 +189,7 @@ def test_density_is_zero_where_only_noise_came_back_and_nodata_where_nothing_did
     xyz = np.concatenate([points[west & ~lake], noise])
     kind = np.repeat([0, 1], [np.count_nonzero(west & ~lake), len(noise)])
     table = table_of(xyz, noise_class=kind, ground=kind == 0)
-    density = surfaces(table, CELL, SETTINGS)["density"]
+    density = surfaces(table, CELL, SETTINGS, 0.05)["density"]
     x, y = centres()
     assert (density[x > -10] == NODATA).all()
     assert (density[np.hypot(x + 15, y - 50) < 3] == 0).all()
@@ -199,7 +201,7 @@ def test_what_was_flown_does_not_depend_on_the_ground_cell():
     table = table_of(points)
     both = Bounds(-20_000, 40_000, 20_000, 60_000)
     east = Bounds(0, 40_000, 20_000, 60_000)
-    whole, west, rest = (surfaces(table, c, SETTINGS)["density"] for c in (both, CELL, east))
+    whole, west, rest = (surfaces(table, c, SETTINGS, 0.05)["density"] for c in (both, CELL, east))
     assert 0 < np.count_nonzero(whole == NODATA) < whole.size
     np.testing.assert_array_equal(np.hstack([west, rest]), whole)
 
@@ -210,14 +212,14 @@ def test_a_hall_wider_than_the_margin_leaves_no_void_near_ground():
     within, deep = ((a - b + 52) / np.sqrt(2) for a, b in ((ground[:, 0], ground[:, 1]), (x, y)))
     hall = within > 0
     points = np.where(hall[:, None], ground + np.array([0, 0, 9.0]), ground)
-    covered = surfaces(table_of(points, ground=~hall), CELL, SETTINGS)["dtm"]
+    covered = surfaces(table_of(points, ground=~hall), CELL, SETTINGS, 0.05)["dtm"]
     near = (deep > 0) & (deep < 3.5)
     assert (covered[deep < 3.5] != NODATA).all()
     assert (covered[deep > 6.5] == NODATA).all()
     # The unknown corner is as high as the nearest ground: less than the slope across the reach.
     assert np.abs(covered - (100 + 0.5 * x - 0.2 * y))[near].max() < 0.54 * SETTINGS.void_max_m
     # Where nothing was returned the survey ends: no terrain beyond its edge.
-    ended = surfaces(table_of(ground[~hall], ground=1), CELL, SETTINGS)["dtm"]
+    ended = surfaces(table_of(ground[~hall], ground=1), CELL, SETTINGS, 0.05)["dtm"]
     assert (ended[deep > 2.5] == NODATA).all()
 
 
@@ -232,7 +234,7 @@ def test_returns_that_nothing_assessed_count_only_where_no_signal_is():
         np.concatenate([signal[west], stray]),
         noise_class=np.repeat([0, 255], [west.sum(), len(stray)]),
     )
-    dsm = surfaces(table, CELL, SETTINGS)["dsm"]
+    dsm = surfaces(table, CELL, SETTINGS, 0.05)["dsm"]
     assert (dsm[:, :9] < 120).all()
     assert (dsm[:, 12:] == 300).all()
 
@@ -245,8 +247,8 @@ def test_points_that_take_part_in_nothing_leave_no_trace(flag):
         np.concatenate([points, higher]),
         flags=np.repeat([0, int(flag)], len(points)),
     )
-    expected = surfaces(table_of(points), CELL, SETTINGS)
-    for name, raster in surfaces(both, CELL, SETTINGS).items():
+    expected = surfaces(table_of(points), CELL, SETTINGS, 0.05)
+    for name, raster in surfaces(both, CELL, SETTINGS, 0.05).items():
         np.testing.assert_array_equal(raster, expected[name])
 
 
@@ -275,9 +277,9 @@ def test_order_and_points_beyond_the_margin_do_not_matter(seed):
         table["x"], table["y"], Bounds(west - reach, south - reach, east + reach, north + reach)
     )
     assert near.sum() < len(table)
-    expected = surfaces(table, CELL, SETTINGS)
+    expected = surfaces(table, CELL, SETTINGS, 0.05)
     other = table.take(rng.permutation(np.flatnonzero(near)))
-    for name, raster in surfaces(other, CELL, SETTINGS).items():
+    for name, raster in surfaces(other, CELL, SETTINGS, 0.05).items():
         np.testing.assert_array_equal(raster, expected[name])
 
 
@@ -292,8 +294,8 @@ def test_a_shift_by_whole_cells_moves_the_rasters_exactly(east, north):
         CELL.xmax + east * 1000,
         CELL.ymax + north * 1000,
     )
-    expected = surfaces(table, CELL, SETTINGS)
-    for name, raster in surfaces(moved, there, SETTINGS).items():
+    expected = surfaces(table, CELL, SETTINGS, 0.05)
+    for name, raster in surfaces(moved, there, SETTINGS, 0.05).items():
         np.testing.assert_array_equal(raster, expected[name])
 
 
@@ -307,7 +309,7 @@ def test_a_shift_by_whole_cells_moves_the_rasters_exactly(east, north):
     ],
 )
 def test_few_or_degenerate_points(xyz):
-    rasters = surfaces(table_of(xyz, ground=1), CELL, SETTINGS)
+    rasters = surfaces(table_of(xyz, ground=1), CELL, SETTINGS, 0.05)
     assert all(np.isfinite(r).all() for r in rasters.values())
     assert rasters["density"][rasters["density"] != NODATA].sum() == len(xyz)
     known = rasters["dtm"] != NODATA
@@ -318,7 +320,7 @@ def test_few_or_degenerate_points(xyz):
 
 def test_a_cell_off_the_raster_grid_is_refused():
     with pytest.raises(ValueError, match="not aligned"):
-        surfaces(table_of([]), Bounds(0, 0, 1500, 2000), SETTINGS)
+        surfaces(table_of([]), Bounds(0, 0, 1500, 2000), SETTINGS, 0.05)
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def test_voids_across_ground_cells_are_told_once_and_whole(tmp_path: Path) -> No
         **LINEAR,
         survey={"channel_dimension": None},
         ground={"cell_m": 40, "buffer_m": 20},
-        products={"void_max_m": 6.0, "cell_m": 0.5, "maps": True},
+        products={"void_max_m": 6.0, "cell_m": 0.5},
     )
     result = surveys.run(workflow)
     assert result.exit_status == 0
@@ -72,10 +72,6 @@ def test_voids_across_ground_cells_are_told_once_and_whole(tmp_path: Path) -> No
     near = (east + 30, east + 50, north + 30, north + 50)
     by_hand = in_voids(xy, near, 0.71)
     assert 60 < by_hand < 90
-    with rasterio.open(result.output / "voids.tif") as source:
-        window = source.window(near[0], near[2], near[1], near[3])
-        cells = source.read(1, window=window)
-    assert np.count_nonzero(cells >= 2.839) * 0.25 == pytest.approx(by_hand, abs=5.0)
 
     # the wide one is told once, with the area that the delivered raster has
     with rasterio.open(result.output / "dtm.tif") as source:

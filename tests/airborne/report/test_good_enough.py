@@ -15,24 +15,21 @@ from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointS
 from spl_batch.airborne.settings.requirements import RequirementSettings
 
 
-def pair(first: str, second: str, patches: int, rmsd: float | None, largest: float) -> StripPair:
+def pair(first: str, second: str, patches: int, rmsd: float | None) -> StripPair:
     return StripPair(
         first=first, second=second, patches=patches, area_m2=1.0, centre_m=(0.0, 0.0), up_m=0.0,
         up_sd_m=0.01, flat_patches=patches, rmsd_z_m=rmsd, noise_m=0.02,
-        largest_m=largest, largest_sd_m=largest / 10, largest_at_m=(12.4, 34.0),
     )  # fmt: skip
 
 
 def test_pairs_count_by_their_places() -> None:
-    pairs = [pair("1", "2", 10, 0.03, 0.2), pair("2", "3", 30, 0.05, 0.1)]
-    found = _swaths([*pairs, pair("1", "3", 0, None, 9.0)])
+    pairs = [pair("1", "2", 10, 0.03), pair("2", "3", 30, 0.05)]
+    found = _swaths([*pairs, pair("1", "3", 0, None)])
     assert found is not None
     squares = 10 * 0.03**2 + 30 * 0.05**2
     assert found.rmsd_m == pytest.approx(math.sqrt(squares / 40))
-    assert (found.largest_m, found.largest_sd_m) == (0.2, pytest.approx(0.02))
-    assert found.where == "1 and 2 at 12 E, 34 N"
     assert (found.pairs, found.places) == (2, 40)
-    assert _swaths([pair("1", "3", 0, None, 0.3)]) is None
+    assert _swaths([pair("1", "3", 0, None)]) is None
 
 
 def test_a_file_in_week_time_among_adjusted_ones_shows() -> None:

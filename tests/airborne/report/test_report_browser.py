@@ -4,10 +4,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from spl_batch.airborne.report.clip_view import Clip
 from spl_batch.airborne.report.pictures import PictureInputs, make_pictures
 from spl_batch.airborne.report.survey_page import render
 from tests.browser import Page, browser, needs_chromium
@@ -32,17 +30,6 @@ RESTING = """new Promise(done => {
 })"""
 """Where an element has scrolled to, once it stands still."""
 
-WEBGL = ("--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader")
-
-
-def make_clip() -> Clip:
-    """Ground, and background noise above it."""
-    rng = np.random.default_rng(5)
-    xyz = rng.uniform(0, (100, 100, 40), (4000, 3))
-    kind = np.repeat(np.array([0, 2], np.uint8), 2000)
-    xyz[kind == 0, 2] = 5.0
-    return Clip(xyz, kind, (500_000.0, 3_300_000.0), 4000)
-
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -53,13 +40,13 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     report = make_report(failures=(failed,))
     made = tmp_path_factory.mktemp("page") / "report.html"
-    made.write_text(render(report, make_pictures(part, report), make_clip()), encoding="utf-8")
+    made.write_text(render(report, make_pictures(part, report)), encoding="utf-8")
     return made
 
 
 @pytest.fixture(scope="module")
 def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with browser(tmp_path_factory.mktemp("profile"), *WEBGL) as opened:
+    with browser(tmp_path_factory.mktemp("profile")) as opened:
         yield opened
 
 
@@ -98,59 +85,6 @@ def test_keys_choose_a_map_and_its_size(page: Page) -> None:
     assert width(page, "#map figure.wide img") < 1100, "the profile has a size of its own"
 
 
-DRAWN = """new Promise(done => {
-  let frames = 0;
-  const look = () => {
-    const drawn = document.querySelector('#clip canvas'), flat = document.createElement('canvas');
-    [flat.width, flat.height] = [drawn.width || 1, drawn.height || 1];
-    const pen = flat.getContext('2d');
-    if (drawn.width && drawn.height) pen.drawImage(drawn, 0, 0);
-    const data = pen.getImageData(0, 0, flat.width, flat.height).data;
-    const count = (r, g, b) => {
-      let n = 0;
-      for (let i = 0; i < data.length; i += 4)
-        n += data[i + 3] == 255 && data[i] == r && data[i + 1] == g && data[i + 2] == b;
-      return n;
-    };
-    const found = [count(0xa5, 0x79, 0x3f), count(0xe0, 0x7b, 0x54)];
-    // A busy machine takes more than two frames to lay out and to draw.
-    if (++frames > 2 && (found[0] > 0 || frames > 300)) done(found);
-    else requestAnimationFrame(look);
-  };
-  requestAnimationFrame(look);
-})"""
-"""Pixels of ground and of background noise."""
-
-
-def test_points_are_turned_and_noise_is_hidden_by_keys(page: Page) -> None:
-    still = "document.querySelector('#clip img').checkVisibility()"
-    form = "document.querySelector('#clip form').checkVisibility()"
-    assert page.ask(still)
-    assert not page.ask(form), "nothing begins before a reader asks"
-    page.ask("document.querySelector('#clip .start').focus()")
-    page.press("Space")
-    assert page.ask("document.activeElement.tagName") == "CANVAS"
-    assert page.ask(f"[{still}, {form}]") == [False, True]
-    ground, noise = page.ask(DRAWN)
-    assert min(ground, noise) > 500
-    page.press("ArrowRight", times=5)
-    assert page.ask(DRAWN) != [ground, noise]
-    page.ask("document.querySelector('#clip [name=kind][value=\"2\"]').focus()")
-    page.press("Space")
-    assert page.ask(DRAWN)[1] == 0
-    assert page.ask(DRAWN)[0] >= 500
-    assert page.ask("document.querySelector('#clip canvas').dataset.error") == "0"
-    page.media("print")
-    assert page.ask(f"[{still}, {form}]") == [True, False]
-
-
-def test_without_webgl_the_still_picture_stays(path: Path, tmp_path: Path) -> None:
-    with browser(tmp_path, "--disable-3d-apis") as page:
-        page.open(path)
-        assert page.ask("document.querySelector('#clip img').checkVisibility()")
-        assert not page.ask("document.querySelector('#clip .start').checkVisibility()")
-
-
 def told(page: Page) -> list[tuple[str, str, str]]:
     """Role, name and description of all that a screen reader stops at, in its order."""
     return [
@@ -164,7 +98,6 @@ CONTROLS = {"application", "button", "checkbox", "figure", "form", "heading", "i
 
 
 def test_every_control_has_a_name(page: Page) -> None:
-    page.ask("document.querySelector('#clip .start').click()")
     named = [(role, name) for role, name, _ in told(page) if role in CONTROLS]
     assert len(named) > 50
     assert [pair for pair in named if not pair[1]] == []
@@ -177,7 +110,7 @@ def test_every_control_has_a_name(page: Page) -> None:
     assert stops == 0
 
 
-def test_it_runs_no_other_script_and_asks_for_nothing(page: Page, path: Path) -> None:
+def test_it_runs_no_script_and_asks_for_nothing(page: Page, path: Path) -> None:
     asked = [said for said in page.said if not said.startswith("data:image/png;base64,")]
     assert asked == [path.as_uri()]
     page.ask(
@@ -200,8 +133,6 @@ def test_a_print_shows_every_map_and_no_buttons(page: Page) -> None:
 def test_it_fits_a_telephone(page: Page, path: Path) -> None:
     page.open(path, width=390, height=800)
     assert page.ask("document.documentElement.scrollWidth") <= 390
-    high = page.ask("document.querySelector('#clip .stage').getBoundingClientRect().height")
-    assert high > 0.7 * width(page, "#clip .stage"), "points are no narrow strip"
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -13,13 +13,13 @@ from PIL import Image
 
 from spl_batch.airborne.report.model import Counts, Report, Survey
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
-from spl_batch.airborne.report.survey_files import write_report
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report import maps, style
 from spl_batch.engine.report.parts import Performance
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.reported import reported
+from spl_batch.engine.report.write import write_both
 from spl_batch.errors import StoppedError
 from tests.report_data import (
     EXTENT,
@@ -174,13 +174,13 @@ def smallest_report() -> Report:
 class TestWrite:
     def test_both_files_are_there_and_nothing_else(self, tmp_path: Path) -> None:
         out = tmp_path / "a" / "b"
-        write_report(out, make_report(), {})
+        write_both(out, make_report(), render(make_report(), {}))
         assert sorted(p.name for p in out.iterdir()) == ["report.html", "report.json"]
 
     def test_a_failed_write_keeps_the_earlier_report(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        write_report(tmp_path, make_report(), {})
+        write_both(tmp_path, make_report(), render(make_report(), {}))
         before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
 
         def full(_: int) -> None:
@@ -188,7 +188,7 @@ class TestWrite:
 
         monkeypatch.setattr("os.fsync", full)
         with pytest.raises(StoppedError, match="disk full"):
-            write_report(tmp_path, make_report(findings=()), {})
+            write_both(tmp_path, make_report(findings=()), "other")
         assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 

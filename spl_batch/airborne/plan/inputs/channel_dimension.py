@@ -22,6 +22,16 @@ UNEVEN: Final = 5.0
 """A beamlet has at most so many times the mean number of returns; intensities are less even."""
 
 
+FEW_CHANNELS: Final = 10
+"""A dimension that holds less than this part of the beamlets' numbers holds something else."""
+
+
+def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
+    """Whether a dimension has too few different values to be that of the beamlets."""
+    enough = points >= POINTS_A_BEAMLET * sensor.beamlets and sensor.beamlets > FEW_CHANNELS
+    return enough and FEW_CHANNELS * channels <= sensor.beamlets
+
+
 def are_beamlets(numbers: Numbers, sensor: Sensor) -> bool:
     """Whether a dimension holds the numbers of all beamlets, counted from 0 or from 1."""
     beamlets = sensor.beamlets

@@ -76,26 +76,14 @@ def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[Finding]:
         return
     boxes = np.array([(*facts.mins_m[:2], *facts.maxs_m[:2]) for _, facts in held])
     points = np.array([facts.n_points for _, facts in held], np.float64)
-    wide = too_wide([facts for _, facts in held])
     length_m = _sides(boxes).max(axis=1)
+    astray = np.flatnonzero(_too_wide(boxes, points)).tolist()
+    wide = sorted(astray, key=lambda k: -float(length_m[k]))
     for k in wide:
         values = {"kind": "wide", "points": int(points[k]), "km": float(length_m[k] / 1000)}
         yield Finding("I05", values, held[k][0], badness=float(length_m[k]))
     rest = [k for k in range(len(held)) if k not in set(wide)]
     yield from _distant([held[k][0] for k in rest], boxes[rest], points[rest])
-
-
-def too_wide(files: Sequence[LasFacts]) -> list[int]:
-    """Places of the files so large for their points that some must lie astray, widest first.
-
-    ``files``: headers of a survey; each holds points.
-    """
-    if not files:
-        return []
-    boxes = np.array([(*facts.mins_m[:2], *facts.maxs_m[:2]) for facts in files])
-    wide = _too_wide(boxes, np.array([facts.n_points for facts in files], np.float64))
-    length_m = _sides(boxes).max(axis=1)
-    return sorted(np.flatnonzero(wide).tolist(), key=lambda k: -float(length_m[k]))
 
 
 def _too_wide(boxes: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.bool_]:

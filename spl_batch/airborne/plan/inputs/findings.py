@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from spl_batch.airborne.beams.geometry import ELSEWHERE_M, Ahead
+from spl_batch.airborne.findings import CODES
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
-from spl_batch.airborne.plan.inputs.channel_dimension import unnamed_channels
-from spl_batch.airborne.plan.inputs.first_look import holds_few, in_files, no_use, too_few
+from spl_batch.airborne.plan.inputs.channel_dimension import holds_few, unnamed_channels
 from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.task import Receipt
@@ -32,7 +32,11 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[Finding
         raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
     unused = [r for r in usable.values() if r.points and r.facts["excluded"] == r.points]
     if sum(r.points for r in unused) == sum(r.points for r in usable.values()):
-        raise WorkflowError(no_use([str(r.facts["name"]) for r in unused]))
+        names = named(sorted(str(r.facts["name"]) for r in unused))
+        fault = CODES["I01"].sentence("withheld")
+        raise WorkflowError(
+            f"{names}: {fault}; clear the flag or the class of those that are valid"
+        )
     yield from (Finding("I01", {"kind": "withheld"}, str(r.facts["name"])) for r in unused)
     _check_channels(survey)
     yield from channels_not_named(survey)
@@ -74,9 +78,12 @@ def _check_channels(survey: Survey) -> None:
         seen |= int(receipt.facts["channels_seen"], 16)
     if not holds_few(seen.bit_count(), points, sensor):
         return
-    files = [str(r.facts["name"]) for r in indexed]
+    values = ", ".join(str(k) for k in range(256) if seen >> k & 1)
+    files = named([str(r.facts["name"]) for r in indexed], 3)
     raise WorkflowError(
-        too_few((k for k in range(256) if seen >> k & 1), in_files(points, files), survey.workflow)
+        f"survey.channel_dimension: {name} holds only {values} in {grouped(points)} points "
+        f"({files}), and {sensor.name} has {sensor.beamlets} beamlets; name the dimension that "
+        "holds their numbers, or leave the key out: a shot is one beamlet then"
     )
 
 

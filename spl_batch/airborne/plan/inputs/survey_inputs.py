@@ -32,7 +32,15 @@ from spl_batch.engine.plan.input_files import (
     source_key,
 )
 from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.errors import InputError, WorkflowError, as_input_fault, grouped, named, shared
+from spl_batch.errors import (
+    InputError,
+    WorkflowError,
+    as_input_fault,
+    grouped,
+    named,
+    shared,
+    told_together,
+)
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.crs import with_vertical
 from spl_batch.formats.files.atomic import checksum
@@ -41,6 +49,7 @@ from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc_copy import copc_fault
 from spl_batch.formats.las.reader import LasFacts, inspect
 from spl_batch.formats.polygons import check_polygons
+from spl_batch.formats.trajectory.ends import ends
 
 NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
 """What is wrong with a file where no other has points."""
@@ -123,7 +132,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
     _refuse_no_copc(workflow, good, base)
-    warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart]
+    untimed = _without_time(workflow, good, base) + _no_trajectory(trajectory, base)
+    warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart, *untimed]
     warnings += [
         Finding("I01", {"kind": "header", "what": text}, name_below(facts.path, base))
         for facts in good
@@ -220,6 +230,40 @@ def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -
     faults = list(shared(said))
     if faults:
         raise WorkflowError("outputs.copc: " + "; ".join(faults))
+
+
+def _no_trajectory(paths: Sequence[Path], base: Path) -> list[Finding]:
+    """Files of the trajectory that are none, by their first and last records."""
+    faults: list[InputError] = []
+    for path in paths:
+        try:
+            ends(path)
+        except InputError as fault:
+            faults.append(fault)
+    if faults and len(faults) == len(paths):
+        raise WorkflowError(f"survey.trajectory: {'; '.join(told_together(faults))}")
+    return [
+        Finding("T02", {"kind": "file", "what": str(one)}, name_below(Path(one.path), base))
+        for one in faults
+    ]
+
+
+def _without_time(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> list[Finding]:
+    """Files whose point format has no gps_time although the chain needs it."""
+    lacking = [facts for facts in files if not facts.has_gps_time]
+    if not lacking or (workflow.filter.method == "none" and not workflow.afterpulse.enabled):
+        return []
+    if len(lacking) == len(files):
+        raise WorkflowError(
+            f"{named([name_below(facts.path, base) for facts in files], 3)}: the point format has "
+            "no gps_time, so there are no shots to filter by; write point format 1, 3 or 6 to 10 "
+            "with times, or set filter.method: none and afterpulse.enabled: false for ground and "
+            "surfaces"
+        )
+    return [
+        Finding("I02", {"kind": "format", "format": one.point_format}, name_below(one.path, base))
+        for one in lacking
+    ]
 
 
 def _geoid_checksum(workflow: Workflow, base: Path) -> tuple[tuple[str, str], ...]:

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.classes import point_classes
 from spl_batch.airborne.classes.buildings import REACH_M, Floor, buildings
-from spl_batch.airborne.classes.overlap import overlapping
 from spl_batch.airborne.diagnostics import air_fill
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.raster_grid import cell_number, shape_of
+from spl_batch.airborne.pulses.swaths import Swaths
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.cells import Cell
@@ -42,9 +42,7 @@ def columns(workflow: Workflow) -> tuple[str, ...]:
     return (*point_classes.COLUMNS_NEEDED, *wires, "noise_density")
 
 
-def classes(
-    cell: Cell, arrays: Rasters, lines: NDArray[np.int64] | None
-) -> tuple[Path, dict[str, Any], int]:
+def classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[str, Any], int]:
     """Write the classes of what a cell owns, and look at its noise.
 
     Parameters
@@ -53,9 +51,8 @@ def classes(
         The ground cell.
     arrays : dict of str to (rows, cols) float32
         Its rasters; ``dtm`` is looked at, ``noise`` is added.
-    lines : (2, k) int64, optional
-        Flightlines by square (:func:`~spl_batch.airborne.classes.overlap.lines_by_square`), where
-        overlap is flagged.
+    swaths : Swaths
+        Which flightlines cover which squares, where overlap is flagged.
 
     Returns
     -------
@@ -79,7 +76,7 @@ def classes(
     classification = point_classes.classify(mine, cell.core, dtm, further)
     labels = {"classification": classification}
     if workflow.classes.flags:
-        labels["set_flags"] = _flags(mine, classification, workflow.classes, lines)
+        labels["set_flags"] = _flags(mine, classification, workflow.classes, swaths)
     facts, noise_m3 = {}, _median(arrays["noise"])
     if noise_m3 is not None:
         highest = air_fill.highest_ground(dtm)
@@ -123,13 +120,13 @@ def _flags(
     table: PointTable,
     classification: NDArray[np.uint8],
     asked: ClassSettings,
-    lines: NDArray[np.int64] | None,
+    swaths: Swaths,
 ) -> NDArray[np.uint8]:
     """Flags that are set: withheld noise, overlap."""
     flags = np.zeros(len(table), np.uint8)
     if asked.withheld:
         noise = np.isin(classification, (CLASS_LOW_NOISE, CLASS_HIGH_NOISE))
         flags[noise] |= FLAG_WITHHELD
-    if lines is not None:
-        flags[overlapping(lines, table["x"], table["y"])] |= FLAG_OVERLAP
+    if asked.overlap:
+        flags[swaths.overlapping(table["x"], table["y"])] |= FLAG_OVERLAP
     return flags

@@ -1,4 +1,7 @@
-"""Ground cells: squares of an absolute grid, of which those at a survey's edge own a strip more.
+"""Cells: squares of an absolute grid, what each owns and what it reads around it.
+
+``denoise`` takes k x k tiles, one k for the survey; the steps after it take ``ground.cell_m``.
+Ground cells at a survey's edge own a strip more.
 
 A TIN is known where its surroundings are, so each square is read with a buffer. Where a survey
 enters a column or a row of squares by no more than that buffer, the next one reads all of it
@@ -8,12 +11,21 @@ What the survey reaches follows from the bounding boxes of its files, so that ti
 as they like.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple, Self
 
-from spl_batch.airborne.plan.cells import Unit, unit_of
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, quanta
+from spl_batch.lattice.tiles import (
+    Bounds,
+    CellId,
+    cell_bounds,
+    cells_touching,
+    grow,
+    overlap,
+    quanta,
+    shared,
+)
 
 MOST_ACROSS: Final = 500
 """Raster cells along a square up to which strips are joined [count]: rasters of a joined cell are
@@ -26,8 +38,19 @@ def strip_q(workflow: Workflow) -> int:
     return quanta(workflow.ground.buffer_m) if across <= MOST_ACROSS else 0
 
 
-class GroundCells(NamedTuple):
-    """Ground cells of a survey."""
+class Unit(NamedTuple):
+    """A cell that owns points."""
+
+    name: str
+    cell: CellId  #: Its column and row.
+    core: Bounds  #: What it owns [quanta].
+    tiles: tuple[CellId, ...]  #: Tiles with points in its core or margin.
+    points: int  #: Points in those tiles that overlap its core [count].
+    held: int  #: Points in its core and margin, as if they spread evenly over each tile [count].
+
+
+class Grid(NamedTuple):
+    """Cells of a survey."""
 
     edge: int  #: Edge of a square [quanta].
     #: First and last column and row of squares that are cells by themselves.
@@ -59,6 +82,12 @@ class GroundCells(NamedTuple):
         """Cells of a survey, as its workflow says; see :meth:`of_boxes`."""
         return cls.of_boxes(boxes, quanta(workflow.ground.cell_m), strip_q(workflow))
 
+    @classmethod
+    def plain(cls, edge: int) -> Self:
+        """Squares that are cells by themselves, wherever the survey lies."""
+        far = 2**62
+        return cls(edge, CellId(-far, -far), CellId(far, far), Bounds(0, 0, 0, 0))
+
     def keeper(self, square: CellId) -> CellId:
         """Cell that owns a square of the grid."""
         return CellId(
@@ -83,7 +112,7 @@ class GroundCells(NamedTuple):
         """Cells that may own points of a tile, with what they read; in their order."""
         touched = {cell for tile in counts for cell in self._of_tile(tile, tile_q)}
         for cell in sorted(touched):
-            yield unit_of(cell, self.core(cell), counts, tile_q, margin)
+            yield _unit(cell, self.core(cell), counts, tile_q, margin)
 
     def owners(self, tiles: Iterable[CellId], tile_q: int) -> dict[CellId, list[str]]:
         """Cells that may hold labels of each tile, by tile."""
@@ -93,6 +122,31 @@ class GroundCells(NamedTuple):
         """Cells that own points of a tile, or could, each once."""
         squares = cells_touching(cell_bounds(tile, tile_q), self.edge)
         return dict.fromkeys(map(self.keeper, squares))
+
+
+def _unit(
+    cell: CellId, core: Bounds, counts: Mapping[CellId, int], tile_q: int, margin: int
+) -> Unit:
+    """A cell that owns a core, with what it reads; parameters as of :meth:`Grid.units`."""
+    reach = grow(core, margin)
+    near = _occupied(counts, reach, tile_q)
+    owned = held = 0.0
+    for tile in near:
+        bounds = cell_bounds(tile, tile_q)
+        held += counts[tile] * shared(bounds, reach).area_m2 / bounds.area_m2
+        owned += counts[tile] if overlap(bounds, core) else 0
+    # shares of tiles add up to whole points, but for the last bit of a sum
+    return Unit(str(cell), cell, core, tuple(near), int(owned), math.ceil(round(held, 6)))
+
+
+def _occupied(counts: Mapping[CellId, int], region: Bounds, tile_q: int) -> list[CellId]:
+    """Tiles with points that share area with a region, row by row."""
+    columns = -(-region.xmax // tile_q) - region.xmin // tile_q
+    rows = -(-region.ymax // tile_q) - region.ymin // tile_q
+    if columns * rows <= len(counts):
+        return [t for t in cells_touching(region, tile_q) if t in counts]
+    found = (t for t in counts if overlap(cell_bounds(t, tile_q), region))
+    return sorted(found, key=lambda t: (t.j, t.i))
 
 
 def _axis(first: int, past: int, edge: int, strip: int) -> tuple[int, int, int, int]:

@@ -1,0 +1,179 @@
+"""What a plan refuses by headers, and a run once its files are read; both ends of files."""
+
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from spl_batch import api
+from spl_batch.errors import InputError, WorkflowError
+from spl_batch.formats.las.chunks import RecordReader, read_chunk_table
+from spl_batch.formats.las.header import read_header
+from spl_batch.formats.las.reader import iter_points, read_ends
+from spl_batch.formats.trajectory.ends import ends
+from spl_batch.formats.trajectory.sbet import SBET_RECORD
+from tests import surveys
+
+DAY_S = 86_400.0
+
+
+@pytest.fixture
+def survey(tmp_path: Path) -> Path:
+    surveys.write_trajectory(tmp_path / "trajectory.csv")
+    return surveys.small_survey(tmp_path)
+
+
+def test_a_survey_that_is_well_is_told_nothing(survey: Path) -> None:
+    plan = api.plan(survey)
+    assert plan.faults == ()
+    assert not [one for one in plan.findings if one.severity != "note"]
+
+
+def refused(survey: Path, *, planned: bool) -> str:
+    """Why a run does not go on; by headers alone a plan refuses it as well."""
+    with pytest.raises(WorkflowError) as stopped:
+        surveys.run(survey)
+    if planned:
+        with pytest.raises(WorkflowError) as seen:
+            api.plan(survey)
+        assert str(seen.value) == str(stopped.value)
+    else:
+        api.plan(survey)
+    return str(stopped.value)
+
+
+@pytest.mark.parametrize(
+    ("dimension", "spoilt", "fault", "planned"),
+    [
+        ("user_data", 0, "survey.channel_dimension: user_data holds only 0 in ", False),
+        ("beamlets", 1, "survey.channel_dimension: no dimension 'beamlets' in ", True),
+        ("intensity", 300, "dimension 'intensity' is 300 at point 0", False),
+        ("gps_time", 7.0, "lines/line_1.laz, lines/line_2.laz: no point has a usable", False),
+        ("withheld", 1, "lines/line_1.laz, lines/line_2.laz: every point is withheld", False),
+        ("x", None, "the file holds no points; name files that hold some", True),
+    ],
+)
+def test_inputs_of_no_use_are_refused(
+    survey: Path, dimension: str, spoilt: float | None, fault: str, *, planned: bool
+) -> None:
+    named = dimension if dimension in {"user_data", "beamlets", "intensity"} else "channel"
+    surveys.write_workflow(survey.parent, survey={"channel_dimension": named})
+    for k in (1, 2):
+        columns = surveys.flightline(shots=120, psid=k, start_s=surveys.START_S + 3 * (k - 1))
+        if spoilt is None:
+            columns = surveys.take(columns, slice(0, 0))
+        else:
+            columns[dimension] = np.full(len(columns["x"]), spoilt)
+        surveys.write_cloud(survey.parent / "lines" / f"line_{k}.laz", columns)
+    assert fault in refused(survey, planned=planned)
+
+
+def test_a_trajectory_of_another_day_is_refused(survey: Path) -> None:
+    start = surveys.START_S + DAY_S
+    surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 10)
+    assert refused(survey, planned=False).startswith("survey.trajectory: ")
+
+
+def test_seconds_of_the_week_are_no_other_day(survey: Path) -> None:
+    start = (surveys.START_S + 1e9 - 1) % 604_800
+    path, back_m = survey.parent / "trajectory.csv", surveys.SPEED_M_S * (surveys.START_S - start)
+    surveys.write_trajectory(path, start_s=start, stop_s=start + 11, shift_m=back_m)
+    line = surveys.flightline(shots=120, psid=2, start_s=surveys.START_S + 3, seed=2)
+    line["gps_time"][77] += 8 * DAY_S  # one wrong time leaves no week open
+    surveys.write_cloud(survey.parent / "lines" / "line_2.laz", line)
+    assert surveys.run(survey, until="shots").exit_status == 0
+
+
+def test_a_trajectory_without_its_columns_is_refused(survey: Path) -> None:
+    path = survey.parent / "trajectory.csv"
+    path.write_text("time,x,y,z\n1,2,3,4\n")
+    assert "has no column gps_time" in refused(survey, planned=True)
+    surveys.write_trajectory(survey.parent / "other.csv")
+    found = api.plan(survey, overrides=["survey.trajectory=[trajectory.csv, other.csv]"]).findings
+    (one,) = surveys.found(found, "T02", "file")
+    assert one.subject == "trajectory.csv"
+
+
+def test_files_without_times_are_found_by_their_headers(survey: Path) -> None:
+    line = surveys.flightline(shots=120, psid=2)
+    lines = survey.parent / "lines"
+    surveys.write_cloud(lines / "line_2.laz", line, version="1.2", point_format=0)
+    plan = api.plan(survey)
+    assert plan.faults == ()
+    (one,) = surveys.found(plan.findings, "I02", "format")
+    assert one.subject == "lines/line_2.laz"
+    surveys.write_cloud(lines / "line_1.laz", line, version="1.2", point_format=0)
+    assert "lines/line_1.laz, lines/line_2.laz: the point format" in refused(survey, planned=True)
+    settings = ["filter.method=none", "afterpulse.enabled=false"]
+    assert api.plan(survey, overrides=settings).faults == ()
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize("n", [0, 30, 120_000])
+def test_both_ends_of_a_file_are_looked_at(tmp_path: Path, suffix: str, n: int) -> None:
+    line = surveys.flightline(shots=2)
+    rows = np.arange(n) % len(line["x"])
+    columns = surveys.take(line, rows)
+    columns["gps_time"] = np.arange(n, dtype=np.float64)
+    columns["user_data"] = (np.arange(n) % 200).astype(np.uint8)
+    path = surveys.write_cloud(tmp_path / f"cloud.{suffix}", columns)
+    found = read_ends(path, "user_data", 20)
+    assert np.array_equal(found.channel, found.gps_time.astype(np.int64) % 200)
+    assert np.array_equal(found.gps_time, np.unique(found.gps_time)), "no point comes twice"
+    if n:
+        assert found.gps_time[0] == 0
+    if n == 120_000:
+        last = 119_980 if suffix == "las" else 100_000  # where the last LAZ chunk starts
+        assert found.gps_time[20:].tolist() == list(range(last, last + 20))
+        lost = b"x" * 400 if suffix == "laz" else bytes(400)
+        header = read_header(path)
+        with RecordReader(header) as reader, path.open("r+b") as file:
+            size = reader.layout.dtype.itemsize
+            if suffix == "las":
+                file.seek(header.points_start + 40_000 * size)
+            else:  # behind the first point of the second chunk
+                file.seek(int(read_chunk_table(header, file).bytes[1]) + size)
+            file.write(lost)
+        found = read_ends(path, "user_data", 20)
+        assert len(found.gps_time) == 40, "with few points no chunk between the ends is looked at"
+        with pytest.raises(InputError) as whole:
+            deque(iter_points(path, channel_dimension="user_data", source=1), maxlen=0)
+        with pytest.raises(InputError) as seen:
+            read_ends(path, "user_data", 300)
+        assert str(seen.value) == str(whole.value), "plan and run say the same"
+
+
+@pytest.mark.parametrize("records", [1, 9000])
+def test_ends_of_trajectories(tmp_path: Path, records: int) -> None:
+    time = 1000.0 + np.arange(records) / 4
+    expected = (float(time[0]), float(time[-1]))
+    rows = np.column_stack([time, *np.zeros((3, records))])
+    path = tmp_path / "t.csv"
+    np.savetxt(path, rows, "%.4f", delimiter=";", header="GPS_Time;x;y;z")
+    assert ends(path) == expected
+    path = tmp_path / "t.parquet"
+    table = pa.table(dict(zip(("gps_time", "x", "y", "z"), rows.T, strict=True)))
+    pq.write_table(table, path, row_group_size=1000)
+    assert ends(path) == expected
+    path = tmp_path / "t.sbet"
+    sbet = np.zeros(records, SBET_RECORD)
+    sbet["time"] = time
+    sbet.tofile(path)
+    assert ends(path) == expected
+
+
+def test_ends_that_do_not_tell(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("gps_time,x,y,z\n")
+    assert ends(path) is None
+    path.write_text("gps_time,x,y,z\n1,2,3,4\n\nend\n")
+    assert ends(path) is None
+    path.write_text("gps_time,x,y,z\n5,2,3,4\n1,2,3,4\n7,2,3,4\n6,2,3,4\n")
+    assert ends(path) is None, "rows in no order may go on anywhere"
+    (tmp_path / "t.sbet").write_bytes(b"short")
+    assert ends(tmp_path / "t.sbet") is None
+    with pytest.raises(InputError, match="no such file"):
+        ends(tmp_path / "none.csv")
