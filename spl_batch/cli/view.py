@@ -98,7 +98,7 @@ class View:
                 now=True,
             )
             return
-        if event.reason and not (event.stops or event.mends):
+        if event.reason and event.code != "F03":  # that is made again, or named at the end
             called = event.called or f"{event.kind} {event.name}"
             self._console.say(f"failed: {called}: {event.reason}", "red")
         self._line(f"{event.stage}: {stage.total - stage.left}/{stage.total}{_pace(stage)}")

@@ -188,24 +188,10 @@ def test_a_pickle_in_an_input_is_never_unpickled(
     assert not mark.exists()
 
 
-# Links
-
-
 @pytest.fixture
 def survey(tmp_path: Path) -> Path:
     surveys.write_cloud(tmp_path / "s/lines/1.laz", surveys.flightline(shots=10))
     return surveys.write_workflow(tmp_path / "s")
-
-
-def test_a_link_within_the_output_or_to_a_faster_disk_is_none(survey: Path, tmp_path: Path) -> None:
-    output = survey.parent / "out"
-    (output / "here").mkdir(parents=True)
-    (output / "laz").symlink_to(output / "here")
-    (tmp_path / "scratch").mkdir()
-    (output / "store").symlink_to(tmp_path / "scratch")
-    ended = surveys.command("run", survey, "--workers", 0, "--until", "index")
-    assert ended.status == 0, ended.text
-    assert (tmp_path / "scratch/receipts").is_dir()
 
 
 def test_a_link_in_place_of_a_file_is_replaced_and_not_followed(tmp_path: Path) -> None:

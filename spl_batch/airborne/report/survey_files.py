@@ -9,7 +9,7 @@ from spl_batch.airborne.report.model import Report
 if TYPE_CHECKING:  # matplotlib is loaded only where one draws
     from spl_batch.airborne.report.clip_view import Clip
     from spl_batch.engine.report.picture import Picture
-from spl_batch.engine.report.write import write_both
+from spl_batch.engine.report.page import write_both
 
 
 def write_report(

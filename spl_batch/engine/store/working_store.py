@@ -7,10 +7,8 @@ What receivers put there is described in ``docs/formats.md``. ::
 Always on the file system, wherever the store lies::
 
     store/lock                         held by the run at work
-    store/identity.json                the same id as STORE/output.json of a store elsewhere
     store/run.json                     what the report is written from
     store/rest.json                    the state of a finished run
-    store/tracebacks/KIND_NAME.txt     where a task that was done alone has failed
 """
 
 import dataclasses
@@ -25,9 +23,6 @@ from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import DamagedError, StoppedError, reason_of
 from spl_batch.formats.files.atomic import names_in, read_bytes, remove, sync_folder, write_bytes
 from spl_batch.formats.files.remote import is_remote, remote_path
-
-IDENTITY: Final = "identity.json"
-"""Tells an output from others that might use the same store."""
 
 _DIGEST: Final = "blake2b"
 
@@ -88,7 +83,7 @@ class Store:
     def clear(self) -> None:
         """Forget everything that is finished; what was delivered stays known."""
         for path in self.local.iterdir():
-            if path.name not in {"lock", IDENTITY}:
+            if path.name != "lock":
                 remove(path)
         if self.url:
             remove(self.root)
@@ -152,14 +147,10 @@ def read_receipt(store: Store, kind: str, name: str) -> Receipt | None:
         return None
 
 
-def receipt_names(store: Store, kind: str) -> list[str]:
-    """Tasks of one kind that have left a receipt, by name."""
-    return [name.replace("~", "/") for name in names_in(store.path("receipts", kind), ".json")]
-
-
 def read_receipts(store: Store, kind: str) -> Iterator[Receipt]:
     """All receipts of one kind, by name."""
-    made = (read_receipt(store, kind, name) for name in receipt_names(store, kind))
+    names = names_in(store.path("receipts", kind), ".json")
+    made = (read_receipt(store, kind, name.replace("~", "/")) for name in names)
     return (receipt for receipt in made if receipt is not None)
 
 
