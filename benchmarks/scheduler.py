@@ -251,13 +251,13 @@ LETTERS = {
 
 
 def timeline(output: Path, columns: int) -> None:
-    """Print at which stage each worker of the latest run was, moment by moment."""
+    """Print at which stage each worker of the latest run with some was, moment by moment."""
     lines = (output / LOG).read_text(encoding="utf-8").splitlines()
     records = [json.loads(line) for line in lines]
     began: dict[tuple[str, str], tuple[str, float]] = {}
     spans: dict[str, list[tuple[float, float, str]]] = defaultdict(list)
     for record in records:
-        if record["event"] == "RunStarted":
+        if record["event"] == "WorkersReady":
             spans.clear()
         elif record["event"] == "TaskStarted":
             began[record["kind"], record["name"]] = record["worker"], seconds(record)

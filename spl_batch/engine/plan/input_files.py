@@ -6,10 +6,9 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePath
-from typing import Final
+from typing import Any, Final
 
 from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.engine.tasks.ledger import AnySource
 from spl_batch.errors import WorkflowError, named
 from spl_batch.formats.files.atomic import real_path
 
@@ -27,14 +26,14 @@ def refuse_own(paths: Sequence[Path], output: Path, key: str, faults: list[str])
         )
 
 
-def check_keys(sources: Iterable[AnySource]) -> None:
+def check_keys(sources: Iterable[Any]) -> None:
     """Refuse files of different names whose keys are the same."""
     names = {source.name: source.key for source in sources}
     if len(set(names.values())) < len(names):
         raise WorkflowError("two input files share a key by chance; rename one of them")
 
 
-def stem_names(sources: Sequence[AnySource]) -> dict[int, str]:
+def stem_names(sources: Sequence[Any]) -> dict[int, str]:
     """Names of each file's results, by key: its stem, with the key where two share it."""
     stems = Counter(Path(source.name).stem for source in sources)
     found = {}

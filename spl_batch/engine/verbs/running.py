@@ -34,6 +34,7 @@ COMPILING: Final = (
     "getting the kernels ready; the first run on a machine compiles them, which usually takes a "
     "minute or two, and later runs load them in seconds"
 )
+"""Note before tasks begin; workers count the kernels, tasks in this process compile as they go."""
 
 
 def run(
@@ -113,6 +114,8 @@ def run(
             _report_faults(prepared, look, progress)
             compiles = prepared.receiver.compiles
             warm_up = WarmUp(compiles, COMPILING) if compiles else None
+            if new and compiles and not workers and scheduler is None:
+                progress.note(COMPILING)
             result = rested(prepared, progress, start) if reports and not fresh else None
             if result is None:
                 remove(context.store.local / REST)

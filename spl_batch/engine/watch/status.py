@@ -6,7 +6,7 @@ read while it grows.
 
 import json
 import mmap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -149,7 +149,7 @@ class RunStatus:
         stage.latest_s = seconds(record)
         stage.began_s = stage.began_s or stage.latest_s
 
-    def _forget(self, names: Sequence[str], expected_s: Mapping[str, float]) -> None:
+    def _forget(self, names: Iterable[str], expected_s: Mapping[str, float]) -> None:
         """Forget what was done."""
         self.stages = {k: StageStatus(k, expected_s=expected_s.get(k, 0.0)) for k in names}
         self.kinds, self.running, self.failures = set(), {}, []
