@@ -167,17 +167,6 @@ def test_what_a_killed_upload_leaves_is_removed(
     assert list(tmp_path.iterdir()) == [young], "that may be about to be locked"
 
 
-def test_brackets_in_the_name_of_a_store_are_no_pattern() -> None:
-    ours, theirs = (remote.remote_path(f"memory://Block {n}") for n in ("[1]", "1"))
-    for place in (ours, theirs):
-        (place / "zones" / "0").write_bytes(place.name.encode())
-    remote.copy_object(ours / "zones", ours / "copy")
-    assert remote.read_object(ours / "copy" / "0") == b"Block [1]"
-    remote.remove_remote(ours)
-    assert not ours.exists()
-    assert remote.read_object(theirs / "zones" / "0") == b"Block 1"
-
-
 def test_a_store_that_is_not_there_stops_the_run(
     survey: Path, monkeypatch: pytest.MonkeyPatch, bucket: str
 ) -> None:

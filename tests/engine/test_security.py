@@ -25,7 +25,6 @@ import yaml
 from spl_batch.engine.flow import cluster
 from spl_batch.engine.flow.cluster import local_cluster
 from spl_batch.errors import DamagedError, InputError
-from spl_batch.formats.declared import BOMB_RATIO, SMALL_BYTES
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water.formats import inspect_frames, iter_frames
@@ -215,10 +214,3 @@ def test_a_run_without_workers_opens_no_port(survey: Path, monkeypatch: pytest.M
         monkeypatch.setattr(socket.socket, method, refuse)
     ended = surveys.command("run", survey, "--workers", 0, "--until", "index")
     assert ended.status == 0, ended.text
-
-
-def test_the_numbers_of_the_page_are_those_that_hold() -> None:
-    assert SMALL_BYTES == 512 << 20
-    text = " ".join(PAGE.split())
-    for words in (f"declare more than 512 MiB and more than {BOMB_RATIO} times their bytes",):
-        assert words in text

@@ -3,7 +3,7 @@
 import json
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
@@ -158,14 +158,10 @@ def performance(facts: RunFacts, points: int) -> Performance:
         peak_rss_mb=max((c.peak_rss_mb for c in facts.costs.values()), default=None),
         workers=facts.workers,
         stages={
+            # Of a stage's kinds of task each handles the points once more.
             stage: StagePerformance(
-                wall_s=cost.wall_s,
-                tasks=cost.tasks,
-                skipped=cost.skipped,
-                failed=cost.failed,
-                # Of a stage's kinds of task each handles the points once more.
                 points_per_s=points / cost.wall_s if cost.wall_s > 0 else None,
-                peak_rss_mb=cost.peak_rss_mb,
+                **{name: value for name, value in asdict(cost).items() if name != "points"},
             )
             for stage, cost in facts.costs.items()
         },
@@ -197,12 +193,8 @@ def input_file(path: Path, role: str, digest: str | None = None) -> InputFile:
 def indexed_file(facts: Mapping[str, Any], role: str, points: int | None = None) -> InputFile:
     """Identity of an input file as it was read, which may be gone by now.
 
-    Parameters
-    ----------
-    facts : mapping
-        Of the task that read it: ``name``, ``size`` [byte] and ``hash``.
-    points : int, optional
-        Points, detections or frames in it [count].
+    ``facts``: of the task that read it, with ``name``, ``size`` [byte] and ``hash``; ``points``:
+    points, detections or frames in it [count].
     """
     digest = f"blake2b:{facts['hash']}"
     return InputFile(path=facts["name"], role=role, size=facts["size"], hash=digest, points=points)

@@ -48,23 +48,9 @@ class Store:
         """Path below the working store."""
         return self.root.joinpath(*parts)
 
-    def tile(self, name: str) -> Path:
-        """Points of a tile."""
-        return self.path("tiles", f"{name}.parquet")
-
-    def labels(self, kind: str, name: str) -> Path:
-        """Labels that a work unit gave."""
+    def table(self, kind: str, name: str) -> Path:
+        """A table of some kind, such as the points or the labels of a work unit."""
         return self.path(kind, f"{name}.parquet")
-
-    def rasters(self, ground_cell: int, raster_cell: int) -> Path:
-        """Raster cells; other cell sizes are kept apart, so that none spoils what is done.
-
-        Parameters
-        ----------
-        ground_cell, raster_cell : int
-            Edges of a ground cell and of a raster cell [quanta].
-        """
-        return self.path(f"rasters_{ground_cell}_{raster_cell}.zarr")
 
     def name_of(self, path: Path | str) -> str:
         """What receipts call a file of the store or of the output folder."""

@@ -119,8 +119,8 @@ class Progress:
         if not again and not self.begins_again:
             return False
         self.gave_up = not again
-        if again:
-            self.note(f"made again: {named([*reasons.values()])}")
+        how, level = ("made again", "info") if again else ("damaged for good", "error")
+        self.note(f"{how}: {named([*reasons.values()])}", level)
         forget_finished(self.prepared.ledger)
         for kept in (self.damaged, self.costs, self.failures):
             kept.clear()
