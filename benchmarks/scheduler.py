@@ -1,18 +1,21 @@
-"""What handing out tasks costs: ``python -m benchmarks.scheduler client|cluster``.
+"""What handing out tasks costs: ``python -m benchmarks.scheduler client|cluster|timeline``.
 
 ``client --tiles N`` takes a made-up survey of N tiles through the phases of the space domain
 with tasks that end at once, and prints the client's time for a task and its memory.
 ``cluster`` hands tasks to two local workers: empty ones a second for several settings, the
 share of the time that workers are busy with longer ones, and the scheduler's memory over many.
+``timeline OUTPUT`` prints at which stage each worker of a run was, by the log of its output.
 """
 
 import argparse
 import hashlib
 import itertools
+import json
 import pickle
 import resource
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +33,7 @@ from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.engine.watch.status import LOG, seconds
 from spl_batch.formats.las.reader import LasFacts
 
 SPACE = ("build_tile", "denoise", "ground", "surface", "deliver_file", "mosaic")
@@ -239,6 +243,41 @@ def _seconds(
         running -= 1
 
 
+LETTERS = {
+    "index": "i", "shots": "s", "shuffle": "h", "denoise": "D", "ground": "G", "surfaces": "S",
+    "deliver": "d", "report": "r",
+}  # fmt: skip
+"""What the timeline shows of each stage; ``.`` is nothing."""
+
+
+def timeline(output: Path, columns: int) -> None:
+    """Print at which stage each worker of the latest run with some was, moment by moment."""
+    lines = (output / LOG).read_text(encoding="utf-8").splitlines()
+    records = [json.loads(line) for line in lines]
+    began: dict[tuple[str, str], tuple[str, float]] = {}
+    spans: dict[str, list[tuple[float, float, str]]] = defaultdict(list)
+    for record in records:
+        if record["event"] == "WorkersReady":
+            spans.clear()
+        elif record["event"] == "TaskStarted":
+            began[record["kind"], record["name"]] = record["worker"], seconds(record)
+        elif record["event"] == "TaskEnded" and (record["kind"], record["name"]) in began:
+            worker, start_s = began.pop((record["kind"], record["name"]))
+            spans[worker].append((start_s, seconds(record), record["stage"]))
+    every = [span for found in spans.values() for span in found]
+    first_s, last_s = min(s for s, _, _ in every), max(e for _, e, _ in every)
+    column_s = (last_s - first_s) / columns
+    for number, found in enumerate(spans.values(), start=1):
+        row = ["."] * columns
+        for start_s, end_s, stage in found:
+            first = int((start_s - first_s) / column_s)
+            for k in range(first, max(round((end_s - first_s) / column_s), first + 1)):
+                row[min(k, columns - 1)] = LETTERS[stage]
+        busy = sum(end_s - start_s for start_s, end_s, _ in found) / (last_s - first_s)
+        print(f"{number} {''.join(row)} {busy:4.0%}")
+    print(f"{last_s - first_s:.1f} s; " + ", ".join(f"{v} {k}" for k, v in LETTERS.items()))
+
+
 def main() -> None:
     """Read the arguments."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -249,8 +288,13 @@ def main() -> None:
     of_cluster = verbs.add_parser("cluster")
     of_cluster.add_argument("--count", type=int, default=500)
     of_cluster.add_argument("--many", type=int, default=50_000)
+    of_timeline = verbs.add_parser("timeline")
+    of_timeline.add_argument("output", type=Path)
+    of_timeline.add_argument("--columns", type=int, default=90)
     given = parser.parse_args()
-    if given.verb == "client":
+    if given.verb == "timeline":
+        timeline(given.output, given.columns)
+    elif given.verb == "client":
         client(given.tiles, int(given.memory_gib * 2**30))
     else:
         cluster(given.count, given.many)

@@ -27,7 +27,7 @@ def main() -> None:
         store = Store(Path(folder, "out"))
         for k in range(count):
             name = f"{k}_999"
-            store.tile(name).write_bytes(b"")
+            store.table("tiles", name).write_bytes(b"")
             receipt = Receipt("build_tile", name, "key", "digest", "", {}, {}, 0, 0.0, 0.0)
             write_receipt(store, receipt)
         for _ in range(2):

@@ -14,6 +14,6 @@ class Context(RunContext[Workflow]):
 
     @property
     def rasters(self) -> Path:
-        """Raster cells of the working store."""
-        workflow = self.workflow
-        return self.store.rasters(quanta(workflow.ground.cell_m), quanta(workflow.products.cell_m))
+        """Raster cells of the working store; other cell sizes are kept apart."""
+        edges = self.workflow.ground.cell_m, self.workflow.products.cell_m
+        return self.store.path("rasters_{}_{}.zarr".format(*map(quanta, edges)))

@@ -137,19 +137,9 @@ class Imaging(Receiver[Survey, Context]):
                 raise WorkflowError(f"survey.trajectory: {'; '.join(failures)}")
         if step.name == "sensor_path" and survey.of("sensor_path"):
             yield beams_without_trajectory(survey)
+        if step.name == "align" and survey.workflow.survey.align != "none":
+            yield from _shift_notes(survey)
         yield from _swath_findings(step, survey)
-
-    def aside(self, step: Step, prepared: Prepared[Survey, Context]) -> Iterable[Finding]:
-        """By how much flightlines are shifted."""
-        survey = prepared.ledger
-        if step.name != "align" or survey.workflow.survey.align == "none":
-            return ()
-        if bool(survey.of("index_file")) and is_one_flightline(survey):
-            texts = ["survey.align: there is one flightline, nothing is shifted"]
-        else:
-            found = (shifts_of(r.facts) for r in survey.of("align").values())
-            texts = [done_sentence(s) for s in found if not all(one.stays for one in s)]
-        return [Finding("E01", {"kind": "memory", "what": text}) for text in texts]
 
     def reference(self, ledger: Survey) -> list[str]:
         """Files that the results are compared with."""
@@ -234,3 +224,14 @@ def _swath_findings(step: Step, survey: Survey) -> Iterator[Finding]:
         for receipt in survey.of("strip_pairs").values():
             align = survey.workflow.survey.align
             yield from offset_warnings(pairs_of(receipt.facts), align)
+
+
+def _shift_notes(survey: Survey) -> Iterator[Finding]:
+    """By how much flightlines are shifted."""
+    if bool(survey.of("index_file")) and is_one_flightline(survey):
+        texts = ["survey.align: there is one flightline, nothing is shifted"]
+    else:
+        found = (shifts_of(r.facts) for r in survey.of("align").values())
+        texts = [done_sentence(s) for s in found if not all(one.stays for one in s)]
+    for text in texts:
+        yield Finding("E01", {"kind": "memory", "what": text})

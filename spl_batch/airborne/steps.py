@@ -76,7 +76,6 @@ STEPS: Final[Steps] = table(
         "tasks.index:gather_trajectory",
         tasks="time_tasks:trajectory",
         settings=("survey.trajectory_crs",),
-        essential=True,
         after=("trajectory_file", "index_file"),
     ),
     _step("heading", "shots", "tasks.index:find_heading", tasks="time_tasks:heading"),

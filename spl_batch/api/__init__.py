@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from spl_batch.airborne.first_use.one_file import denoise
     from spl_batch.airborne.quickstart import quickstart
     from spl_batch.cli.view import watching
-    from spl_batch.engine.verbs.alone import AloneResult, run_alone
     from spl_batch.engine.verbs.beginning import Beginning, init
     from spl_batch.engine.verbs.comparing import ComparisonResult, compare
     from spl_batch.engine.verbs.conclusion import RunResult
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from spl_batch.engine.verbs.simulation import simulate
 
 __all__ = [
-    "AloneResult",
     "Beginning",
     "ComparisonResult",
     "ExpectedNoise",
@@ -47,7 +45,6 @@ __all__ = [
     "rasterize",
     "report",
     "run",
-    "run_alone",
     "simulate",
     "status",
     "watching",
@@ -61,8 +58,6 @@ _HOMES = {
     "Rasters": "spl_batch.airborne.arrays.surfaces",
     "ground_points": "spl_batch.airborne.arrays.surfaces",
     "rasterize": "spl_batch.airborne.arrays.surfaces",
-    "AloneResult": "spl_batch.engine.verbs.alone",
-    "run_alone": "spl_batch.engine.verbs.alone",
     "ComparisonResult": "spl_batch.engine.verbs.comparing",
     "compare": "spl_batch.engine.verbs.comparing",
     "RunResult": "spl_batch.engine.verbs.conclusion",

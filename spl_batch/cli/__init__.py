@@ -127,28 +127,15 @@ def plan(workflow: Path, as_json: bool, **options: Any) -> int:  # noqa: FBT001 
 @limits
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Use a running dask scheduler.")
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs finished.")
-@click.option("--verify", is_flag=True, help="Compare all that is finished with its checksum.")
 @click.option(
     "--until", metavar="STAGE", help=f"Stop after this stage; of an airborne survey: {_STAGES}."
 )
-@click.option(
-    "--only",
-    metavar="'KIND NAME'",
-    help="Do one task alone, here, from what is finished; prints where its traceback is.",
-)
 @SETTINGS
 @JSON
-def run(
-    workflow: Path,
-    only: str | None,
-    as_json: bool,  # noqa: FBT001 - click passes flags by name
-    **options: Any,
-) -> int:
+def run(workflow: Path, as_json: bool, **options: Any) -> int:  # noqa: FBT001 - click passes flags by name
     """Process the survey of WORKFLOW; run again, it continues where it stopped."""
     from spl_batch.cli import view  # noqa: PLC0415
 
-    if only is not None:
-        return _alone(workflow, only, as_json=as_json, **options)
     with view.watching() as seen:
         seen.loading()
         from spl_batch import api  # noqa: PLC0415
@@ -160,19 +147,6 @@ def run(
     else:
         screen.print_result(result)
     return result.exit_status
-
-
-def _alone(workflow: Path, only: str, *, as_json: bool, **options: Any) -> int:
-    """Do one task alone."""
-    from spl_batch import api  # noqa: PLC0415
-    from spl_batch.cli import screen  # noqa: PLC0415
-
-    taken = {name: options.pop(name) for name in ("workers", "memory", "overrides")}
-    if as_json or any(options.values()):
-        raise click.UsageError("--only goes with --workers, --memory and --set alone")
-    alone = api.run_alone(workflow, only, **taken)
-    screen.print_alone(alone)
-    return alone.exit_status
 
 
 @cli.command()

@@ -16,7 +16,6 @@ from spl_batch.errors import counted, grouped, storage
 
 if TYPE_CHECKING:  # each command loads what it needs only
     from spl_batch.api import (
-        AloneResult,
         Beginning,
         ComparisonResult,
         Follower,
@@ -168,19 +167,6 @@ def _facts(status: "RunStatus") -> list[str]:
         names, more = list(status.running.values())[:SHOWN], len(status.running) - SHOWN
         found.append(f"running {', '.join(names)}" + (f" and {more} more" if more > 0 else ""))
     return [*found, *([f"dask dashboard {status.dashboard}"] if status.dashboard else [])]
-
-
-def print_alone(result: "AloneResult") -> None:
-    """Print what has come of a single task."""
-    receipt = result.receipt
-    task = f"{receipt.kind} {receipt.name}"
-    if receipt.failed:
-        _OUT.say(f"failed: {task}: {receipt.reason}", "red")
-    else:
-        cost = f"{receipt.wall_s:.1f} s, {grouped(receipt.peak_rss_mb)} MiB"
-        _OUT.say(f"done: {task} in {cost}; the next run finds it finished")
-    if result.traceback is not None:
-        _path("traceback", result.traceback)
 
 
 def _pairs(pairs: Sequence[tuple[str, str]]) -> None:

@@ -60,7 +60,8 @@ class View:
     def simulated(self, share: float) -> None:
         """Show how much of a simulation is done, 0..1."""
         self._show(StageStatus("simulate", total=100, done=round(100 * share)))
-        self._line(f"simulate: {100 * share:.0f} %", now=share in {0.0, 1.0})
+        how = f"{100 * share:.0f} %" if share else "the first on a machine compiles for a minute"
+        self._line(f"simulate: {how}", now=share in {0.0, 1.0})
 
     def loading(self) -> None:
         """Show that files are being looked at, until the first event."""
@@ -98,7 +99,7 @@ class View:
                 now=True,
             )
             return
-        if event.reason and not (event.stops or event.mends):
+        if event.reason and event.code != "F03":  # that is made again, or named at the end
             called = event.called or f"{event.kind} {event.name}"
             self._console.say(f"failed: {called}: {event.reason}", "red")
         self._line(f"{event.stage}: {stage.total - stage.left}/{stage.total}{_pace(stage)}")

@@ -11,7 +11,8 @@ import pytest
 
 from spl_batch.airborne import precompile
 from spl_batch.engine.flow.cluster import SETTINGS
-from spl_batch.engine.flow.warm_up import Ahead
+from spl_batch.engine.flow.warm_up import WarmUp
+from spl_batch.engine.watch.events import Compiling, Note
 from spl_batch.errors import StoppedError
 from tests import surveys
 
@@ -100,11 +101,11 @@ class Told:
         self.notes: list[str] = []
         self.counts: list[tuple[int, int]] = []
 
-    def noted(self, text: str) -> None:
-        self.notes.append(text)
-
-    def compiled(self, done: int, of: int) -> None:
-        self.counts.append((done, of))
+    def tell(self, event: object) -> None:
+        if isinstance(event, Note):
+            self.notes.append(event.text)
+        if isinstance(event, Compiling):
+            self.counts.append((event.done, event.of))
 
 
 def left_behind(share: int, shares: int, _tell: Tell) -> int:
@@ -148,7 +149,7 @@ def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:
     import dask  # noqa: PLC0415 - slow
     from distributed import Client, LocalCluster  # noqa: PLC0415
 
-    told, alone = Told(), Ahead(all_of_it, "alone")
+    told, alone = Told(), WarmUp(all_of_it, "alone")
     with (
         dask.config.set(SETTINGS),
         LocalCluster(
@@ -159,10 +160,10 @@ def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:
         client.wait_for_workers(2)
         addresses = sorted(client.sync(client.scheduler.identity)["workers"])
         alone.share_out(client, addresses[:1], told)  # type: ignore[arg-type]
-        again = Ahead(left_behind, "compiling")
+        again = WarmUp(left_behind, "compiling")
         again.share_out(client, addresses, told)  # type: ignore[arg-type]
         again.share_out(client, addresses, told)  # type: ignore[arg-type]
-        compiled, loaded = Ahead(some_left, "compiling"), Ahead(none_left, "loading")
+        compiled, loaded = WarmUp(some_left, "compiling"), WarmUp(none_left, "loading")
         compiled.share_out(client, addresses, told)  # type: ignore[arg-type]
         loaded.share_out(client, addresses, told)  # type: ignore[arg-type]
     assert told.notes == ["alone: 1 share", "compiling: share 1 of 2", "compiling"], (

@@ -73,8 +73,6 @@ def test_version_and_module_entry() -> None:
         ["run"],
         ["run", "a", "b"],
         ["run", "a", "--workers", "many"],
-        ["run", "a", "--only", "denoise 0_0", "--fresh"],
-        ["run", "a", "--only", "denoise 0_0", "--until", "ground"],
     ],
 )
 def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
@@ -146,9 +144,7 @@ def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
         raise StoppedError("enough")
 
     monkeypatch.setattr("spl_batch.api.run", remember)
-    line = (
-        "run w.yaml --workers 3 --memory 1GiB --scheduler tcp://h:1 --fresh --verify --until ground"
-    )
+    line = "run w.yaml --workers 3 --memory 1GiB --scheduler tcp://h:1 --fresh --until ground"
     surveys.command(*line.split(), "--set", "a.b=1", "--set", "c=2")
     assert seen.pop("listener")
     assert seen == {
@@ -157,7 +153,6 @@ def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
         "memory": "1GiB",
         "scheduler": "tcp://h:1",
         "fresh": True,
-        "verify": True,
         "until": "ground",
         "overrides": ("a.b=1", "c=2"),
     }

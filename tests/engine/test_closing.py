@@ -7,27 +7,22 @@ from typing import Any, Self
 import pytest
 
 from spl_batch.engine.flow import cluster
-from spl_batch.engine.flow.job import Footing
+from spl_batch.engine.flow.job import Handshake
 from spl_batch.engine.tasks.task import Job, Task
+from spl_batch.engine.watch.events import WorkersReady
 
 
 class Heard:
-    """An observer that remembers what it is told of workers."""
+    """An observer that remembers when workers are ready."""
 
     def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def ready(self, scheduler: str, dashboard: str) -> None:
-        self.notes.append(f"ready: {scheduler or 'here'} {dashboard or 'without a dashboard'}")
+        self.events: list[object] = []
 
     def started(self, task: Any, worker: str) -> None:
         """Nothing begins here."""
 
-    def seen(self, workers: Any) -> None:
-        """Nobody is there to be seen."""
-
-    def noted(self, text: str) -> None:
-        self.notes.append(text)
+    def tell(self, event: object) -> None:
+        self.events.append(event)
 
 
 @contextlib.contextmanager
@@ -55,8 +50,11 @@ class Client:
 class Idle:
     """Takes jobs and does none."""
 
+    def __init__(self, connect: Any, *_: object, **__: object) -> None:
+        self.connect = connect
+
     def submit(self, *_: object) -> None:
-        """Nothing is done."""
+        self.connect()
 
     def close(self) -> None:
         """There is nothing to let go of."""
@@ -66,7 +64,7 @@ class Idle:
 def heard(monkeypatch: pytest.MonkeyPatch) -> Heard:
     monkeypatch.setattr(cluster, "local_cluster", slow_to_end)
     monkeypatch.setattr("distributed.Client", Client)
-    monkeypatch.setattr(cluster, "OnDask", lambda *_, **__: Idle())
+    monkeypatch.setattr(cluster, "OnDask", Idle)
     return Heard()
 
 
@@ -76,7 +74,7 @@ def enter(heard: Heard) -> Any:
         memory_bytes=2**30,
         scheduler=None,
         observer=heard,
-        footing=Footing("imaging", "code", "mark", "content"),
+        handshake=Handshake("imaging", "code", "mark", "content"),
     )
 
 
@@ -85,27 +83,26 @@ def begin(pool: Any) -> None:
     pool.submit(Job(Task("ground", "0_0", {}), "key"), None)
 
 
-READY = "ready: here without a dashboard"
+READY = WorkersReady()
 
 
 def test_what_is_done_stays_done(heard: Heard) -> None:
     with enter(heard) as pool:
         begin(pool)
-    assert heard.notes == [READY]
+    assert heard.events == [READY]
 
 
 def test_where_nothing_is_to_be_done_no_worker_is_started(heard: Heard) -> None:
     with enter(heard):
         pass
-    assert heard.notes == []
-
-
-def fail(pool: Any) -> None:
-    begin(pool)
-    raise TimeoutError("of the task")
+    assert heard.events == []
 
 
 def test_a_task_that_has_no_answer_is_still_heard_of(heard: Heard) -> None:
-    with pytest.raises(TimeoutError, match="of the task"), enter(heard) as pool:
-        fail(pool)
-    assert heard.notes == [READY]
+    def run() -> None:
+        with enter(heard) as pool:
+            begin(pool)
+            raise TimeoutError("of the task")
+
+    with pytest.raises(TimeoutError, match="of the task"):
+        run()

@@ -11,8 +11,8 @@ from distributed import Client, LocalCluster
 
 from spl_batch.engine.flow import dask_flow, job
 from spl_batch.engine.flow.cluster import OnDask
-from spl_batch.engine.flow.job import Footing
-from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task, WorkersSeen
+from spl_batch.engine.flow.job import Handshake
+from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
 from spl_batch.errors import StoppedError
 
 # Processes
@@ -22,24 +22,16 @@ from spl_batch.errors import StoppedError
 
 
 class Watcher:
-    """Notes what it is told."""
+    """Notes which tasks begin."""
 
     def __init__(self) -> None:
         self.began: list[tuple[str, str]] = []
-        self.looks: list[WorkersSeen] = []
-        self.notes: list[str] = []
-
-    def ready(self, scheduler: str, dashboard: str) -> None:
-        """Workers are there before the test begins."""
 
     def started(self, task: Task, worker: str) -> None:
         self.began.append((task.name, worker))
 
-    def seen(self, workers: WorkersSeen) -> None:
-        self.looks.append(workers)
-
-    def noted(self, text: str) -> None:
-        self.notes.append(text)
+    def tell(self, _event: object) -> None:
+        """Workers are there before the test begins."""
 
 
 @pytest.fixture
@@ -81,7 +73,7 @@ def flow_through(
     watcher, found = Watcher(), []
     context = SimpleNamespace(store=None)
     with Client(threads) as client:
-        on_dask = OnDask(client, watcher, Footing("", "", "", "mark"), local=False)
+        on_dask = OnDask(lambda: client, watcher, Handshake("", "", "", "mark"), local=False)
         try:
             for one in todo:
                 on_dask.submit(one, context)  # type: ignore[arg-type]
@@ -139,7 +131,8 @@ def test_a_task_knows_the_limit_of_its_worker(
 
 def test_the_window_follows_the_workers(threads: LocalCluster) -> None:
     with Client(threads) as client:
-        on_dask = OnDask(client, Watcher(), Footing("", "", "", ""), local=False)
+        on_dask = OnDask(lambda: client, Watcher(), Handshake("", "", "", ""), local=False)
+        on_dask._begin()
         assert on_dask.window == dask_flow.HELD_LEAST
         threads.scale(6)
         threads.wait_for_workers(6)

@@ -9,7 +9,7 @@ import pytest
 import spl_batch
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.runner import task_files
-from spl_batch.imports import content_hash, data_files, imported, module_file
+from spl_batch.imports import data_files, imported, module_file
 from spl_batch.receivers import HOMES, steps
 
 PACKAGE = Path(spl_batch.__file__).parent
@@ -55,17 +55,6 @@ def test_files_are_followed_into_folders_functions_and_relative_imports(package:
         *("room/__init__", "room/step", "room/inner/__init__", "room/inner/kernel"),
     }
     assert data_files(package / "room/inner/kernel.py") == {package / "room/inner/table.json"}
-
-
-def test_the_hash_tells_each_file(package: Path) -> None:
-    files = imported(package / "task.py", package)
-    before = content_hash(files)
-    (package / "alone.py").write_text("import os")
-    assert content_hash(files) == before
-    for path in sorted(files):
-        path.write_text(path.read_text() + "\n# changed")
-        assert content_hash(files) != before, path
-        before = content_hash(files)
 
 
 @pytest.mark.parametrize("receiver", HOMES)

@@ -25,7 +25,6 @@ import yaml
 from spl_batch.engine.flow import cluster
 from spl_batch.engine.flow.cluster import local_cluster
 from spl_batch.errors import DamagedError, InputError
-from spl_batch.formats.declared import BOMB_RATIO, SMALL_BYTES
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water.formats import inspect_frames, iter_frames
@@ -188,24 +187,10 @@ def test_a_pickle_in_an_input_is_never_unpickled(
     assert not mark.exists()
 
 
-# Links
-
-
 @pytest.fixture
 def survey(tmp_path: Path) -> Path:
     surveys.write_cloud(tmp_path / "s/lines/1.laz", surveys.flightline(shots=10))
     return surveys.write_workflow(tmp_path / "s")
-
-
-def test_a_link_within_the_output_or_to_a_faster_disk_is_none(survey: Path, tmp_path: Path) -> None:
-    output = survey.parent / "out"
-    (output / "here").mkdir(parents=True)
-    (output / "laz").symlink_to(output / "here")
-    (tmp_path / "scratch").mkdir()
-    (output / "store").symlink_to(tmp_path / "scratch")
-    ended = surveys.command("run", survey, "--workers", 0, "--until", "index")
-    assert ended.status == 0, ended.text
-    assert (tmp_path / "scratch/receipts").is_dir()
 
 
 def test_a_link_in_place_of_a_file_is_replaced_and_not_followed(tmp_path: Path) -> None:
@@ -229,10 +214,3 @@ def test_a_run_without_workers_opens_no_port(survey: Path, monkeypatch: pytest.M
         monkeypatch.setattr(socket.socket, method, refuse)
     ended = surveys.command("run", survey, "--workers", 0, "--until", "index")
     assert ended.status == 0, ended.text
-
-
-def test_the_numbers_of_the_page_are_those_that_hold() -> None:
-    assert SMALL_BYTES == 512 << 20
-    text = " ".join(PAGE.split())
-    for words in (f"declare more than 512 MiB and more than {BOMB_RATIO} times their bytes",):
-        assert words in text

@@ -16,7 +16,7 @@ from spl_batch.cli import screen, view
 from spl_batch.cli.console import PlainConsole
 from spl_batch.cli.document import of_status
 from spl_batch.engine.store.output_lock import holder, lock_file, locked
-from spl_batch.engine.tasks.task import Task, WorkersSeen
+from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.failures import plain_name
 from spl_batch.engine.verbs.progress import end_last_line
 from spl_batch.engine.watch.events import (
@@ -28,6 +28,7 @@ from spl_batch.engine.watch.events import (
     TaskSettled,
     TaskStarted,
     WorkersReady,
+    WorkersSeen,
     as_record,
 )
 from spl_batch.engine.watch.status import Follower, RunStatus
@@ -37,7 +38,9 @@ STARTED = RunStarted("w.yaml", 2, "0.1+x", {"denoise": 10.0, "ground": 30.0})
 
 
 def ended(name: str, reason: str = "", points: int = 100) -> TaskEnded:
-    return TaskEnded("denoise", "denoise", name, points, 2.0, reason, 512.0, "spl-batch x")
+    return TaskEnded(
+        "denoise", "denoise", name, points, 2.0, reason, 512.0, code="F04" if reason else ""
+    )
 
 
 def a_run() -> list[Any]:

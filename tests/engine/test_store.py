@@ -89,17 +89,6 @@ def test_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["file.bin"]
 
 
-def test_a_directory_is_replaced_whole(tmp_path: Path) -> None:
-    path = tmp_path / "group"
-    for names in (("a", "b"), ("c",)):
-        with replacing(path) as temporary:
-            temporary.mkdir()
-            for name in names:
-                (temporary / name).write_text(name)
-    assert [p.name for p in path.iterdir()] == ["c"]
-    assert [p.name for p in tmp_path.iterdir()] == ["group"]
-
-
 def test_content_is_on_disk_before_its_name_and_the_name_before_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

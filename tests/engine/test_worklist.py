@@ -53,10 +53,9 @@ def tasks(_: Survey) -> Iterator[Task]:
 def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> None:
     known = survey()
     work = Worklist(replace(STEPS["ground"], tasks=tasks), known, context(tmp_path))
-    key = work.key(Task("ground", "b", {"cell": "b"}))
+    key = runner.task_key(Task("ground", "b", {"cell": "b"}), context(tmp_path), ())
     write_receipt(Store(tmp_path), receipt("ground", "b", key, ground=3))
-    looked = [(task.name, found is not None) for task, found in work.look()]
-    assert looked == [("a", False), ("b", True), ("c", False), ("heavy", False)]
+    assert [found.name for found in work.look()] == ["b"]
     assert (work.left, work.ready, work.points) == (3, 1, 30)
     jobs = [work.job(task) for task in work.tasks()]
     assert [(job.task.name, bool(job.key)) for job in jobs if job] == [
@@ -64,8 +63,7 @@ def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> Non
         ("c", True),
         ("heavy", True),
     ]
-    refused = [work.refusal(job) for job in jobs if job]
-    assert [r.facts["code"] for r in refused if r] == ["F02"]
+    assert [job.task.name for job in jobs if job and job.task.refused] == ["heavy"]
 
 
 def test_a_worker_keeps_the_settings_of_one_workflow(tmp_path: Path) -> None:
@@ -92,13 +90,13 @@ def test_what_a_task_needs_decides_whether_it_waits_or_is_left_out(tmp_path: Pat
     known.of("denoise").put(receipt("denoise", "0_0"))
     job = work.job(task)
     assert job is not None
-    assert (job.key, job.open, [r.name for r in job.found]) == ("", (task.needs[1],), ["0_0"])
+    assert (job.key, job.open, job.found) == ("", (task.needs[1],), {task.needs[0]: "d0_0"})
     over = True
     assert work.job(task) is None
     known.of("denoise").put(receipt("denoise", "1_0"))
     job = work.job(task)
     assert job is not None
-    assert job.key == work.key(task)
+    assert job.key == runner.task_key(task, context(tmp_path), ("d0_0", "d1_0"))
 
 
 def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
@@ -128,7 +126,9 @@ def test_another_need_is_another_key(tmp_path: Path) -> None:
     keys = []
     for name in ("x", "y"):
         known.of("build_tile").put(Receipt("build_tile", "0_0", "", name, "", {}, {}, 0, 0.0, 0.0))
-        keys.append(work.key(task))
+        job = work.job(task)
+        assert job is not None
+        keys.append(job.key)
     assert keys[0] != keys[1]
 
 
@@ -179,41 +179,27 @@ def test_a_refusal_begins_where_the_limit_ends(kind: str) -> None:
     assert "needs about" in refusal(kind, fits + 10_000, 2**32)
 
 
-def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
+def test_a_trajectory_of_any_length_fits_and_a_tile_needs_what_its_task_is_given(
+    tmp_path: Path,
+) -> None:
     pieces = list(from_counts({CellId(3, 5): 10**6, CellId(900, 5): 10**5}, 100_000))
     track = tmp_path / "track.sbet"
-    track.write_bytes(b"0" * 136 * 1000)
-    found = needs(pieces, WORKFLOW, [10**9], 1, [track])
-    told = " ".join(need.task for need in found)
-    for words in (
-        "a tile around x 350, y 550",
-        "a cell of denoise",
-        "a ground cell",
-        "a surface cell",
-    ):
-        assert words in told
-    for words in ("a stretch", "labels", "reading a file", "1 000 records"):
-        assert words in told
-    heavy = max(track_need(tmp_path, count) for count in (1000, 10**6, 10**9))
-    assert heavy == track_need(tmp_path, 10**9) < usable_bytes(800 * 2**20)
-    tile = next(n for n in found if n.task.startswith("a tile"))
-    assert tile.memory_bytes == task_bytes("build_tile", 10**6)
-
-
-def track_need(folder: Path, records: int) -> int:
-    """Memory that the plan expects for a trajectory of so many records."""
-    track = folder / f"{records}.sbet"
-    with track.open("wb") as file:
-        file.truncate(136 * records)
-    found = needs([], WORKFLOW, [1], 1, [track])
-    return next(n.memory_bytes for n in found if "trajectory" in n.task)
+    heaviest = []
+    for records in (10**6, 10**9):
+        with track.open("wb") as file:
+            file.truncate(136 * records)
+        found = needs(pieces, WORKFLOW, [10**9], 1, [track])
+        heaviest.append(next(n.memory_bytes for n in found if "trajectory" in n.task))
+    assert heaviest[0] == heaviest[1] < usable_bytes(800 * 2**20)
+    assert task_bytes("build_tile", 10**6) in {need.memory_bytes for need in found}
+    assert len(found) >= 8
 
 
 def test_rates_are_those_of_the_last_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cost = {"wall_s": 30.0, "points": {"scatter": 120, "build_tile": 120}}
     typical = {"shuffle": 1.0, "ground": 7.0}
     assert budget.measured_rates(typical, context(tmp_path)) == (typical, False)
-    monkeypatch.setattr(budget, "recall", lambda _: {"costs": {"shuffle": cost}})
+    monkeypatch.setattr(budget, "recall", lambda _: {"facts": {"costs": {"shuffle": cost}}})
     found = {"shuffle": 4.0, "ground": 7.0}
     assert budget.measured_rates(typical, context(tmp_path)) == (found, True)
 

@@ -37,8 +37,6 @@ from spl_batch.engine.report.number_format import (
 )
 from spl_batch.engine.report.parts import Count, Number
 from spl_batch.engine.report.picture import Picture
-from spl_batch.engine.store.links import share_finished
-from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.verbs.comparing import Methods, folder_of, per_million
 from spl_batch.engine.verbs.reporting import recalled
 from spl_batch.formats.rasters.parts import read_overview
@@ -148,10 +146,9 @@ def _keys(name: str, settings: Workflow) -> tuple[str, ...] | None:
     )
 
 
-def _share(source: Store, target: Store, settings: Workflow, method: str) -> set[str]:
-    """Stages that a method can use of the workflow's own run; its reference is handed on here."""
-    share_finished(source, target, ["reference"])
-    stages = {"index"}
+def _share(settings: Workflow, method: str) -> set[str]:
+    """Stages that a method can use of the workflow's own run, and its reference."""
+    stages = {"index", "reference"}
     if method in GROUND:
         # The first of them has done the filter for the others.
         stages |= {"shots", "shuffle", "denoise"}

@@ -68,7 +68,7 @@ def contrast(runs: Sequence[Outcome]) -> Contrast:
         if len(classes) < len(runs) or len({len(c) for c in classes}) > 1:
             found.left_out.append(str(tile))
             continue
-        table = read_table(runs[0].context.store.tile(str(tile)), ("x", "y", "z"))
+        table = read_table(runs[0].context.store.table("tiles", str(tile)), ("x", "y", "z"))
         kept = np.stack([c == NOISE_SIGNAL for c in classes])
         known = np.stack([c != NOISE_NOT_ASSESSED for c in classes])
         _count(found, kept, known)

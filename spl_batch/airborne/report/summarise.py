@@ -48,6 +48,7 @@ from spl_batch.airborne.tasks.accuracy import Comparison, compared
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.maps import Raster
+from spl_batch.engine.report.page import write_both
 from spl_batch.engine.report.parts import InputFile, Provenance, Statistics
 from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import (
@@ -58,7 +59,6 @@ from spl_batch.engine.report.run_record import (
     provenance,
     remember,
 )
-from spl_batch.engine.report.write import write_both
 from spl_batch.formats.geoid import grid_file
 from spl_batch.formats.rasters.parts import Part, read_overview
 

@@ -12,7 +12,6 @@ from spl_batch.airborne.report.verdicts import (
     terrain_statistics,
     verdicts,
 )
-from spl_batch.airborne.settings import FilterSettings
 from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.page import Front, render_page
 from spl_batch.engine.report.picture import Picture
@@ -42,12 +41,6 @@ LAYERS: Final = (
 
 OF_PHOTONS: Final = ("noise", "survey")
 """Sections that linear-mode lidar has nothing to say in."""
-
-PHOTON_KEYS: Final = (
-    *(f"filter.{key}" for key in FilterSettings.model_fields if key != "method"),
-    *("afterpulse", "acquisition", "noise", "survey.sensor"),
-)
-"""Parameters of single-photon lidar alone: nothing reads them where no filter runs."""
 
 _SMALL_KM2: Final = 0.01
 """A smaller area is given in square metres."""
@@ -120,7 +113,6 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
             sections=tuple(_sections(report, photons=photons)),
             verdicts=tuple(verdicts(report)),
             cards=tuple(_cards(report)),
-            unused=() if photons else PHOTON_KEYS,
         ),
         package=__package__,
         pictures=pictures,

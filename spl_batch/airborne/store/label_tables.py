@@ -174,9 +174,9 @@ class LabelFiles:
             if len(self._open) >= OPEN_FILES:
                 self._close_oldest()
             stack = ExitStack()
-            file = stack.enter_context(reading(self._store.labels(*unit)))
+            file = stack.enter_context(reading(self._store.table(*unit)))
             self._open[unit] = stack, _LabelFile(file)
-        with naming_damage(self._store.labels(*unit)):
+        with naming_damage(self._store.table(*unit)):
             return self._open[unit][1].read(tile, names, rows)
 
 
@@ -199,7 +199,7 @@ def read_labelled_tile(
     shifts : Shifts, optional
         Shifts of flightlines that are added to the heights.
     """
-    table = read_table(store.tile(str(tile)), _read_for(columns, shifts))
+    table = read_table(store.table("tiles", str(tile)), _read_for(columns, shifts))
     if shifts is not None:
         table = PointTable(shifts.shifted(table.columns)).select(columns)
     with LabelFiles(store) if files is None else nullcontext(files) as opened:
@@ -283,7 +283,7 @@ def read_region(
     # A region is the largest thing that a worker holds. It is read into its place: many small
     # parts would leave gaps in a worker's memory in which nothing else fits. What of the room
     # is not needed is never touched.
-    parts = [groups_between(store.tile(str(tile)), span) for tile in held]
+    parts = [groups_between(store.table("tiles", str(tile)), span) for tile in held]
     room = sum(part.rows for part in parts)
     joined = {name: np.empty(room, COLUMNS[name].dtype) for name in names}
     joined["row"] = np.empty(room, np.uint32)

@@ -1,15 +1,15 @@
 """What tasks of the space domain go without where a task that they need has failed.
 
-Its points have no labels then. Each function turns a task's arguments and the receipts of what it
+Its points have no labels then. Each function turns a task's arguments and what is finished of its
 needs into the arguments that it is done with, or None where it is left out.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from spl_batch.engine.tasks.task import Need, Receipt
+from spl_batch.engine.tasks.task import Need
 
-Found = Mapping[Need, Receipt]
+Found = Collection[Need]
 
 
 def labelled(args: Mapping[str, Any], found: Found) -> dict[str, Any]:

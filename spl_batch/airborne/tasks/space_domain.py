@@ -64,7 +64,7 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
         "wire": decided["wire"],
         "noise_density": mean,
     }
-    path = context.store.labels("noise", args["cell"])
+    path = context.store.table("noise", args["cell"])
     write_labels(path, place, labels)
     kinds, counts = np.unique(labels["noise_class"], return_counts=True)
     facts = {
@@ -94,7 +94,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     table = table.select(_GROUND_COLUMNS)
     mask = grounding.ground_mask(table, usable, context.workflow.ground, owned)[owned]
     mask = mask.astype(np.uint8)
-    path = context.store.labels("ground", args["cell"])
+    path = context.store.table("ground", args["cell"])
     write_labels(path, origin.of(owned), {"ground": mask})
     facts["ground"] = int(np.count_nonzero(mask))
     return Produced([path], facts, len(mask))

@@ -181,7 +181,7 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
     timed = usable_times(table["gps_time"]) & (table["gps_time"] != 0.0)
     again = repeats(table, ALIKE[:-1]) & (timed | repeats(table, ALIKE[-1:]))
     table, copies = without_copies(table, again)
-    path = context.store.tile(args["tile"])
+    path = context.store.table("tiles", args["tile"])
     outputs = [path]
     if len(copies.row):
         outputs.append(context.store.path("copies", f"{args['tile']}.npz"))

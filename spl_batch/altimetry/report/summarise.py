@@ -13,6 +13,7 @@ from spl_batch.altimetry.report.page import render
 from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
 from spl_batch.altimetry.tasks.context import Context, place
 from spl_batch.altimetry.tasks.labels import labelled, read_cells
+from spl_batch.engine.report.page import write_both
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.reported import reported
@@ -24,7 +25,6 @@ from spl_batch.engine.report.run_record import (
     input_file,
     remember,
 )
-from spl_batch.engine.report.write import write_both
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns, read_groups, reading
 from spl_batch.numerics.error_statistics import statistics

@@ -9,15 +9,14 @@ import logging
 import re
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from typing import Any, Final
 
 from spl_batch.engine.flow.dask_flow import PATIENCE_S, OnDask, lost, workers_of
-from spl_batch.engine.flow.job import Executor, Footing, InProcess, Observer, misfit
-from spl_batch.engine.flow.warm_up import Ahead
-from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.task import Job, Outcome
+from spl_batch.engine.flow.job import Executor, Handshake, InProcess, Observer, misfit
+from spl_batch.engine.flow.warm_up import WarmUp
+from spl_batch.engine.watch.events import WorkersReady
 from spl_batch.errors import StoppedError, WorkflowError
 
 KEPT_BYTES: Final = 1 << 40
@@ -70,6 +69,13 @@ def machine_memory() -> int:
     return int(memory_limit())
 
 
+def byte_count(text: str) -> int:
+    """Bytes of a size such as ``4GiB``; ValueError or OverflowError where it is none."""
+    from dask.utils import parse_bytes  # noqa: PLC0415 - slow import, only when used
+
+    return int(parse_bytes(text))
+
+
 def refuse_no_address(scheduler: str | None) -> None:
     """Refuse what no scheduler listens to, before anything is done: a run may need no workers."""
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
@@ -83,8 +89,8 @@ def executor(
     memory_bytes: int,
     scheduler: str | None,
     observer: Observer,
-    footing: Footing,
-    ahead: Ahead | None = None,
+    handshake: Handshake,
+    warm_up: WarmUp | None = None,
 ) -> Iterator[Executor]:
     """Give somewhere to run tasks; workers are started, or looked for, before the first of them.
 
@@ -98,33 +104,27 @@ def executor(
         Address of a running scheduler, which is used instead.
     observer : Observer
         Notified of what happens to tasks and workers.
-    ahead : Ahead, optional
+    warm_up : WarmUp, optional
         What local workers do before their first task.
 
     Yields
     ------
     Executor
-        Where to run tasks; before the first one it raises what follows.
-
-    Raises
-    ------
-    WorkflowError
-        If the workers that are there cannot do the work.
-    StoppedError
-        If the scheduler cannot be reached.
+        Where to run tasks; before the first one it raises :class:`WorkflowError` if the workers
+        cannot do the work, and :class:`StoppedError` if the scheduler cannot be reached.
     """
     if scheduler is None and workers == 0:
         yield InProcess(observer)
         return
     stack = contextlib.ExitStack()
 
-    def begin() -> Executor:
-        client = _client(stack, footing, workers, memory_bytes, scheduler)
+    def connect() -> Any:
+        client = _client(stack, handshake, workers, memory_bytes, scheduler)
         dashboard = str(client.dashboard_link or "") if find_spec("bokeh") else ""
-        observer.ready(scheduler or "", dashboard)
-        return OnDask(client, observer, footing, local=scheduler is None, ahead=ahead)
+        observer.tell(WorkersReady(scheduler or "", dashboard))
+        return client
 
-    pool = _WhenNeeded(begin)
+    pool = OnDask(connect, observer, handshake, local=scheduler is None, warm_up=warm_up)
     try:
         yield pool
     finally:
@@ -133,37 +133,9 @@ def executor(
             stack.close()
 
 
-class _WhenNeeded:
-    """An executor that is begun before its first job: a run may find all its tasks finished."""
-
-    def __init__(self, begin: Callable[[], Executor]) -> None:
-        self._begin = begin
-        self._begun: Executor | None = None
-
-    @property
-    def window(self) -> int:
-        """Jobs that it holds at once [count]."""
-        return 1 if self._begun is None else self._begun.window
-
-    def submit(self, job: Job, context: RunContext[Any]) -> None:
-        """Take a job; begin with the first."""
-        self._begun = self._begun or self._begin()
-        self._begun.submit(job, context)
-
-    def ended(self) -> Outcome:
-        """Wait for the next job to end."""
-        assert self._begun is not None, "nothing was submitted"  # noqa: S101 - for the type alone
-        return self._begun.ended()
-
-    def close(self) -> None:
-        """Let go of jobs that are still on their way."""
-        if self._begun is not None:
-            self._begun.close()
-
-
 def _client(
     stack: contextlib.ExitStack,
-    footing: Footing,
+    handshake: Handshake,
     workers: int,
     memory_bytes: int,
     scheduler: str | None,
@@ -182,7 +154,7 @@ def _client(
             f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
         ) from error
     if scheduler is not None:
-        check_workers(client, footing, memory_bytes)
+        check_workers(client, handshake, memory_bytes)
     return client
 
 
@@ -206,10 +178,7 @@ def local_cluster(workers: int, memory_bytes: int) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def silent() -> Iterator[None]:
-    """Keep dask's own complaints off the screen: a line reports what matters of them.
-
-    It reads its settings for logging when it is imported, and has a logger for each part.
-    """
+    """Keep dask's own complaints off the screen: a line reports what matters of them."""
     names = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]
     levels = [(logging.getLogger(name), logging.getLogger(name).level) for name in names]
     for logger, _ in levels:
@@ -234,14 +203,14 @@ def _deaf_children() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def check_workers(client: Any, footing: Footing, memory_bytes: int) -> None:
+def check_workers(client: Any, handshake: Handshake, memory_bytes: int) -> None:
     """Refuse workers with other code, another file system or too little memory.
 
     Those that join later are checked by their first task.
     """
     try:
         found = workers_of(client)
-        faults = client.run(misfit, footing, on_error="return")
+        faults = client.run(misfit, handshake, on_error="return")
     except (OSError, TimeoutError) as error:
         raise lost(error) from error
     except Exception as error:

@@ -9,16 +9,17 @@ in a row fails, with the nannies' reason.
 import contextlib
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from spl_batch.engine.flow.job import Footing, Observer, work, workers_seen
-from spl_batch.engine.flow.warm_up import Ahead
+from spl_batch.engine.flow.job import Handshake, Observer, work
+from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.store.working_store import write_receipt
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.runner import failure
-from spl_batch.engine.tasks.task import Job, Need, Outcome, Receipt
+from spl_batch.engine.tasks.task import Job, Need, Outcome
+from spl_batch.engine.watch.events import Note, WorkersSeen
 from spl_batch.errors import StoppedError
 
 HELD_PER_THREAD: Final = 8
@@ -35,10 +36,10 @@ PATIENCE_S: Final = 300.0
 """How long local workers may all be gone before the run stops [s]."""
 
 HEARING_S: Final = 0.5
-"""How long what a nanny says of a death may come after the death [s]."""
+"""How long what a nanny reports of a death may come after the death [s]."""
 
 _MEMORY_TOPIC: Final = "worker-restart-memory"
-"""Where a nanny says that it has ended its worker for its memory."""
+"""Where a nanny reports that it has ended its worker for its memory."""
 
 
 @dataclass(slots=True)
@@ -53,40 +54,49 @@ class _Trial:
 
 
 class OnDask:
-    """Does jobs on the workers of a dask scheduler."""
+    """Does jobs on the workers of a dask scheduler, which it looks for before the first of them.
+
+    Parameters
+    ----------
+    connect : callable
+        Gives a client of the scheduler; it may start workers first.
+    local : bool
+        Whether these are workers of our own, which come back when they die.
+    """
 
     def __init__(
         self,
-        client: Any,
+        connect: Callable[[], Any],
         observer: Observer,
-        footing: Footing,
+        handshake: Handshake,
         *,
         local: bool,
-        ahead: Ahead | None = None,
+        warm_up: WarmUp | None = None,
     ) -> None:
-        from distributed import as_completed  # noqa: PLC0415
-
-        self.client, self.observer, self.footing, self.local = client, observer, footing, local
+        self.observer, self.handshake, self.local = observer, handshake, local
+        self.client: Any = None
+        self._connect, self._warm_up = connect, warm_up
         self._trials: dict[Need, _Trial] = {}
         self._needs: dict[Any, Need] = {}  # by the keys of futures
-        self._ended = as_completed(with_results=True, raise_errors=False, loop=client.loop)
         self._starved: set[str] = set()
         self._watch = _Watch(self)
-        client.subscribe_topic(self._topic, self._began)
-        client.subscribe_topic(_MEMORY_TOPIC, self._restarted)
-        if local and ahead is not None and not ahead.done:
-            ahead.share_out(client, sorted(workers_of(client)), observer)
+
+    def _begin(self) -> None:
+        from distributed import as_completed  # noqa: PLC0415 - slow import, only when used
+
+        self.client = self._connect()
+        self._topic = f"spl_batch-{self.client.id}"
+        self._ended = as_completed(with_results=True, raise_errors=False, loop=self.client.loop)
+        self.client.subscribe_topic(self._topic, self._began)
+        self.client.subscribe_topic(_MEMORY_TOPIC, self._restarted)
+        if self.local and self._warm_up is not None:
+            self._warm_up.share_out(self.client, sorted(workers_of(self.client)), self.observer)
         self._watch.start()
 
     @property
     def window(self) -> int:
         """Jobs that it holds at once [count]."""
-        return max(HELD_LEAST, HELD_PER_THREAD * self._watch.threads)
-
-    @property
-    def _topic(self) -> str:
-        """Where this client's tasks say that they begin."""
-        return f"spl_batch-{self.client.id}"
+        return max(HELD_LEAST, HELD_PER_THREAD * sum(self._watch.known.values()))
 
     def submit(self, job: Job, context: RunContext[Any], number: int = 1) -> None:
         """Hand a job to the scheduler, with the futures of what it waits for.
@@ -96,13 +106,15 @@ class OnDask:
         StoppedError
             If the scheduler is lost.
         """
+        if self.client is None:
+            self._begin()
         step, name = job.need
         try:
             # What a task needs is in its key, and of a whole survey it is a long list.
             sent = job if not job.key else job._replace(task=replace(job.task, needs=()))
             future = self.client.submit(
                 work,
-                *(sent, context, self.footing, self._topic),
+                *(sent, context, self.handshake, self._topic),
                 *(self._trials[need].future for need in job.open),
                 key=(f"{step}-{self.client.id}", name, time.monotonic_ns()),
                 retries=1,
@@ -134,10 +146,8 @@ class OnDask:
 
     def close(self) -> None:
         """Let go of jobs that are still on their way."""
-        self._watch.stop()
-        for trial in self._trials.values():
-            with contextlib.suppress(Exception):
-                trial.future.cancel()
+        self._watch.over.set()
+        self.give_up()
         self._trials.clear()
         with contextlib.suppress(Exception):
             self.client.unsubscribe_topic(self._topic)
@@ -164,7 +174,7 @@ class OnDask:
             raise error
         if isinstance(error, KilledWorker):
             return self._killed(error, trial)
-        if trial.job.open and any(n in self._trials for n in trial.job.open):
+        if any(need in self._trials for need in trial.job.open):
             return Outcome(trial.job.need, None, again=True)
         # The worker could not even begin.
         reason = f"{type(error).__name__}: {error}"
@@ -191,9 +201,9 @@ class OnDask:
                 "memory or a crash"
             )
             code = "F04"
-        receipt: Receipt = failure(trial.job.task, trial.job.key, why, code=code)
+        receipt = failure(trial.job.task, trial.job.key, why, code=code)
         write_receipt(trial.context.store, receipt)
-        return Outcome(trial.job.need, receipt, worker=last.address)
+        return Outcome(trial.job.need, receipt)
 
     def _began(self, event: tuple[float, Mapping[str, Any]]) -> None:
         trial = self._trials.get(tuple(event[1]["need"]))
@@ -206,35 +216,27 @@ class OnDask:
         if "rss" in sign:
             self._starved.add(sign["worker"])
             used = f"{sign['rss'] / 2**20:.0f} MiB"
-            self.observer.noted(f"worker {sign['worker']} was killed while it used {used}")
+            text = f"worker {sign['worker']} was killed while it used {used}"
+            self.observer.tell(Note("info", text))
 
 
 class _Watch:
     """Looks at the workers now and then: how many there are, and how they are."""
 
     def __init__(self, of: OnDask) -> None:
-        self._of, self._over = of, threading.Event()
-        self._known: dict[str, int] = {}
+        self._of, self.over = of, threading.Event()
+        self.known: dict[str, int] = {}  #: Threads by address.
         self._populated_s, self._waiting = time.monotonic(), False
-        self._thread = threading.Thread(target=self._run, name="watch workers", daemon=True)
         self.fault: StoppedError | None = None  #: Why no outcome will come.
-
-    @property
-    def threads(self) -> int:
-        """Threads of all workers [count]."""
-        return sum(self._known.values())
 
     def start(self) -> None:
         """Look for the first time, and then on."""
+        self._populated_s = time.monotonic()
         self._count(workers_of(self._of.client))
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Look no more."""
-        self._over.set()
+        threading.Thread(target=self._run, name="watch workers", daemon=True).start()
 
     def _run(self) -> None:
-        while not self._over.wait(max(TICK_S, len(self._known) / 50)):
+        while not self.over.wait(max(TICK_S, len(self.known) / 50)):
             try:
                 self._count(workers_of(self._of.client))
                 status = self._of.client.status
@@ -243,23 +245,26 @@ class _Watch:
                 self.fault = fault
             except Exception as error:  # noqa: BLE001 - whatever a lost connection leads to
                 self.fault = lost(error)
-            if self.fault is not None and not self._over.is_set():
+            if self.fault is not None and not self.over.is_set():
                 self._of.give_up()
                 return
 
     def _count(self, found: Mapping[str, Mapping[str, Any]]) -> None:
-        now, observer = time.monotonic(), self._of.observer
-        for address in self._known.keys() - found.keys():
-            observer.noted(f"worker {address} is lost; other workers do its tasks")
+        now, tell = time.monotonic(), self._of.observer.tell
+        for address in self.known.keys() - found.keys():
+            tell(Note("info", f"worker {address} is lost; other workers do its tasks"))
         if found:
             self._populated_s = now
         elif self._of.local and now - self._populated_s > PATIENCE_S:
             raise StoppedError("all workers are gone and do not come back; run again to continue")
         elif not self._waiting:
-            observer.noted("no worker is connected; waiting for one")
+            tell(Note("info", "no worker is connected; waiting for one"))
         self._waiting = not found
-        self._known = {address: int(facts["nthreads"]) for address, facts in found.items()}
-        observer.seen(workers_seen(found))
+        self.known = {address: int(facts["nthreads"]) for address, facts in found.items()}
+        used = [float(facts["metrics"].get("memory", 0)) for facts in found.values()]
+        limits = [float(f["memory_limit"]) for f in found.values() if f["memory_limit"]]
+        most, limit = (round(v / 2**20, 1) for v in (max(used, default=0), min(limits, default=0)))
+        tell(WorkersSeen(len(found), sum(self.known.values()), most, limit))
 
 
 def workers_of(client: Any) -> dict[str, Mapping[str, Any]]:

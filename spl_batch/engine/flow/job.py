@@ -3,7 +3,6 @@
 import contextlib
 import time
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -13,28 +12,20 @@ from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.runner import code_version, do
 from spl_batch.engine.tasks.spare_memory import limit_memory
-from spl_batch.engine.tasks.task import Job, Outcome, Task, WorkersSeen
+from spl_batch.engine.tasks.task import Job, Outcome, Task
+from spl_batch.engine.watch.events import Event
 from spl_batch.errors import StoppedError
 from spl_batch.formats.files.atomic import owned_by
 
 
 class Observer(Protocol):
-    """Someone who is told what happens to tasks and workers."""
+    """Someone who is notified of what happens to tasks and workers."""
 
-    def ready(self, scheduler: str, dashboard: str) -> None:
-        """Tell of workers: a scheduler elsewhere or "", the link to a dashboard or ""."""
+    def tell(self, event: Event) -> None:
+        """Take in what has happened to the workers."""
 
     def started(self, task: Task, worker: str) -> None:
-        """Tell of a task that a worker has begun."""
-
-    def seen(self, workers: WorkersSeen) -> None:
-        """Tell how the workers are."""
-
-    def noted(self, text: str) -> None:
-        """Tell of something that has happened to a worker."""
-
-    def compiled(self, done: int, of: int) -> None:
-        """Tell how many kernels of how many are compiled [count]."""
+        """Take in that a worker has begun a task."""
 
 
 class Executor(Protocol):
@@ -50,12 +41,9 @@ class Executor(Protocol):
     def ended(self) -> Outcome:
         """Wait for the next job to end; there is one."""
 
-    def close(self) -> None:
-        """Let go of jobs that are still on their way."""
-
 
 @dataclass(frozen=True, slots=True)
-class Footing:
+class Handshake:
     """What every worker has to find: this code, and this run's mark on the shared path."""
 
     receiver: str
@@ -82,17 +70,13 @@ class InProcess:
         self.observer.started(job.task, "this process")
         return do(job, context)
 
-    def close(self) -> None:
-        """Forget jobs that are not done."""
-        self.waiting.clear()
-
 
 class TryAgainError(Exception):
     """A task has failed for the first time in a run: its scheduler gives it another try."""
 
 
 def work(
-    job: Job, context: RunContext[Any], footing: Footing, topic: str, *needed: Outcome
+    job: Job, context: RunContext[Any], handshake: Handshake, topic: str, *needed: Outcome
 ) -> Outcome:
     """Do a job on a worker, where what it waited for has come to its end.
 
@@ -104,48 +88,36 @@ def work(
     from distributed import get_worker  # noqa: PLC0415
 
     worker = get_worker()
-    fault = misfit(footing)
+    fault = misfit(handshake)
     if fault:
         raise StoppedError(f"worker {worker.address} {fault}; mend it and run again")
     limit_memory(worker.memory_manager.memory_limit)
     worker.log_event(topic, {"need": job.need, "worker": worker.address})
     before = read_receipt(context.store, *job.need)
-    with owned_by(footing.mark, footing.content):
-        outcome = do(job, context, needed, footing.content)
+    with owned_by(handshake.mark, handshake.content):
+        outcome = do(job, context, needed, handshake.content)
     receipt = outcome.receipt
     # A damaged file is damaged for all; it is made again, which takes more than a try.
     if receipt and receipt.failed and "damaged" not in receipt.facts:
-        tried = before is not None and before.facts.get("run") == footing.content
+        tried = before is not None and before.facts.get("run") == handshake.content
         if not tried:
             raise TryAgainError(receipt.reason)
-    return outcome._replace(worker=worker.address)
+    return outcome
 
 
 @cache
-def misfit(footing: Footing) -> str:
+def misfit(handshake: Handshake) -> str:
     """Why this process cannot work for a run; empty where it can."""
-    code = code_version(footing.receiver)
-    if code != footing.code:
+    code = code_version(handshake.receiver)
+    if code != handshake.code:
         return (
-            f"has spl_batch {code}, here it is {footing.code} "
+            f"has spl_batch {code}, here it is {handshake.code} "
             "(the version, and a hash of code and libraries)"
         )
     # A shared file system may take a while to show a new file everywhere.
     for wait_s in (0.0, 0.2, 1.0, 4.0):
         time.sleep(wait_s)
         with contextlib.suppress(OSError):
-            if Path(footing.mark).read_text(encoding="utf-8") == footing.content:
+            if Path(handshake.mark).read_text(encoding="utf-8") == handshake.content:
                 return ""
-    return f"does not see {footing.mark} as it is here: all machines must share that path"
-
-
-def workers_seen(found: Mapping[str, Mapping[str, Any]]) -> WorkersSeen:
-    """How workers are, of a scheduler's facts about each."""
-    used = [float(facts["metrics"].get("memory", 0)) for facts in found.values()]
-    limits = [float(f["memory_limit"]) for f in found.values() if f["memory_limit"]]
-    return WorkersSeen(
-        len(found),
-        sum(int(facts["nthreads"]) for facts in found.values()),
-        round(max(used, default=0.0) / 2**20, 1),
-        round(min(limits, default=0.0) / 2**20, 1),
-    )
+    return f"does not see {handshake.mark} as it is here: all machines must share that path"

@@ -7,26 +7,27 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from spl_batch.engine.flow.job import Observer
+from spl_batch.engine.watch.events import Compiling, Note
 
-TOPIC: Final = "spl-batch-ahead"
-"""What workers tell of their steps under."""
+TOPIC: Final = "spl-batch-warm-up"
+"""What workers report their steps under."""
 
-TELL_S: Final = 0.5
-"""A worker tells of its steps at most once in so long [s]."""
-
-Work = Callable[[int, int, Callable[[int, int], None]], int]
+REPORT_S: Final = 0.5
+"""A worker reports its steps at most once in so long [s]."""
 
 PATIENCE_S: Final = 600.0
 """Time after which tasks start all the same [s]."""
 
+Work = Callable[[int, int, Callable[[int, int], None]], int]
+"""Does a share, from 0, of so many, and returns how much was left to do. Its third argument takes
+how many steps of how many are done."""
+
 
 @dataclass(slots=True)
-class Ahead:
+class WarmUp:
     """Something to do before the first task."""
 
-    #: Does a share, from 0, of so many, and says how much was left to do. Workers are sent it, so
-    #: it is a function of a module. Its third argument is told how many steps of how many are done.
-    work: Work
+    work: Work  #: A function of a module, as workers are sent it.
     what: str  #: What is being done, in words.
     done: bool = False
     took_s: float | None = None  #: How long it took; None where nothing was left to do [s].
@@ -42,11 +43,11 @@ class Ahead:
         def hear(event: tuple[float, tuple[int, int, int]]) -> None:
             share, done, of = event[1]
             if not self.steps:
-                observer.noted(self.what)
+                observer.tell(Note("info", self.what))
             self.steps[share] = done, of
             if len(self.steps) == len(workers):  # else the whole would grow as they begin
                 dones, ofs = zip(*self.steps.values(), strict=True)
-                observer.compiled(sum(dones), sum(ofs))
+                observer.tell(Compiling(sum(dones), sum(ofs)))
 
         client.subscribe_topic(TOPIC, hear)
         shares = [
@@ -61,7 +62,7 @@ class Ahead:
             self.took_s = time.monotonic() - begin_s
         for share in shares:
             if share.status == "error":
-                observer.noted(f"{self.what}: {share.exception()}")
+                observer.tell(Note("info", f"{self.what}: {share.exception()}"))
             share.cancel()
 
 
@@ -69,12 +70,12 @@ def _work(work: Work, share: int, shares: int) -> int:
     """Do a share on a worker, and report now and then how far it is."""
     from distributed import get_worker  # noqa: PLC0415 - slow import, and it runs on workers only
 
-    worker, told_s = get_worker(), -TELL_S
+    worker, reported_s = get_worker(), -REPORT_S
 
-    def tell(done: int, of: int) -> None:
-        nonlocal told_s
-        if done == of or time.monotonic() - told_s >= TELL_S:
-            told_s = time.monotonic()
+    def report(done: int, of: int) -> None:
+        nonlocal reported_s
+        if done == of or time.monotonic() - reported_s >= REPORT_S:
+            reported_s = time.monotonic()
             worker.log_event(TOPIC, (share, done, of))
 
-    return work(share, shares, tell)
+    return work(share, shares, report)

@@ -72,7 +72,7 @@ def measured_rates(
         Points per second and worker where nothing was measured.
     """
     try:
-        costs = recall(context.output)["costs"] if context is not None else {}
+        costs = recall(context.output)["facts"]["costs"] if context is not None else {}
     except StoreError:  # no run has finished here
         costs = {}
     # The kinds of a stage handle the same points, one after the other.

@@ -2,14 +2,12 @@
 
 import glob
 import hashlib
-import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path, PurePath
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.engine.tasks.ledger import AnySource
 from spl_batch.errors import WorkflowError, named
 from spl_batch.formats.files.atomic import real_path
 
@@ -27,14 +25,14 @@ def refuse_own(paths: Sequence[Path], output: Path, key: str, faults: list[str])
         )
 
 
-def check_keys(sources: Iterable[AnySource]) -> None:
+def check_keys(sources: Iterable[Any]) -> None:
     """Refuse files of different names whose keys are the same."""
     names = {source.name: source.key for source in sources}
     if len(set(names.values())) < len(names):
         raise WorkflowError("two input files share a key by chance; rename one of them")
 
 
-def stem_names(sources: Sequence[AnySource]) -> dict[int, str]:
+def stem_names(sources: Sequence[Any]) -> dict[int, str]:
     """Names of each file's results, by key: its stem, with the key where two share it."""
     stems = Counter(Path(source.name).stem for source in sources)
     found = {}
@@ -82,20 +80,13 @@ def expand(
 
 
 def matching(name: str, base: Path) -> list[Path]:
-    """Files that a path or pattern stands for, in order; a path need not be there.
-
-    Folders and files that have such a name are meant by it, whatever brackets it holds: only what
-    follows them is a pattern.
-    """
-    folder, rest = base, PurePath(name).parts
-    while rest and os.path.exists(folder / rest[0]):  # noqa: PTH110 - no place of others' raises
-        folder, rest = folder / rest[0], rest[1:]
-    pattern = os.path.join("", *rest)  # noqa: PTH118 - as glob takes it
-    if not glob.has_magic(pattern):
-        return [folder / pattern]
+    """Files that a path or pattern stands for, in order; a path need not be there."""
+    path = base / name
+    if path.exists() or not glob.has_magic(name):
+        return [path]
     # Path.glob knows neither links to folders below ** nor hidden names.
-    found = glob.glob(pattern, root_dir=folder, recursive=True)  # noqa: PTH207
-    return sorted(folder / match for match in found)
+    found = glob.glob(name, root_dir=base, recursive=True)  # noqa: PTH207
+    return sorted(base / match for match in found)
 
 
 def name_below(path: Path, base: Path) -> str:

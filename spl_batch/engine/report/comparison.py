@@ -4,17 +4,15 @@
 the block ``sections``.
 """
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field
 
-from spl_batch.engine.report.page import environment, named_tables
+from spl_batch.engine.report.page import environment, write_both
 from spl_batch.engine.report.parts import Count, Part
 from spl_batch.engine.report.picture import Picture
-from spl_batch.formats.files.atomic import write_bytes
 
 
 class ComparedMethod(Part):
@@ -39,15 +37,7 @@ def write_comparison(
 ) -> None:
     """Write ``compare.json`` and ``compare.html`` into a folder.
 
-    Parameters
-    ----------
-    report : Compared
-        What is told; it has ``methods``.
-    template, package : str
-        The receiver's page, and where it lies.
+    ``report`` has ``methods``; ``template`` is the receiver's page, in its ``package``.
     """
-    content = json.dumps(report.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     page: Any = environment(package).get_template(template)
-    text = named_tables(page.render(report=report, pictures=pictures))
-    write_bytes(out / "compare.json", content.encode())
-    write_bytes(out / "compare.html", text.encode())
+    write_both(out, report, page.render(report=report, pictures=pictures), "compare")

@@ -5,7 +5,6 @@ signs, a console plain ones: :func:`as_ascii` converts.
 """
 
 import re
-from collections.abc import Sequence
 from typing import Final
 
 from spl_batch.errors import grouped
@@ -17,8 +16,6 @@ MINUS: Final = "\N{MINUS SIGN}"
 _RAISED: Final = "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u207b"
 _SUPERSCRIPT: Final = str.maketrans("0123456789-", _RAISED)
 _LOWERED: Final = str.maketrans(_RAISED, "0123456789-")
-_UNIT: Final = re.compile(r"((?:\d|per) k?m)([23])(?!\.?\w)")
-_GROUPED: Final = re.compile(r"(?<![\w.,:/-])\d{1,3}(?: \d{3})+(?![\w:/-])")
 _POWER: Final = re.compile(f"(?<=10)[{_RAISED}]+")
 
 
@@ -32,15 +29,16 @@ def number(value: float | None, digits: int = 0) -> str:
     return text
 
 
-def significant(value: float | None, figures: int = 3, *, power: bool = False) -> str:
-    """Three significant figures; an exponent where six digits do not do, or with ``power``."""
+def significant(value: float | None, figures: int = 3) -> str:
+    """Three significant figures; an exponent where six digits do not do."""
     if value is None:
         return DASH
     if value == 0:
         return "0"
-    if power or _needs_power(value):
+    if not 1e-4 <= abs(value) < 1e6:
         mantissa, exponent = f"{value:.{figures - 1}e}".split("e")
-        return f"{mantissa}\N{MULTIPLICATION SIGN}10{_raised(int(exponent))}".replace("-", MINUS)
+        power = str(int(exponent)).translate(_SUPERSCRIPT)
+        return f"{mantissa}\N{MULTIPLICATION SIGN}10{power}".replace("-", MINUS)
     rounded = float(f"{value:.{figures - 1}e}")
     digits = max(0, figures - 1 - int(f"{rounded:e}".split("e")[1]))
     return number(rounded, digits)
@@ -53,31 +51,6 @@ def expected_count(value: float | None, how: str) -> str:
     """
     few = value is not None and 0 < value < 1
     return "fewer than 1" if few else f"{how} {significant(value, 2)}"
-
-
-def _needs_power(value: float) -> bool:
-    return value != 0 and not 1e-4 <= abs(value) < 1e6
-
-
-def alike(values: Sequence[float | None], factor: float = 1.0) -> list[str]:
-    """A column of :func:`significant`, all with an exponent where one needs it."""
-    column = [None if value is None else value * factor for value in values]
-    power = any(value is not None and _needs_power(value) for value in column)
-    return [significant(value, power=power) for value in column]
-
-
-def typeset(sentence: str) -> str:
-    """A sentence of a log or a console with units and spaces of a page: ``1 200 m2``, ``m²``.
-
-    No line ends within a number then.
-    """
-    whole = _GROUPED.sub(lambda found: found[0].replace(" ", THIN), sentence)
-    return _UNIT.sub(lambda found: found[1] + found[2].translate(_SUPERSCRIPT), whole)
-
-
-def _raised(exponent: int) -> str:
-    """A whole number in superscript digits."""
-    return str(exponent).translate(_SUPERSCRIPT)
 
 
 def plain(value: float | None) -> str:

@@ -5,78 +5,51 @@ provenance. A receiver's template extends it by the blocks ``overview``, ``secti
 ``method``.
 """
 
-import datetime as dt
 import json
-import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final, Protocol
+from inspect import getmembers, isfunction
+from pathlib import Path
+from typing import Any, Final
 
+import yaml
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from pydantic import BaseModel, ValidationError
 
 from spl_batch import errors
-from spl_batch.engine.report import number_format as text
-from spl_batch.engine.report.parameters import changed, without
-from spl_batch.engine.report.parts import (
-    Failure,
-    FindingReport,
-    Performance,
-    Provenance,
-    StagePerformance,
-)
+from spl_batch.engine.report import number_format
 from spl_batch.engine.report.verdict import Verdict
+from spl_batch.formats.files.atomic import write_bytes
+from spl_batch.receivers import HOMES, IMAGING, workflow_model
 
 LONGEST_TABLE: Final = 200
 """More rows than this are in ``report.json`` only: a page is for reading."""
 
+LONGEST_VALUE: Final = 160
+"""Longest value that the table of changed parameters shows whole [characters]."""
+
 HOME: Final = __package__
 """Package of the templates that all reports share."""
-
-_SCROLL: Final = '<div class="scroll" tabindex="0"><table'
-_HEADING: Final = re.compile(r"<(h[1-4])\b[^>]*>(.*?)</\1>", re.DOTALL)
-_TAG: Final = re.compile(r"<[^>]*>")
-
-
-class AnyReport(Protocol):
-    """What every receiver's report has."""
-
-    @property
-    def performance(self) -> Performance:
-        """Cost of the run."""
-
-    @property
-    def failures(self) -> tuple[Failure, ...]:
-        """Everything that did not make it."""
-
-    @property
-    def findings(self) -> tuple[FindingReport, ...]:
-        """What a reader has to know."""
-
-    @property
-    def provenance(self) -> Provenance:
-        """Enough to do it again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Front:
-    """What stands at the top of a page."""
+    """Top of a page."""
 
     #: Name of what was processed; kind of instrument, above it.
     title: str
     kicker: str
-    facts: tuple[str, ...]  #: What stands below the title.
+    facts: tuple[str, ...]  #: What comes below the title.
     #: Anchor and name of each section that the receiver adds.
     sections: tuple[tuple[str, str], ...]
     verdicts: tuple[Verdict, ...]  #: Sentences that say whether the result can be used.
     cards: tuple[tuple[str, str, str], ...]  #: Label, value and remark of each key number.
-    #: Keys of the workflow that this receiver's data made no use of: the page leaves them out.
-    unused: tuple[str, ...] = ()
 
 
 def render_page(
     template: str,
-    report: AnyReport,
+    report: Any,
     front: Front,
     *,
     package: str = HOME,
@@ -87,6 +60,8 @@ def render_page(
 
     Parameters
     ----------
+    report : BaseModel
+        A receiver's model with ``performance``, ``failures``, ``findings`` and ``provenance``.
     script_hash : str
         Names the one script that the page may run, as a content security policy does; none may
         where it is empty.
@@ -99,33 +74,15 @@ def render_page(
     str
         HTML without any reference to another file; the same input gives the same text.
     """
-    used = without(report.provenance.parameters, front.unused)
-    page = (
-        environment(package)
-        .get_template(template)
-        .render(
-            report=report,
-            title=front.title,
-            kicker=front.kicker,
-            facts=front.facts,
-            sections=front.sections,
-            verdicts=front.verdicts,
-            cards=front.cards,
-            stages=_stages(report.performance.stages),
-            written=_written(report.provenance.created),
-            changed=[
-                one
-                for one in changed(report.provenance.parameters)
-                if not _is_below(one[0], front.unused)
-            ],
-            parameters=_compact(used),
-            left_out=bool(front.unused),
-            longest=LONGEST_TABLE,
-            script_hash=script_hash,
-            **more,
-        )
+    made = environment(package).get_template(template)
+    return made.render(
+        report=report,
+        front=front,
+        changed=[*changed(report.provenance.parameters)],
+        longest=LONGEST_TABLE,
+        script_hash=script_hash,
+        **more,
     )
-    return named_tables(page)
 
 
 @cache
@@ -140,30 +97,7 @@ def environment(package: str = HOME) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(
-        {
-            name: getattr(text, name)
-            for name in (
-                "number",
-                "plain",
-                "significant",
-                "expected_count",
-                "alike",
-                "typeset",
-                "percent",
-                "share",
-                "large",
-                "duration",
-                "size",
-                "centimetres",
-                "metres",
-                "millimetres",
-                "scaled",
-                "of_all",
-                "surface_name",
-            )
-        }
-    )
+    environment.filters.update(getmembers(number_format, isfunction))
     return environment
 
 
@@ -174,61 +108,37 @@ def _shown(value: Any) -> Any:
     return "\n".join(map(errors.plain, value.split("\n")))
 
 
-def _is_below(key: str, above: tuple[str, ...]) -> bool:
-    return any(key == one or key.startswith(f"{one}.") for one in above)
+def changed(parameters: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Dotted key and value of what a workflow sets otherwise than the default does.
 
-
-def _compact(parameters: Mapping[str, Any]) -> str:
-    """JSON with a line for each section: an appendix of a few hundred numbers stays short."""
-    lines = (
-        f" {json.dumps(key, ensure_ascii=False)}: {json.dumps(value, ensure_ascii=False)}"
-        for key, value in parameters.items()
-    )
-    return "{\n" + ",\n".join(lines) + "\n}"
-
-
-def _stages(stages: Mapping[str, StagePerformance]) -> list[dict[str, Any]]:
-    """Rows of the table of stages, with the lengths of their bars in percent."""
-    most_time = max((s.wall_s or 0.0 for s in stages.values()), default=0.0) or 1.0
-    most_memory = max((s.peak_rss_mb or 0.0 for s in stages.values()), default=0.0) or 1.0
-    return [
-        {
-            "name": name,
-            "cost": stage,
-            "time_bar": f"{100 * (stage.wall_s or 0.0) / most_time:.1f}",
-            "memory_bar": f"{100 * (stage.peak_rss_mb or 0.0) / most_memory:.1f}",
-        }
-        for name, stage in stages.items()
-    ]
-
-
-def _written(created: str) -> str:
-    """Time stamp as people read it; unchanged where it is no ISO time."""
-    try:
-        moment = dt.datetime.fromisoformat(created)
-    except ValueError:
-        return created
-    zone = moment.tzname() or ""
-    return f"{moment.day} {moment:%B %Y, %H:%M} {zone}".strip()
-
-
-def named_tables(page: str) -> str:
-    """A page whose tables are called as the headings that they follow.
-
-    Parameters
-    ----------
-    page : str
-        HTML; each table is the first thing in a ``div`` of the class ``scroll``.
+    ``parameters``: a whole workflow, defaults included, as ``provenance.parameters`` of a report.
     """
-    before, *tables = page.split(_SCROLL)
-    parts, called, times = [before], "Table", 0
-    for part in tables:
-        headings = _HEADING.findall(before)
-        if headings:
-            called, times = " ".join(_TAG.sub("", headings[-1][1]).split()), 0
-        times += 1
-        name = (f"{called}, table {times}" if times > 1 else called).replace('"', "&quot;")
-        region = f'<div class="scroll" tabindex="0" role="region" aria-label="{name}, scrolls">'
-        parts += [f'{region}<table aria-label="{name}"', part]
-        before = part
-    return "".join(parts)
+    kind = parameters.get("kind", IMAGING)
+    try:
+        workflow: BaseModel = workflow_model(kind if kind in HOMES else IMAGING)(**parameters)
+    except ValidationError:  # of another version, whose keys are others
+        return
+    yield from _flat(workflow.model_dump(mode="json", exclude_defaults=True), "")
+
+
+def _flat(given: Mapping[str, Any], before: str) -> Iterator[tuple[str, str]]:
+    for name, value in given.items():
+        if isinstance(value, Mapping) and value:
+            yield from _flat(value, f"{before}{name}.")
+        elif f"{before}{name}" != "kind":
+            text = yaml.safe_dump(value, default_flow_style=True, width=10**6)
+            shown = text.removesuffix("\n").removesuffix("\n...")
+            cut = f"{shown[:LONGEST_VALUE]} ..." if len(shown) > LONGEST_VALUE else shown
+            yield f"{before}{name}", cut
+
+
+def report_json(report: BaseModel) -> str:
+    """Text of ``report.json``: fields in the model's order, every number finite or null."""
+    content = report.model_dump(mode="json")
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_both(out: Path, report: BaseModel, page: str, name: str = "report") -> None:
+    """Write a report as JSON and as a page into a folder, each whole or not at all."""
+    write_bytes(out / f"{name}.json", report_json(report).encode())
+    write_bytes(out / f"{name}.html", page.encode())

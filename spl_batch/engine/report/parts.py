@@ -122,9 +122,6 @@ class Failure(Part):
     remedy: str | None = Field(None, description="What to do, or the command that tries again.")
     task: str | None = Field(None, description="Kind and name of the task.")
     inputs: tuple[str, ...] = Field((), description="Files, tiles and stretches that it reads.")
-    command: str | None = Field(
-        None, description="Command that does this task alone, to reproduce the failure."
-    )
 
 
 class FindingReport(Part):

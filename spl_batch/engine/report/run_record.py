@@ -2,13 +2,15 @@
 
 import json
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
+
+import pydantic
 
 from spl_batch import __version__
 from spl_batch.engine.findings import Finding
@@ -69,20 +71,24 @@ class StageCost:
         self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
 
 
-@dataclass(frozen=True)
+@pydantic.dataclasses.dataclass(frozen=True)
 class RunFacts:
     """What the receipts do not have."""
 
     wall_s: float  #: Duration of the run so far [s].
     workers: int
-    costs: Mapping[str, StageCost] = field(default_factory=dict)
-    failures: Iterable[Failure] = ()  #: What did not make it.
-    findings: Iterable[Finding] = ()  #: What the run has warned of.
-    reference: Iterable[str] = ()
+    costs: dict[str, StageCost] = field(default_factory=dict)
+    failures: tuple[Failure, ...] = ()  #: What did not make it.
+    findings: tuple[Finding, ...] = ()  #: What the run has warned of.
+    reference: tuple[str, ...] = ()
     not_read: int = 0  #: Points that unreadable files promise [count].
     #: Time that workers compiled before the first task [s]; None where nothing was left to compile,
     #: or tasks did it.
     compile_s: float | None = None
+
+
+FACTS: Final = pydantic.TypeAdapter(RunFacts)
+"""Turns them into plain JSON values and back."""
 
 
 def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
@@ -92,14 +98,7 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
         "base": str(context.base),
         "crs_wkt": context.crs_wkt,
         "code": context.code,
-        "wall_s": facts.wall_s,
-        "workers": facts.workers,
-        "costs": {k: asdict(v) for k, v in facts.costs.items()},
-        "failures": [f.model_dump() for f in facts.failures],
-        "findings": list(facts.findings),
-        "reference": list(facts.reference),
-        "not_read": facts.not_read,
-        "compile_s": facts.compile_s,
+        "facts": FACTS.dump_python(facts, mode="json"),
         "done": {kind: list(names) for kind, names in done.items()},
     }
     # As a text: the order of stages and kinds counts.
@@ -137,16 +136,11 @@ def common_parts(
 ) -> dict[str, Any]:
     """What a receiver's report has of the run as such, by the name of its part.
 
-    Parameters
-    ----------
-    facts : RunFacts
-        What the receipts do not have.
-    points : int
-        Points, photons, detections or frames of all inputs [count].
+    ``points``: points, photons, detections or frames of all inputs [count].
     """
     return {
         "performance": performance(facts, points),
-        "failures": tuple(facts.failures),
+        "failures": facts.failures,
         "findings": reported(facts.findings, context.workflow.report.ignore),
         "provenance": provenance(context, inputs),
     }
@@ -164,14 +158,10 @@ def performance(facts: RunFacts, points: int) -> Performance:
         peak_rss_mb=max((c.peak_rss_mb for c in facts.costs.values()), default=None),
         workers=facts.workers,
         stages={
+            # Of a stage's kinds of task each handles the points once more.
             stage: StagePerformance(
-                wall_s=cost.wall_s,
-                tasks=cost.tasks,
-                skipped=cost.skipped,
-                failed=cost.failed,
-                # Of a stage's kinds of task each handles the points once more.
                 points_per_s=points / cost.wall_s if cost.wall_s > 0 else None,
-                peak_rss_mb=cost.peak_rss_mb,
+                **{name: value for name, value in asdict(cost).items() if name != "points"},
             )
             for stage, cost in facts.costs.items()
         },
@@ -203,12 +193,8 @@ def input_file(path: Path, role: str, digest: str | None = None) -> InputFile:
 def indexed_file(facts: Mapping[str, Any], role: str, points: int | None = None) -> InputFile:
     """Identity of an input file as it was read, which may be gone by now.
 
-    Parameters
-    ----------
-    facts : mapping
-        Of the task that read it: ``name``, ``size`` [byte] and ``hash``.
-    points : int, optional
-        Points, detections or frames in it [count].
+    ``facts``: of the task that read it, with ``name``, ``size`` [byte] and ``hash``; ``points``:
+    points, detections or frames in it [count].
     """
     digest = f"blake2b:{facts['hash']}"
     return InputFile(path=facts["name"], role=role, size=facts["size"], hash=digest, points=points)

@@ -27,7 +27,7 @@ def ending_rows(
     noun: str = "points",
 ) -> list[tuple[str, str]]:
     """Label and value of what the console shows last, whatever the receiver."""
-    rows = [("run time", f"{duration(work.wall_s)}{_of_which(work, noun)}")]
+    rows = [("run time", f"{duration(work.wall_s)} ({speed_remark(work, noun)})")]
     if work.peak_rss_mb is not None:
         rows.append(("peak memory", f"{number(work.peak_rss_mb)} MiB per worker"))
     rows.append(("failures", number(len(failures)) if failures else "none"))
@@ -47,25 +47,13 @@ def _failed(failure: Failure) -> str:
     return f"{what}; {helps}" if helps and helps not in what else what
 
 
-def _of_which(work: Performance, noun: str) -> str:
-    """Speed of a run, unless it went on with earlier runs' work."""
-    if work.part_alone:
-        return f" for this part alone; the rest was finished before{_compiling(work)}"
-    apart = " apart from compiling" if work.compile_s else ""
-    speed = f" ({large(work.points_per_s)} {noun}/s{apart})"
-    return speed + _compiling(work)
-
-
-def _compiling(work: Performance) -> str:
-    """Time of compiling, which only the first run on a machine takes."""
-    return f", {duration(work.compile_s)} of it compiling, once" if work.compile_s else ""
-
-
 def speed_remark(work: Performance, noun: str = "points") -> str:
-    """What a page says beside the duration of a run."""
+    """Speed of a run, unless it went on with earlier runs' work; time of compiling."""
+    compiling = f", {duration(work.compile_s)} of it compiling, once" if work.compile_s else ""
     if work.part_alone:
-        return "this part alone"
-    return f"{large(work.points_per_s)} {noun}/s{_compiling(work)}"
+        return f"this part alone; the rest was finished before{compiling}"
+    apart = " apart from compiling" if work.compile_s else ""
+    return f"{large(work.points_per_s)} {noun}/s{apart}{compiling}"
 
 
 def failure_verdict(failures: Sequence[Failure], findings: Sequence[FindingReport]) -> Verdict:

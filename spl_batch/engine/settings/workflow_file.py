@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from spl_batch.engine.settings.base import BaseWorkflow
-from spl_batch.engine.settings.mistaken_file import called, is_scene
+from spl_batch.engine.settings.mistaken_file import refuse_urls
 from spl_batch.engine.settings.validation import validated
 from spl_batch.engine.settings.yaml_text import parse_yaml
 from spl_batch.errors import WorkflowError, reason_of
@@ -56,17 +56,14 @@ def load_any(path: Path, overrides: Sequence[str] = ()) -> BaseWorkflow:
     WorkflowError
         If the file cannot be read, is not YAML, or has a fault.
     """
-    return parse_any(workflow_content(path, overrides), str(path))
+    content = workflow_content(path, overrides)
+    hint = "" if "output" in content else " (no workflow: `spl-batch simulate` takes scenes)"
+    return parse_any(content, f"{path}{hint}")
 
 
 def workflow_content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
     """Content of a workflow file, with ``key.path=value`` applied in order."""
     content = read_mapping(path, "a workflow is a mapping with survey: and output:")
-    if is_scene(content):
-        raise WorkflowError(
-            f"{path}: this is a scene, not a workflow; `spl-batch simulate` takes it, and leaves a "
-            "workflow.yaml that `spl-batch run` takes"
-        )
     for override in overrides:
         _apply(content, override)
     return content
@@ -82,14 +79,14 @@ def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
     WorkflowError
         If the file cannot be read, is not YAML, names a key twice, or holds no mapping.
     """
-    what = called(path)
-    if what:
-        raise WorkflowError(f"{path}: {what}")
+    refuse_urls(path)
     try:
         content = parse_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise WorkflowError(f"{path}: cannot be read: {reason_of(error)}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError:
+        raise WorkflowError(f"{path}: this is a binary file; name it in a workflow") from None
+    except yaml.YAMLError as error:
         reason = " ".join(str(error).split())
         if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
             reason = f"line {error.problem_mark.line + 1}: {error.problem}"
@@ -106,12 +103,10 @@ def _apply(content: dict[str, Any], override: str) -> None:
     *parents, last = key.split(".")
     node = content
     for parent in parents:
-        if node.get(parent) is None:
-            node[parent] = {}
-        child = node[parent]
-        if not isinstance(child, dict):
+        node[parent] = {} if node.get(parent) is None else node[parent]
+        node = node[parent]
+        if not isinstance(node, dict):
             raise WorkflowError(f"--set {override}: {parent} is a value, not a section")
-        node = child
     try:
         node[last] = parse_yaml(text)
     except yaml.YAMLError:

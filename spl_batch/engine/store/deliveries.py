@@ -7,7 +7,6 @@ checksum: nothing else is deleted, and no other survey's results are replaced.
 
 from collections.abc import Iterator, Mapping
 from itertools import chain
-from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.store.working_store import read_json, read_receipts, write_json
@@ -61,6 +60,12 @@ class Deliveries:
             if not receipt.failed:
                 self.wrote(receipt)
 
+    @property
+    def anything_there(self) -> bool:
+        """Whether anything is left of earlier runs, finished tasks among it."""
+        places = (self.output / "store" / "receipts", *map(self.output.joinpath, self.files))
+        return any(place.exists() for place in places)
+
     def save(self) -> None:
         """Write the record."""
         write_json(self.output / RECORD, {"survey": self.survey, "files": self.files})
@@ -78,23 +83,11 @@ class Deliveries:
                 self.files[name] = [receipt.sizes[name], receipt.written_ns[name], content]
 
     def withdraw(self, ledger: Ledger[Any, Any], *, failed: bool) -> Iterator[str]:
-        """Delete what earlier runs delivered and this one does not vouch for.
+        """Delete what earlier runs delivered and this one does not vouch for; a line that names it.
 
         A file of an input that is gone, or can no longer be read, would pass for a result. Only
-        files that are as they were written are deleted, and none where tasks failed: nobody knows
-        what these would have made.
-
-        Parameters
-        ----------
-        ledger : Ledger
-            With the files that this run has made, or found finished.
-        failed : bool
-            Whether a task of this run failed.
-
-        Yields
-        ------
-        str
-            What is deleted, in one line.
+        files that are as they were written are deleted, and none where tasks ``failed``: nobody
+        knows what these would have made.
         """
         finished = chain.from_iterable(ledger.of(kind).values() for kind in self._kinds)
         current = {name for receipt in finished for name in receipt.outputs}
@@ -117,11 +110,3 @@ class Deliveries:
             return False
         same = there.st_mtime_ns == written_ns
         return bool(there.st_size == size and (same or checksum(path) == content))
-
-
-def something_there(deliveries: Deliveries) -> bool:
-    """Whether anything is left of earlier runs, finished tasks among it."""
-    output: Path = deliveries.output
-    return (output / "store" / "receipts").exists() or any(
-        (output / name).exists() for name in deliveries.files
-    )

@@ -49,17 +49,15 @@ def locked(output: Path) -> Iterator[str]:
             "look at what is there and at its rights"
         ) from None
     with stream:
-        if not _take(stream):
-            who = holder(output) or {}
-            by = "".join(f", {name} {value}" for name, value in who.items() if name != "token")
-            raise WorkflowError(f"output: another run is working in {output}{by}; wait for it")
-        mark = {
-            "host": socket.gethostname(),
-            "pid": os.getpid(),
-            "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "token": uuid.uuid4().hex,
-        }
-        content = json.dumps(mark)
+        _take(stream, output)
+        content = json.dumps(
+            {
+                "host": socket.gethostname(),
+                "pid": os.getpid(),
+                "started": datetime.now(UTC).isoformat(timespec="seconds"),
+                "token": uuid.uuid4().hex,
+            }
+        )
         try:
             # Not by the stream, which would try again at its end what a full disk has refused.
             os.ftruncate(stream.fileno(), 0)
@@ -95,17 +93,18 @@ def holder(output: Path) -> dict[str, Any] | None:
     return None
 
 
-def _take(stream: Any) -> bool:
+def _take(stream: Any, output: Path) -> None:
     until = time.monotonic() + PATIENCE_S
     while True:
         try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if time.monotonic() > until:
-                return False
-            time.sleep(0.05)
-        else:
-            return True
+                who = _mark(lock_file(output))
+                by = "".join(f", {name} {value}" for name, value in who.items() if name != "token")
+                text = f"output: another run is working in {output}{by}; wait for it"
+                raise WorkflowError(text) from None
+        time.sleep(0.05)
 
 
 def _mark(path: Path) -> dict[str, Any]:

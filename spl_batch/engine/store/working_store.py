@@ -7,10 +7,8 @@ What receivers put there is described in ``docs/formats.md``. ::
 Always on the file system, wherever the store lies::
 
     store/lock                         held by the run at work
-    store/identity.json                the same id as STORE/output.json of a store elsewhere
     store/run.json                     what the report is written from
     store/rest.json                    the state of a finished run
-    store/tracebacks/KIND_NAME.txt     where a task that was done alone has failed
 """
 
 import dataclasses
@@ -25,9 +23,6 @@ from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import DamagedError, StoppedError, reason_of
 from spl_batch.formats.files.atomic import names_in, read_bytes, remove, sync_folder, write_bytes
 from spl_batch.formats.files.remote import is_remote, remote_path
-
-IDENTITY: Final = "identity.json"
-"""Tells an output from others that might use the same store."""
 
 _DIGEST: Final = "blake2b"
 
@@ -53,23 +48,9 @@ class Store:
         """Path below the working store."""
         return self.root.joinpath(*parts)
 
-    def tile(self, name: str) -> Path:
-        """Points of a tile."""
-        return self.path("tiles", f"{name}.parquet")
-
-    def labels(self, kind: str, name: str) -> Path:
-        """Labels that a work unit gave."""
+    def table(self, kind: str, name: str) -> Path:
+        """A table of some kind, such as the points or the labels of a work unit."""
         return self.path(kind, f"{name}.parquet")
-
-    def rasters(self, ground_cell: int, raster_cell: int) -> Path:
-        """Raster cells; other cell sizes are kept apart, so that none spoils what is done.
-
-        Parameters
-        ----------
-        ground_cell, raster_cell : int
-            Edges of a ground cell and of a raster cell [quanta].
-        """
-        return self.path(f"rasters_{ground_cell}_{raster_cell}.zarr")
 
     def name_of(self, path: Path | str) -> str:
         """What receipts call a file of the store or of the output folder."""
@@ -88,7 +69,7 @@ class Store:
     def clear(self) -> None:
         """Forget everything that is finished; what was delivered stays known."""
         for path in self.local.iterdir():
-            if path.name not in {"lock", IDENTITY}:
+            if path.name != "lock":
                 remove(path)
         if self.url:
             remove(self.root)
@@ -152,14 +133,10 @@ def read_receipt(store: Store, kind: str, name: str) -> Receipt | None:
         return None
 
 
-def receipt_names(store: Store, kind: str) -> list[str]:
-    """Tasks of one kind that have left a receipt, by name."""
-    return [name.replace("~", "/") for name in names_in(store.path("receipts", kind), ".json")]
-
-
 def read_receipts(store: Store, kind: str) -> Iterator[Receipt]:
     """All receipts of one kind, by name."""
-    made = (read_receipt(store, kind, name) for name in receipt_names(store, kind))
+    names = names_in(store.path("receipts", kind), ".json")
+    made = (read_receipt(store, kind, name.replace("~", "/")) for name in names)
     return (receipt for receipt in made if receipt is not None)
 
 

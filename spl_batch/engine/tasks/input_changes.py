@@ -12,19 +12,14 @@ from spl_batch.errors import DamagedError, InputError, reason_of
 
 @contextmanager
 def unchanged(path: Path, then: Sequence[int]) -> Iterator[None]:
-    """Read a file that is as it was, before and after.
+    """Read a file, or a folder of files, that is as it was, before and after.
 
-    Parameters
-    ----------
-    path : Path
-        The file, or a folder of files.
-    then : (int, int)
-        Size [byte] and time of writing [ns since 1970] that it had.
+    ``then``: its :func:`stamp`.
 
     Raises
     ------
     InputError
-        If it has others.
+        If it has another.
     """
     _compare(path, then)
     yield

@@ -6,52 +6,17 @@ receipts of them on demand.
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.errors import InputError
 from spl_batch.receivers import steps
 
-
-class AnySource(Protocol):
-    """An input file that can be used."""
-
-    @property
-    def path(self) -> Path:
-        """Where it lies."""
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-
-    @property
-    def key(self) -> int:
-        """What tasks call it; depends on its name alone."""
-
-
-class AnyInputs(Protocol):
-    """Everything that a workflow names, checked."""
-
-    @property
-    def sources(self) -> Sequence[AnySource]:
-        """Input files that can be used, by name."""
-
-    @property
-    def bad(self) -> Sequence[InputError]:
-        """Input files that cannot."""
-
-    @property
-    def warnings(self) -> Sequence[Finding]:
-        """What a user should know before the work starts."""
-
-
-I = TypeVar("I", bound=AnyInputs)  # noqa: E741
+I = TypeVar("I")  # noqa: E741
 W = TypeVar("W", bound=BaseWorkflow)
 
 
@@ -99,19 +64,18 @@ class Shelf(Mapping[str, Receipt]):
 
 @dataclass
 class Ledger(Generic[I, W]):
-    """What a run knows so far: inputs, limits, and the receipts of what is finished.
+    """What a run knows so far: inputs, limits, and the receipts of what is finished."""
 
-    ``shared``: the memory limit is the workers' share of this machine, as none was given.
-    ``remarks``: oddities of the limits.
-    """
-
+    #: All that a workflow names, checked: ``sources``, files that can be used, each with ``path``,
+    #: ``name`` for messages and ``key`` for tasks; ``bad``, an InputError for each of the others;
+    #: ``warnings``, findings before the work starts.
     inputs: I
     workflow: W
-    memory_bytes: int
+    memory_bytes: int  #: Memory limit of a worker [byte].
     workers: int
     done: dict[str, Shelf] = field(default_factory=dict)
-    shared: bool = False
-    remarks: tuple[Finding, ...] = ()
+    shared: bool = False  #: Whether the limit is the workers' share, as none was given.
+    remarks: tuple[Finding, ...] = ()  #: What is odd about the limits.
 
     def of(self, step: str) -> Shelf:
         """Finished tasks of a step, by name."""

@@ -9,7 +9,7 @@ import resource
 import sys
 import time
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -21,7 +21,7 @@ from typing import Any, Final
 import spl_batch
 from spl_batch import __version__
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt, write_receipt
-from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.context import Produced, RunContext
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
@@ -95,7 +95,7 @@ def task_files(receiver: str) -> frozenset[Path]:
     return modules.union(*map(data_files, modules))
 
 
-def task_key(task: Task, context: RunContext[Any], digests: Iterable[str]) -> str:
+def task_key(task: Task, context: RunContext[Any], digests: Iterable[str | None]) -> str:
     """Hash of everything that a task's result depends on.
 
     ``digests``: digests of the receipts that the task needs, in the order of ``task.needs``.
@@ -128,48 +128,30 @@ def _step(task: Task, context: RunContext[Any]) -> Step:
     return found
 
 
-def finished(
-    task: Task,
-    key: str,
-    context: RunContext[Any],
-    *,
-    verify: bool = False,
-    altered: list[str] | None = None,
-) -> Receipt | None:
+def finished(task: Task, key: str, context: RunContext[Any]) -> Receipt | None:
     """Receipt of a task that needs no doing: it matches, and its outputs are there.
 
     Outputs are known by their size. Files of the store are verified where they are read. The
     checksum of a delivered file, and of any raster, is looked at if it was written to after the
     task was done.
-
-    Parameters
-    ----------
-    verify : bool
-        Compare the checksums of all outputs, which reads all of them.
-    altered : list of str, optional
-        Outputs that are not as they were written are added to it.
     """
     receipt = read_receipt(context.store, task.kind, task.name)
     if receipt is None or receipt.failed or receipt.key != key:
         return None
-    for name in receipt.outputs:
-        if not _unchanged(name, receipt, context, verify=verify):
-            if altered is not None:
-                altered.append(name)
-            return None
-    return receipt
+    same = all(_unchanged(context.store.named(name), name, receipt) for name in receipt.outputs)
+    return receipt if same else None
 
 
-def _unchanged(name: str, receipt: Receipt, context: RunContext[Any], *, verify: bool) -> bool:
-    path = context.store.named(name)
+def _unchanged(path: Path, name: str, receipt: Receipt) -> bool:
     if size(path) != receipt.sizes.get(name):
         return False
-    if not verify and receipt.written_ns.get(name) in {None, _written_ns(path)}:
+    if receipt.written_ns.get(name) in {None, _written_ns(path)}:
         return True
     return checksum(path) == receipt.outputs[name]
 
 
 def _written_ns(path: Path) -> int:
+    """When a delivered file or a raster was written to [ns since 1970]."""
     return path.stat().st_mtime_ns
 
 
@@ -183,54 +165,60 @@ def run_task(task: Task, key: str, context: RunContext[Any], run: str = "") -> R
     StoppedError
         If something concerns every task, such as a full disk.
     """
-    start = time.perf_counter()
     # From here on an earlier receipt's outputs may be overwritten: it must not speak for them if
     # this task is killed half-way.
     forget_receipt(context.store, task.kind, task.name)
+    start = time.perf_counter()
     try:
         give_back()
         function = _step(task, context).loaded()
         start = time.perf_counter()  # what loads a module for the first time is no work of a task
-        produced = function({**task.args, **task.how}, context)
-        paths = {context.store.name_of(path): path for path in produced.outputs}
-        outputs = {name: checksum(path) for name, path in paths.items()}
-        receipt = Receipt(
-            task.kind,
-            task.name,
-            key,
-            _digest(outputs, produced.facts),
-            "",
-            outputs,
-            produced.facts,
-            produced.points,
-            time.perf_counter() - start,
-            _peak_rss_mb(),
-            {name: size(path) for name, path in paths.items()},
-            {
-                n: _written_ns(p)
-                for n, p in paths.items()
-                if n.endswith(RASTER) or not n.startswith("store/")
-            },
-            produced.inputs,
-        )
+        receipt = _receipt(task, key, context, function({**task.args, **task.how}, context), start)
     except (StoppedError, KeyboardInterrupt):
         raise
-    except DamagedError as error:
-        wall_s = time.perf_counter() - start
-        receipt = failure(task, key, error.told, wall_s, code="F03", damaged=error.path)
-    except SplBatchError as error:
-        code = "F01" if isinstance(error, InputError) else "F04"
-        wall_s, trace = time.perf_counter() - start, traceback.format_exc()
-        receipt = failure(task, key, str(error), wall_s, code=code, trace=trace)
     except BaseException as error:  # noqa: BLE001 - a library may even end the program
         stop_if_full(error, context.output)
-        code = "F02" if isinstance(error, MemoryError) else "F04"
-        wall_s, trace = time.perf_counter() - start, traceback.format_exc()
-        receipt = failure(task, key, one_line(error), wall_s, code=code, trace=trace)
+        receipt = _failed(task, key, error, time.perf_counter() - start)
     if run and receipt.failed:
         receipt = replace(receipt, facts={**receipt.facts, "run": run})
     write_receipt(context.store, receipt)
     return receipt
+
+
+def _receipt(
+    task: Task, key: str, context: RunContext[Any], produced: Produced, start: float
+) -> Receipt:
+    """Receipt of a task that was done."""
+    paths = {context.store.name_of(path): path for path in produced.outputs}
+    outputs = {name: checksum(path) for name, path in paths.items()}
+    text = json.dumps([outputs, produced.facts], sort_keys=True, allow_nan=False)
+    looked_at = [n for n in paths if n.endswith(RASTER) or not n.startswith("store/")]
+    return Receipt(
+        task.kind,
+        task.name,
+        key,
+        hashlib.blake2b(text.encode(), digest_size=16).hexdigest(),
+        "",
+        outputs,
+        produced.facts,
+        produced.points,
+        time.perf_counter() - start,
+        _peak_rss_mb(),
+        {name: size(path) for name, path in paths.items()},
+        {name: _written_ns(paths[name]) for name in looked_at},
+        produced.inputs,
+    )
+
+
+def _failed(task: Task, key: str, error: BaseException, wall_s: float) -> Receipt:
+    """Receipt of a task that has raised something."""
+    if isinstance(error, DamagedError):
+        return failure(task, key, error.told, wall_s, code="F03", damaged=error.path)
+    codes = ((InputError, "F01"), (MemoryError, "F02"))
+    code = next((code for kind, code in codes if isinstance(error, kind)), "F04")
+    reason = str(error) if isinstance(error, SplBatchError) else one_line(error)
+    trace = "".join(traceback.format_exception(error))
+    return failure(task, key, reason, wall_s, code=code, trace=trace)
 
 
 def do(
@@ -247,12 +235,12 @@ def do(
     """
     task, key = job.task, job.key
     if not key:
-        receipts = [*job.found, *(o.receipt for o in needed if o.receipt and not o.receipt.failed)]
-        found = {(receipt.kind, receipt.name): receipt for receipt in receipts}
+        made = {o.need: o.receipt.digest for o in needed if o.receipt and not o.receipt.failed}
+        found = {**job.found, **made}
         bound = _step(task, context).bound(task, found)
         if bound is None:
             return Outcome(job.need, None)
-        task, key = bound, task_key(bound, context, (found[need].digest for need in bound.needs))
+        task, key = bound, task_key(bound, context, map(found.get, bound.needs))
         receipt = finished(task, key, context)
         if receipt is not None:
             return Outcome(job.need, receipt, found=True)
@@ -278,11 +266,6 @@ def failure(
     facts = {"code": code, "damaged": damaged, "traceback": trace}
     facts = {name: value for name, value in facts.items() if value}
     return Receipt(task.kind, task.name, key, "", line, {}, facts, 0, wall_s, _peak_rss_mb())
-
-
-def _digest(outputs: Mapping[str, str], facts: Mapping[str, object]) -> str:
-    text = json.dumps([outputs, facts], sort_keys=True, allow_nan=False)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def _at(content: object, path: str) -> object:

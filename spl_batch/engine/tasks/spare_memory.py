@@ -7,8 +7,7 @@ half of its limit.
 """
 
 import ctypes
-from functools import cache
-from typing import Any, Final
+from typing import Final
 
 import psutil
 
@@ -19,20 +18,14 @@ _limit: int | None = None
 
 
 def limit_memory(limit: int | None) -> None:
-    """Tell this process its memory limit [byte]; None for none."""
+    """Set the memory limit of this process [byte]; None for none."""
     global _limit  # noqa: PLW0603 - a limit is one of the process
     _limit = limit
 
 
 def give_back() -> None:
-    """Give freed memory back to the system where the limit is near."""
+    """Give freed memory back to the system where the limit is near, if the C library can."""
     if _limit and psutil.Process().memory_info().rss > NEAR_SHARE * _limit:
-        trim = _trim()
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
             trim(0)
-
-
-@cache
-def _trim() -> Any:
-    """What gives back pages in which nothing lies; None where the C library has none."""
-    return getattr(ctypes.CDLL(None), "malloc_trim", None)

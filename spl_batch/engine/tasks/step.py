@@ -3,13 +3,13 @@
 Plan, run, status, report, the keys of receipts, progress, cost and remedies read this table.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 from spl_batch.engine.tasks.context import TaskFunction
-from spl_batch.engine.tasks.task import Need, Receipt, Task
+from spl_batch.engine.tasks.task import Need, Task
 from spl_batch.receivers import load, steps
 
 
@@ -29,17 +29,16 @@ class Step:
     #: declared before it, unless stated otherwise. What its tasks need beyond that reaches them as
     #: it is finished.
     after: tuple[str, ...] | None = None
-    #: Of a task's arguments and the receipts of what it needs, those that failed missing: the
-    #: arguments that it is done with, or None where it is left out. Or where that function lies.
-    #: Without one a task is left out that misses anything.
-    bind: Callable[[Mapping[str, Any], Mapping[Need, Receipt]], Any] | str | None = None
+    #: Of a task's arguments and what is finished of its needs: the arguments that it is done with,
+    #: or None where it is left out. Or where that function lies. Without one a task is left out
+    #: that misses anything.
+    bind: Callable[[Mapping[str, Any], Collection[Need]], Any] | str | None = None
     unit: str = ""  #: What a user calls that which one of its tasks works on, such as ``tile``.
     delivers: bool = False  #: Whether users see what its tasks write.
     #: Facts that are read from receipts on disk alone: memory does without them.
     unread: frozenset[str] = frozenset()
     bytes_per_point: int = 0  #: Peak memory by each point that a task holds at once [byte].
     remedy: str = ""  #: What makes its tasks lighter where memory is short.
-    essential: bool = False  #: Whether a run cannot go on where one of its tasks fails.
 
     @property
     def modules(self) -> list[str]:
@@ -59,8 +58,8 @@ class Step:
         make = load(self.tasks) if isinstance(self.tasks, str) else self.tasks
         yield from make(ledger)
 
-    def bound(self, task: Task, found: Mapping[Need, Receipt]) -> Task | None:
-        """A task with what its needs have left; None where it is left out."""
+    def bound(self, task: Task, found: Collection[Need]) -> Task | None:
+        """A task with what is finished of its needs; None where it is left out."""
         needs = tuple(need for need in task.needs if need in found)
         if self.bind is None:
             return task if len(needs) == len(task.needs) else None

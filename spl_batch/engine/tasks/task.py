@@ -1,4 +1,4 @@
-"""A task, the receipt that it leaves, and how workers are: what travels between the storeys."""
+"""A task and the receipt that it leaves: what travels between the storeys."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -57,7 +57,7 @@ class Job(NamedTuple):
     task: Task
     key: str  #: Its key; empty where what it needs is not all finished.
     open: tuple[Need, ...] = ()  #: What of that is not.
-    found: tuple[Receipt, ...] = ()  #: What of that is, without facts.
+    found: Mapping[Need, str] = {}  #: What of that is, with its digest.
 
     @property
     def need(self) -> Need:
@@ -71,16 +71,4 @@ class Outcome(NamedTuple):
     need: Need
     receipt: Receipt | None  #: None where it was left out, for want of what it needs.
     found: bool = False  #: Whether it was finished already.
-    worker: str = ""
     again: bool = False  #: Whether nothing has, as what it needed had to be done elsewhere.
-
-
-@dataclass(frozen=True, slots=True)
-class WorkersSeen:
-    """How the workers are at a moment."""
-
-    workers: int
-    threads: int
-    #: Memory of the worker that has most, and the smallest limit; 0 where unknown [MiB].
-    memory_mb: float
-    limit_mb: float

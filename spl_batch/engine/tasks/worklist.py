@@ -5,14 +5,14 @@ are made twice: once to see which are finished, once to be done. Only those on t
 worker, or about to be, exist.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.ledger import Ledger
-from spl_batch.engine.tasks.runner import failure, finished, task_key
+from spl_batch.engine.tasks.runner import finished, task_key
 from spl_batch.engine.tasks.step import Step
-from spl_batch.engine.tasks.task import Job, Need, Receipt, Task
+from spl_batch.engine.tasks.task import Job, Receipt, Task
 
 
 class Worklist:
@@ -24,8 +24,6 @@ class Worklist:
         The step; those that its plan reads are over.
     ledger : Ledger
         What is finished so far; what this step finishes is added to it.
-    verify : bool
-        Whether finished outputs are compared with their checksums.
     is_over : callable
         Whether nothing more is to come of a step, by its name; so of all of them by default.
 
@@ -35,8 +33,6 @@ class Worklist:
         Tasks to do, and those that :meth:`look` found finished [count].
     points : int
         Points that the tasks to do will handle [count].
-    altered : list of str
-        An output of each task that is done again as it is not as it was written.
     """
 
     def __init__(
@@ -44,34 +40,29 @@ class Worklist:
         step: Step,
         ledger: Ledger[Any, Any],
         context: RunContext[Any],
-        *,
-        verify: bool = False,
         is_over: Callable[[str], bool] = lambda _: True,
     ) -> None:
         self.left = self.ready = self.points = 0
-        self.altered: list[str] = []
         self._left_out: set[str] = set()
-        self.step, self._ledger, self._context = step, ledger, context
-        self._verify, self._is_over = verify, is_over
+        self.step, self._ledger, self._context, self._is_over = step, ledger, context, is_over
         self._done = ledger.of(step.name)
 
-    def look(self) -> Iterator[tuple[Task, Receipt | None]]:
-        """Count the tasks; each, with its receipt where it is finished already."""
+    def look(self) -> Iterator[Receipt]:
+        """Count the tasks; receipts of those that are finished already."""
         self.left = self.ready = self.points = 0
-        self.altered.clear()
         for task in self.step.planned(self._ledger):
             job = self.job(task)
             if job is None:
                 self._left_out.add(task.name)
                 continue
-            receipt = self._finished(job) if job.key else None
+            receipt = finished(job.task, job.key, self._context) if job.key else None
             if receipt is not None:
                 self.ready += 1
                 self._done.put(receipt)
+                yield receipt
             else:
                 self.left += 1
                 self.points += task.points
-            yield task, receipt
 
     def tasks(self) -> Iterator[Task]:
         """Tasks that no look has found finished, made when they are asked for."""
@@ -83,52 +74,15 @@ class Worklist:
 
         None where something is missing that it cannot be done without.
         """
-        found = _Found(self._ledger, task.needs)
+        shelves = {step: self._ledger.of(step) for step, _ in task.needs}
+        found = {need: shelves[need[0]].digest(need[1]) for need in task.needs
+                 if need[1] in shelves[need[0]]}  # fmt: skip
         open_ = [need for need in task.needs if need not in found and not self._is_over(need[0])]
         if open_:
-            return Job(task, "", tuple(open_), tuple(found.lean()))
+            return Job(task, "", tuple(open_), found)
         if task.refused:
             return Job(task, "refused")
         bound = self.step.bound(task, found)
-        return None if bound is None else Job(bound, self.key(bound))
-
-    def refusal(self, job: Job) -> Receipt | None:
-        """Failure of a task that cannot be started; None for one that can."""
-        return (
-            failure(job.task, job.key, job.task.refused, code="F02") if job.task.refused else None
-        )
-
-    def key(self, task: Task) -> str:
-        """Hash of everything that a task's result depends on."""
-        digests = (self._ledger.of(step).digest(name) for step, name in task.needs)
-        return task_key(task, self._context, digests)
-
-    def _finished(self, job: Job) -> Receipt | None:
-        altered = self.altered
-        return finished(job.task, job.key, self._context, verify=self._verify, altered=altered)
-
-
-class _Found(Mapping[Need, Receipt]):
-    """What is finished of what a task needs."""
-
-    def __init__(self, ledger: Ledger[Any, Any], needs: tuple[Need, ...]) -> None:
-        self._ledger = ledger
-        self._needs = needs
-
-    def __contains__(self, need: object) -> bool:
-        return isinstance(need, tuple) and need[1] in self._ledger.of(need[0])
-
-    def __getitem__(self, need: Need) -> Receipt:
-        return self._ledger.of(need[0])[need[1]]
-
-    def __iter__(self) -> Iterator[Need]:
-        return (need for need in self._needs if need in self)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-    def lean(self) -> Iterator[Receipt]:
-        """Receipts as keys need them, without facts and outputs."""
-        for step, name in self:
-            digest = self._ledger.of(step).digest(name)
-            yield Receipt(step, name, "", digest, "", {}, {}, 0, 0.0, 0.0)
+        if bound is None:
+            return None
+        return Job(bound, task_key(bound, self._context, map(found.get, bound.needs)))

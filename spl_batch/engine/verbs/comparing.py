@@ -10,7 +10,9 @@ What methods there are, and what is said of them, is each receiver's own: it fil
 """
 
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
+import os
+import shutil
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,15 +20,15 @@ from typing import Any, Final
 
 from spl_batch.engine.report.parts import Performance
 from spl_batch.engine.settings.workflow_file import load_any
-from spl_batch.engine.store.links import share_finished
 from spl_batch.engine.store.output_lock import locked
-from spl_batch.engine.store.working_store import Store
+from spl_batch.engine.store.working_store import Store, forget_receipt, read_receipt, read_receipts
 from spl_batch.engine.verbs.output_owner import usable
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.running import run
 from spl_batch.engine.watch.events import Listener, Note, ignore
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.files.atomic import real_path
+from spl_batch.formats.files.atomic import real_path, replacing, size
+from spl_batch.formats.files.remote import copy_object, is_remote
 from spl_batch.receivers import HOMES, comparison, steps
 
 FOLDER: Final = "compare"
@@ -43,9 +45,9 @@ class Methods:
     keys: Callable[[str, Any], Sequence[str] | None]
     #: Of the names asked for: last stage of what these methods share, which is done first.
     until: Callable[[Collection[str]], str]
-    #: Of two stores, the workflow and a method's name: the stages that this method can use of the
-    #: workflow's own run. What is more than finished tasks it hands on itself.
-    share: Callable[[Store, Store, Any, str], Collection[str]]
+    #: Of the workflow and a method's name: stages and steps of the workflow's own run of which this
+    #: method can use what is finished.
+    share: Callable[[Any, str], Collection[str]]
     #: Of the output folder and reports by method: writes ``compare.html`` and ``compare.json`` and
     #: returns what they say, with ``methods``.
     write: Callable[[Path, Mapping[str, Any]], Any]
@@ -78,31 +80,15 @@ def compare(
 
     Parameters
     ----------
-    workflow : Path or str
-        Workflow file.
     methods : str or sequence of str
-        At least two, separated by commas, e.g. ``"vsaes:tail,voxel,published"`` of an airborne
-        survey, ``"likelihood,mdbscan"`` of photon profiles; the first is what the others are
-        compared with.
-    workers : int
-        Worker processes; 0 works in this process.
-    memory : str or int, optional
-        Memory limit of a worker [byte]; a share of the machine's unless told.
-    overrides : sequence of str
-        ``key.path=value``, applied to the workflow before the method is.
-    listener : callable
-        Told what happens.
+        At least two, separated by commas, e.g. ``"vsaes:published,voxel"`` of an airborne survey,
+        ``"likelihood,mdbscan"`` of photon profiles; the first is what the others are compared with.
+    workflow, workers, memory, overrides, listener : optional
+        As :func:`~spl_batch.engine.verbs.running.run` takes them, and so are the errors.
 
     Returns
     -------
     ComparisonResult
-
-    Raises
-    ------
-    WorkflowError, PlanError
-        If nothing can be started.
-    StoppedError
-        If a run had to stop as a whole; the same call continues.
     """
     path = Path(workflow)
     settings = load_any(path, overrides)
@@ -129,9 +115,8 @@ def compare(
         for count, (name, own) in enumerate(keys.items(), start=1):
             listener(Note("info", f"{name}, {count} of {len(keys)}"))
             target = store_of(output, name, url)
-            stages = found.share(source, target, settings, name)
-            shared = [name for name, step in tasks.items() if step.stage in stages]
-            share_finished(source, target, shared)
+            names = found.share(settings, name)
+            share_finished(source, target, [k for k, s in tasks.items() if {k, s.stage} & {*names}])
             result = process(overrides=own)
             status = max(status, result.exit_status)
             if result.report is not None:
@@ -179,6 +164,40 @@ def store_of(output: Path, name: str, url: str | None) -> Store:
     """Working store of a method: each has one of its own."""
     place = folder_of(name)
     return Store(output / place, f"{url.rstrip('/')}/{place}" if url else None)
+
+
+def share_finished(source: Store, target: Store, kinds: Iterable[str]) -> None:
+    """Make what one store has finished of some kinds of task known to another."""
+    for receipt in (receipt for kind in kinds for receipt in read_receipts(source, kind)):
+        need = receipt.kind, receipt.name
+        if receipt.failed or read_receipt(target, *need) == receipt:
+            continue
+        forget_receipt(target, *need)
+        paths = {source.named(name): target.named(name) for name in receipt.outputs}
+        if all(size(path) >= 0 for path in paths):
+            # The receipt comes last: until then nothing vouches for the outputs.
+            for path, name in {**paths, source.receipt(*need): target.receipt(*need)}.items():
+                _link(path, name)
+
+
+def _link(path: Path, name: Path) -> None:
+    """Give a file or folder of a store a name in another; files there are only replaced."""
+    if is_remote(path):
+        copy_object(path, name)
+        return
+    with replacing(name, durable=False) as temporary:
+        if path.is_dir():
+            shutil.copytree(path, temporary, copy_function=_link_file)
+        else:
+            _link_file(path, temporary)
+
+
+def _link_file(path: str | Path, name: str | Path) -> None:
+    try:
+        os.link(path, name)
+    except OSError:
+        # Another file system, or one without links; a full disk shows itself here again.
+        shutil.copy2(path, name)
 
 
 def per_million(cost: Performance, stage: str, count: int) -> float | None:

@@ -3,8 +3,7 @@
 A survey has a receipt for each tile and step; to look at each takes minutes on a million tiles. So
 a run that has finished everything records what decides its results, the times of its inputs, of
 what it has delivered and of the folders of its store. A later one that finds them as they were has
-nothing to do. A file that was altered within the store is noticed where it is read, or by
-``--verify``.
+nothing to do. A file that was altered within the store is noticed where it is read.
 """
 
 import hashlib
@@ -28,7 +27,6 @@ from spl_batch.engine.verbs.progress import Progress
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.watch.events import ReportStarted
 from spl_batch.errors import DamagedError
-from spl_batch.formats.files.atomic import remove
 from spl_batch.receivers import report_model
 
 REST: Final = "rest.json"
@@ -37,57 +35,26 @@ REST: Final = "rest.json"
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """How a run ended.
+    """How a run ended."""
 
-    Parameters
-    ----------
-    exit_status : int
-        0 all done, 1 some files or tiles failed.
-    output : Path
-        Folder of the results.
-    report : BaseModel or None
-        The receiver's model of its report, that of an airborne survey is
-        :class:`~spl_batch.airborne.report.model.Report`; None when the run was to stop before it.
-    screen : tuple of (str, str)
-        Label and value of the numbers that matter.
-    results : tuple of (str, list of Path)
-        Label and paths of what a user looks at first.
-    """
-
-    exit_status: int
-    output: Path
-    report: Any
-    screen: tuple[tuple[str, str], ...] = ()
+    exit_status: int  #: 0 all done, 1 some files or tiles failed.
+    output: Path  #: Folder of the results.
+    report: Any  #: The receiver's model of its report; None when the run was to stop before it.
+    screen: tuple[tuple[str, str], ...] = ()  #: Label and value of the numbers that matter.
+    #: Label and paths of what a user looks at first.
     results: tuple[tuple[str, list[Path]], ...] = ()
 
 
 def concluded(
-    prepared: Prepared[Any, Any],
-    progress: Progress,
-    until: str | None,
-    took: tuple[float, float | None],
+    progress: Progress, until: str | None, start: float, compile_s: float | None
 ) -> RunResult | None:
-    """Result of a run; None where a file that its report reads has to be made again.
+    """Delete what is stale, and write the report unless the run was to stop before it.
 
-    ``took`` is when the run began, and how long it has compiled [s].
+    None where a file that the report reads has to be made again. ``start``: when the run began;
+    ``compile_s``: how long it has compiled [s].
     """
-    try:
-        return _conclude(prepared, progress, until, took)
-    except DamagedError as error:
-        if not progress.repair(prepared.ledger, [error]):
-            raise
-        return None
-
-
-def _conclude(
-    prepared: Prepared[Any, Any],
-    progress: Progress,
-    until: str | None,
-    took: tuple[float, float | None],
-) -> RunResult:
-    """Delete what is stale, and write the report unless the run was to stop before it."""
-    ledger, context, receiver = prepared.ledger, prepared.context, prepared.receiver
-    kind, output = context.workflow.kind, context.output
+    prepared, kind = progress.prepared, progress.prepared.context.workflow.kind
+    ledger, receiver, output = prepared.ledger, prepared.receiver, prepared.context.output
     order, first = stages(kind), prepared.steps[delivering(kind)[0]].stage
     if until is None or order.index(until) >= order.index(first):
         for text in progress.deliveries.withdraw(ledger, failed=bool(progress.failures)):
@@ -97,20 +64,25 @@ def _conclude(
     if until is not None and until != "report":
         return RunResult(int(bool(progress.failures or ledger.inputs.bad)), output, None)
     facts = RunFacts(
-        time.perf_counter() - took[0],
-        progress.invocation.workers,
+        time.perf_counter() - start,
+        progress.workers,
         progress.costs,
         tuple(failures(prepared, progress.failures)),
-        progress.findings,
-        receiver.reference(ledger),
+        tuple(progress.findings),
+        tuple(receiver.reference(ledger)),
         receiver.not_read(ledger),
-        took[1],
+        compile_s,
     )
     progress.tell(ReportStarted())
-    written = receiver.report(ledger.done, context, facts)
+    try:
+        written = receiver.report(ledger.done, prepared.context, facts)
+    except DamagedError as error:
+        if not progress.repair([error]):
+            raise
+        return None
     progress.late(written.findings)
     if not written.failures:
-        rest(prepared, progress.deliveries)
+        _rest(prepared, progress.deliveries)
     return result_of(receiver, output, written)
 
 
@@ -123,36 +95,34 @@ def result_of(
     return RunResult(status, output, written, screen, tuple(receiver.results(output)))
 
 
-def rest(prepared: Prepared[Any, Any], deliveries: Deliveries) -> None:
+def _rest(prepared: Prepared[Any, Any], deliveries: Deliveries) -> None:
     """Record that everything is finished."""
     store = prepared.context.store
-    if store.url is not None:  # folders elsewhere have no times
-        return
-    below = (place for place, _, _ in os.walk(store.local))
-    folders = sorted({str(Path(place).relative_to(store.local)) for place in below} - {"."})
-    content = {"folders": folders, "state": _state(prepared, deliveries, folders)}
-    write_json(store.local / REST, content)
+    if store.url is None:  # folders elsewhere have no times
+        below = (place for place, _, _ in os.walk(store.local))
+        folders = sorted({str(Path(place).relative_to(store.local)) for place in below} - {"."})
+        content = {"folders": folders, "state": _state(prepared, deliveries, folders)}
+        write_json(store.local / REST, content)
 
 
 def rested(prepared: Prepared[Any, Any], progress: Progress, start: float) -> RunResult | None:
     """Result of a run that finds everything as it was left; None where there is work to do.
 
-    From here on everything may not be finished. ``start``: when the run began [s].
+    ``start``: when the run began [s].
     """
     file, output = prepared.context.store.local / REST, prepared.context.output
     model = report_model(prepared.context.workflow.kind)
     try:
         kept = read_json(file)
-        if kept["state"] == _state(prepared, progress.deliveries, kept["folders"]):
-            written = model.model_validate_json((output / REPORT_FILES[0]).read_bytes())
-            progress.late(written.findings)
-            took = as_ascii(duration(time.perf_counter() - start))
-            now = [("now", f"nothing was left to do: looked at in {took}")]
-            return result_of(prepared.receiver, output, written, now)
+        if kept["state"] != _state(prepared, progress.deliveries, kept["folders"]):
+            return None
+        written = model.model_validate_json((output / REPORT_FILES[0]).read_bytes())
     except (DamagedError, OSError, ValueError):  # none, or none to be trusted: receipts have it
-        pass
-    remove(file)
-    return None
+        return None
+    progress.late(written.findings)
+    took = as_ascii(duration(time.perf_counter() - start))
+    now = [("now", f"nothing was left to do: looked at in {took}")]
+    return result_of(prepared.receiver, output, written, now)
 
 
 def _state(prepared: Prepared[Any, Any], deliveries: Deliveries, folders: Iterable[str]) -> str:

@@ -1,55 +1,19 @@
-"""What did not make it: what it needed, what to do, and how to see it fail alone."""
+"""What did not make it: what it needed, and what to do."""
 
-import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from spl_batch.engine.findings import table
 from spl_batch.engine.report.parts import Failure
-from spl_batch.engine.tasks.step import Step, Steps
+from spl_batch.engine.tasks.step import Steps
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.receiver import Prepared
 
 
-@dataclass(frozen=True, slots=True)
-class Invocation:
-    """The command line that a run was, or would have been, started by."""
-
-    workflow: Path | str  #: Workflow file, as it was given.
-    workers: int  #: Worker processes, by which work was cut.
-    memory_bytes: int  #: Memory limit, by which work was cut [byte].
-    overrides: Sequence[str] = ()  #: ``key.path=value``.
-
-    def alone(self, task: Task) -> str:
-        """Command that does one task of this run, in the process that it starts."""
-        parts = ["spl-batch", "run", str(self.workflow), "--workers", str(self.workers)]
-        parts += ["--memory", _size(self.memory_bytes)]
-        for override in self.overrides:
-            parts += ["--set", override]
-        return shlex.join([*parts, "--only", f"{task.kind} {task.name}"])
-
-
-def _size(count: int) -> str:
-    """Bytes as ``--memory`` takes them, exactly, in the largest unit that fits."""
-    for unit, name in ((2**30, "GiB"), (2**20, "MiB")):
-        if count % unit == 0:
-            return f"{count // unit}{name}"
-    return str(count)
-
-
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """A task that failed."""
-
-    stage: str  #: Stage of the command line.
-    task: Task  #: The task.
-    receipt: Receipt  #: With the reason.
-    command: str  #: Command that does it alone.
-
-
-def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator[Failure]:
+def failures(
+    prepared: Prepared[Any, Any], failed: Iterable[tuple[Task, Receipt]]
+) -> Iterator[Failure]:
     """What did not make it, inputs first."""
     ledger, first = prepared.ledger, next(iter(prepared.steps.values()))
     for bad in ledger.inputs.bad:
@@ -62,17 +26,17 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
             inputs=(bad.path,),
         )
     names = {str(s.key): s.name for s in ledger.inputs.sources}
-    for one in failed:
-        task, step = one.task, prepared.steps[one.task.kind]
+    for task, receipt in failed:
+        step, code = prepared.steps[task.kind], receipt.facts.get("code", "F04")
+        lighter = f"{step.remedy}, or " if code == "F02" and step.remedy else ""
         yield Failure(
-            code=one.receipt.facts.get("code", "F04"),
-            stage=one.stage,
+            code=code,
+            stage=step.stage,
             place=names.get(task.name) or str(task.args.get("path", task.name)),
-            reason=one.receipt.reason,
-            remedy=_remedy(one, step),
+            reason=receipt.reason,
+            remedy=f"{lighter}{table()[code].remedy}",
             task=f"{task.kind} {task.name}",
             inputs=tuple(inputs(task, names, prepared.steps)),
-            command=one.command,
         )
 
 
@@ -84,10 +48,8 @@ def inputs(task: Task, names: Mapping[str, str], steps: Steps) -> list[str]:
         found.append(str(task.args["path"]))
     for kind, name in task.needs:
         word = steps[kind].unit
-        if name in names:
-            found.append(names[name])
-        elif word:
-            found.append(f"{word} {name}")
+        if name in names or word:
+            found.append(names.get(name) or f"{word} {name}")
     return list(dict.fromkeys(found))
 
 
@@ -101,11 +63,3 @@ def plain_name(task: Task, names: Mapping[str, str]) -> str:
     if "part" in task.args:
         parts.append(str(task.args["part"]))
     return " ".join(parts)
-
-
-def _remedy(one: Failed, step: Step) -> str:
-    """What its code advises, with what makes its kind of task lighter where memory was short."""
-    code = one.receipt.facts.get("code", "F04")
-    lighter = step.remedy if code == "F02" else ""
-    remedy = table()[code].remedy
-    return f"{lighter}, or {remedy}" if lighter else remedy

@@ -6,21 +6,16 @@ finished, so that one step begins where another has ended. What is finished is n
 window bounds what the scheduler holds.
 """
 
-import threading
 from collections.abc import Sequence
-from functools import cache
-from typing import Any
 
 from spl_batch.engine.findings import of_receipts
 from spl_batch.engine.flow.job import Executor
-from spl_batch.engine.report.run_record import StageCost
+from spl_batch.engine.tasks.runner import failure
 from spl_batch.engine.tasks.step import Step
-from spl_batch.engine.tasks.task import Job, Need, Outcome, Receipt, Task
+from spl_batch.engine.tasks.task import Need, Outcome, Task
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.engine.verbs.progress import Progress
-from spl_batch.engine.verbs.receiver import Prepared, Receiver
 from spl_batch.engine.watch.events import PhaseStarted, TaskSettled
-from spl_batch.errors import named
 
 
 class _Open:
@@ -45,43 +40,31 @@ class Graph:
     ----------
     steps : sequence of Step
         Those that are to be done, in order.
-    verify : bool
-        Whether finished outputs are compared with their checksums.
-    reports : bool
-        Whether a report follows.
     """
 
-    def __init__(
-        self,
-        prepared: Prepared[Any, Any],
-        steps: Sequence[Step],
-        pool: Executor,
-        progress: Progress,
-        *,
-        verify: bool,
-        reports: bool,
-    ) -> None:
-        self.prepared, self.pool, self.progress = prepared, pool, progress
-        self._verify, self._reports = verify, reports
+    def __init__(self, steps: Sequence[Step], pool: Executor, progress: Progress) -> None:
+        self.prepared, self.pool, self.progress = progress.prepared, pool, progress
         self._steps = {step.name: step for step in steps}
         self._waiting, self._open = list(steps), dict[str, _Open]()
         self._missing: set[Need] = set()  # tasks of open steps that failed or were left out
         self._closed: set[str] = set()
         self._pending: dict[Need, Task] = {}
-        self._ends_early = False  # a file of the store is to be made again first
 
     def run(self) -> None:
         """Do what is left to do."""
-        while True:
-            self._close_steps()
-            self._open_steps()
-            if not self._ends_early:
+        while self._open or self._waiting:
+            if not self.progress.begins_again:
+                self._close_steps()
+                self._open_steps()
                 while len(self._pending) < self.pool.window and self._hand_out():
                     pass
             if self._pending:
                 self._ended(self.pool.ended())
-            elif self._ends_early or not (self._open or self._waiting):
+            elif self.progress.begins_again:
                 return
+
+    def _is_closed(self, name: str) -> bool:
+        return name in self._closed or name not in self._steps
 
     def _is_over(self, name: str) -> bool:
         """Whether nothing more is to come of a step."""
@@ -90,46 +73,25 @@ class Graph:
 
     def _open_steps(self) -> None:
         """Open each step of which all is over that its plan reads."""
-        while not self._ends_early:
-            for step in self._waiting:
-                before = [*self.prepared.steps]
-                before = before[: before.index(step.name)]
-                if all(map(self._is_closed, before if step.after is None else step.after)):
-                    self._waiting.remove(step)
-                    self._begin(step)
-                    break
-            else:
-                return
-            self._close_steps()
-
-    def _is_closed(self, name: str) -> bool:
-        return name in self._closed or name not in self._steps
+        order = [*self.prepared.steps]
+        for step in [*self._waiting]:
+            reads = order[: order.index(step.name)] if step.after is None else step.after
+            if all(map(self._is_closed, reads)):
+                self._waiting.remove(step)
+                self._begin(step)
+                self._close_steps()
 
     def _begin(self, step: Step) -> None:
         """See what a step has left to do, and report it."""
         prepared, progress = self.prepared, self.progress
         prepared.receiver.before(step, prepared)
-        work = Worklist(
-            step,
-            prepared.ledger,
-            prepared.context,
-            verify=self._verify,
-            is_over=self._is_over,
-        )
-        for _, receipt in work.look():
-            if receipt is not None:
-                self._found(step, receipt)
-        if work.altered:
-            progress.note(f"gone or not as written, made again: {named(work.altered)}")
+        work = Worklist(step, prepared.ledger, prepared.context, self._is_over)
+        for receipt in work.look():
+            progress.found(step.stage, receipt)
         if work.left or work.ready:
             event = PhaseStarted(step.stage, step.name, work.left, work.ready, work.points)
             progress.tell(event)
         self._open[step.name] = _Open(step, work)
-
-    def _found(self, step: Step, receipt: Receipt) -> None:
-        """Take note of a task that was finished before."""
-        self.progress.deliveries.wrote(receipt)
-        self.progress.costs.setdefault(step.stage, StageCost()).skip(receipt)
 
     def _settled(self, step: Step, task: Task, *, found: bool = False) -> None:
         """Report that a task needs no doing: it was finished, or misses what it needs."""
@@ -156,17 +118,11 @@ class Graph:
             return True
         one.pending += 1
         self._pending[job.need] = task
-        refused = one.work.refusal(job)
-        if refused is not None:
-            self._ended(Outcome(job.need, refused))
+        if task.refused:
+            self._ended(Outcome(job.need, failure(task, job.key, task.refused, code="F02")))
         else:
-            self._submit(job)
+            self.pool.submit(job, self.prepared.context)
         return True
-
-    def _submit(self, job: Job) -> None:
-        if self._reports and self.progress.invocation.workers:
-            _load_meanwhile(self.prepared.receiver)
-        self.pool.submit(job, self.prepared.context)
 
     def _is_known(self, need: Need) -> bool:
         """Whether a task is handed out, has ended, or will never be."""
@@ -182,29 +138,24 @@ class Graph:
         """Take in what has come of a task."""
         task = self._pending[outcome.need]
         one, receipt = self._open[outcome.need[0]], outcome.receipt
-        if outcome.again:
-            job = one.work.job(task)
-            if job is not None:
-                self._submit(job)
-                return
+        job = one.work.job(task) if outcome.again else None
+        if job is not None:
+            self.pool.submit(job, self.prepared.context)
+            return
         del self._pending[outcome.need]
         one.pending -= 1
         if receipt is None:
             self._settled(one.step, task)
             return
-        ledger = self.prepared.ledger
-        if not receipt.failed:
-            ledger.of(receipt.kind).put(receipt)
-        if outcome.found:
-            self._found(one.step, receipt)
-            self._settled(one.step, task, found=True)
-            return
-        self.progress.deliveries.wrote(receipt)
-        self.progress.ended(task, receipt)
         if receipt.failed:
             self._missing.add(outcome.need)
-            if self.progress.can_mend(receipt):
-                self._ends_early = True
+        else:
+            self.prepared.ledger.of(receipt.kind).put(receipt)
+        if outcome.found:
+            self.progress.found(one.step.stage, receipt)
+            self._settled(one.step, task, found=True)
+        else:
+            self.progress.ended(task, receipt)
 
     def _close_steps(self) -> None:
         """End steps that are over, in order: what they have brought to light is reported so."""
@@ -212,7 +163,7 @@ class Graph:
         for name, step in self._steps.items():
             if name in self._closed:
                 continue
-            if self._ends_early or name not in self._open or not self._is_over(name):
+            if name not in self._open or not self._is_over(name):
                 return
             prepared.ledger.of(name).sort()
             if step.delivers:
@@ -220,12 +171,6 @@ class Graph:
             del self._open[name]
             self._closed.add(name)
             self._missing = {need for need in self._missing if need[0] != name}
-            progress.warn(prepared.receiver.after(step, prepared, progress.failed))
-            progress.warn(prepared.receiver.aside(step, prepared))
+            failed = [receipt for _, receipt in progress.failures]
+            progress.warn(prepared.receiver.after(step, prepared, failed))
             progress.warn(of_receipts(prepared.ledger.of(name)))
-
-
-@cache
-def _load_meanwhile(receiver: Receiver[Any, Any]) -> None:
-    """Once, load what is needed in the end, as long as workers do the work."""
-    threading.Thread(target=receiver.load_report, name="load report", daemon=True).start()

@@ -6,16 +6,15 @@ if they have an input in common: a file at the same path, or one of the same nam
 
 import os
 import socket
-import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import REPORT_FILES
-from spl_batch.engine.store.deliveries import RECORD, Deliveries, something_there
+from spl_batch.engine.store.deliveries import RECORD, Deliveries
 from spl_batch.engine.store.output_lock import was_stopped
-from spl_batch.engine.store.working_store import IDENTITY, Store, read_json, write_json
+from spl_batch.engine.store.working_store import Store, read_json, write_json
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.errors import DamagedError, WorkflowError, named
 from spl_batch.formats.files.atomic import size
@@ -48,27 +47,33 @@ def usable(prepared: Prepared[Any, Any], *, stopped: bool | None = None) -> Deli
         raise WorkflowError(  # a slip, or a disk that is off
             f"output: {output}: there is no folder {output.parent}; check the path"
         )
-    refuse_claimed(prepared.context.store)
+    _refuse_claimed(prepared.context.store)
     stopped = was_stopped(output) if stopped is None else stopped
     deliveries = Deliveries(prepared.context, stopped=stopped)
-    survey = deliveries.survey
-    if survey is None:
-        patterns = (*prepared.receiver.delivered, *REPORT_FILES)
-        there = (path for pattern in patterns for path in sorted(output.glob(pattern)))
-        names = [path.relative_to(output).as_posix() for path in there if path.is_file()]
-        unknown = [name for name in names if name not in deliveries.files]
-        if unknown:
-            raise WorkflowError(
-                f"output: {output} holds {named(unknown, 3)}, and no run has recorded there "
-                f"({RECORD}) that it wrote them; name another output, or move them away"
-            )
-    elif something_there(deliveries) and not _in_common(survey["inputs"], prepared):
-        inputs = [Path(path).name for path, _ in survey["inputs"]]
+    if deliveries.survey is None:
+        _refuse_unknown(prepared, deliveries)
+    elif deliveries.anything_there and not _in_common(deliveries.survey["inputs"], prepared):
+        inputs = [Path(path).name for path, _ in deliveries.survey["inputs"]]
         raise WorkflowError(
-            f"output: {output} holds the results of another survey, {survey['name']!r}, made of "
-            f"{named(inputs, 2)}, no input of this one; name another output, or delete that folder"
+            f"output: {output} holds the results of another survey, {deliveries.survey['name']!r}, "
+            f"made of {named(inputs, 2)}, no input of this one; name another output, or delete "
+            "that folder"
         )
     return deliveries
+
+
+def _refuse_unknown(prepared: Prepared[Any, Any], deliveries: Deliveries) -> None:
+    """Refuse an output with files where results go that no run has recorded."""
+    output = prepared.context.output
+    patterns = (*prepared.receiver.delivered, *REPORT_FILES)
+    there = (path for pattern in patterns for path in sorted(output.glob(pattern)))
+    names = [path.relative_to(output).as_posix() for path in there if path.is_file()]
+    unknown = [name for name in names if name not in deliveries.files]
+    if unknown:
+        raise WorkflowError(
+            f"output: {output} holds {named(unknown, 3)}, and no run has recorded there "
+            f"({RECORD}) that it wrote them; name another output, or move them away"
+        )
 
 
 def this_survey(prepared: Prepared[Any, Any]) -> dict[str, Any]:
@@ -81,79 +86,40 @@ def this_survey(prepared: Prepared[Any, Any]) -> dict[str, Any]:
 
 def gone_inputs(prepared: Prepared[Any, Any], deliveries: Deliveries) -> Iterator[Finding]:
     """Name the inputs of the run before that are not among this one's; their results go."""
-    if deliveries.survey is None:
-        return
+    before = [Path(path).name for path, _ in (deliveries.survey or {}).get("inputs", ())]
     # By their names alone, as a survey may have been moved.
-    here = {path.name for path in _paths(prepared)}
-    gone = [path for path, _ in deliveries.survey["inputs"] if Path(path).name not in here]
-    if gone and len(gone) < len(deliveries.survey["inputs"]):
-        yield Finding("E01", {"kind": "gone", "files": [Path(p).name for p in gone]})
+    gone = sorted({*before} - {path.name for path in _paths(prepared)})
+    if 0 < len(gone) < len(before):
+        yield Finding("E01", {"kind": "gone", "files": gone})
 
 
 def claim(store: Store) -> None:
-    """Leave a mark in a store elsewhere that names its output: two would overwrite each other.
-
-    ``store``: of an output whose lock is held.
-
-    Raises
-    ------
-    WorkflowError, StoppedError
-        As :func:`refuse_claimed` does.
-    """
-    if refuse_claimed(store):
-        return
-    mine = _identity(store)
-    if not mine:
-        mine = uuid.uuid4().hex
-        write_json(store.local / IDENTITY, {"id": mine})
-    content = {"id": mine, "output": str(store.output), "host": socket.gethostname()}
-    write_json(store.path(_MARK), content)
+    """Leave a mark in a store elsewhere that names its output: two would overwrite each other."""
+    if store.url:
+        content = {"output": str(store.output), "host": socket.gethostname()}
+        write_json(store.path(_MARK), content)
 
 
-def refuse_claimed(store: Store) -> bool:
-    """Refuse a store elsewhere that is another output's; whether it bears this one's mark.
-
-    Raises
-    ------
-    WorkflowError
-        If the mark of another output is there.
-    StoppedError
-        If the store cannot be reached.
-    """
-    if store.url is None:
-        return True
+def _refuse_claimed(store: Store) -> None:
+    """Refuse a store elsewhere that is another output's."""
     try:
-        there = read_json(store.path(_MARK))
+        there = read_json(store.path(_MARK)) if store.url else {"output": str(store.output)}
     except DamagedError:  # none yet
-        return False
-    if there["id"] != _identity(store):
+        return
+    if there["output"] != str(store.output):
         raise WorkflowError(
             f"outputs.store: {store.url} is the store of another output, {there['output']} "
             f"(host {there['host']}): name another one, or delete what is there"
         )
-    return True
-
-
-def _identity(store: Store) -> str:
-    """Distinguishes this output from others, wherever it is moved; empty if nothing does yet."""
-    try:
-        return str(read_json(store.local / IDENTITY)["id"])
-    except DamagedError:
-        return ""
 
 
 def _paths(prepared: Prepared[Any, Any]) -> list[Path]:
     """Every input that the workflow names, those that cannot be used included."""
     inputs = prepared.ledger.inputs
-    found = [source.path for source in inputs.sources]
-    found += [Path(bad.path) for bad in inputs.bad]
-    return sorted(dict.fromkeys(found))
+    return sorted({*(s.path for s in inputs.sources), *(Path(bad.path) for bad in inputs.bad)})
 
 
 def _in_common(earlier: list[list[Any]], prepared: Prepared[Any, Any]) -> bool:
     """Whether an input of an earlier run is one of this run's."""
-    here = _paths(prepared)
-    known = {(Path(path).name, count) for path, count in earlier}
-    return bool({path for path, _ in earlier} & {str(path) for path in here}) or any(
-        (path.name, size(path)) in known for path in here
-    )
+    known = {key for path, count in earlier for key in (path, (Path(path).name, count))}
+    return any(str(p) in known or (p.name, size(p)) in known for p in _paths(prepared))

@@ -1,7 +1,7 @@
 """What a run will do, from headers alone: points, tasks, disk, memory, time."""
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,41 +19,19 @@ from spl_batch.formats.files.atomic import names_in
 
 @dataclass(frozen=True, slots=True)
 class PlanSummary:
-    """What a run will do.
+    """What a run will do."""
 
-    Parameters
-    ----------
-    files, points : int
-        Usable input files, and points that their headers promise [count].
-    cost : Cost
-        Tasks, disk, memory and time; of an airborne survey, a
-        :class:`~spl_batch.airborne.plan.cost.SurveyCost`.
-    limit_bytes : int
-        Memory limit of a worker [byte].
-    shared : bool
-        Whether it is the workers' share of this machine, as nobody has said otherwise.
-    rows : tuple of (str, str)
-        Label and value of what the receiver tells beside them.
-    faults : tuple of str
-        What is wrong with the inputs and the output.
-    findings : tuple of FindingReport
-        What is odd about them.
-    finished : int
-        Tasks that earlier runs have finished there, whatever has changed since [count].
-    unusable : int
-        Input files that cannot be used [count]; ``faults`` has the reasons.
-    """
-
+    #: Usable input files, and points that their headers promise [count].
     files: int
     points: int
-    cost: Any
-    limit_bytes: int
-    shared: bool
-    rows: tuple[tuple[str, str], ...]
-    faults: tuple[str, ...]
-    findings: tuple[FindingReport, ...]
-    finished: int = 0
-    unusable: int = 0
+    cost: Any  #: Tasks, disk, memory and time: a Cost, as the receiver extends it.
+    limit_bytes: int  #: Memory limit of a worker [byte].
+    shared: bool  #: Whether that is the workers' share of this machine, as none was given.
+    rows: tuple[tuple[str, str], ...]  #: Label and value of what the receiver adds.
+    faults: tuple[str, ...]  #: What is wrong with the inputs and the output.
+    findings: tuple[FindingReport, ...]  #: What to warn of.
+    finished: int = 0  #: Tasks that earlier runs have finished, whatever has changed since [count].
+    unusable: int = 0  #: Input files that cannot be used; ``faults`` has the reasons [count].
 
     @property
     def exit_status(self) -> int:
@@ -68,18 +46,12 @@ def plan(
     memory: str | int | None = None,
     overrides: Sequence[str] = (),
 ) -> PlanSummary:
-    """Say what a run would do, and what is wrong with all inputs at once.
+    """Estimate what a run would do, and name what is wrong with all inputs at once.
 
     Parameters
     ----------
-    workflow : Path or str
-        Workflow file.
-    workers : int
-        Worker processes [count].
-    memory : str or int, optional
-        Memory limit of a worker [byte]; a share of the machine's unless told.
-    overrides : sequence of str
-        ``key.path=value``, applied to the workflow.
+    workflow, workers, memory, overrides : optional
+        As :func:`~spl_batch.engine.verbs.running.run` takes them.
 
     Raises
     ------
@@ -94,36 +66,26 @@ def plan(
     refuse_without("matplotlib", "reports", "report")
     cost, inputs = fitting_cost(prepared), prepared.ledger.inputs
     deliveries = usable(prepared)
-    receiver = prepared.receiver
-    look = receiver.first_look(prepared)
-    output, store = prepared.context.output, prepared.context.store
+    look = prepared.receiver.first_look(prepared)
+    store = prepared.context.store
     folders = (store.path("receipts", kind) for kind in prepared.steps)
     finished = sum(len(names_in(folder, ".json")) for folder in folders)
-    needed = 0 if finished or store.url else cost.disk_bytes
+    findings = (
+        *prepared.ledger.remarks,
+        *inputs.warnings,
+        *gone_inputs(prepared, deliveries),
+        *look.warnings,
+        *_too_full(prepared.context.output, 0 if finished or store.url else cost.disk_bytes),
+    )
     return PlanSummary(
         len(inputs.sources) - look.unreadable,
         cost.points - look.unreadable_points,
         cost,
         prepared.ledger.memory_bytes,
         prepared.ledger.shared,
-        (*look.rows, *receiver.plan_rows(prepared, cost)),
+        (*look.rows, *prepared.receiver.plan_rows(prepared, cost)),
         (*told_together(inputs.bad), *look.faults, *look.late),
-        reported(
-            (
-                *prepared.ledger.remarks,
-                *inputs.warnings,
-                *gone_inputs(prepared, deliveries),
-                *look.warnings,
-                *(
-                    one
-                    for step in prepared.steps.values()
-                    for one in receiver.aside(step, prepared)
-                ),
-                *_too_full(output, needed),
-            ),
-            prepared.context.workflow.report.ignore,
-            notes=True,
-        ),
+        reported(findings, prepared.context.workflow.report.ignore, notes=True),
         finished,
         len(inputs.bad) + look.unreadable,
     )
@@ -138,15 +100,13 @@ def fitting_cost(prepared: Prepared[Any, Any]) -> Cost:
         If a task cannot; it names the heaviest one.
     """
     cost = prepared.receiver.cost(prepared)
-    ledger = prepared.ledger
-    refuse_too_large(cost, ledger.memory_bytes, shared=ledger.shared)
+    refuse_too_large(cost, prepared.ledger.memory_bytes, shared=prepared.ledger.shared)
     return cost
 
 
-def _too_full(output: Path, needed: int) -> list[Finding]:
+def _too_full(output: Path, needed: int) -> Iterator[Finding]:
     """A note where the file system of the output has less room than is expected to be taken."""
     there = next(place for place in (output, *output.parents) if place.exists())
     free = shutil.disk_usage(there).free
-    if needed <= free:
-        return []
-    return [Finding("E01", {"kind": "disk", "needed": storage(needed), "free": storage(free)})]
+    if needed > free:
+        yield Finding("E01", {"kind": "disk", "needed": storage(needed), "free": storage(free)})

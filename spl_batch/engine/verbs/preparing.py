@@ -1,12 +1,11 @@
 """Everything that is settled before work starts: settings, inputs, limits."""
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.findings import Finding
-from spl_batch.engine.flow.cluster import machine_memory
+from spl_batch.engine.flow.cluster import byte_count, machine_memory
 from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped, told_together
@@ -14,20 +13,18 @@ from spl_batch.formats.files.atomic import real_path
 from spl_batch.receivers import receiver
 
 REMOTE_BYTES: Final = 4 * 2**30
-"""Memory limit of a worker of a running scheduler unless told otherwise [byte]."""
+"""Memory limit of a worker of a running scheduler by default [byte]."""
 
 MACHINE_SHARE: Final = 0.8
-"""Part of this machine's memory that its workers share unless told otherwise."""
+"""Part of this machine's memory that its workers share by default: what else runs there and the
+files that the system keeps in memory have the rest."""
 
 MOST_BYTES: Final = 16 * 2**30
-"""Memory limit that a worker of this machine is not given more than, unless told otherwise
-[byte]: blocks hardly read less with more."""
+"""Highest default of the memory limit of a worker of this machine: cells hardly read less with more
+[byte]."""
 
 STEP_BYTES: Final = 2**28
-"""What such a limit is a multiple of [byte]."""
-
-_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
-_BINARY = {"k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40}
+"""The smallest limit, and what the default is a multiple of [byte]."""
 
 
 def prepare(
@@ -47,7 +44,7 @@ def prepare(
     overrides : sequence of str
         ``key.path=value``.
     memory : str or int, optional
-        Memory limit of a worker [byte]; :func:`usual_bytes` unless told.
+        Memory limit of a worker [byte]; :func:`limit_bytes` has the default.
     workers : int
         Worker processes [count].
     remote : bool
@@ -70,8 +67,13 @@ def prepare(
     found: Receiver[Any, Any] = receiver(workflow.kind)
     prepared = found.prepare(workflow, place, Limits(limit, max(workers, 1)))
     prepared.ledger.shared = memory is None and not remote
-    if memory is not None and not remote:
-        prepared.ledger.remarks = (*_more_than_there_is(limit, max(workers, 1)),)
+    total, there = max(workers, 1) * limit, machine_memory()
+    if memory is not None and not remote and total > there:
+        text = (
+            f"--memory: the workers may take {grouped(total / 2**30, 1)} GiB together, this "
+            f"machine has {grouped(there / 2**30, 1)} GiB; lower --memory or --workers"
+        )
+        prepared.ledger.remarks = (Finding("E01", {"kind": "memory", "what": text}),)
     inputs = prepared.ledger.inputs
     if not inputs.sources:
         raise WorkflowError("no input is usable: " + "; ".join(told_together(inputs.bad)))
@@ -80,7 +82,7 @@ def prepare(
 
 
 def limit_bytes(memory: str | int | None, workers: int, *, remote: bool = False) -> int:
-    """Memory limit of each worker, from what is told of it [byte].
+    """Memory limit of each worker, from what is given for it; workers of this machine share it.
 
     The arguments are those of :func:`prepare`, and so is the error for a wrong one.
     """
@@ -88,28 +90,8 @@ def limit_bytes(memory: str | int | None, workers: int, *, remote: bool = False)
         raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
     if memory is not None:
         return parse_bytes(memory)
-    return REMOTE_BYTES if remote else usual_bytes(workers)
-
-
-def _more_than_there_is(limit: int, workers: int) -> Iterator[Finding]:
-    """A remark where workers of this machine may take more memory than it has."""
-    there = machine_memory()
-    if workers * limit > there:
-        total, have = (grouped(size / 2**30, 1) for size in (workers * limit, there))
-        text = (
-            f"--memory: {grouped(workers)} worker{'s' if workers > 1 else ''} may take {total} GiB "
-            f"together, this machine has {have} GiB and ends what asks for more; lower --memory "
-            "or --workers"
-        )
-        yield Finding("E01", {"kind": "memory", "what": text})
-
-
-def usual_bytes(workers: int) -> int:
-    """Memory limit of each of some workers of this machine, unless told otherwise [byte].
-
-    They share :data:`MACHINE_SHARE` of it: what else runs there and the files that the system keeps
-    in memory have the rest.
-    """
+    if remote:
+        return REMOTE_BYTES
     share = int(MACHINE_SHARE * machine_memory() / max(workers, 1))
     return min(max(share // STEP_BYTES, 1) * STEP_BYTES, MOST_BYTES)
 
@@ -122,16 +104,13 @@ def parse_bytes(text: str | int) -> int:
     WorkflowError
         If it is no size, or less than 256 MiB.
     """
-    pattern = r"\s*(\d+(?:\.\d+)?)\s*(?:([kmgt])(i?)b?|b?)\s*"
-    match = re.fullmatch(pattern, str(text).lower())
-    if match is None:
-        raise WorkflowError(f"--memory {text}: write a size such as 4GiB")
-    number, prefix, binary = match.groups()
-    size = int(float(number) * (_BINARY if binary else _UNITS)[prefix or ""])
-    if size < 2**28:
-        meant = "" if prefix else f"; write {number}{'GiB' if float(number) < 256 else 'MiB'}"
+    try:
+        size = byte_count(str(text))
+    except (ValueError, OverflowError):
+        raise WorkflowError(f"--memory {text}: write a size such as 4GiB") from None
+    if size < STEP_BYTES:
         raise WorkflowError(
-            f"--memory {text}: that is {grouped(size)} bytes, a worker needs 256 MiB at least"
-            f"{meant}"
+            f"--memory {text}: that is {grouped(size)} bytes, a worker needs 256 MiB at least; "
+            "write a size such as 4GiB"
         )
     return size

@@ -1,4 +1,4 @@
-"""What the verbs need of a receiver: inputs, cost, remarks on the way, a report.
+"""What the verbs need of a receiver: inputs, cost, findings, a report.
 
 Everything else, tasks on workers, receipts, resume, isolation of failures, progress, is the
 same for all of them. A receiver is named by the ``kind`` of a workflow
@@ -53,7 +53,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a workflow stands, and where its results go."""
+    """Where a workflow lies, and where its results go."""
 
     workflow: Path  #: The file, as it was given.
     base: Path  #: Folder that its relative paths start from.
@@ -63,16 +63,14 @@ class Place:
 class FirstLook(NamedTuple):
     """What a plan finds in the inputs."""
 
-    #: What is wrong with some of them, which a run leaves out; what is odd.
-    faults: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()  #: What is wrong with some of them, which a run leaves out.
     warnings: tuple[Finding, ...] = ()
-    rows: tuple[tuple[str, str], ...] = ()  #: Label and value of what else they tell.
+    rows: tuple[tuple[str, str], ...] = ()  #: Label and value of what else is known of them.
     #: Inputs whose points cannot be read though their headers can, and what these promise [count];
     #: ``faults`` has the reasons.
     unreadable: int = 0
     unreadable_points: int = 0
-    #: What is wrong with files that a run reads only at its end: it says so at its beginning.
-    late: tuple[str, ...] = ()
+    late: tuple[str, ...] = ()  #: What is wrong with files that a run reads only at its end.
 
 
 class Receiver(ABC, Generic[L, C]):
@@ -118,10 +116,10 @@ class Receiver(ABC, Generic[L, C]):
 
     @abstractmethod
     def plan_rows(self, prepared: Prepared[L, C], cost: Any) -> list[tuple[str, str]]:
-        """Label and value of what a plan tells beside disk, memory and time."""
+        """Label and value of what a plan shows beside disk, memory and time."""
 
     def first_look(self, prepared: Prepared[L, C]) -> FirstLook:
-        """Faults and oddities that a plan tells of its inputs by reading a little of them.
+        """Faults and findings of the inputs that reading a little of them shows.
 
         Raises
         ------
@@ -137,7 +135,7 @@ class Receiver(ABC, Generic[L, C]):
     def after(
         self, step: Step, prepared: Prepared[L, C], failed: Sequence[Receipt]
     ) -> Iterable[Finding]:
-        """Warn of what a step has brought to light.
+        """Findings that a step has brought to light, notes for the operator among them.
 
         Raises
         ------
@@ -145,11 +143,6 @@ class Receiver(ABC, Generic[L, C]):
             If nothing is left to go on with.
         """
         del step, prepared, failed
-        return ()
-
-    def aside(self, step: Step, prepared: Prepared[L, C]) -> Iterable[Finding]:
-        """Notes for the operator after a step; they are in no report."""
-        del step, prepared
         return ()
 
     def reference(self, ledger: L) -> list[str]:
@@ -171,7 +164,7 @@ class Receiver(ABC, Generic[L, C]):
 
     @abstractmethod
     def report(self, done: Receipts, context: C, facts: RunFacts) -> Any:
-        """Write ``report.json`` and ``report.html``; the model of what they say."""
+        """Write ``report.json`` and ``report.html``, and return the model of them."""
 
     @abstractmethod
     def screen(self, report: Any) -> list[tuple[str, str]]:

@@ -3,19 +3,17 @@
 from pathlib import Path
 from typing import Any
 
-from spl_batch.engine.findings import Finding
-from spl_batch.engine.report.parts import Failure
-from spl_batch.engine.report.run_record import RUN, RunFacts, StageCost, recall
-from spl_batch.engine.settings.mistaken_file import no_output
+from spl_batch.engine.report.run_record import FACTS, RUN, RunFacts, recall
+from spl_batch.engine.settings.mistaken_file import refuse_no_output
 from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.engine.store.working_store import Store, read_receipt
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.ledger import Shelf
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.verbs.conclusion import RunResult, result_of
-from spl_batch.engine.verbs.progress import forget_makers
 from spl_batch.engine.verbs.receiver import Place, Receiver
-from spl_batch.errors import DamagedError, SplBatchError, StoreError, WorkflowError, refuse_without
+from spl_batch.engine.verbs.repair import forget_makers
+from spl_batch.errors import DamagedError, SplBatchError, StoreError, refuse_without
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.receivers import receiver, steps
 
@@ -37,31 +35,22 @@ def report(output: Path | str) -> RunResult:
     DamagedError
         If something that it reads is damaged. The report that is there stays as it is.
     """
-    fault = no_output(Path(output), "report")
-    if fault:
-        raise WorkflowError(f"{output}: {fault}")
+    refuse_no_output(Path(output), "report")
     refuse_without("matplotlib", "reports", "report")
-    folder = real_path(output)
-    done, context, facts = recalled(folder)
-    try:
-        return _written(done, context, facts)
-    except DamagedError as error:
-        # A run that finds all finished would not look at it.
-        names = [context.store.name_of(error.path)]
-        forget_makers(context.store, steps(context.workflow.kind), names)
-        raise
-
-
-def _written(done: dict[str, Shelf], context: Any, facts: RunFacts) -> RunResult:
-    """Write a report again."""
-    found: Receiver[Any, Any] = receiver(context.workflow.kind)
+    done, context, facts = recalled(real_path(output))
+    kind = context.workflow.kind
+    found: Receiver[Any, Any] = receiver(kind)
     try:
         written = found.report(done, context, facts)
+    except DamagedError as error:
+        # A run that finds all finished would not look at it.
+        forget_makers(context.store, steps(kind), [context.store.name_of(error.path)], {})
+        raise
     except SplBatchError:
         raise
     except Exception as error:
         # What tasks record changes with the code: another version's may lack what is looked for.
-        if context.code == code_version(context.workflow.kind):
+        if context.code == code_version(kind):
             raise
         raise StoreError(
             f"{context.output}: made by spl-batch {context.code}, whose records this version "
@@ -86,26 +75,12 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
     found: Receiver[Any, Any] = receiver(workflow.kind)
     place = Place(file, Path(kept["base"]), folder)
     context: RunContext[Any] = found.context(workflow, place, kept["crs_wkt"], kept["code"])
-    facts = RunFacts(
-        kept["wall_s"],
-        kept["workers"],
-        {stage: StageCost(**cost) for stage, cost in kept["costs"].items()},
-        [Failure(**failure) for failure in kept["failures"]],
-        [Finding(*one) for one in kept["findings"]],
-        kept["reference"],
-        kept["not_read"],
-        kept["compile_s"],
-    )
-    return _receipts(context, kept["done"]), context, facts
-
-
-def _receipts(context: RunContext[Any], names: dict[str, list[str]]) -> dict[str, Shelf]:
-    store, declared = context.store, steps(context.workflow.kind)
-    found = {step: Shelf(declared[step]) for step in names}
-    for kind, listed in names.items():
-        for name in listed:
-            receipt = read_receipt(store, kind, name)
-            if receipt is None:
-                raise DamagedError(store.receipt(kind, name), "it is not what was written")
-            found[kind].put(receipt)
-    return found
+    facts = FACTS.validate_python(kept["facts"])
+    store, declared = context.store, steps(workflow.kind)
+    done = {step: Shelf(declared[step]) for step in kept["done"]}
+    for kind, name in ((kind, name) for kind, names in kept["done"].items() for name in names):
+        receipt = read_receipt(store, kind, name)
+        if receipt is None:
+            raise DamagedError(store.receipt(kind, name), "it is not what was written")
+        done[kind].put(receipt)
+    return done, context, facts

@@ -7,19 +7,18 @@ from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.engine.flow.cluster import executor, refuse_no_address
-from spl_batch.engine.flow.job import Executor, Footing
-from spl_batch.engine.flow.warm_up import Ahead
+from spl_batch.engine.flow.job import Handshake
+from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.store.output_lock import lock_file, locked, was_stopped
 from spl_batch.engine.tasks.step import stages
 from spl_batch.engine.verbs.conclusion import REST, RunResult, concluded, rested
-from spl_batch.engine.verbs.failures import Invocation
 from spl_batch.engine.verbs.graph import Graph
 from spl_batch.engine.verbs.output_owner import claim, gone_inputs, this_survey, usable
 from spl_batch.engine.verbs.planning import fitting_cost
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.progress import Progress
-from spl_batch.engine.verbs.receiver import Prepared
+from spl_batch.engine.verbs.receiver import FirstLook, Prepared
 from spl_batch.engine.watch.events import Listener, RunEnded, RunStarted, ignore
 from spl_batch.errors import (
     SplBatchError,
@@ -35,6 +34,7 @@ COMPILING: Final = (
     "getting the kernels ready; the first run on a machine compiles them, which usually takes a "
     "minute or two, and later runs load them in seconds"
 )
+"""Note before tasks begin; workers count the kernels, tasks in this process compile as they go."""
 
 
 def run(
@@ -44,7 +44,6 @@ def run(
     memory: str | int | None = None,
     scheduler: str | None = None,
     fresh: bool = False,
-    verify: bool = False,
     until: str | None = None,
     overrides: Sequence[str] = (),
     listener: Listener = ignore,
@@ -58,20 +57,18 @@ def run(
     workers : int
         Worker processes on this machine; 0 works in this process.
     memory : str or int, optional
-        Memory limit of a worker, e.g. ``"4GiB"`` [byte]; a share of the machine's
-        unless told, 4 GiB with a scheduler.
+        Memory limit of a worker, e.g. ``"4GiB"`` [byte]; a share of the machine's by default,
+        4 GiB with a scheduler.
     scheduler : str, optional
         Address of a running dask scheduler, used instead of local workers.
     fresh : bool
         Forget what earlier runs finished.
-    verify : bool
-        Compare everything that is finished with its checksum, which reads all of it.
     until : str, optional
         Last stage to run.
     overrides : sequence of str
         ``key.path=value``, applied to the workflow.
     listener : callable
-        Told what happens.
+        Takes each event.
 
     Returns
     -------
@@ -92,30 +89,21 @@ def run(
     context, kind = prepared.context, prepared.context.workflow.kind
     if until is not None and until not in stages(kind):
         raise WorkflowError(f"--until {until}: write one of {', '.join(stages(kind))}")
-    if _reports(until):
+    reports = until in {None, "report"}
+    if reports:
         refuse_without("matplotlib", "reports", "report")
-    cost = fitting_cost(prepared)
-    output = context.output
+    cost, output = fitting_cost(prepared), context.output
     usable(prepared)  # before the lock, which would leave a file in somebody else's folder
     look = prepared.receiver.first_look(prepared)  # refuses what a plan refuses
     new, stopped = not output.exists(), was_stopped(output)
     with locked(output) as mark:
         deliveries = usable(prepared, stopped=stopped)
-        claim(context.store)
         gone = [*gone_inputs(prepared, deliveries)]
         deliveries.begin(this_survey(prepared))
         if fresh:
             context.store.clear()
-            claim(context.store)
-        progress = Progress(
-            listener,
-            Invocation(workflow, workers, prepared.ledger.memory_bytes, overrides),
-            context.store,
-            deliveries,
-            prepared.steps,
-            {str(source.key): source.name for source in prepared.ledger.inputs.sources},
-            context.workflow.report.ignore,
-        )
+        claim(context.store)
+        progress = Progress(prepared, workers, deliveries, listener)
         progress.tell(_started(prepared, workflow, workers, cost))
         with _logging_the_end(progress), _stopped_by_system():
             if stopped:
@@ -123,14 +111,13 @@ def run(
             if new and not output.is_relative_to(context.base):  # a slip would show
                 progress.note(f"created folder {output}")
             progress.warn((*prepared.ledger.remarks, *gone, *prepared.ledger.inputs.warnings))
-            for text in (*told_together(prepared.ledger.inputs.bad), *look.late):
-                progress.note(text, "error")
+            _report_faults(prepared, look, progress)
             compiles = prepared.receiver.compiles
-            ahead = Ahead(compiles, COMPILING) if compiles else None
-            result = None
-            if _reports(until) and not (fresh or verify):
-                result = rested(prepared, progress, start)
-            else:
+            warm_up = WarmUp(compiles, COMPILING) if compiles else None
+            if new and compiles and not workers and scheduler is None:
+                progress.note(COMPILING)
+            result = rested(prepared, progress, start) if reports and not fresh else None
+            if result is None:
                 remove(context.store.local / REST)
             while result is None:
                 with executor(
@@ -138,20 +125,30 @@ def run(
                     memory_bytes=prepared.ledger.memory_bytes,
                     scheduler=scheduler,
                     observer=progress,
-                    footing=Footing(kind, context.code, str(lock_file(output)), mark),
-                    ahead=ahead,
+                    handshake=Handshake(kind, context.code, str(lock_file(output)), mark),
+                    warm_up=warm_up,
                 ) as pool:
-                    _process(prepared, pool, progress, until, verify=verify)
-                compile_s = ahead.took_s if ahead else None
-                result = concluded(prepared, progress, until, (start, compile_s))
-        progress.mended()
+                    again = True
+                    while again:
+                        Graph(_steps(prepared, until), pool, progress).run()
+                        again = progress.repair()
+                compile_s = warm_up.took_s if warm_up else None
+                result = concluded(progress, until, start, compile_s)
         progress.tell(RunEnded(result.exit_status))
     return result
 
 
-def _reports(until: str | None) -> bool:
-    """Whether a run that ends with this stage writes a report."""
-    return until in {None, "report"}
+def _report_faults(prepared: Prepared[Any, Any], look: FirstLook, progress: Progress) -> None:
+    """Name the inputs that cannot be used."""
+    for text in (*told_together(prepared.ledger.inputs.bad), *look.late):
+        progress.note(text, "error")
+
+
+def _steps(prepared: Prepared[Any, Any], until: str | None) -> list[Any]:
+    """Steps up to a stage."""
+    order = stages(prepared.context.workflow.kind)
+    last = order.index(until) if until else len(order)
+    return [step for step in prepared.steps.values() if order.index(step.stage) <= last]
 
 
 @contextmanager
@@ -173,7 +170,7 @@ def _stopped_by_system() -> Iterator[None]:
     """Make what the system refuses stop the run: its work has begun, and can be continued."""
     try:
         yield
-    except TimeoutError:  # of a cluster: who calls tells what helps
+    except TimeoutError:  # of a cluster: the caller knows what helps
         raise
     except OSError as error:
         stop_if_full(error, error.filename or "output")
@@ -196,21 +193,3 @@ def _started(
         stages(prepared.context.workflow.kind),
         unusable,
     )
-
-
-def _process(
-    prepared: Prepared[Any, Any],
-    pool: Executor,
-    progress: Progress,
-    until: str | None,
-    *,
-    verify: bool,
-) -> None:
-    """Go through the steps, and once more where a file of the store had to be made again."""
-    order = stages(prepared.context.workflow.kind)
-    last = order.index(until) if until else len(order)
-    steps = [step for step in prepared.steps.values() if order.index(step.stage) <= last]
-    again = True
-    while again:
-        Graph(prepared, steps, pool, progress, verify=verify, reports=_reports(until)).run()
-        again = progress.repair(prepared.ledger)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.engine.settings.mistaken_file import is_workflow, refuse_urls
+from spl_batch.engine.settings.mistaken_file import refuse_urls
 from spl_batch.engine.settings.workflow_file import known_kind, read_mapping
 from spl_batch.errors import WorkflowError, named
 from spl_batch.formats.files.atomic import write_bytes
@@ -24,16 +24,14 @@ def simulate(
     scene : Path or str
         Scene file; its ``kind`` names the receiver, an airborne survey where it has none.
     output : Path or str
-        Folder to write to; an airborne survey has flightlines, trajectory, reference, truth
-        and workflow.
+        Folder to write to; a workflow is among what is written.
     progress : callable, optional
         Called with the share that is done, 0..1.
 
     Returns
     -------
     object
-        What was made; its ``rows`` are for a console; of an airborne survey, a
-        :class:`~spl_batch.airborne.simulate.survey.SimulationSummary`.
+        What was made, as the receiver's simulator gives it; its ``rows`` are for a console.
 
     Raises
     ------
@@ -42,7 +40,7 @@ def simulate(
         simulation made.
     """
     content = read_mapping(Path(scene), "a scene is a mapping with extent_m: and flights:")
-    if is_workflow(content):
+    if "output" in content:
         raise WorkflowError(f"{scene}: this is a workflow, not a scene; `spl-batch run` is for it")
     kind = known_kind(content, str(scene)) if "kind" in content else IMAGING
     refuse_urls(output)

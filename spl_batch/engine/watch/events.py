@@ -1,11 +1,9 @@
-"""Events that a run tells those who watch it; each is also a line of ``log.jsonl``."""
+"""Events that a run reports to those who watch it; each is also a line of ``log.jsonl``."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
-
-from spl_batch.engine.tasks.task import WorkersSeen
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +30,17 @@ class WorkersReady:
 
 
 @dataclass(frozen=True, slots=True)
+class WorkersSeen:
+    """How the workers are at a moment."""
+
+    workers: int
+    threads: int
+    #: Memory of the worker that has most, and the smallest limit; 0 where unknown [MiB].
+    memory_mb: float
+    limit_mb: float
+
+
+@dataclass(frozen=True, slots=True)
 class PhaseStarted:
     """A phase knows its tasks."""
 
@@ -51,8 +60,7 @@ class TaskStarted:
     kind: str
     name: str
     worker: str = ""
-    #: What a user calls it; as :func:`spl_batch.engine.verbs.failures.plain_name` says.
-    called: str = ""
+    called: str = ""  #: What a user calls it.
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +74,9 @@ class TaskEnded:
     wall_s: float
     reason: str  #: Why it failed; empty when it did not.
     peak_rss_mb: float = 0.0  #: Highest memory of its worker so far [MiB].
-    command: str = ""  #: Command that does a failed task alone.
-    traceback: str = ""  #: Where in the code it failed.
     called: str = ""  #: What a user calls it.
-    stops: bool = False  #: Whether the run cannot go on without it, and ends with the reason.
-    mends: bool = False  #: Whether it failed over a damaged file, which this run makes again.
+    code: str = ""  #: Code of its failure; what has failed with F03 is tried again in this run.
+    traceback: str = ""  #: Where in the code it failed.
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +123,11 @@ class Note:
 Event = (
     RunStarted
     | WorkersReady
+    | WorkersSeen
     | PhaseStarted
     | TaskStarted
     | TaskEnded
     | TaskSettled
-    | WorkersSeen
     | Compiling
     | ReportStarted
     | RunEnded
@@ -129,17 +135,14 @@ Event = (
 )
 Listener = Callable[[Event], None]
 
-_ALWAYS = {"reason"}
-"""Fields that the log has even where they are empty."""
-
 
 def ignore(_event: Event) -> None:
     """Listen to nothing."""
 
 
 def as_record(event: Event) -> dict[str, Any]:
-    """An event as a line of the log: time, name, and the fields that say something."""
+    """An event as a line of the log: time, name, and the fields that have a value."""
     fields = {name: getattr(event, name) for name in event.__dataclass_fields__}
     stamp = datetime.now(UTC).isoformat(timespec="milliseconds")
-    told = {k: v for k, v in fields.items() if k in _ALWAYS or v not in ("", {}, None)}
-    return {"time": stamp, "event": type(event).__name__, **told}
+    shown = {k: v for k, v in fields.items() if k == "reason" or v not in ("", {}, None)}
+    return {"time": stamp, "event": type(event).__name__, **shown}

@@ -6,13 +6,13 @@ read while it grows.
 
 import json
 import mmap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.engine.settings.mistaken_file import no_output
+from spl_batch.engine.settings.mistaken_file import refuse_no_output
 from spl_batch.engine.store.output_lock import holder
 from spl_batch.engine.tasks.step import stages as stages_of
 from spl_batch.errors import WorkflowError, reason_of
@@ -73,10 +73,8 @@ class StageStatus:
 class FailedTask:
     """A task that failed, or an input file that cannot be used."""
 
-    #: What a user calls it; why; the command that does it alone, none for a file.
-    task: str
+    task: str  #: What a user calls it.
     reason: str
-    command: str = ""
 
 
 @dataclass(slots=True)
@@ -103,7 +101,7 @@ class RunStatus:
     started: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        self._name_stages(stages_of(IMAGING))
+        self._forget(stages_of(IMAGING), {})
 
     @property
     def left_s(self) -> float:
@@ -116,36 +114,32 @@ class RunStatus:
 
     def feed(self, record: Mapping[str, Any]) -> None:
         """Take in an event, as :func:`spl_batch.engine.watch.events.as_record` gives it."""
-        take = {
-            "RunStarted": self._run_started,
-            "WorkersReady": self._workers_ready,
-            "PhaseStarted": self._phase_started,
-            "TaskStarted": self._task_started,
-            "TaskEnded": self._task_ended,
-            "TaskSettled": self._task_settled,
-            "WorkersSeen": self._workers_seen,
-            "RunEnded": self._run_ended,
-        }.get(record["event"])
-        if take is not None:
-            take(record)
-
-    def _name_stages(self, names: Sequence[str]) -> None:
-        self.stages = {name: StageStatus(name) for name in names}
-
-    def _run_started(self, record: Mapping[str, Any]) -> None:
-        self.ended, self.started = None, record
-        self.unusable = [
-            FailedTask(one["path"], one["reason"]) for one in record.get("unusable", ())
-        ]
-
-    def _workers_ready(self, record: Mapping[str, Any]) -> None:
-        self.dashboard = record.get("dashboard", "")
+        match record["event"]:
+            case "RunStarted":
+                self.ended, self.started = None, record
+                listed = record.get("unusable", ())
+                self.unusable = [FailedTask(one["path"], one["reason"]) for one in listed]
+            case "WorkersReady":
+                self.dashboard = record.get("dashboard", "")
+            case "PhaseStarted":
+                self._phase_started(record)
+            case "TaskStarted":
+                self.running[record["kind"], record["name"]] = _called(record)
+            case "TaskEnded" | "TaskSettled":
+                self._task_over(record)
+            case "WorkersSeen":
+                self.workers = record
+            case "RunEnded":
+                self.ended, self.dashboard = record, ""
+                self.running.clear()
 
     def _phase_started(self, record: Mapping[str, Any]) -> None:
         if self.started is not None:
-            self._begin(self.started)
+            names = self.started.get("stages") or stages_of(IMAGING)
+            self._forget(names, self.started.get("expected_s", {}))
+            self.started, self.peak_mb = None, 0.0
         elif record["kind"] in self.kinds:  # again, as a file was damaged
-            self._forget()
+            self._forget(self.stages, {k: v.expected_s for k, v in self.stages.items()})
         self.kinds.add(record["kind"])
         stage = self.stages[record["stage"]]
         stage.total += record["tasks"] + record["skipped"]
@@ -155,52 +149,33 @@ class RunStatus:
         stage.latest_s = seconds(record)
         stage.began_s = stage.began_s or stage.latest_s
 
-    def _begin(self, started: Mapping[str, Any]) -> None:
-        self._name_stages(started.get("stages") or stages_of(IMAGING))
-        for name, expected_s in started.get("expected_s", {}).items():
-            self.stages[name].expected_s = expected_s
-        self._forget()
-        self.started, self.peak_mb = None, 0.0
-
-    def _forget(self) -> None:
+    def _forget(self, names: Iterable[str], expected_s: Mapping[str, float]) -> None:
         """Forget what was done."""
-        self.stages = {k: StageStatus(k, expected_s=v.expected_s) for k, v in self.stages.items()}
+        self.stages = {k: StageStatus(k, expected_s=expected_s.get(k, 0.0)) for k in names}
         self.kinds, self.running, self.failures = set(), {}, []
 
-    def _task_started(self, record: Mapping[str, Any]) -> None:
-        kind, name = record["kind"], record["name"]
-        self.running[kind, name] = record.get("called") or f"{kind} {name}"
-
-    def _task_ended(self, record: Mapping[str, Any]) -> None:
-        stage, failed = self._over(record), bool(record["reason"])
-        stage.failed += failed
-        stage.done += not failed
-        stage.points += 0 if failed else record["points"]
-        self.peak_mb = max(self.peak_mb, record.get("peak_rss_mb", 0.0))
-        if failed and not record.get("mends"):
-            called = record.get("called") or f"{record['kind']} {record['name']}"
-            self.failures.append(FailedTask(called, record["reason"], record.get("command", "")))
-
-    def _task_settled(self, record: Mapping[str, Any]) -> None:
-        stage, found = self._over(record), bool(record["found"])
-        stage.done += found
-        stage.found += found
-        stage.total -= not found
-
-    def _over(self, record: Mapping[str, Any]) -> StageStatus:
-        """Stage of a task that is over."""
+    def _task_over(self, record: Mapping[str, Any]) -> None:
+        """Count a task that has ended, or needs no doing."""
         self.running.pop((record["kind"], record["name"]), None)
         stage = self.stages[record["stage"]]
         stage.latest_s = seconds(record)
         stage.left_points -= record["points"]
-        return stage
+        if record["event"] == "TaskSettled":
+            stage.done += record["found"]
+            stage.found += record["found"]
+            stage.total -= not record["found"]
+        elif record["reason"]:
+            stage.failed += 1
+            self.failures.append(FailedTask(_called(record), record["reason"]))
+        else:
+            stage.done += 1
+            stage.points += record["points"]
+        self.peak_mb = max(self.peak_mb, record.get("peak_rss_mb", 0.0))
 
-    def _workers_seen(self, record: Mapping[str, Any]) -> None:
-        self.workers = record
 
-    def _run_ended(self, record: Mapping[str, Any]) -> None:
-        self.ended, self.dashboard = record, ""
-        self.running.clear()
+def _called(record: Mapping[str, Any]) -> str:
+    """What a user calls the task of an event."""
+    return record.get("called") or f"{record['kind']} {record['name']}"
 
 
 def seconds(record: Mapping[str, Any]) -> float:
@@ -224,9 +199,7 @@ class Follower:
 
     def __init__(self, output: Path | str) -> None:
         self.output, self.status, self._rest = Path(output), RunStatus(), b""
-        fault = no_output(self.output, "status")
-        if fault:
-            raise WorkflowError(f"{output}: {fault}")
+        refuse_no_output(self.output, "status")
         self._log = self.output / LOG
         try:
             self._read = _latest_run(self._log)
@@ -256,11 +229,6 @@ class Follower:
 
 def status(output: Path | str) -> RunStatus:
     """State of the latest run of an output folder, which may be working at this moment.
-
-    Parameters
-    ----------
-    output : Path or str
-        Folder of the results.
 
     Raises
     ------

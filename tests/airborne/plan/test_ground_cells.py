@@ -146,7 +146,7 @@ def test_a_receipt_does_not_speak_for_chunks_that_another_cell_writes_over(
     edge, pixel = quanta(workflow.ground.cell_m), quanta(workflow.products.cell_m)
     store = Store(tmp_path)
     context: Any = SimpleNamespace(
-        workflow=workflow, store=store, rasters=store.rasters(edge, pixel)
+        workflow=workflow, store=store, rasters=store.path("rasters.zarr")
     )
     create_raster_store(context.rasters, ["dtm"], ground_cell=edge, raster_cell=pixel)
     for cell, (west, east) in before.items():

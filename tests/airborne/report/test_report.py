@@ -28,12 +28,12 @@ from spl_batch.airborne.report.verdicts import (
     verdicts,
 )
 from spl_batch.engine.report import number_format as text
+from spl_batch.engine.report.page import report_json
 from spl_batch.engine.report.parts import (
     Provenance,
     Statistics,
     finite_or_none,
 )
-from spl_batch.engine.report.write import report_json
 from tests.report_data import make_failures, make_report
 
 SCHEMAS = Path(__file__).parents[3] / "schemas"
@@ -192,12 +192,6 @@ class TestFormat:
             (text.number(-0.004, 2), "0.00"),
             (text.significant(0.09312), "0.0931"),
             (text.share(0.0), "0 %"),
-            (text.typeset("5 per m2, 2 km2 and m2.laz"), "5 per m\u00b2, 2 km\u00b2 and m2.laz"),
-            (" ".join(text.alike([0.002, None])), "0.00200 \N{EN DASH}"),
-            (
-                " ".join(text.alike([2e-8, 2e-7], 1e3)),
-                "2.00\u00d710\u207b\u2075 2.00\u00d710\u207b\u2074",
-            ),
             (text.significant(9.999), "10.0"),
             (text.significant(0), "0"),
             (text.significant(3.2e-7, 2), "3.2\N{MULTIPLICATION SIGN}10\u207b\u2077"),
@@ -223,16 +217,6 @@ class TestFormat:
     )
     def test_numbers_read_well(self, shown: str, expected: str) -> None:
         assert shown.replace(NARROW, " ") == expected
-
-    @pytest.mark.parametrize(
-        ("said", "shown"),
-        [
-            ("of 1 200 m2 in 12 345 678", f"of 1{NARROW}200 m\u00b2 in 12{NARROW}345{NARROW}678"),
-            ("2_100 200, 0.5 300 m, 7 12", "2_100 200, 0.5 300 m, 7 12"),
-        ],
-    )
-    def test_no_line_ends_within_a_number(self, said: str, shown: str) -> None:
-        assert text.typeset(said) == shown
 
     @pytest.mark.parametrize(
         "function",
@@ -262,7 +246,7 @@ class TestFormat:
 def test_the_model_does_not_load_matplotlib() -> None:
     code = (
         "import sys, spl_batch.airborne.report.model, spl_batch.airborne.report.verdicts;"
-        "import spl_batch.engine.report.write;"
+        "import spl_batch.engine.report.page;"
         "sys.exit('matplotlib' in sys.modules)"
     )
     finished = subprocess.run([sys.executable, "-c", code], check=False)  # noqa: S603

@@ -16,10 +16,10 @@ from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, m
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report import maps, style
+from spl_batch.engine.report.page import write_both
 from spl_batch.engine.report.parts import Performance
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.reported import reported
-from spl_batch.engine.report.write import write_both
 from spl_batch.errors import StoppedError
 from tests.report_data import (
     EXTENT,

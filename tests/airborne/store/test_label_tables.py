@@ -45,7 +45,7 @@ def write_tiles(store: Store, table: PointTable) -> list[CellId]:
     i, j = (cell_index(table[a], TILE) for a in "xy")
     tiles = sorted({CellId(a, b) for a, b in zip(i.tolist(), j.tolist(), strict=True)})
     for tile in tiles:
-        write_table(store.tile(str(tile)), table.take((i == tile.i) & (j == tile.j)))
+        write_table(store.table("tiles", str(tile)), table.take((i == tile.i) & (j == tile.j)))
     return tiles
 
 
@@ -65,7 +65,7 @@ def test_labels_of_other_units_come_back_to_each_point(
         near = [t for t in tiles if t in set(cells_touching(core, TILE))]
         found, origin = read_region(store, near, core, CANONICAL_ORDER, {})
         # The label is a function of the point alone, so that it can be recomputed.
-        write_labels(store.labels("ground", str(u)), origin, {"ground": found["index"] % 7})
+        write_labels(store.table("ground", str(u)), origin, {"ground": found["index"] % 7})
     holders = {
         t: [("ground", str(u)) for u in cells_touching(cell_bounds(t, TILE), unit) if u in units]
         for t in tiles
@@ -126,7 +126,7 @@ def test_points_without_labels_say_so(tmp_path: Path) -> None:
 
 def test_a_unit_with_nothing_in_a_tile(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    path = store.labels("ground", "u")
+    path = store.table("ground", "u")
     write_labels(path, *labelled(np.empty((0, 2)), np.empty(0), np.empty(0)))
     assert len(labels_of(store, "u", CellId(0, 0))["row"]) == 0
     tiles = np.array([[1, 0], [0, 1], [1, 0]], np.int32)
@@ -160,7 +160,7 @@ def test_of_a_long_tile_only_the_rows_in_question_are_read(tmp_path: Path) -> No
     gaps = np.delete(whole, [4, 2 * GROUP_ROWS + 9])
     for unit, row in {"whole": whole, "gaps": gaps}.items():
         tiles = np.zeros((len(row), 2), np.int32)
-        write_labels(store.labels("ground", unit), *labelled(tiles, row, ground[row]))
+        write_labels(store.table("ground", unit), *labelled(tiles, row, ground[row]))
         for low, high in ((0, 0), (GROUP_ROWS - 1, GROUP_ROWS), (3 * GROUP_ROWS, count - 1)):
             back = labels_of(store, unit, CellId(0, 0), (low, high))
             assert np.array_equal(back["ground"], ground[back["row"]])
@@ -173,7 +173,7 @@ def test_more_units_than_files_that_may_be_open(tmp_path: Path) -> None:
     units = [f"u{k}" for k in range(OPEN_FILES + 2)]
     for k, unit in enumerate(units):
         label = labelled(np.array([tile]), np.array([0]), np.array([k]))
-        write_labels(store.labels("ground", unit), *label)
+        write_labels(store.table("ground", unit), *label)
     with LabelFiles(store) as files:
         for k, unit in [*enumerate(units), *enumerate(units)]:
             back = files.read(("ground", unit), tile, ["ground"], (0, 0))

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from tests import clusters, faulty_worker, surveys
 from tests.clusters import Plan, fault
 
 
-def test_the_command_of_a_failure_reproduces_it_alone(
+def test_a_failure_is_named_and_its_traceback_is_in_the_log(
     small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: object) -> None:
@@ -27,42 +26,17 @@ def test_the_command_of_a_failure_reproduces_it_alone(
     surveys.run(small, "filter.alpha=0.001", until="shuffle")
     with monkeypatch.context() as patch:
         patch.setattr(denoise, "judge", broken)
-        result = surveys.run(small, "filter.alpha=0.001", memory="2GiB")
-        assert result.report is not None
-        failure = result.report.failures[0]
-        assert failure.command is not None
-        program, *arguments = shlex.split(failure.command)
-        assert program == "spl-batch"
-        assert arguments[-2:] == ["--only", failure.task]
-        ended = surveys.command(*arguments)
-        assert ended.status == 1
-        assert f"failed: {failure.task}: RuntimeError: broken on purpose" in ended.out
-        path = Path(ended.out.split()[-1])
-        assert path.read_text().rstrip().endswith("RuntimeError: broken on purpose")
-        assert "in broken" in path.read_text()
-    ended = surveys.command(*arguments)
-    assert ended.status == 0
-    assert f"done: {failure.task}" in ended.out
-    log = (result.output / "log.jsonl").read_text()
-    assert "Traceback" in log
-    assert " --memory 2GiB " in failure.command
-    assert failure.command in [json.loads(line).get("command") for line in log.splitlines()]
+        result = surveys.run(small, "filter.alpha=0.001")
+    assert result.exit_status == 1
+    assert result.report is not None
+    failure = result.report.failures[0]
+    assert (failure.code, failure.reason) == ("F04", "RuntimeError: broken on purpose")
+    assert failure.inputs
+    log = [json.loads(x) for x in (result.output / "log.jsonl").read_text().splitlines()]
+    traces = [x["traceback"] for x in log if x.get("code") == "F04"]
+    assert traces
+    assert "in broken" in traces[0]
     surveys.assert_mended(small, small_output)
-
-
-@pytest.mark.parametrize(
-    ("wanted", "said"),
-    [
-        ("denoise", "write kind and name"),
-        ("noise 3_4", "kinds are"),
-        ("gather x", "what it needs is not finished"),
-        ("index_file x", "no such task; there are"),
-    ],
-)
-def test_a_task_that_is_not_there_is_refused(small: Path, wanted: str, said: str) -> None:
-    ended = surveys.command("run", small, "--only", wanted)
-    assert ended.status == 2
-    assert said in ended.err
 
 
 @pytest.fixture

@@ -15,10 +15,8 @@ from spl_batch.engine.store.output_lock import locked
 from spl_batch.engine.store.working_store import Store, append_log, write_receipt
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import StoppedError
-from spl_batch.formats.files.atomic import write_bytes
-from spl_batch.formats.las.writer import write_classified, write_points
+from spl_batch.formats.las.writer import write_classified
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.trajectory.positions import write_trajectory
 from spl_batch.formats.verified.parquet_npz import write_arrays, write_table
 from spl_batch.lattice.tables import PointTable, VoxelPart
 from spl_batch.lattice.tiles import CellId
@@ -66,19 +64,6 @@ def cell(folder: Path) -> None:
     write_cell(folder / "r.zarr", CellId(0, 0), {"dtm": NOISE.random((100, 100), np.float32)})
 
 
-def trajectory(folder: Path) -> None:
-    time = np.arange(float(N))
-    write_trajectory(folder / "t.parquet", [(time, np.column_stack([time] * 3))])
-
-
-def points(folder: Path) -> None:
-    write_points(folder / "p.laz", table(), crs=None)
-
-
-def copc(folder: Path) -> None:
-    write_points(folder / "p.copc.laz", table(), crs=None, copc=True)
-
-
 def classified(folder: Path) -> None:
     def labels(start: int, stop: int) -> dict[str, Any]:
         zeros = np.zeros(stop - start, np.uint8)
@@ -104,24 +89,7 @@ def log(folder: Path) -> None:
     append_log(folder, {"text": "x" * 5000})
 
 
-def report(folder: Path) -> None:
-    write_bytes(folder / "report.html", bytes(5000))
-
-
-WRITERS = [
-    parquet,
-    npz,
-    voxels,
-    cell,
-    trajectory,
-    points,
-    copc,
-    classified,
-    cog,
-    receipt,
-    log,
-    report,
-]
+WRITERS = [parquet, npz, voxels, cell, classified, cog, receipt, log]
 
 
 @pytest.mark.parametrize("write", WRITERS, ids=lambda f: f.__name__)
@@ -133,27 +101,6 @@ def test_whatever_is_written_stops_the_run(tmp_path: Path, write: Callable[[Path
     assert str(tmp_path) in str(caught.value)
     assert not list(tmp_path.rglob(".*")), "what was begun is taken away"
     write(tmp_path)
-
-
-def test_a_raster_is_whole_however_late_the_disk_fills(tmp_path: Path) -> None:
-    values = NOISE.random((300, 300), np.float32)
-
-    def write() -> bytes:
-        write_cog(
-            tmp_path / "c.tif", values, shape=(300, 300), origin_xy_m=(5e5, 4e6),
-            cell_m=1.0, crs=None, description="dtm",
-        )  # fmt: skip
-        return (tmp_path / "c.tif").read_bytes()
-
-    whole, stopped = write(), 0
-    for limit in range(100_000, 1_600_000, 100_000):
-        try:
-            with files_up_to(limit):
-                assert write() == whole
-        except StoppedError:
-            stopped += 1
-        assert (tmp_path / "c.tif").read_bytes() == whole
-    assert 5 < stopped < 15
 
 
 def test_a_run_that_meets_a_full_disk_is_continued(tmp_path: Path) -> None:

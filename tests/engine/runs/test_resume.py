@@ -8,7 +8,6 @@ import pytest
 
 from spl_batch import api
 from spl_batch.airborne.tasks import surfaces
-from spl_batch.engine.store.working_store import Store, read_receipts
 from tests import surveys
 
 
@@ -45,38 +44,6 @@ def test_a_task_stopped_half_way_leaves_no_receipt_that_speaks_for_it(
     assert len(receipts - left) == 1, "the task that was stopped, and no other"
     (output / "dtm.tif").unlink()
     assert rasters(api.run(survey, workers=0, until="deliver").output) == first
-
-
-def test_lost_raster_cells_are_made_again(survey: Path) -> None:
-    output = api.run(survey, workers=0, until="deliver").output
-    first = rasters(output)
-    for folder in (output / "store").glob("rasters_*.zarr"):
-        shutil.rmtree(folder)
-    (output / "dsm.tif").unlink()
-    assert rasters(api.run(survey, workers=0, until="deliver").output) == first
-
-
-def test_a_survey_that_grows_and_shrinks_ends_as_if_it_never_had(survey: Path) -> None:
-    """A line south of the others makes a cell of what was a strip, and a strip of the cell."""
-
-    def cells(output: Path) -> dict[str, list[int]]:
-        found = read_receipts(Store(output), "surface")
-        return {receipt.name: receipt.facts["core"] for receipt in found}
-
-    first = surveys.run(survey, until="deliver")
-    before, results = cells(first.output), surveys.results(first.output)
-    south = surveys.ORIGIN_M[0], surveys.ORIGIN_M[1] - 30.0
-    added = survey.parent / "lines" / "3.laz"
-    surveys.write_cloud(added, surveys.flightline(shots=60, psid=3, seed=3, origin_m=south))
-    grown = surveys.run(survey, until="deliver")
-    alone = surveys.run(surveys.copy_of(survey, survey.parent / "alone"), until="deliver")
-    assert surveys.results(grown.output) == surveys.results(alone.output)
-    assert cells(grown.output) == cells(alone.output), "no receipt of another shape is left"
-    assert before.keys() != cells(grown.output).keys()
-    added.unlink()
-    shrunk = surveys.run(survey, until="deliver")
-    assert surveys.results(shrunk.output) == results
-    assert cells(shrunk.output) == before
 
 
 def test_a_plan_counts_what_is_finished_and_writes_nothing(survey: Path) -> None:

@@ -82,7 +82,7 @@ def classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[str
         highest = air_fill.highest_ground(dtm)
         air = air_fill.filled_blocks(mine, cell.core, highest, noise_m3)
         facts = {} if air is None else air_fill.fill_facts(air, cell.core)
-    path = cell.context.store.labels("classes", cell.args["cell"])
+    path = cell.context.store.table("classes", cell.args["cell"])
     write_labels(path, origin.of(owned), labels)
     return path, facts, len(mine)
 

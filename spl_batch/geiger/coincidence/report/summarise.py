@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.report.maps import Raster
+from spl_batch.engine.report.page import write_both
 from spl_batch.engine.report.parts import InputFile
 from spl_batch.engine.report.run_record import (
     Receipts,
@@ -16,7 +17,6 @@ from spl_batch.engine.report.run_record import (
     indexed_file,
     remember,
 )
-from spl_batch.engine.report.write import write_both
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.coincidence.report.model import CoincidenceReport, Counts, Intensity, Scene
 from spl_batch.geiger.coincidence.report.page import Slice, pictures, render

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.engine.report.maps import Raster
+from spl_batch.engine.report.page import write_both
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.run_record import (
     Receipts,
@@ -15,7 +16,6 @@ from spl_batch.engine.report.run_record import (
     indexed_file,
     remember,
 )
-from spl_batch.engine.report.write import write_both
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.rasters.parts import read_overview
 from spl_batch.formats.verified.parquet_npz import read_arrays
