@@ -25,16 +25,16 @@ def test_areas_are_those_of_sorting_all_distances(seed: int, n: int, aspect: flo
     rng = np.random.default_rng(seed)
     x, z = rng.uniform(0.0, 150.0, n), rng.uniform(-20.0, 20.0, n)
     slope = rng.choice(SLOPES, n)
-    own = np.where(rng.random(n) < 0.5, np.arange(n), -1)
-    at = np.where(own >= 0, x, x + 1.0), np.where(own >= 0, z, z - 1.0)
-    found = np.exp(log_areas(columns(x, z), at, slope, own, (5, aspect, 60.0)))
-    for q in range(n):
-        dx = x - at[0][q]
-        squared = (dx / aspect) ** 2 + (z - at[1][q] - slope[q] * dx) ** 2
-        squared = np.sort(np.delete(squared, own[q]) if own[q] >= 0 else squared)
-        squared = np.maximum(squared[squared < (60.0 / aspect) ** 2][:5], 1e-6)
-        np.testing.assert_allclose(found[q, : len(squared)], np.pi * aspect * squared)
-        assert np.isinf(found[q, len(squared) :]).all()
+    for own, off_m in ((True, 0.0), (False, 1.0)):
+        at = x + off_m, z - off_m
+        found = np.exp(log_areas(columns(x, z), at, slope, (5, aspect, 60.0), own=own))
+        for q in range(n):
+            dx = x - at[0][q]
+            squared = (dx / aspect) ** 2 + (z - at[1][q] - slope[q] * dx) ** 2
+            squared = np.sort(np.delete(squared, q) if own else squared)
+            squared = np.maximum(squared[squared < (60.0 / aspect) ** 2][:5], 1e-6)
+            np.testing.assert_allclose(found[q, : len(squared)], np.pi * aspect * squared)
+            assert np.isinf(found[q, len(squared) :]).all()
 
 
 @settings(max_examples=10, deadline=None)

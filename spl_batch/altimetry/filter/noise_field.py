@@ -80,11 +80,7 @@ def gate(cell: NDArray[np.int64], z_m: NDArray[np.float64], cells: int) -> Gate:
 
 def around(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
     """Sums over ``reach`` cells to each side, (c,) float64."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    at = np.arange(len(values))
-    sums: NDArray[np.float64] = (
-        total[np.minimum(at + reach + 1, len(values))] - total[np.maximum(at - reach, 0)]
-    )
+    sums: NDArray[np.float64] = ndimage.convolve1d(values, np.ones(2 * reach + 1), mode="constant")
     return sums
 
 
@@ -210,11 +206,6 @@ def _by_cell(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArr
 def _sums(values: NDArray[np.float64], cells: int, boxes: int) -> NDArray[np.float64]:
     """Sums over so many cells and boxes to each side, (cells, heights) float64."""
     out = values
-    for axis, reach in ((0, cells), (1, boxes)):
-        if reach:
-            total = np.insert(np.cumsum(out, axis=axis), 0, 0.0, axis=axis)
-            at, size = np.arange(values.shape[axis]), values.shape[axis]
-            out = np.take(total, np.minimum(at + reach + 1, size), axis) - np.take(
-                total, np.maximum(at - reach, 0), axis
-            )
+    for axis, size in enumerate((2 * cells + 1, 2 * boxes + 1)):
+        out = ndimage.uniform_filter1d(out, size, axis, mode="constant") * size
     return out
