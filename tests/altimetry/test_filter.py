@@ -12,7 +12,7 @@ from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, 
 from spl_batch.altimetry.filter.published import mdbscan
 from spl_batch.altimetry.filter.track import COLUMNS, label, window_quanta
 from spl_batch.altimetry.filter.window import _threshold, assess
-from spl_batch.altimetry.simulate import Track, scene, simulate_track
+from spl_batch.altimetry.simulate import Kind, Track, scene, simulate_track
 from spl_batch.altimetry.water.surface import NO_WATER
 from tests.altimetry.tracks import lattice, small_track
 
@@ -25,16 +25,16 @@ def test_areas_are_those_of_sorting_all_distances(seed: int, n: int, aspect: flo
     rng = np.random.default_rng(seed)
     x, z = rng.uniform(0.0, 150.0, n), rng.uniform(-20.0, 20.0, n)
     slope = rng.choice(SLOPES, n)
-    own = np.where(rng.random(n) < 0.5, np.arange(n), -1)
-    at = np.where(own >= 0, x, x + 1.0), np.where(own >= 0, z, z - 1.0)
-    found = np.exp(log_areas(columns(x, z), at, slope, own, (5, aspect, 60.0)))
-    for q in range(n):
-        dx = x - at[0][q]
-        squared = (dx / aspect) ** 2 + (z - at[1][q] - slope[q] * dx) ** 2
-        squared = np.sort(np.delete(squared, own[q]) if own[q] >= 0 else squared)
-        squared = np.maximum(squared[squared < (60.0 / aspect) ** 2][:5], 1e-6)
-        np.testing.assert_allclose(found[q, : len(squared)], np.pi * aspect * squared)
-        assert np.isinf(found[q, len(squared) :]).all()
+    for own, off_m in ((True, 0.0), (False, 1.0)):
+        at = x + off_m, z - off_m
+        found = np.exp(log_areas(columns(x, z), at, slope, (5, aspect, 60.0), own=own))
+        for q in range(n):
+            dx = x - at[0][q]
+            squared = (dx / aspect) ** 2 + (z - at[1][q] - slope[q] * dx) ** 2
+            squared = np.sort(np.delete(squared, q) if own else squared)
+            squared = np.maximum(squared[squared < (60.0 / aspect) ** 2][:5], 1e-6)
+            np.testing.assert_allclose(found[q, : len(squared)], np.pi * aspect * squared)
+            assert np.isinf(found[q, len(squared) :]).all()
 
 
 @settings(max_examples=10, deadline=None)
@@ -86,14 +86,17 @@ def test_noise_below_water_falls_with_depth_and_stays_as_it_is_above() -> None:
     np.testing.assert_allclose(middle.mean(axis=0), true[0, : top + 1], rtol=0.2, atol=1e-3)
 
 
-@pytest.mark.parametrize("noise", [0.0005, 0.02])
-def test_the_gate_is_seen_by_night_and_day(noise: float) -> None:
+@pytest.mark.parametrize(
+    ("kind", "noise", "off_m"),
+    [("flat", 0.0005, 8.0), ("flat", 0.02, 8.0), ("mountain", 0.2, 40.0)],
+)
+def test_the_gate_is_seen_by_night_and_day(kind: Kind, noise: float, off_m: float) -> None:
     track = simulate_track(
-        scene("flat", "green", 1, length_m=3000.0, above_m=60.0, below_m=90.0, noise_per_m2=noise)
+        scene(kind, "green", 1, length_m=3000.0, above_m=60.0, below_m=90.0, noise_per_m2=noise)
     )
     cell = (track.along_m // 20.0).astype(np.int64)
     shown = gate(cell, track.height_m, int(cell.max()) + 1)
-    assert np.median(shown.high_m - shown.low_m) == pytest.approx(150.0, abs=8.0)
+    assert np.median(shown.high_m - shown.low_m) == pytest.approx(150.0, abs=off_m)
 
 
 @pytest.mark.parametrize("canopy", [0.0, 0.4])

@@ -10,7 +10,7 @@ from scipy import integrate
 from scipy.spatial import cKDTree
 from scipy.special import gammaincc, gammaln
 
-from spl_batch.altimetry.filter.posterior import noise_posterior, ratios
+from spl_batch.altimetry.filter.posterior import noise_posterior, ratios, with_prior
 
 
 def noise_pdf(k: int, x: np.ndarray) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_the_kernel_is_the_slow_posterior(seed: int, found: int, prior: float) -
     area = np.full((5, 6), np.inf)
     area[:, :found] = np.sort(rng.uniform(0.05, 4.0, (5, found)), axis=1)
     noise = rng.uniform(0.1, 2.0, 5)
-    result = noise_posterior(np.log(area), 4.0, noise, prior, ratios(6, 200.0))
+    result = noise_posterior(np.log(area), 4.0, noise, with_prior(ratios(6, 200.0), prior))
     expected = [
         slow_posterior(row * n, 4.0 * n, prior, 200.0) for row, n in zip(area, noise, strict=True)
     ]
@@ -88,6 +88,6 @@ def test_the_kernel_is_the_slow_posterior(seed: int, found: int, prior: float) -
 
 def test_dense_photons_are_ordered_where_their_product_underflows() -> None:
     area = np.array([np.arange(1, 21) * 1e-6, np.arange(1, 21) * 1e-7])
-    score = noise_posterior(np.log(area), 1.0, np.ones(2), -5.0, ratios(20, 1e6))
+    score = noise_posterior(np.log(area), 1.0, np.ones(2), with_prior(ratios(20, 1e6), -5.0))
     assert np.isfinite(score).all()
     assert score[1] < score[0] < -6.0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
 
-COLUMN_M: Final = 5.0
+COLUMN_M: Final = 10.0
 """Width of a column of photons [m]."""
 
 _BOX_M: Final = 4.0
@@ -40,7 +40,6 @@ class Columns(NamedTuple):
 
     x_m: NDArray[np.float64]  #: (n,): along the track, from the first column's start.
     z_m: NDArray[np.float64]  #: (n,): height.
-    row: NDArray[np.int64]  #: (n,): rows of the photons.
     start: NDArray[np.int64]  #: (c b + 1,): first photon of each box of each column, upwards.
     low_m: float  #: Foot of the lowest box.
     box_m: float  #: Height of a box.
@@ -58,15 +57,16 @@ def columns(x_m: NDArray[np.float64], z_m: NDArray[np.float64]) -> Columns:
     count = np.bincount(box, minlength=(int(at.max(initial=0)) + 1) * boxes)
     order = np.lexsort((x_m, z_m, at))
     start = np.concatenate([[0], np.cumsum(count)])
-    return Columns(x_m[order], z_m[order], order, start, low_m, box_m, boxes)
+    return Columns(x_m[order], z_m[order], start, low_m, box_m, boxes)
 
 
 def log_areas(
     photons: Columns,
     places: tuple[NDArray[np.float64], NDArray[np.float64]],
     slope: NDArray[np.float64],
-    rows: NDArray[np.int64],
     shape: tuple[int, float, float],
+    *,
+    own: bool,
 ) -> NDArray[np.float64]:
     """Logarithm of the area [m2] within the k-th neighbour of each place, (q, K) float64.
 
@@ -80,30 +80,31 @@ def log_areas(
         Along the track and in height [m].
     slope : (q,) float64
         Slope of each ellipse [m/m].
-    rows : (q,) int64
-        Row of the photon that lies at the place and is no neighbour; -1 for none.
     shape : (int, float, float)
         K; length over height; reach along the track [m].
+    own : bool
+        Whether the places are those of photons: each is no neighbour of itself.
     """
     most, aspect, reach_m = shape
-    out = np.full((len(slope), most), np.inf)
-    _log_areas(*photons, *places, slope, rows, aspect, reach_m, out)
-    return out
+    near = np.full((len(slope), most + own), np.inf)
+    _nearest(*photons, *places, slope, aspect, (reach_m / aspect) ** 2, near)
+    # Photons at one place are a millimetre apart at least.
+    return np.log(np.pi * aspect * np.maximum(near[:, int(own) :], 1e-6))
 
 
 @njit()
-def _log_areas(x, z, row, start, low_m, box_m, boxes, at_x, at_z, slope, own, aspect, reach, out):  # type: ignore[no-untyped-def]
-    """Columns are searched outwards until none can hold a nearer photon."""
+def _nearest(x, z, start, low_m, box_m, boxes, at_x, at_z, slope, aspect, cap, out):  # type: ignore[no-untyped-def]
+    """Squared distances in ascending order: columns outwards until none can hold a nearer one."""
     last, count = out.shape[1] - 1, (len(start) - 1) // boxes
     near = np.empty(out.shape[1])
-    cap = (reach / aspect) ** 2
     for q in range(len(at_x)):
         near[:] = cap
         found = 0
         middle = np.int64(at_x[q] // COLUMN_M)
+        place = at_x[q], at_z[q], slope[q], 1.0 / aspect
         for side in range(2):
             step = 1 if side == 0 else -1
-            c = middle if side == 0 else middle - 1
+            c = middle - side
             while 0 <= c < count:
                 low, high = c * COLUMN_M - at_x[q], (c + 1) * COLUMN_M - at_x[q]
                 away = max(low, -high, 0.0) / aspect
@@ -111,21 +112,19 @@ def _log_areas(x, z, row, start, low_m, box_m, boxes, at_x, at_z, slope, own, as
                     break
                 lean0, lean1 = slope[q] * low, slope[q] * high
                 base, top = at_z[q] + min(lean0, lean1), at_z[q] + max(lean0, lean1)
-                ends = at_x[q], at_z[q], slope[q], aspect
-                height = np.int64(((base + top) / 2.0 - low_m) / box_m)
-                first = start[c * boxes + min(max(height, 0), boxes - 1)]
+                box = np.int64(((base + top) / 2.0 - low_m) / box_m)
+                first = start[c * boxes + min(max(box, 0), boxes - 1)]
                 rows = start[c * boxes], first, start[(c + 1) * boxes]
-                found += _column(x, z, row, rows, ends, (base, top), own[q], near)
+                found += _column(x, z, rows, place, (base, top), near)
                 c += step
         for k in range(min(found, last + 1)):
-            # Photons at one place are a millimetre apart at least.
-            out[q, k] = np.log(np.pi * aspect * max(near[k], 1e-6))
+            out[q, k] = near[k]
 
 
 @njit(inline="always")
-def _column(x, z, row, rows, at, span, own, near):  # type: ignore[no-untyped-def]
+def _column(x, z, rows, place, span, near):  # type: ignore[no-untyped-def]
     """Sort photons of a column into the nearest ones, upwards and downwards; how many were."""
-    at_x, at_z, slope, aspect = at
+    at_x, at_z, slope, narrow = place
     base, top = span
     last, found = len(near) - 1, 0
     low, first, high = rows
@@ -137,8 +136,8 @@ def _column(x, z, row, rows, at, span, own, near):  # type: ignore[no-untyped-de
                 break
             dx = x[i] - at_x
             dz = z[i] - at_z - slope * dx
-            squared = (dx / aspect) ** 2 + dz * dz
-            if squared < near[last] and row[i] != own:
+            squared = (dx * narrow) ** 2 + dz * dz
+            if squared < near[last]:
                 k = last
                 while k > 0 and near[k - 1] > squared:
                     near[k] = near[k - 1]
@@ -176,24 +175,24 @@ def _leaning(x, z, first, cell_m, slopes, out):  # type: ignore[no-untyped-def]
     cells, layers = out.shape
     room = np.int64(np.ceil(cell_m * (_CELLS + 1) / _BIN_M)) + 1
     counts = np.zeros(np.int64(layers * LAYER_M / _BIN_M) + 2 * room + 2, np.int64)
+    layer = np.empty(len(counts), np.int64)
+    for b in range(len(counts)):
+        layer[b] = min(max(np.int64((b - room + 0.5) * _BIN_M / LAYER_M), 0), layers - 1)
     best = np.empty(layers)
     pairs = np.empty(layers)
     for c in range(cells):
         begin, end = first[max(c - _CELLS, 0)], first[min(c + _CELLS + 1, cells)]
         middle = (c + 0.5) * cell_m
         for s in range(len(slopes)):
+            for i in range(begin, end):
+                counts[np.int64((z[i] - slopes[s] * (x[i] - middle)) / _BIN_M + room)] += 1
             pairs[:] = 0.0
-            for i in range(begin, end):
-                b = np.int64((z[i] - slopes[s] * (x[i] - middle)) / _BIN_M + room)
-                layer = min(max(np.int64((b - room + 0.5) * _BIN_M / LAYER_M), 0), layers - 1)
-                # Each photon makes as many pairs as lie in its bin before it.
-                pairs[layer] += counts[b]
-                counts[b] += 1
-            for i in range(begin, end):
-                counts[np.int64((z[i] - slopes[s] * (x[i] - middle)) / _BIN_M + room)] = 0
-            for layer in range(layers):
+            for b in range(len(counts)):
+                pairs[layer[b]] += counts[b] * (counts[b] - 1) // 2
+                counts[b] = 0
+            for i in range(layers):
                 if s == 0:
-                    best[layer] = pairs[layer] * _LEVEL_GAIN
-                elif pairs[layer] > best[layer]:
-                    best[layer] = pairs[layer]
-                    out[c, layer] = s
+                    best[i] = pairs[i] * _LEVEL_GAIN
+                elif pairs[i] > best[i]:
+                    best[i] = pairs[i]
+                    out[c, i] = s

@@ -19,12 +19,13 @@ BOX_M: Final = 2.0
 
 _MOST_BOXES: Final = 4096
 _LONE: Final = 2
-"""Photons of a cell in 5 m of height that noise may be, at most [count]."""
+"""Photons of a cell in 5 m of height that noise may be, at most, or as many as the mean of its
+heights where that is more: by day there are dozens [count]."""
 
 _GATE_PHOTONS: Final = 30
 """Such photons that show how far a gate reaches [count]."""
 
-_REACHES: Final = (2, 4, 8, 16, 32, 64)
+_REACHES: Final = (0, 1, 2, 4, 8, 16, 32, 64)
 """Cells to each side that are asked for a gate, until enough is seen [count]."""
 
 _GATE_LEAST_M: Final = 4.0
@@ -63,15 +64,22 @@ def gate(cell: NDArray[np.int64], z_m: NDArray[np.float64], cells: int) -> Gate:
     low, high = np.full(cells, np.inf), np.full(cells, -np.inf)
     np.minimum.at(low, cell, z_m)
     np.maximum.at(high, cell, z_m)
+    ends = [
+        (
+            ndimage.minimum_filter1d(low, 2 * reach + 1, mode="nearest"),
+            ndimage.maximum_filter1d(high, 2 * reach + 1, mode="nearest"),
+        )
+        for reach in _REACHES
+    ]
     key = cell * (1 << 32) + np.floor(z_m / 5.0).astype(np.int64)
     _, inverse, times = np.unique(key, return_inverse=True, return_counts=True)
-    lone = np.bincount(cell, times[inverse] <= _LONE, cells).astype(np.float64)
+    mean = 5.0 * np.bincount(cell)[cell] / np.maximum(ends[-1][1] - ends[-1][0], 5.0)[cell]
+    lone = np.bincount(cell, times[inverse] <= np.maximum(_LONE, mean), cells)
     low_m, high_m = np.full(cells, np.nan), np.full(cells, np.nan)
-    for reach in _REACHES:
+    for reach, (lowest, highest) in zip(_REACHES, ends, strict=True):
         seen = around(lone, reach)
         mine = np.isnan(low_m) & ((seen >= _GATE_PHOTONS) | (reach == _REACHES[-1]))
-        low_m[mine] = ndimage.minimum_filter1d(low, 2 * reach + 1, mode="nearest")[mine]
-        high_m[mine] = ndimage.maximum_filter1d(high, 2 * reach + 1, mode="nearest")[mine]
+        low_m[mine], high_m[mine] = lowest[mine], highest[mine]
     # Far from any photon there is no gate to speak of.
     low_m = np.where(np.isfinite(low_m), low_m, 0.0)
     high_m = np.where(np.isfinite(high_m), high_m, 0.0)
@@ -80,11 +88,7 @@ def gate(cell: NDArray[np.int64], z_m: NDArray[np.float64], cells: int) -> Gate:
 
 def around(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
     """Sums over ``reach`` cells to each side, (c,) float64."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    at = np.arange(len(values))
-    sums: NDArray[np.float64] = (
-        total[np.minimum(at + reach + 1, len(values))] - total[np.maximum(at - reach, 0)]
-    )
+    sums: NDArray[np.float64] = ndimage.convolve1d(values, np.ones(2 * reach + 1), mode="constant")
     return sums
 
 
@@ -210,11 +214,6 @@ def _by_cell(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArr
 def _sums(values: NDArray[np.float64], cells: int, boxes: int) -> NDArray[np.float64]:
     """Sums over so many cells and boxes to each side, (cells, heights) float64."""
     out = values
-    for axis, reach in ((0, cells), (1, boxes)):
-        if reach:
-            total = np.insert(np.cumsum(out, axis=axis), 0, 0.0, axis=axis)
-            at, size = np.arange(values.shape[axis]), values.shape[axis]
-            out = np.take(total, np.minimum(at + reach + 1, size), axis) - np.take(
-                total, np.maximum(at - reach, 0), axis
-            )
+    for axis, size in enumerate((2 * cells + 1, 2 * boxes + 1)):
+        out = ndimage.uniform_filter1d(out, size, axis, mode="constant") * size
     return out

@@ -96,12 +96,17 @@ def _beyond(
     return rows
 
 
+def with_prior(table: Ratios, log_prior: float) -> Ratios:
+    """ln(1 + exp(ratio)) of a table: what a neighbour takes from ln P(noise).
+
+    ``log_prior``: ln of P(signal) / P(noise).
+    """
+    within, beyond = (np.logaddexp(0.0, rows + log_prior) for rows in table[:2])
+    return table._replace(within=within, beyond=beyond)
+
+
 def noise_posterior(
-    log_area: NDArray[np.float64],
-    reach_m2: float,
-    noise: NDArray[np.float64],
-    log_prior: float,
-    table: Ratios,
+    log_area: NDArray[np.float64], reach_m2: float, noise: NDArray[np.float64], table: Ratios
 ) -> NDArray[np.float64]:
     """Mean over k of ln P(noise | area within the k-th neighbour), (q,) float64; 0 and below.
 
@@ -113,16 +118,12 @@ def noise_posterior(
         Area within the reach [m2].
     noise : (q,) float64
         Noise density at each place [1/m2].
-    log_prior : float
-        ln of P(signal) / P(noise).
     table : Ratios
-        ln of the likelihood of signal over that of noise.
+        By :func:`with_prior`.
     """
     out = np.empty(len(noise))
-    # ln(1 + exp(ratio)) of the tables' columns: none is left to take of each neighbour.
-    within, beyond = (np.logaddexp(0.0, rows + log_prior) for rows in table[:2])
     ends = float(np.log(reach_m2)), table.first, table.step
-    _posterior(log_area, np.log(noise), within, beyond, ends, out)
+    _posterior(log_area, np.log(noise), table.within, table.beyond, ends, out)
     return out
 
 

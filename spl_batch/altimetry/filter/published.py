@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.filter.neighbours import columns, log_areas
-from spl_batch.altimetry.filter.posterior import noise_posterior, ratios
+from spl_batch.altimetry.filter.posterior import noise_posterior, ratios, with_prior
 from spl_batch.altimetry.filter.window import Assessed
 from spl_batch.altimetry.settings import BaselineSettings, SignalSettings
 from spl_batch.constants import QUANTA_PER_M
@@ -101,14 +101,13 @@ def posterior(
     z_m = height / QUANTA_PER_M
     n, noise = len(along), float(known.expected.sum())
     shape = NEIGHBOURS, 1.0, settings.reach_m
-    near = log_areas(columns(s_m, z_m), (s_m, z_m), np.zeros(n), np.arange(n), shape)
+    near = log_areas(columns(s_m, z_m), (s_m, z_m), np.zeros(n), shape, own=True)
     share = np.clip(noise / n, 0.01, 0.999)
     score = noise_posterior(
         near,
         np.pi * settings.reach_m**2,
         np.full(n, noise / max(area_m2, 1e-9)),
-        float(np.log((1.0 - share) / share)),
-        ratios(NEIGHBOURS, settings.contrast_max),
+        with_prior(ratios(NEIGHBOURS, settings.contrast_max), float(np.log((1.0 - share) / share))),
     )
     kept = np.zeros(n, np.bool_)
     kept[np.argsort(score, kind="stable")[: max(round(n - noise), 0)]] = True

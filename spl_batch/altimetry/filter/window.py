@@ -32,7 +32,7 @@ from spl_batch.altimetry.filter.neighbours import (
     log_areas,
 )
 from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, first_density, gate
-from spl_batch.altimetry.filter.posterior import Ratios, noise_posterior, ratios
+from spl_batch.altimetry.filter.posterior import Ratios, noise_posterior, ratios, with_prior
 from spl_batch.altimetry.settings import Shape, SignalSettings
 from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M, water_levels
 from spl_batch.constants import QUANTA_PER_M
@@ -224,11 +224,9 @@ def _seen(
 ) -> _Seen:
     """Neighbours of photons and places in ellipses of one shape."""
     shape = form.neighbours, form.aspect, settings.reach_m
-    none = np.full(len(places.x_m), -1)
-    own = np.arange(len(photons.x_m))
     return _Seen(
-        log_areas(known, (photons.x_m, photons.z_m), photons.slope, own, shape),
-        log_areas(known, (places.x_m, places.z_m), places.slope, none, shape),
+        log_areas(known, (photons.x_m, photons.z_m), photons.slope, shape, own=True),
+        log_areas(known, (places.x_m, places.z_m), places.slope, shape, own=False),
         np.pi * settings.reach_m**2 / form.aspect,
         ratios(form.neighbours, settings.contrast_max),
     )
@@ -248,13 +246,13 @@ def _agreed(
         here, there = field.reshape(-1)[photons.box], field.reshape(-1)[places.box]
         each = there * places.area_m2
         part = np.clip(each.sum() / len(photons.x_m), *_NOISE_SHARE)
-        prior = float(np.log((1.0 - part) / part))
-        score = noise_posterior(seen.near, seen.reach_m2, here, prior, seen.table)
+        table = with_prior(seen.table, float(np.log((1.0 - part) / part)))
+        score = noise_posterior(seen.near, seen.reach_m2, here, table)
         above, other = (
             np.clip(np.log(np.maximum(-values, 1e-9)), _BINS[0], _BINS[-2])
             for values in (
                 score,
-                noise_posterior(seen.empty, seen.reach_m2, there, prior, seen.table),
+                noise_posterior(seen.empty, seen.reach_m2, there, table),
             )
         )
         found = _Found(score, above, other, field, each)

@@ -75,18 +75,21 @@ def _level(
     top = _highest(z_m)
     if top is None:
         return None
+    order = np.lexsort((z_m, cell))
+    cell, z_m = cell[order], z_m[order]
+    least = _CELLS_SHARE * np.count_nonzero(np.bincount(cell + _REACH_CELLS))
     line = np.array([0.0, top])
     for _ in range(2):
         near = np.abs(z_m - line[1] - line[0] * cell * cell_m) <= _NEAR_M
-        cells, first, count = np.unique(cell[near], return_index=True, return_counts=True)
-        shown = count >= _CELL_PHOTONS
-        if np.count_nonzero(shown) < _CELLS_SHARE * len(np.unique(cell)) or shown.sum() < 3:
+        count = np.bincount(cell[near] + _REACH_CELLS)
+        first, shown = np.cumsum(count) - count, np.flatnonzero(count >= _CELL_PHOTONS)
+        if len(shown) < max(least, 3):
             return None
-        ordered = z_m[near][np.lexsort((z_m[near], cell[near]))]
+        ordered, at_m = z_m[near], (shown - _REACH_CELLS) * cell_m
         middle = first[shown] + (count[shown] - 1) // 2
         heights = (ordered[middle] + ordered[first[shown] + count[shown] // 2]) / 2.0
-        line = np.polyfit(cells[shown] * cell_m, heights, 1)
-    off = heights - np.polyval(line, cells[shown] * cell_m)
+        line = np.polyfit(at_m, heights, 1)
+    off = heights - np.polyval(line, at_m)
     above_m = z_m - np.polyval(line, cell * cell_m)
     over = np.count_nonzero((above_m > SURFACE_M) & (above_m <= _ABOVE_M))
     level = abs(line[0]) <= _SLOPE and 1.4826 * np.median(np.abs(off)) <= _ROUGH_M
