@@ -27,10 +27,10 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "points": "{count:points|have} no usable gps_time ({what})",
                 "format": "point format {format} has no gps_time",
             },
-            "such points are delivered with noise_class 255, not assessed, and used for nothing "
-            "else",
-            "give the files their times, or set filter.method: none and afterpulse.enabled: false "
-            "for ground and surfaces",
+            "where points are filtered, these are delivered with noise_class 255, not assessed, "
+            "and used for nothing else; unfiltered, they are as good as others",
+            "give the files their times; filter.method: none and afterpulse.enabled: false make "
+            "ground and surfaces without",
             "file",
         ),
         "I03": Code(
@@ -89,10 +89,11 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "No CRS",
             {
                 "none": "no input file carries a CRS and survey.crs is not set",
+                "local": "the CRS that files name, {crs}, does not say where on earth it is",
                 "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
                 "others",
             },
-            "rasters and clouds name none, or that of others",
+            "rasters and clouds name none, or that one, or that of others",
             "write `crs: EPSG:...` or `vertical_crs: EPSG:...` under survey",
             "file",
         ),
@@ -261,10 +262,12 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         "G02": Code(
             "Voids in the terrain",
             "{count:voids} of the terrain, {area_m2:.0f} m2, the largest {largest_m2:.0f} m2 at "
-            "{east_m:.0f} E, {north_m:.0f} N: no ground within products.void_max_m "
-            "({void_max_m:g} m)",
+            "{east_m:.0f} E, {north_m:.0f} N: no ground near enough, by "
+            "products.void_max_m ({void_max_m:g} m) and products.edge_max_m, or water without a "
+            "level",
             "there are no heights",
-            "breaklines give water its level; a larger products.void_max_m fills roofs and woods",
+            "breaklines give water its level; larger products.void_max_m and edge_max_m fill roofs "
+            "and woods",
         ),
         "G03": Code(
             "Classes of vegetation",

@@ -74,7 +74,7 @@ class Labels:
         kinds["afterpulses"] = NOISE_AFTERPULSE
         counts = [int(np.count_nonzero(self.noise_class == value)) for value in kinds.values()]
         said = [f"{grouped(n)} {name}" for n, name in zip(counts, kinds, strict=True)]
-        if self.basis == "cloud":  # which has no shots
+        if not self.range_sigma.any():  # no shots
             said[-1] = "afterpulses not looked for without gps_time and channel"
         said += [f"{grouped(left)} not assessed"] if (left := len(self) - sum(counts)) else []
         said += [f"noise density {_BASES[self.basis]}"]

@@ -97,9 +97,18 @@ def _heights(facts: LasFacts) -> CRS | None:
     return None if facts.crs is None else vertical(facts.crs)
 
 
-def without_heights(crs: CRS | None, files: Iterable[tuple[str, LasFacts]]) -> list[Finding]:
+def crs_findings(crs: CRS | None, files: Sequence[tuple[str, LasFacts]]) -> list[Finding]:
+    """A survey without a CRS or with a local one, and files whose heights have none."""
+    if crs is None:
+        return [Finding("I08", {"kind": "none"})] if files else []
+    if horizontal(crs).is_engineering:
+        return [Finding("I08", {"kind": "local", "crs": crs_name(crs)})]
+    return _without_heights(crs, files)
+
+
+def _without_heights(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> list[Finding]:
     """Files without a vertical CRS beside others that have one."""
-    named = None if crs is None else vertical(crs)
+    named = vertical(crs)
     some = [(name, facts) for name, facts in files if facts.crs is not None and facts.n_points]
     lacking = [name for name, facts in some if _heights(facts) is None]
     if named is None or len(lacking) == len(some):

@@ -20,7 +20,7 @@ from spl_batch.airborne.plan.inputs.file_positions import (
     far_positions,
 )
 from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles, checked_reference
-from spl_batch.airborne.plan.inputs.survey_crs import survey_crs, with_heights, without_heights
+from spl_batch.airborne.plan.inputs.survey_crs import crs_findings, survey_crs, with_heights
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.input_files import (
@@ -142,9 +142,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed)]
     warnings += checkpoint_file.looked_into(checkpoints, crs, workflow.reference, good)
-    if crs is None and good:
-        warnings.append(Finding("I08", {"kind": "none"}))
-    warnings += without_heights(crs, placed)
+    warnings += crs_findings(crs, placed)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
         Source(f.path, name_below(f.path, base), name, source_key(name), f)
