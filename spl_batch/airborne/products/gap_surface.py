@@ -13,7 +13,7 @@ It is fitted to means of blocks of :data:`BLOCK_M`, two rows of them along the g
 would lend it the slopes of their noise.
 
 Three rules keep it from making up land. Ground beyond a wall does not count, so that a quay's hall
-gets no slope from the land below (:mod:`spl_batch.airborne.products.gap_walls`). It is no higher
+gets no slope from the land below. It is no higher
 and no lower than the ground it is fitted to. And it does not come near water: where the nearest
 ground is the level of water, within :data:`FAR_M`, the TIN stays.
 """
@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.products.gap_walls import on_this_side
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.thin_plates import fit_plate, plate_height
 
@@ -52,7 +51,26 @@ _ENOUGH = 8
 _CELLS = 2.0
 """Cells with ground in a block, on the average; in sparser clouds gaps are everywhere [count]."""
 
+WALL_CELLS: Final = 1.0
+"""Height of a wall, at least, in edges of a cell."""
+
+STEEPER: Final = 2.5
+"""How much larger a wall's step is than the mean of those around."""
+
+AROUND_CELLS: Final = 17
+"""Edge of the square that this mean is of [count]."""
+
+FULL_OF_NINE: Final = 6
+"""Cells with ground, of a cell and those around it, from which on it may be at a wall [count]."""
+
+_FINE_CELLS = 1e-3
+"""What steps are counted in."""
+
+_NINE = np.ones((3, 3), np.bool_)
+
 Grid = NDArray[np.float64]
+
+Mask = NDArray[np.bool_]
 
 
 def bridged(
@@ -140,6 +158,44 @@ def _nodes(gaps: NDArray[np.bool_], first: tuple[int, int], step: int) -> NDArra
     corners = np.unique(np.column_stack([row // step, column // step]), axis=0)
     around = [corners + np.array([i, j]) for i in (0, 1) for j in (0, 1)]
     return np.unique(np.concatenate(around), axis=0)
+
+
+def on_this_side(height: Grid, gaps: Mask, reach: int) -> Mask:
+    """Cells that a way leads to from a gap, without a wall and no longer than the reach.
+
+    Parameters
+    ----------
+    height : (rows, columns) float64
+        Of the ground [cells]; NaN without any.
+    gaps : (rows, columns) bool
+    reach : int
+        [cells], straight or diagonal.
+    """
+    walls = walls_of(height)
+    if not walls.any():
+        return np.ones_like(gaps)
+    # A single cell without ground is no hole in a wall.
+    walls |= np.isnan(height) & ndimage.binary_dilation(walls, _NINE)
+    return np.asarray(ndimage.binary_dilation(gaps, _NINE, reach, mask=gaps | ~walls))
+
+
+def walls_of(height: Grid) -> Mask:
+    """Cells at the top or the foot of a wall."""
+    held = ~np.isnan(height)
+    step = ndimage.maximum_filter(np.where(held, height, -np.inf), 3)
+    step -= ndimage.minimum_filter(np.where(held, height, np.inf), 3)
+    full = held & (_sum_around(held.astype(np.float64), 3) >= FULL_OF_NINE)
+    # Whole numbers, so that sums do not depend on where the cells begin.
+    whole = np.rint(np.where(full, step, 0.0) / _FINE_CELLS)
+    count = _sum_around(full.astype(np.float64), AROUND_CELLS)
+    mean = _sum_around(whole, AROUND_CELLS) / np.maximum(count, 1.0)
+    return np.asarray(full & (step > WALL_CELLS) & (whole > STEEPER * mean))
+
+
+def _sum_around(values: Grid, edge: int) -> Grid:
+    for axis in (0, 1):
+        values = ndimage.convolve1d(values, np.ones(edge), axis, mode="constant")
+    return values
 
 
 @njit()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spl_batch.airborne.products.gap_walls import (
+from spl_batch.airborne.products.gap_surface import (
     AROUND_CELLS,
     FULL_OF_NINE,
     STEEPER,

@@ -1,7 +1,7 @@
 """Fired beamlets against a surface: which were seen, and where the silent ones ended."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +113,6 @@ def exposure(
     lean: tuple[float, float],
     constant: float,
     extinction: float,
-    terms: Any,
 ) -> float:
     """Photo-electrons per reflectance that a beamlet brings from a cell [W17 Eq. 2.1].
 
@@ -129,19 +128,13 @@ def exposure(
         Of instrument and channel [m2].
     extinction : float
         Of the air [1/m].
-    terms : (bool, bool)
-        Whether range, and whether incidence is allowed for.
     """
     length = math.sqrt(1.0 + lean[0] * lean[0] + lean[1] * lean[1])
-    amount = constant
-    if terms[0]:
-        range_m = (height - z) * length
-        amount *= math.exp(-2.0 * extinction * range_m) / (range_m * range_m)
-    if terms[1]:
-        sx, sy = slope
-        cosine = (1.0 - sx * lean[0] - sy * lean[1]) / (length * math.sqrt(1 + sx * sx + sy * sy))
-        amount *= max(cosine, COSINE_MIN)
-    return amount
+    range_m = (height - z) * length
+    amount = constant * (math.exp(-2.0 * extinction * range_m) / (range_m * range_m))
+    sx, sy = slope
+    cosine = (1.0 - sx * lean[0] - sy * lean[1]) / (length * math.sqrt(1 + sx * sx + sy * sy))
+    return amount * max(cosine, COSINE_MIN)
 
 
 @njit()
@@ -153,7 +146,6 @@ def expose_cells(
     core: tuple[int, int, int, int],
     level: float,
     extinction: float,
-    terms: tuple[bool, bool],
     fixed: float,
     silent: NDArray[np.int64],
     fired: NDArray[np.int64],
@@ -174,8 +166,6 @@ def expose_cells(
         A height near the surface [m].
     extinction : float
         Of the air [1/m].
-    terms : (bool, bool)
-        Whether range, and whether incidence is allowed for.
     fixed : float
         Steps of ``silent`` per photo-electron and reflectance.
     silent : (rows, cols) int64
@@ -218,7 +208,7 @@ def expose_cells(
             z = (first >> np.int64(32)) * QUANTUM_M if first != SILENT else height[row, col]
             lean = aim[3] + aim[5] * gx + aim[7] * gy, aim[4] + aim[6] * gx + aim[8] * gy
             steep = slope[row, col, 0], slope[row, col, 1]
-            amount = exposure(steep, z, aim[2], lean, constant, extinction, terms)
+            amount = exposure(steep, z, aim[2], lean, constant, extinction)
             fired[row - r0, col - c0] += 1
             if first != SILENT:
                 seen_cell[count] = (row - r0) * (c1 - c0) + col - c0

@@ -30,8 +30,9 @@ that of a Lambertian surface in their place. It may exceed one, and is not cut: 
 dark.
 """
 
+import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,6 @@ from spl_batch.airborne.products.reflectance.beamlet_matching import (
     match_points,
     shots_near,
 )
-from spl_batch.airborne.products.reflectance.detection_rate import most_likely, sort_by_cell
 from spl_batch.airborne.products.reflectance.exposed_cells import COARSE, expose_cells
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.products.reflectance.first_surface import first_surface
@@ -51,6 +51,7 @@ from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
+from spl_batch.numerics.compiled import njit
 
 DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "noise_class")
@@ -62,49 +63,10 @@ FIXED_POINT: Final = 2.0**32
 """Steps of a sum per photo-electron and reflectance."""
 
 
-class Terms(NamedTuple):
-    """Terms of the link budget that are allowed for; all, but to show what each one does."""
-
-    range: bool = True
-    incidence: bool = True
-
-
-ALL_TERMS: Final = Terms()
-"""The whole link budget."""
-
-
-class Detections(NamedTuple):
-    """What was fired at each raster cell, south row first, and what of it was seen."""
-
-    #: (rows, cols): naN where fewer than :data:`FIRED_MIN` beamlets were fired.
-    reflectance: NDArray[np.float64]
-    #: (rows, cols): beamlets.
-    fired: NDArray[np.int64]
-    seen: NDArray[np.int64]
-
-
 def raster(
     table: PointTable, parts: Sequence[FiredPart], cell: Bounds, settings: ProductSettings
 ) -> NDArray[np.float32]:
     """Reflectance of a ground cell, north up; nodata where too little was fired.
-
-    Parameters
-    ----------
-    table, parts, cell, settings
-        As in :func:`detections`.
-    """
-    values = detections(table, parts, cell, settings).reflectance[::-1]
-    return np.ascontiguousarray(np.where(np.isnan(values), NODATA, values), dtype=np.float32)
-
-
-def detections(
-    table: PointTable,
-    parts: Sequence[FiredPart],
-    cell: Bounds,
-    settings: ProductSettings,
-    terms: Terms = ALL_TERMS,
-) -> Detections:
-    """Reflectance of a ground cell and what it rests on.
 
     Parameters
     ----------
@@ -120,12 +82,11 @@ def detections(
     wide = grow(cell, margin * size)
     shape = (cell.ymax - cell.ymin) // size, (cell.xmax - cell.xmin) // size
     fired, silent = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
-    nothing = Detections(np.full(shape, np.nan), fired, fired.copy())
     parts = [p for p in parts if len(p.first)]
     signal = _signal(table, wide)
     z = table["z"][signal]
     if not len(z) or not parts:
-        return nothing
+        return np.full(shape, NODATA, np.float32)
     blocks = _join(parts, wide)
     level, depth = _middle_m(z), float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M))
     shots = int(blocks.offset[-1] + blocks.last[-1] - blocks.first[-1] + 1)
@@ -150,11 +111,12 @@ def detections(
     inner = (margin, margin + shape[0], margin, margin + shape[1])
     count = expose_cells(
         (block[:near], tau[:near]), blocks, top, grid, inner,
-        level, settings.extinction_per_m, (terms.range, terms.incidence), FIXED_POINT, silent,
+        level, settings.extinction_per_m, FIXED_POINT, silent,
         fired, seen_cell, amount,
     )  # fmt: skip
     del top, blocks, number, block, tau
-    return _estimate(seen_cell[:count], amount[:count], silent, fired)
+    values = _estimate(seen_cell[:count], amount[:count], silent, fired)[::-1]
+    return np.ascontiguousarray(np.where(np.isnan(values), NODATA, values), dtype=np.float32)
 
 
 def _signal(table: PointTable, region: Bounds) -> NDArray[np.intp]:
@@ -169,8 +131,8 @@ def _estimate(
     amount: NDArray[np.float64],
     silent: NDArray[np.int64],
     fired: NDArray[np.int64],
-) -> Detections:
-    """Most likely reflectance of each cell."""
+) -> NDArray[np.float64]:
+    """Most likely reflectance of each cell; NaN where fewer than :data:`FIRED_MIN` were fired."""
     seen = np.bincount(cell, minlength=fired.size)
     start = np.concatenate([[0], np.cumsum(seen)]).astype(np.int64)
     # Beamlets come by time and channel, however the points came: the same sums always.
@@ -182,7 +144,7 @@ def _estimate(
     rho = np.empty(fired.size)
     most_likely(start, amount, (silent.ravel() + 0.5 * mean) / FIXED_POINT, rho)
     rho = np.where(fired.ravel() >= FIRED_MIN, rho, np.nan)
-    return Detections(rho.reshape(fired.shape), fired, seen.reshape(fired.shape).astype(np.int64))
+    return rho.reshape(fired.shape)
 
 
 def _margin_cells(settings: ProductSettings) -> int:
@@ -192,7 +154,7 @@ def _margin_cells(settings: ProductSettings) -> int:
 
 
 def reach_m(settings: ProductSettings) -> float:
-    """Width of the margin that :func:`detections` reads around a ground cell [m]."""
+    """Width of the margin that :func:`raster` reads around a ground cell [m]."""
     return _margin_cells(settings) * quanta(settings.cell_m) * QUANTUM_M
 
 
@@ -237,3 +199,80 @@ def _middle_m(z: NDArray[np.int32]) -> float:
     half = len(z) // 2
     middle = np.partition(z, (max(half - 1, 0), half))[half - 1 + len(z) % 2 : half + 1]
     return float(np.mean(middle * QUANTUM_M))
+
+
+@njit()
+def sort_by_cell(
+    cell: NDArray[np.int64],
+    amount: NDArray[np.float64],
+    start: NDArray[np.int64],
+    out: NDArray[np.float64],
+) -> None:
+    """Put amounts cell by cell, in the order in which they came.
+
+    Parameters
+    ----------
+    cell : (s,) int64
+        Cell of each.
+    amount : (s,) float64
+        What is sorted.
+    start : (m + 1,) int64
+        First place of each cell, and their number.
+    out : (s,) float64
+        Filled.
+    """
+    place = start[:-1].copy()
+    for s in range(len(cell)):
+        out[place[cell[s]]] = amount[s]
+        place[cell[s]] += 1
+
+
+@njit()
+def most_likely(
+    start: NDArray[np.int64],
+    amount: NDArray[np.float64],
+    silent: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    r"""Reflectance under which what was seen, and what was not, is most likely.
+
+    A beamlet that expects :math:`k \rho` photo-electrons is seen with probability
+    :math:`1 - e^{-k \rho}` [W17 Eq. 2.7], so
+    :math:`\sum_{seen} k / (e^{k \rho} - 1) = \sum_{silent} k`; equal ones give
+    :math:`k \rho = -\ln(1 - p)`.
+
+    Parameters
+    ----------
+    start : (m + 1,) int64
+        First seen beamlet of each cell, and their number.
+    amount : (s,) float64
+        k of each seen beamlet, > 0.
+    silent : (m,) float64
+        Sum of k over the silent ones, > 0 where any was seen.
+    out : (m,) float64
+        Filled; 0 where none was seen.
+    """
+    for cell in range(len(start) - 1):
+        low, high = start[cell], start[cell + 1]
+        out[cell] = 0.0
+        if low == high:
+            continue
+        total = 0.0
+        for s in range(low, high):
+            total += amount[s]
+        mean = total / (high - low)
+        rho = math.log1p(total / silent[cell]) / mean
+        for _ in range(50):
+            value, fall = -silent[cell], 0.0
+            for s in range(low, high):
+                # of what falls: the exponential of many photo-electrons is beyond all numbers
+                unseen, seen = math.exp(-amount[s] * rho), -math.expm1(-amount[s] * rho)
+                value += amount[s] * unseen / seen
+                fall += amount[s] * amount[s] * unseen / (seen * seen)
+            # The left side is convex and falls: from the right a step may go too far.
+            new = max(rho + value / fall, 0.25 * rho)
+            done = abs(new - rho) <= 1e-10 * rho
+            rho = new
+            if done:
+                break
+        out[cell] = rho
