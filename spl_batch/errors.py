@@ -5,6 +5,7 @@ The command line prints it without a traceback and exits with ``exit_status``.
 """
 
 import math
+import threading
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -124,6 +125,10 @@ class InputError(SplBatchError, ValueError):
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, tuple[str, ...]]]:
         return type(self), (self.path, self.faults)
+
+
+INTERRUPTED: Final = threading.Event()
+"""Set once somebody has asked this process to end: an exception may be lost in a compiler."""
 
 
 def is_fault(error: BaseException) -> bool:

@@ -16,7 +16,7 @@ from click.shell_completion import get_completion_class
 
 from spl_batch.cli import document
 from spl_batch.cli.console import say_error
-from spl_batch.errors import SplBatchError, told_by_system
+from spl_batch.errors import INTERRUPTED, SplBatchError, told_by_system
 
 _CONTINUES = frozenset({"run", "quickstart", "compare", "denoise"})
 """Commands that go on where they stopped."""
@@ -268,10 +268,10 @@ def completion(shell: str) -> int:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the status of the contract."""
     given = sys.argv[1:] if arguments is None else arguments
-    as_json, interrupted = "--json" in given, threading.Event()
+    as_json = "--json" in given
     goes_on = "; the same command continues" if given[:1] and given[0] in _CONTINUES else ""
     try:
-        with _ended_in_order(interrupted):
+        with _ended_in_order():
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
     except click.ClickException as error:
         error.show()
@@ -288,7 +288,7 @@ def main(arguments: list[str] | None = None) -> None:
         text = told_by_system(error, "free some space and run again" if full else "")
         _end(f"spl-batch: {text}", 3 if full else 2, as_json and text)
     except Exception:  # an interrupt may come up as something else, as in a compiler's callback
-        if not interrupted.is_set():
+        if not INTERRUPTED.is_set():
             raise
         _end(f"interrupted{goes_on}", 3, as_json and "interrupted")
     status = status if isinstance(status, int) else 0
@@ -319,16 +319,17 @@ def _end(text: str, status: int, document_text: object = "") -> NoReturn:
 
 
 @contextmanager
-def _ended_in_order(interrupted: threading.Event) -> Iterator[None]:
+def _ended_in_order() -> Iterator[None]:
     """Take the end of a queue system's time like Ctrl-C: in order, to be continued."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def interrupt(*_: object) -> None:
-        interrupted.set()
+        INTERRUPTED.set()
         raise KeyboardInterrupt
 
+    INTERRUPTED.clear()
     signs = [s for s in (signal.SIGTERM, signal.SIGINT) if signal.getsignal(s) != signal.SIG_IGN]
     before = [(sign, signal.signal(sign, interrupt)) for sign in signs]
     try:

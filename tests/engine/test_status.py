@@ -148,11 +148,6 @@ def test_a_half_line_of_a_killed_run_is_ended(tmp_path: Path) -> None:
         assert log.read_text() == after
 
 
-def test_no_run_has_worked_in_a_folder_without_a_log(tmp_path: Path) -> None:
-    with pytest.raises(WorkflowError):
-        Follower(tmp_path)
-
-
 def test_tasks_are_called_as_a_user_calls_them() -> None:
     names = {"17": "lines/a.laz"}
     assert plain_name(Task("index_file", "17", {"source": 17}), names) == "index file lines/a.laz"

@@ -16,6 +16,7 @@ from spl_batch.engine.store.working_store import (
     write_receipt,
 )
 from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.verbs.repair import TRIES, forget_makers
 from spl_batch.errors import StoppedError, WorkflowError
 from spl_batch.formats.files.atomic import (
     checksum,
@@ -64,6 +65,21 @@ def test_half_a_receipt_is_no_receipt(tmp_path: Path, content: bytes) -> None:
     write_receipt(store, receipt("a"))
     store.receipt("gather", "a").write_bytes(content)
     assert read_receipt(store, "gather", "a") is None
+
+
+def test_a_damaged_file_is_made_again_so_often_and_then_given_up(tmp_path: Path) -> None:
+    store, known = Store(tmp_path), dict[str, int]()
+    chunk = "store/voxels/a/c/0"
+    for _ in range(TRIES):
+        write_receipt(store, receipt("a", outputs={"store/voxels/a": "0"}))
+        assert forget_makers(store, ["gather"], [chunk], known) == ["store/voxels/a"]
+        assert read_receipt(store, "gather", "a") is None
+    write_receipt(store, receipt("a", outputs={"store/voxels/a": "0"}))
+    assert forget_makers(store, ["gather"], [chunk], known) == []
+    assert read_receipt(store, "gather", "a") is not None
+    assert forget_makers(store, ["gather"], ["store/voxels/b", "store/x/zarr.json"], known) == [
+        "store/x/zarr.json"
+    ]
 
 
 def test_numbers_that_json_does_not_know_are_refused(tmp_path: Path) -> None:

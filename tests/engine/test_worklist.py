@@ -55,6 +55,7 @@ def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> Non
     work = Worklist(replace(STEPS["ground"], tasks=tasks), known, context(tmp_path))
     key = runner.task_key(Task("ground", "b", {"cell": "b"}), context(tmp_path), ())
     write_receipt(Store(tmp_path), receipt("ground", "b", key, ground=3))
+    write_receipt(Store(tmp_path), receipt("ground", "c", "of other settings"))
     assert [found.name for found in work.look()] == ["b"]
     assert (work.left, work.ready, work.points) == (3, 1, 30)
     jobs = [work.job(task) for task in work.tasks()]

@@ -25,7 +25,14 @@ from spl_batch.engine.tasks.context import Produced, RunContext
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
-from spl_batch.errors import DamagedError, InputError, SplBatchError, StoppedError, one_line
+from spl_batch.errors import (
+    INTERRUPTED,
+    DamagedError,
+    InputError,
+    SplBatchError,
+    StoppedError,
+    one_line,
+)
 from spl_batch.formats.files.atomic import checksum, size, stop_if_full
 from spl_batch.imports import content_hash, data_files, imported, module_file
 from spl_batch.receivers import HOMES, steps
@@ -176,7 +183,9 @@ def run_task(task: Task, key: str, context: RunContext[Any], run: str = "") -> R
         receipt = _receipt(task, key, context, function({**task.args, **task.how}, context), start)
     except (StoppedError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # noqa: BLE001 - a library may even end the program
+    except BaseException as error:
+        if INTERRUPTED.is_set():  # what compiles has lost the exception and fails by that
+            raise KeyboardInterrupt from error
         stop_if_full(error, context.output)
         receipt = _failed(task, key, error, time.perf_counter() - start)
     if run and receipt.failed:

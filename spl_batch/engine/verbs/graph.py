@@ -16,6 +16,7 @@ from spl_batch.engine.tasks.task import Need, Outcome, Task
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.engine.verbs.progress import Progress
 from spl_batch.engine.watch.events import PhaseStarted, TaskSettled
+from spl_batch.errors import INTERRUPTED
 
 
 class _Open:
@@ -53,6 +54,8 @@ class Graph:
     def run(self) -> None:
         """Do what is left to do."""
         while self._open or self._waiting:
+            if INTERRUPTED.is_set():
+                raise KeyboardInterrupt
             if not self.progress.begins_again:
                 self._close_steps()
                 self._open_steps()
