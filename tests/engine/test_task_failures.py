@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -112,3 +113,13 @@ def test_a_full_disk_concerns_everything(
 ) -> None:
     with pytest.raises(StoppedError):
         ended(OSError(errno.ENOSPC, "no space left on device"), context, monkeypatch)
+
+
+def test_a_failure_after_a_wish_to_stop_is_that_wish(
+    context: RunContext[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = threading.Event()
+    asked.set()
+    monkeypatch.setattr(runner, "INTERRUPTED", asked)
+    with pytest.raises(KeyboardInterrupt):
+        ended(RuntimeError("no compiled object yet"), context, monkeypatch)
