@@ -39,6 +39,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "repeated": "{count} of {points} points repeat an earlier one, with the same time, "
                 "channel, return number and place",
                 "files": "{count:returns|are} in both files, at the same time and place",
+                "saved": "both files have {points} points in the same box, by another scale: where "
+                "one is a copy of the other, each return counts twice",
                 "flightlines": "flightlines with other point source ids begin and end at the same "
                 "times ({first_s:.6f} to {last_s:.6f} s), and each has {points} returns: each "
                 "counts as a look of its own, and density is too high",

@@ -1,6 +1,7 @@
 """Files that lie where those of one survey do not: far apart, astray, in degrees."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import rasterio
 from numpy.typing import NDArray
 
 from spl_batch import api
-from spl_batch.airborne.plan.inputs.file_positions import far_positions
+from spl_batch.airborne.plan.inputs.file_positions import far_positions, saved_again
 from spl_batch.constants import NODATA
 from spl_batch.engine.findings import Finding
 from spl_batch.formats.crs import look_like_degrees
@@ -51,6 +52,17 @@ def raster(path: Path) -> NDArray[np.float32]:
 
 def far(**boxes: tuple[float, float, float, float]) -> list[Finding]:
     return list(far_positions([(name, facts(name, box)) for name, box in boxes.items()]))
+
+
+def test_a_file_saved_again_by_another_scale_is_named() -> None:
+    one = facts("a.laz", (500_000.2, 0.0, 500_150.0, 150.0))
+    coarse = replace(one, scales=(0.01, 0.01, 0.01), maxs_m=(500_150.004, 150.0, 50.0))
+    elsewhere = replace(coarse, mins_m=(500_000.3, 0.0, 0.0))
+    named = {"a": one, "b": coarse, "c": elsewhere, "d": one}
+    found = list(saved_again([*named.items()]))
+    assert [(f.code, f.subject, f.values["kind"]) for f in found] == [
+        ("I03", "b and a", "saved"), ("I03", "d and b", "saved"),
+    ]  # fmt: skip
 
 
 def test_a_stray_point_makes_a_plan_of_no_more_tiles_than_there_are_points() -> None:

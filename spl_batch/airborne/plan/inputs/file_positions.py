@@ -116,6 +116,23 @@ def _distant(
         yield from (Finding("I05", values, names[k], badness=gap_m) for k in part)
 
 
+def saved_again(files: Sequence[tuple[str, LasFacts]]) -> Iterator[Finding]:
+    """Files with as many points as another in the same box, by another scale.
+
+    Their coordinates are rounded differently, so no point is recognised as a copy of another.
+    """
+    seen: dict[tuple[int, ...], list[tuple[str, LasFacts]]] = {}
+    for name, facts in files:
+        corner = (facts.n_points, *(round(value) for value in facts.mins_m[:2]))
+        for other, like in seen.setdefault(corner, []):
+            unit = np.maximum(facts.scales, like.scales)
+            corners = np.subtract([facts.mins_m, facts.maxs_m], [like.mins_m, like.maxs_m])
+            if facts.n_points and facts.scales != like.scales and (np.abs(corners) <= unit).all():
+                values = {"kind": "saved", "points": facts.n_points}
+                yield Finding("I03", values, f"{name} and {other}", badness=facts.n_points)
+        seen[corner].append((name, facts))
+
+
 def _sides(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
     sides: NDArray[np.float64] = boxes[:, 2:] - boxes[:, :2]
     return sides

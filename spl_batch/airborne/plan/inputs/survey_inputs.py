@@ -18,6 +18,7 @@ from spl_batch.airborne.plan.inputs.checkpoint_file import CheckpointFile
 from spl_batch.airborne.plan.inputs.file_positions import (
     degrees_as_metres,
     far_positions,
+    saved_again,
 )
 from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles, checked_reference
 from spl_batch.airborne.plan.inputs.survey_crs import crs_findings, survey_crs, with_heights
@@ -140,7 +141,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         for text in facts.warnings
     ]
     placed = [(name_below(facts.path, base), facts) for facts in good]
-    warnings += [*degrees_as_metres(placed), *far_positions(placed)]
+    warnings += [*degrees_as_metres(placed), *far_positions(placed), *saved_again(placed)]
     warnings += checkpoint_file.looked_into(checkpoints, crs, workflow.reference, good)
     warnings += crs_findings(crs, placed)
     names = _delivered_names([f.path for f in good], base)
