@@ -20,7 +20,7 @@ from spl_batch.airborne.first_use.clouds import (
 from spl_batch.airborne.first_use.folder import Folder, look_through
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.sensors.sensor import load_preset
-from spl_batch.engine.settings.draft import Draft, headed, key_lines, patterns, wrapped
+from spl_batch.engine.verbs.beginning import Beginning, headed, key_lines, patterns, wrapped
 from spl_batch.errors import counted, grouped, named, plain
 from spl_batch.formats.crs import crs_name, same_crs
 from spl_batch.formats.files.atomic import real_path
@@ -32,7 +32,7 @@ SMALL_M2: Final = 10_000.0
 ByCrs = tuple[CRS, Sequence[CloudLook]]
 
 
-def begin(place: Path) -> Draft | None:
+def begin(place: Path) -> Beginning | None:
     """A workflow for the clouds below a folder; None where there are none.
 
     Raises
@@ -44,7 +44,7 @@ def begin(place: Path) -> Draft | None:
     return propose(folder) if folder.lines else None
 
 
-def propose(folder: Folder) -> Draft:
+def propose(folder: Folder) -> Beginning:
     """Write a workflow for what a folder holds."""
     sensor = load_preset(SENSOR)
     several = by_crs(folder.lines)
@@ -93,7 +93,7 @@ def _density(per_m2: float) -> str:
     return grouped(per_m2, 1 if per_m2 >= 1.0 else 2)
 
 
-def _times(made: Draft, folder: Folder, linear: str) -> None:
+def _times(made: Beginning, folder: Folder, linear: str) -> None:
     spans = [look.span_s for look in folder.lines if look.span_s is not None]
     if not spans:
         has = all(look.facts.has_gps_time for look in folder.lines)
@@ -125,7 +125,7 @@ def _times(made: Draft, folder: Folder, linear: str) -> None:
         )
 
 
-def _crs(made: Draft, folder: Folder, several: Sequence[ByCrs]) -> None:
+def _crs(made: Beginning, folder: Folder, several: Sequence[ByCrs]) -> None:
     crs = crs_guess(folder.lines)
     if len(several) > 1:
         made.note("CRS", _of_several(folder, several))
@@ -169,7 +169,7 @@ def _foreign_references(folder: Folder) -> list[CloudLook]:
     ]
 
 
-def _reference(made: Draft, folder: Folder) -> None:
+def _reference(made: Beginning, folder: Folder) -> None:
     foreign = _foreign_references(folder)
     references = [look for look in folder.references if look not in foreign]
     if not references and not folder.checkpoints:
@@ -184,7 +184,7 @@ def _reference(made: Draft, folder: Folder) -> None:
         made.known("checkpoints", names[0], f"by its columns; of {named(names, 3)}")
 
 
-def _polygons(made: Draft, folder: Folder) -> None:
+def _polygons(made: Beginning, folder: Folder) -> None:
     if folder.polygons:
         names = [folder.named(path) for path in folder.polygons]
         made.lines.append("")
@@ -198,7 +198,7 @@ _KEPT: Final = ("filter: {method: none}", "afterpulse: {enabled: false}")
 """Lines of a workflow by which every point stays."""
 
 
-def _filter(made: Draft, folder: Folder, channel: Guess, linear: str) -> None:
+def _filter(made: Beginning, folder: Folder, channel: Guess, linear: str) -> None:
     """Whether there is noise to be found, and what that needs."""
     if all(look.span_s is None for look in folder.lines):
         text = (
