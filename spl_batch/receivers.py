@@ -30,7 +30,7 @@ class Home:
     simulate: str
     compare: str = ""  #: Runs several methods side by side; empty where it has one.
     #: Writes a first workflow: a function of a folder that gives a
-    #: :class:`~spl_batch.engine.settings.draft.Draft`, or None where the folder has nothing for it;
+    #: :class:`~spl_batch.engine.verbs.beginning.Beginning`, or None where there is nothing for it;
     #: empty where no file tells that it is for this receiver. ``inputs`` names such files.
     begin: str = ""
     inputs: str = ""

@@ -7,8 +7,7 @@ from pathlib import Path
 from spl_batch.altimetry.formats.atl03 import BEAMS
 from spl_batch.altimetry.formats.photons import HDF5, TrackFile, inspect
 from spl_batch.altimetry.formats.track_csv import is_track
-from spl_batch.engine.settings.draft import Draft, headed, key_lines, patterns
-from spl_batch.engine.verbs.beginning import files_below
+from spl_batch.engine.verbs.beginning import Beginning, files_below, headed, key_lines, patterns
 from spl_batch.errors import InputError, WorkflowError, as_input_fault, counted, named
 from spl_batch.formats.files.atomic import real_path
 from spl_batch.formats.hdf5 import open_hdf5
@@ -24,7 +23,7 @@ class _Folder:
     bad: list[InputError] = field(default_factory=list)
 
 
-def begin(place: Path) -> Draft | None:
+def begin(place: Path) -> Beginning | None:
     """A workflow for the tracks below a folder; None where it holds none.
 
     Raises
@@ -69,7 +68,7 @@ def _is_atl08(path: Path) -> bool:
         return bool(groups) and not any(f"{beam}/heights" in file for beam in groups)
 
 
-def _draft(place: Path, found: _Folder) -> Draft:
+def _draft(place: Path, found: _Folder) -> Beginning:
     tracks = found.tracks or found.tables
     made = headed("altimetry")
     made.lines += ["", "kind: altimetry"]
@@ -111,7 +110,7 @@ def _photons(tracks: Sequence[TrackFile]) -> str:
     )
 
 
-def _labels(made: Draft, place: Path, labels: Sequence[Path]) -> None:
+def _labels(made: Beginning, place: Path, labels: Sequence[Path]) -> None:
     """ATL08 files, of which a workflow takes one pattern."""
     pattern = patterns(place, labels)
     reason = "ATL08: its labels of photons are compared with ours"

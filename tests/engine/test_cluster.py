@@ -15,9 +15,6 @@ from spl_batch.engine.flow.job import Handshake
 from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
 from spl_batch.errors import StoppedError
 
-# Processes
-
-
 # The flow of jobs, on workers that are threads of this process
 
 

@@ -37,16 +37,24 @@ def test_inputs_among_the_results_are_a_fault() -> None:
     [
         ("lines/*.laz", ["lines/1.laz", "lines/a [1].laz"]),
         ("lines/a [1].laz", ["lines/a [1].laz"]),
-        ("lines/*[12].laz", ["lines/1.laz"]),
+        ("{base}/lines/*[12].laz", ["lines/1.laz"]),
+        ("raw [ab]/*.laz", ["raw [ab]/2.laz"]),
+        ("raw [cd]/*.laz", ["raw c/3.laz"]),
+        ("../Block [[]1]/lines/1.laz", ["lines/1.laz"]),
     ],
 )
-def test_what_is_there_is_no_pattern(tmp_path: Path, name: str, matches: list[str]) -> None:
+def test_names_of_folders_and_files_are_no_patterns(
+    tmp_path: Path, name: str, matches: list[str]
+) -> None:
+    files = ("lines/1.laz", "lines/a [1].laz", "lines/a 1.laz", "raw [ab]/2.laz", "raw a/2.laz")
     base = tmp_path / "Block [1]"
-    (base / "lines").mkdir(parents=True)
-    for file in ("lines/1.laz", "lines/a [1].laz"):
-        (base / file).touch()
+    for file in (base / one for one in (*files, "raw c/3.laz")):
+        for path in (file, tmp_path / "Block 1" / file.relative_to(base)):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+    (base / "lines" / "a 1.laz").unlink()
     faults: list[str] = []
-    found = expand(name, base, "survey.flightlines", faults)
+    found = expand(name.format(base=base), base, "survey.flightlines", faults)
     assert [path.relative_to(base).as_posix() for path in found] == matches
     assert not faults
 

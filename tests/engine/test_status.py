@@ -15,7 +15,7 @@ from rich.console import Console
 from spl_batch.cli import screen, view
 from spl_batch.cli.console import PlainConsole
 from spl_batch.cli.document import of_status
-from spl_batch.engine.store.output_lock import holder, lock_file, locked
+from spl_batch.engine.store.output_lock import holder, lock_file, locked, was_stopped
 from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.failures import plain_name
 from spl_batch.engine.verbs.progress import end_last_line
@@ -199,6 +199,7 @@ def test_the_lock_says_who_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         ):
             pass
     assert holder(tmp_path) is None
+    assert not was_stopped(tmp_path)
     with locked(tmp_path) as other:
         assert other != content, "no two runs have the same mark"
 
@@ -212,6 +213,7 @@ def test_the_lock_of_a_killed_process_is_free(tmp_path: Path) -> None:
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)  # noqa: S603
     assert "pid" in lock_file(tmp_path).read_text()
+    assert was_stopped(tmp_path)
     assert holder(tmp_path) is None
     with locked(tmp_path):
         pass

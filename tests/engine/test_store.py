@@ -67,6 +67,14 @@ def test_half_a_receipt_is_no_receipt(tmp_path: Path, content: bytes) -> None:
     assert read_receipt(store, "gather", "a") is None
 
 
+def test_an_altered_receipt_is_no_receipt(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    write_receipt(store, receipt("a"))
+    path = store.receipt("gather", "a")
+    path.write_text(path.read_text().replace('"wall_s": 0.5', '"wall_s": 0.6'))
+    assert read_receipt(store, "gather", "a") is None
+
+
 def test_a_damaged_file_is_made_again_so_often_and_then_given_up(tmp_path: Path) -> None:
     store, known = Store(tmp_path), dict[str, int]()
     chunk = "store/voxels/a/c/0"

@@ -96,6 +96,8 @@ def test_a_fault_is_a_receipt(
 ) -> None:
     receipt = ended(error, context, monkeypatch)
     assert receipt.failed
+    codes = {"InputError": "F01", "MemoryError": "F02", "DamagedError": "F03"}
+    assert receipt.facts["code"] == codes.get(type(error).__name__, "F04")
     assert len(receipt.reason) < 300
     assert "\n" not in receipt.reason
     if not isinstance(error, InputError | StoreError):

@@ -200,6 +200,8 @@ def test_rates_are_those_of_the_last_run(tmp_path: Path, monkeypatch: pytest.Mon
     cost = {"wall_s": 30.0, "points": {"scatter": 120, "build_tile": 120}}
     typical = {"shuffle": 1.0, "ground": 7.0}
     assert budget.measured_rates(typical, context(tmp_path)) == (typical, False)
+    monkeypatch.setattr(budget, "recall", lambda _: {"costs": "of another version"})
+    assert budget.measured_rates(typical, context(tmp_path)) == (typical, False)
     monkeypatch.setattr(budget, "recall", lambda _: {"facts": {"costs": {"shuffle": cost}}})
     found = {"shuffle": 4.0, "ground": 7.0}
     assert budget.measured_rates(typical, context(tmp_path)) == (found, True)

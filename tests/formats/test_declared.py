@@ -17,7 +17,7 @@ from rasterio.transform import Affine
 
 from spl_batch.altimetry.formats.photons import inspect as inspect_track
 from spl_batch.altimetry.formats.terrain import sample_terrain
-from spl_batch.engine.settings.yaml_text import parse_yaml
+from spl_batch.engine.settings.workflow_file import parse_yaml
 from spl_batch.errors import InputError
 from spl_batch.formats.declared import BOMB_RATIO, SMALL_BYTES, bounded, refuse_bomb
 from spl_batch.formats.las.reader import iter_points

@@ -15,9 +15,15 @@ from spl_batch.airborne.first_use.clouds import (
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.constants import CLASS_GROUND
-from spl_batch.engine.settings.draft import Draft, headed, key_lines, patterns, wrapped
 from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.engine.verbs.beginning import files_below
+from spl_batch.engine.verbs.beginning import (
+    Beginning,
+    files_below,
+    headed,
+    key_lines,
+    patterns,
+    wrapped,
+)
 from spl_batch.errors import InputError, WorkflowError, counted, grouped, named, plain
 from spl_batch.formats import checkpoints
 from spl_batch.formats.files.atomic import real_path
@@ -56,7 +62,7 @@ class _Folder:
         return named([path.relative_to(self.path).as_posix() for path in paths], 3)
 
 
-def begin(place: Path) -> Draft | None:
+def begin(place: Path) -> Beginning | None:
     """A workflow for the clouds below a folder; None where there are none.
 
     Raises
@@ -146,7 +152,7 @@ def _has_checkpoints(file: Path) -> bool:
     return {name.strip().lower() for name in head} >= {*checkpoints.COLUMNS}
 
 
-def _draft(folder: _Folder) -> Draft:
+def _draft(folder: _Folder) -> Beginning:
     """Write a workflow for what a folder holds."""
     made = headed("using")
     made.section("survey")
@@ -175,7 +181,7 @@ def _draft(folder: _Folder) -> Draft:
     return made
 
 
-def _trajectory(made: Draft, folder: _Folder, *, timed: bool) -> None:
+def _trajectory(made: Beginning, folder: _Folder, *, timed: bool) -> None:
     """One of the kinds of files that are there: others of the same flight would repeat it."""
     if not timed:
         made.unknown.append(("gps_time", "no usable times: there are no shots, noise is not known"))
@@ -191,7 +197,7 @@ def _trajectory(made: Draft, folder: _Folder, *, timed: bool) -> None:
         made.open("trajectory", "trajectory/*.sbet", text)
 
 
-def _reference(made: Draft, folder: _Folder) -> None:
+def _reference(made: Beginning, folder: _Folder) -> None:
     if not folder.references and not folder.checkpoints:
         return
     made.section("reference")
@@ -205,7 +211,7 @@ def _reference(made: Draft, folder: _Folder) -> None:
         made.known("checkpoints", folder.named(first), reason)
 
 
-def _filter(made: Draft, *, numbered: bool, timed: bool) -> None:
+def _filter(made: Beginning, *, numbered: bool, timed: bool) -> None:
     """Whether there is noise to be found, and what that needs."""
     if not timed:
         text = (

@@ -73,7 +73,7 @@ def measured_rates(
     """
     try:
         costs = recall(context.output)["facts"]["costs"] if context is not None else {}
-    except StoreError:  # no run has finished here
+    except (StoreError, KeyError):  # no run has finished here, or one of another version
         costs = {}
     # The kinds of a stage handle the same points, one after the other.
     found = {

@@ -2,9 +2,10 @@
 
 import glob
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 from spl_batch.engine.settings.mistaken_file import url_fault
@@ -80,13 +81,20 @@ def expand(
 
 
 def matching(name: str, base: Path) -> list[Path]:
-    """Files that a path or pattern stands for, in order; a path need not be there."""
-    path = base / name
-    if path.exists() or not glob.has_magic(name):
-        return [path]
+    """Files that a path or pattern stands for, in order; a path need not be there.
+
+    Folders and files that have such a name are meant by it, whatever brackets it holds: only what
+    follows them is a pattern.
+    """
+    folder, rest = base, PurePath(name).parts
+    while rest and os.path.exists(folder / rest[0]):  # noqa: PTH110 - no place of others' raises
+        folder, rest = folder / rest[0], rest[1:]
+    pattern = os.path.join("", *rest)  # noqa: PTH118 - as glob takes it
+    if not glob.has_magic(pattern):
+        return [folder / pattern]
     # Path.glob knows neither links to folders below ** nor hidden names.
-    found = glob.glob(name, root_dir=base, recursive=True)  # noqa: PTH207
-    return sorted(base / match for match in found)
+    found = glob.glob(pattern, root_dir=folder, recursive=True)  # noqa: PTH207
+    return sorted(folder / match for match in found)
 
 
 def name_below(path: Path, base: Path) -> str:

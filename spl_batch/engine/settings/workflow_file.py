@@ -10,7 +10,6 @@ import yaml
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.settings.mistaken_file import refuse_urls
 from spl_batch.engine.settings.validation import validated
-from spl_batch.engine.settings.yaml_text import parse_yaml
 from spl_batch.errors import WorkflowError, reason_of
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
 
@@ -113,3 +112,35 @@ def _apply(content: dict[str, Any], override: str) -> None:
         raise WorkflowError(
             f"--set {override}: the value is not valid YAML; quote it: key='*.laz'"
         ) from None
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader that refuses a key given twice."""
+
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        node = super().compose_mapping_node(anchor)
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            line = key.start_mark.line + 1
+            if isinstance(key, yaml.ScalarNode) and key.value in lines:
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {key.value!r} is given twice, on lines {lines[key.value]} and "
+                    f"{line}: keep one"
+                )
+            if isinstance(key, yaml.ScalarNode):
+                lines[key.value] = line
+        return node
+
+
+def parse_yaml(text: str) -> Any:
+    """Value that a YAML text stands for.
+
+    Raises
+    ------
+    yaml.YAMLError
+        If it is none, or names a key twice.
+    """
+    try:
+        return yaml.load(text, _Loader)  # noqa: S506 - a safe loader
+    except (ValueError, RecursionError) as error:  # of a date that is none, or of sections too deep
+        raise yaml.YAMLError(str(error)) from None

@@ -52,10 +52,7 @@ def report(output: Path | str) -> RunResult:
         # What tasks record changes with the code: another version's may lack what is looked for.
         if context.code == code_version(kind):
             raise
-        raise StoreError(
-            f"{context.output}: made by spl-batch {context.code}, whose records this version "
-            "cannot read; run the workflow again, which does anew only what has changed"
-        ) from error
+        raise _of_another_version(context.output, context.code) from error
     return result_of(found, context.output, written)
 
 
@@ -75,6 +72,8 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
     found: Receiver[Any, Any] = receiver(workflow.kind)
     place = Place(file, Path(kept["base"]), folder)
     context: RunContext[Any] = found.context(workflow, place, kept["crs_wkt"], kept["code"])
+    if "facts" not in kept:
+        raise _of_another_version(folder, kept["code"])
     facts = FACTS.validate_python(kept["facts"])
     store, declared = context.store, steps(workflow.kind)
     done = {step: Shelf(declared[step]) for step in kept["done"]}
@@ -84,3 +83,10 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
             raise DamagedError(store.receipt(kind, name), "it is not what was written")
         done[kind].put(receipt)
     return done, context, facts
+
+
+def _of_another_version(output: Path, code: str) -> StoreError:
+    return StoreError(
+        f"{output}: made by spl-batch {code}, whose records this version cannot read; run the "
+        "workflow again, which does anew only what has changed"
+    )

@@ -14,7 +14,6 @@ from spl_batch.airborne.lines.comparison import difference_map
 from spl_batch.airborne.store.raster_cells import create_raster_store, read_window, write_cell
 from spl_batch.airborne.store.voxel_parts import StoredVoxels, write_voxels
 from spl_batch.airborne.tasks.accuracy import compared
-from spl_batch.constants import NODATA
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt
@@ -113,21 +112,6 @@ def test_nothing_is_cut_off_or_lost_unnoticed(tmp_path: Path, write: Callable[[P
     file.unlink()
     with pytest.raises(DamagedError):
         read()
-
-
-def test_a_damaged_description_of_cells_is_written_again(tmp_path: Path) -> None:
-    read = cells(tmp_path / "file")
-    expected = read()
-    group = tmp_path / "file" / "zarr.json"
-    described = group.read_bytes()
-    for path in (group, tmp_path / "file" / "dtm" / "zarr.json"):
-        path.write_text("{}")
-    with pytest.raises(DamagedError):
-        read()
-    create_raster_store(tmp_path / "file", ["dtm"], ground_cell=4000, raster_cell=1000)
-    assert read() == expected
-    assert group.read_bytes() == described
-    assert expected[0][0] != NODATA
 
 
 # Whole runs
