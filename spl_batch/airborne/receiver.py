@@ -37,8 +37,8 @@ from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
-from spl_batch.errors import WorkflowError, grouped
+from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
+from spl_batch.errors import WorkflowError, grouped, told_together
 from spl_batch.formats.las.header import waveform_file
 from spl_batch.formats.las.reader import promised_points
 from spl_batch.lattice.tiles import quanta
@@ -105,6 +105,12 @@ class Imaging(Receiver[Survey, Context]):
         if settings.survey.align == "vertical":
             rows.append(("alignment", "survey.align: vertical: heights of flightlines are shifted"))
         return rows
+
+    def first_look(self, prepared: Prepared[Survey, Context]) -> FirstLook:
+        """Which companions of the points cannot be read."""
+        inputs = prepared.ledger.inputs
+        faults, late = map(told_together, (inputs.no_trajectory, inputs.reference.bad))
+        return FirstLook(tuple(faults), late=tuple(late))
 
     def before(self, step: Step, prepared: Prepared[Survey, Context]) -> None:
         """Make room for the raster cells of ``surfaces``."""

@@ -87,18 +87,14 @@ def align(args: Mapping[str, Any], context: Context) -> Produced:
 
 def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     """Put the patches of all cells together, pair by pair; a map of their differences."""
-    cells, facts = [_read_cell(name, context) for name in args["cells"]], {}
-    pairs = pair_table((cell.names, cell.patches) for cell in cells)
+    cells = [_read_cell(name, context) for name in args["cells"]]
     lines = read_shifts(args, context.store)
-    if args.get("aligned"):
-        facts["before"] = [list(pair) for pair in pairs]
     if lines is not None:
         cells = [_shifted(cell, lines) for cell in cells]
-        pairs = pair_table((cell.names, cell.patches) for cell in cells)
+    pairs = pair_table((cell.names, cell.patches) for cell in cells)
     path = context.store.path("overlaps", "map.npz")
     write_arrays(path, _map([cell.patches for cell in cells]))
-    facts["pairs"] = [list(pair) for pair in pairs]
-    return Produced([path], facts)
+    return Produced([path], {"pairs": [list(pair) for pair in pairs]})
 
 
 def _read_cell(name: str, context: Context) -> _Cell:
@@ -121,9 +117,9 @@ def shifts_of(facts: Mapping[str, Any]) -> list[LineShift]:
     return [LineShift(*line) for line in facts["shifts"]]
 
 
-def pairs_of(facts: Mapping[str, Any], key: str = "pairs") -> list[PairDifference]:
-    """Pairs by the receipt of :func:`strip_pairs`; ``before``: without the shifts."""
-    return [PairDifference(*pair) for pair in facts.get(key, ())]
+def pairs_of(facts: Mapping[str, Any]) -> list[PairDifference]:
+    """Pairs by the receipt of :func:`strip_pairs`."""
+    return [PairDifference(*pair) for pair in facts["pairs"]]
 
 
 def difference_map(context: Context) -> tuple[NDArray[np.float32], tuple[float, ...]] | None:

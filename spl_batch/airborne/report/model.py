@@ -250,18 +250,6 @@ class AlignedLine(Part):
     )
 
 
-class Alignment(Part):
-    """Shifts in height that bring flightlines together, applied to all that was delivered."""
-
-    lines: tuple[AlignedLine, ...] = Field(
-        description="All flightlines; of those that overlap one is kept as it is: the one to which "
-        "the others, weighted by their returns, come by the shortest way."
-    )
-    before: tuple[StripPair, ...] = Field(
-        description="Pairs of flightlines as they were recorded; strips has what is left."
-    )
-
-
 class Report(Part):
     """Everything that ``report.json`` holds and ``report.html`` shows."""
 
@@ -283,8 +271,11 @@ class Report(Part):
     strips: tuple[StripPair, ...] = Field(
         (), description="Pairs of flightlines that share enough planar patches, by their names."
     )
-    alignment: Alignment | None = Field(
-        None, description="Shifts that were applied; null without survey.align."
+    alignment: tuple[AlignedLine, ...] = Field(
+        (),
+        description="Shifts in height that were applied; none without survey.align. Of flightlines "
+        "that overlap one is kept as it is: the one to which the others, weighted by their "
+        "returns, come by the shortest way. strips has what is left.",
     )
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")

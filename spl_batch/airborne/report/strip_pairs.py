@@ -2,14 +2,14 @@
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import difference_map, pairs_of, shifts_of
-from spl_batch.airborne.report.model import AlignedLine, Alignment, StripPair
+from spl_batch.airborne.report.model import AlignedLine, StripPair
 from spl_batch.engine.report.maps import Raster
 from spl_batch.engine.report.run_record import Receipts
 
 
-def strip_pairs(done: Receipts, key: str = "pairs") -> tuple[StripPair, ...]:
-    """Pairs of flightlines as they are delivered; with ``before`` as they were recorded."""
-    rows = (pair for r in done.get("strip_pairs", {}).values() for pair in pairs_of(r.facts, key))
+def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
+    """Pairs of flightlines as they are delivered."""
+    rows = (pair for r in done.get("strip_pairs", {}).values() for pair in pairs_of(r.facts))
     return tuple(
         StripPair(
             **{k: v for k, v in pair._asdict().items() if k in StripPair.model_fields},
@@ -19,12 +19,13 @@ def strip_pairs(done: Receipts, key: str = "pairs") -> tuple[StripPair, ...]:
     )
 
 
-def alignment(done: Receipts) -> Alignment | None:
-    """Shifts that were applied; None where none were asked for."""
-    for receipt in done.get("align", {}).values():
-        lines = tuple(AlignedLine(**one._asdict()) for one in shifts_of(receipt.facts))
-        return Alignment(lines=lines, before=strip_pairs(done, "before"))
-    return None
+def alignment(done: Receipts) -> tuple[AlignedLine, ...]:
+    """Shifts that were applied."""
+    return tuple(
+        AlignedLine(**one._asdict())
+        for receipt in done.get("align", {}).values()
+        for one in shifts_of(receipt.facts)
+    )
 
 
 def strip_map(done: Receipts, context: Context) -> Raster | None:

@@ -1,7 +1,6 @@
 """A damaged trajectory or reference file fails alone; the survey is delivered."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +58,6 @@ def test_each_fails_alone_and_is_done_when_it_is_mended(survey: Path) -> None:
     assert planned.status == 1, planned.text
     flat = " ".join(planned.text.split())
     assert "known_2.laz" in flat
-    assert re.search(r"flight_2\.csv: 20 of \d+ records cannot be used", flat)
     ended = run(survey)
     assert ended.status == 1, ended.text
     assert "failed: trajectory file flight_2.csv: " in ended.err

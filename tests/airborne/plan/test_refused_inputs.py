@@ -91,10 +91,6 @@ def test_a_trajectory_without_its_columns_is_refused(survey: Path) -> None:
     path = survey.parent / "trajectory.csv"
     path.write_text("time,x,y,z\n1,2,3,4\n")
     assert "has no column gps_time" in refused(survey, planned=True)
-    surveys.write_trajectory(survey.parent / "other.csv")
-    found = api.plan(survey, overrides=["survey.trajectory=[trajectory.csv, other.csv]"]).findings
-    (one,) = surveys.found(found, "T02", "file")
-    assert one.subject == "trajectory.csv"
 
 
 def test_files_without_times_are_found_by_their_headers(survey: Path) -> None:

@@ -87,6 +87,7 @@ class Inputs:
     checkpoints: CheckpointFile | None = None  #: Checkpoints of a field survey.
     breaklines: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the file of breaklines.
     geoid: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the grid of the geoid.
+    no_trajectory: tuple[InputError, ...] = ()  #: Files of ``trajectory`` that cannot be read.
 
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
@@ -133,7 +134,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
     _refuse_no_copc(workflow, good, base)
-    untimed = _without_time(workflow, good, base) + _no_trajectory(trajectory, base)
+    untimed = _without_time(workflow, good, base)
     warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart, *untimed]
     warnings += [
         Finding("I01", {"kind": "header", "what": text}, name_below(facts.path, base))
@@ -161,6 +162,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         checkpoints,
         tuple(_checksums(base, {"breaklines": workflow.breaklines})),
         _geoid_checksum(workflow, base),
+        _unreadable(trajectory),
     )
 
 
@@ -231,20 +233,17 @@ def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -
         raise WorkflowError("outputs.copc: " + "; ".join(faults))
 
 
-def _no_trajectory(paths: Sequence[Path], base: Path) -> list[Finding]:
-    """Files of the trajectory that are none, by their first and last records."""
+def _unreadable(trajectory: Sequence[Path]) -> tuple[InputError, ...]:
+    """Why files of a trajectory are none, by their first and last records; not all of them."""
     faults: list[InputError] = []
-    for path in paths:
+    for path in trajectory:
         try:
             ends(path)
         except InputError as fault:
             faults.append(fault)
-    if faults and len(faults) == len(paths):
+    if faults and len(faults) == len(trajectory):
         raise WorkflowError(f"survey.trajectory: {'; '.join(told_together(faults))}")
-    return [
-        Finding("T02", {"kind": "file", "what": str(one)}, name_below(Path(one.path), base))
-        for one in faults
-    ]
+    return tuple(faults)
 
 
 def _without_time(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> list[Finding]:
