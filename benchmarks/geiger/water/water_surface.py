@@ -39,7 +39,7 @@ from spl_batch.geiger.water.accuracy import (
     pixel_sums,
     surface_error,
 )
-from spl_batch.geiger.water.pixel_geometry import View, view_of
+from spl_batch.geiger.water.pixel_geometry import View, floor_points, refracted, view_of
 from spl_batch.geiger.water.ranges.calibration import (
     Calibration,
     Observation,
@@ -75,7 +75,6 @@ from spl_batch.geiger.water.surface.pixel_surface import (
     make_surface,
     ranges,
 )
-from spl_batch.geiger.water.surface.refraction import floor_points, refracted
 
 CAMERA = CameraSettings()
 PIXELS = PixelSettings()

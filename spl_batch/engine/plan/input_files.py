@@ -4,13 +4,13 @@ import glob
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path, PurePath
-from typing import Final
+from typing import Final, TypeVar
 
 from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.engine.tasks.ledger import AnySource
-from spl_batch.errors import WorkflowError, named
+from spl_batch.errors import InputError, WorkflowError, named, reason_of
 from spl_batch.formats.files.atomic import real_path
 
 
@@ -25,6 +25,31 @@ def refuse_own(paths: Sequence[Path], output: Path, key: str, faults: list[str])
             f"{key}: {named(own, 1)} in the output folder {output}; name the raw files, or "
             "another output"
         )
+
+
+S = TypeVar("S", bound=AnySource)
+
+
+def usable(
+    paths: Iterable[Path], base: Path, look: Callable[[Path, str, int], S | None]
+) -> tuple[tuple[S, ...], list[InputError]]:
+    """Files that can be used, by name, and what is wrong with the others.
+
+    ``look`` makes a source of a file's path, its name and its key, or None where it holds nothing.
+    """
+    found, bad = [], []
+    for path in paths:
+        name = name_below(path, base)
+        try:
+            source = look(path, name, source_key(name))
+        except InputError as error:
+            bad.append(error)
+        except OSError as error:
+            bad.append(InputError(str(path), f"cannot be read: {reason_of(error)}"))
+        else:
+            found += [] if source is None else [source]
+    check_keys(found)
+    return tuple(sorted(found, key=lambda source: source.name)), bad
 
 
 def check_keys(sources: Iterable[AnySource]) -> None:

@@ -5,48 +5,31 @@ Each frame has its own random numbers, so it does not depend on the others.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import yaml
 
 from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
-from spl_batch.engine.settings.validation import validated
-from spl_batch.engine.settings.workflow_file import read_mapping
-from spl_batch.errors import grouped
+from spl_batch.engine.verbs.simulation import Simulated, finished, scene_of
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.geiger.coincidence.formats import l1_files
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build
 from spl_batch.geiger.coincidence.simulate.scene_rays import Targets, expose
-from spl_batch.geiger.coincidence.tables import Attitudes, Detections, Frames
+from spl_batch.geiger.coincidence.tables import Detections, Frames
 from spl_batch.numerics.attitude import rotations
-
-
-@dataclass(frozen=True, slots=True)
-class CoincidenceSimulation:
-    """What was made."""
-
-    frames: int  #: Laser pulses that look at the scene [count].
-    detections: int  #: Detections in them [count].
-
-    @property
-    def rows(self) -> list[tuple[str, str]]:
-        """Label and value of each number that the console shows."""
-        return [("frames", grouped(self.frames)), ("detections", grouped(self.detections))]
 
 
 def simulate_file(
     path: Path, out: Path, *, progress: Callable[[float], None] | None = None
-) -> CoincidenceSimulation:
+) -> Simulated:
     """Fly over the scene of a file; see :func:`simulate`."""
-    content = read_mapping(path, "a scene is a mapping with targets: and extent_m:")
-    return simulate(validated(SceneSettings, content, str(path)), out, progress=progress)
+    return simulate(scene_of(SceneSettings, path), out, progress=progress)
 
 
 def simulate(
     scene: SceneSettings, out: Path, *, progress: Callable[[float], None] | None = None
-) -> CoincidenceSimulation:
+) -> Simulated:
     """Fly over a scene.
 
     Parameters
@@ -58,10 +41,10 @@ def simulate(
     """
     targets, passes = build(scene), len(scene.flight.headings_deg)
     frames = detections = 0
-    for k, (seen, attitudes) in enumerate(flights(scene), start=1):
+    for k, seen in enumerate(flights(scene), start=1):
         found = detect(scene, seen, targets)
-        l1_files.write_frames(out / "l1" / f"pass_{k}_frames.parquet", attitudes)
-        l1_files.write_detections(out / "l1" / f"pass_{k}_detections.parquet", found)
+        for name, table in (("frames", seen), ("detections", found)):
+            l1_files.write(out / "l1" / f"pass_{k}_{name}.parquet", table)
         frames, detections = frames + len(seen), detections + len(found)
         if progress is not None:
             progress(k / passes)
@@ -76,17 +59,17 @@ def simulate(
         "array": scene.array.model_dump(mode="json"),
         "output": "out",
     }
-    for name, made in (("workflow", workflow), ("scene", scene.model_dump(mode="json"))):
-        write_bytes(out / f"{name}.yaml", yaml.safe_dump(made, sort_keys=False).encode())
-    return CoincidenceSimulation(frames, detections)
+    made = yaml.safe_dump(scene.model_dump(mode="json"), sort_keys=False)
+    write_bytes(out / "scene.yaml", made.encode())
+    return finished(out, workflow, {"frames": frames, "detections": detections})
 
 
 FRAMES_OF_A_PASS = 10_000_000
 """Frame numbers are the pass times this, and then count from the start of the pass."""
 
 
-def flights(scene: SceneSettings) -> Iterator[tuple[Frames, Attitudes]]:
-    """Frames of each pass that look at the scene's part, as directions and as files have them."""
+def flights(scene: SceneSettings) -> Iterator[Frames]:
+    """Frames of each pass that look at the scene's part."""
     flight, array = scene.flight, scene.array
     half = 0.5 * np.array([array.rows, array.columns]) * array.ifov_rad * flight.altitude_m
     reach = 0.5 * math.hypot(*scene.extent_m) + float(half.max()) + flight.speed_m_s
@@ -110,8 +93,8 @@ def flights(scene: SceneSettings) -> Iterator[tuple[Frames, Attitudes]]:
         away = np.abs(ground[:, :2] - scene.centre_m) - 0.5 * np.array(scene.extent_m)
         rows = np.flatnonzero((away <= lies + 0.5).all(axis=1))
         attitude = np.stack([heading, roll, np.zeros(n)], axis=-1)[rows]
-        number_of, place = number * FRAMES_OF_A_PASS + rows, origin[rows] + np.array(scene.origin_m)
-        yield Frames(number_of, place, turn[rows]), Attitudes(number_of, place, attitude)
+        place = origin[rows] + np.array(scene.origin_m)
+        yield Frames(number * FRAMES_OF_A_PASS + rows, place, attitude)
 
 
 def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections:
@@ -146,6 +129,5 @@ def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections
 def fly(scene: SceneSettings) -> tuple[Frames, Detections]:
     """Frames and detections of all passes, in order."""
     targets = build(scene)
-    frames = [found for found, _ in flights(scene)]
-    parts = [detect(scene, part, targets) for part in frames]
-    return Frames.joined(frames), Detections.joined(parts)
+    frames = list(flights(scene))
+    return Frames.joined(frames), Detections.joined([detect(scene, f, targets) for f in frames])

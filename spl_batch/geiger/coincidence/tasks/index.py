@@ -22,7 +22,6 @@ from spl_batch.geiger.coincidence.formats import l1_files, stored
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceWorkflow
 from spl_batch.geiger.coincidence.surface import coincide
 from spl_batch.geiger.coincidence.tables import Detections, Frames
-from spl_batch.numerics.attitude import rotations
 
 CoincidenceContext = RunContext[CoincidenceWorkflow]
 
@@ -47,10 +46,9 @@ def index_frames(args: Mapping[str, Any], context: CoincidenceContext) -> Produc
     """Check a frames file and keep it with its attitudes as directions."""
     path, target = Path(args["path"]), frames_path(context.store, args["source"])
     with unchanged(path, args["stamp"]):
-        found = l1_files.read_frames(path)
+        frames = l1_files.read_frames(path)
         digest = checksum(path)
-    frames = Frames(found.number, found.origin_m, rotations(*found.attitude_rad.T))
-    stored.store_frames(target, frames)
+    stored.store(target, Frames, [frames])
     facts = {
         "name": args["name"],
         "hash": digest,
@@ -104,7 +102,7 @@ def index_file(args: Mapping[str, Any], context: CoincidenceContext) -> Produced
             yield part
 
     with unchanged(path, args["stamp"]):
-        stored.store_detections(target, counted_parts())
+        stored.store(target, Detections, counted_parts())
         digest = checksum(path)
     if any(one.unknown for one in seen):
         raise InputError(str(path), _reason(seen, args["unread_frames"]))
@@ -165,7 +163,7 @@ def _sight_findings(
     """Warn where detections do not lie where their detectors look."""
     number = int(part.frame[len(part) // 2])
     paths = (frames_path(context.store, key) for key in args["frames"])
-    frames = Frames.joined([stored.frames_around(path, number) for path in paths])
+    frames = Frames.joined([stored.frames_around(path, number) for path in paths]).in_order()
     frames = frames.take(np.abs(frames.number - number) <= SIGHT_FRAMES // 2)
     off = coincide.sight_error(frames, part, context.workflow.array)
     if off >= FAR_OFF:

@@ -53,7 +53,7 @@ def coincide_tile(args: Mapping[str, Any], context: CoincidenceContext) -> Produ
     detections = _detections(args, store, frames)
     points = coincide.coincide(frames, detections, region, workflow.coincidence, workflow.array)
     target, drawn = points_path(store, args["tile"]), map_path(store, args["tile"])
-    stored.store_points(target, points)
+    stored.store(target, Points, [points])
     write_arrays(drawn, {**_map(points, region), **_slice(detections, points, region)})
     kinds = np.bincount(points.kind, minlength=4).tolist()
     spread = np.percentile(points.intensity, [5, 50, 95]).tolist() if len(points) else []
@@ -74,7 +74,7 @@ def _frames(args: Mapping[str, Any], context: CoincidenceContext, region: Bounds
         found = stored.stored_frames(frames_path(context.store, key), *box)
         found = found.take(_answered(found.number, args["answered"]))
         parts.append(found.take(coincide.looking_at(found, workflow.array, low, high)))
-    return Frames.joined(parts)
+    return Frames.joined(parts).in_order()
 
 
 def _answered(
@@ -133,7 +133,8 @@ def deliver_tile(args: Mapping[str, Any], context: CoincidenceContext) -> Produc
     """Write the points of a tile as LAZ."""
     points = stored.stored_points(points_path(context.store, args["tile"]))
     n = len(points)
-    columns: dict[str, NDArray[Any]] = {name: points.xyz[:, k] for k, name in enumerate("xyz")}
+    columns = points.columns()
+    del columns["kind"]
     # A point of an aggregate model is none of a pulse's returns [LAS 1.4 R15, 2.6].
     columns |= {
         "intensity": np.rint(np.clip(points.intensity, 0, 1) * _FULL).astype(np.uint16),

@@ -75,14 +75,9 @@ def used_pixels(camera: CameraSettings) -> NDArray[np.bool_]:
 
 
 def histogram(frames: NDArray[np.uint16], used: NDArray[np.bool_], bins: int) -> NDArray[np.int64]:
-    """Hits of each bin: (bins + 1,) int64.
+    """Hits of each bin, (bins + 1,) int64, of the pixels that are ``used``, (rows, cols) bool.
 
-    Parameters
-    ----------
-    frames : (n, rows, cols) uint16
-        Bins, not beyond the last one; 0 is no hit.
-    used : (rows, cols) bool
-        Pixels that are counted.
+    ``frames``: (n, rows, cols), bins, not beyond the last one; 0 is no hit.
     """
     counts = np.bincount(frames[:, used].ravel(), minlength=bins + 1).astype(np.int64)
     counts[0] = 0
@@ -90,14 +85,9 @@ def histogram(frames: NDArray[np.uint16], used: NDArray[np.bool_], bins: int) ->
 
 
 def find_gate(counts: NDArray[np.int64], settings: GateSettings) -> Gate | None:
-    """Gate around the histogram's peak [G15 3.4.2]; None without a hit.
+    """Gate around the peak of a histogram [G15 3.4.2]; None without a hit.
 
-    Parameters
-    ----------
-    counts : (bins + 1,) int64
-        Hits of each bin; bin 0 is no hit.
-    settings : GateSettings
-        Width, and the middle where it is given.
+    ``counts``: (bins + 1,), hits of each bin; bin 0 is no hit.
     """
     centre = settings.centre_bin
     if centre is None:

@@ -1,19 +1,14 @@
 """Scene of a simulated water surface, and its files: frames, truth, targets, a workflow."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import Field
 
 from spl_batch.engine.settings.base import Positive, Section
-from spl_batch.engine.settings.validation import validated
-from spl_batch.engine.settings.workflow_file import read_mapping
-from spl_batch.errors import grouped
-from spl_batch.formats.files.atomic import write_bytes
+from spl_batch.engine.verbs.simulation import Simulated, finished, scene_of
 from spl_batch.geiger.water.formats import FrameTruth, write_frames
 from spl_batch.geiger.water.pixel_geometry import view_of
 from spl_batch.geiger.water.settings import CameraSettings, MountSettings
@@ -55,31 +50,16 @@ class WaterScene(Section):
     in_water_m: float = Field(0.0, ge=0, description="Way in water of the workflow's rays [m].")
 
 
-@dataclass(frozen=True, slots=True)
-class WaterSimulation:
-    """What was made."""
-
-    workflow: Path  #: Ready to run.
-    frames: int  #: Frames of the water [count].
-    targets: int  #: Frames of targets [count].
-
-    @property
-    def rows(self) -> list[tuple[str, str]]:
-        """Label and value of each number that the console shows."""
-        return [("frames", grouped(self.frames)), ("frames of targets", grouped(self.targets))]
-
-
 def simulate_file(
     path: Path, out: Path, *, progress: Callable[[float], None] | None = None
-) -> WaterSimulation:
+) -> Simulated:
     """Simulate the scene of a file; see :func:`simulate`."""
-    content = read_mapping(path, "a scene is a mapping with kind: and target:")
-    return simulate(validated(WaterScene, content, str(path)), out, progress=progress)
+    return simulate(scene_of(WaterScene, path), out, progress=progress)
 
 
 def simulate(
     scene: WaterScene, out: Path, *, progress: Callable[[float], None] | None = None
-) -> WaterSimulation:
+) -> Simulated:
     """Write the files of a scene.
 
     ``progress`` receives the share of the files that is written, 0..1.
@@ -89,13 +69,11 @@ def simulate(
         if progress is not None:
             progress((k + 1) / (scene.files + (scene.calibration is not None)))
     listed = _targets(scene, scene.calibration, out) if scene.calibration else []
-    workflow = out / "workflow.yaml"
-    write_bytes(workflow, yaml.safe_dump(_workflow(scene, listed), sort_keys=False).encode())
     if progress is not None:
         progress(1.0)
     frames = scene.files * scene.acquisitions * scene.frames_per_acquisition
     targets = len(listed) * scene.calibration.frames if scene.calibration else 0
-    return WaterSimulation(workflow, frames, targets)
+    return finished(out, _workflow(scene, listed), {"frames": frames, "frames of targets": targets})
 
 
 def _water(scene: WaterScene, k: int, path: Path) -> None:

@@ -11,7 +11,7 @@ pixels take their neighbours' median.
 optical axis on the image coordinates: there a plane in space is a plane too, and they are free of
 error, while north and east carry the range's. First comes a polynomial over the whole array, as
 most waves are longer than it is wide, shrunk towards a plane as far as noise explains it
-(:mod:`~spl_batch.geiger.water.surface.polynomial_trend`). What it leaves goes to planes in growing
+(:mod:`~spl_batch.geiger.water.surface.window_planes`). What it leaves goes to planes in growing
 windows (:mod:`~spl_batch.geiger.water.surface.window_planes`). A pixel's weight is the inverse
 variance of its mean, from the spread of single hits in the acquisition and from what the
 calibration leaves. A pixel far from the median of those around it takes no part.
@@ -39,8 +39,7 @@ from spl_batch.geiger.water.settings import (
     SurfaceSettings,
     WindowedSettings,
 )
-from spl_batch.geiger.water.surface.polynomial_trend import shrunk_polynomial
-from spl_batch.geiger.water.surface.window_planes import growing_windows, planes
+from spl_batch.geiger.water.surface.window_planes import growing_windows, planes, shrunk_polynomial
 
 Floats = NDArray[np.float64]
 

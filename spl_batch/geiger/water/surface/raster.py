@@ -36,14 +36,9 @@ class Grid:
 def grid_around(
     places_m: Floats, cell_m: float, origin_m: tuple[float, float] = (0.0, 0.0)
 ) -> Grid | None:
-    """Smallest grid around places; None where none is known.
+    """Smallest grid around places, north, east, down [m]; None where none is known.
 
-    Parameters
-    ----------
-    places_m : (..., 3) float64
-        North, east, down [m]; NaN where unknown.
-    origin_m : (float, float)
-        Easting and northing of the local frame's origin [m].
+    ``origin_m``: easting and northing of the local frame's origin [m].
     """
     known = places_m[np.isfinite(places_m).all(axis=-1)]
     if not len(known):

@@ -12,9 +12,8 @@ from spl_batch.constants import NODATA
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.verified.parquet_npz import read_arrays, writing
-from spl_batch.geiger.water.pixel_geometry import view_of
+from spl_batch.geiger.water.pixel_geometry import floor_points, refracted, view_of
 from spl_batch.geiger.water.surface.raster import Grid, grid_around, height_raster
-from spl_batch.geiger.water.surface.refraction import floor_points, refracted
 from spl_batch.geiger.water.tasks.surfaces import WaterContext
 
 Arrays = Mapping[str, NDArray[Any]]
