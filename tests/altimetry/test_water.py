@@ -87,6 +87,15 @@ def test_land_is_no_water(trees: bool) -> None:  # noqa: FBT001
     assert (beam.columns["level"] != NO_WATER).mean() < 0.05
 
 
+@pytest.mark.parametrize(("slope", "water"), [(0.0004, True), (0.002, False)])
+def test_smooth_plains_that_lean_are_no_water(slope: float, *, water: bool) -> None:
+    rng = np.random.default_rng(5)
+    cell = np.sort(rng.integers(0, 100, 4000))
+    height = np.rint(1000.0 * slope * 20.0 * cell + rng.normal(0.0, 60.0, 4000)).astype(np.int32)
+    level = water_levels(cell, height, np.arange(100), 20.0)
+    assert (level != NO_WATER).all() == (level != NO_WATER).any() == water
+
+
 def test_no_photons_are_no_water() -> None:
     none = np.empty(0, np.int64)
     assert (water_levels(none, none.astype(np.int32), np.arange(20), 20.0) == NO_WATER).all()

@@ -17,7 +17,7 @@ from spl_batch.errors import WorkflowError, grouped
 from spl_batch.geiger.coincidence.plan import L1Inputs, L1Ledger, estimate, gather
 from spl_batch.geiger.coincidence.report.model import CoincidenceReport
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
-from spl_batch.geiger.coincidence.tasks.index import CoincidenceContext
+from spl_batch.geiger.coincidence.tasks import CoincidenceContext
 
 
 class Coincidence(Receiver[L1Ledger, CoincidenceContext]):

@@ -17,8 +17,7 @@ from spl_batch.geiger.water.accuracy import (
     surface_error,
 )
 from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS, refracted, view_of
-from spl_batch.geiger.water.ranges.calibration import Calibration
-from spl_batch.geiger.water.ranges.hits import Gate, Hits
+from spl_batch.geiger.water.ranges import Calibration, Gate, Hits
 from spl_batch.geiger.water.settings import (
     AdaptiveSettings,
     CalibrationSettings,
@@ -28,13 +27,19 @@ from spl_batch.geiger.water.settings import (
     SurfaceSettings,
     WindowedSettings,
 )
-from spl_batch.geiger.water.simulate.frames import (
+from spl_batch.geiger.water.simulate import (
     Target,
     Wave,
 )
-from spl_batch.geiger.water.surface.pixel_surface import denoised, make_surface, window_median
-from spl_batch.geiger.water.surface.raster import grid_around, height_raster
-from spl_batch.geiger.water.surface.window_planes import growing_windows, planes, shrunk_polynomial
+from spl_batch.geiger.water.surface import (
+    denoised,
+    growing_windows,
+    make_surface,
+    planes,
+    shrunk_polynomial,
+    window_median,
+)
+from spl_batch.geiger.water.tasks.delivery import grid_around, height_raster
 
 CAMERA = CameraSettings(last_rows_unused=0)
 VIEW = view_of(CAMERA, MountSettings(position_m=(1.0, 2.0, -3.0)))

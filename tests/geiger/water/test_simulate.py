@@ -5,9 +5,9 @@ import pytest
 from scipy.stats import exponnorm
 
 from spl_batch.geiger.water.pixel_geometry import view_of
-from spl_batch.geiger.water.ranges.calibration import first_photon
+from spl_batch.geiger.water.ranges import first_photon
 from spl_batch.geiger.water.settings import CameraSettings, MountSettings
-from spl_batch.geiger.water.simulate.frames import (
+from spl_batch.geiger.water.simulate import (
     Array,
     Instrument,
     Target,

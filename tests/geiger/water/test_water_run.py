@@ -21,8 +21,7 @@ from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water import formats
 from spl_batch.geiger.water import plan as planning
 from spl_batch.geiger.water.settings import WaterSurvey, WaterWorkflow
-from spl_batch.geiger.water.simulate import simulate_file
-from spl_batch.geiger.water.simulate.files import WaterScene
+from spl_batch.geiger.water.simulate import WaterScene, simulate_file
 from tests import surveys
 from tests.geiger.water.water_scene import TANK, write_tank
 from tests.workflow_files import differing, unshown

@@ -24,8 +24,7 @@ from spl_batch.engine.report.verdict import Verdict, failure_verdict
 from spl_batch.engine.report.write import write_both
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.coincidence.report.model import CoincidenceReport, Counts, Intensity, Scene
-from spl_batch.geiger.coincidence.tasks.index import CoincidenceContext
-from spl_batch.geiger.coincidence.tasks.points import MAP_CELLS, map_path
+from spl_batch.geiger.coincidence.tasks import MAP_CELLS, CoincidenceContext
 from spl_batch.lattice.tiles import parse_cell
 
 
@@ -51,7 +50,8 @@ def _slice(done: Receipts, context: CoincidenceContext) -> Picture:
     made = {t: r.facts["points"] for t, r in done.get("coincide", {}).items() if r.facts["points"]}
     if not made:
         return Picture("Slice", "There are no points to show.")
-    arrays = read_arrays(map_path(context.store, max(sorted(made), key=lambda name: made[name])))
+    tile = max(sorted(made), key=lambda name: made[name])
+    arrays = read_arrays(context.store.path("maps", f"{tile}.npz"))
     height = arrays["slice_points"][:, 1]
     with style.type_context():
         figure = style.figure(style.WIDTH_IN, 4.8)
@@ -179,7 +179,8 @@ def _map(done: Receipts, context: CoincidenceContext, name: str) -> Raster | Non
     cells = len(range(0, MAP_CELLS, skip))
     values = np.full(((north - south) * cells, (east - west) * cells), np.nan, np.float32)
     for tile in tiles:
-        part: NDArray[Any] = read_arrays(map_path(context.store, str(tile)))[name][::skip, ::skip]
+        arrays = read_arrays(context.store.path("maps", f"{tile}.npz"))
+        part: NDArray[Any] = arrays[name][::skip, ::skip]
         row, column = (north - 1 - tile.j) * cells, (tile.i - west) * cells
         values[row : row + cells, column : column + cells] = part
     edge = context.workflow.tiling.tile_m
