@@ -12,7 +12,7 @@ from benchmarks.geiger.water import water_surface as water
 from benchmarks.held.figures import Figure, Moves, chosen, figure
 from benchmarks.held.surveys import Given
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
-from spl_batch.geiger.water.simulate.frames import Instrument
+from spl_batch.geiger.water.simulate import Instrument
 
 TRACKS: Final[Moves] = {
     "F1": ("", "less", 0.002),

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from benchmarks.geiger.water import water_surface as water
 from benchmarks.sources.given import Figures, Given
-from spl_batch.geiger.water.ranges.calibration import Calibration
-from spl_batch.geiger.water.ranges.hits import Gate, add_up, find_gate, histogram
+from spl_batch.geiger.water.ranges import Calibration, Gate, add_up, find_gate, histogram
 from spl_batch.geiger.water.settings import GateSettings
-from spl_batch.geiger.water.simulate.frames import Instrument, acquisitions
-from spl_batch.geiger.water.surface.pixel_surface import make_surface, ranges
+from spl_batch.geiger.water.simulate import Instrument, acquisitions
+from spl_batch.geiger.water.surface import make_surface, ranges
 
 ACQUISITIONS: Final = 20
 WAYS: Final = {"source": "the source's way", "ours": "ours"}

@@ -12,7 +12,12 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "Photons or references that do not serve",
             {
                 "unplaced": "{count:photons} without height or place, delivered unlabelled",
-                "labels": "{what}: nothing is compared with it",
+                "no hdf5": "is no HDF5 file, which ATL08 is: nothing is compared with it",
+                "atl03": "is of ATL03 and has no gtxx/signal_photons, as ATL08 has: nothing is "
+                "compared with it",
+                "no atl08": "has no gtxx/signal_photons, as ATL08 has: nothing is compared with it",
+                "no atl03": "ATL08 is of ATL03's photons alone, and track.photons has none: "
+                "nothing is compared with it",
                 "granule": "no file of reference.labels has photons of this beam's segments and "
                 "times",
                 "terrain": "no file of reference.labels has a terrain height along this beam's "

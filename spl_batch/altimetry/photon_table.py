@@ -1,9 +1,11 @@
-"""Columns of a photon table."""
+"""Columns of a photon table, and photons as their files have them."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 PHOTONS: Final[Mapping[str, type]] = {"row": np.int64, "along": np.int64, "height": np.int32}
 """Position in the file; along-track distance and height [quanta of 1 mm]."""
@@ -23,3 +25,16 @@ SIGNAL: Final = 1
 NOISE: Final = 0
 NOT_ASSESSED: Final = 255
 """Values of a photon's label."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slice:
+    """Consecutive photons."""
+
+    start: int  #: Position of the first one in the file.
+    #: (n,): along-track distance and height [m]; not finite where unknown.
+    along_m: NDArray[np.float64]
+    height_m: NDArray[np.float64]
+    #: (n,): where [deg]; NaN where unknown.
+    latitude: NDArray[np.float64]
+    longitude: NDArray[np.float64]

@@ -13,21 +13,16 @@ from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.steps import STEPS
 from spl_batch.altimetry.tasks.context import Context
 from spl_batch.altimetry.tasks.delivery import PASS_PHOTONS
+from spl_batch.altimetry.tasks.index import look_through
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, measured_rates
-from spl_batch.engine.plan.input_files import (
-    check_keys,
-    expand,
-    name_below,
-    refuse_own,
-    source_key,
-    stem_names,
-)
+from spl_batch.engine.plan.input_files import expand, name_below, refuse_own, stem_names, usable
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.engine.tasks.input_changes import stamp
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Task
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.engine.verbs.receiver import FirstLook
+from spl_batch.errors import InputError, WorkflowError, told_together
 
 RATES_PHOTONS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {"index": 2.0e6, "signal": 0.1e6, "profile": 1.0e6, "deliver": 0.8e6}
@@ -77,6 +72,12 @@ class Tracks(Ledger[Inputs, TrackWorkflow]):
             for beam in source.beams:
                 yield source, beam, f"{source.key}/{beam.name}"
 
+    @property
+    def expected_segments(self) -> int:
+        """Segments that all beams make as their headers have it [count]."""
+        most = self.workflow.work.segment_photons
+        return sum(-(-beam.photons // most) for _, beam, _ in self.beams())
+
     def segments(self, key: str) -> list[tuple[str, int, int]]:
         """Labelled segments of a beam: name, and the span of track of each [quanta]."""
         labelled = self.of("label")
@@ -109,15 +110,19 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
     refuse_own(paths, output, "track.photons", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
-    good, bad = _inspect(paths, workflow)
-    sources = []
-    for path, file, beams in good:
-        name = name_below(path, base)
-        sources.append(Source(path, name, source_key(name), file, beams))
-    check_keys(sources)
+
+    def look(path: Path, name: str, key: int) -> Source:
+        file, wanted = inspect(path), workflow.track.beams
+        beams = tuple(b for b in file.beams if not wanted or b.name in wanted)
+        if not beams:
+            names = ", ".join(b.name for b in file.beams)
+            raise InputError(str(path), f"none of track.beams is in it; it has {names}")
+        return Source(path, name, key, file, beams)
+
+    sources, bad = usable(paths, base, look)
     labels, said = _atl08(found.get("labels", ()), base, sources)
     return Inputs(
-        tuple(sorted(sources, key=lambda s: s.name)),
+        sources,
         tuple(bad),
         said,
         tuple(path for paths in found.values() for path in paths),
@@ -134,33 +139,12 @@ def _atl08(
         why = no_atl08(path)
         if why:
             name = f"reference.labels {name_below(path, base)}"
-            said.append(Finding("P01", {"kind": "labels", "what": why}, name))
+            said.append(Finding("P01", {"kind": why}, name))
         else:
             good.append(path)
     if good and sources and not any(s.file.layout == "atl03" for s in sources):
-        text = "ATL08 is of ATL03's photons alone, and track.photons has none"
-        said.append(Finding("P01", {"kind": "labels", "what": text}, "reference.labels"))
+        said.append(Finding("P01", {"kind": "no atl03"}, "reference.labels"))
     return tuple(good), tuple(said)
-
-
-def _inspect(
-    paths: Sequence[Path], workflow: TrackWorkflow
-) -> tuple[list[tuple[Path, TrackFile, tuple[BeamFacts, ...]]], list[InputError]]:
-    good, bad = [], []
-    wanted = workflow.track.beams
-    for path in paths:
-        try:
-            file = inspect(path)
-        except InputError as error:
-            bad.append(error)
-            continue
-        beams = tuple(b for b in file.beams if not wanted or b.name in wanted)
-        if not beams:
-            names = ", ".join(b.name for b in file.beams)
-            bad.append(InputError(str(path), f"none of track.beams is in it; it has {names}"))
-            continue
-        good.append((path, file, beams))
-    return good, bad
 
 
 def index_file(tracks: Tracks) -> Iterator[Task]:
@@ -289,34 +273,17 @@ def deliver_file(tracks: Tracks) -> Iterator[Task]:
         yield Task("deliver_file", str(source.key), args, needs, points)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackCost(Cost):
-    """What a run on photon profiles is expected to cost; beams and segments are counted."""
-
-    beams: int
-    segments: int
-
-
-def estimate(tracks: Tracks, context: Context | None = None) -> TrackCost:
-    """Cost of a run, from what headers say.
-
-    Parameters
-    ----------
-    context : Context, optional
-        Where measured rates may lie.
-    """
+def estimate(tracks: Tracks, context: Context | None = None) -> Cost:
+    """Cost of a run, from what headers say; ``context``: where measured rates may lie."""
     workflow = tracks.workflow
     photons = [beam.photons for _, beam, _ in tracks.beams()]
-    segments = sum(-(-n // workflow.work.segment_photons) for n in photons)
     longest = max(photons, default=0)
     held = max(min(longest, workflow.work.segment_photons), PASS_PHOTONS // 10)
     rates, measured = measured_rates(RATES_PHOTONS_PER_S, context)
     files = len(tracks.inputs.sources)
-    return TrackCost(
+    return Cost(
         points=sum(photons),
-        beams=len(photons),
-        segments=segments,
-        tasks=2 * files + 4 * len(photons) + segments,
+        tasks=2 * files + 4 * len(photons) + tracks.expected_segments,
         disk_bytes=sum(photons) * DISK_BYTES_PER_PHOTON
         + sum(s.file.size_bytes for s in tracks.inputs.sources),
         memory_bytes=WORKER_BASE_BYTES + held * _LABEL.bytes_per_point,
@@ -325,4 +292,35 @@ def estimate(tracks: Tracks, context: Context | None = None) -> TrackCost:
         stages_s={stage: sum(photons) / rate for stage, rate in rates.items()},
         workers=tracks.workers,
         measured=measured,
+    )
+
+
+WHOLE_BYTES: Final = 100_000_000
+"""Bytes of tables that are read to the end [byte]: a few seconds."""
+
+
+def first_look(inputs: Inputs, cell_m: float) -> FirstLook:
+    """Photons that cannot be used though their file's header can: tables of up to 100 MB in all.
+
+    Raises
+    ------
+    WorkflowError
+        If no file is left.
+    """
+    room, bad, lost = WHOLE_BYTES, list(inputs.bad), []
+    for source in inputs.sources:
+        room -= source.file.size_bytes if source.file.layout == "csv" else 0
+        if source.file.layout != "csv" or room < 0:
+            continue
+        try:
+            look_through(source.path, source.file.layout, source.beams[0].name, cell_m)
+        except InputError as error:
+            lost.append(source)
+            bad.append(error)
+    if inputs.sources and len(lost) == len(inputs.sources):
+        raise WorkflowError("no input is usable: " + "; ".join(told_together(bad)))
+    return FirstLook(
+        tuple(told_together(bad[len(inputs.bad) :])),
+        unreadable=len(lost),
+        unreadable_points=sum(beam.photons for source in lost for beam in source.beams),
     )

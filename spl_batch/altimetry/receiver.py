@@ -5,20 +5,19 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from spl_batch.altimetry.filter.track import MARGIN_M
-from spl_batch.altimetry.first_look import first_look
-from spl_batch.altimetry.plan import TrackCost, Tracks, estimate, gather_inputs
+from spl_batch.altimetry.plan import Inputs, Tracks, estimate, first_look, gather_inputs
 from spl_batch.altimetry.report.model import TrackReport
 from spl_batch.altimetry.report.page import screen_summary
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.tasks.context import Context
 from spl_batch.engine.findings import Finding
+from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
-from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
-from spl_batch.errors import WorkflowError, grouped
+from spl_batch.engine.verbs.receiver import FirstLook, Prepared, Receiver, none_usable
+from spl_batch.errors import grouped
 
 
 class Altimetry(Receiver[Tracks, Context]):
@@ -28,32 +27,30 @@ class Altimetry(Receiver[Tracks, Context]):
     noun: ClassVar[str] = "photon profiles"
     delivered: ClassVar[tuple[str, ...]] = ("photons/**/*", "profiles/**/*", "hdf5/**/*")
 
-    def prepare(
-        self, workflow: TrackWorkflow, place: Place, limits: Limits
-    ) -> Prepared[Tracks, Context]:
+    ledger = Tracks
+
+    def gather(self, workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
         """Find and check every file of a workflow, from headers alone."""
-        inputs = gather_inputs(workflow, place.base, place.output)
-        context = self.context(workflow, place, "", code_version(workflow.kind))
-        tracks = Tracks(inputs, workflow, limits.memory_bytes, limits.workers)
-        return Prepared(self, tracks, context)
+        return gather_inputs(workflow, base, output)
 
     def first_look(self, prepared: Prepared[Tracks, Context]) -> FirstLook:
         """What tables of photons hold that a run refuses."""
         tracks = prepared.ledger
         return first_look(tracks.inputs, tracks.workflow.rate.cell_m)
 
-    def cost(self, prepared: Prepared[Tracks, Context]) -> TrackCost:
+    def cost(self, prepared: Prepared[Tracks, Context]) -> Cost:
         """What a run is expected to cost."""
         return estimate(prepared.ledger, prepared.context)
 
     def plan_rows(
-        self, prepared: Prepared[Tracks, Context], cost: TrackCost
+        self,
+        prepared: Prepared[Tracks, Context],
+        cost: Cost,  # noqa: ARG002 - the form that every receiver has
     ) -> list[tuple[str, str]]:
         """Label and value of what a plan shows beside disk, memory and time."""
-        del prepared
         return [
-            ("beams", grouped(cost.beams)),
-            ("segments", f"{grouped(cost.segments)} of track"),
+            ("beams", grouped(len(list(prepared.ledger.beams())))),
+            ("segments", f"{grouped(prepared.ledger.expected_segments)} of track"),
             ("margin", f"{MARGIN_M:g} m of track to each side of a segment"),
         ]
 
@@ -66,11 +63,7 @@ class Altimetry(Receiver[Tracks, Context]):
             return
         taken = tracks.of("take_in")
         if not any(receipt.facts["placed"] for receipt in taken.values()):
-            reasons = [r.reason for r in failed if r.kind in {"index_file", "take_in"}]
-            reasons += [str(error) for error in tracks.inputs.bad]
-            raise WorkflowError(
-                "no input is usable: " + ("; ".join(reasons) or "they hold no photons")
-            )
+            none_usable(failed, {"index_file", "take_in"}, map(str, tracks.inputs.bad))
         yield from _unplaced(tracks, taken)
 
     def reference(self, ledger: Tracks) -> list[str]:

@@ -13,16 +13,13 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydantic import Field
 
 from spl_batch.altimetry.formats.mabel import write_mabel
 from spl_batch.altimetry.formats.track_csv import to_text
 from spl_batch.engine.settings.base import Positive, Section
-from spl_batch.engine.settings.validation import validated
-from spl_batch.engine.settings.workflow_file import read_mapping
-from spl_batch.errors import grouped
+from spl_batch.engine.verbs.simulation import Simulated, finished, scene_of
 from spl_batch.formats.files.atomic import write_bytes
 
 PIECE_M: Final = 4.0
@@ -84,16 +81,10 @@ Colour = Literal["green", "infrared"]
 
 
 def scene(kind: Kind, colour: Colour, seed: int, **changes: float) -> TrackScene:
-    """One of the four settings that the source tells apart.
+    """One of the four settings of the source, with other values of :class:`TrackScene`.
 
-    Parameters
-    ----------
-    kind : {"mountain", "flat"}
-        California or Missouri.
-    colour : {"green", "infrared"}
-        Little signal and much noise, or the other way round.
-    **changes
-        Other values of :class:`TrackScene`.
+    California's mountains or Missouri's plain; little signal and much noise, or the other way
+    round.
     """
     ground = (
         {"relief_m": 500.0}
@@ -202,41 +193,19 @@ def _canopy(
     return above, np.where(leaf, CANOPY, GROUND).astype(np.uint8)
 
 
-@dataclass(frozen=True, slots=True)
-class TrackSummary:
-    """What was written."""
-
-    out: Path
-    workflow: Path  #: Workflow file, ready to run.
-    photons: dict[str, int]
-
-    @property
-    def rows(self) -> list[tuple[str, str]]:
-        """Label and value of what a user is told."""
-        return [(name, f"{grouped(count)} photons") for name, count in self.photons.items()]
-
-
 def simulate_file(
     scene: Path, out: Path, *, progress: Callable[[float], None] | None = None
-) -> TrackSummary:
+) -> Simulated:
     """Simulate the track of a scene file: ``track.h5``, ``reference.csv``, ``workflow.yaml``.
 
-    Parameters
-    ----------
-    scene : Path
-        YAML with ``kind: altimetry``.
-    out : Path
-        Folder; made where it is missing.
-    progress : callable, optional
-        Told the share that is done, 0..1.
+    ``progress`` receives the share that is done, 0..1.
     """
-    content = read_mapping(scene, "a scene is a mapping with kind: and track:")
-    return simulate(validated(SceneFile, content, str(scene)), out, progress=progress)
+    return simulate(scene_of(SceneFile, scene), out, progress=progress)
 
 
 def simulate(
     scene: SceneFile, out: Path, *, progress: Callable[[float], None] | None = None
-) -> TrackSummary:
+) -> Simulated:
     """Simulate a track that several channels see; see :func:`simulate_file`."""
     channels: dict[str, dict[str, NDArray[Any]]] = {}
     reference = np.empty((0, 2))
@@ -265,7 +234,4 @@ def simulate(
         "reference": {"points": "reference.csv"},
         "output": "out",
     }
-    write_bytes(out / "workflow.yaml", yaml.safe_dump(workflow, sort_keys=False).encode())
-    return TrackSummary(
-        out, out / "workflow.yaml", {k: len(v["elev"]) for k, v in channels.items()}
-    )
+    return finished(out, workflow, {k: len(v["elev"]) for k, v in channels.items()})

@@ -5,16 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.altimetry.photon_beams import labelled, workflow
-from benchmarks.altimetry.photon_beams import lattice as lattice_of
 from spl_batch.altimetry.filter.neighbours import LAYER_M, SLOPES, columns, leaning, log_areas
 from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, gate
-from spl_batch.altimetry.filter.published import mdbscan
-from spl_batch.altimetry.filter.track import COLUMNS, label, window_quanta
+from spl_batch.altimetry.filter.track import COLUMNS, label, mdbscan, window_quanta
 from spl_batch.altimetry.filter.window import _threshold, assess
 from spl_batch.altimetry.simulate import Kind, Track, scene, simulate_track
 from spl_batch.altimetry.water.surface import NO_WATER
-from tests.altimetry.tracks import lattice, small_track
+from tests.altimetry.tracks import labelled, lattice, quanta, small_track
+from tests.altimetry.tracks import settings as workflow
 
 WORKFLOW = workflow()
 
@@ -197,7 +195,7 @@ def test_the_published_filter_has_no_rules_for_water() -> None:
     rng = np.random.default_rng(3)
     surface = rng.uniform(0, 3000, 6000), rng.normal(0.0, 0.1, 6000)
     noise = rng.uniform(0, 3000, 3000), rng.uniform(-60, 60, 3000)
-    photons = lattice_of(*(np.concatenate(pair) for pair in zip(surface, noise, strict=True)))
+    photons = quanta(np.concatenate([surface, noise], axis=1).T)
     levels = {
         method: np.unique(labelled(photons, workflow(signal={"method": method})).columns["level"])
         for method in ("likelihood", "published")

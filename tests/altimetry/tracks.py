@@ -1,7 +1,7 @@
 """Small photon files of every layout, and runs on them."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -9,6 +9,8 @@ import pyarrow.parquet as pq
 import yaml
 from numpy.typing import NDArray
 
+from spl_batch.altimetry.filter.track import label, window_quanta
+from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.simulate import Track, scene, simulate_track
 from spl_batch.constants import QUANTA_PER_M
 
@@ -116,3 +118,31 @@ def labels(output: Path, name: str) -> dict[str, NDArray[Any]]:
     """Columns of a delivered photon table."""
     table = pq.read_table(output / "photons" / f"{name}.parquet")
     return {column: table.column(column).to_numpy() for column in table.column_names}
+
+
+def settings(**sections: Any) -> TrackWorkflow:
+    """Defaults but for some sections."""
+    given = {"track": {"photons": "none"}, "output": "none", **sections}
+    return TrackWorkflow.model_validate(given)
+
+
+class Labelled(NamedTuple):
+    """Photons in the order given that are kept, and all that is found of them and of cells."""
+
+    kept: NDArray[np.bool_]
+    columns: dict[str, NDArray[Any]]
+    cells: dict[str, NDArray[Any]]
+
+
+def labelled(
+    photons: tuple[NDArray[np.int64], NDArray[np.int32]], workflow: TrackWorkflow
+) -> Labelled:
+    """Label a beam as the tasks of a run do."""
+    order = np.lexsort(photons[::-1])
+    along, height = (values[order] for values in photons)
+    size = window_quanta(workflow)
+    span = int(along[0]) // size * size, (int(along[-1]) // size + 1) * size
+    found, cells = label(along, height, span, workflow)
+    back = np.argsort(order)
+    columns = {name: values[back] for name, values in found.items()}
+    return Labelled(columns["signal"] > 0, columns, cells)

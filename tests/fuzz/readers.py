@@ -29,6 +29,7 @@ from spl_batch.formats.trajectory.ends import ends
 from spl_batch.formats.trajectory.positions import gathering
 from spl_batch.geiger.coincidence.formats import l1_files
 from spl_batch.geiger.coincidence.settings import ArraySettings
+from spl_batch.geiger.coincidence.tables import Detections, Frames
 from spl_batch.geiger.water.formats import inspect_frames, iter_frames, read_truth
 from tests import surveys
 from tests.fuzz.seeds import seed
@@ -124,14 +125,14 @@ def read_frames(path: Path) -> int:
 
 def read_l1_frames(path: Path) -> int:
     """Frames in order."""
-    l1_files.inspect(path, l1_files.FRAME_COLUMNS)
+    l1_files.inspect(path, Frames.names())
     l1_files.extents(path)
     return len(l1_files.read_frames(path))
 
 
 def read_l1_detections(path: Path) -> int:
     """Detections in order."""
-    l1_files.inspect(path, l1_files.DETECTION_COLUMNS)
+    l1_files.inspect(path, Detections.names())
     l1_files.extents(path)
     return sum(map(len, l1_files.read_detections(path, ArraySettings())))
 

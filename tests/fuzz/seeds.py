@@ -21,8 +21,8 @@ from spl_batch.airborne.simulate.file_writers import write_polygons
 from spl_batch.altimetry.formats.mabel import write_mabel
 from spl_batch.formats.las.writer import write_points
 from spl_batch.formats.trajectory.sbet import SBET_RECORD
-from spl_batch.geiger.coincidence.formats.l1_files import write_detections, write_frames
-from spl_batch.geiger.coincidence.tables import Attitudes, Detections
+from spl_batch.geiger.coincidence.formats.l1_files import write
+from spl_batch.geiger.coincidence.tables import Detections, Frames
 from spl_batch.geiger.water import formats as water
 from spl_batch.lattice.tables import PointTable
 from tests import surveys
@@ -213,14 +213,14 @@ def _frames_h5(folder: Path) -> Path:
 def _l1_frames(folder: Path) -> Path:
     number = np.arange(60)
     path = folder / "p_frames.parquet"
-    write_frames(path, Attitudes(number, np.full((60, 3), 3000.0), np.zeros((60, 3))))
+    write(path, Frames(number, np.full((60, 3), 3000.0), np.zeros((60, 3))))
     return path
 
 
 def _l1_detections(folder: Path) -> Path:
     frame, detector = np.divmod(np.arange(240), 4)
     path = folder / "p_detections.parquet"
-    write_detections(path, Detections(frame, detector.astype(np.int32), np.ones((240, 3), int)))
+    write(path, Detections(frame, detector.astype(np.int32), np.ones((240, 3), int)))
     return path
 
 

@@ -30,12 +30,12 @@ from benchmarks.geiger.coincidence import accuracy
 from spl_batch.engine.report import style
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.geiger.coincidence.settings import CoincidenceSettings
-from spl_batch.geiger.coincidence.simulate.files import fly
 from spl_batch.geiger.coincidence.simulate.scene import (
     PLACES_M,
     TARGET_HEIGHT_M,
     SceneSettings,
     build,
+    fly,
 )
 from spl_batch.geiger.coincidence.simulate.scene_rays import Targets, painted, tube_distance
 from spl_batch.geiger.coincidence.surface import coincide

@@ -39,20 +39,18 @@ from spl_batch.geiger.water.accuracy import (
     pixel_sums,
     surface_error,
 )
-from spl_batch.geiger.water.pixel_geometry import View, view_of
-from spl_batch.geiger.water.ranges.calibration import (
+from spl_batch.geiger.water.pixel_geometry import View, floor_points, refracted, view_of
+from spl_batch.geiger.water.ranges import (
     Calibration,
-    Observation,
-    faults_of,
-    fit,
-    observation,
-)
-from spl_batch.geiger.water.ranges.hits import (
     Hits,
+    Observation,
     add_up,
     dead_pixels,
+    faults_of,
     find_gate,
+    fit,
     histogram,
+    observation,
     used_pixels,
 )
 from spl_batch.geiger.water.settings import (
@@ -63,19 +61,18 @@ from spl_batch.geiger.water.settings import (
     PixelSettings,
     SurfaceSettings,
 )
-from spl_batch.geiger.water.simulate.frames import (
+from spl_batch.geiger.water.simulate import (
     Acquisition,
     Instrument,
     Target,
     Wave,
     acquisitions,
 )
-from spl_batch.geiger.water.surface.pixel_surface import (
+from spl_batch.geiger.water.surface import (
     Surface,
     make_surface,
     ranges,
 )
-from spl_batch.geiger.water.surface.refraction import floor_points, refracted
 
 CAMERA = CameraSettings()
 PIXELS = PixelSettings()

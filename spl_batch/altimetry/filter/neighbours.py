@@ -70,26 +70,16 @@ def log_areas(
 ) -> NDArray[np.float64]:
     """Logarithm of the area [m2] within the k-th neighbour of each place, (q, K) float64.
 
-    Infinite where it lies beyond the reach.
-
-    Parameters
-    ----------
-    photons : Columns
-        Those that are neighbours.
-    places : ((q,) float64, (q,) float64)
-        Along the track and in height [m].
-    slope : (q,) float64
-        Slope of each ellipse [m/m].
-    shape : (int, float, float)
-        K; length over height; reach along the track [m].
-    own : bool
-        Whether the places are those of photons: each is no neighbour of itself.
+    Infinite where it lies beyond the reach. ``places``: along the track and in height [m];
+    ``slope``: (q,), of each ellipse; ``shape``: K, length over height, reach along the track [m];
+    ``own``: whether the places are those of photons: each is no neighbour of itself.
     """
     most, aspect, reach_m = shape
     near = np.full((len(slope), most + own), np.inf)
     _nearest(*photons, *places, slope, aspect, (reach_m / aspect) ** 2, near)
     # Photons at one place are a millimetre apart at least.
-    return np.log(np.pi * aspect * np.maximum(near[:, int(own) :], 1e-6))
+    areas: NDArray[np.float64] = np.pi * aspect * np.maximum(near[:, int(own) :], 1e-6)
+    return np.log(areas, out=areas)
 
 
 @njit()
@@ -154,15 +144,8 @@ def leaning(
     """Slope of each layer of each cell, as row of :data:`SLOPES`: (cells, layers) int8.
 
     That in which most pairs of photons share a height: one steeper than level needs more of them.
-
-    Parameters
-    ----------
-    x_m, z_m : (n,) float64
-        Photons in order along the track, heights from the lowest layer's foot [m].
-    first : (cells + 1,) int64
-        First photon of each cell.
-    cell_m : float
-        Length of a cell [m].
+    ``x_m``, ``z_m``: photons in order along the track, heights from the lowest layer's foot [m];
+    ``first``: (cells + 1,), first photon of each cell.
     """
     layers = int(z_m.max(initial=0.0) // LAYER_M) + 1
     out = np.zeros((len(first) - 1, layers), np.int8)

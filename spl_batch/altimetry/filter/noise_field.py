@@ -52,15 +52,7 @@ class Gate:
 
 
 def gate(cell: NDArray[np.int64], z_m: NDArray[np.float64], cells: int) -> Gate:
-    """Gates of cells, as far as photons around show them.
-
-    Parameters
-    ----------
-    cell : (n,) int64
-        Cell of each photon, 0 to ``cells - 1``.
-    z_m : (n,) float64
-        Heights [m].
-    """
+    """Gates of cells as far as photons around show them; ``cell``: of each photon, from 0."""
     low, high = np.full(cells, np.inf), np.full(cells, -np.inf)
     np.minimum.at(low, cell, z_m)
     np.maximum.at(high, cell, z_m)
@@ -74,7 +66,7 @@ def gate(cell: NDArray[np.int64], z_m: NDArray[np.float64], cells: int) -> Gate:
     key = cell * (1 << 32) + np.floor(z_m / 5.0).astype(np.int64)
     _, inverse, times = np.unique(key, return_inverse=True, return_counts=True)
     mean = 5.0 * np.bincount(cell)[cell] / np.maximum(ends[-1][1] - ends[-1][0], 5.0)[cell]
-    lone = np.bincount(cell, times[inverse] <= np.maximum(_LONE, mean), cells)
+    lone = np.bincount(cell, times[inverse] <= np.maximum(_LONE, mean), cells).astype(np.float64)
     low_m, high_m = np.full(cells, np.nan), np.full(cells, np.nan)
     for reach, (lowest, highest) in zip(_REACHES, ends, strict=True):
         seen = around(lone, reach)
@@ -118,10 +110,7 @@ class Boxes:
 def first_density(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArray[np.float64]:
     """Noise before anything is known: the median by height, one for all heights of a cell.
 
-    Parameters
-    ----------
-    counts, area_m2 : (cells, heights) float64
-        Photons and area of each box [count, m2].
+    ``counts``, ``area_m2``: (cells, heights), photons and area of each box.
     """
     some = _START_BOXES if counts.shape[1] >= _START_BOXES else 1
     whole = counts.shape[1] // some * some
@@ -144,12 +133,8 @@ def density(
 ) -> NDArray[np.float64]:
     """Noise density of each box, (cells, heights) float64 [1/m2]: by itself in air and in water.
 
-    Parameters
-    ----------
-    counts, area_m2 : (cells, heights) float64
-        Photons that are noise, and area in which a photon would be, of each box [count, m2].
-    surface : (cells,) int64
-        Box of the water surface of each cell; -1 for none.
+    ``counts``, ``area_m2``: photons that are noise, and area in which a photon would be, of each
+    box; ``surface``: (cells,), box of the water surface of each cell, -1 for none.
     """
     place = _by_cell(counts, area_m2)
     wet = surface[:, None] >= 0
@@ -176,14 +161,7 @@ def below_water(
 
     What lies below a bright surface is light that came back late: the less, the deeper one looks.
     The density that counts fit best so is their isotonic regression (R. Barlow et al., Statistical
-    Inference under Order Restrictions, 1972).
-
-    Parameters
-    ----------
-    field, counts, area_m2 : (cells, heights) float64
-        Noise as of :func:`density`, and what it was made of.
-    surface : (cells,) int64
-        As of :func:`density`.
+    Inference under Order Restrictions, 1972). ``field`` and the rest as of :func:`density`.
     """
     place = _by_cell(counts, area_m2)
     at = surface[:, None] - np.arange(counts.shape[1])

@@ -56,13 +56,7 @@ def _log_share(k: int, x: NDArray[np.float64], contrast_max: float) -> NDArray[n
 
 @lru_cache(maxsize=8)
 def ratios(neighbours: int, contrast_max: float) -> Ratios:
-    """Tables for :func:`noise_posterior`.
-
-    Parameters
-    ----------
-    contrast_max : float
-        C, largest density of signal over that of noise.
-    """
+    """Tables for :func:`noise_posterior`; ``contrast_max``: C, largest signal over noise."""
     log_x = np.linspace(_FIRST, _LAST, _COLUMNS)
     x = np.exp(log_x)
     within = np.empty((neighbours, _COLUMNS))
@@ -110,16 +104,8 @@ def noise_posterior(
 ) -> NDArray[np.float64]:
     """Mean over k of ln P(noise | area within the k-th neighbour), (q,) float64; 0 and below.
 
-    Parameters
-    ----------
-    log_area : (q, K) float64
-        ln of areas [m2]; infinite where a neighbour lies beyond the reach.
-    reach_m2 : float
-        Area within the reach [m2].
-    noise : (q,) float64
-        Noise density at each place [1/m2].
-    table : Ratios
-        By :func:`with_prior`.
+    ``log_area``: (q, K), ln of areas [m2], infinite where a neighbour lies beyond ``reach_m2``;
+    ``noise``: (q,), density at each place [1/m2]; ``table``: by :func:`with_prior`.
     """
     out = np.empty(len(noise))
     ends = float(np.log(reach_m2)), table.first, table.step

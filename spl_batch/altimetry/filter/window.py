@@ -116,16 +116,9 @@ def assess(
 ) -> Assessed:
     """Signal and noise in a window and its margin.
 
-    Parameters
-    ----------
-    along, height : (n,) int64, (n,) int32
-        Photons in order along the track; one at least [quanta].
-    cell_m : float
-        Length of a cell of the absolute grid [m].
-    settings : SignalSettings
-        Neighbours, shapes, contrast, reach.
-    photons_factor : float
-        Photons that the ground is sought among, over those of signal.
+    ``along``, ``height``: photons in order along the track; one at least [quanta]. ``cell_m``:
+    length of a cell of the absolute grid [m]. ``photons_factor``: photons that the ground is sought
+    among, over those of signal.
     """
     size = round(cell_m * QUANTA_PER_M)
     start = int(along[0]) // size

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.formats.hdf5 import dataset, equal_lengths, finite
-from spl_batch.altimetry.formats.slices import Slice
+from spl_batch.altimetry.photon_table import Slice
 from spl_batch.errors import InputError
 from spl_batch.formats.declared import DAMAGED, bounded
 from spl_batch.formats.hdf5 import open_hdf5

@@ -168,7 +168,7 @@ def _fitted(path: Path, file: h5py.File, group: str, segments: Segments) -> NDAr
 
 
 def no_atl08(path: Path) -> str:
-    """Why a file is none of ATL08, from its header; empty where it is one.
+    """Why a file is none of ATL08, as a kind of finding P01; empty where it is one.
 
     Raises
     ------
@@ -177,12 +177,11 @@ def no_atl08(path: Path) -> str:
     """
     with open_input(path) as stream:
         if stream.read(len(SIGNATURE)) != SIGNATURE:
-            return "is no HDF5 file, which ATL08 is"
+            return "no hdf5"
     with open_hdf5(path) as file:
         if any(f"{beam}/signal_photons" in file for beam in BEAMS):
             return ""
-        photons = any(f"{beam}/heights" in file for beam in BEAMS)
-    return f"{'is of ATL03: it' if photons else 'is HDF5 but'} has no gtxx/signal_photons, as ATL08"
+        return "atl03" if any(f"{beam}/heights" in file for beam in BEAMS) else "no atl08"
 
 
 def _slices(file: h5py.File, beam: str, photons: int, segments: Segments) -> Iterator[Slice]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pyproj import Geod
 
 from spl_batch.altimetry.formats.hdf5 import equal_lengths, finite
-from spl_batch.altimetry.formats.slices import Slice
+from spl_batch.altimetry.photon_table import Slice
 from spl_batch.errors import InputError
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.hdf5 import open_hdf5

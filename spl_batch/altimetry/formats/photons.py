@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spl_batch.altimetry.formats import atl03, mabel, track_csv
 from spl_batch.altimetry.formats.hdf5 import finite
-from spl_batch.altimetry.formats.slices import Slice
+from spl_batch.altimetry.photon_table import Slice
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError
 from spl_batch.formats.hdf5 import SIGNATURE, open_hdf5

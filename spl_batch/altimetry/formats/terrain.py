@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
+from scipy import ndimage
 
 from spl_batch.errors import InputError, as_input_fault
 from spl_batch.formats.declared import bounded
@@ -109,11 +110,6 @@ def _between(
     wide = min(_BLOCK + 1, raster.width - left)
     values = raster.read(1, window=Window(left, top, wide, tall), masked=True)
     cells = values.astype(np.float64).filled(np.nan)
-    i = np.minimum((row - top).astype(np.int64), max(tall - 2, 0))
-    j = np.minimum((column - left).astype(np.int64), max(wide - 2, 0))
-    down, right = row - top - i, column - left - j
-    below, beside = np.minimum(i + 1, tall - 1), np.minimum(j + 1, wide - 1)
-    upper = cells[i, j] * (1 - right) + cells[i, beside] * right
-    lower = cells[below, j] * (1 - right) + cells[below, beside] * right
-    height: NDArray[np.float64] = upper * (1 - down) + lower * down
+    place = [row - top, column - left]
+    height: NDArray[np.float64] = ndimage.map_coordinates(cells, place, order=1, mode="nearest")
     return height

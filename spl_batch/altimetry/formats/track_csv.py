@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.csv
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.formats.slices import Slice
+from spl_batch.altimetry.photon_table import Slice
 from spl_batch.errors import InputError
 from spl_batch.formats.las.header import open_input
 

@@ -13,6 +13,8 @@ Along-track positions stay whole numbers until a cell's middle is taken off, so 
 depends on where a piece of track begins.
 """
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,22 +49,12 @@ def lowest_layers(
 
     Parameters
     ----------
-    along : (n,) int64
-        Photons in order along the track [quanta].
-    height_m : (n,) float64
-        Their heights [m].
-    first, stop : (c,) int64
-        Rows of the photons of a cell and its two neighbours.
-    centre : (c,) int64
-        Middle of each cell [quanta].
-    layer_m, slope_max : float
-        Thickness of a layer [m]; steepest slope [m/m].
-    steps : int
-        Slopes tried to each side of level ground [count].
-    share : float
-        Least share of the fullest layer's photons.
-    photons_min : int
-        Least photons of a layer [count].
+    along, height_m : (n,) int64, (n,) float64
+        Photons in order along the track [quanta, m].
+    first, stop, centre : (c,) int64
+        Rows of the photons of a cell and its two neighbours; middle of each cell [quanta].
+    layer_m, slope_max, steps
+        Thickness of a layer [m]; steepest slope, and slopes tried to each side of level ground.
     out : (c, 2) float64
         Receives height at the middle [m] and slope [m/m]; NaN where no layer is dense.
     """
@@ -135,18 +127,11 @@ def fit_ground(
 ) -> None:
     """Line and parabola through the photons of each cell's layer: bisquare weights, six rounds.
 
-    Parameters
-    ----------
-    along, height_m, first, stop, centre, layer_m, photons_min
-        As in :func:`lowest_layers`.
-    half_m : float
-        Half the length of what is compared with the line in the middle [m].
-    layers : (c, 2) float64
-        Height at the middle [m] and slope [m/m] of the layer.
-    out : (c, 9) float64
-        Receives of the line height at the middle [m], slope [m/m], standard error of the height
-        [m]; photons in the layer [count]; the same three of the parabola; height of a line through
-        the cell's own photons, and its error [m]. NaN where photons are too few.
+    Parameters as in :func:`lowest_layers`. ``half_m``: half the length of what is compared with the
+    line in the middle [m]. ``layers``: (c, 2), height at the middle and slope of the layer.
+    ``out``, (c, 9), receives of the line height at the middle [m], slope [m/m], standard error of
+    the height [m]; photons in the layer; the same three of the parabola; height of a line through
+    the cell's own photons, and its error [m]. NaN where photons are too few.
     """
     for c in range(len(first)):
         out[c] = np.nan
@@ -243,3 +228,67 @@ def _spread(x, z, level, slope, bend, off):  # type: ignore[no-untyped-def]
         gap //= 3
     median = (off[(n - 1) // 2] + off[n // 2]) / 2.0
     return max(_MAD * median, _LEAST_SPREAD_M)
+
+
+_TWICE: Final = 2.0
+"""Error of a parabola over the line's, at most: where few photons lie near the middle it swings.
+Spread evenly, photons make it 1.5."""
+
+_OWN: Final = 2.0**2
+_AROUND: Final = 3.0
+_ALONE: Final = 5.0**2
+"""How much a parabola contradicts the line: in the cell, in those around on average, and in a
+cell alone; [variances]."""
+
+_LEAST2_M2: Final = 1e-8
+"""Least variance of the difference [m2]."""
+
+
+@njit()
+def held(
+    along: NDArray[np.int64],
+    height_m: NDArray[np.float64],
+    first: NDArray[np.int64],
+    stop: NDArray[np.int64],
+    centre: NDArray[np.int64],
+    layers: NDArray[np.float64],
+    reach_m: NDArray[np.float64],
+    out: NDArray[np.int64],
+) -> None:
+    """Photons of each cell that lie within ``reach_m``, (c,), of a layer: 0 where there is none.
+
+    Parameters as in :func:`fit_ground`, rows of the cells alone; ``out`` receives them, (c,).
+    """
+    for c in range(len(first)):
+        out[c] = 0
+        if np.isnan(layers[c, 0]):
+            continue
+        for row in range(first[c], stop[c]):
+            dx = (along[row] - centre[c]) / _QUANTA_PER_M
+            if abs(height_m[row] - layers[c, 0] - layers[c, 1] * dx) <= reach_m[c]:
+                out[c] += 1
+
+
+def with_bends(
+    index: NDArray[np.int64], fits: NDArray[np.float64], reach: int
+) -> NDArray[np.float64]:
+    """Ground of each cell by line or parabola, (c, 5) float64.
+
+    Height [m], slope [m/m], standard error of the height [m], photons [count], and by how much more
+    than chance the cell's own photons are off it, squared [m2], of either sign. ``index``: cells,
+    in order; ``fits``: by :func:`fit_ground`; ``reach``: cells to each side that are asked.
+    """
+    line, photons, bent, near = fits[:, :3], fits[:, 3], fits[:, 4:7], fits[:, 7:]
+    known = bent[:, 2] < _TWICE * line[:, 2]
+    chance2 = np.maximum(bent[:, 2] ** 2 - line[:, 2] ** 2, _LEAST2_M2)
+    against = np.where(known, (bent[:, 0] - line[:, 0]) ** 2 / chance2, 0.0)
+    # A cell alone may be far off; whole numbers, whose sums have no order.
+    counted = np.rint(np.minimum(against, _ALONE) * 1e6).astype(np.int64), known.astype(np.int64)
+    first = np.searchsorted(index, index - reach)
+    stop = np.searchsorted(index, index + reach, side="right")
+    total, cells = ((s := np.concatenate([[0], np.cumsum(v)]))[stop] - s[first] for v in counted)
+    around = (total - counted[0]) * 1e-6 / np.maximum(cells - 1, 1)
+    bends = known & ((against > _ALONE) | ((against > _OWN) & (around > _AROUND)))
+    out = np.where(bends[:, None], bent, line)
+    off2 = (near[:, 0] - out[:, 0]) ** 2 - np.maximum(near[:, 1] ** 2 - out[:, 2] ** 2, 0.0)
+    return np.column_stack([out, photons, off2])

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from spl_batch.altimetry.ground import profile as profiles
 from spl_batch.altimetry.settings import ProfileSettings
-from spl_batch.altimetry.water.refraction import refracted
-from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M
+from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M, refracted
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 

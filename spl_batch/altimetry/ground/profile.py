@@ -19,9 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.ground.bends import with_bends
-from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers
-from spl_batch.altimetry.ground.own_layers import held, not_beside, overruled_by_none
+from spl_batch.altimetry.ground.cell_ground import fit_ground, held, lowest_layers, with_bends
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
@@ -33,6 +31,13 @@ _UNSURE: Final = 1.5
 
 _ALONE: Final = 3
 """How many times the least photons a layer needs that no two neighbours confirm."""
+
+_MISSED: Final = 0.3
+"""A layer of three cells with less than this share of the cell's own layer is not its ground."""
+_OWN: Final = 5
+"""How many times the least photons of a layer a cell's own layer needs [count]."""
+_ERRORS: Final = 2.0
+"""Standard errors of a Poisson count that few photons are allowed [count]."""
 
 COLUMNS: Final = {
     "cell": np.int64,
@@ -228,18 +233,32 @@ def _settled(
     stop = np.searchsorted(along, (index + 1) * size)
     alone = along, z, first, stop, centre
 
-    def inside(layers: NDArray[np.float64], reach_m: NDArray[np.float64]) -> NDArray[np.int64]:
-        out = np.empty(len(index), np.int64)
-        held(*alone, layers, reach_m, out)
-        return out
-
     own = _lowest(alone, thick, settings)
-    in_found, in_own = inside(found, thick / 2.0), inside(own, thick / 2.0)
-    found = not_beside(found, own, in_found, in_own, settings.photons_min)
-    agreed, asked = agree(index, found, settings, thick)
-    sure = overruled_by_none(inside(found, thick), stop - first, settings.photons_min)
-    agreed[sure] = found[sure]
-    return agreed, asked
+    inside = np.empty((2, len(index)), np.int64)
+    for layers, out in zip((found, own), inside, strict=True):
+        held(*alone, layers, thick / 2.0, out)
+    found = not_beside(found, own, inside[0], inside[1], settings.photons_min)
+    return agree(index, found, settings, thick)
+
+
+def not_beside(
+    found: NDArray[np.float64],
+    own: NDArray[np.float64],
+    in_found: NDArray[np.int64],
+    in_own: NDArray[np.int64],
+    photons_min: int,
+) -> NDArray[np.float64]:
+    """Layers of three cells, or a cell's own where the cell holds no part of that, (c, 2) float64.
+
+    Crevassed ice, lava and boulders rise and fall by metres within 60 m: the lowest layer of three
+    cells is then the hollow beside the cell. Such ground is bare, and a cell holds dozens of its
+    photons. The rule is this project's own. ``found``, ``own``: (c, 2), height and slope of the
+    lowest layer of three cells, and of the cell alone; then photons of the cell itself in either.
+    """
+    # Sparse ground under dense trees is a small part of its cell by chance as well.
+    at_most = in_found + _ERRORS * (np.sqrt(in_found) + 1.0)
+    missed = (in_own >= _OWN * photons_min) & (at_most < _MISSED * in_own)
+    return np.where((missed & np.isfinite(found[:, 0]))[:, None], own, found)
 
 
 def _fitted(
@@ -268,7 +287,7 @@ def agree(
     settings: ProfileSettings,
     thick: NDArray[np.float64] | float,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Layers, those put to what their neighbours expect that these contradict.
+    """Layers, those put to what their neighbours expect that these contradict, and who was asked.
 
     A neighbour expects its own height, carried along by the mean of both slopes. The median
     of at least two decides where a layer is farther from it than two layers' thickness; a
@@ -276,21 +295,15 @@ def agree(
 
     Parameters
     ----------
-    index : (c,) int64
-        Cells, in order.
+    index, thick : (c,) int64, (c,) float64 or float
+        Cells, in order; thickness of their layers [m].
     found : (c, 2) float64
         Height [m] and slope [m/m] of each cell's layer; NaN where there is none.
-    settings : ProfileSettings
-        Length and number of cells.
-    thick : (c,) float64 or float
-        Thickness of the layers [m].
 
     Returns
     -------
-    layers : (c, 2) float64
-        Put right.
-    asked : (c,) int64
-        Neighbours that expect something [count].
+    (c, 2) float64, (c,) int64
+        Layers put right; neighbours that expect something [count].
     """
     expected = np.full((2 * settings.reach_cells + 1, len(index)), np.nan)
     for row, step in enumerate(range(-settings.reach_cells, settings.reach_cells + 1)):

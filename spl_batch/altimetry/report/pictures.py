@@ -110,8 +110,7 @@ def _picture(title: str, caption: str, make: Callable[[], Figure], *, there: boo
     if not there:
         return Picture(title, "There is nothing to show.")
     with style.type_context():
-        png, width, height = style.to_png(make())
-    return Picture(title, f"{title}. {caption}", title, png, width, height)
+        return style.picture(make(), title, f"{title}. {caption}")
 
 
 def _axes(xlabel: str, ylabel: str, height_in: float) -> tuple[Figure, Any]:

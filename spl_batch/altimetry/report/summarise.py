@@ -1,18 +1,19 @@
-"""Stage ``report``: what all receipts say together, as one report with its pictures."""
+"""Stage ``report``: what all receipts have together, as one report with its pictures."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.report.beam_warnings import beam_findings
+from spl_batch.altimetry.filter.window import stands_out
 from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, TrackReport
 from spl_batch.altimetry.report.page import render
 from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
 from spl_batch.altimetry.tasks.context import Context, place
 from spl_batch.altimetry.tasks.labels import labelled, read_cells
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.page import write_both
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
@@ -28,6 +29,30 @@ from spl_batch.engine.report.run_record import (
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns, read_groups, reading
 from spl_batch.numerics.error_statistics import statistics
+
+
+def beam_findings(done: Receipts) -> Iterator[Finding]:
+    """Beams whose signal may be noise, or all of whose photons are one."""
+    for key, delivered in done["deliver_beam"].items():
+        source, _, name = key.partition("/")
+        beam = f"{done['index_file'][source].facts['name']}: {name}"
+        kept, noise = (delivered.facts["labels"].get(k, 0) for k in ("1", "0"))
+        false = sum(done["label"][segment].facts["false"] for segment in labelled(done, key))
+        for one in of_labels(kept, noise, false, delivered.facts["floor"]):
+            yield one._replace(subject=beam)
+
+
+def of_labels(kept: int, noise: int, false: float, floor: int = 0) -> Iterator[Finding]:
+    """What photons kept, called noise, expected to be noise among the kept, and of a floor show."""
+    if kept and not noise:
+        yield Finding("P02", {"kind": "all", "kept": kept})
+    if noise and not kept:
+        yield Finding("P02", {"kind": "none", "noise": noise})
+    if kept and false and not stands_out(kept, false):
+        yield Finding("P02", {"kind": "clumps", "kept": kept, "noise": round(false)})
+    elif 0 < floor <= false:
+        yield Finding("P02", {"kind": "floor", "floor": floor, "noise": round(false)})
+
 
 MOST_BEAMS: Final = 12
 """Beams that are drawn [count]."""

@@ -13,8 +13,7 @@ from spl_batch.altimetry.formats.track_csv import to_text
 from spl_batch.altimetry.photon_table import LABELS, NOT_ASSESSED
 from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, place, rows_between
 from spl_batch.altimetry.tasks.heights import COLUMNS
-from spl_batch.altimetry.water.refraction import refracted
-from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M
+from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M, refracted
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged

@@ -1,7 +1,12 @@
-"""Water surfaces: the highest layer of the signal that is level over 800 m.
+"""Water surfaces: the highest layer of signal that is level over 800 m, and refraction below.
 
 Water is level where land is not: photons of 800 m within half a metre of a line of slope
 0.0007 or less, whose cells scatter by a wave, in most of its cells, with next to nothing above.
+
+A product places photons as if light went through air all the way. In water it is slower and bends:
+a floor seems deeper than it is, by a third at nadir. The correction is that of C. Parrish et al.
+(Remote Sens. 11, 1634, 2019) for a level surface: S = D / cos(t1) is the slant range in air,
+R = S n1 / n2 that in water, and their difference as vectors is what a photon is moved by.
 """
 
 from typing import Final
@@ -44,16 +49,8 @@ def water_levels(
 ) -> NDArray[np.int64]:
     """Water surface of each cell of a window, (c,) int64 [quanta]; ``NO_WATER`` for none.
 
-    Parameters
-    ----------
-    cell : (n,) int64
-        Cell of each signal photon, in order.
-    height : (n,) int32
-        Their heights [quanta].
-    index : (c,) int64
-        Numbers of the cells: each look lies at the same cells whatever the window.
-    cell_m : float
-        Length of a cell [m].
+    ``cell``, ``height``: of each signal photon, in order [quanta]. ``index``: numbers of the cells:
+    each look lies at the same cells whatever the window. ``cell_m``: length of a cell [m].
     """
     out = np.full(len(index), NO_WATER)
     z_m = height / QUANTA_PER_M
@@ -110,3 +107,38 @@ def _highest(z_m: NDArray[np.float64]) -> float | None:
     while b and layer[b - 1] > layer[b]:
         b -= 1
     return (least + b + 0.5) * _BIN_M
+
+
+AIR: Final = 1.00029
+WATER: Final = 1.34116
+"""Refractive indices that the paper gives, for sea water and 532 nm."""
+
+
+def refracted(
+    depth_m: NDArray[np.float64], off_nadir_deg: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What photons below a surface are moved by, (n,) float64 each [m].
+
+    Parameters
+    ----------
+    depth_m : (n,) float64
+        Depth below the surface as the product has it; nothing moves at 0 and above [m].
+    off_nadir_deg : float
+        Angle of the ray in air from the vertical [deg].
+
+    Returns
+    -------
+    across : (n,) float64
+        Horizontally, against the way that the ray is inclined [m].
+    up : (n,) float64
+        Upwards [m].
+    """
+    depth = np.maximum(depth_m, 0.0)
+    air = np.radians(off_nadir_deg)
+    water = np.arcsin(AIR * np.sin(air) / WATER)
+    apparent = depth / np.cos(air)
+    true = apparent * AIR / WATER
+    return (
+        apparent * np.sin(air) - true * np.sin(water),
+        true * -np.cos(water) + apparent * np.cos(air),
+    )

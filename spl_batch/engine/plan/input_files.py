@@ -4,12 +4,12 @@ import glob
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path, PurePath
-from typing import Any, Final
+from typing import Final, Protocol, TypeVar
 
 from spl_batch.engine.settings.mistaken_file import url_fault
-from spl_batch.errors import WorkflowError, named
+from spl_batch.errors import InputError, WorkflowError, named, reason_of
 from spl_batch.formats.files.atomic import real_path
 
 
@@ -26,14 +26,51 @@ def refuse_own(paths: Sequence[Path], output: Path, key: str, faults: list[str])
         )
 
 
-def check_keys(sources: Iterable[Any]) -> None:
+class AnySource(Protocol):
+    """An input file of any receiver."""
+
+    @property
+    def name(self) -> str:
+        """What the workflow calls it."""
+
+    @property
+    def key(self) -> int:
+        """What the working store calls it."""
+
+
+S = TypeVar("S", bound=AnySource)
+
+
+def usable(
+    paths: Iterable[Path], base: Path, look: Callable[[Path, str, int], S | None]
+) -> tuple[tuple[S, ...], list[InputError]]:
+    """Files that can be used, by name, and what is wrong with the others.
+
+    ``look`` makes a source of a file's path, its name and its key, or None where it holds nothing.
+    """
+    found, bad = [], []
+    for path in paths:
+        name = name_below(path, base)
+        try:
+            source = look(path, name, source_key(name))
+        except InputError as error:
+            bad.append(error)
+        except OSError as error:
+            bad.append(InputError(str(path), f"cannot be read: {reason_of(error)}"))
+        else:
+            found += [] if source is None else [source]
+    check_keys(found)
+    return tuple(sorted(found, key=lambda source: source.name)), bad
+
+
+def check_keys(sources: Iterable[AnySource]) -> None:
     """Refuse files of different names whose keys are the same."""
     names = {source.name: source.key for source in sources}
     if len(set(names.values())) < len(names):
         raise WorkflowError("two input files share a key by chance; rename one of them")
 
 
-def stem_names(sources: Sequence[Any]) -> dict[int, str]:
+def stem_names(sources: Sequence[AnySource]) -> dict[int, str]:
     """Names of each file's results, by key: its stem, with the key where two share it."""
     stems = Counter(Path(source.name).stem for source in sources)
     found = {}

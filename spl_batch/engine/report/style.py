@@ -19,6 +19,8 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap
 from matplotlib.figure import Figure
 from PIL import Image
 
+from spl_batch.engine.report.picture import Picture
+
 INK: Final = "#1d2733"
 MUTED: Final = "#5c6b7a"
 RULE: Final = "#d5dbe1"
@@ -99,6 +101,12 @@ def type_context() -> Iterator[None]:
     """
     with _SETTINGS, mpl.rc_context(TYPE):
         yield
+
+
+def picture(drawn: Figure, title: str, caption: str) -> Picture:
+    """A figure as a picture of the report."""
+    png, width, height = to_png(drawn)
+    return Picture(title, caption, f"{title}. {caption}", png, width, height)
 
 
 def to_png(drawn: Figure, largest: int = LARGEST_PNG) -> tuple[bytes, int, int]:

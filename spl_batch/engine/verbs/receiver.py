@@ -6,10 +6,10 @@ same for all of them. A receiver is named by the ``kind`` of a workflow
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, TypeVar
 
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.flow.warm_up import Work
@@ -19,10 +19,26 @@ from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.ledger import Ledger
+from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step, Steps
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import WorkflowError
 from spl_batch.receivers import steps
+
+
+def none_usable(
+    failed: Iterable[Receipt], kinds: Container[str], more: Iterable[str] = ()
+) -> NoReturn:
+    """What stops a run of which no file could be read.
+
+    Raises
+    ------
+    WorkflowError
+        Always, with the reasons of the failed tasks of some kinds, and ``more``.
+    """
+    reasons = [*(receipt.reason for receipt in failed if receipt.kind in kinds), *more]
+    raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold nothing"))
+
 
 L = TypeVar("L", bound=Ledger[Any, Any])
 C = TypeVar("C", bound=RunContext[Any])
@@ -86,15 +102,28 @@ class Receiver(ABC, Generic[L, C]):
         """Compiles a share, from 0, of so many, of the kernels that the tasks call."""
         return None
 
-    @abstractmethod
-    def prepare(self, workflow: Any, place: Place, limits: Limits) -> Prepared[L, C]:
+    ledger: type[L]  #: What a run knows.
+
+    def gather(self, workflow: Any, base: Path, output: Path) -> Any:
         """Find and check every file of a workflow, from headers alone.
+
+        ``output``: folder of the results: no input may lie there.
 
         Raises
         ------
         WorkflowError
             If nothing can be started; one line with every fault.
         """
+        raise NotImplementedError
+
+    def prepare(self, workflow: Any, place: Place, limits: Limits) -> Prepared[L, C]:
+        """A run on the files of :meth:`gather`, in their CRS where they have one."""
+        inputs = self.gather(workflow, place.base, place.output)
+        crs = getattr(inputs, "crs", None)
+        crs_wkt = crs.to_wkt() if crs is not None else ""
+        context: Any = self.context(workflow, place, crs_wkt, code_version(workflow.kind))
+        ledger = self.ledger(inputs, workflow, limits.memory_bytes, limits.workers)
+        return Prepared(self, ledger, context)
 
     def context(
         self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str

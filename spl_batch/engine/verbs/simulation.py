@@ -1,17 +1,44 @@
 """Synthetic data of any receiver."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, TypeVar
+
+import yaml
+from pydantic import BaseModel
 
 from spl_batch.engine.settings.mistaken_file import refuse_urls
+from spl_batch.engine.settings.validation import validated
 from spl_batch.engine.settings.workflow_file import known_kind, read_mapping
-from spl_batch.errors import WorkflowError, named
+from spl_batch.errors import WorkflowError, grouped, named
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.receivers import IMAGING, simulator
 
 SIMULATED: Final = ".simulated"
 """Mark of a folder that a simulation may write into again."""
+
+
+class Simulated(NamedTuple):
+    """What was made."""
+
+    workflow: Path  #: Ready to run.
+    rows: list[tuple[str, str]]  #: Label and value of each number that the console shows.
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def scene_of(model: type[M], path: Path) -> M:
+    """The scene of a file, checked."""
+    content = read_mapping(path, "a scene is a mapping with kind: and what there is")
+    return validated(model, content, str(path))
+
+
+def finished(out: Path, workflow: Mapping[str, Any], counts: Mapping[str, int]) -> Simulated:
+    """Write the workflow of what was made, and say how many there are of what [count]."""
+    path = out / "workflow.yaml"
+    write_bytes(path, yaml.safe_dump(dict(workflow), sort_keys=False).encode())
+    return Simulated(path, [(name, grouped(count)) for name, count in counts.items()])
 
 
 def simulate(

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -12,17 +12,18 @@ from pyproj import CRS
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, measured_rates
-from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
+from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, usable
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.errors import InputError, WorkflowError, reason_of
+from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.crs import projected_crs
 from spl_batch.geiger.coincidence.formats import l1_files as files
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
 from spl_batch.geiger.coincidence.surface.coincide import halo, reach_q
+from spl_batch.geiger.coincidence.tables import Detections, Frames
 from spl_batch.lattice import density
 from spl_batch.lattice.density import Box
 from spl_batch.lattice.tiles import Bounds, parse_cell, quanta
@@ -116,18 +117,17 @@ def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
     crs = projected_crs(workflow.survey.crs, "survey.crs", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
-    bad: list[InputError] = []
-    frames = _usable(named["frames"], files.FRAME_COLUMNS, base, bad)
-    without = len(bad)
-    detections = _usable(named["detections"], files.DETECTION_COLUMNS, base, bad)
+    frames, bad = usable(named["frames"], base, partial(_look, Frames.names()))
+    detections, more = usable(named["detections"], base, partial(_look, Detections.names()))
+    without, bad = len(bad), [*bad, *more]
     unread = [name_below(Path(error.path), base) for error in bad]
     check_keys((*frames, *detections))
     if not frames or not detections:
         reasons = "; ".join(map(str, bad)) or "survey.frames and survey.detections hold no rows"
         raise WorkflowError(f"no input is usable: {reasons}")
     warnings = [] if crs is not None else [Finding("K01", {"kind": "crs"})]
-    usable = {file.path for file in (*frames, *detections)} | {Path(e.path) for e in bad}
-    empty = [path for paths in named.values() for path in paths if path not in usable]
+    known = {file.path for file in (*frames, *detections)} | {Path(e.path) for e in bad}
+    empty = [path for paths in named.values() for path in paths if path not in known]
     warnings += [Finding("K01", {"kind": "empty"}, name_below(p, base)) for p in empty]
     return L1Inputs(
         frames=frames,
@@ -140,25 +140,10 @@ def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
     )
 
 
-def _usable(
-    paths: Sequence[Path], columns: Sequence[str], base: Path, bad: list[InputError]
-) -> tuple[L1File, ...]:
-    found = []
-    for path in paths:
-        try:
-            written = stamp(path)
-            rows = files.inspect(path, columns)
-            extents = files.extents(path) if rows else None
-        except InputError as error:
-            bad.append(error)
-            continue
-        except OSError as error:
-            bad.append(InputError(str(path), f"cannot be read: {reason_of(error)}"))
-            continue
-        name = name_below(path, base)
-        if rows:
-            found.append(L1File(path, name, source_key(name), rows, written, extents))
-    return tuple(sorted(found, key=lambda file: file.name))
+def _look(columns: Sequence[str], path: Path, name: str, key: int) -> L1File | None:
+    written = stamp(path)
+    rows = files.inspect(path, columns)
+    return L1File(path, name, key, rows, written, files.extents(path)) if rows else None
 
 
 @dataclass
@@ -265,18 +250,10 @@ def deliver_tile(ledger: L1Ledger) -> Iterator[Task]:
             yield Task("deliver_tile", tile, {"tile": tile}, (("coincide", tile),), n)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CoincidenceCost(Cost):
-    """What a run is expected to cost."""
-
-    frames: int  #: Frames of all usable files [count].
-
-
-def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) -> CoincidenceCost:
+def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) -> Cost:
     """Cost of a run, from the headers of its files."""
     inputs, chosen = ledger.inputs, ledger.workflow.coincidence
     detections = sum(file.rows for file in inputs.detections)
-    frames = sum(file.rows for file in inputs.frames)
     tiles, held = _tiles(ledger)
     rates, measured = measured_rates(RATES_POINTS_PER_S, context)
     volume = BYTES_PER_VOXEL * (chosen.volume_voxels + 2 * halo(chosen)) ** 3
@@ -291,7 +268,7 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
         (round(held * HELD_BYTES_PER_DETECTION), "a tile", "a smaller tiling.tile_m"),
     ]
     most, heaviest, remedy = max(needs)
-    return CoincidenceCost(
+    return Cost(
         points=detections,
         tasks=len(inputs.sources) + 2 * tiles,
         disk_bytes=detections * (STORE_BYTES_PER_DETECTION + DELIVERED_BYTES_PER_DETECTION),
@@ -301,7 +278,6 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
         stages_s={stage: detections / rate for stage, rate in rates.items()},
         workers=ledger.workers,
         measured=measured,
-        frames=frames,
     )
 
 

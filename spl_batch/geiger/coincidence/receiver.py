@@ -10,16 +10,14 @@ from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.report.verdict import ending_rows
 from spl_batch.engine.settings.base import BaseWorkflow
-from spl_batch.engine.tasks.context import RunContext
-from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.engine.verbs.receiver import Prepared, Receiver, none_usable
 from spl_batch.errors import WorkflowError, grouped
-from spl_batch.geiger.coincidence.plan import CoincidenceCost, L1Ledger, estimate, gather
+from spl_batch.geiger.coincidence.plan import L1Inputs, L1Ledger, estimate, gather
 from spl_batch.geiger.coincidence.report.model import CoincidenceReport
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
-from spl_batch.geiger.coincidence.tasks.index import CoincidenceContext
+from spl_batch.geiger.coincidence.tasks import CoincidenceContext
 
 
 class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
@@ -29,29 +27,26 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
     noun: ClassVar[str] = "coincidence processing"
     delivered: ClassVar[tuple[str, ...]] = ("points/*",)
 
-    def prepare(
-        self, workflow: CoincidenceWorkflow, place: Place, limits: Limits
-    ) -> Prepared[L1Ledger, CoincidenceContext]:
+    ledger = L1Ledger
+
+    def gather(self, workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
         """Find and check every file of a workflow, from headers alone."""
-        inputs = gather(workflow, place.base, place.output)
-        crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
-        context = RunContext(
-            workflow, place.base, place.output, crs_wkt, code_version(workflow.kind)
-        )
-        ledger = L1Ledger(inputs, workflow, limits.memory_bytes, limits.workers)
-        return Prepared(self, ledger, context)
+        return gather(workflow, base, output)
 
     def cost(self, prepared: Prepared[L1Ledger, CoincidenceContext]) -> Cost:
         """What a run is expected to cost."""
         return estimate(prepared.ledger, prepared.context)
 
     def plan_rows(
-        self, prepared: Prepared[L1Ledger, CoincidenceContext], cost: CoincidenceCost
+        self,
+        prepared: Prepared[L1Ledger, CoincidenceContext],
+        cost: Cost,  # noqa: ARG002 - the form that every receiver has
     ) -> list[tuple[str, str]]:
         """Label and value of what a plan tells beside disk, memory and time."""
         workflow = prepared.context.workflow
+        frames = sum(file.rows for file in prepared.ledger.inputs.frames)
         return [
-            ("frames", f"{grouped(cost.frames)} of {grouped(workflow.array.detectors)} looks each"),
+            ("frames", f"{grouped(frames)} of {grouped(workflow.array.detectors)} looks each"),
             ("voxels", f"{workflow.voxel_q} mm, tiles of {workflow.tiling.tile_m:g} m"),
         ]
 
@@ -63,8 +58,7 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
     ) -> Iterable[Finding]:
         """Stop where no file could be read."""
         if step.name in {"frames", "index_file"} and not prepared.ledger.of(step.name):
-            reasons = [r.reason for r in failed if r.kind == step.name]
-            raise WorkflowError("no input is usable: " + "; ".join(reasons))
+            none_usable(failed, {step.name})
         if step.name == "frames":
             _refuse_twice(prepared.ledger)
         if step.name == "index_file" and prepared.ledger.answered is not None:

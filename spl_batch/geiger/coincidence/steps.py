@@ -10,7 +10,7 @@ STEPS: Final[Steps] = table(
     Step(
         name="frames",
         stage="index",
-        run=f"{_TASKS}.index:index_frames",
+        run=f"{_TASKS}:index_frames",
         tasks="spl_batch.geiger.coincidence.plan:frames",
         after=(),
         settings=("array",),
@@ -19,7 +19,7 @@ STEPS: Final[Steps] = table(
     Step(
         name="index_file",
         stage="index",
-        run=f"{_TASKS}.index:index_file",
+        run=f"{_TASKS}:index_file",
         tasks="spl_batch.geiger.coincidence.plan:index_file",
         after=("frames",),
         settings=("array.rows", "array.columns", "tiling.tile_m"),
@@ -28,7 +28,7 @@ STEPS: Final[Steps] = table(
     Step(
         name="coincide",
         stage="coincidence",
-        run=f"{_TASKS}.points:coincide_tile",
+        run=f"{_TASKS}:coincide_tile",
         tasks="spl_batch.geiger.coincidence.plan:coincide",
         after=("frames", "index_file"),
         settings=("array", "coincidence", "tiling.tile_m"),
@@ -38,7 +38,7 @@ STEPS: Final[Steps] = table(
     Step(
         name="deliver_tile",
         stage="deliver",
-        run=f"{_TASKS}.points:deliver_tile",
+        run=f"{_TASKS}:deliver_tile",
         tasks="spl_batch.geiger.coincidence.plan:deliver_tile",
         after=("coincide",),
         settings=("outputs.aggregate_bit",),

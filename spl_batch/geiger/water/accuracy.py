@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.geiger.water.surface.refraction import floor_points, refracted
+from spl_batch.geiger.water.pixel_geometry import floor_points, refracted
 
 Floats = NDArray[np.float64]
 
@@ -66,23 +66,11 @@ def angles_deg(normals: Floats, true: Floats) -> Floats:
 def surface_error(
     places_m: Floats, normals: Floats, true_down_m: Floats, true_normals: Floats
 ) -> tuple[SurfaceError, Floats, Floats]:
-    """Errors of a surface, and those of its pixels.
+    """Errors of a surface, NaN where nothing is known, and those of its pixels.
 
-    Parameters
-    ----------
-    places_m, normals : (rows, cols, 3) float64
-        The surface [m]; NaN where unknown.
-    true_down_m : (rows, cols) float64
-        True down coordinate along each line of sight [m].
-    true_normals : (rows, cols, 3) float64
-        True unit normals out of the water.
-
-    Returns
-    -------
-    error : SurfaceError
-        NaN in all parts where nothing is known.
-    error_m, angle_deg : (rows, cols) float64
-        Down less true down [m]; angle between the normals [deg].
+    ``places_m``, ``normals``: (rows, cols, 3), the surface [m]; NaN where unknown. ``true_down_m``:
+    true down coordinate along each line of sight [m]. ``true_normals``: out of the water. Of each
+    pixel down less true down [m], and the angle between the normals [deg].
     """
     error = places_m[..., 2] - true_down_m
     angle = angles_deg(normals, true_normals)
@@ -127,14 +115,9 @@ def floor_error(
 ) -> FloorError:
     """Errors of the ends of rays; NaN where no pixel is known, or no way in water.
 
-    Parameters
-    ----------
-    look : (rows, cols, 3) float64
-        Unit vectors along the lines of sight.
-    found, true : pair of (rows, cols, 3) float64
-        Places on the surface [m] and unit normals out of the water; NaN where unknown.
-    in_water_m : float
-        Length of the way in water, as a second receiver measures it [m].
+    ``look``: (rows, cols, 3), unit vectors along the lines of sight. ``found``, ``true``: places on
+    the surface [m] and unit normals out of the water. ``in_water_m``: length of the way in water
+    [m].
     """
     known = np.isfinite(found[0]).all(axis=-1) & np.isfinite(found[1]).all(axis=-1)
     if not known.any() or in_water_m <= 0:

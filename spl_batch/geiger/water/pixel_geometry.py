@@ -1,6 +1,7 @@
-"""Looks of the pixels, and places in the local frame from ranges [G15 3.5].
+"""Looks of the pixels, places in the local frame [G15 3.5], and rays into the water [G15 2.5.2].
 
-Frames: the sensor's has z along the optical axis; the local one is north, east, down.
+Frames: the sensor's has z along the optical axis; the local one is north, east, down. Normals point
+out of the water.
 """
 
 import math
@@ -77,3 +78,21 @@ def view_of(camera: CameraSettings, mount: MountSettings) -> View:
         body @ rotation(*mount.boresight_deg) @ sensor,
         np.array(mount.position_m) + body @ np.array(mount.lever_arm_m),
     )
+
+
+def refracted(beam: Floats, normal: Floats, index_water: float) -> Floats:
+    """Direction of a beam behind the surface [G15 Eq. 2-27]: (..., 3) float64, unit vectors.
+
+    ``beam`` points towards the water, ``normal`` out of it; ``index_water``: that of air being 1.
+    """
+    eta = 1.0 / index_water
+    k = -(beam * normal).sum(axis=-1, keepdims=True)
+    root = np.sqrt(1.0 + eta**2 * (k**2 - 1.0))
+    behind: Floats = eta * beam + (eta * k - root) * normal
+    return behind
+
+
+def floor_points(surface: Floats, direction: Floats, in_water_m: float | Floats) -> Floats:
+    """Where rays end after a path in water: (..., 3) float64 [m]."""
+    ends: Floats = surface + np.asarray(in_water_m)[..., None] * direction
+    return ends

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -10,14 +11,7 @@ from pyproj import CRS
 
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, measured_rates
-from spl_batch.engine.plan.input_files import (
-    check_keys,
-    expand,
-    name_below,
-    refuse_own,
-    source_key,
-    stem_names,
-)
+from spl_batch.engine.plan.input_files import check_keys, expand, refuse_own, stem_names, usable
 from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.input_changes import stamp_if_there
@@ -103,33 +97,24 @@ def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInp
     listed = workflow.calibration.frames
     targets: list[FrameSource] = []
     for k, target in enumerate(listed):
-        for path in expand(target.frames, base, f"calibration.frames[{k}]", faults):
-            try:
-                targets.append(_source(path, base, workflow, target.distance_m))
-            except InputError as error:
-                # Without one of its distances a calibration would silently be another.
-                faults.append(f"calibration.frames[{k}]: {error}")
+        key = f"calibration.frames[{k}]"
+        look = partial(_source, workflow, target.distance_m)
+        good, wrong = usable(expand(target.frames, base, key, faults), base, look)
+        targets += good
+        # Without one of its distances a calibration would silently be another.
+        faults += [f"{key}: {error}" for error in wrong]
     refuse_own(paths, output, "survey.frames", faults)
     crs = projected_crs(workflow.survey.crs, "survey.crs", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
-    sources: list[FrameSource] = []
-    bad: list[InputError] = []
-    warnings: list[Finding] = []
+    sources, bad = usable(paths, base, partial(_source, workflow, 0.0))
     per = workflow.surface.frames_per_acquisition
-    for path in paths:
-        try:
-            source = _source(path, base, workflow, 0.0)
-        except InputError as error:
-            bad.append(error)
-            continue
-        sources.append(source)
-        warnings += _left_out(source, per)
+    warnings = [finding for source in sources for finding in _left_out(source, per)]
     if crs is None and sources:
         warnings.append(Finding("W02"))
     check_keys((*sources, *targets))
     return WaterInputs(
-        tuple(sorted(sources, key=lambda s: s.name)),
+        sources,
         tuple(targets),
         tuple(bad),
         crs,
@@ -137,7 +122,9 @@ def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInp
     )
 
 
-def _source(path: Path, base: Path, workflow: WaterWorkflow, distance_m: float) -> FrameSource:
+def _source(
+    workflow: WaterWorkflow, distance_m: float, path: Path, name: str, key: int
+) -> FrameSource:
     facts = inspect_frames(path, workflow.camera.rows, workflow.camera.cols)
     per = workflow.surface.frames_per_acquisition
     if not distance_m and facts.frames < per:
@@ -146,8 +133,7 @@ def _source(path: Path, base: Path, workflow: WaterWorkflow, distance_m: float) 
             f"holds {facts.frames} frames, fewer than surface.frames_per_acquisition {per}; "
             "lower it or leave the file out",
         )
-    name = name_below(path, base)
-    return FrameSource(path, name, source_key(name), facts, distance_m)
+    return FrameSource(path, name, key, facts, distance_m)
 
 
 def _left_out(source: FrameSource, per: int) -> Iterator[Finding]:

@@ -9,12 +9,11 @@ from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.engine.verbs.receiver import Prepared, Receiver, none_usable
 from spl_batch.errors import WorkflowError, counted, grouped
-from spl_batch.geiger.water.plan import WaterLedger, estimate, gather_inputs
+from spl_batch.geiger.water.plan import WaterInputs, WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.geiger.water.tasks.surfaces import WaterContext
@@ -27,15 +26,11 @@ class Water(Receiver[WaterLedger, WaterContext]):
     noun: ClassVar[str] = "water surface"
     delivered: ClassVar[tuple[str, ...]] = ("points/*", "surfaces/**/*")
 
-    def prepare(
-        self, workflow: WaterWorkflow, place: Place, limits: Limits
-    ) -> Prepared[WaterLedger, WaterContext]:
+    ledger = WaterLedger
+
+    def gather(self, workflow: WaterWorkflow, base: Path, output: Path) -> WaterInputs:
         """Find and check every file of a workflow, from what it declares."""
-        inputs = gather_inputs(workflow, place.base, place.output)
-        crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
-        context = self.context(workflow, place, crs_wkt, code_version(workflow.kind))
-        ledger = WaterLedger(inputs, workflow, limits.memory_bytes, limits.workers)
-        return Prepared(self, ledger, context)
+        return gather_inputs(workflow, base, output)
 
     def cost(self, prepared: Prepared[WaterLedger, WaterContext]) -> Cost:
         """What a run is expected to cost."""
@@ -69,8 +64,7 @@ class Water(Receiver[WaterLedger, WaterContext]):
         if step.name == "count_frames":
             done = ledger.of("count_frames")
             if not any(str(s.key) in done for s in ledger.inputs.sources):
-                reasons = "; ".join(r.reason for r in failed if r.kind == "count_frames")
-                raise WorkflowError(f"no input is usable: {reasons}")
+                none_usable(failed, {"count_frames"})
         if step.name == "calibrate" and "all" not in ledger.of("calibrate"):
             reasons = "; ".join(r.reason for r in failed if r.kind == "calibrate")
             raise WorkflowError(f"without a calibration there are no ranges: {reasons}")
@@ -89,7 +83,7 @@ class Water(Receiver[WaterLedger, WaterContext]):
 
     def screen(self, report: WaterReport) -> list[tuple[str, str]]:
         """Label and value of each number that the console shows after a run."""
-        from spl_batch.geiger.water.report.page import screen_summary  # noqa: PLC0415 - as above
+        from spl_batch.geiger.water.report.summarise import screen_summary  # noqa: PLC0415 - as above
 
         return screen_summary(report)
 

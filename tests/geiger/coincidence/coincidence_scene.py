@@ -4,8 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from spl_batch.geiger.coincidence.simulate.files import fly
-from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
+from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, fly
 from spl_batch.geiger.coincidence.tables import Detections, Frames
 from spl_batch.lattice.tiles import Bounds
 

@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS
-from spl_batch.geiger.water.ranges.calibration import (
+from spl_batch.geiger.water.ranges import (
     Calibration,
     Observation,
     faults_of,

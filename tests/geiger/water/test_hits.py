@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.geiger.water.ranges.hits import (
+from spl_batch.geiger.water.ranges import (
     Gate,
     add_up,
     dead_pixels,

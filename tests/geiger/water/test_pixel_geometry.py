@@ -6,9 +6,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from spl_batch.geiger.water.pixel_geometry import rotation, view_of
+from spl_batch.geiger.water.pixel_geometry import floor_points, refracted, rotation, view_of
 from spl_batch.geiger.water.settings import CameraSettings, MountSettings
-from spl_batch.geiger.water.surface.refraction import floor_points, refracted
 
 angles = st.floats(-70, 70)
 vectors = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.3, 1))

@@ -16,9 +16,8 @@ from spl_batch.geiger.water.accuracy import (
     pixel_sums,
     surface_error,
 )
-from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS, view_of
-from spl_batch.geiger.water.ranges.calibration import Calibration
-from spl_batch.geiger.water.ranges.hits import Gate, Hits, add_up
+from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS, refracted, view_of
+from spl_batch.geiger.water.ranges import Calibration, Gate, Hits
 from spl_batch.geiger.water.settings import (
     AdaptiveSettings,
     CalibrationSettings,
@@ -28,18 +27,19 @@ from spl_batch.geiger.water.settings import (
     SurfaceSettings,
     WindowedSettings,
 )
-from spl_batch.geiger.water.simulate.frames import (
-    Instrument,
+from spl_batch.geiger.water.simulate import (
     Target,
     Wave,
-    acquisitions,
-    build_array,
 )
-from spl_batch.geiger.water.surface.pixel_surface import denoised, make_surface, window_median
-from spl_batch.geiger.water.surface.polynomial_trend import shrunk_polynomial
-from spl_batch.geiger.water.surface.raster import grid_around, height_raster
-from spl_batch.geiger.water.surface.refraction import refracted
-from spl_batch.geiger.water.surface.window_planes import growing_windows, planes
+from spl_batch.geiger.water.surface import (
+    denoised,
+    growing_windows,
+    make_surface,
+    planes,
+    shrunk_polynomial,
+    window_median,
+)
+from spl_batch.geiger.water.tasks.delivery import grid_around, height_raster
 
 CAMERA = CameraSettings(last_rows_unused=0)
 VIEW = view_of(CAMERA, MountSettings(position_m=(1.0, 2.0, -3.0)))
@@ -295,23 +295,3 @@ def test_rasters_interpolate_the_surface_on_an_absolute_grid() -> None:
     places += np.array([0.125, -0.25, 0.0])
     assert grid_around(places, 0.01, away.origin_m) == away
     np.testing.assert_allclose(height_raster(places, away)[known], height[known], atol=1e-6)
-
-
-def test_ours_beats_the_source_s_way_on_the_same_frames() -> None:
-    instrument = Instrument(delay_ns=0.0, pattern_ns=0.0, scale=1.0, offset_ns=80.0)
-    known = CalibrationSettings(scale=1.0, offset_ns=80.0 - 0.125, pulse_ns=1.0)
-    exact = Calibration(known, np.zeros((32, 32)))
-    dead = build_array(instrument, CAMERA).dead
-    for target in (Target(0.1), Target(0.1, (Wave(0.02, 0.6, 40.0),))):
-        found = []
-        for acquired in acquisitions(target, instrument, CAMERA, VIEW, 2, 200, 12):
-            hits = add_up(acquired.frames, Gate(390, 437))
-            true = acquired.true_down_m, acquired.true_normals
-            row = []
-            for way in (WINDOWED, SurfaceSettings()):
-                made = make_surface(hits, dead, exact, VIEW, CAMERA, PixelSettings(), way)
-                row.append(surface_error(made.places_m, made.normals, *true)[0].pixel_normal_deg)
-            found.append(row)
-        source, ours = np.mean(found, axis=0)
-        assert ours < 0.5 * source
-        assert ours < 4.5

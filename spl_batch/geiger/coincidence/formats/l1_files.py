@@ -1,31 +1,15 @@
 """L1 files: frames and detections of a Geiger-mode array, as Parquet [M20 1.1, 3.3].
 
-A frames file has a row for each laser pulse, whether or not anything was detected:
-
-=============================  =====================================================
-``frame``                      number, unique in the survey (integer)
-``x``, ``y``, ``z``            place of the sensor [m]
-``heading, roll, pitch``       of the array [rad]: clockwise from north, starboard
-                               wing down, nose up
-=============================  =====================================================
-
-A detections file has a row for each detector that fired:
-
-=============================  =====================================================
-``frame``                      its frame (integer)
-``detector``                   ``row * columns + column``; rows count to starboard,
-                               columns to the nose (integer)
-``x``, ``y``, ``z``            where the light came back from [m]
-=============================  =====================================================
-
-Rows may come in any order, further columns are left alone. What a detector looked at follows
-from its frame; so looks without a detection need no row.
+Their columns are those of :class:`~spl_batch.geiger.coincidence.tables.Frames` and
+:class:`~spl_batch.geiger.coincidence.tables.Detections`, places in metres. Rows may come in any
+order, further columns are left alone. What a detector looked at follows from its frame; so looks
+without a detection need no row.
 
 Files of detections are read a stretch of rows at a time, whatever their row groups.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,10 +23,8 @@ from spl_batch.errors import InputError, counted, reason_of
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.geiger.coincidence.settings import ArraySettings
-from spl_batch.geiger.coincidence.tables import Attitudes, Detections
+from spl_batch.geiger.coincidence.tables import Detections, Frames, Table
 
-FRAME_COLUMNS: Final = ("frame", "x", "y", "z", "heading", "roll", "pitch")
-DETECTION_COLUMNS: Final = ("frame", "detector", "x", "y", "z")
 _WHOLE: Final = frozenset({"frame", "detector"})
 _FARTHEST_M: Final = 1e8
 """Coordinates beyond this are none of a projected CRS [m]."""
@@ -161,7 +143,7 @@ def _stretches(path: Path, columns: Sequence[str], rows: int) -> Iterator[dict[s
         raise InputError(str(path), faults)
 
 
-def read_frames(path: Path, stretch_rows: int = STRETCH_ROWS) -> Attitudes:
+def read_frames(path: Path, stretch_rows: int = STRETCH_ROWS) -> Frames:
     """Frames of a file in order of their numbers.
 
     Raises
@@ -169,21 +151,16 @@ def read_frames(path: Path, stretch_rows: int = STRETCH_ROWS) -> Attitudes:
     InputError
         If the file is damaged, or names a frame twice.
     """
-    parts = list(_stretches(path, FRAME_COLUMNS, stretch_rows))
-    columns = {k: np.concatenate([p[k] for p in parts] or [np.empty(0)]) for k in FRAME_COLUMNS}
-    order = np.argsort(columns["frame"], kind="stable")
-    number = columns["frame"][order].astype(np.int64)
-    again = np.flatnonzero(number[1:] == number[:-1])
+    parts = list(_stretches(path, Frames.names(), stretch_rows))
+    frames = Frames.joined([Frames.of(part) for part in parts]).in_order()
+    again = np.flatnonzero(frames.number[1:] == frames.number[:-1])
     if len(again):
         twice = counted(len(again), "frames", "are")
+        first = frames.number[again[0]]
         raise InputError(
-            str(path), f"{twice} there twice, the first is {number[again[0]]}; number them through"
+            str(path), f"{twice} there twice, the first is {first}; number them through"
         )
-    origin, attitude = (
-        np.stack([columns[k][order] for k in names], axis=-1)
-        for names in (FRAME_COLUMNS[1:4], FRAME_COLUMNS[4:])
-    )
-    return Attitudes(number, origin, attitude)
+    return frames
 
 
 def read_detections(
@@ -199,12 +176,12 @@ def read_detections(
     """
     outside = highest = twice = 0
     first = ""
-    for columns in _stretches(path, DETECTION_COLUMNS, stretch_rows):
+    for columns in _stretches(path, Detections.names(), stretch_rows):
         frame, detector = columns["frame"], columns["detector"]
         outside += int((detector >= array.detectors).sum())
         highest = max(highest, int(detector.max(initial=0)))
-        xyz = np.stack([np.rint(columns[k] * QUANTA_PER_M) for k in "xyz"], axis=-1)
-        part = Detections(frame, detector.astype(np.int32), xyz.astype(np.int64))
+        places = {k: np.rint(columns[k] * QUANTA_PER_M).astype(np.int64) for k in "xyz"}
+        part = Detections.of({**columns, **places, "detector": detector.astype(np.int32)})
         once = part.distinct()
         if len(once) < len(part) and not twice:
             key = frame * array.detectors + detector
@@ -232,23 +209,10 @@ def _first_repeated(keys: NDArray[np.int64]) -> int:
     return int(values[count > 1][0])
 
 
-def write_frames(path: Path, frames: Attitudes) -> None:
-    """Write a frames file."""
-    places = _named(FRAME_COLUMNS[1:4], frames.origin_m)
-    turns = _named(FRAME_COLUMNS[4:], frames.attitude_rad)
-    _write(path, {"frame": frames.number, **places, **turns})
-
-
-def write_detections(path: Path, detections: Detections) -> None:
-    """Write a detections file."""
-    xyz = detections.xyz / QUANTA_PER_M
-    _write(path, {"frame": detections.frame, "detector": detections.detector, **_named("xyz", xyz)})
-
-
-def _named(names: Sequence[str], columns: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    return {name: columns[:, k] for k, name in enumerate(names)}
-
-
-def _write(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+def write(path: Path, table: Table) -> None:
+    """Write a file of frames or detections."""
+    columns = table.columns()
+    if isinstance(table, Detections):
+        columns |= {name: columns[name] / QUANTA_PER_M for name in "xyz"}
     with replacing(path) as part:
         pq.write_table(pa.table(dict(columns)), part, compression="zstd")

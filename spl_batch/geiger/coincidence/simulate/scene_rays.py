@@ -201,22 +201,13 @@ def expose(
 ) -> None:  # fmt: skip
     """Ranges that the detectors of one frame record.
 
-    Parameters
-    ----------
-    origin, turn : (3,), (3, 3) float64
-        Place of the sensor from the scene's centre [m]; as :func:`look_direction` has it.
-    tangent : float
-        Tangent of a detector's field of view.
-    gate : (2,) float64
-        Slant ranges between which detectors are armed [m].
-    efficiency, dark_per_m : float
-        Photo-electrons per look from reflectivity 1; dark counts per metre of armed detector [1/m].
-    jitter : (2,) float64
-        Standard deviations of range [m] and of each angle [rad].
-    bin_m : float
-        Range bin; a range is recorded as the middle of its bin [m].
-    range_m : (rows, columns) float64
-        Receives recorded ranges, infinite where a detector did not fire [m].
+    ``origin``, ``turn``: place of the sensor from the scene's centre [m], and as
+    :func:`look_direction` has it. ``tangent``: of a detector's field of view. ``gate``: slant
+    ranges between which detectors are armed [m]. ``efficiency``, ``dark_per_m``: photo-electrons
+    per look from reflectivity 1; dark counts per metre of armed detector [1/m]. ``jitter``:
+    standard deviations of range [m] and of each angle [rad]. ``bin_m``: range bin, whose middle is
+    recorded [m]. ``range_m``, (rows, columns), receives ranges, infinite where a detector did not
+    fire [m].
     """
     rows, columns = range_m.shape
     way, hit = np.empty(3), np.empty(32, np.int64)

@@ -77,14 +77,8 @@ def coincide(
 ) -> Points:
     """Points of the voxels whose centres lie in a region: in order of x, y, z.
 
-    Parameters
-    ----------
-    frames : Frames
-        All that look at the region; more are no harm.
-    detections : Detections
-        All of these frames, in any order.
-    region : Bounds
-        What is owned, at all heights [quanta].
+    ``frames``: all that look at the region; more are no harm. ``detections``: all of these frames,
+    in any order. ``region``: what is owned, at all heights [quanta].
     """
     edge = chosen.voxel_quanta(array)
     low = np.array([_first_voxel(region.xmin, edge), _first_voxel(region.ymin, edge)])
@@ -247,7 +241,7 @@ def _looks(
     interrogate(
         frames.origin_m,
         frames.turn,
-        scene.detections.of(frames).ranges_m(frames, array),
+        scene.detections.of_frames(frames).ranges_m(frames, array),
         math.tan(array.ifov_rad),
         np.array([array.gate_start_m, array.gate_stop_m]),
         edge_m,
@@ -291,7 +285,7 @@ def sight_error(frames: Frames, detections: Detections, array: ArraySettings) ->
 
     Detections come in order of their frames; those of other frames are left out, and 0 is none.
     """
-    own = detections.of(frames)
+    own = detections.of_frames(frames)
     if not len(own):
         return 0.0
     row = np.searchsorted(frames.number, own.frame)

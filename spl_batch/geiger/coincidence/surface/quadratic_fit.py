@@ -105,18 +105,10 @@ def closest_maximum(
 ) -> tuple[int, float]:  # fmt: skip
     """Place near a voxel's centre where its polynomial is at a maximum: kind, and value there.
 
-    Parameters
-    ----------
-    c : (10,) float64
-        Coefficients.
-    ratio : float
-        A further direction counts from this part of the strongest curvature.
-    reach : float
-        Largest distance along each axis [voxel edges].
-    values, vectors
-        Scratch of :func:`eigen_symmetric`; the last vector is the normal.
-    place : (3,) float64
-        Receives the place from the centre [voxel edges].
+    ``c``: (10,) coefficients. ``ratio``: a further direction counts from this part of the strongest
+    curvature. ``reach``: largest distance along each axis [voxel edges]. ``values``, ``vectors``:
+    scratch of :func:`eigen_symmetric`; the last vector is the normal. ``place`` receives the place
+    from the centre [voxel edges].
     """
     matrix = np.array([2.0 * c[4], c[7], c[8], 2.0 * c[5], c[9], 2.0 * c[6]])
     eigen_symmetric(matrix, values, vectors)
@@ -152,14 +144,11 @@ def find_surfaces(
 
     Parameters
     ----------
-    detections : (nx, ny, nz) int64
-        Raster, :data:`~.voxel_raster.UNIT` for each detection.
-    looks, voxel : (n,), (n, 3) int64
-        Interrogations summed over each neighbourhood, in the same unit; voxels of the raster.
-    half, fit
-        Voxels beside a neighbourhood's centre, and its :func:`fit_matrix`.
-    threshold, looks_min, ratio, reach : float
-        As the settings have them.
+    detections, looks : (nx, ny, nz), (n,) int64
+        Raster, :data:`~.voxel_raster.UNIT` for each detection; interrogations summed over each
+        neighbourhood, in the same unit.
+    voxel, half, fit
+        Voxels of the raster, (n, 3); voxels beside a neighbourhood's centre, and its matrix.
     aside : float
         Largest distance of the detections' mean from the centre, across the normal [voxel edges].
     place, normal, value, kind
@@ -201,18 +190,11 @@ def drop_weaker(
     order of voxels stays. Beside is everything else: its strength is the mean of the values, the
     point's own among them, weighted with themselves.
 
-    Parameters
-    ----------
-    voxel, place, normal, value
-        Voxels of the points in a raster, in its order, and what :func:`find_surfaces` gives.
-    row_of : (nx, ny, nz) int32
-        Row of the point of each voxel, -1 for none.
-    half, reach : int
-        Voxels on either side that are looked at before and behind, and in all; reach >= half.
-    share : float
-        Least part of the strength beside it that a point needs.
-    keep : (n,) bool
-        Receives whether a point stays.
+    ``voxel`` and what follows: voxels of the points in a raster, in its order, and what
+    :func:`find_surfaces` gives. ``row_of``: (nx, ny, nz), row of the point of each voxel, -1 for
+    none. ``half``, ``reach``: voxels on either side that are looked at before and behind, and in
+    all; reach >= half. ``share``: least part of the strength beside it that a point needs. ``keep``
+    receives whether a point stays.
     """
     nx, ny, nz = row_of.shape
     for row in range(len(voxel)):

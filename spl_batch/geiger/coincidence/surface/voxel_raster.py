@@ -142,14 +142,10 @@ def interrogate(
         Places of the sensor [m]; as :func:`look_direction` takes them.
     seen : (f, rows, columns) float32
         Slant range of each detector's detection, infinite where it made none [m].
-    tangent : float
-        Tangent of a detector's field of view.
-    gate : (2,) float64
-        Slant ranges between which detectors are armed [m].
+    tangent, gate : float, (2,) float64
+        Tangent of a detector's field of view; slant ranges between which detectors are armed [m].
     edge : float
         Edge of a voxel, and distance of the samples along a line of sight [m].
-    corner, raster
-        As :func:`deposit` takes them.
     """
     _, rows, columns = seen.shape
     low, high, way = np.empty(3), np.empty(3), np.empty(3)

@@ -24,19 +24,22 @@ from spl_batch.geiger.water.accuracy import (
 )
 from spl_batch.geiger.water.formats import FrameTruth, inspect_frames, iter_frames, read_truth
 from spl_batch.geiger.water.pixel_geometry import View, view_of
-from spl_batch.geiger.water.ranges.calibration import Calibration, faults_of, fit, observation
-from spl_batch.geiger.water.ranges.hits import (
+from spl_batch.geiger.water.ranges import (
     SUMS,
+    Calibration,
     Gate,
     Hits,
     add_up,
     dead_pixels,
+    faults_of,
     find_gate,
+    fit,
     histogram,
+    observation,
     used_pixels,
 )
 from spl_batch.geiger.water.settings import CalibrationSettings, WaterWorkflow
-from spl_batch.geiger.water.surface.pixel_surface import Surface, make_surface
+from spl_batch.geiger.water.surface import Surface, make_surface
 
 WaterContext = RunContext[WaterWorkflow]
 

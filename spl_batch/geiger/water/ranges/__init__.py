@@ -1,1 +1,0 @@
-"""Ranges of pixels: hits, calibration, range walk."""

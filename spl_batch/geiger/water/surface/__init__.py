@@ -1,1 +1,0 @@
-"""Water surfaces: places and normals of pixels, refraction, rasters."""
