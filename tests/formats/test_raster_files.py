@@ -101,21 +101,6 @@ def test_what_no_piece_covers_is_nodata(tmp_path):
     assert (values == NODATA).sum() == 396
 
 
-def test_a_failure_half_way_leaves_the_old_file_and_nothing_else(tmp_path):
-    path = tmp_path / "a.tif"
-    write_cog(path, np.ones((4, 4), np.float32), shape=(4, 4), crs=None, **PLACE)
-    before = path.read_bytes()
-
-    def broken():
-        yield 0, 0, np.zeros((2, 2), np.float32)
-        raise StoreError("a chunk is damaged")
-
-    with pytest.raises(StoreError, match="damaged"):
-        write_cog(path, broken(), shape=(4, 4), crs=None, **PLACE)
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_a_full_disk_stops_everything(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -174,13 +159,6 @@ def test_a_mosaic_of_cells_equals_the_window(tmp_path_factory, places):
         row, col = 3 * (3 - j), 3 * (i + 3)
         expected[row : row + 3, col : col + 3] = k
     np.testing.assert_array_equal(mosaic, expected[8:17, 2:17])
-
-
-def test_a_cell_written_again_is_replaced(store):
-    write_cell(store, CellId(0, 0), {"dtm": sample(10, 10)})
-    empty = np.full((10, 10), NODATA, np.float32)
-    write_cell(store, CellId(0, 0), {"dtm": empty})
-    np.testing.assert_array_equal(read_window(store, "dtm", Bounds(0, 0, 10_000, 10_000)), empty)
 
 
 def test_making_the_store_again_keeps_it_and_other_sizes_are_refused(store):

@@ -124,12 +124,7 @@ def by_crs(looks: Sequence[CloudLook]) -> list[tuple[CRS, list[CloudLook]]]:
             found.append((crs, [look]))
         else:
             alike.append(look)
-    return sorted(found, key=lambda one: (_misfits(*one), -sum(_points(look) for look in one[1])))
-
-
-def _misfits(crs: CRS, looks: Sequence[CloudLook]) -> bool:
-    """Whether no cloud can be used in the CRS that it names."""
-    return all(crs_problems(crs, look.facts.mins_m, look.facts.maxs_m) for look in looks)
+    return sorted(found, key=lambda one: (bool(crs_problems(one[0])), -sum(map(_points, one[1]))))
 
 
 def _points(look: CloudLook) -> int:

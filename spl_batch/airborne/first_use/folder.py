@@ -16,9 +16,7 @@ from spl_batch.engine.settings.mistaken_file import url_fault
 from spl_batch.engine.verbs.beginning import files_below
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats import checkpoints
-from spl_batch.formats.trajectory.ends import ends
-from spl_batch.formats.trajectory.records import PARQUET_SUFFIXES
-from spl_batch.formats.trajectory.sbet import SBET_RECORD, SBET_SUFFIXES
+from spl_batch.formats.trajectory.records import PARQUET_SUFFIXES, SBET_RECORD, SBET_SUFFIXES, ends
 
 CLOUDS: Final = frozenset({".las", ".laz"})
 POLYGONS: Final = frozenset({".gpkg", ".shp", ".geojson", ".fgb"})

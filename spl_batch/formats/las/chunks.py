@@ -280,33 +280,6 @@ class RecordReader:
             found.append((start, out))
         return found
 
-    def heads(self, most: int) -> Iterator[tuple[int, NDArray[Any]]]:
-        """First record of up to ``most`` chunks, evenly among more, and its number.
-
-        A chunk begins with it as it is: nothing is decoded. Of an uncompressed file they are evenly
-        spaced records.
-
-        Raises
-        ------
-        InputError
-            If the sizes of a chunk's layers do not fit it.
-        """
-        table, n = self._table, self.header.n_points
-        places = range(n) if table is None else np.flatnonzero(np.diff(table.points)).tolist()
-        for place in places[:: max(-(-len(places) // most), 1)]:
-            if table is None:
-                yield place, self.read(place, place + 1)
-                continue
-            first = int(table.points[place])
-            try:
-                packed = self._packed(table, place, self._dtype.itemsize + self._layers_head.size)[
-                    2
-                ]
-            except OSError as error:
-                raise self._unreadable(first, error) from None
-            if len(packed) >= self._dtype.itemsize:
-                yield first, np.frombuffer(packed, self._dtype, 1)
-
     def _unreadable(self, start: int, error: OSError) -> InputError:
         return InputError(
             str(self.path), f"points from {start} on cannot be read: {reason_of(error)}"

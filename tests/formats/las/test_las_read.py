@@ -128,18 +128,6 @@ def test_any_range_equals_the_whole(tmp_path: Path, point_format: int, suffix: s
     assert len(read_all(path, start=n - 5, stop=n + 10**9)) == 5
 
 
-@pytest.mark.parametrize("n", [50_000, 100_000])
-def test_whole_chunks(tmp_path: Path, n: int) -> None:
-    path = write_las(tmp_path / "a.laz", n=n)
-    assert len(read_all(path)) == inspect(path).n_points == n
-
-
-def test_tables_are_bounded(tmp_path: Path) -> None:
-    path = write_las(tmp_path / "a.laz", n=1050)
-    tables = list(iter_points(path, channel_dimension=None, source=0, chunk=100))
-    assert [len(t) for t in tables] == [100] * 10 + [50]
-
-
 def test_chunks_of_varying_size(tmp_path: Path) -> None:
     """As in COPC, where the decompressor's own seek goes astray."""
     path = write_las(tmp_path / "a.laz", n=5000)

@@ -34,10 +34,8 @@ from spl_batch.errors import (
     told_together,
 )
 from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard, usable_times
-from spl_batch.formats.las.number_dimensions import Numbers
-from spl_batch.formats.las.reader import SAMPLE_POINTS, iter_points, read_ends
-from spl_batch.formats.trajectory.ends import ends
-from spl_batch.formats.trajectory.records import read_records
+from spl_batch.formats.las.reader import SAMPLE_POINTS, Numbers, iter_points, read_ends
+from spl_batch.formats.trajectory.records import ends, read_records
 from spl_batch.lattice.tables import PointTable
 
 SAMPLE_FILES: Final = 200

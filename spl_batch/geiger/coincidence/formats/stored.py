@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.formats.verified.parquet_npz import read_between, read_columns, read_with, writing
+from spl_batch.formats.verified.parquet_npz import groups_between, read_columns, read_with, writing
 from spl_batch.geiger.coincidence.tables import Detections, Frames, Points
 
 _TURN: Final = tuple(f"turn_{i}{j}" for i in range(3) for j in range(3))
@@ -55,7 +55,7 @@ def stored_frames(
 
 
 def _frames(path: Path, spans: Mapping[str, tuple[int, int]]) -> Frames:
-    read, _ = read_between(path, _FRAMES, spans)
+    read, _ = groups_between(path, spans).read(_FRAMES)
     turn = np.stack([read[k] for k in _TURN], axis=-1).reshape(-1, 3, 3)
     return Frames(read["frame"], _xyz(read), turn)
 
