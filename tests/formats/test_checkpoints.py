@@ -87,25 +87,6 @@ def test_another_crs_is_transformed_and_an_unknown_one_left_out(tmp_path: Path) 
     assert "'EPSG:nonsense' is not known: C" in remarks[1]
 
 
-def test_points_of_a_geopackage_are_the_same(tmp_path: Path) -> None:
-    path = tmp_path / "c.gpkg"
-    pyogrio.raw.write(
-        path,
-        shapely.to_wkb(shapely.points([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])),
-        [np.array(["A", "B"], object), np.array(["open", "vegetated"], object),
-         np.array([0.01, 0.02])],
-        ["id", "surface", "accuracy_m"],
-        geometry_type="Point Z",
-        crs="EPSG:32615",
-    )  # fmt: skip
-    found, remarks = read_checkpoints(path, UTM)
-    assert remarks == []
-    assert [(one.id, one.x_m, one.y_m, one.z_m, one.accuracy_m) for one in found] == [
-        ("A", 1.0, 2.0, 3.0, 0.01),
-        ("B", 4.0, 5.0, 6.0, 0.02),
-    ]
-
-
 @pytest.mark.parametrize(
     ("content", "fault"),
     [

@@ -123,3 +123,6 @@ def test_an_index_finds_what_a_scan_finds(named: dict[str, Bounds], region: Boun
     for near in (region, grow(region, 5000)):
         expected = [n for n in sorted(named) if n != "empty" and overlap(named[n], near)]
         assert index.overlapping(near) == expected
+    assert BoxIndex({"one": Bounds(0, 0, 10, 10)}).overlapping(Bounds(9, 9, 20, 20)) == ["one"]
+    for beside in (Bounds(10, 0, 20, 10), Bounds(0, -5, 10, 0), Bounds(5, 5, 5, 9)):
+        assert BoxIndex({"one": Bounds(0, 0, 10, 10)}).overlapping(beside) == []

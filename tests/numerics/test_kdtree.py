@@ -98,11 +98,3 @@ def test_tree_holds_every_point_once_inside_its_boxes(n: int) -> None:
             assert high > low
             np.testing.assert_array_equal(box, np.r_[held.min(axis=1), held.max(axis=1)])
     assert (n >> tree.depth) <= LEAF
-
-
-@pytest.mark.parametrize("cap", [0, -1, 46_341])
-def test_cap_outside_the_key_is_refused(cap: int) -> None:
-    with pytest.raises(ValueError, match="must lie in"):
-        nearest(np.zeros((2, 3), dtype=np.int32), np.ones(2, dtype=bool), 1, cap)
-    with pytest.raises(ValueError, match="must lie in"):
-        nearest_sets(np.zeros((2, 3), dtype=np.int32), np.ones(2, dtype=bool), 1, cap)

@@ -238,10 +238,6 @@ def names_in(folder: Path, suffix: str) -> list[str]:
         names = files_below(folder) if is_remote(folder) else os.listdir(folder)  # noqa: PTH208
     except (FileNotFoundError, NotADirectoryError):
         return []
-    except OSError as error:
-        if error.errno != errno.ELOOP:
-            raise
-        return []
     return sorted(n.removesuffix(suffix) for n in names if n.endswith(suffix) and n[0] != ".")
 
 

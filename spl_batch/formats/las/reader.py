@@ -369,18 +369,17 @@ def _channel(
     if name is None:
         return np.zeros(len(records), dtype=np.uint8)
     values = dimension(records, layout, name)
-    if values.ndim == 1 and values.dtype == np.uint8:
-        return values
-    whole = values.ndim == 1 and bool(np.all((values >= 0) & (values <= 255)))
-    if whole and np.array_equal(values, np.rint(values)):
-        return values
     if values.ndim > 1:
         fault = f"dimension {name!r} has {values.shape[1]} values a point; a channel is one"
-    else:
-        wrong = ~((values >= 0) & (values <= 255) & (values == np.rint(values)))
+        raise InputError(str(header.path), fault)
+    if values.dtype == np.uint8:
+        return values
+    wrong = ~((values >= 0) & (values <= _CHANNEL_MAX) & (values == np.rint(values)))
+    if wrong.any():
         where = int(np.argmax(wrong))
-        fault = (
+        raise InputError(
+            str(header.path),
             f"dimension {name!r} is {values[where]} at point {first + where}; a channel is a whole"
-            " number 0 to 255: name another one in survey.channel_dimension"
+            " number 0 to 255: name another one in survey.channel_dimension",
         )
-    raise InputError(str(header.path), fault)
+    return values
