@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from spl_batch.errors import InputError, counted, named
+from spl_batch.errors import InputError, as_input_fault, counted, named
 from spl_batch.formats.crs import crs_name, horizontal, same_crs, vertical
 from spl_batch.formats.vector_files import all_layers
 
@@ -109,15 +109,14 @@ def read_checkpoints(
 
 
 def _csv_rows(path: Path) -> list[_Row]:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = table(stream)
-            names = {name: (name or "").strip("# ").lower() for name in reader.fieldnames or ()}
-            _refuse_without(path, names.values())
-            rows = [{names[key]: row[key] for key in row if key in names} for row in reader]
-    except (UnicodeDecodeError, csv.Error) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(str(path), f"is no CSV of text in UTF-8: {reason}") from None
+    with (
+        as_input_fault(path, "is no CSV of text in UTF-8"),
+        path.open(newline="", encoding="utf-8-sig") as stream,
+    ):
+        reader = table(stream)
+        names = {name: (name or "").strip("# ").lower() for name in reader.fieldnames or ()}
+        _refuse_without(path, names.values())
+        rows = [{names[key]: row[key] for key in row if key in names} for row in reader]
     if reader.reader.dialect.delimiter == ";":  # as where the comma is the decimal sign
         for row in rows:
             row |= {key: str(row[key]).replace(",", ".") for key in _NUMBERS & row.keys()}

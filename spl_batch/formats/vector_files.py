@@ -6,7 +6,6 @@ their first bytes, whatever a file is called, and some hold no content but the n
 of services, or of commands that make it: these are refused.
 """
 
-import sqlite3
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.errors import InputError, named
+from spl_batch.errors import InputError, as_input_fault, named
 from spl_batch.formats.crs import crs_name, horizontal, same_crs
 from spl_batch.formats.las.header import open_input
 
@@ -161,25 +160,11 @@ def _faults(
 def _as_one_line(path: Path) -> Iterator[None]:
     """Turn what GDAL, SQLite and shapely say of a damaged file into one line.
 
-    Their warnings are no lines for a screen: each shape is looked at. Names and texts of a file may
-    be no UTF-8.
+    Their warnings are no lines for a screen: each shape is looked at.
     """
-    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
-
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), as_input_fault(path, "cannot be read as shapes"):
         warnings.simplefilter("ignore", RuntimeWarning)
-        try:
-            yield
-        except (
-            sqlite3.Error,
-            UnicodeDecodeError,
-            pyogrio.errors.DataSourceError,
-            pyogrio.errors.DataLayerError,
-            shapely.errors.GEOSException,
-        ) as error:
-            reason = " ".join(str(error).split())
-            text = f"cannot be read as shapes: {reason}: copy it again"
-            raise InputError(str(path), text) from None
+        yield
 
 
 def in_crs(

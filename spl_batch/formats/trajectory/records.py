@@ -230,18 +230,17 @@ def _read_sbet(path: Path) -> Iterator[Records]:
 
 
 def _read_parquet(path: Path) -> Iterator[Records]:
-    with open_input(path):
-        pass
-    try:
-        with pq.ParquetFile(path) as file:
-            names = columns_of(path, file.schema_arrow.names)
-            rows = bounded(path, "records", file.metadata.num_rows, most=2**62)
-            refuse_bomb(path, f"{rows} records", 8 * len(names) * rows, path.stat().st_size)
-            for batch in file.iter_batches(BATCH_RECORDS, columns=names):
-                time, *position = (_numbers(batch.column(name)) for name in names)
-                yield time, np.column_stack(position)
-    except (OSError, pa.ArrowException) as error:
-        raise InputError(str(path), f"is not a Parquet trajectory: {_line(error)}") from None
+    with (
+        open_input(path),
+        as_input_fault(path, "is not a Parquet trajectory"),
+        pq.ParquetFile(path) as file,
+    ):
+        names = columns_of(path, file.schema_arrow.names)
+        rows = bounded(path, "records", file.metadata.num_rows, most=2**62)
+        refuse_bomb(path, f"{rows} records", 8 * len(names) * rows, path.stat().st_size)
+        for batch in file.iter_batches(BATCH_RECORDS, columns=names):
+            time, *position = (_numbers(batch.column(name)) for name in names)
+            yield time, np.column_stack(position)
 
 
 def _read_csv(path: Path, sieve: _Sieve) -> Iterator[Records]:
@@ -264,8 +263,9 @@ def _csv_batches(
         lose(row)
         return "skip"
 
-    try:
-        with pyarrow.csv.open_csv(
+    with (
+        as_input_fault(path, "is not a CSV trajectory"),
+        pyarrow.csv.open_csv(
             file,
             # Of the numbers any bytes are text then, which pyarrow decodes where it loses a row.
             read_options=pyarrow.csv.ReadOptions(
@@ -277,12 +277,11 @@ def _csv_batches(
             convert_options=pyarrow.csv.ConvertOptions(
                 include_columns=names, column_types=dict.fromkeys(names, pa.string())
             ),
-        ) as reader:
-            for batch in reader:
-                time, *position = (_numbers_of_text(batch.column(name)) for name in names)
-                yield time, np.column_stack(position)
-    except pa.ArrowException as error:
-        raise InputError(str(path), f"is not a CSV trajectory: {_line(error)}") from None
+        ) as reader,
+    ):
+        for batch in reader:
+            time, *position = (_numbers_of_text(batch.column(name)) for name in names)
+            yield time, np.column_stack(position)
 
 
 def _refuse_cut_record(path: Path, file: BinaryIO) -> None:
@@ -335,7 +334,3 @@ def _numbers_of_text(column: pa.Array) -> NDArray[np.float64]:
         return _numbers(pc.utf8_trim_whitespace(column))
     except pa.ArrowInvalid:  # one at least is none: four times as slow
         return _numbers(pc.struct_field(pc.extract_regex(column, _NUMBER), "number"))
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())
