@@ -108,9 +108,13 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     if found is not None and horizontal(found).is_engineering:
         found = _in_own_unit(found, _entries(directory))
     heights = None if found is None else vertical(found)
+    if found is None or _not_metres(found) or (heights is not None and heights.to_epsg()):
+        return found
+    named = _named_heights(_entries(directory))
+    if named is not None:  # GDAL leaves it out beside a local CRS
+        return compound(found, named)
     # A unit of heights alone names no vertical CRS.
-    nameless = heights is not None and not heights.to_epsg() and heights.name in _NAMELESS
-    return horizontal(found) if found and nameless and not _not_metres(found) else found
+    return horizontal(found) if heights is not None and heights.name in _NAMELESS else found
 
 
 def _entries(directory: bytes) -> NDArray[np.uint16]:
@@ -126,6 +130,16 @@ def _in_own_unit(local: CRS, entries: NDArray[np.uint16]) -> CRS:
         if unit.code in codes - {str(_METRE)}:
             return CRS.from_wkt(f'LOCAL_CS["{local.name}",UNIT["{name}",{unit.conv_factor!r}]]')
     return local
+
+
+def _named_heights(entries: NDArray[np.uint16]) -> CRS | None:
+    """Vertical CRS by its code, if keys have one."""
+    codes = entries[1:][entries[1:, 0] == _VERTICAL_CRS_KEY, 3].tolist()
+    try:
+        found = CRS.from_epsg(codes[0]) if codes else None
+    except CRSError:
+        return None
+    return found if found is not None and found.is_vertical else None
 
 
 def _with_heights_unit(directory: bytes) -> bytes:
