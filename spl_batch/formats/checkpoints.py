@@ -181,7 +181,7 @@ def _checked(rows: Sequence[_Row], accuracy_m: float | None, remarks: list[str])
         accuracy = str(row.get("accuracy_m") or "").strip().replace("nan", "")  # null of GDAL's
         own = _number(accuracy) if accuracy else accuracy_m
         if None in xyz:
-            faults.setdefault("it is no single point with finite x, y and z", []).append(name)
+            faults.setdefault("there is no single point with finite x, y and z", []).append(name)
         elif word.lower() not in SURFACES:
             why = "the surface is neither open nor vegetated"
             faults.setdefault(why, []).append(f"{name} ({word!r})")

@@ -66,7 +66,7 @@ def test_faults_are_one_line_each_and_the_rest_is_used(tmp_path: Path) -> None:
         "1 checkpoint is left out, as accuracy_m is no positive number of metres: G ('-1')",
         "1 checkpoint is left out, as the surface is neither open nor vegetated: E ('meadow')",
         "2 checkpoints are left out, as an earlier one has the name or place: A, B",
-        "2 checkpoints are left out, as it is no single point with finite x, y and z: C, D",
+        "2 checkpoints are left out, as there is no single point with finite x, y and z: C, D",
     ]
 
 
@@ -130,5 +130,5 @@ def test_a_row_without_a_point_or_with_several_leaves_out_itself(tmp_path: Path,
         (name, x, y, z if deep else 7.0) for name, x, y, z in wanted
     ]
     assert remarks == [
-        "3 checkpoints are left out, as it is no single point with finite x, y and z: C, D, E",
+        "3 checkpoints are left out, as there is no single point with finite x, y and z: C, D, E",
     ]

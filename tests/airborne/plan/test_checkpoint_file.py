@@ -32,7 +32,7 @@ def test_faults_of_single_checkpoints_are_warnings(tmp_path: Path) -> None:
     said = " ".join(ended.text.split())
     assert ended.status == 0
     assert (
-        "c.csv: 1 checkpoint is left out, as it is no single point with finite x, y and z: B"
+        "c.csv: 1 checkpoint is left out, as there is no single point with finite x, y and z: B"
         in said
     )
     assert "c.csv: 1 checkpoint is left out, as the CRS 'EPSG:none' is not known: C" in said
