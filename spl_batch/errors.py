@@ -165,7 +165,7 @@ def told_by_system(error: OSError, remedy: str = "") -> str:
 
 
 @contextmanager
-def as_input_fault(path: object) -> Iterator[None]:
+def as_input_fault(path: object, what: str = "it cannot be read") -> Iterator[None]:
     """Turn whatever a library makes of a damaged file into an :class:`InputError` that names it.
 
     The project's own errors pass as they are, and so does a lack of memory.
@@ -177,7 +177,7 @@ def as_input_fault(path: object) -> Iterator[None]:
     except BaseException as error:
         if not is_fault(error):
             raise
-        text = f"it cannot be read ({one_line(error)}): copy it again, or rewrite it"
+        text = f"{what} ({one_line(error)}): copy it again, or rewrite it"
         raise InputError(str(path), text) from error
 
 

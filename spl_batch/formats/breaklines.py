@@ -16,9 +16,7 @@ from pyproj import CRS
 
 from spl_batch.errors import InputError
 from spl_batch.formats.crs import crs_name, vertical
-from spl_batch.formats.gdal_files import refuse_referring
-from spl_batch.formats.polygons import in_crs
-from spl_batch.formats.vector_layers import LINES, POLYGONS, Layer, read_layers
+from spl_batch.formats.vector_files import LINES, POLYGONS, Layer, in_crs, read_layers
 
 HEIGHT_FIELDS: Final = ("z", "height", "elevation")
 """Names of a field with the height of a feature whose vertices have none [m]."""
@@ -60,15 +58,11 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
         than metres, heights of another vertical datum, a polygon without one height and without a
         line.
     """
-    if not path.exists():
-        raise InputError(str(path), "no such file; check the path")
-    refuse_referring(path)
     names: list[str] = []
     parts: list[Geometries] = []
     fields: list[Heights] = []
     for layer in read_layers(path, (*POLYGONS, *LINES), fields=True):
-        _in_metres(path, layer.crs)
-        _same_datum(path, layer.crs, crs)
+        _refuse_other_heights(path, layer.crs, crs)
         names += [f"{layer.name} {k}" for k in range(1, len(layer.shapes) + 1)]
         parts.append(in_crs(path, layer.shapes, layer.crs, crs, heights=True))
         fields.append(_heights(layer))
@@ -87,8 +81,7 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
         except ValueError as fault:
             faults.append(f"{names[k]}: {fault}")
     if faults:
-        more = f"; and {len(faults) - 5} more" if len(faults) > 5 else ""
-        raise InputError(str(path), "; ".join(faults[:5]) + more)
+        raise InputError(str(path), faults)
     return found
 
 
@@ -101,24 +94,19 @@ def _heights(layer: Layer) -> Heights:
     return heights
 
 
-def _in_metres(path: Path, own: str | None) -> None:
-    """Refuse a CRS in feet: heights, which are not converted, may be in feet as well."""
+def _refuse_other_heights(path: Path, own: str | None, crs: CRS | None) -> None:
+    """Refuse heights, which are not converted, in feet or above another vertical datum."""
     if own is None:
         return
-    crs = CRS.from_user_input(own)
-    axes = crs.axis_info[2:] if crs.is_geographic else crs.axis_info
+    theirs = CRS.from_user_input(own)
+    axes = theirs.axis_info[2:] if theirs.is_geographic else theirs.axis_info
     units = {axis.unit_name for axis in axes if axis.unit_conversion_factor != 1.0}
     if units:
-        text = f"its CRS {crs_name(crs)} is in {' and '.join(sorted(units))}, not in metres"
+        text = f"its CRS {crs_name(theirs)} is in {' and '.join(sorted(units))}, not in metres"
         raise InputError(str(path), f"{text}: transform it, its heights as well")
-
-
-def _same_datum(path: Path, own: str | None, crs: CRS | None) -> None:
-    """Refuse heights that refer to another vertical datum than the survey's."""
-    theirs = None if own is None else vertical(CRS.from_user_input(own))
-    ours = None if crs is None else vertical(crs)
-    if theirs is not None and ours is not None and not theirs.equals(ours):
-        text = f"its heights are {crs_name(theirs)}, the survey's {crs_name(ours)}: transform them"
+    datum, ours = vertical(theirs), None if crs is None else vertical(crs)
+    if datum is not None and ours is not None and not datum.equals(ours):
+        text = f"its heights are {crs_name(datum)}, the survey's {crs_name(ours)}: transform them"
         raise InputError(str(path), text)
 
 

@@ -1,13 +1,13 @@
 """Checkpoints of a field survey: CSV or any vector format, in the survey's CRS.
 
 A checkpoint is a place whose height was measured better than the product's. A fault leaves out that
-checkpoint alone, and is told in a sentence that names it.
+checkpoint alone, in a sentence that names it.
 """
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, isnan
+from math import isfinite
 from pathlib import Path
 from typing import Any, Final, Literal, TextIO
 
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from spl_batch.errors import InputError, counted, named
+from spl_batch.errors import InputError, as_input_fault, counted, named
 from spl_batch.formats.crs import crs_name, horizontal, same_crs, vertical
-from spl_batch.formats.gdal_files import read_as, refuse_referring
+from spl_batch.formats.vector_files import all_layers
 
 Surface = Literal["open", "vegetated"]
 """Whether heights there are non-vegetated (NVA) or vegetated (VVA) ones."""
@@ -35,13 +35,10 @@ SURFACES: Final[Mapping[str, Surface]] = {
 COLUMNS: Final = ("id", "x", "y", "z", "surface")
 """Columns that a file has, ``surface`` unless all are open; others are optional."""
 
-_NUMBERS: Final = frozenset({"x", "y", "z", "accuracy_m"})
-
-PARTS: Final = "PARTS"
-"""Points in the geometry of a row; fields are in lower case, so none has this name."""
-
 SAME_PLACE_M: Final = 0.01
 """Checkpoints nearer to each other than this in every axis are one [m]."""
+
+_NUMBERS: Final = frozenset({"x", "y", "z", "accuracy_m"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +51,7 @@ class Checkpoint:
     y_m: float
     z_m: float
     surface: Surface
-    #: Its own vertical accuracy, one standard deviation [m]; None where nothing tells it.
+    #: Its own vertical accuracy, one standard deviation [m]; None where nothing states it.
     accuracy_m: float | None
 
 
@@ -73,7 +70,7 @@ def read_checkpoints(
         that GDAL reads with the same fields; there ``x``, ``y`` and, if the points are 3D, ``z``
         come from the geometry.
     own : CRS, optional
-        The file's, where neither a column ``crs`` nor the format tells it; by default the survey's.
+        The file's, where neither a column ``crs`` nor the format has it; by default the survey's.
     accuracy_m : float, optional
         Accuracy of checkpoints that state none [m].
 
@@ -92,7 +89,7 @@ def read_checkpoints(
     if not path.exists():
         raise InputError(str(path), "no such file; check reference.checkpoints")
     is_csv = path.suffix.lower() in {".csv", ".txt"}
-    rows = _csv_rows(path) if is_csv else _vector_rows(path)
+    rows = _csv_rows(path) if is_csv else list(_vector_rows(path))
     if not rows:
         raise InputError(
             str(path), "holds no checkpoints: no line below the first, no layer of points"
@@ -103,28 +100,23 @@ def read_checkpoints(
         rows = [{**row, "surface": "open"} for row in rows]
     kept = _checked(rows, accuracy_m, remarks)
     moved = _in_crs(path, kept, crs, own, remarks)
-    found = [_checkpoint(row) for row in _once(moved, remarks)]
+    found = [
+        Checkpoint(row["id"], x, y, z, row["surface"], row["accuracy_m"])
+        for row in _once(moved, remarks)
+        for x, y, z in [row["xyz"]]
+    ]
     return found, remarks
 
 
-def _checkpoint(row: _Row) -> Checkpoint:
-    x_m, y_m, z_m = row["xyz"]
-    return Checkpoint(row["id"], x_m, y_m, z_m, row["surface"], row["accuracy_m"])
-
-
 def _csv_rows(path: Path) -> list[_Row]:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = table(stream)
-            names = {name: _plain(name) for name in reader.fieldnames or ()}
-            _refuse_without(path, names.values())
-            rows = [
-                {names[key]: value for key, value in row.items() if key in names} for row in reader
-            ]
-    except (UnicodeDecodeError, csv.Error) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(str(path), f"is no CSV of text in UTF-8: {reason}") from None
-
+    with (
+        as_input_fault(path, "is no CSV of text in UTF-8"),
+        path.open(newline="", encoding="utf-8-sig") as stream,
+    ):
+        reader = table(stream)
+        names = {name: (name or "").strip("# ").lower() for name in reader.fieldnames or ()}
+        _refuse_without(path, names.values())
+        rows = [{names[key]: row[key] for key in row if key in names} for row in reader]
     if reader.reader.dialect.delimiter == ";":  # as where the comma is the decimal sign
         for row in rows:
             row |= {key: str(row[key]).replace(",", ".") for key in _NUMBERS & row.keys()}
@@ -142,14 +134,8 @@ def table(stream: TextIO) -> "csv.DictReader[str]":
     return csv.DictReader(lines, delimiter=" ", skipinitialspace=True)
 
 
-def _plain(name: str | None) -> str:
-    """A column's name as :data:`COLUMNS` has it."""
-    return (name or "").strip("# ").lower()
-
-
 def _refuse_without(path: Path, names: Iterable[str]) -> None:
-    there = set(names)
-    lacking = [name for name in COLUMNS if name not in {*there, "surface"}]
+    lacking = [name for name in COLUMNS if name not in {*names, "surface"}]
     if lacking:
         raise InputError(
             str(path),
@@ -158,39 +144,21 @@ def _refuse_without(path: Path, names: Iterable[str]) -> None:
         )
 
 
-def _vector_rows(path: Path) -> list[_Row]:
-    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
-
-    refuse_referring(path)
-    rows: list[_Row] = []
-    with read_as("points", path):
-        for layer, kind in pyogrio.list_layers(path):
-            if kind is None or "Point" not in kind:
-                continue
-            meta, _, wkb, columns = pyogrio.raw.read(path, layer=layer)
-            fields = [str(name).lower() for name in meta["fields"]]
-            points = _single(shapely.from_wkb(wkb))
-            there = ~(shapely.is_missing(points) | shapely.is_empty(points))
-            flat = not shapely.has_z(points[there]).all()
-            _refuse_without(path, {*fields, "x", "y", *(() if flat else ("z",))})
-            for k, point in enumerate(points):
-                row = {name: column[k] for name, column in zip(fields, columns, strict=True)}
-                row |= {"x": shapely.get_x(point), "y": shapely.get_y(point)}
-                row |= {} if flat else {"z": shapely.get_z(point)}
-                row[PARTS] = shapely.get_num_geometries(point)
-                rows.append({"crs": meta["crs"], **row})
-    return rows
-
-
-def _single(shapes: NDArray[Any]) -> NDArray[Any]:
-    """Shapes, single-part ones as that part: many programs write nothing but MultiPoints.
-
-    Empty ones are none.
-    """
-    shapes = shapes.copy()
-    shapes[shapely.is_empty(shapes)] = None
-    alone = shapely.get_num_geometries(shapes) == 1
-    return np.where(alone, shapely.get_geometry(shapes, 0), shapes)
+def _vector_rows(path: Path) -> Iterator[_Row]:
+    for layer in all_layers(path, fields=True):
+        if "Point" not in layer.kind:
+            continue
+        # Many programs write nothing but MultiPoints; of one with several points there is no x.
+        alone = shapely.get_num_geometries(layer.shapes) == 1
+        points = np.where(alone, shapely.get_geometry(layer.shapes, 0), None)
+        there = ~shapely.is_missing(points) & ~shapely.is_empty(points)
+        place = {"x": shapely.get_x(points), "y": shapely.get_y(points)}
+        if shapely.has_z(points[there]).all():
+            place["z"] = shapely.get_z(points)
+        columns = {"crs": np.full(len(points), layer.crs, object), **layer.fields, **place}
+        _refuse_without(path, columns)
+        for k in range(len(points)):
+            yield {name: column[k] for name, column in columns.items()}
 
 
 def _number(value: Any) -> float | None:
@@ -208,18 +176,19 @@ def _checked(rows: Sequence[_Row], accuracy_m: float | None, remarks: list[str])
     faults: dict[str, list[str]] = {}
     for number, row in enumerate(rows, start=1):
         name = str(row.get("id") or "").strip() or f"row {number}"
-        word, said = (str(row.get(key) or "").strip() for key in ("surface", "accuracy_m"))
         xyz = [_number(row.get(axis)) for axis in "xyz"]
-        if row.get(PARTS, 1) > 1:
-            faults.setdefault(_SEVERAL, []).append(name)
-        elif None in xyz:
-            faults.setdefault(_NOWHERE, []).append(name)
+        word = str(row.get("surface") or "").strip()
+        accuracy = str(row.get("accuracy_m") or "").strip().replace("nan", "")  # null of GDAL's
+        own = _number(accuracy) if accuracy else accuracy_m
+        if None in xyz:
+            faults.setdefault("there is no single point with finite x, y and z", []).append(name)
         elif word.lower() not in SURFACES:
-            faults.setdefault(_STRANGE, []).append(f"{name} ({word!r})")
-        elif not _usable_accuracy(row.get("accuracy_m")):
-            faults.setdefault(_UNSURE, []).append(f"{name} ({said!r})")
+            why = "the surface is neither open nor vegetated"
+            faults.setdefault(why, []).append(f"{name} ({word!r})")
+        elif accuracy and (own is None or own <= 0):
+            why = "accuracy_m is no positive number of metres"
+            faults.setdefault(why, []).append(f"{name} ({accuracy!r})")
         else:
-            own = _number(row.get("accuracy_m")) or accuracy_m
             known = {"id": name, "xyz": xyz, "surface": SURFACES[word.lower()], "accuracy_m": own}
             kept.append({**row, **known})
     remarks += [_left_out(names, why) for why, names in sorted(faults.items())]
@@ -233,20 +202,6 @@ def _checked(rows: Sequence[_Row], accuracy_m: float | None, remarks: list[str])
     return kept
 
 
-_SEVERAL: Final = "a checkpoint is one point, not several"
-_NOWHERE: Final = "x, y or z is no finite number"
-_STRANGE: Final = "the surface is neither open nor vegetated"
-_UNSURE: Final = "accuracy_m is no positive number of metres"
-
-
-def _usable_accuracy(value: Any) -> bool:
-    """Whether an accuracy is a positive number, or not given: empty, or null of a GeoPackage."""
-    if value is None or not str(value).strip() or (isinstance(value, float) and isnan(value)):
-        return True
-    number = _number(value)
-    return number is not None and number > 0
-
-
 def _left_out(names: Sequence[str], why: str) -> str:
     noun = "checkpoint is" if len(names) == 1 else "checkpoints are"
     return f"{len(names)} {noun} left out, as {why}: {named(names)}"
@@ -254,16 +209,14 @@ def _left_out(names: Sequence[str], why: str) -> str:
 
 def _once(rows: Sequence[_Row], remarks: list[str]) -> Iterator[_Row]:
     """Rows whose name and place no earlier one has."""
-    names: set[str] = set()
-    places: set[tuple[int, ...]] = set()
+    known: set[str | tuple[int, ...]] = set()
     again: list[str] = []
     for row in rows:
         place = tuple(round(value / SAME_PLACE_M) for value in row["xyz"])
-        if row["id"] in names or place in places:
+        if {row["id"], place} & known:
             again.append(row["id"])
             continue
-        names.add(row["id"])
-        places.add(place)
+        known |= {row["id"], place}
         yield row
     if again:
         remarks.append(_left_out(again, "an earlier one has the name or place"))
@@ -273,11 +226,10 @@ def _in_crs(
     path: Path, rows: Sequence[_Row], crs: CRS | None, own: CRS | None, remarks: list[str]
 ) -> list[_Row]:
     """Rows with coordinates in the survey's CRS, in their order."""
-    by_crs: dict[str, list[int]] = {}
-    for k, row in enumerate(rows):
-        by_crs.setdefault(str(row.get("crs") or "").strip(), []).append(k)
     placed: dict[int, _Row] = dict(enumerate(rows))
-    for stated, members in by_crs.items():
+    names = [str(row.get("crs") or "").strip() for row in rows]
+    for stated in dict.fromkeys(names):
+        members = [k for k, name in enumerate(names) if name == stated]
         try:
             source = CRS.from_user_input(stated) if stated else own
         except CRSError:
@@ -287,18 +239,18 @@ def _in_crs(
         heights = source is not None and crs is not None and _heights_differ(source, crs)
         if source is None or crs is None or (same_crs(source, crs) and not heights):
             continue
-        moved = _transformed(path, source, crs, np.array([rows[k]["xyz"] for k in members], float))
         whence = f"from {crs_name(source)} to {crs_name(crs)}"
-        lost = [k for k, xyz in zip(members, moved, strict=True) if not np.isfinite(xyz).all()]
-        for k, xyz in zip(members, moved, strict=True):
-            placed[k] = {**rows[k], "xyz": xyz.tolist()}
+        xyz = np.array([rows[k]["xyz"] for k in members], float)
+        lost = []
+        for k, moved in zip(members, _transformed(path, source, crs, xyz), strict=True):
+            placed[k] = {**rows[k], "xyz": moved.tolist()}
+            if not np.isfinite(moved).all():
+                lost.append(placed.pop(k)["id"])
         if lost:
-            names = [placed.pop(k)["id"] for k in lost]
-            remarks.append(_left_out(names, f"they cannot be transformed {whence}"))
+            remarks.append(_left_out(lost, f"they cannot be transformed {whence}"))
         if count := len(members) - len(lost):
             how = "heights too" if heights else "heights are taken as they are"
-            are = counted(count, "checkpoints", "are")
-            remarks.append(f"{are} transformed {whence}; {how}")
+            remarks.append(f"{counted(count, 'checkpoints', 'are')} transformed {whence}; {how}")
     return list(placed.values())
 
 
@@ -317,11 +269,11 @@ def _transformed(
         # Without the grid of a geoid PROJ would leave heights as they are and keep silent.
         transformer = Transformer.from_crs(*ends, always_xy=True, only_best=whole)
         x, y, z = xyz.T
-        moved = transformer.transform(x, y, z, errcheck=whole and len(xyz) == 1)
+        x, y, z = transformer.transform(x, y, z, errcheck=whole and len(xyz) == 1)
     except ProjError as error:
         raise InputError(
             str(path),
             f"cannot be transformed from {crs_name(source)} to {crs_name(crs)} ({error}): give the "
             "checkpoints in the survey's CRS, or put the grid that PROJ lacks into its data folder",
         ) from None
-    return np.column_stack([*moved[:2], moved[2] if whole else xyz[:, 2]])
+    return np.column_stack([x, y, z if whole else xyz[:, 2]])

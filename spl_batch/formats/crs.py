@@ -14,7 +14,7 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
 
-from spl_batch.errors import WorkflowError, grouped
+from spl_batch.errors import WorkflowError
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
 GEO_KEYS: Final = (
@@ -40,8 +40,6 @@ DEGREES_ACROSS: Final = 5.0
 
 _UTM_LATITUDE: Final = 84.0
 """Latitude beyond which UTM has no zones [degrees]."""
-
-_EARTH_RADII_M: Final = (6.3e6, 6.45e6)
 
 
 def parse_crs(text: str, key: str) -> CRS:
@@ -72,7 +70,7 @@ def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
     except WorkflowError as error:
         faults.append(str(error))
         return None
-    faults += [f"{key}: {problem}" for problem in crs_problems(crs, None, None)]
+    faults += [f"{key}: {problem}" for problem in crs_problems(crs)]
     return crs
 
 
@@ -271,25 +269,12 @@ def crs_name(crs: CRS) -> str:
     return f"{crs.name!r}" if code is None else f"{crs.name!r} (EPSG:{code})"
 
 
-def crs_problems(
-    crs: CRS, mins_m: Sequence[float] | None, maxs_m: Sequence[float] | None
-) -> list[str]:
-    """Why coordinates in a CRS cannot be worked with.
-
-    Parameters
-    ----------
-    crs : CRS
-        What the file, or the workflow, says.
-    mins_m, maxs_m : (3,) float or None
-        Bounding box of the coordinates, in whatever unit; none where it is not known.
-
-    Returns
-    -------
-    list of str
-        One sentence for each problem, with the remedy; empty where all is well.
-    """
+def crs_problems(crs: CRS) -> list[str]:
+    """Why coordinates in a CRS cannot be worked with: a sentence for each problem, its remedy."""
     if crs.is_geocentric:
-        return [_geocentric(crs, mins_m, maxs_m)]
+        fault = f"CRS {crs_name(crs)} is geocentric, coordinates must be projected"
+        remedy = "reproject the files, e.g. to UTM; if they are projected, name survey.crs"
+        return [f"{fault}: {remedy}"]
     flat = horizontal(crs)
     if flat.is_geographic:
         fault = f"CRS {crs_name(crs)} is geographic (degrees), coordinates must be in metres"
@@ -359,21 +344,3 @@ def like_degrees(corners: Sequence[Sequence[float]], key: str) -> str:
         "no CRS is known and the coordinates look like degrees: if they are, reproject the files "
         f"to a CRS in metres{example}; if they are metres, name their CRS, --set {key}=EPSG:..."
     )
-
-
-def _spans(mins_m: Sequence[float], maxs_m: Sequence[float]) -> str:
-    ends = zip("xyz", mins_m, maxs_m, strict=True)
-    return ", ".join(f"{axis} {grouped(low)} to {grouped(high)}" for axis, low, high in ends)
-
-
-def _geocentric(crs: CRS, mins_m: Sequence[float] | None, maxs_m: Sequence[float] | None) -> str:
-    sentence = f"CRS {crs_name(crs)} is geocentric"
-    if mins_m is not None and maxs_m is not None:
-        radius = float(np.linalg.norm((np.asarray(mins_m) + np.asarray(maxs_m)) / 2))
-        if not _EARTH_RADII_M[0] <= radius <= _EARTH_RADII_M[1]:
-            return (
-                f"{sentence}, but the coordinates ({_spans(mins_m, maxs_m)})"
-                f" lie {grouped(radius / 1000)} km from the centre of the earth and look projected:"
-                " the CRS record is wrong, name the right one as survey.crs or write it there"
-            )
-    return f"{sentence}, coordinates must be projected: reproject the files, e.g. to UTM"

@@ -1,4 +1,4 @@
-"""HDF5 files that others made, and Zarr beside them: whatever is wrong becomes one clear line."""
+"""HDF5 files that others made: whatever is wrong becomes one clear line."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,14 +7,11 @@ from typing import Final
 
 import h5py
 
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, as_input_fault
 from spl_batch.formats.las.header import open_input
 
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 """First bytes of an HDF5 file."""
-
-_FAULTS: Final = (OSError, ValueError, TypeError, KeyError, IndexError, RuntimeError)
-"""What h5py, Zarr and their codecs raise over files that make no sense."""
 
 
 @contextmanager
@@ -29,7 +26,7 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
     with open_input(path) as stream:
         if stream.read(len(SIGNATURE)) != SIGNATURE:
             raise InputError(str(path), "is no HDF5 file (its first bytes say so); copy it again")
-    with told_as_damage(path, "HDF5"), h5py.File(path, "r") as file:
+    with as_input_fault(path, "damaged HDF5"), h5py.File(path, "r") as file:
         yield file
 
 
@@ -50,23 +47,3 @@ def refuse_foreign(path: Path, found: h5py.Dataset) -> None:
             f"{(found.name or '?').lstrip('/')} lies in another file: copy its values into this"
             " one (h5repack)",
         )
-
-
-@contextmanager
-def told_as_damage(path: Path, format_name: str) -> Iterator[None]:
-    """Turn what a library raises over a file that is open into one line about that file.
-
-    ``format_name``: what it is called, ``HDF5`` or ``Zarr``.
-
-    Raises
-    ------
-    InputError
-        As the block raised it, or with what the library said.
-    """
-    try:
-        yield
-    except InputError:
-        raise
-    except _FAULTS as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(str(path), f"damaged {format_name} ({reason}); copy it again") from error

@@ -1,13 +1,11 @@
 """Lexicographic order of rows by sorting one packed integer for each.
 
 Sorting key after key moves every row once per key. Most rows already differ in the first keys:
-these are packed into one 64-bit word, above the row's number, and words are sorted, many of them
-digit by digit [Knuth, vol. 3, 5.2.5]. The few rows that are still equal are put in order by all
-keys.
+these are packed into one 64-bit word, above the row's number, and words are sorted: all different,
+which numpy does eight at a time. The few rows that are still equal are put in order by all keys.
 """
 
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,9 +14,6 @@ from numpy.typing import NDArray
 _WORD = 64
 _BLOCK = 1 << 14
 _DIGIT = 16
-_MANY = 1 << 12
-_PLACES = 12
-"""From so many words on digits of at most so many bits are quicker than comparing."""
 
 _NEAR = 34
 """Floats whose bits differ in so many places at most need no ranks: times within minutes do."""
@@ -40,7 +35,7 @@ def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
     """
     n = len(keys[0])
     row_bits = n.bit_length()
-    packed, width, complete = _pack(keys, _WORD - row_bits)
+    packed, complete = _pack(keys, _WORD - row_bits)
     if packed is None:
         return np.lexsort(keys[::-1])
     if complete and packed.max(initial=0) < 1 << _DIGIT:
@@ -50,10 +45,7 @@ def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
     word = packed
     word <<= np.uint64(row_bits)
     word |= np.arange(n, dtype=np.uint64)
-    if n < _MANY:
-        word.sort()
-    else:
-        word = sorted_by_digits(word, row_bits, width)
+    word.sort()
     row = np.uint64((1 << row_bits) - 1)
     if complete:
         word &= row
@@ -93,72 +85,24 @@ def _block_in_order(keys: Sequence[NDArray[Any]]) -> bool:
     return True
 
 
-def sorted_by_digits(word: NDArray[np.uint64], first: int, width: int) -> NDArray[np.uint64]:
-    """Words by the number in some of their bits; equal ones keep their order.
-
-    Parameters
-    ----------
-    word : (n,) uint64
-        Words; overwritten.
-    first, width : int
-        Lowest of the bits, and how many they are.
-
-    Returns
-    -------
-    (n,) uint64
-        The words; their own array or another one.
-    """
-    passes = -(-width // _PLACES)
-    bits = -(-width // max(passes, 1))
-    other = np.empty_like(word)
-    deal = _compiled()
-    for number in range(passes):
-        deal(word, first + number * bits, min(bits, width - number * bits), other)
-        word, other = other, word
-    return word
-
-
-@cache
-def _compiled() -> Callable[..., None]:
-    """:func:`_deal` compiled; who sorts nothing does without numba."""
-    from spl_batch.numerics.compiled import njit  # noqa: PLC0415 - slow import, only when used
-
-    compiled: Callable[..., None] = njit()(_deal)
-    return compiled
-
-
-def _deal(word: NDArray[np.uint64], first: int, bits: int, out: NDArray[np.uint64]) -> None:
-    """Sort words by a digit; equal ones keep their order."""
-    low, mask = np.uint64(first), np.uint64((1 << bits) - 1)
-    place = np.zeros((1 << bits) + 1, np.int64)
-    for i in range(len(word)):
-        place[np.int64((word[i] >> low) & mask) + 1] += 1
-    for digit in range(1 << bits):
-        place[digit + 1] += place[digit]
-    for i in range(len(word)):
-        own = np.int64((word[i] >> low) & mask)
-        out[place[own]] = word[i]
-        place[own] += 1
-
-
-def _pack(keys: Sequence[NDArray[Any]], room: int) -> tuple[NDArray[np.uint64] | None, int, bool]:
-    """As many leading keys as fit into ``room`` bits, their bits, and whether these are all."""
+def _pack(keys: Sequence[NDArray[Any]], room: int) -> tuple[NDArray[np.uint64] | None, bool]:
+    """As many leading keys as fit into ``room`` bits, and whether these are all."""
     packed: NDArray[np.uint64] | None = None
     used = 0
     for number, key in enumerate(keys):
         if key.dtype.kind == "f" and number:
-            return packed, used, False
+            return packed, False
         digits = _ranks(key) if key.dtype.kind == "f" else _offsets(key)
         width = int(digits.max(initial=0)).bit_length()
         if width > room - used:
-            return packed, used, False
+            return packed, False
         used += width
         if packed is None:
             packed = digits
         else:
             packed <<= np.uint64(width)
             packed |= digits
-    return packed, used, True
+    return packed, True
 
 
 def _offsets(key: NDArray[Any]) -> NDArray[np.uint64]:

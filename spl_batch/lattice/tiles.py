@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
@@ -203,53 +204,22 @@ def cells_of_runs(runs: Iterable[Sequence[int]]) -> Iterator[CellId]:
 class BoxIndex:
     """Rectangles by name, found by the regions that they share area with.
 
-    They lie in buckets of a grid of about their own size, so that a search looks at those
-    nearby and not at a whole survey's.
-
     Parameters
     ----------
     boxes : mapping of str to Bounds
         The rectangles; empty ones are never found.
     """
 
-    MANY = 64
-    """Buckets that a rectangle may lie in; larger ones are looked at in every search."""
-
     def __init__(self, boxes: Mapping[str, Bounds]) -> None:
-        self._names = sorted(boxes)
-        self._boxes = np.array([boxes[n] for n in self._names], np.int64).reshape(-1, 4)
-        sides = np.maximum(self._boxes[:, 2:] - self._boxes[:, :2], 1)
-        self._size = int(np.median(sides.max(axis=1))) if len(sides) else 1
-        self._buckets: dict[CellId, list[int]] = {}
-        self._large: list[int] = []
-        first, last = self._boxes[:, :2] // self._size, (self._boxes[:, 2:] - 1) // self._size
-        for k, many in enumerate((last - first + 1).prod(axis=1).tolist()):
-            if many > self.MANY:
-                self._large.append(k)
-                continue
-            for cell in cells_touching(Bounds(*self._boxes[k].tolist()), self._size):
-                self._buckets.setdefault(cell, []).append(k)
+        self._names = sorted(n for n, b in boxes.items() if b.xmin < b.xmax and b.ymin < b.ymax)
+        edges = np.array([boxes[n] for n in self._names], np.float64).reshape(-1, 4)
+        self._tree = shapely.STRtree(shapely.box(*edges.T))
 
     def overlapping(self, region: Bounds) -> list[str]:
         """Names of the rectangles that share area with a region, sorted."""
-        near = np.array(self._near(region), dtype=np.int64)
-        low, high = self._boxes[near, :2], self._boxes[near, 2:]
-        found = near[
-            (low[:, 0] < region.xmax)
-            & (low[:, 1] < region.ymax)
-            & (high[:, 0] > region.xmin)
-            & (high[:, 1] > region.ymin)
-            & (low < high).all(axis=1)
-        ]
-        return [self._names[k] for k in found.tolist()]
-
-    def _near(self, region: Bounds) -> list[int]:
-        """Places of the rectangles that may overlap, increasing."""
-        wide = (region.xmax - region.xmin) // self._size + 2
-        high = (region.ymax - region.ymin) // self._size + 2
-        if wide * high > len(self._buckets):
-            return list(range(len(self._names)))
-        near = set(self._large)
-        for cell in cells_touching(region, self._size):
-            near.update(self._buckets.get(cell, ()))
-        return sorted(near)
+        # Edges are whole numbers: what only touches the region does not reach half a quantum in.
+        west, south, east, north = region
+        if east <= west or north <= south:
+            return []
+        inner = shapely.box(west + 0.5, south + 0.5, east - 0.5, north - 0.5)
+        return [self._names[k] for k in np.sort(self._tree.query(inner)).tolist()]

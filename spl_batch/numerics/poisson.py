@@ -5,7 +5,7 @@ symbol name
 ====== ==========================================================================
 k      ``count``: neighbours inside the ellipsoid, the point itself excluded
 rho v  ``expected``: noise density times volume
-P      ``poisson_tail``: P(K >= k | rho v), the tail with k itself
+P      ``tail_by_logs``: P(K >= k | rho v), the tail with k itself
 ====== ==========================================================================
 """
 
@@ -14,11 +14,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammainc
 
 from spl_batch.numerics.compiled import njit
-
-NO_LOGS: Final = np.empty(0)
-"""No table of :func:`log_factorials`."""
 
 SURELY: Final = 1e-9
 """Relative difference beyond which two tails are told apart, far more than they are off."""
@@ -59,7 +57,11 @@ def _series(count, expected, log_mean, logs):  # type: ignore[no-untyped-def]
 
 @njit()
 def tail_by_logs(count, expected, log_mean, logs):  # type: ignore[no-untyped-def]
-    """What :func:`poisson_tail` gives, by the logarithms of the mean and of factorials."""
+    """Probability of at least ``count`` events where ``expected`` are expected.
+
+    Relative error below 1e-12 in the small tail: the series starts at its largest term and nothing
+    is subtracted. ``log_mean``: logarithm of ``expected``; ``logs``: of :func:`log_factorials`.
+    """
     if count <= 0:
         return 1.0
     if expected <= 0.0:
@@ -69,29 +71,21 @@ def tail_by_logs(count, expected, log_mean, logs):  # type: ignore[no-untyped-de
 
 
 @njit()
-def poisson_tail(count, expected):  # type: ignore[no-untyped-def]
-    """Probability of at least ``count`` events where ``expected`` are expected.
+def critical_by_logs(expected, alpha, start, log_mean, logs):  # type: ignore[no-untyped-def]
+    """Smallest count, at least 1, whose upper tail is at most ``alpha``, and that tail.
 
     Parameters
     ----------
-    count : int
-        Events [count]; >= 0.
     expected : float
         Mean of the distribution [count]; finite, >= 0.
-
-    Returns
-    -------
-    float
-        P(K >= count) in [0, 1]; relative error below 1e-12 in the small tail, because
-        the series starts at its largest term and nothing is subtracted.
+    alpha : float
+        Significance, in (0, 1).
+    start : int
+        Where to look first, >= 1: the answer for a mean nearby costs one tail. What is
+        found does not depend on it.
+    log_mean, logs
+        As :func:`tail_by_logs` has them.
     """
-    log_mean = math.log(expected) if expected > 0.0 else 0.0
-    return tail_by_logs(count, expected, log_mean, NO_LOGS)
-
-
-@njit()
-def critical_by_logs(expected, alpha, start, log_mean, logs):  # type: ignore[no-untyped-def]
-    """What :func:`poisson_critical` gives, by the logarithms of the mean and of factorials."""
     count = start
     if expected <= 0.0:
         return 1, 0.0
@@ -123,37 +117,6 @@ def critical_by_logs(expected, alpha, start, log_mean, logs):  # type: ignore[no
     return count, tail
 
 
-@njit()
-def poisson_critical(expected, alpha, start):  # type: ignore[no-untyped-def]
-    """Smallest count whose upper tail is at most ``alpha``.
-
-    Parameters
-    ----------
-    expected : float
-        Mean of the distribution [count]; finite, >= 0.
-    alpha : float
-        Significance, in (0, 1).
-    start : int
-        Where to look first, >= 1: the answer for a mean nearby costs one tail. What is
-        found does not depend on it.
-
-    Returns
-    -------
-    count : int
-        Smallest k with P(K >= k) <= alpha; at least 1.
-    tail : float
-        P(K >= count).
-    """
-    log_mean = math.log(expected) if expected > 0.0 else 0.0
-    return critical_by_logs(expected, alpha, start, log_mean, NO_LOGS)
-
-
-@njit()
-def _tails(count, expected, out):  # type: ignore[no-untyped-def]
-    for i in range(len(out)):
-        out[i] = poisson_tail(count[i], expected[i])
-
-
 def noise_tail_probability(
     neighbours: NDArray[np.int32], expected: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -175,6 +138,4 @@ def noise_tail_probability(
     ----------
     [W18] Eq. 8; the tail includes k itself, which the source's rule does not.
     """
-    out = np.empty(len(neighbours), dtype=np.float64)
-    _tails(neighbours, expected, out)
-    return out
+    return np.where(neighbours > 0, gammainc(np.maximum(neighbours, 1), expected), 1.0)

@@ -1,9 +1,6 @@
 """The working store on an object store: S3 as moto speaks it on the loopback."""
 
-import os
-import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -131,40 +128,6 @@ def test_a_store_belongs_to_one_output(survey: Path) -> None:
         surveys.run(other, place, until="index")
     fsspec.filesystem("memory").rm("/shared", recursive=True)
     assert surveys.run(other, place, until="index").exit_status == 0
-
-
-def test_what_a_killed_upload_leaves_is_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    program = (
-        "import pathlib, os, sys; from spl_batch.formats.files import remote\n"
-        "with remote.uploading(pathlib.Path('a')) as path:\n"
-        "    path.write_bytes(b'half'); print(path, flush=True); sys.stdin.read()"
-    )
-    environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    with subprocess.Popen(  # noqa: S603
-        [sys.executable, "-c", program],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env=environment,
-    ) as process:
-        assert process.stdout is not None
-        left = Path(process.stdout.readline().strip())
-        old = time.time() - 3600
-        os.utime(left.parent, (old, old))
-        young = tmp_path / f"{left.parent.name}y"
-        young.mkdir()
-        remote._remove_abandoned.cache_clear()
-        with remote.uploading(remote.remote_path("memory://left/a")) as path:
-            path.write_bytes(b"whole")
-        assert left.exists(), "its process is alive"
-        process.kill()
-    remote._remove_abandoned.cache_clear()
-    with remote.uploading(remote.remote_path("memory://left/b")) as path:
-        path.write_bytes(b"whole")
-    assert list(tmp_path.iterdir()) == [young], "that may be about to be locked"
 
 
 def test_a_store_that_is_not_there_stops_the_run(

@@ -66,7 +66,7 @@ def test_faults_are_one_line_each_and_the_rest_is_used(tmp_path: Path) -> None:
         "1 checkpoint is left out, as accuracy_m is no positive number of metres: G ('-1')",
         "1 checkpoint is left out, as the surface is neither open nor vegetated: E ('meadow')",
         "2 checkpoints are left out, as an earlier one has the name or place: A, B",
-        "2 checkpoints are left out, as x, y or z is no finite number: C, D",
+        "2 checkpoints are left out, as there is no single point with finite x, y and z: C, D",
     ]
 
 
@@ -85,25 +85,6 @@ def test_another_crs_is_transformed_and_an_unknown_one_left_out(tmp_path: Path) 
     assert len(remarks) == 2
     assert "EPSG:4326" in remarks[0]
     assert "'EPSG:nonsense' is not known: C" in remarks[1]
-
-
-def test_points_of_a_geopackage_are_the_same(tmp_path: Path) -> None:
-    path = tmp_path / "c.gpkg"
-    pyogrio.raw.write(
-        path,
-        shapely.to_wkb(shapely.points([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])),
-        [np.array(["A", "B"], object), np.array(["open", "vegetated"], object),
-         np.array([0.01, 0.02])],
-        ["id", "surface", "accuracy_m"],
-        geometry_type="Point Z",
-        crs="EPSG:32615",
-    )  # fmt: skip
-    found, remarks = read_checkpoints(path, UTM)
-    assert remarks == []
-    assert [(one.id, one.x_m, one.y_m, one.z_m, one.accuracy_m) for one in found] == [
-        ("A", 1.0, 2.0, 3.0, 0.01),
-        ("B", 4.0, 5.0, 6.0, 0.02),
-    ]
 
 
 @pytest.mark.parametrize(
@@ -149,6 +130,5 @@ def test_a_row_without_a_point_or_with_several_leaves_out_itself(tmp_path: Path,
         (name, x, y, z if deep else 7.0) for name, x, y, z in wanted
     ]
     assert remarks == [
-        "1 checkpoint is left out, as a checkpoint is one point, not several: D",
-        "2 checkpoints are left out, as x, y or z is no finite number: C, E",
+        "3 checkpoints are left out, as there is no single point with finite x, y and z: C, D, E",
     ]

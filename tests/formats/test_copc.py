@@ -9,12 +9,9 @@ import pytest
 from pyproj import CRS
 
 from spl_batch.formats.las.copc import octree
-from spl_batch.formats.las.header import read_header
-from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.reader import inspect, iter_points
 from spl_batch.formats.las.writer import write_points
 from spl_batch.lattice.tables import PointTable
-from tests.io_files import with_record
 
 
 def cloud(n: int, seed: int = 0, spread: int = 100_000) -> PointTable:
@@ -36,16 +33,6 @@ def rows(*columns: np.ndarray) -> np.ndarray:
     """Rows in an order that does not depend on theirs."""
     stacked = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
     return stacked[np.lexsort(stacked.T)]
-
-
-def test_a_record_of_an_octree_that_is_none_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "a.copc.laz"
-    write_points(path, cloud(100), crs=None, copc=True)
-    assert not list(broken_records(read_header(path))), "a copy in another order has no octree"
-    write_points(path, cloud(100), crs=None)
-    path.write_bytes(with_record(path.read_bytes(), b"copc", 1, bytes(160)))
-    told = "header record copc 1 tells of an octree that is not there"
-    assert list(broken_records(read_header(path))) == [told]
 
 
 def test_reader_of_copc_finds_everything(tmp_path: Path) -> None:
@@ -93,13 +80,6 @@ def test_read_as_plain_laz_and_same_bytes(tmp_path: Path) -> None:
     got = rows(*[np.concatenate([t[k] for t in again]) for k in names])
     np.testing.assert_array_equal(got, rows(*[table[k] for k in names]))
     assert inspect(path).n_points == 30_000
-
-
-@pytest.mark.parametrize("n", [0, 1])
-def test_few_points(tmp_path: Path, n: int) -> None:
-    path = tmp_path / "a.copc.laz"
-    assert write_points(path, cloud(n), crs=None, copc=True) == n
-    assert inspect(path).n_points == n
 
 
 @pytest.mark.parametrize("spread", [1, 50, 100_000])

@@ -14,7 +14,7 @@ from spl_batch.altimetry.formats.terrain import sample_terrain
 from spl_batch.errors import InputError
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.checkpoints import read_checkpoints
-from spl_batch.formats.polygons import read_polygons
+from spl_batch.formats.vector_files import read_polygons
 from spl_batch.geiger.water.formats import inspect_frames
 from tests.altimetry.tracks import small_track, write_atl03
 

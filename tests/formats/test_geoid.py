@@ -8,7 +8,7 @@ import pytest
 from pyproj import CRS, Transformer
 
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.geoid import Geoid, grid_file
+from spl_batch.formats.geoid import Geoid
 
 UTM = CRS.from_epsg(32615)
 SOUTH, WEST, STEP = 29.0, -96.0, 0.25
@@ -55,15 +55,3 @@ def test_heights_above_a_geoid_are_not_taken_above_another(tmp_path: Path, datum
     name = write_grid(tmp_path / "a.gtx")
     with pytest.raises(WorkflowError, match=r"already .* height.*leave outputs\.geoid out"):
         Geoid(name, tmp_path / name, CRS.from_user_input(f"EPSG:32615+{datum}"))
-
-
-def test_the_file_of_a_grid_lies_where_it_is_named_or_where_proj_looks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "own").mkdir()
-    monkeypatch.setattr("spl_batch.formats.geoid.get_data_dir", lambda: str(tmp_path))
-    name = write_grid(tmp_path / "a.gtx")
-    assert grid_file(name, tmp_path / "own" / name) == tmp_path / name
-    write_grid(tmp_path / "own" / "a.gtx")
-    assert grid_file(name, tmp_path / "own" / name) == tmp_path / "own" / name
-    assert grid_file("nowhere.gtx", tmp_path / "nowhere.gtx") is None

@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from spl_batch.errors import StoreError
 from spl_batch.formats.verified.parquet_npz import (
     group_ranges,
+    groups_between,
     read_arrays,
-    read_between,
     read_columns,
     read_table,
     write_arrays,
     write_table,
     writing,
 )
-from spl_batch.lattice.tables import COLUMNS, PointTable, canonical_order, concat, empty_table
+from spl_batch.lattice.tables import COLUMNS, PointTable, canonical_order
 
 NAMES = ("x", "y", "z", "gps_time", "channel", "return_number", "source", "index", "p_value")
 
@@ -53,13 +53,6 @@ def test_round_trip(tmp_path: Path, n: int, cuts: set[int], seed: int) -> None:
     assert_same(read_table(path, ("z", "x")), table.select(("z", "x")))
 
 
-def test_the_same_rows_give_the_same_bytes(tmp_path: Path) -> None:
-    table = random_table(1000)
-    for name in "ab":
-        write_table(tmp_path / name, table, group_starts=[0, 300])
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
 def test_footers_tell_the_range_of_each_group(tmp_path: Path) -> None:
     path = tmp_path / "t.parquet"
     with writing(path, {"row": np.uint32, "gps_time": np.float64}) as writer:
@@ -79,28 +72,12 @@ def test_only_groups_that_meet_every_span_are_read(tmp_path: Path) -> None:
         for low in (0, 10, 20, 30):
             rows = np.arange(low, low + 10)
             writer.write({"x": 2 * rows, "row": rows.astype(np.uint32)})
-    columns, row = read_between(path, ["x"], {"x": (25, 41), "row": (0, 25)})
+    columns, row = groups_between(path, {"x": (25, 41), "row": (0, 25)}).read(["x"])
     assert row.tolist() == list(range(10, 30))
     assert (columns["x"] == 2 * row).all()
-    columns, row = read_between(path, ["row"], {"x": (79, 90)})
+    columns, row = groups_between(path, {"x": (79, 90)}).read(["row"])
     assert len(row) == 0
     assert len(columns["row"]) == 0
-
-
-def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "t.parquet"
-    write_table(path, random_table(10))
-    before = path.read_bytes()
-
-    def half() -> None:
-        with writing(path, {"row": np.uint32}) as writer:
-            writer.write({"row": np.arange(5, dtype=np.uint32)})
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        half()
-    assert path.read_bytes() == before
-    assert [p.name for p in tmp_path.iterdir()] == ["t.parquet"]
 
 
 @pytest.mark.parametrize("content", [None, b"", b"PAR1 but no more", "cut"])
@@ -138,13 +115,6 @@ def test_arrays_round_trip_with_reproducible_bytes(tmp_path: Path) -> None:
         read_arrays(tmp_path / "two.npz")
 
 
-def test_tables_refuse_what_is_no_table() -> None:
-    with pytest.raises(ValueError, match="differ in length"):
-        PointTable({"x": np.zeros(2, np.int64), "y": np.zeros(3, np.int64)})
-    with pytest.raises(ValueError, match="unknown columns"):
-        PointTable({"colour": np.zeros(2)})
-
-
 @given(st.integers(0, 5), st.randoms(use_true_random=False))
 def test_canonical_order_does_not_depend_on_row_order(seed: int, random: object) -> None:
     rng = np.random.default_rng(seed)
@@ -156,10 +126,3 @@ def test_canonical_order_does_not_depend_on_row_order(seed: int, random: object)
     first, second = (t.take(canonical_order(t)) for t in (table, other))
     assert_same(first, second)
     assert np.all(np.diff(first["x"]) >= 0)
-
-
-def test_concatenation_and_casts() -> None:
-    table = random_table(3)
-    assert_same(concat([table, table.take(slice(0, 0))], NAMES), table)
-    assert len(concat([], NAMES)) == len(empty_table(NAMES)) == 0
-    assert table.with_columns(ground=np.ones(3))["ground"].dtype == np.uint8

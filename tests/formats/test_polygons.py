@@ -10,13 +10,11 @@ import numpy as np
 import pyogrio
 import pytest
 import shapely
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from pyproj import CRS, Transformer
 
 from spl_batch.errors import InputError
 from spl_batch.formats.breaklines import read_breaklines
-from spl_batch.formats.polygons import check_polygons, contains, read_polygons
+from spl_batch.formats.vector_files import check_polygons, contains, read_polygons
 
 UTM = CRS.from_epsg(32615)
 
@@ -45,24 +43,6 @@ def test_points_in_several_polygons(tmp_path: Path) -> None:
     area = read_polygons(path, UTM)
     inside = contains(area, quanta(5, 1, 25, 15, 0.001, -0.001), quanta(5, 1, 5, 5, 5, 5))
     assert inside.tolist() == [False, True, True, False, True, False]
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.lists(st.tuples(st.integers(-20, 20), st.integers(-20, 20)), min_size=3, max_size=8))
-def test_any_ring_against_single_points(
-    tmp_path_factory: pytest.TempPathFactory, ring: list[tuple[int, int]]
-) -> None:
-    shape = shapely.Polygon(ring)
-    if shapely.make_valid(shape).area == 0:
-        return
-    path = write(tmp_path_factory.mktemp("p") / "a.gpkg", [shape])
-    area = read_polygons(path, UTM)
-    assert area.is_valid
-    x, y = (v.ravel() for v in np.meshgrid(*[np.arange(-19_500, 20_000, 1000)] * 2))
-    one_by_one = [
-        area.contains(shapely.Point(a / 1000, b / 1000)) for a, b in zip(x, y, strict=True)
-    ]
-    np.testing.assert_array_equal(contains(area, x, y), one_by_one)
 
 
 def test_reprojected(tmp_path: Path) -> None:

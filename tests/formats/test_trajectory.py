@@ -1,7 +1,7 @@
 """Trajectories: three formats give the same positions, PROJ and a hand formula agree."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -14,17 +14,15 @@ from pyproj import CRS, Transformer
 
 from spl_batch.errors import InputError, WorkflowError, counted
 from spl_batch.formats.gps_clock import clock, time_standard
-from spl_batch.formats.trajectory import merge
+from spl_batch.formats.trajectory import positions
 from spl_batch.formats.trajectory.positions import (
     PointExtent,
     gathering,
     read_slice,
     write_trajectory,
 )
-from spl_batch.formats.trajectory.records import COLUMNS, read_records
-from spl_batch.formats.trajectory.sbet import SBET_RECORD
+from spl_batch.formats.trajectory.records import COLUMNS, SBET_RECORD, read_records
 from spl_batch.lattice.tables import Trajectory
-from tests.formats.whole_trajectory import read_trajectory
 
 UTM = CRS.from_epsg(32615)
 ADJUSTED = 2.5e8
@@ -54,8 +52,18 @@ def write_sbet(path: Path, rows: NDArray[np.float64]) -> Path:
     return path
 
 
-def read(*paths: Path, crs: str | None = None, survey: CRS | None = UTM) -> Any:
-    return read_trajectory(paths, survey_crs=survey, trajectory_crs=crs)
+class Loaded(NamedTuple):
+    trajectory: Trajectory
+    standard: str
+    warnings: list[str]
+
+
+def read(*paths: Path, crs: str | None = None, survey: CRS | None = UTM, **given: Any) -> Loaded:
+    """Trajectory files as one, all of it in memory."""
+    with gathering(paths, survey_crs=survey, trajectory_crs=crs, **given) as found:
+        times, positions = zip(*found, strict=True)
+    whole = Trajectory(np.concatenate(times), np.concatenate(positions))
+    return Loaded(whole, found.standard, found.warnings)
 
 
 def test_csv_parquet_and_sbet_agree(tmp_path: Path) -> None:
@@ -69,7 +77,7 @@ def test_csv_parquet_and_sbet_agree(tmp_path: Path) -> None:
     ):
         loaded = read(path)
         assert loaded.standard == "week"
-        assert loaded.warnings == ()
+        assert loaded.warnings == []
         np.testing.assert_array_equal(loaded.trajectory.time_s, rows[:, 0])
         np.testing.assert_allclose(loaded.trajectory.xyz_m, rows[:, 1:], atol=1e-6)
 
@@ -82,7 +90,7 @@ def test_order_and_cut_do_not_matter(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.trajectory.xyz_m, rows[:, 1:])
     again = read(*parts, parts[0])
     np.testing.assert_array_equal(again.trajectory.time_s, rows[:, 0])
-    assert again.warnings == ("trajectory: 17 records repeat a time: left out",)
+    assert again.warnings == ["trajectory: 17 records repeat a time: left out"]
 
 
 @pytest.mark.parametrize("latitude", [np.nan, np.inf, 1e300, -1.7e308])
@@ -117,7 +125,7 @@ def test_faults(tmp_path: Path) -> None:
         "multiple of 136": tmp_path / "d.sbet",
         "not an SBET": tmp_path / "e.sbet",
         "not a Parquet": tmp_path / "f.parquet",
-        "not a CSV": tmp_path / "g.csv",
+        "1 of 2 records cannot be used (no finite number, a": tmp_path / "g.csv",
         "no column gps_time, x, y, z": tmp_path / "h.csv",
         "1 of 2 records cannot be used (no finite number": tmp_path / "i.csv",
     }
@@ -150,7 +158,7 @@ def test_crs_faults(tmp_path: Path) -> None:
 def load(path: Path, span: tuple[float, float], **given: Any) -> Any:
     box = {"bounds_m": (500_000, 3_999_000, 501_000, 4_001_000), **given}
     points = PointExtent(span, **box)
-    return read_trajectory([path], survey_crs=UTM, trajectory_crs=None, points=points)
+    return read(path, points=points)
 
 
 def test_loaded_into_the_points_time(tmp_path: Path) -> None:
@@ -159,7 +167,7 @@ def test_loaded_into_the_points_time(tmp_path: Path) -> None:
     loaded = load(path, (week + 1000.5, week + 1001.5))
     np.testing.assert_allclose(loaded.trajectory.time_s, flight()[:, 0] + week, atol=1e-6)
     assert loaded.standard == "adjusted"
-    assert loaded.warnings == ("trajectory: week time converted to adjusted time",)
+    assert loaded.warnings == ["trajectory: week time converted to adjusted time"]
     short = load(path, (900.0, 1001.0), bounds_m=(500_000, 3_999_000, 0, 501_000, 4_001_000, 9))
     assert "covers 1000.000 to 1004.900 s" in short.warnings[0]
 
@@ -268,14 +276,14 @@ def test_records_of_many_batches_come_in_order_once(
     first = np.concatenate([[True], np.diff(by_time[:, 0]) > 0])
     with pytest.MonkeyPatch.context() as patch:
         batch = data.draw(st.integers(1, 50))
-        patch.setattr(merge, "read_records", cut(read_records, batch))
+        patch.setattr(positions, "read_records", cut(read_records, batch))
         with gathering(paths, survey_crs=None, trajectory_crs=None) as found:
             got = np.concatenate([np.column_stack(piece) for piece in found])
     np.testing.assert_array_equal(got, by_time[first])
     assert found.records == len(got)
     dropped = count - len(got)
     told = f"trajectory: {counted(dropped, 'records', 'repeat')} a time: left out"
-    assert found.warnings == ((told,) if dropped else ())
+    assert found.warnings == ([told] if dropped else [])
 
 
 def cut(read: Any, size: int) -> Any:

@@ -29,19 +29,7 @@ TEXTS: Final = (
 
 @dataclass(frozen=True)
 class Edit:
-    """One change of a file.
-
-    Parameters
-    ----------
-    kind : str
-        What is done.
-    at : int
-        Where, taken modulo the file's length [byte].
-    width : int
-        Bytes of an integer, or that are removed or repeated [byte].
-    value : int
-        Integer, or which of the floats and texts.
-    """
+    """One change of a file."""
 
     kind: Kind
     at: int
@@ -79,17 +67,7 @@ def put(content: bytearray, at: int, value: bytes) -> None:
 
 @dataclass(frozen=True)
 class Seed:
-    """A sound file and its tender places.
-
-    Parameters
-    ----------
-    content : bytes
-        The file.
-    suffix : str
-        How its name ends.
-    tender : sequence of (int, int)
-        Parts that tell readers what follows: first byte and the one after the last.
-    """
+    """A sound file and its tender places."""
 
     content: bytes
     suffix: str

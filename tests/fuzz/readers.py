@@ -24,9 +24,9 @@ from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.reader import inspect, iter_points, read_ends
 from spl_batch.formats.las.writer import KEEP_CLASS, write_classified
-from spl_batch.formats.polygons import contains, read_polygons
-from spl_batch.formats.trajectory.ends import ends
 from spl_batch.formats.trajectory.positions import gathering
+from spl_batch.formats.trajectory.records import ends
+from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.geiger.coincidence.formats import l1_files
 from spl_batch.geiger.coincidence.settings import ArraySettings
 from spl_batch.geiger.coincidence.tables import Detections, Frames

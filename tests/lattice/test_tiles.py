@@ -1,7 +1,6 @@
 """Ownership and index arithmetic: every point has exactly one owner, wherever it lies."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,7 +15,6 @@ from spl_batch.lattice.tiles import (
     grow,
     inside,
     overlap,
-    quanta,
 )
 
 SIZES = st.integers(1, 200_000)
@@ -84,19 +82,6 @@ def test_a_halo_reaches_as_far_as_it_says(region: Bounds, halo: int) -> None:
     outside = np.array([region.xmax + halo]), np.array([region.ymin])
     assert not inside(*outside, wide)[0]
     assert grow(grow(region, halo), 7) == grow(region, halo + 7)
-
-
-@pytest.mark.parametrize(
-    ("length_m", "expected"), [(100.0, 100_000), (0.3, 300), (-2.0004, -2000), (1e6, 10**9)]
-)
-def test_quanta(length_m: float, expected: int) -> None:
-    assert quanta(length_m) == expected
-
-
-def test_names_and_areas() -> None:
-    assert str(CellId(-3, 12)) == "-3_12"
-    assert cell_bounds(CellId(-1, 0), 100_000) == Bounds(-100_000, 0, 0, 100_000)
-    assert cell_bounds(CellId(-1, 0), 100_000).area_m2 == 10_000.0
 
 
 @given(st.sets(st.builds(CellId, st.integers(-9, 9), st.integers(-9, 9))))

@@ -31,79 +31,21 @@ CHUNK: Final = 64
 def nearest(
     xyz: NDArray[np.int32], query: NDArray[np.bool_], neighbours: int, cap: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Nearest neighbours of points among their own table, the point itself left out.
-
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates relative to any anchor [quanta].
-    query : (n,) bool
-        Points whose neighbours are wanted.
-    neighbours : int
-        Neighbours per point [count].
-    cap : int
-        Farthest neighbour, inclusive [quanta]; at most ``CAP_MAX``.
-
-    Returns
-    -------
-    rows : (m, neighbours) int32
-        Rows by distance, then row, for the query points in table order; -1 where there
-        are fewer.
-    found : (m,) int32
-        Neighbours found [count].
-    """
+    """Nearest neighbours of points among their own table, the point itself left out."""
     return _search(_one_by_one, xyz, query, neighbours, cap)
 
 
 def nearest_sets(
     xyz: NDArray[np.int32], query: NDArray[np.bool_], neighbours: int, cap: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Nearest neighbours of points among their own table, the point itself left out.
-
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates relative to any anchor [quanta].
-    query : (n,) bool
-        Points whose neighbours are wanted.
-    neighbours : int
-        Neighbours per point [count].
-    cap : int
-        Farthest neighbour, inclusive [quanta]; at most
-        :data:`~spl_batch.numerics.neighbours.kdtree.CAP_MAX`.
-
-    Returns
-    -------
-    rows : (m, neighbours) int32
-        Rows in no particular order, for the query points in table order; -1 where there
-        are fewer.
-    found : (m,) int32
-        Neighbours found [count].
-    """
+    """Nearest neighbours of points among their own table, the point itself left out."""
     return _search(_by_leaves, xyz, query, neighbours, cap)
 
 
 def spacings(
     tree: KdTree, neighbours: int, cap: int, asked: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
-    """Squared distance of points to their n-th neighbour.
-
-    Parameters
-    ----------
-    tree : KdTree
-        The points.
-    neighbours : int
-        Which neighbour [count], >= 1.
-    cap : int
-        Spacing of a point with fewer within it [quanta]; at most ``CAP_MAX``.
-    asked : (n,) bool, optional
-        Points that are asked for, by row; all by default. All are neighbours.
-
-    Returns
-    -------
-    (n,) float64
-        By row, at most ``cap`` squared [quanta2]; whole numbers. NaN for points not asked for.
-    """
+    """Squared distance of points to their n-th neighbour."""
     check_cap(cap)
     out = np.full(tree.points.shape[1], np.nan)
     wanted = np.ones(len(out), np.bool_) if asked is None else asked

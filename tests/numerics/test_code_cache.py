@@ -17,7 +17,6 @@ from numba.core.dispatcher import Dispatcher
 import spl_batch
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_walk import walk
 from spl_batch.imports import content_hash, imported
-from spl_batch.lattice import row_order
 from spl_batch.numerics import compiled
 from spl_batch.numerics.compiled import KeptCode, source_stamp
 from spl_batch.numerics.linked_code import CompilerForLinking, LinkedLibrary
@@ -99,7 +98,7 @@ def kernels() -> Iterator[Any]:
 
 def test_every_kernel_is_kept_so() -> None:
     """Also those outside the airborne survey's: the receivers' own and what sorts rows."""
-    found = [*kernels(), row_order._compiled()]
+    found = [*kernels()]
     homes = {kernel.py_func.__module__.rpartition(".")[0] for kernel in found}
     assert "spl_batch.geiger.coincidence.surface" in homes
     for kernel in found:

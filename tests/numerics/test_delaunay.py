@@ -73,13 +73,6 @@ def test_lattice_points_with_all_their_ties(places: NDArray[np.int64]) -> None:
     check(xy, facets, neighbours)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(3, 40))
-@settings(max_examples=20, deadline=None)
-def test_scattered_points(seed: int, count: int) -> None:
-    xy = np.random.default_rng(seed).random((count, 2)) * 200.0
-    check(xy, *triangles(xy))
-
-
 def test_as_qhull() -> None:
     rng = np.random.default_rng(3)
     inside = rng.random((5000, 2)) * [280.0, 200.0] + 3.3e6

@@ -1,15 +1,10 @@
 """Eight values at a time do what one at a time does."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
-from numba.core.errors import TypingError
-from numpy.typing import NDArray
 
 from spl_batch.numerics import simd
 from spl_batch.numerics.simd import (
@@ -150,19 +145,6 @@ def test_nothing_compares_with_nan(a: list[float], b: list[float]) -> None:
     np.testing.assert_array_equal(out, np.array(expected, np.float64))
 
 
-@njit
-def from_row(table, row, out):  # type: ignore[no-untyped-def]
-    """Eight whole numbers of a row, from its third on."""
-    store(out, U0, load(table, (row, np.uint64(2))))
-
-
-def test_whole_numbers_of_a_table_are_read_as_floats() -> None:
-    table = np.arange(-24, 24, dtype=np.int32).reshape(4, 12)
-    out = np.empty(LANES)
-    from_row(table, np.uint64(1), out)
-    assert out.tolist() == table[1, 2:10].tolist()
-
-
 def test_the_middle_of_what_is_compared_is_given_by_lane() -> None:
     # 0 and 1, then 2 and 3, then the greater of the former and the lesser of the latter.
     middle = middles([(0, 1), (2, 3), (1, 2)], 4)
@@ -177,20 +159,3 @@ def test_the_middle_of_what_is_compared_is_given_by_lane() -> None:
     between(values.reshape(-1), out)
     greater_, lesser_ = values[:2].max(axis=0), values[2:].min(axis=0)
     np.testing.assert_array_equal(out, np.sort([greater_, lesser_], axis=0))
-
-
-@pytest.mark.parametrize(
-    ("function", "given_"),
-    [
-        (lambda a: load(a, 0), np.zeros(8)),  # an index with a sign
-        (lambda a: load(a, U0), np.zeros(8, np.float32)),  # of a kind that there is not
-        (lambda a: load(a, U0), np.zeros(16)[::2]),  # with gaps
-        (lambda a: load(a, U0) + ascending(U0), np.zeros(8)),  # of two kinds
-        (lambda a: number(load(a, U0)), np.zeros(8)),  # no mask
-    ],
-)
-def test_what_cannot_be_done_is_refused(
-    function: Callable[[NDArray[Any]], Any], given_: NDArray[Any]
-) -> None:
-    with pytest.raises(TypingError):
-        njit(function)(given_)

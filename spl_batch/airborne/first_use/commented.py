@@ -27,9 +27,12 @@ from spl_batch.engine.verbs.beginning import (
 from spl_batch.errors import InputError, WorkflowError, counted, grouped, named, plain
 from spl_batch.formats import checkpoints
 from spl_batch.formats.files.atomic import real_path
-from spl_batch.formats.trajectory.ends import ends
-from spl_batch.formats.trajectory.records import PARQUET_SUFFIXES
-from spl_batch.formats.trajectory.sbet import SBET_RECORD, SBET_SUFFIXES
+from spl_batch.formats.trajectory.records import (
+    PARQUET_SUFFIXES,
+    SBET_RECORD,
+    SBET_SUFFIXES,
+    ends,
+)
 
 CLOUDS: Final = frozenset({".las", ".laz"})
 

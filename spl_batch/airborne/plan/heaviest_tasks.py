@@ -21,7 +21,7 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.plan.worker_memory import LOADED_BASE_BYTES
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.errors import grouped
-from spl_batch.formats.trajectory.merge import WAITING_RECORDS
+from spl_batch.formats.trajectory.positions import WAITING_RECORDS
 from spl_batch.lattice.density import Piece, largest
 from spl_batch.lattice.tiles import quanta
 

@@ -192,16 +192,13 @@ def deliver(survey: Survey) -> Iterator[Task]:
 
 def _header_args(source: Source, facts: Mapping[str, Any]) -> dict[str, Any]:
     """What decides the header of a delivered file: its clock, and waveforms beside the input."""
-    ends = [end for mine in facts["spans"].values() for _, end, _ in mine]
-    standard = facts["standard"]
     found = waveform_file(source.path, source.facts.point_format)
     waveforms = found and {
         "path": str(found),
         "stamp": stamp_if_there(found),
         "delivered": str(PurePath(source.delivered).with_suffix(found.suffix)),
     }
-    last_s = max(ends) if standard == "adjusted" else None
-    return {"standard": standard, "last_s": last_s, "waveforms": waveforms}
+    return {"standard": facts["standard"], "waveforms": waveforms}
 
 
 def deliver_tiles(survey: Survey) -> Iterator[Task]:

@@ -19,7 +19,6 @@ from spl_batch.formats.verified.parquet_npz import (
     groups_between,
     naming_damage,
     ranges_of,
-    read_found,
     read_groups,
     read_table,
     reading,
@@ -291,7 +290,7 @@ def read_region(
     end = 0
     with LabelFiles(store) as files:
         for k, tile in enumerate(held):
-            values, row = read_found(parts[k], read)
+            values, row = parts[k].read(read)
             if shifts is not None:
                 values = shifts.shifted(values)
             chosen = _within(values["x"], values["y"], bounds)

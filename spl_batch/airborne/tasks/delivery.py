@@ -29,9 +29,8 @@ from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.geoid import Geoid
-from spl_batch.formats.las.convert import copied_format
-from spl_batch.formats.las.copc_copy import copy_as_copc
-from spl_batch.formats.las.descriptors import header_changes, put_in_order
+from spl_batch.formats.las.convert import conversion
+from spl_batch.formats.las.copc import copy_as_copc
 from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.header import EXTERNAL_BIT, read_header
 from spl_batch.formats.las.known_records import broken_records
@@ -46,9 +45,9 @@ from spl_batch.formats.las.writer import (
     write_classified,
     write_points,
 )
-from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import windows
+from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
@@ -160,7 +159,6 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             classes=classes,
             shifted=shifted,
             standard=args["standard"],
-            last_s=args["last_s"],
         )
     header, copy, outputs = read_header(source), read_header(target), [target]
     waveforms = args["waveforms"]
@@ -173,7 +171,10 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             shutil.copyfile(waveforms["path"], temporary)
     broken = Counter(broken_records(header))
     added = added_dimensions(record_layout(header), diagnostics=diagnostics)
-    mended = Counter(put_in_order(header, copied_format(header.point_format), added))
+    mended = Counter(
+        f"extra dimension {name!a} is described anew"
+        for name in conversion(record_layout(header), added).mended
+    )
     labels.copied[KEEP_BUT_GROUND:] = 0
     facts = {
         "name": args["delivered"],
@@ -181,7 +182,6 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
         "noise_class": _nonzero(labels.counts),
         "classes": _nonzero(classes - labels.copied),
         "records_left_out": broken.total(),
-        "header_changes": header_changes(header, copy),
         "findings": [*_of_header(broken, "left_out"), *_of_header(mended, "changed")],
     }
     return Produced(outputs, facts, written)

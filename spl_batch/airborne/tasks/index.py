@@ -1,6 +1,7 @@
 """Stage ``index``: what is in each input file, its points by time; the trajectory in one piece."""
 
 import hashlib
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
@@ -24,12 +25,10 @@ from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.gps_clock import contradicted_bit
 from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.layers import GIVEN, given_of
-from spl_batch.formats.las.number_dimensions import Numbers
-from spl_batch.formats.las.reader import SAMPLE_POINTS, inspect, iter_points, read_ends
+from spl_batch.formats.las.reader import SAMPLE_POINTS, Numbers, inspect, iter_points, read_ends
 from spl_batch.formats.las.records import RecordLayout
-from spl_batch.formats.trajectory.merge import Merge
 from spl_batch.formats.trajectory.positions import PointExtent, gathering, write_trajectory
-from spl_batch.formats.trajectory.usable import Records
+from spl_batch.formats.trajectory.records import Records
 from spl_batch.formats.verified.parquet_npz import GroupWriter, read_arrays, write_arrays, writing
 from spl_batch.lattice.tables import COLUMNS
 
@@ -259,12 +258,11 @@ def check_file(
     InputError
         If the file cannot be used.
     """
-    with Merge([path], folder) as merge:
-        merge.read(survey_crs, trajectory_crs)
-        records = sum(len(time) for time, _ in merge.pieces())
-    if not records:
-        raise InputError(str(path), "holds no records: copy it again")
-    return records
+    with gathering(
+        [path], survey_crs=survey_crs, trajectory_crs=trajectory_crs, folder=folder
+    ) as found:
+        deque(found, maxlen=0)
+    return found.records
 
 
 def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:

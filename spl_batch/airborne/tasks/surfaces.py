@@ -28,7 +28,7 @@ from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.formats.breaklines import read_breaklines
-from spl_batch.formats.polygons import contains, read_polygons
+from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, overlap, quanta

@@ -29,7 +29,7 @@ from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.las.reader import iter_points
-from spl_batch.formats.polygons import contains, read_polygons
+from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import (
     read_arrays,
     read_table,

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from spl_batch.errors import InputError, as_input_fault
 from spl_batch.formats.declared import bounded
-from spl_batch.formats.gdal_files import refuse_referring
+from spl_batch.formats.vector_files import refuse_referring
 
 _BLOCK: Final = 512
 

@@ -10,7 +10,6 @@ import os
 import re
 import secrets
 import shutil
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -69,12 +68,9 @@ def owned_by(mark: str, content: str) -> Iterator[None]:
 
 
 def _stop_if_disowned() -> None:
-    owner = _OWNER.get()
-    if owner is None:
-        return
-    mark, content = owner
+    mark, content = _OWNER.get() or ("", "")
     with suppress(OSError):
-        if Path(mark).read_text(encoding="utf-8") != content:
+        if mark and Path(mark).read_text(encoding="utf-8") != content:
             raise StoppedError(f"{mark}: another run has begun here; this one is over")
 
 
@@ -188,25 +184,7 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = True) -> None:
 
 def read_bytes(path: Path) -> bytes:
     """Content of a small file."""
-    if is_remote(path):
-        return read_object(path)
-    with open(path, "rb", opener=of_a_file) as stream:
-        return stream.read()
-
-
-def of_a_file(path: str, flags: int) -> int:
-    """Open what is a file, as an ``opener``: a pipe would wait, and a device may have no end.
-
-    Raises
-    ------
-    OSError
-        If it is something else.
-    """
-    descriptor = os.open(path, flags | os.O_NONBLOCK, 0o666)
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise OSError(errno.EINVAL, "it is a pipe or a device, and no file", str(path))
-    return descriptor
+    return read_object(path) if is_remote(path) else path.read_bytes()
 
 
 def real_path(path: str | Path) -> Path:
@@ -259,10 +237,6 @@ def names_in(folder: Path, suffix: str) -> list[str]:
     try:
         names = files_below(folder) if is_remote(folder) else os.listdir(folder)  # noqa: PTH208
     except (FileNotFoundError, NotADirectoryError):
-        return []
-    except OSError as error:
-        if error.errno != errno.ELOOP:
-            raise
         return []
     return sorted(n.removesuffix(suffix) for n in names if n.endswith(suffix) and n[0] != ".")
 

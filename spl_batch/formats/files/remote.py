@@ -4,17 +4,12 @@ An object is written to a local temporary file and then put in one request: it i
 or not at all. Failures of the store concern everything: they stop the run.
 """
 
-import fcntl
 import glob
 import io
-import os
-import shutil
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory, gettempdir
+from tempfile import TemporaryDirectory
 from typing import Any, cast
 
 from spl_batch.errors import StoppedError, WorkflowError
@@ -22,9 +17,6 @@ from spl_batch.errors import StoppedError, WorkflowError
 _METADATA = "zarr.json"
 _OBJECTS = {".json", ".npz", ".parquet"}
 """Ends of names that are objects, never folders: it takes a request to find out."""
-
-_PREFIX = "spl_batch.upload."
-_YOUNG_S = 60.0
 
 
 def remote_path(url: str) -> Path:
@@ -92,8 +84,8 @@ def uploading(path: Path) -> Iterator[Path]:
 
     Of a directory the chunks come first, and their description last.
     """
-    with _upload_folder() as folder:
-        temporary = folder / path.name
+    with TemporaryDirectory(prefix="spl_batch.upload.") as folder:
+        temporary = Path(folder, path.name)
         yield temporary
         with reaching(path):
             if not temporary.is_dir():
@@ -103,35 +95,6 @@ def uploading(path: Path) -> Iterator[Path]:
             files = [p for p in temporary.rglob("*") if p.is_file()]
             for file in sorted(files, key=lambda p: (p.name == _METADATA, -len(p.parts), p)):
                 _put(file, path / file.relative_to(temporary).as_posix())
-
-
-@contextmanager
-def _upload_folder() -> Iterator[Path]:
-    """A folder for temporary files, locked as long as this process lives and uses it."""
-    _remove_abandoned(gettempdir())
-    with TemporaryDirectory(prefix=_PREFIX) as folder:
-        lock = os.open(folder, os.O_RDONLY)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            yield Path(folder)
-        finally:
-            os.close(lock)
-
-
-@cache
-def _remove_abandoned(place: str) -> None:
-    """Remove the folders of processes that were killed; once in the life of this one."""
-    for folder in Path(place).glob(f"{_PREFIX}*"):
-        # Another user's is left alone; a new one may not be locked yet.
-        with suppress(OSError):
-            if time.time() - folder.stat().st_mtime < _YOUNG_S:
-                continue
-            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(folder)
-            finally:
-                os.close(lock)
 
 
 def remove_remote(path: Path) -> None:
@@ -210,18 +173,13 @@ class RemoteFile(io.RawIOBase):
         """Always."""
         return True
 
-    def seekable(self) -> bool:
-        """Always."""
-        return True
-
     def tell(self) -> int:
         """Place in the file."""
         return self._place
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         """Go to a byte; gives its place."""
-        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._place, io.SEEK_END: self._size}[whence]
-        self._place = start + offset
+        self._place = offset + (0, self._place, self._size)[whence]
         return self._place
 
     def read(self, size: int | None = -1) -> bytes:

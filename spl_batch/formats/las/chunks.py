@@ -17,7 +17,7 @@ import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError, grouped, is_fault, reason_of
+from spl_batch.errors import InputError, as_input_fault, grouped
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.las.counts import (
     miscounted,
@@ -88,11 +88,8 @@ def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
         least, most = (grouped(n * chunk_points + k) for n, k in ((count - 1, 1), (count, 0)))
         raise miscounted(header, f"its {grouped(count)} LAZ chunks hold {least} to {most}")
     file.seek(header.points_start)
-    entries = _guarded(
-        path,
-        "its LAZ chunk table cannot be decoded",
-        lambda: lazrs.read_chunk_table(file, lazrs.LazVlr(laszip)),
-    )
+    with as_input_fault(path, "its LAZ chunk table cannot be decoded"):
+        entries = lazrs.read_chunk_table(file, lazrs.LazVlr(laszip))
     _check_entries(header, entries, table_byte - start_byte, variable=variable)
     table = np.asarray(entries, dtype=np.int64).reshape(-1, 2)
     points = np.concatenate([[0], np.cumsum(table[:, 0])])
@@ -187,16 +184,6 @@ def _table_place(header: LasHeader, file: BinaryIO, start_byte: int) -> int:
     return place
 
 
-def _guarded(path: str, fault: str, call: Any) -> Any:
-    """Run a decoder; turn whatever it does with damaged data into an input fault."""
-    try:
-        return call()
-    except BaseException as error:
-        if not is_fault(error) or isinstance(error, MemoryError):
-            raise
-        raise InputError(path, f"{fault} ({error}): it is damaged, copy it again") from None
-
-
 class RecordReader:
     """Reads point records of one file by position; a context manager.
 
@@ -247,10 +234,25 @@ class RecordReader:
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
         """Records ``[start, stop)``: (stop - start,) structured, with the dtype of the layout."""
-        try:
-            return self._read(start, stop)
-        except OSError as error:
-            raise self._unreadable(start, error) from None
+        out = np.empty(stop - start, dtype=self._dtype)
+        if self._table is None:
+            self._read_plain(start, out)
+            return out
+        first = int(np.searchsorted(self._table.points, start, side="right")) - 1
+        while start < stop:
+            begin, end = (int(v) for v in self._table.points[first : first + 2])
+            take = slice(start - (stop - len(out)), min(end, stop) - (stop - len(out)))
+            if begin == start and end <= stop:
+                self._decode(first, out[take])
+            else:
+                if self._held[0] != first:
+                    whole = np.empty(end - begin, dtype=self._dtype)
+                    self._decode(first, whole)
+                    self._held = (first, whole)
+                out[take] = self._held[1][start - begin : min(end, stop) - begin]
+            start = min(end, stop)
+            first += 1
+        return out
 
     def read_ends(self, count: int) -> list[tuple[int, NDArray[Any]]]:
         """Up to ``count`` records from the start, and as many from the end or its last chunk.
@@ -273,77 +275,22 @@ class RecordReader:
         for chunk in np.unique(np.flatnonzero(sizes)[[0, -1]]).tolist():
             start = int(self._table.points[chunk])
             out = np.empty(min(count, int(sizes[chunk])), self._dtype)
-            try:
-                self._decode(chunk, out)
-            except OSError as error:
-                raise self._unreadable(start, error) from None
+            self._decode(chunk, out)
             found.append((start, out))
         return found
-
-    def heads(self, most: int) -> Iterator[tuple[int, NDArray[Any]]]:
-        """First record of up to ``most`` chunks, evenly among more, and its number.
-
-        A chunk begins with it as it is: nothing is decoded. Of an uncompressed file they are evenly
-        spaced records.
-
-        Raises
-        ------
-        InputError
-            If the sizes of a chunk's layers do not fit it.
-        """
-        table, n = self._table, self.header.n_points
-        places = range(n) if table is None else np.flatnonzero(np.diff(table.points)).tolist()
-        for place in places[:: max(-(-len(places) // most), 1)]:
-            if table is None:
-                yield place, self.read(place, place + 1)
-                continue
-            first = int(table.points[place])
-            try:
-                packed = self._packed(table, place, self._dtype.itemsize + self._layers_head.size)[
-                    2
-                ]
-            except OSError as error:
-                raise self._unreadable(first, error) from None
-            if len(packed) >= self._dtype.itemsize:
-                yield first, np.frombuffer(packed, self._dtype, 1)
-
-    def _unreadable(self, start: int, error: OSError) -> InputError:
-        return InputError(
-            str(self.path), f"points from {start} on cannot be read: {reason_of(error)}"
-        )
-
-    def _read(self, start: int, stop: int) -> NDArray[Any]:
-        out = np.empty(stop - start, dtype=self._dtype)
-        if self._table is None:
-            self._read_plain(start, out)
-            return out
-        first = int(np.searchsorted(self._table.points, start, side="right")) - 1
-        while start < stop:
-            begin, end = (int(v) for v in self._table.points[first : first + 2])
-            take = slice(start - (stop - len(out)), min(end, stop) - (stop - len(out)))
-            if begin == start and end <= stop:
-                self._decode(first, out[take])
-            else:
-                if self._held[0] != first:
-                    whole = np.empty(end - begin, dtype=self._dtype)
-                    self._decode(first, whole)
-                    self._held = (first, whole)
-                out[take] = self._held[1][start - begin : min(end, stop) - begin]
-            start = min(end, stop)
-            first += 1
-        return out
 
     def _read_plain(self, start: int, out: NDArray[Any]) -> None:
         self._file.seek(self.header.points_start + start * self._dtype.itemsize)
         view = out.view(np.uint8)
-        got = self._file.readinto(view)  # type: ignore[attr-defined]
+        with as_input_fault(self.path, f"points from {start} on cannot be read"):
+            got = self._file.readinto(view)  # type: ignore[attr-defined]
         if got < len(view):
             raise InputError(
                 str(self.path), f"ends before point {start + got // self._dtype.itemsize}"
             )
 
-    def _check_layers(self, packed: bytes, size: int, begin: int, end: int) -> None:
-        """Compare a chunk's layer sizes with its bytes, of which the first are enough.
+    def _check_layers(self, packed: bytes, begin: int, end: int) -> None:
+        """Compare a chunk's layer sizes with its bytes.
 
         The decoder would believe sizes of damaged layers and allocate gigabytes. A chunk is its
         first point, the number of points, the size of each layer, the layers.
@@ -352,9 +299,9 @@ class RecordReader:
             return
         start, head = self._dtype.itemsize, self._layers_head
         named, least = f"points {begin} to {end - 1}", start + head.size
-        bounded(self.path, f"bytes read of {named}", len(packed), least=least, most=size)
+        bounded(self.path, f"bytes read of {named}", len(packed), least=least, most=2**62)
         count, *sizes = head.unpack_from(packed, start)
-        there = size - least
+        there = len(packed) - least
         if end == self.header.n_points and end - begin < count <= CHUNK_POINTS_MAX:
             raise miscounted(self.header, f"its LAZ chunks hold {grouped(begin + count)}")
         bounded(self.path, f"count of {named}", count, least=end - begin, most=end - begin)
@@ -365,13 +312,10 @@ class RecordReader:
         if table is None or len(out) == 0:
             return
         begin, end, packed = self._packed(table, chunk)
-        _guarded(
-            str(self.path),
-            f"points {begin} to {end - 1} cannot be decoded",
-            lambda: lazrs.decompress_points_with_chunk_table(
+        with as_input_fault(self.path, f"points {begin} to {end - 1} cannot be decoded"):
+            lazrs.decompress_points_with_chunk_table(
                 packed, self.laszip, out.view(np.uint8), [(len(out), len(packed))]
-            ),
-        )
+            )
         if self._n_layers == 0 and begin + len(out) == self.header.n_points:
             refuse_uncounted_rest(self.header, self.laszip, packed, len(out))
 
@@ -381,18 +325,13 @@ class RecordReader:
         if table is None:
             return
         for chunk in np.flatnonzero(np.diff(table.points)).tolist():
-            try:
-                found = self._packed(table, chunk)
-            except OSError as error:
-                raise self._unreadable(int(table.points[chunk]), error) from None
-            yield found
+            yield self._packed(table, chunk)
 
-    def _packed(
-        self, table: ChunkTable, chunk: int, most: int | None = None
-    ) -> tuple[int, int, bytes]:
+    def _packed(self, table: ChunkTable, chunk: int) -> tuple[int, int, bytes]:
         begin, end = (int(v) for v in table.points[chunk : chunk + 2])
         low, high = (int(v) for v in table.bytes[chunk : chunk + 2])
-        self._file.seek(low)
-        packed = self._file.read(high - low if most is None else min(most, high - low))
-        self._check_layers(packed, high - low, begin, end)
+        with as_input_fault(self.path, f"points from {begin} on cannot be read"):
+            self._file.seek(low)
+            packed = self._file.read(high - low)
+        self._check_layers(packed, begin, end)
         return begin, end, packed

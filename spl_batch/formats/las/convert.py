@@ -1,18 +1,27 @@
-"""Records of any point format into formats 6-10 with extra dimensions [LAS 1.4 R15, section 4]."""
+"""Records of any point format into formats 6-10 with extra dimensions [LAS 1.4 R15, section 4].
 
-from collections.abc import Sequence
+laspy refuses a file whose extra bytes have a name twice, or one that the record has already, a text
+that is no UTF-8, or a scale that is no number: a copy describes such a dimension anew.
+"""
+
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+import laspy
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.formats.las.descriptors import in_order
 from spl_batch.formats.las.records import (
+    ADDED,
+    FIRST_CLASS,
     FIRST_EXTENDED_FORMAT,
+    OFFSET_BIT,
+    SCALE_BIT,
     SCAN_ANGLE_STEP_DEG,
     ExtraDimension,
     RecordLayout,
+    added,
     dimension,
     standard_dtype,
 )
@@ -22,6 +31,16 @@ EXTENDED_FORMAT: Final = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
 
 _LEGACY_OVERLAP_CLASS: Final = 12
 _OVERLAP_BIT: Final = 8
+_REPLACED: Final = frozenset(added(name).descriptor for name in ADDED if name != FIRST_CLASS)
+"""Descriptors of what an earlier run added and no copy keeps."""
+
+_NAME, _TEXT = slice(4, 36), slice(160, 192)
+_SCALE, _OFFSET = 112, 136
+
+
+def copied_format(point_format: int) -> int:
+    """Point format of a copy of a file of one."""
+    return EXTENDED_FORMAT.get(point_format, point_format)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,20 +50,10 @@ class Conversion:
     given: RecordLayout
     layout: RecordLayout
     kept: tuple[tuple[str, str], ...]  #: Fields of extra dimensions: before, after.
+    mended: tuple[str, ...]  #: Names of extra dimensions that are described anew.
 
     def records(self, given: NDArray[Any]) -> NDArray[Any]:
-        """Converted records; added dimensions are zero.
-
-        Parameters
-        ----------
-        given : (n,) structured
-            Records of the layout before.
-
-        Returns
-        -------
-        (n,) structured
-            Records of the layout after.
-        """
+        """Records, (n,), of the layout before, as those of the layout after; what is added is 0."""
         out = np.zeros(len(given), dtype=self.layout.dtype)
         shared = set(self.given.dtype.names or ()) & set(self.layout.dtype.names or ())
         standard = standard_dtype(self.layout.point_format).names or ()
@@ -59,24 +68,61 @@ class Conversion:
         return out
 
 
-def copied_format(point_format: int) -> int:
-    """Point format of a copy of a file of one."""
-    return EXTENDED_FORMAT.get(point_format, point_format)
-
-
 def conversion(given: RecordLayout, added: Sequence[ExtraDimension]) -> Conversion:
     """Conversion into an extended point format with dimensions added.
 
     ``added``: dimensions of the output; one of the input that is described alike is dropped, one
-    of the same name gets another. What standard readers do not take of descriptors is put in order.
+    of the same name gets another.
     """
     point_format = copied_format(given.point_format)
-    pairs = [(old, new) for old, new, _ in in_order(given.extra, point_format, added)]
-    numbered = [
-        replace(d, field=f"extra_{i}") for i, d in enumerate([*(new for _, new in pairs), *added])
-    ]
-    kept = tuple((old.field, d.field) for (old, _), d in zip(pairs, numbered, strict=False))
-    return Conversion(given, RecordLayout(point_format, tuple(numbered)), kept)
+    standard = laspy.PointFormat(point_format).standard_dimension_names
+    taken = {*standard, *(standard_dtype(point_format).names or ()), *(d.name for d in added)}
+    old = [d for d in given.extra if d.descriptor not in _REPLACED]
+    new: list[ExtraDimension] = []
+    for before in old:
+        new.append(_sound(before, taken))
+        taken.add(new[-1].name)
+    numbered = [replace(d, field=f"extra_{i}") for i, d in enumerate([*new, *added])]
+    pairs = list(zip(old, numbered, strict=False))
+    return Conversion(
+        given,
+        RecordLayout(point_format, tuple(numbered)),
+        tuple((before.field, after.field) for before, after in pairs),
+        tuple(after.name for before, after in pairs if before.descriptor != after.descriptor),
+    )
+
+
+def _sound(dimension: ExtraDimension, taken: Collection[str]) -> ExtraDimension:
+    """A dimension as standard readers take it."""
+    raw = bytearray(dimension.descriptor)
+    name, text = _free(_text(raw[_NAME]) or "unnamed", taken), _text(raw[_TEXT])
+    for field, value in ((_NAME, name), (_TEXT, text)):
+        if raw[field].split(b"\0")[0] != value.encode():
+            raw[field] = value.encode().ljust(32, b"\0")
+    scale, offset = dimension.scale, dimension.offset
+    elements = (raw[2] - 1) // 10 + 1
+    for bit, start in ((SCALE_BIT, _SCALE), (OFFSET_BIT, _OFFSET)):
+        values = np.frombuffer(raw, "<f8", elements, start)
+        sound = np.isfinite(values) & ((values != 0) | (bit != SCALE_BIT))
+        if raw[3] & bit and not sound.all():
+            raw[3] &= 0xFF ^ (SCALE_BIT | OFFSET_BIT)
+            scale = offset = None
+    return replace(dimension, name=name, scale=scale, offset=offset, descriptor=bytes(raw))
+
+
+def _text(field: bytearray) -> str:
+    """Text of a field up to its first zero, without what is no UTF-8."""
+    return field.split(b"\0")[0].decode("utf-8", errors="ignore")
+
+
+def _free(name: str, taken: Collection[str]) -> str:
+    """The name, or, where it is taken, it and the first number that is free."""
+    found, k = name, 2
+    while found in taken:
+        ending = f"_{k}"
+        found = name.encode()[: 32 - len(ending)].decode("utf-8", errors="ignore") + ending
+        k += 1
+    return found
 
 
 def _extend(out: NDArray[Any], given: NDArray[Any], layout: RecordLayout) -> None:

@@ -26,7 +26,6 @@ from spl_batch.formats.crs import WKT_KEY
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.gps_clock import TimeStandard
 from spl_batch.formats.las.chunks import CHUNK_SIZE, CHUNK_SIZE_AT, LASZIP_KEY
-from spl_batch.formats.las.descriptors import sound_date, sound_system
 from spl_batch.formats.las.header import (
     ADJUSTED_BIT,
     EVLR_HEAD,
@@ -66,7 +65,7 @@ class Frame:
     evlrs: Sequence[tuple[Evlr, Path]] = ()
 
 
-def preamble(old: bytes, encoding: int, last_s: float | None = None) -> bytes:
+def preamble(old: bytes, encoding: int) -> bytes:
     """First bytes of a LAS 1.4 header.
 
     Parameters
@@ -76,23 +75,15 @@ def preamble(old: bytes, encoding: int, last_s: float | None = None) -> bytes:
         for a new file.
     encoding : int
         Bits of the global encoding.
-    last_s : float, optional
-        Adjusted standard time of the last point: its day stands for a creation date that is none
-        [s].
     """
     software = f"spl-batch {__version__}".encode("ascii").ljust(32, b"\0")
-    return b"".join(
-        [
-            b"LASF",
-            old[4:6] if old[25] else bytes(2),  # LAS 1.0 knows no id of the file
-            encoding.to_bytes(2, "little"),
-            old[8:24],
-            bytes([1, 4]),
-            sound_system(old[26:58]),
-            software,
-            sound_date(old[90:94], last_s),
-        ]
-    )
+    system = bytes(b if b < 0x80 else ord("?") for b in old[26:58])
+    if not system.strip(b"\0 "):
+        system = b"MODIFICATION".ljust(32, b"\0")
+    day, year = struct.unpack("<HH", old[90:94])
+    date = old[90:94] if 1 <= day <= 366 and 1 <= year <= 9999 else bytes(4)
+    encoded = encoding.to_bytes(2, "little")
+    return b"LASF" + old[4:6] + encoded + old[8:24] + b"\1\4" + system + software + date
 
 
 def copied_encoding(
@@ -121,28 +112,15 @@ class WatchedFile:
         self.file = file
         self.error: OSError | None = None
 
-    def _try(self, call: Callable[..., Any], *args: Any) -> Any:
-        try:
-            return call(*args)
-        except OSError as error:
-            self.error = error
-            raise
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            try:
+                return getattr(self.file, name)(*args)
+            except OSError as error:
+                self.error = error
+                raise
 
-    def write(self, data: Any) -> int:
-        """Write all of it."""
-        return int(self._try(self.file.write, bytes(data)))
-
-    def flush(self) -> None:
-        """Hand what is buffered to the system."""
-        self._try(self.file.flush)
-
-    def seek(self, place: int, whence: int = 0) -> int:
-        """Go to a byte; gives its place."""
-        return int(self._try(self.file.seek, place, whence))
-
-    def tell(self) -> int:
-        """Place in the file."""
-        return self.file.tell()
+        return call
 
 
 def _read_back(path: Path) -> None:
@@ -293,7 +271,7 @@ def start_file(file: WatchedFile, vlrs: Sequence[Vlr]) -> int:
     for vlr in vlrs:
         head = (0, vlr.user_id, vlr.record_id, len(vlr.data), vlr.description)
         file.write(VLR_HEAD.pack(*head) + vlr.data)
-    return file.tell()
+    return int(file.tell())
 
 
 def laz_record(layout: RecordLayout, chunk_points: int | None = None) -> Any:

@@ -21,7 +21,7 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, reason_of
 from spl_batch.formats.declared import bounded, gathered
 
-HEADER_SIZES: Final = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
+HEADER_SIZES: Final = {1: 227, 2: 227, 3: 235, 4: 375}
 """Bytes of the header by minor version."""
 
 VLR_HEAD: Final = struct.Struct("<H16sHH32s")
@@ -42,10 +42,6 @@ _FAR_M: Final = 1e9
 _SCALE_MAX_M: Final = 1000.0
 _HIGH_M: Final = (2**31 - 1) / QUANTA_PER_M
 _MAX_POINTS: Final = 2**32 - 1
-_NUMBER_ENDS: Final = (-(2**31), 2**31 - 1)
-_START_SIGNATURES: Final = (b"\xdd\xcc", b"\xcc\xdd")
-"""Bytes before the points of LAS 1.0; some writers count them among the points."""
-
 _MAX_LENGTH: Final = 2**16 - 1
 _MAX_RECORDS: Final = 4096
 _REWRITE: Final = "the header is damaged, rewrite the file with the software that made it"
@@ -113,20 +109,6 @@ class LasHeader:
         return next((v for v in self.vlrs if v.key == (user_id, record_id)), None)
 
 
-def refuse_unspeakable(path: Path) -> None:
-    """Refuse a name that is no UTF-8: no receipt, report or link could hold it.
-
-    Raises
-    ------
-    InputError
-        If it is one.
-    """
-    try:
-        str(path).encode()
-    except UnicodeEncodeError:
-        raise InputError(str(path), "its name is not UTF-8: rename it") from None
-
-
 @contextmanager
 def open_input(path: Path) -> Iterator[BinaryIO]:
     """Open a file for reading; whatever forbids it becomes one clear line.
@@ -134,10 +116,10 @@ def open_input(path: Path) -> Iterator[BinaryIO]:
     Raises
     ------
     InputError
-        If the file is missing, a folder, empty or may not be read.
+        If the file is missing, a folder, empty, may not be read, or has a name that is no UTF-8.
     """
-    refuse_unspeakable(path)
     try:
+        str(path).encode()  # no receipt, report or link could hold another name
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):
             raise InputError(str(path), "is a folder; name the files in it, e.g. *.laz")
@@ -147,6 +129,8 @@ def open_input(path: Path) -> Iterator[BinaryIO]:
         if status.st_size == 0:
             raise InputError(str(path), "is empty (0 bytes); copy it again")
         file = path.open("rb")
+    except UnicodeEncodeError:
+        raise InputError(str(path), "its name is not UTF-8: rename it") from None
     except FileNotFoundError:
         raise InputError(str(path), "no such file; check the path") from None
     except OSError as error:
@@ -176,8 +160,6 @@ def read_header(path: Path) -> LasHeader:
             raw, _CORE_START
         )[:6]
         floats = _CORE.unpack_from(raw, _CORE_START)[11:]
-        if raw[25] == 0:
-            points_start += _signature_bytes(file, points_start)
         compressed = bool(pf & _COMPRESSED_BIT)
         version = (raw[24], raw[25])
         n_points = _count_points(raw, version[1], legacy)
@@ -244,20 +226,13 @@ def _read_raw(path: Path, file: BinaryIO) -> bytes:
     major, minor = head[24], head[25]
     if major != 1 or minor not in HEADER_SIZES:
         raise InputError(
-            str(path), f"is LAS version {major}.{minor}; 1.0 to 1.4 can be read: convert it"
+            str(path), f"is LAS version {major}.{minor}; 1.1 to 1.4 can be read: convert it"
         )
     if len(head) < HEADER_SIZES[minor]:
         raise InputError(
             str(path), f"is cut off inside its header: {len(head)} bytes; copy it again"
         )
     return head[: HEADER_SIZES[minor]]
-
-
-def _signature_bytes(file: BinaryIO, points_start: int) -> int:
-    """Bytes of the start signature of LAS 1.0 behind the offset to the points, 0 or 2."""
-    file.seek(max(points_start - 2, 0))
-    around = file.read(4)
-    return 2 * (around[2:] in _START_SIGNATURES and around[:2] not in _START_SIGNATURES)
 
 
 def _count_points(raw: bytes, minor: int, legacy: int) -> int:
@@ -268,41 +243,35 @@ def _count_points(raw: bytes, minor: int, legacy: int) -> int:
 
 
 def _coordinate_faults(floats: tuple[float, ...], n_points: int) -> list[str]:
+    """Scales, offsets and ends of the bounding box that cannot be."""
     faults = []
-    for axis in range(3):
-        name = "xyz"[axis]
+    for axis, name in enumerate("xyz"):
         scale, offset = floats[axis], floats[3 + axis]
-        high, low = floats[6 + 2 * axis], floats[7 + 2 * axis]
+        high, low = floats[6 + 2 * axis : 8 + 2 * axis]
+        box, far = f"bounding box {name} {low} to {high}", _HIGH_M if name == "z" else _FAR_M
         if not 0 < scale <= _SCALE_MAX_M:
-            faults.append(
-                f"{name} scale {scale}; must be > 0 and <= {_SCALE_MAX_M}: the header is damaged"
-            )
+            allowed = f"must be > 0 and <= {_SCALE_MAX_M}"
+            faults.append(f"{name} scale {scale}; {allowed}: the header is damaged")
         if not abs(offset) <= _FAR_M:
+            allowed = f"allowed -{_FAR_M:.0f} to {_FAR_M:.0f}"
+            faults.append(f"{name} offset {offset}; {allowed}: the header is damaged")
+        if n_points and not (math.isfinite(low) and math.isfinite(high) and low <= high):
+            order = "must be finite and in order"
+            faults.append(f"{box}; {order}: repair the header (lasinfo -repair_bb)")
+        elif n_points and max(abs(low), abs(high)) > far:
+            faults.append(f"{box}; allowed -{far:.0f} to {far:.0f}: the header is damaged")
+        elif n_points and scale > 0 and _is_cut(low, scale, offset):
             faults.append(
-                f"{name} offset {offset}; allowed -{_FAR_M:.0f} to {_FAR_M:.0f}:"
-                " the header is damaged"
-            )
-        if n_points == 0:
-            continue
-        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-            faults.append(
-                f"bounding box {name} {low} to {high}; must be finite and in order:"
-                " repair the header (lasinfo -repair_bb)"
-            )
-            continue
-        limit = _HIGH_M if name == "z" else _FAR_M
-        if max(abs(low), abs(high)) > limit:
-            faults.append(
-                f"bounding box {name} {low} to {high}; allowed -{limit:.0f} to {limit:.0f}:"
-                " the header is damaged"
-            )
-        elif scale > 0 and any(abs((low - offset) / scale - end) < 0.5 for end in _NUMBER_ENDS):
-            faults.append(
-                f"bounding box {name} {low} to {high} starts at the end of 32-bit numbers of scale"
-                f" {scale} and offset {offset}: coordinates did not fit when they were written;"
-                " write the file again with an offset near its points"
+                f"{box} starts at the end of 32-bit numbers of scale {scale} and offset {offset}:"
+                " coordinates did not fit when they were written; write the file again with an"
+                " offset near its points"
             )
     return faults
+
+
+def _is_cut(low: float, scale: float, offset: float) -> bool:
+    """Whether a box starts where 32-bit numbers end."""
+    return abs(abs((low - offset) / scale + 0.5) - (2**31 - 0.5)) < 0.5
 
 
 def _read_vlrs(path: Path, file: BinaryIO, start: int, stop: int, count: int) -> Iterator[Vlr]:

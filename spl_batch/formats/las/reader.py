@@ -7,7 +7,6 @@ warning says so.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -22,7 +21,6 @@ from spl_batch.formats.crs import GEO_KEYS, WKT_KEY, crs_from_geotiff, crs_from_
 from spl_batch.formats.las.chunks import RecordReader
 from spl_batch.formats.las.header import ADJUSTED_BIT, LasHeader, open_input, read_header
 from spl_batch.formats.las.layers import can_be_copied
-from spl_batch.formats.las.number_dimensions import Numbers, small_numbers
 from spl_batch.formats.las.records import (
     RecordLayout,
     dimension,
@@ -224,8 +222,21 @@ SAMPLE_POINTS: Final = 4096
 """Points that are looked at of each end of a file [count]: of an SPL100 a tenth of a second."""
 
 
-POINTS_A_HEAD: Final = 100
-"""Points that are decoded in the time that the first one of another chunk takes [count]."""
+_CHANNEL_MAX: Final = 255
+"""Largest number of a beamlet."""
+
+_FREE: Final = ("user_data", "intensity")
+"""Standard dimensions that deliveries use for beamlet numbers; others mean what LAS says."""
+
+
+class Numbers(NamedTuple):
+    """What a dimension holds in some points."""
+
+    low: int
+    high: int
+    different: int
+    points: int  #: Points that were looked at [count].
+    most: int  #: Points that share the most frequent value [count].
 
 
 class Ends(NamedTuple):
@@ -242,9 +253,6 @@ class Ends(NamedTuple):
 def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
     """Look at the first points of a file, and at those where its last chunk starts.
 
-    Of chunks between these only the first point is looked at, of up to a :data:`POINTS_A_HEAD`-th
-    of ``count`` chunks: a large part that is lost, as of an incomplete copy, shows there.
-
     Parameters
     ----------
     path : Path
@@ -258,18 +266,9 @@ def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
         If they are damaged, or the channels are not in 0..255; in the words of
         :func:`iter_points`.
     """
-    with as_input_fault(path):
-        return _ends(path, channel_dimension, count)
-
-
-def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
-    header = read_header(path)
-    with RecordReader(header) as reader:
-        pieces, layout = reader.read_ends(count), reader.layout
-        whole = sum(len(some) for _, some in pieces) == header.n_points
-        heads = () if whole else reader.heads(max(count // POINTS_A_HEAD, 1))
-        looked_at = sorted((*pieces, *heads), key=itemgetter(0))
-    for first, some in looked_at:
+    with as_input_fault(path), RecordReader(read_header(path)) as reader:
+        pieces, layout, header = reader.read_ends(count), reader.layout, reader.header
+    for first, some in pieces:
         for axis in range(3):
             _coordinate(some, header, axis, first)
     channel = np.concatenate(
@@ -281,11 +280,31 @@ def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
     return Ends(
         seen["gps_time"].astype(np.float64),
         channel,
-        small_numbers(records, layout),
+        _small_numbers(records, layout),
         tuple(classes.tolist()),
         tuple(sources.tolist()),
         bool(np.any(seen["flags"] & EXCLUDED == 0)),
     )
+
+
+def _small_numbers(records: NDArray[Any], layout: RecordLayout) -> dict[str, Numbers]:
+    """Dimensions whose values are whole numbers from 0 to 255, by name.
+
+    ``records``: (n,) structured, point records of this layout.
+    """
+    found: dict[str, Numbers] = {}
+    if not len(records):
+        return found
+    for name in (*_FREE, *(extra.name for extra in layout.extra)):
+        values = dimension(records, layout, name)
+        if values.ndim > 1 or values.dtype.kind not in "ui":
+            continue
+        low, high = int(values.min()), int(values.max())
+        if low >= 0 and high <= _CHANNEL_MAX:
+            counts = np.bincount(values.astype(np.int64))
+            different = int(np.count_nonzero(counts))
+            found[name] = Numbers(low, high, different, len(values), int(counts.max()))
+    return found
 
 
 def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:
@@ -350,18 +369,17 @@ def _channel(
     if name is None:
         return np.zeros(len(records), dtype=np.uint8)
     values = dimension(records, layout, name)
-    if values.ndim == 1 and values.dtype == np.uint8:
-        return values
-    whole = values.ndim == 1 and bool(np.all((values >= 0) & (values <= 255)))
-    if whole and np.array_equal(values, np.rint(values)):
-        return values
     if values.ndim > 1:
         fault = f"dimension {name!r} has {values.shape[1]} values a point; a channel is one"
-    else:
-        wrong = ~((values >= 0) & (values <= 255) & (values == np.rint(values)))
+        raise InputError(str(header.path), fault)
+    if values.dtype == np.uint8:
+        return values
+    wrong = ~((values >= 0) & (values <= _CHANNEL_MAX) & (values == np.rint(values)))
+    if wrong.any():
         where = int(np.argmax(wrong))
-        fault = (
+        raise InputError(
+            str(header.path),
             f"dimension {name!r} is {values[where]} at point {first + where}; a channel is a whole"
-            " number 0 to 255: name another one in survey.channel_dimension"
+            " number 0 to 255: name another one in survey.channel_dimension",
         )
-    raise InputError(str(header.path), fault)
+    return values

@@ -95,13 +95,10 @@ def record_layout(header: LasHeader) -> RecordLayout:
     base = standard_dtype(header.point_format).itemsize
     room = header.record_size - base
     extra: list[ExtraDimension] = []
-    for raw in descriptors(header):
-        found = _dimension(header, raw, number=len(extra))
-        if is_misread(raw):
-            extra += _plain(found.dtype.itemsize, len(extra))
-        elif found.dtype.itemsize:
-            # One of no bytes holds nothing, and standard readers divide by its size.
-            extra.append(found)
+    for raw in _descriptors(header):
+        # Common readers misunderstand a block without a type, whose options are its size.
+        block = raw[2] == 0
+        extra += _plain(raw[3], len(extra)) if block else [_dimension(header, raw, len(extra))]
     held = sum(d.dtype.itemsize for d in extra)
     left = room - bounded(
         header.path, "extra bytes that are described", held, most=room, remedy=_REWRITE
@@ -113,7 +110,7 @@ def record_layout(header: LasHeader) -> RecordLayout:
     return RecordLayout(header.point_format, tuple(extra))
 
 
-def descriptors(header: LasHeader) -> list[bytes]:
+def _descriptors(header: LasHeader) -> list[bytes]:
     """Descriptors of the extra bytes, each whole."""
     vlr = header.vlr(*EXTRA_BYTES_KEY)
     data = b"" if vlr is None else vlr.data
@@ -121,16 +118,8 @@ def descriptors(header: LasHeader) -> list[bytes]:
     return [data[start : start + DESCRIPTOR_SIZE] for start in starts]
 
 
-def is_misread(descriptor: bytes) -> bool:
-    """Whether it is of a block without a type whose length laspy takes for flags as well."""
-    return descriptor[2] == 0 and bool(descriptor[3] & (SCALE_BIT | OFFSET_BIT))
-
-
 def _plain(size: int, first: int) -> list[ExtraDimension]:
-    """Names for bytes that nothing describes, so that a copy can carry them along.
-
-    Common readers misunderstand the standard's own type for such blocks.
-    """
+    """Names for bytes that nothing describes, so that a copy can carry them along."""
     types = ["<u8"] * (size // 8) + ["u1"] * (size % 8)
     return [
         replace(
@@ -179,12 +168,10 @@ def given_classes(records: NDArray[Any], layout: RecordLayout) -> NDArray[np.uin
     )
 
 
-def _dimension(header: LasHeader, raw: bytes, *, number: int) -> ExtraDimension:
+def _dimension(header: LasHeader, raw: bytes, number: int) -> ExtraDimension:
     code, options = raw[2], raw[3]
     name = raw[4:36].split(b"\0")[0].decode("utf-8", errors="replace")
     field = f"extra_{number}"
-    if code == 0:
-        return ExtraDimension(name, field, np.dtype(("u1", (options,))), None, None, raw)
     what = f"data type of extra dimension {name!r}"
     bounded(header.path, what, code, most=3 * len(_TYPES), remedy=_REWRITE)
     base = np.dtype(f"<{_TYPES[(code - 1) % len(_TYPES)]}")

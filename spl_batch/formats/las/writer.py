@@ -43,7 +43,7 @@ from spl_batch.formats.las.header import (
     Vlr,
     read_header,
 )
-from spl_batch.formats.las.known_records import reads_back
+from spl_batch.formats.las.known_records import record_fault
 from spl_batch.formats.las.layers import LayerCopy, can_be_copied
 from spl_batch.formats.las.reader import header_crs
 from spl_batch.formats.las.records import (
@@ -122,7 +122,6 @@ def write_classified(
     classes: NDArray[np.int64] | None = None,
     shifted: Shifted | None = None,
     standard: TimeStandard = "none",
-    last_s: float | None = None,
 ) -> int:
     """Copy a file with new classes and the extra bytes of :data:`ADDED`.
 
@@ -156,8 +155,6 @@ def write_classified(
         Shifts that are added to the heights, rounded to the file's scale.
     standard : str
         What the values of ``gps_time`` are, for the header.
-    last_s : float, optional
-        Last adjusted standard time, see :func:`~spl_batch.formats.las.frame.preamble` [s].
 
     Raises
     ------
@@ -201,9 +198,7 @@ def write_classified(
         if shifted is not None:
             vlrs.append(shifted.record)
         frame = Frame(
-            preamble=preamble(
-                header.raw, copied_encoding(header, standard, evlrs, wkt=wkt), last_s
-            ),
+            preamble=preamble(header.raw, copied_encoding(header, standard, evlrs, wkt=wkt)),
             scales=header.scales,
             offsets=header.offsets,
             layout=convert.layout,
@@ -263,7 +258,7 @@ def _records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr],
 
     def is_kept(record: Vlr | Evlr) -> bool:
         gone = record.key in dropped or record.key[0] == "copc"
-        return not gone and reads_back(header.path, record)
+        return not gone and record_fault(header.path, record) is None
 
     vlrs, evlrs = [*filter(is_kept, header.vlrs)], [*filter(is_kept, header.evlrs)]
     known = WKT_KEY in {v.key for v in vlrs} | {e.key for e in evlrs}
@@ -348,7 +343,6 @@ def write_points(
         preamble=preamble(
             bytes(head),
             encoding | ADJUSTED_BIT * (standard != "week"),
-            float(time.max()) if standard == "adjusted" else None,
         ),
         scales=(QUANTUM_M, QUANTUM_M, QUANTUM_M),
         offsets=(offsets[0], offsets[1], offsets[2]),

@@ -1,6 +1,5 @@
 """Delivered rasters: cloud-optimised GeoTIFF."""
 
-import math
 import shutil
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -119,7 +118,6 @@ def _write_plain(
     """
     layout = {"tiled": True, "blockxsize": TILE_PX, "blockysize": TILE_PX, "sparse_ok": True}
     marks = []
-    summary = _Summary(profile["nodata"], profile["height"] * profile["width"])
     with rasterio.open(path, "w", bigtiff="if_safer", **layout, **profile) as out:
         out.set_band_description(1, named[0])
         if named[1]:
@@ -132,8 +130,6 @@ def _write_plain(
             values = block.astype(profile["dtype"], copy=False)
             out.write(values, 1, window=window)
             marks.append((window, zlib.crc32(values.tobytes())))
-            summary.add(values)
-        out.update_tags(1, **summary.tags())
     return marks
 
 
@@ -149,49 +145,6 @@ def _table(colours: Sequence[str]) -> dict[int, tuple[int, int, int, int]]:
     known = [(*bytes.fromhex(colour.removeprefix("#")), 255) for colour in colours]
     table = {k: known[min(k, len(known) - 1)] for k in range(NO_COUNT)}
     return {**table, NO_COUNT: (0, 0, 0, 0)}
-
-
-class _Summary:
-    """Statistics of a raster, as GDAL keeps them for whoever draws it.
-
-    Parameters
-    ----------
-    nodata : float
-        Value of cells that hold nothing.
-    cells : int
-        Cells of the whole raster [count].
-    """
-
-    def __init__(self, nodata: float, cells: int) -> None:
-        self.nodata, self.cells = np.float32(nodata), cells
-        self.ends: list[float] = []
-        self.sums: list[float] = []
-        self.squares: list[float] = []
-        self.held = 0
-
-    def add(self, values: NDArray[Any]) -> None:
-        """Take a piece in."""
-        known = values[values != self.nodata].astype(np.float64)
-        self.held += known.size
-        if known.size:
-            self.ends += [float(known.min()), float(known.max())]
-            self.sums.append(float(known.sum()))
-            self.squares.append(float((known**2).sum()))
-
-    def tags(self) -> dict[str, str]:
-        """Items of GDAL's metadata; none where the raster is empty."""
-        if not self.held:
-            return {}
-        # Exact sums of the pieces' sums: their order does not count.
-        mean = math.fsum(self.sums) / self.held
-        variance = max(math.fsum(self.squares) / self.held - mean**2, 0.0)
-        return {
-            "STATISTICS_MINIMUM": f"{min(self.ends):.9g}",
-            "STATISTICS_MAXIMUM": f"{max(self.ends):.9g}",
-            "STATISTICS_MEAN": f"{mean:.9g}",
-            "STATISTICS_STDDEV": f"{math.sqrt(variance):.9g}",
-            "STATISTICS_VALID_PERCENT": f"{100 * self.held / self.cells:.4g}",
-        }
 
 
 def _verify(cog: Path, marks: Iterable[tuple[Window, int]]) -> None:
@@ -235,11 +188,12 @@ def _finer(start: int, count: int, ratio: float, size: int) -> NDArray[np.int64]
 
 
 def _add_overviews(path: Path, shape: tuple[int, int], by: Resampling) -> None:
-    """Overviews down to one tile, and one always: GDAL by itself leaves small rasters without."""
+    """Statistics, and overviews down to one tile: one always, where GDAL leaves some without."""
     factors = [2]
     while max(shape) // factors[-1] > TILE_PX:
         factors.append(2 * factors[-1])
     with rasterio.open(path, "r+") as raster:
+        raster.update_stats()
         raster.build_overviews(factors, by)
 
 

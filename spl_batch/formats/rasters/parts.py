@@ -1,7 +1,7 @@
 """Parts and overviews of delivered rasters, for statistics and pictures."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,21 +54,49 @@ def read_overview(
         If the raster cannot be read: it can be made again.
     """
     with opened(path) as source:
-        row0, col0, size = _within(source, bounds_m)
-        step, shape = _reduced(size, largest)
+        rows, cols = _touched(source, bounds_m or tuple(source.bounds))
+        step, shape = _reduced((max(len(rows), 1), max(len(cols), 1)), largest)
         # A window beyond the edge keeps cells square where the step does not divide it.
-        window = Window(col0, row0, shape[1] * step, shape[0] * step)
         values = source.read(
             1,
-            window=window,
+            window=Window(cols.start, rows.start, shape[1] * step, shape[0] * step),
             out_shape=shape,
             boundless=step > 1,
             fill_value=source.nodata,
             resampling=Resampling.average if step > 1 else Resampling.nearest,
         )
-        cell = source.transform.a
-        left, top = source.transform.c + col0 * cell, source.transform.f - row0 * cell
-        return Part(values.astype(np.float32), left, top, cell * step)
+        return _part(source, values, rows, cols, step)
+
+
+def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, float, float]:
+    """Rows, columns, left and upper edge and edge of a cell of :func:`read_overview` [count, m].
+
+    Raises
+    ------
+    DamagedError
+        If the raster cannot be read: it can be made again.
+    """
+    with opened(path) as source:
+        step, shape = _reduced(source.shape, largest)
+        return (*shape, source.transform.c, source.transform.f, source.transform.a * step)
+
+
+def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Part | None:
+    """Cells that a region touches, and one more around; None where the raster has none.
+
+    ``bounds_m``: (float, float, float, float), west, south, east, north [m].
+
+    Raises
+    ------
+    DamagedError
+        If the raster cannot be read: it can be made again.
+    """
+    with opened(path) as source:
+        rows, cols = _touched(source, bounds_m, around=1)
+        if not rows or not cols:
+            return None
+        values = source.read(1, window=Window(cols.start, rows.start, len(cols), len(rows)))
+        return _part(source, values, rows, cols, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,33 +135,6 @@ def windows(path: Path) -> Iterator[Windows]:
         yield Windows(source.shape, place.c, place.f, place.a, source)
 
 
-def _within(
-    source: Any, bounds_m: tuple[float, float, float, float] | None
-) -> tuple[int, int, tuple[int, int]]:
-    """First row, first column and shape of the cells that a region touches."""
-    if bounds_m is None:
-        return 0, 0, source.shape
-    left, top, cell = source.transform.c, source.transform.f, source.transform.a
-    west, south, east, north = bounds_m
-    col0, row0 = max(math.floor((west - left) / cell), 0), max(math.floor((top - north) / cell), 0)
-    col1 = min(math.ceil((east - left) / cell), source.width)
-    row1 = min(math.ceil((top - south) / cell), source.height)
-    return row0, col0, (max(row1 - row0, 1), max(col1 - col0, 1))
-
-
-def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, float, float]:
-    """Rows, columns, left and upper edge and edge of a cell of :func:`read_overview` [count, m].
-
-    Raises
-    ------
-    DamagedError
-        If the raster cannot be read: it can be made again.
-    """
-    with opened(path) as source:
-        step, shape = _reduced(source.shape, largest)
-        return (*shape, source.transform.c, source.transform.f, source.transform.a * step)
-
-
 @contextmanager
 def opened(path: Path, **options: int) -> Iterator[Any]:
     """A delivered raster to read, by rasterio's options.
@@ -150,6 +151,16 @@ def opened(path: Path, **options: int) -> Iterator[Any]:
         raise DamagedError(path, error) from error
 
 
+def _touched(source: Any, bounds_m: Sequence[float], around: int = 0) -> tuple[range, range]:
+    """Rows and columns of the cells that a region touches, and of so many around."""
+    left, top, cell = source.transform.c, source.transform.f, source.transform.a
+    west, south, east, north = bounds_m
+    first_col, first_row = math.floor((west - left) / cell), math.floor((top - north) / cell)
+    col, row = math.ceil((east - left) / cell), math.ceil((top - south) / cell)
+    rows = range(max(first_row - around, 0), min(row + around, source.height))
+    return rows, range(max(first_col - around, 0), min(col + around, source.width))
+
+
 def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]:
     """Cells along a side of one of an overview's, and the overview's shape."""
     step = max(1, math.ceil(max(size) / largest))
@@ -157,24 +168,8 @@ def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]
     return step, (rows, columns)
 
 
-def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Part | None:
-    """Cells that a region touches, and one more around; None where the raster has none.
-
-    ``bounds_m``: (float, float, float, float), west, south, east, north [m].
-
-    Raises
-    ------
-    DamagedError
-        If the raster cannot be read: it can be made again.
-    """
-    west, south, east, north = bounds_m
-    with opened(path) as source:
-        left, top, cell = source.transform.c, source.transform.f, source.transform.a
-        col0 = max(math.floor((west - left) / cell) - 1, 0)
-        col1 = min(math.ceil((east - left) / cell) + 1, source.width)
-        row0 = max(math.floor((top - north) / cell) - 1, 0)
-        row1 = min(math.ceil((top - south) / cell) + 1, source.height)
-        if col1 <= col0 or row1 <= row0:
-            return None
-        values = source.read(1, window=Window(col0, row0, col1 - col0, row1 - row0))
-        return Part(values.astype(np.float32), left + col0 * cell, top - row0 * cell, cell)
+def _part(source: Any, values: NDArray[Any], rows: range, cols: range, step: int) -> Part:
+    """Values from a row and a column on, each of ``step`` cells of the raster."""
+    left, top, cell = source.transform.c, source.transform.f, source.transform.a
+    left_m, top_m = left + cols.start * cell, top - rows.start * cell
+    return Part(values.astype(np.float32), left_m, top_m, cell * step)

@@ -1,25 +1,42 @@
-"""Sensor positions in the survey's CRS and the points' time: gathered, written, read again."""
+"""Sensor positions in the survey's CRS and the points' time: gathered, written, read again.
 
-from collections.abc import Iterable, Iterator, Sequence
+Records are brought into the survey's CRS batch by batch and wait on disk; those before the next
+batch's first record are in order and go on. Of files that are each in time order, a few batches are
+in memory at once, however long they are.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Final
+from tempfile import TemporaryFile
+from typing import IO, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
 
-from spl_batch.errors import InputError, counted
+from spl_batch.errors import InputError, counted, grouped
+from spl_batch.formats.crs import crs_name, crs_problems, horizontal, parse_crs
+from spl_batch.formats.files.atomic import stop_if_full
 from spl_batch.formats.gps_clock import TimeStandard, clock, time_standard
-from spl_batch.formats.trajectory.merge import Merge
-from spl_batch.formats.trajectory.records import COLUMNS
-from spl_batch.formats.trajectory.usable import Records
-from spl_batch.formats.verified.parquet_npz import read_groups, reading, writing
+from spl_batch.formats.trajectory.records import COLUMNS, SBET_SUFFIXES, Records, read_records
+from spl_batch.formats.verified.parquet_npz import ranges_of, read_groups, reading, writing
 from spl_batch.lattice.tables import Trajectory
 
+WAITING_RECORDS: Final = 500_000
+"""Records that may wait in memory for their place in time: files in disorder have more [count]."""
+
+SBET_CRS: Final = "EPSG:4979"
+"""CRS of an SBET unless the workflow names another: WGS 84, ellipsoidal heights."""
+
 _ROW_GROUP: Final = 65_536
+_RECORD_BYTES: Final = 32
 _FAR_M: Final = 50_000.0
+
+Positions = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,15 +48,20 @@ class PointExtent:
     bounds_m: Sequence[float]
 
 
+class _Batch(NamedTuple):
+    """Records side by side on disk: of which file, where, how many, first and last time [s]."""
+
+    file: int
+    offset: int
+    records: int
+    first_s: float
+    last_s: float
+
+
 class Gathering:
     """Records of trajectory files in the order of time, some at a time; iterate once.
 
-    What it says of them is complete at the end of the iteration.
-
-    Parameters
-    ----------
-    points : PointExtent or None
-        Points in whose time the records are wanted, and which they must be near to.
+    Attributes are complete at the end of the iteration; made by :func:`gathering`.
 
     Attributes
     ----------
@@ -47,68 +69,156 @@ class Gathering:
         Records, each time counted once.
     span_s : (float, float)
         First and last time [s].
-    warnings : tuple of str
+    warnings : list of str
         What had to be done to them; each is one sentence.
     """
 
-    def __init__(self, merge: Merge, points: PointExtent | None) -> None:
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        disk: IO[bytes],
+        folder: Path | None,
+        points: PointExtent | None,
+    ) -> None:
         self.records = 0
         self.span_s = (np.inf, -np.inf)
-        self.warnings: tuple[str, ...] = ()
-        self._merge, self._points = merge, points
-        self._converted: list[str] = []
-        if points is not None:
-            self._set_clock(points)
+        self.warnings: list[str] = []
+        self._paths, self._disk, self._folder, self._points = paths, disk, folder, points
+        self._batches: list[_Batch] = []
+        self._dropped = 0
+        self._nearest_m = np.inf
+        self._low, self._high = np.full(2, np.inf), np.full(2, -np.inf)
 
     @property
     def standard(self) -> TimeStandard:
         """Time standard of the records."""
         return time_standard(np.array(self.span_s))
 
+    def read(self, survey_crs: CRS | None, trajectory_crs: str | None) -> None:
+        """Read the files, and bring them into the points' time."""
+        for file, path in enumerate(self._paths):
+            convert = _conversion(path, survey_crs, trajectory_crs, self.warnings)
+            for time, position in read_records(path, self.warnings.append):
+                end = self._batches[-1] if self._batches else _Batch(0, 0, 0, 0.0, 0.0)
+                offset = end.offset + end.records * _RECORD_BYTES
+                self._batches.append(self._put(file, offset, time, convert(position)))
+        self.warnings = list(dict.fromkeys(self.warnings))
+        if self._points is not None:
+            self._set_clock(self._points.time_s)
+
+    def _set_clock(self, points_s: tuple[float, float]) -> None:
+        """Bring times into the points' standard, by which batches may change places."""
+        wanted = time_standard(np.asarray(points_s, dtype=np.float64))
+        shared: dict[TimeStandard, list[int]] = {}
+        for file in sorted({batch.file for batch in self._batches}):
+            shared.setdefault(time_standard(np.array(self._span({file}))), []).append(file)
+        for given, files in shared.items():
+            try:
+                convert = clock(given, self._span(set(files)), points_s, wanted)
+            except ValueError as error:
+                raise InputError(str(self._paths[files[0]]), str(error)) from None
+            if convert is None:
+                continue
+            for k, batch in enumerate(self._batches):
+                if batch.file in files:
+                    time, xyz = self._fetch(batch)
+                    self._batches[k] = self._put(batch.file, batch.offset, convert(time), xyz)
+            self.warnings.append(f"trajectory: {given} time converted to {wanted} time")
+
+    def _span(self, files: set[int]) -> tuple[float, float]:
+        """First and last time of some files [s]."""
+        mine = [batch for batch in self._batches if batch.file in files]
+        return min(b.first_s for b in mine), max(b.last_s for b in mine)
+
     def __iter__(self) -> Iterator[Records]:
-        """Records.
+        """Records, each time once.
 
         Raises
         ------
         InputError
-            If there are too few of them, or no position is within 50 km of the points,
-            which means different CRS.
+            If there are too few of them, too many wait for their place, or no position is within
+            50 km of the points, which means different CRS.
         """
-        nearness = _Nearness(self._points.bounds_m) if self._points is not None else None
-        for time, xyz in self._merge.pieces():
-            self.records += len(time)
-            self.span_s = (min(self.span_s[0], float(time[0])), float(time[-1]))
-            if nearness is not None:
-                nearness.add(xyz)
-            yield time, xyz
-        self._judge(nearness)
+        order = sorted(self._batches, key=lambda batch: (batch.first_s, batch.offset))
+        starts = [*(batch.first_s for batch in order[1:]), np.inf][: len(order)]
+        time, xyz = np.empty(0), np.empty((0, 3))
+        for batch, next_s in zip(order, starts, strict=True):
+            fresh = self._fetch(batch)
+            time, xyz = np.concatenate([time, fresh[0]]), np.concatenate([xyz, fresh[1]])
+            ready = time < next_s
+            if ready.any():
+                yield self._in_order(time[ready], xyz[ready])
+            time, xyz = time[~ready], xyz[~ready]
+            if len(time) > WAITING_RECORDS:
+                raise InputError(
+                    str(self._paths[0]),
+                    f"more than {grouped(WAITING_RECORDS)} trajectory records are out of time "
+                    "order: sort them by time",
+                )
+        self._judge(str(self._paths[0]))
 
-    def _set_clock(self, points: PointExtent) -> None:
-        wanted = time_standard(np.asarray(points.time_s, dtype=np.float64))
-        for given, (files, *span_s) in self._merge.standards().items():
-            try:
-                convert = clock(given, (span_s[0], span_s[1]), points.time_s, wanted)
-            except ValueError as error:
-                raise InputError(str(self._merge.paths[files[0]]), str(error)) from None
-            if convert is not None:
-                self._merge.use_clock(files, convert)
-                self._converted.append(f"trajectory: {given} time converted to {wanted} time")
+    def _in_order(self, time: NDArray[np.float64], xyz: Positions) -> Records:
+        # Position breaks ties, so that the order of files and records cannot matter.
+        order = np.lexsort((xyz[:, 2], xyz[:, 1], xyz[:, 0], time))
+        time, xyz = time[order], xyz[order]
+        first = np.diff(time, prepend=-np.inf) > 0
+        self._dropped += int(np.count_nonzero(~first))
+        time, xyz = time[first], xyz[first]
+        self.records += len(time)
+        self.span_s = (min(self.span_s[0], float(time[0])), float(time[-1]))
+        if self._points is not None:
+            half = len(self._points.bounds_m) // 2
+            low, high = self._points.bounds_m[:2], self._points.bounds_m[half : half + 2]
+            gap = np.maximum(np.maximum(low - xyz[:, :2], xyz[:, :2] - high), 0.0)
+            self._nearest_m = min(self._nearest_m, float(np.hypot(*gap.T).min()))
+            self._low = np.minimum(self._low, xyz[:, :2].min(axis=0))
+            self._high = np.maximum(self._high, xyz[:, :2].max(axis=0))
+        return time, xyz
 
-    def _judge(self, nearness: "_Nearness | None") -> None:
-        path, warnings = str(self._merge.paths[0]), list(dict.fromkeys(self._merge.warnings))
+    def _judge(self, path: str) -> None:
         if self.records < 2:
             raise InputError(
                 path, f"{counted(self.records, 'trajectory records')}; at least 2 are needed"
             )
-        if self._merge.dropped:
-            repeating = counted(self._merge.dropped, "records", "repeat")
-            warnings.append(f"trajectory: {repeating} a time: left out")
-        warnings += self._converted
-        if nearness is not None and self._points is not None:
-            nearness.refuse_far(path)
-            _refuse_apart(path, self.span_s, self._points.time_s)
-            warnings += _uncovered(self.span_s, self._points.time_s)
-        self.warnings = tuple(warnings)
+        if self._dropped:
+            repeating = counted(self._dropped, "records", "repeat")
+            self.warnings.append(f"trajectory: {repeating} a time: left out")
+        if self._points is None:
+            return
+        if self._nearest_m > _FAR_M:
+            middle = (self._low + self._high) / 2
+            raise InputError(
+                path,
+                f"trajectory around x {middle[0]:.0f}, y {middle[1]:.0f} is"
+                f" {self._nearest_m / 1000:.0f} km from the points: they are in different CRS, name"
+                " the trajectory's in survey.trajectory_crs",
+            )
+        (start, stop), (first, last) = self.span_s, self._points.time_s
+        text = f"trajectory covers {start:.3f} to {stop:.3f} s, the points span {first:.3f} to"
+        if max(start - last, first - stop) > 0.0:
+            away_s = max(start - last, first - stop)
+            raise InputError(
+                path,
+                f"{text} {last:.3f} s, {away_s:.0f} s away: no point could be filtered; name the"
+                " trajectory of this flight, or none",
+            )
+        if first < start or stop < last:
+            self.warnings.append(f"{text} {last:.3f} s: points outside stay unfiltered")
+
+    def _put(self, file: int, offset: int, time: NDArray[np.float64], xyz: Positions) -> _Batch:
+        try:
+            self._disk.seek(offset)
+            self._disk.write(np.column_stack([time, xyz]).tobytes())
+        except OSError as error:
+            stop_if_full(error, self._folder or "the folder for temporary files")
+            raise
+        return _Batch(file, offset, len(time), float(time.min()), float(time.max()))
+
+    def _fetch(self, batch: _Batch) -> Records:
+        self._disk.seek(batch.offset)
+        content = self._disk.read(batch.records * _RECORD_BYTES)
+        records = np.frombuffer(content, dtype=np.float64).reshape(-1, 4)
+        return records[:, 0].copy(), records[:, 1:].copy()
 
 
 @contextmanager
@@ -142,9 +252,90 @@ def gathering(
     """
     if not paths:
         raise InputError("survey.trajectory", "matches no file; check the path")
-    with Merge(paths, folder) as merge:
-        merge.read(survey_crs, trajectory_crs)
-        yield Gathering(merge, points)
+    with TemporaryFile(dir=folder) as disk:
+        found = Gathering(paths, disk, folder, points)
+        found.read(survey_crs, trajectory_crs)
+        yield found
+
+
+def _conversion(
+    path: Path, survey: CRS | None, trajectory_crs: str | None, warnings: list[str]
+) -> Callable[[Positions], Positions]:
+    """Brings a file's positions, (n, 3), into the survey's CRS, heights as well where PROJ can."""
+    crs = _crs_of(path, trajectory_crs)
+    if crs is None:
+        return lambda position: position
+    if survey is None:
+        raise InputError(
+            str(path), f"is in {crs_name(crs)}, the survey has no CRS: name it in survey.crs"
+        )
+    problems = crs_problems(survey)
+    if problems:
+        raise InputError(str(path), problems)
+    flat = _projection(horizontal(crs), horizontal(survey), best=False)
+    # Heights beside degrees alone are in metres; beside feet they are in feet.
+    with_unit = len(crs.axis_info) == 3 or not crs.is_geographic
+    unit_m = crs.axis_info[-1].unit_conversion_factor if with_unit else 1.0
+
+    def keep_heights(position: Positions) -> Positions:
+        return np.column_stack([flat(position)[:, :2], position[:, 2] * unit_m])
+
+    ways: list[Callable[[Positions], Positions]] = [keep_heights]
+    if len(crs.axis_info) == 3 and len(survey.axis_info) == 3:
+        ways.append(_projection(crs, survey, best=True))
+
+    def convert(position: Positions) -> Positions:
+        """Whether heights can be converted shows the first batch; then there is one way."""
+        try:
+            found = ways[-1](position)
+        except ProjError as error:
+            if len(ways) == 1:
+                whence = f"from {crs_name(crs)} to {crs_name(survey)}"
+                raise InputError(str(path), f"cannot be transformed {whence}") from error
+            warnings.append(
+                f"trajectory: heights stay those of {crs_name(crs)}; what converts them to"
+                f" {crs_name(survey)} is not installed (PROJ grids)"
+            )
+            del ways[-1]
+            return convert(position)
+        del ways[:-1]
+        return found
+
+    return convert
+
+
+def _crs_of(path: Path, trajectory_crs: str | None) -> CRS | None:
+    key = "survey.trajectory_crs"
+    named = None if trajectory_crs is None else parse_crs(trajectory_crs, key)
+    if path.suffix.lower() not in SBET_SUFFIXES:
+        return named
+    crs = named or CRS.from_user_input(SBET_CRS)
+    if not crs.is_geographic:
+        raise InputError(
+            str(path),
+            f"an SBET has latitude and longitude, survey.trajectory_crs is {crs_name(crs)}:"
+            " name a geographic CRS or leave it out",
+        )
+    return crs
+
+
+def _projection(source: CRS, target: CRS, *, best: bool) -> Callable[[Positions], Positions]:
+    """Positions in another CRS; raises ProjError where one of them cannot be transformed."""
+
+    @cache
+    def transformer() -> Transformer:
+        return Transformer.from_crs(
+            source, target, always_xy=True, only_best=best, allow_ballpark=not best
+        )
+
+    def project(position: Positions) -> Positions:
+        x, y, z = position.T
+        xyz = np.column_stack(transformer().transform(x, y, z, errcheck=True))
+        if not np.isfinite(xyz).all():
+            raise ProjError("a position has no place there")
+        return xyz
+
+    return project
 
 
 def write_trajectory(path: Path, pieces: Iterable[Records]) -> None:
@@ -179,67 +370,12 @@ def read_slice(path: Path, start_s: float, stop_s: float) -> Trajectory:
     ``path``: from :func:`write_trajectory`; only the row groups that matter are read.
     """
     with reading(path) as file:
-        groups = [
-            file.metadata.row_group(g).column(0).statistics for g in range(file.num_row_groups)
-        ]
+        spans = ranges_of(file.metadata, COLUMNS[0])
         # One record beyond each end is needed to interpolate up to the ends.
-        before = [g for g, s in enumerate(groups) if s.min <= start_s]
-        after = [g for g, s in enumerate(groups) if s.max >= stop_s]
+        before = [g for g, (low, _) in enumerate(spans) if low <= start_s]
+        after = [g for g, (_, high) in enumerate(spans) if high >= stop_s]
         first = before[-1] if before else 0
-        last = after[0] if after else len(groups) - 1
+        last = after[0] if after else len(spans) - 1
         columns = read_groups(file, COLUMNS, range(first, max(first, last) + 1))
     time, *position = (columns[name] for name in COLUMNS)
     return Trajectory(time, np.column_stack(position)).clip(start_s, stop_s)
-
-
-def _uncovered(span_s: tuple[float, float], points_s: tuple[float, float]) -> list[str]:
-    if span_s[0] <= points_s[0] and points_s[1] <= span_s[1]:
-        return []
-    text = (
-        f"trajectory covers {span_s[0]:.3f} to {span_s[1]:.3f} s, the points span"
-        f" {points_s[0]:.3f} to {points_s[1]:.3f} s: points outside stay unfiltered"
-    )
-    return [text]
-
-
-def _refuse_apart(path: str, span_s: tuple[float, float], points_s: tuple[float, float]) -> None:
-    """Raise :class:`InputError` where no point lies in the time of the trajectory."""
-    gap_s = max(span_s[0] - points_s[1], points_s[0] - span_s[1])
-    if gap_s > 0.0:
-        raise InputError(
-            path,
-            f"trajectory covers {span_s[0]:.3f} to {span_s[1]:.3f} s, the points span"
-            f" {points_s[0]:.3f} to {points_s[1]:.3f} s, {gap_s:.0f} s away: no point could be"
-            " filtered; name the trajectory of this flight, or none",
-        )
-
-
-class _Nearness:
-    """How near positions come to the points, and where they are."""
-
-    def __init__(self, bounds_m: Sequence[float]) -> None:
-        half = len(bounds_m) // 2
-        self._low, self._high = np.asarray(bounds_m[:2]), np.asarray(bounds_m[half : half + 2])
-        self._nearest_m = np.inf
-        self._west_south, self._east_north = np.full(2, np.inf), np.full(2, -np.inf)
-
-    def add(self, xyz_m: NDArray[np.float64]) -> None:
-        """Look at some positions."""
-        xy = xyz_m[:, :2]
-        gap = np.maximum(np.maximum(self._low - xy, xy - self._high), 0.0)
-        self._nearest_m = min(self._nearest_m, float(np.hypot(gap[:, 0], gap[:, 1]).min()))
-        self._west_south = np.minimum(self._west_south, xy.min(axis=0))
-        self._east_north = np.maximum(self._east_north, xy.max(axis=0))
-
-    def refuse_far(self, path: str) -> None:
-        """Raise :class:`InputError` where no position is near the points."""
-        if self._nearest_m <= _FAR_M:
-            return
-        middle = (self._west_south + self._east_north) / 2
-        raise InputError(
-            path,
-            f"trajectory around x {middle[0]:.0f}, y {middle[1]:.0f} is"
-            f" {self._nearest_m / 1000:.0f} km from the points (x {self._low[0]:.0f} to"
-            f" {self._high[0]:.0f}, y {self._low[1]:.0f} to {self._high[1]:.0f}):"
-            " they are in different CRS, name the trajectory's in survey.trajectory_crs",
-        )

@@ -176,15 +176,7 @@ def read_groups(
 def read_columns(
     path: Path, names: Sequence[str], groups: Sequence[int] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Columns of a Parquet file as numpy arrays.
-
-    ``path``: file written by :func:`write_table`. ``groups``: row groups to read; all by default.
-
-    Raises
-    ------
-    DamagedError
-        If the file is missing or damaged.
-    """
+    """Columns of a file from :func:`writing`; ``groups``: row groups to read, all by default."""
     with reading(path) as file:
         return read_groups(file, names, groups)
 
@@ -200,6 +192,14 @@ class Groups(NamedTuple):
     def rows(self) -> int:
         """How many rows they hold."""
         return sum(self.footer.row_group(g).num_rows for g in self.wanted)
+
+    def read(self, names: Sequence[str]) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+        """Values of columns, of whole row groups, and their rows in the file, (m,) each."""
+        counts = [self.footer.row_group(g).num_rows for g in range(self.footer.num_row_groups)]
+        ends = np.cumsum(counts)
+        row = [np.arange(ends[g] - counts[g], ends[g]) for g in self.wanted]
+        with reading(self.path, self.footer) as file:
+            return read_groups(file, names, self.wanted), np.concatenate([np.arange(0), *row])
 
 
 def groups_between(path: Path, spans: Mapping[str, tuple[int, int]]) -> Groups:
@@ -219,49 +219,11 @@ def groups_between(path: Path, spans: Mapping[str, tuple[int, int]]) -> Groups:
     """
     with naming_damage(path), _open(path) as stream:
         footer = _read_footer(stream)
-        return Groups(path, footer, _meeting(footer, spans))
-
-
-def read_found(
-    groups: Groups, names: Sequence[str]
-) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
-    """Columns of row groups of :func:`groups_between`.
-
-    Returns
-    -------
-    columns : dict of str to (m,) ndarray
-        Values, of more rows than asked for: row groups are read whole.
-    row : (m,) int64
-        Their rows in the file.
-
-    Raises
-    ------
-    DamagedError
-        If the file is missing or damaged.
-    """
-    footer, wanted = groups.footer, groups.wanted
-    ends = np.cumsum([footer.row_group(g).num_rows for g in range(footer.num_row_groups)])
-    rows = [np.arange(ends[g - 1] if g else 0, ends[g]) for g in wanted]
-    row = np.concatenate(rows) if rows else np.arange(0)
-    with reading(groups.path, footer) as file:
-        return read_groups(file, names, wanted), row
-
-
-def read_between(
-    path: Path, names: Sequence[str], spans: Mapping[str, tuple[int, int]]
-) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
-    """What :func:`read_found` gives of what :func:`groups_between` finds."""
-    return read_found(groups_between(path, spans), names)
-
-
-def _meeting(footer: pq.FileMetaData, spans: Mapping[str, tuple[int, int]]) -> list[int]:
-    """Row groups that may hold values within some spans."""
-    meets = np.ones(footer.num_row_groups, np.bool_)
-    for name, (low, high) in spans.items():
-        ranges = np.array(ranges_of(footer, name), dtype=np.int64).reshape(-1, 2)
-        meets &= (ranges[:, 0] <= high) & (ranges[:, 1] >= low)
-    found: list[int] = np.flatnonzero(meets).tolist()
-    return found
+        meets = np.ones(footer.num_row_groups, np.bool_)
+        for name, (low, high) in spans.items():
+            ranges = np.array(ranges_of(footer, name), dtype=np.int64).reshape(-1, 2)
+            meets &= (ranges[:, 0] <= high) & (ranges[:, 1] >= low)
+        return Groups(path, footer, np.flatnonzero(meets).tolist())
 
 
 def read_with(
@@ -269,17 +231,7 @@ def read_with(
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """Columns of each row group that may hold one of some values, one group after the other.
 
-    Parameters
-    ----------
-    path : Path
-        File written by :func:`writing`.
-    values : (v,) int64
-        Values of interest in it, increasing.
-
-    Raises
-    ------
-    DamagedError
-        If the file is missing or damaged.
+    ``values``: (v,) int64, values of interest in column ``key``, increasing.
     """
     with reading(path) as file:
         for group, (low, high) in enumerate(ranges_of(file.metadata, key)):
@@ -294,13 +246,7 @@ def read_table(path: Path, names: Sequence[str], groups: Sequence[int] | None = 
 
 
 def group_ranges(path: Path, name: str) -> list[tuple[int, int]]:
-    """Smallest and largest value of a column in each row group, from the footer alone.
-
-    Raises
-    ------
-    DamagedError
-        If the file is missing or damaged.
-    """
+    """Smallest and largest value of a column in each row group, from the footer alone."""
     with reading(path) as file:
         return ranges_of(file.metadata, name)
 

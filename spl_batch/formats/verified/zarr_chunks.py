@@ -138,12 +138,7 @@ def encode(metadata: Metadata, box: Sequence[slice], values: NDArray[Any]) -> Co
 
 
 def read_box(array: Path, metadata: Metadata, box: Sequence[slice]) -> NDArray[Any]:
-    """Values of a box, verified.
-
-    Parameters
-    ----------
-    metadata : dict
-        From :func:`read_metadata`.
+    """Values of a box, verified; ``metadata``: from :func:`read_metadata`.
 
     Raises
     ------
@@ -155,15 +150,11 @@ def read_box(array: Path, metadata: Metadata, box: Sequence[slice]) -> NDArray[A
     )
     for piece in _pieces(_edges(metadata), box):
         try:
-            content = read_bytes(array / piece.name)
-        except OSError as error:
+            content = _unpacked(read_bytes(array / piece.name))
+            chunk = np.frombuffer(content, found.dtype).reshape(piece.shape)
+        except (*_FAULTS, OSError) as error:
             raise DamagedError(array / piece.name, error) from error
-        else:
-            try:
-                chunk = np.frombuffer(_unpacked(content), found.dtype).reshape(piece.shape)
-            except _FAULTS as error:
-                raise DamagedError(array / piece.name, error) from error
-            found[piece.of_box] = chunk[piece.of_chunk]
+        found[piece.of_box] = chunk[piece.of_chunk]
     return found
 
 

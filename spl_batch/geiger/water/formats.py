@@ -21,10 +21,10 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, as_input_fault
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
-from spl_batch.formats.hdf5 import open_hdf5, refuse_foreign, told_as_damage
+from spl_batch.formats.hdf5 import open_hdf5, refuse_foreign
 
 HDF5: Final = frozenset({".h5", ".hdf5", ".hdf"})
 ZARR: Final = ".zarr"
@@ -76,7 +76,7 @@ def _opened(path: Path) -> Iterator[Any]:
     elif path.suffix.lower() == ZARR:
         if not path.exists():
             raise InputError(str(path), "no such file; check the path")
-        with told_as_damage(path, "Zarr"):
+        with as_input_fault(path, "damaged Zarr"):
             yield zarr.open_group(path, mode="r")
     else:
         raise InputError(str(path), f"frames are HDF5 ({', '.join(sorted(HDF5))}) or Zarr ({ZARR})")

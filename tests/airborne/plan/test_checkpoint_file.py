@@ -31,7 +31,10 @@ def test_faults_of_single_checkpoints_are_warnings(tmp_path: Path) -> None:
     )
     said = " ".join(ended.text.split())
     assert ended.status == 0
-    assert "c.csv: 1 checkpoint is left out, as x, y or z is no finite number: B" in said
+    assert (
+        "c.csv: 1 checkpoint is left out, as there is no single point with finite x, y and z: B"
+        in said
+    )
     assert "c.csv: 1 checkpoint is left out, as the CRS 'EPSG:none' is not known: C" in said
     assert "lies within the survey" not in said
 

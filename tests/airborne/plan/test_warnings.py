@@ -12,7 +12,7 @@ from spl_batch import api
 from spl_batch.airborne.plan.inputs.channel_dimension import are_beamlets, unnamed_channels
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.engine.watch.events import Note
-from spl_batch.formats.las.number_dimensions import Numbers
+from spl_batch.formats.las.reader import Numbers
 from tests import surveys
 
 SENSOR = load_preset("spl100")

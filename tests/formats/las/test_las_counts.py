@@ -67,22 +67,6 @@ def test_extended_records_are_no_points(tmp_path: Path, n: int) -> None:
         assert "room for 100" in refusal(path)
 
 
-def test_a_file_without_points_may_be_padded(tmp_path: Path) -> None:
-    for name in ("a.las", "a.laz"):
-        path = write_las(tmp_path / name, n=0)
-        assert inspect(path).n_points == 0
-    path = tmp_path / "a.las"
-    path.write_bytes(path.read_bytes() + bytes(5000))
-    assert inspect(path).n_points == 0
-
-
-@pytest.mark.parametrize("rest", [b"\7" * 30, bytes((2 << 20) + 5) + b"\7"])
-def test_any_other_rest_is_refused(tmp_path: Path, rest: bytes) -> None:
-    path = write_las(tmp_path / "a.las", n=100)
-    path.write_bytes(path.read_bytes() + rest)
-    assert "its header counts 100 points" in refusal(path)
-
-
 @pytest.mark.parametrize("point_format", [1, 6])
 def test_compressed_points_beyond_the_count(tmp_path: Path, point_format: int) -> None:
     path = write_las(tmp_path / "a.laz", point_format=point_format, n=50_100)

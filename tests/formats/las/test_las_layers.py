@@ -102,35 +102,6 @@ def test_flags_are_set_beside_those_of_the_input(tmp_path: Path, point_format: i
         assert np.array_equal(after[name], before[name]), name
 
 
-def test_dimensions_of_an_earlier_run_are_replaced(tmp_path: Path) -> None:
-    src = write_las(tmp_path / "a.laz", extra={"noise_class": "f8", "height": "f4"})
-    first = twice(src, tmp_path)[0].rename(tmp_path / "first.laz")
-    copied, whole, can = twice(first, tmp_path)
-    assert can
-    assert copied.read_bytes() == whole.read_bytes()
-
-
-def test_diagnostics_of_an_earlier_run_do_not_stay_beside_labels_of_this_one(
-    tmp_path: Path,
-) -> None:
-    src = write_las(tmp_path / "a.laz", extra={"height": "f4"})
-    first = twice(src, tmp_path)[0].rename(tmp_path / "first.laz")
-    assert "p_value" in laspy.read(first).point_format.dimension_names
-    copied, whole, can = twice(first, tmp_path, diagnostics=False)
-    assert can
-    assert copied.read_bytes() == whole.read_bytes()
-    extra = {d.name for d in laspy.read(copied).point_format.extra_dimensions}
-    assert extra == {"height", "input_classification", "noise_class"}
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_few_points(tmp_path: Path, count: int) -> None:
-    src = write_las(tmp_path / "a.laz", n=count, values={"scanner_channel": np.zeros(count, int)})
-    copied, whole, can = twice(src, tmp_path)
-    assert can
-    assert copied.read_bytes() == whole.read_bytes()
-
-
 def test_chunks_of_any_size(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     columns: dict[str, Any] = {

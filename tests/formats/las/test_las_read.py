@@ -4,7 +4,6 @@ from decimal import Decimal
 from pathlib import Path
 
 import laspy
-import lazrs
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -126,43 +125,6 @@ def test_any_range_equals_the_whole(tmp_path: Path, point_format: int, suffix: s
             np.testing.assert_array_equal(part[name], whole[name][start:stop])
     assert len(read_all(path, start=n)) == 0
     assert len(read_all(path, start=n - 5, stop=n + 10**9)) == 5
-
-
-@pytest.mark.parametrize("n", [50_000, 100_000])
-def test_whole_chunks(tmp_path: Path, n: int) -> None:
-    path = write_las(tmp_path / "a.laz", n=n)
-    assert len(read_all(path)) == inspect(path).n_points == n
-
-
-def test_tables_are_bounded(tmp_path: Path) -> None:
-    path = write_las(tmp_path / "a.laz", n=1050)
-    tables = list(iter_points(path, channel_dimension=None, source=0, chunk=100))
-    assert [len(t) for t in tables] == [100] * 10 + [50]
-
-
-def test_chunks_of_varying_size(tmp_path: Path) -> None:
-    """As in COPC, where the decompressor's own seek goes astray."""
-    path = write_las(tmp_path / "a.laz", n=5000)
-    header, points = laspy.read(path).header, laspy.read(path).points.array
-    offset = header.offset_to_point_data
-    content = path.read_bytes()[:offset]
-    fixed = bytes(lazrs.LazVlr.new_for_compression(6, 0).record_data())
-    vlr = lazrs.LazVlr.new_for_compression(6, 0, use_variable_size_chunks=True)
-    assert fixed in content
-    copy = tmp_path / "b.laz"
-    with copy.open("wb") as file:
-        file.write(content.replace(fixed, bytes(vlr.record_data())))
-        compressor = lazrs.LasZipCompressor(file, vlr)
-        for start, stop in [(0, 10), (10, 4000), (4000, 4001), (4001, 5000)]:
-            compressor.compress_many(points[start:stop].view(np.uint8))
-            if stop < 5000:
-                compressor.finish_current_chunk()
-        compressor.done()
-    whole = read_all(path)
-    for start, stop in [(0, 5000), (9, 11), (3999, 4003), (4999, 5000)]:
-        part = read_all(copy, start=start, stop=stop, chunk=700)
-        for name in SOURCE_COLUMNS:
-            np.testing.assert_array_equal(part[name], whole[name][start:stop])
 
 
 def test_channel_from_standard_and_extra_dimensions(tmp_path: Path) -> None:

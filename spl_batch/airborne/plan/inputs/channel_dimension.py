@@ -7,7 +7,7 @@ from typing import Final
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.engine.findings import Finding
 from spl_batch.errors import named
-from spl_batch.formats.las.number_dimensions import Numbers
+from spl_batch.formats.las.reader import Numbers
 
 POINTS_A_BEAMLET: Final = 20
 """Points of a beamlet, on average, from which on all that work have some [count]."""

@@ -14,7 +14,7 @@ from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import WorkflowError, counted, grouped, named, told_together
-from spl_batch.formats.las.number_dimensions import Numbers
+from spl_batch.formats.las.reader import Numbers
 
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""

@@ -140,4 +140,4 @@ def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
 def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
     if crs is None or not facts.n_points:
         return []
-    return list(crs_problems(crs, facts.mins_m, facts.maxs_m))
+    return crs_problems(crs)

@@ -47,10 +47,10 @@ from spl_batch.formats.crs import with_vertical
 from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.las.convert import copied_format
-from spl_batch.formats.las.copc_copy import copc_fault
+from spl_batch.formats.las.copc import copc_fault
 from spl_batch.formats.las.reader import LasFacts, inspect
-from spl_batch.formats.polygons import check_polygons
-from spl_batch.formats.trajectory.ends import ends
+from spl_batch.formats.trajectory.records import ends
+from spl_batch.formats.vector_files import check_polygons
 
 NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
 """What is wrong with a file where no other has points."""

@@ -16,7 +16,7 @@ from spl_batch.airborne.pulses.first_returns import COLUMNS_NEEDED
 from spl_batch.airborne.pulses.swaths import Swaths
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
-from spl_batch.formats.polygons import contains, read_polygons
+from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta
 

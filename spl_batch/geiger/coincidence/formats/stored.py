@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.formats.verified.parquet_npz import read_between, read_columns, read_with, writing
+from spl_batch.formats.verified.parquet_npz import groups_between, read_columns, read_with, writing
 from spl_batch.geiger.coincidence.tables import Detections, Frames, Points, Table
 
 _GROUP_ROWS: Final[Mapping[type[Table], int]] = {
@@ -34,12 +34,12 @@ def stored_frames(
     """Frames that were taken over a rectangle; row groups are read whole, so more may come."""
     # Bounds of a row group are compared as whole numbers.
     spans = {"x": (int(west_m) - 1, int(east_m) + 1), "y": (int(south_m) - 1, int(north_m) + 1)}
-    return Frames.of(read_between(path, Frames.names(), spans)[0])
+    return Frames.of(groups_between(path, spans).read(Frames.names())[0])
 
 
 def frames_around(path: Path, number: int) -> Frames:
     """Frames of the row group that a frame lies in; none where the file has it not."""
-    return Frames.of(read_between(path, Frames.names(), {"frame": (number, number)})[0])
+    return Frames.of(groups_between(path, {"frame": (number, number)}).read(Frames.names())[0])
 
 
 def known_frames(path: Path, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -1,0 +1,272 @@
+"""Vector files that GDAL reads: layers of shapes, polygons of areas of interest and water.
+
+GDAL gives nothing in place of a geometry that it cannot decode, and says nothing of it. A lake that
+is lost so would be land, so a damaged shape is refused by its number. GDAL distinguishes formats by
+their first bytes, whatever a file is called, and some hold no content but the names of other files,
+of services, or of commands that make it: these are refused.
+"""
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
+
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.errors import InputError, as_input_fault, named
+from spl_batch.formats.crs import crs_name, horizontal, same_crs
+from spl_batch.formats.las.header import open_input
+
+COORDINATE_MAX: Final = 1e9
+"""No projection has coordinates beyond, in metres, feet or degrees."""
+
+POLYGONS: Final = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+POINTS: Final = (shapely.GeometryType.POINT, shapely.GeometryType.MULTIPOINT)
+LINES: Final = (shapely.GeometryType.LINESTRING, shapely.GeometryType.MULTILINESTRING)
+
+_REFERRING: Final = (b"<ogr", b"<vrtdataset", b"wfs_capabilities", b"gdal_streamed_alg", b"<gdal")
+"""Words at the start of a file whose content lies elsewhere, in lower case."""
+
+_HEAD_BYTES: Final = 1 << 16
+"""Start of a file that is looked at; GDAL looks at no more to know such formats [byte]."""
+
+Geometries = NDArray[Any]
+
+
+class Layer(NamedTuple):
+    """A layer that holds shapes."""
+
+    name: str
+    kind: str  #: Type of geometry that it declares.
+    fids: NDArray[Any]  #: Numbers of its features.
+    shapes: Geometries  #: None where there is no geometry that can be decoded.
+    fields: dict[str, NDArray[Any]]  #: Columns by name in lower case, if they were asked for.
+    crs: str | None
+
+    def only(self, chosen: NDArray[np.bool_]) -> "Layer":
+        """Some of its features."""
+        fields = {name: column[chosen] for name, column in self.fields.items()}
+        return self._replace(fids=self.fids[chosen], shapes=self.shapes[chosen], fields=fields)
+
+
+def refuse_referring(path: Path, *, raster: bool = False) -> None:
+    """Refuse a file that names others in place of content; folders are none.
+
+    ``raster``: whether it is to hold cells, which no XML or JSON does.
+
+    Raises
+    ------
+    InputError
+        If it is one, or cannot be opened.
+    """
+    if path.is_dir():
+        return
+    with open_input(path) as file:
+        head = file.read(_HEAD_BYTES).lower()
+    text = raster and head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] in {b"<", b"{"}
+    if text or any(word in head for word in _REFERRING):
+        what = "cells" if raster else "shapes"
+        remedy = "GeoTIFF (gdal_translate)" if raster else "GeoPackage (ogr2ogr)"
+        raise InputError(
+            str(path),
+            f"holds no {what} but says where GDAL finds some, in another file, a service or a"
+            f" pipeline: write what it stands for to a {remedy}",
+        )
+
+
+def all_layers(path: Path, *, fields: bool) -> Iterator[Layer]:
+    """Layers of a file that hold shapes, whatever these are.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it names others, or it cannot be read.
+    """
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
+    refuse_referring(path)
+    with _as_one_line(path):
+        names = [(name, kind) for name, kind in pyogrio.list_layers(path) if kind is not None]
+    for name, kind in names:
+        with _as_one_line(path):
+            meta, fids, wkb, columns = pyogrio.raw.read(
+                path, layer=name, columns=None if fields else [], return_fids=True
+            )
+            shapes = shapely.from_wkb([] if wkb is None else wkb, on_invalid="ignore")
+        pairs = zip(meta["fields"], columns, strict=True)
+        values = {str(field).lower(): column for field, column in pairs}
+        yield Layer(name, kind, fids, shapes, values, meta["crs"])
+
+
+def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> Iterator[Layer]:
+    """Layers that hold shapes of some kinds, and of each only these.
+
+    Parameters
+    ----------
+    kinds : sequence of int
+        Types of geometry that are wanted. Layers of others are left out, and points; lines and
+        collections among polygons, unless wanted, are faults: they may be meant as areas.
+    fields : bool
+        Whether columns are read.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or a shape is missing, damaged or nowhere on Earth.
+    """
+    for layer in all_layers(path, fields=fields):
+        chosen = np.isin(shapely.get_type_id(layer.shapes), kinds) & ~shapely.is_empty(layer.shapes)
+        faults = [
+            f"feature {named(layer.fids[bad].tolist(), 3)}: {what}"
+            for what, bad in _faults(layer, chosen, kinds).items()
+            if bad.any()
+        ]
+        if faults:
+            text = f"layer {layer.name}: {'; '.join(faults)}: mend or delete it, or copy it again"
+            raise InputError(str(path), text)
+        if chosen.any():
+            yield layer.only(chosen)
+
+
+def _faults(
+    layer: Layer, chosen: NDArray[np.bool_], kinds: Sequence[int]
+) -> dict[str, NDArray[np.bool_]]:
+    """What may be wrong with shapes of a layer, and with which; ``chosen``: those wanted."""
+    types = shapely.get_type_id(layer.shapes)
+    xy, owner = shapely.get_coordinates(layer.shapes, return_index=True)
+    # A comparison with NaN is false.
+    nowhere = owner[~(np.abs(xy) <= COORDINATE_MAX).all(axis=1)]
+    # A layer of polygons by its declaration holds nothing else; one of no declared kind may hold
+    # what is wanted, and points.
+    declared = "Polygon" in layer.kind
+    strange = ~np.isin(types, POLYGONS if declared else (*kinds, *POINTS))
+    strange &= (types >= 0) & ~shapely.is_empty(layer.shapes)
+    strange &= declared or np.isin(types[chosen], POLYGONS).any()
+    return {
+        "has no geometry that can be decoded": (types < 0) & ("Point" not in layer.kind),
+        "is no polygon, in a layer of polygons": strange,
+        "has a coordinate that is no number, or beyond 1e9": chosen
+        & np.isin(np.arange(len(types)), nowhere),
+    }
+
+
+@contextmanager
+def _as_one_line(path: Path) -> Iterator[None]:
+    """Turn what GDAL, SQLite and shapely say of a damaged file into one line.
+
+    Their warnings are no lines for a screen: each shape is looked at.
+    """
+    with warnings.catch_warnings(), as_input_fault(path, "cannot be read as shapes"):
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
+
+
+def in_crs(
+    path: Path, shapes: Geometries, own: str | None, crs: CRS | None, *, heights: bool = False
+) -> Geometries:
+    """Shapes of a file in another CRS.
+
+    Parameters
+    ----------
+    shapes : (n,) ndarray of Geometry
+        What it holds.
+    heights : bool
+        Whether heights are kept, as they are.
+
+    Raises
+    ------
+    InputError
+        If one of both has no CRS, or they cannot be transformed.
+    """
+    if own is None and crs is None:
+        return shapes
+    if own is None:
+        raise InputError(str(path), "has no CRS; write one into it, e.g. with ogr2ogr -a_srs")
+    try:
+        source = CRS.from_user_input(own)
+    except CRSError:
+        raise InputError(str(path), f"its CRS {own!r} is not known; write another") from None
+    if crs is None:
+        raise InputError(
+            str(path), f"is in {crs_name(source)}, the survey has no CRS: name it in survey.crs"
+        )
+    if same_crs(source, crs):
+        return shapes
+    transformer = Transformer.from_crs(horizontal(source), horizontal(crs), always_xy=True)
+
+    def move(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+        xy = transformer.transform(xyz[:, 0], xyz[:, 1], errcheck=True)
+        return np.column_stack([*xy, xyz[:, 2:]])
+
+    try:
+        moved: Geometries = shapely.transform(shapes, move, include_z=heights)
+    except ProjError:
+        raise InputError(
+            str(path),
+            f"cannot be transformed from {crs_name(source)} to {crs_name(crs)}; check the order of "
+            "its axes",
+        ) from None
+    return moved
+
+
+def check_polygons(path: Path, crs: CRS | None) -> Geometries:
+    """Read all polygons of a file, and refuse one that a run could not use.
+
+    Parameters
+    ----------
+    path : Path
+        Any vector format that GDAL reads; every layer is taken.
+    crs : CRS or None
+        CRS of the result; none is only good for a file without a CRS.
+
+    Returns
+    -------
+    (n,) ndarray of Geometry
+        Each valid, in ``crs``; they may overlap.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no vector file, has no polygons or no CRS, or one that is damaged.
+    """
+    parts = [
+        in_crs(path, shapely.force_2d(layer.shapes), layer.crs, crs)
+        for layer in read_layers(path, POLYGONS)
+    ]
+    shapes: Geometries = shapely.make_valid(np.concatenate([np.empty(0, object), *parts]))
+    if not shapely.area(shapes).any():
+        raise InputError(str(path), "holds no polygons; draw at least one or remove the key")
+    return shapes
+
+
+def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
+    """All polygons of :func:`check_polygons` as one geometry, prepared for :func:`contains`."""
+    area = shapely.union_all(check_polygons(path, crs))
+    shapely.prepare(area)
+    return area
+
+
+def contains(
+    geometry: shapely.Geometry, x: NDArray[np.int64], y: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Which points lie inside a geometry: (n,) bool, points on the boundary are outside.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        From :func:`read_polygons`.
+    x, y : (n,) int64
+        Coordinates [quanta].
+    """
+    west, south, east, north = shapely.bounds(geometry) * QUANTA_PER_M
+    # Most points lie far from a small lake; this says so quickly.
+    near = np.flatnonzero((x >= west) & (x <= east) & (y >= south) & (y <= north))
+    mask = np.zeros(len(x), np.bool_)
+    mask[near] = shapely.contains_xy(geometry, x[near] / QUANTA_PER_M, y[near] / QUANTA_PER_M)
+    return mask
