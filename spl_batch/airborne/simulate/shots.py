@@ -305,7 +305,8 @@ def empty_points(rows: int) -> Points:
 
 def first_rows(points: Points, count: int) -> Points:
     """The rows of buffers that are filled."""
-    return Points(*(column[:count] for column in points))
+    filled: tuple[Any, ...] = tuple(column[:count] for column in points)
+    return Points(*filled)
 
 
 def empty_beamlet(scene: SceneArrays, room: int) -> Beamlet:
