@@ -300,6 +300,17 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "correct the file of checkpoints; where it is right, look at the terrain there",
             "file",
         ),
+        "C02": Code(
+            "The reference does not serve",
+            {
+                "missing": "the store holds no comparison with the reference; `spl-batch run` "
+                "computes it",
+                "own": "reference.points holds the survey's own points: {share:.0%} of those "
+                "looked at lie in the survey at the same x, y and z",
+            },
+            "there is no figure of accuracy",
+            "name points of another survey and run again",
+        ),
         "D01": Code("A catalogue is not complete", "{what}"),
     }
 )

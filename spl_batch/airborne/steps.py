@@ -266,6 +266,7 @@ STEPS: Final[Steps] = table(
         bytes_per_point=300,
         remedy="cut the reference into files that fill their bounding boxes evenly",
         after=("reference", "mosaic"),
+        bind=f"{_HOME}.tasks.bindings:labelled",
     ),
     _step(
         "checkpoints",

@@ -11,6 +11,7 @@ from spl_batch.airborne.accuracy.differences import (
     Differences,
     difference_sums,
     ground_differences,
+    return_differences,
     surface_differences,
     terrain_differences,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "add_up",
     "difference_sums",
     "ground_differences",
+    "return_differences",
     "statistics",
     "surface_differences",
     "tallies",

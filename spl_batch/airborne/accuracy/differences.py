@@ -34,6 +34,9 @@ CELLS: Final = 4
 CELLS_MAX: Final = 64
 """Cells for each point beyond which a tree is asked for all [count]: points lie far apart."""
 
+RETURNS_M: Final = 0.5
+"""Kept returns are compared with a reference return no farther off, along and up [m]."""
+
 SLOPE_EDGES_DEG: Final = (0, 5, 15, 30, 90)
 """Classes of terrain slope [deg]."""
 
@@ -223,6 +226,36 @@ def surface_differences(dsm: Raster, reference: Reference) -> Differences:
     }
     difference = surface - reference.xyz_m[top, 2]
     return _by_class(difference, classes, reference.counts[top] & np.isfinite(difference))
+
+
+def return_differences(xyz_m: NDArray[np.float64], reference: Reference) -> Differences:
+    """Kept returns minus the reference's nearest ground or roof, as [W17 5.4] compares filters.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) float64
+        Returns that a filter keeps [m].
+    reference : Reference
+        Points of all classes, margin included.
+
+    Returns
+    -------
+    Differences
+        ``ground``, ``building``: of the returns within :data:`RETURNS_M` of a reference point of
+        that class, horizontally and in height.
+    """
+    known = reference.without_noise()
+    out: Differences = {}
+    for name, code in (("ground", CLASS_GROUND), ("building", CLASS_BUILDING)):
+        points = known.xyz_m[known.classification == code]
+        out[name] = np.empty(0, np.float32)
+        if len(points) and len(xyz_m):
+            found = _tree(points).query(xyz_m[:, :2], distance_upper_bound=RETURNS_M)
+            away, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.intp)
+            near = np.isfinite(away)
+            off = xyz_m[near, 2] - points[nearest[near], 2]
+            out[name] = off[np.abs(off) <= RETURNS_M].astype(np.float32)
+    return out
 
 
 def _by_class(

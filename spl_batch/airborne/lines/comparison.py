@@ -40,6 +40,7 @@ class _Cell(NamedTuple):
 
     names: list[str]  #: Flightlines that are compared.
     returns: list[int]  #: Signal returns of each [count].
+    overlaps: list[list[int]]  #: Pairs that overlap, by their places in ``names``.
     patches: Patches
 
 
@@ -49,11 +50,12 @@ def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
     table, _ = cell.read(region(cell.core), (*COLUMNS_NEEDED, "noise_class", "flags"), _signal)
     names = {one.number: one.name for one in (Pass(*fields) for fields in args["lines"])}
     seen = seen_lines(table["line"])
-    found = find_patches(table, seen, cell.core)
+    found, overlaps = find_patches(table, seen, cell.core)
     of_lines = {
         # points without times have no flightline but that of their id
         "names": np.array([names.get(k, f"{k:05d}") for k in seen.numbers.tolist()], np.str_),
         "line_returns": seen.returns,
+        "overlaps": np.array(sorted(overlaps), np.int64).reshape(-1, 2),
     }
     path = context.store.path("overlaps", f"{args['cell']}.npz")
     write_arrays(path, {**found, **of_lines})
@@ -94,14 +96,18 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     pairs = pair_table((cell.names, cell.patches) for cell in cells)
     path = context.store.path("overlaps", "map.npz")
     write_arrays(path, _map([cell.patches for cell in cells]))
-    return Produced([path], {"pairs": [list(pair) for pair in pairs]})
+    known = {(one.first, one.second) for one in pairs}
+    lacking = sorted(_overlaps(cells) - known)
+    return Produced([path], {"pairs": [list(pair) for pair in pairs], "not_compared": lacking})
 
 
 def _read_cell(name: str, context: Context) -> _Cell:
     """What :func:`strip_patches` has left of a ground cell."""
     arrays = read_arrays(context.store.path("overlaps", f"{name}.npz"))
-    names, returns = (arrays.pop(key).tolist() for key in ("names", "line_returns"))
-    return _Cell(names, returns, arrays)
+    names, returns, overlaps = (
+        arrays.pop(key).tolist() for key in ("names", "line_returns", "overlaps")
+    )
+    return _Cell(names, returns, overlaps, arrays)
 
 
 def _shifted(cell: _Cell, lines: Shifts) -> _Cell:
@@ -141,6 +147,16 @@ def _returns(cells: Iterable[_Cell]) -> Counter[str]:
     found: Counter[str] = Counter()
     for cell in cells:
         found.update(dict(zip(cell.names, cell.returns, strict=True)))
+    return found
+
+
+def _overlaps(cells: Iterable[_Cell]) -> set[tuple[str, str]]:
+    """Pairs of flightlines that overlap in a cell, the lesser name first."""
+    found = set()
+    for cell in cells:
+        for one, other in cell.overlaps:
+            first, second = sorted((cell.names[one], cell.names[other]))
+            found.add((first, second))
     return found
 
 

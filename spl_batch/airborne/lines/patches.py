@@ -78,7 +78,9 @@ def seen_lines(line: NDArray[np.uint16]) -> Seen:
     return Seen(most, returns[most], len(able) - len(most))
 
 
-def find_patches(table: PointTable, seen: Seen, core: Bounds) -> Patches:
+def find_patches(
+    table: PointTable, seen: Seen, core: Bounds
+) -> tuple[Patches, set[tuple[int, int]]]:
     """Patches of a ground cell that two flightlines share.
 
     Parameters
@@ -92,17 +94,19 @@ def find_patches(table: PointTable, seen: Seen, core: Bounds) -> Patches:
 
     Returns
     -------
-    dict of str to (p,) ndarray
+    patches : dict of str to (p,) ndarray
         ``first, second``: flightlines, by their place in ``seen``; ``x, y``: middle [m];
         ``edge_m``; ``rise``: the second above the first [m]; ``variance`` of it [m2];
         ``east, north``: slope [rise/run], and ``ee, en, nn``, its covariance; ``thickness``:
         standard deviation about the plane [m]; ``returns``: those of both [count].
+    overlaps : set of (int, int)
+        Pairs with :data:`MIN_RETURNS_PER_PATCH` returns each in one of the largest squares.
     """
     whole, count = region(core), len(seen.numbers)
     edge, joined = quanta(EDGE_M), 2 ** (LEVELS - 1)
     columns, rows = (whole.xmax - whole.xmin) // edge, (whole.ymax - whole.ymin) // edge
     if count < 2 or not rows or not columns:
-        return _joined([])
+        return _joined([]), set()
     place = np.full(int(table["line"].max()) + 1, -1, np.int16)
     place[seen.numbers] = np.arange(count)
     corner = np.array([whole.xmin, whole.ymin, table["z"].min()], np.int64)
@@ -122,7 +126,9 @@ def find_patches(table: PointTable, seen: Seen, core: Bounds) -> Patches:
         if level + 1 < LEVELS:
             moments = doubled(moments)
             free = {pair: _all_four(room) for pair, room in free.items()}
-    return _thinned(_joined(found))
+    full = moments[..., 0] >= MIN_RETURNS_PER_PATCH
+    overlaps = {(a, b) for a, b in free if (full[a] & full[b]).any()}
+    return _thinned(_joined(found)), overlaps
 
 
 def region(core: Bounds) -> Bounds:

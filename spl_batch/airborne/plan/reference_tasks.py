@@ -6,12 +6,13 @@ from typing import Final
 
 import numpy as np
 
+from spl_batch.airborne.plan.space_tasks import aligned, label_needs, named_units
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import UNEVEN, points_within, refusal
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
-from spl_batch.lattice.tiles import quanta
+from spl_batch.lattice.tiles import CellId, cell_bounds, overlap, parse_cell, quanta
 
 SQUARE_POINTS: Final = 1_000_000
 """Points that a square holds on average, at most, where no two files overlap [count]."""
@@ -60,16 +61,29 @@ def accuracy(survey: Survey) -> Iterator[Task]:
     rasters = [name for name in COMPARED if name in made]
     edge, _ = _lattice(survey)
     for square in sorted(files):
+        tiles = _tiles_of(survey, square, edge)
+        noise, (moved, first) = survey.denoised_in(tiles), aligned(survey)
         args = {
+            **moved,
             "square": square,
             "edge": edge,
             "files": files[square],
             "rasters": rasters,
+            "tiles": [str(tile) for tile in tiles],
+            "noise": named_units("noise", noise),
         }
         needs = [*(("reference", name) for name in files[square])]
         needs += [("mosaic", name) for name in rasters]
+        needs += [*label_needs("denoise", noise), *first]
         refused = refusal("accuracy", points[square], survey.memory_bytes)
         yield Task("accuracy", square, args, tuple(needs), points[square], refused)
+
+
+def _tiles_of(survey: Survey, square: str, edge: int) -> list[CellId]:
+    """Tiles of the survey that reach into a square."""
+    within = cell_bounds(parse_cell(square), edge)
+    tiles = survey.counts
+    return [t for t in sorted(tiles) if overlap(cell_bounds(t, survey.tile_q), within)]
 
 
 def checkpoints(survey: Survey) -> Iterator[Task]:

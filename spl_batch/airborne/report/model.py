@@ -114,11 +114,17 @@ class Accuracy(Part):
 
     dtm: dict[str, Statistics] = Field({}, description="Terrain model minus reference ground.")
     dsm: dict[str, Statistics] = Field({}, description="Surface model minus reference surface.")
+    returns: dict[str, Statistics] = Field(
+        {},
+        description="Returns that the filter keeps minus the reference's nearest ground or roof, "
+        "within 0.5 m; one in eight.",
+    )
     reference_points: Count | None = Field(None, description="Reference points read [count].")
     bias_m: Number = Field(None, description="Median difference between the sensors [m].")
     bias_removed: bool = Field(
         False, description="Whether the bias was subtracted before the statistics."
     )
+    own_points: bool = Field(False, description="Whether the reference is the survey itself.")
 
 
 class Density(Part):
@@ -264,6 +270,9 @@ class Report(Part):
     swaths: tuple[Swath, ...] = Field((), description="Density of each flightline by itself.")
     strips: tuple[StripPair, ...] = Field(
         (), description="Pairs of flightlines that share enough planar patches, by their names."
+    )
+    strips_not_compared: tuple[tuple[str, str], ...] = Field(
+        (), description="Pairs of flightlines that overlap without planar patches enough."
     )
     alignment: tuple[AlignedLine, ...] = Field(
         (),

@@ -19,6 +19,12 @@ def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
     )
 
 
+def pairs_not_compared(done: Receipts) -> tuple[tuple[str, str], ...]:
+    """Flightlines that overlap without planar patches enough to be compared."""
+    receipts = done.get("strip_pairs", {}).values()
+    return tuple((one, other) for r in receipts for one, other in r.facts.get("not_compared", ()))
+
+
 def alignment(done: Receipts) -> tuple[AlignedLine, ...]:
     """Shifts that were applied."""
     return tuple(

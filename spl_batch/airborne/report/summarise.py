@@ -35,6 +35,7 @@ from spl_batch.airborne.report.pictures import OF_PRODUCTS, PictureInputs, make_
 from spl_batch.airborne.report.profile_strips import cut_profile
 from spl_batch.airborne.report.strip_pairs import (
     alignment,
+    pairs_not_compared,
     strip_map,
     strip_pairs,
 )
@@ -42,7 +43,7 @@ from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.tasks.accuracy import Comparison, compared
+from spl_batch.airborne.tasks.accuracy import Comparison, compared, not_compared, own_points
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.maps import Raster
@@ -87,6 +88,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         noise=noise,
         swaths=swath_reports(done, context),
         strips=strip_pairs(done),
+        strips_not_compared=pairs_not_compared(done),
         alignment=alignment(done),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
@@ -103,6 +105,8 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
                     r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts
                 ),
                 *checkpoint_findings(tested, context),
+                *not_compared(done, context, facts),
+                *own_points(None if found is None else found.own_share),
             ),
             context.workflow.report.ignore,
         ),
@@ -202,9 +206,11 @@ def _accuracy(found: Comparison | None) -> Accuracy | None:
     return Accuracy(
         dtm={k: Statistics(**v) for k, v in said["dtm"].items()},
         dsm={k: Statistics(**v) for k, v in said["dsm"].items()},
+        returns={k: Statistics(**v) for k, v in said["returns"].items()},
         reference_points=found.points,
         bias_m=said["vertical_bias_m"],
         bias_removed=removed,
+        own_points=any(own_points(found.own_share)),
     )
 
 

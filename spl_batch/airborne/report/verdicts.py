@@ -45,7 +45,7 @@ def verdicts(report: Report) -> list[Verdict]:
 def terrain_statistics(report: Report) -> tuple[str, Statistics] | None:
     """Name and statistics of the surface that terrain accuracy is judged on."""
     found = report.accuracy
-    classes = {} if found is None else found.dtm
+    classes = {} if found is None or found.own_points else found.dtm
     for name in OPEN_SURFACES:
         if name in classes and classes[name].rmse is not None:
             return name, classes[name]
@@ -128,7 +128,11 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
         rows.append((what, f"{significant(report.density.mean_per_m2)} per m2{of_it}"))
     accuracy = terrain_accuracy(report) or _at_checkpoints(report)
     if accuracy is None:
-        rows.append(("accuracy", _without_accuracy(report)))
+        missing = any(
+            one.code == "C02" and one.values["kind"] == "missing" for one in report.findings
+        )
+        remedy = "; `spl-batch run` does it" if missing else ""
+        rows.append(("accuracy", _without_accuracy(report) + remedy))
     else:
         rows.append(("DTM accuracy", accuracy))
     return [(label, as_ascii(value)) for label, value in rows] + ending_rows(
@@ -159,6 +163,8 @@ def _accuracy_verdict(report: Report) -> Verdict:
 
 def _without_accuracy(report: Report) -> str:
     """Why accuracy is not known."""
+    if report.accuracy is not None and report.accuracy.own_points:
+        return "the reference holds the survey's own points"
     if report.accuracy is not None:
         return "the reference covers no terrain"
     if _reference_given(report):

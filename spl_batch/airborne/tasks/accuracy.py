@@ -1,6 +1,6 @@
 """Compare the delivered rasters with reference points, square by square."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -18,23 +18,37 @@ from spl_batch.airborne.accuracy import (
     add_up,
     difference_sums,
     ground_differences,
+    return_differences,
     surface_differences,
     tallies,
     terrain_differences,
 )
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.store.flown_lines import read_shifts
+from spl_batch.airborne.store.label_tables import label_units, read_region
 from spl_batch.airborne.tasks.reference import read_square
-from spl_batch.constants import NODATA
-from spl_batch.engine.report.run_record import Receipts
+from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
+from spl_batch.engine.findings import Finding
+from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.errors import DamagedError
 from spl_batch.formats.rasters.parts import overview_frame, read_part
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
-from spl_batch.lattice.tiles import cell_bounds, parse_cell
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, inside, overlap, parse_cell, quanta
 
 SAMPLE: Final = 500_000
 """Differences that the histogram is drawn from, at most [count]."""
+
+OWN_EDGE_M: Final = 10.0
+"""Edge of the window of a square in which the reference's points are sought in the survey [m]."""
+
+OWN_SHARE: Final = 0.5
+"""Share of these that are the survey's own to the millimetre: of another survey's hardly any is."""
+
+EVERY: Final = 8
+"""Of the kept returns one in so many is compared, by its coordinates [count]."""
 
 _MAP: Final = ("cell", "total", "count")
 """What a square says of the map of differences."""
@@ -59,9 +73,52 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
         by_class = terrain_differences(terrain, known, chm=height, at_ground_m=at_ground_m)
         arrays |= _as_arrays("dtm", tallies(by_class))
         arrays |= _as_arrays("dsm", tallies(surface_differences(surface, known)))
+        arrays |= _as_arrays("returns", add_up(_of_returns(known, core, args, context)))
     path = context.store.path("accuracy", f"{square}.npz")
     write_arrays(path, arrays)
-    return Produced([path], {}, points)
+    return Produced([path], {"own": _own_points(known, args["tiles"], context)}, points)
+
+
+def _of_returns(
+    known: Reference, core: Bounds, args: Mapping[str, Any], context: Context
+) -> Iterator[Tallies]:
+    """Kept returns of a square against the reference, a tile at a time."""
+    if context.workflow.filter.method == "none":
+        return
+    units, shifts = label_units(args["noise"]), read_shifts(args, context.store)
+
+    def chosen(table: PointTable) -> NDArray[np.bool_]:
+        some = (table["x"] + table["y"] + table["z"]) % EVERY == 0
+        wanted: NDArray[np.bool_] = some & (table["noise_class"] == NOISE_SIGNAL)
+        return wanted
+
+    for tile in map(parse_cell, args["tiles"]):
+        held, _ = read_region(
+            context.store, [tile], core, ("x", "y", "z"), {"noise_class": units}, ordered=False,
+            keep=chosen, shifts=shifts,
+        )  # fmt: skip
+        xyz = np.column_stack([held[axis] * QUANTUM_M for axis in "xyz"])
+        yield tallies(return_differences(xyz, known))
+
+
+def _own_points(known: Reference, tiles: Sequence[str], context: Context) -> tuple[int, int]:
+    """Reference points in a window of a square, and how many of them the survey itself holds."""
+    mine = np.rint(known.xyz_m[known.counts] / QUANTUM_M).astype(np.int64)
+    if not len(mine):
+        return 0, 0
+    edge, tile_q = quanta(OWN_EDGE_M), quanta(context.workflow.tiling.tile_m)
+    middle = mine[len(mine) // 2] // edge
+    window = cell_bounds(CellId(int(middle[0]), int(middle[1])), edge)
+    asked = mine[inside(mine[:, 0], mine[:, 1], window)]
+    near = [t for t in map(parse_cell, tiles) if overlap(cell_bounds(t, tile_q), window)]
+    held, _ = read_region(context.store, near, window, ("x", "y", "z"), {}, ordered=False)
+    own = np.column_stack([held[axis].astype(np.int64) for axis in "xyz"])
+    return len(asked), int(np.count_nonzero(np.isin(_as_one(asked), _as_one(own))))
+
+
+def _as_one(places: NDArray[np.int64]) -> NDArray[np.void]:
+    """Places as values that compare as wholes: (n,) of (n, 3)."""
+    return np.ascontiguousarray(places).view([(axis, np.int64) for axis in "xyz"]).ravel()
 
 
 def _near(context: Context, name: str, known: Reference) -> Raster | None:
@@ -102,6 +159,7 @@ class Comparison:
     differences_m: NDArray[np.float32]  #: (n,): every so many-th DTM minus reference by size [m].
     difference: Raster  #: Mean difference by cell [m].
     points: int
+    own_share: float | None  #: Of those looked at, share that are the survey's own points, 0..1.
 
 
 def compared(done: Receipts, context: Context) -> Comparison | None:
@@ -122,7 +180,7 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
     errors = add_up(_squares(done, context, total, count))
     by_product = [
         {k.removeprefix(p): tally for k, tally in errors.items() if k.startswith(p)}
-        for p in ("dtm.", "dsm.")
+        for p in ("dtm.", "dsm.", "returns.")
     ]
     mean = np.full(len(total), NODATA)
     np.divide(total, count * STEPS_PER_M, out=mean, where=count > 0)
@@ -132,7 +190,32 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
         by_product[0].get("all", Tally()).sample_m(SAMPLE),
         Raster(values, grid.left_m, grid.top_m, grid.cell_m),
         sum(receipt.facts["points"] for receipt in done.get("reference", {}).values()),
+        _own_share(done),
     )
+
+
+def _own_share(done: Receipts) -> float | None:
+    """Share of the reference's points that are the survey's own; None where none was looked at."""
+    looked = [receipt.facts.get("own", (0, 0)) for receipt in done.get("accuracy", {}).values()]
+    asked, own = (sum(one[k] for one in looked) for k in (0, 1))
+    return own / asked if asked else None
+
+
+def own_points(share: float | None) -> Iterator[Finding]:
+    """Whether a reference holds the survey's own points."""
+    if share is not None and share > OWN_SHARE:
+        yield Finding("C02", {"kind": "own", "share": share})
+
+
+def not_compared(done: Receipts, context: Context, facts: RunFacts) -> Iterator[Finding]:
+    """Whether a comparison is missing that did not fail: nobody has asked for it yet."""
+    settings = context.workflow.reference
+    if settings is None or settings.points is None:
+        return
+    if not _comparable(context) or _looked_at(done):
+        return
+    if not facts.failures:  # without the rasters of this run it is not made either
+        yield Finding("C02", {"kind": "missing"})
 
 
 def _comparable(context: Context) -> bool:

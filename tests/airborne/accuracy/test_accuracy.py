@@ -22,6 +22,7 @@ from spl_batch.airborne.accuracy import (
     difference_sums,
     differences,
     ground_differences,
+    return_differences,
     statistics,
     surface_differences,
     tallies,
@@ -221,21 +222,26 @@ def test_nothing_to_compare_gives_nulls_that_json_can_hold():
     json.dumps(report, allow_nan=False)
     assert report["dtm"]["all"]["n"] == 0
     assert report["vertical_bias_m"] is None
+    assert report["usgs_quality_level"] is None
     assert accuracy_report({}, {})["dsm"]["all"]["rmse"] is None
 
 
-@pytest.mark.parametrize("spread", [0.04, 0.3])
-def test_the_bias_is_reported_and_removed_on_request_only(spread):
+@pytest.mark.parametrize(
+    ("spread", "level"), [(0.04, "QL0"), (0.08, "QL1/QL2"), (0.15, "QL3"), (0.3, None)]
+)
+def test_the_bias_is_reported_and_removed_on_request_only(spread, level):
     rng = np.random.default_rng(2)
     dtm = {k: Tally.of(1.5 + spread * rng.standard_normal(4000)) for k in ("all", "open_ground")}
     dsm = {"all": Tally.of(np.full(3, 2.0))}
     kept = accuracy_report(dtm, dsm)
     assert kept["bias_removed_m"] == 0
     assert kept["dtm"]["all"]["mean"] == pytest.approx(1.5, abs=0.02)
+    assert kept["usgs_quality_level"] is None
     removed = accuracy_report(dtm, dsm, remove_bias=True)
     assert removed["bias_removed_m"] == removed["vertical_bias_m"] == pytest.approx(1.5, abs=0.02)
     assert removed["dtm"]["open_ground"]["median"] == pytest.approx(0, abs=1e-6)
     assert removed["dsm"]["all"]["mean"] == pytest.approx(2 - removed["bias_removed_m"])
+    assert removed["usgs_quality_level"] == level
 
 
 def test_sums_of_differences_are_those_of_each_cell_and_free_of_slope():
@@ -253,3 +259,15 @@ def test_sums_of_differences_are_those_of_each_cell_and_free_of_slope():
     assert count.sum() == 500
     half = Reference(ref.xyz_m, ref.classification, np.arange(501) < 250)
     assert difference_sums(ground_differences(dtm, half), half, grid)[2].sum() == 250
+
+
+def test_kept_returns_are_compared_with_the_nearest_ground_and_roof_that_is_near() -> None:
+    reference = Reference(
+        np.array([[0.0, 0, 10], [1, 0, 10], [5, 0, 20], [5.1, 0, 90]]),
+        np.array([2, 2, 6, 7], np.uint8),
+        np.zeros(4, np.bool_),  # those of the margin count as well
+    )
+    kept = np.array([[0.1, 0, 10.2], [0.9, 0.1, 9.9], [5, 0, 20.3], [5, 0, 21], [3, 0, 10]])
+    found = return_differences(kept, reference)
+    np.testing.assert_allclose(found["ground"], [0.2, -0.1], atol=1e-6)
+    np.testing.assert_allclose(found["building"], [0.3], atol=1e-6)

@@ -16,7 +16,9 @@ from spl_batch.airborne.lines.patches import (
     Patches,
     add_moments,
     doubled,
+    find_patches,
     region,
+    seen_lines,
 )
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
@@ -88,6 +90,17 @@ def test_patches_are_what_least_squares_over_their_points_gives() -> None:
             assert patches[name][k] == pytest.approx(value, rel=1e-5, abs=1e-9), name
         assert min(map(len, sides)) >= MIN_RETURNS_PER_PATCH
         assert patches["thickness"][k] <= THICKEST_M
+
+
+def test_flightlines_that_overlap_without_patches_are_known() -> None:
+    rng = np.random.default_rng(3)
+    crowns = two_strips(Shift(), heights=lambda x, _: rng.uniform(0, 12, len(x)))
+    apart = two_strips(Shift())
+    apart = apart.take((apart["line"] == 1) ^ (apart["x"] > np.median(apart["x"])))
+    for points, met in ((crowns, {(0, 1)}), (apart, set())):
+        found, overlaps = find_patches(points, seen_lines(points["line"]), CORE)
+        assert not len(found["rise"])
+        assert overlaps == met
 
 
 def test_crowns_and_lone_flightlines_have_no_patches() -> None:

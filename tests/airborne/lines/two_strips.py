@@ -99,4 +99,4 @@ def patches_between(points: PointTable, core: Bounds = CORE) -> tuple[list[str],
     """Names of the two flightlines, and their patches."""
     seen = seen_lines(points["line"])
     names = [NAMES[number] for number in seen.numbers.tolist()]
-    return names, find_patches(points, seen, core)
+    return names, find_patches(points, seen, core)[0]
