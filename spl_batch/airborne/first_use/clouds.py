@@ -12,6 +12,7 @@ import numpy as np
 
 from spl_batch.airborne.plan.inputs.channel_dimension import holds_few, numbered_dimension
 from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.errors import grouped
 from spl_batch.formats.crs import look_like_degrees
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.las.reader import SAMPLE_POINTS, Ends, LasFacts, inspect, read_ends
@@ -21,6 +22,17 @@ SENSOR: Final = "spl100"
 
 CHANNEL_NAMES: Final = ("channel", "beamlet", "channel_number", "beamlet_number", "detector")
 """Names of dimensions of its own that a file holds beamlet numbers in, as they are written."""
+
+
+SPARSE_M2: Final = 2.0
+"""Points over the area of a cloud's box below which it is linear-mode lidar: single-photon surveys
+have ten times as many and more, noise included [1/m2]."""
+
+RETURNS_A_SHOT: Final = 5.0
+"""Points that share a time, on average, from which on they are of many beamlets [count]."""
+
+IN_ORDER: Final = 0.9
+"""Share of points no earlier than the point before, from which on those of a shot lie together."""
 
 
 class Guess(NamedTuple):
@@ -72,6 +84,20 @@ def channel_guess(looks: Sequence[CloudLook], sensor: Sensor) -> Guess:
             low, high = min(one.low for one in numbers), max(one.high for one in numbers)
             return Guess(name, f"is called so, and holds {low} to {high}")
     return Guess(None, "no dimension holds beamlet numbers, so each shot counts as one beamlet")
+
+
+def linear_mode_signs(looks: Sequence[CloudLook]) -> str:
+    """What speaks for linear-mode lidar where no beamlets are numbered; empty if nothing does."""
+    area_m2 = sum(look.facts.area_m2 for look in looks)
+    sparse = sum(look.facts.n_points for look in looks) < SPARSE_M2 * area_m2
+    times = [look.ends.gps_time[usable_times(look.ends.gps_time)] for look in looks]
+    times = [one for one in times if len(one) > 1 and np.mean(np.diff(one) >= 0) >= IN_ORDER]
+    shots = sum(len(np.unique(one)) for one in times)
+    together = sum(map(len, times)) / max(shots, 1)
+    found = ["few points per m2"] if sparse and area_m2 >= 1.0 else []
+    if shots and together < RETURNS_A_SHOT:
+        found.append(f"only {grouped(together, 1)} points at the same gps_time")
+    return ", ".join(["no beamlet numbers", *found]) if found else ""
 
 
 def crs_guess(looks: Sequence[CloudLook]) -> Guess:

@@ -10,6 +10,7 @@ from spl_batch.airborne.first_use.clouds import (
     CloudLook,
     channel_guess,
     crs_guess,
+    linear_mode_signs,
     look_at,
 )
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
@@ -179,7 +180,8 @@ def _draft(folder: _Folder) -> Beginning:
         made.known("channel_dimension", channel.value, f"{channel.value} {channel.reason}")
     _reference(made, folder)
     made.lines += ["", "output: out"]
-    _filter(made, numbered=channel.value is not None, timed=timed)
+    linear = "" if channel.value is not None else linear_mode_signs(folder.lines)
+    _filter(made, linear, numbered=channel.value is not None, timed=timed)
     made.left_out += _left_out(folder)
     return made
 
@@ -214,13 +216,21 @@ def _reference(made: Beginning, folder: _Folder) -> None:
         made.known("checkpoints", folder.named(first), reason)
 
 
-def _filter(made: Beginning, *, numbered: bool, timed: bool) -> None:
+def _filter(made: Beginning, linear: str, *, numbered: bool, timed: bool) -> None:
     """Whether there is noise to be found, and what that needs."""
     if not timed:
         text = (
             "# Without times noise is not known: every point stays; ground and surfaces are made."
         )
         made.lines += ["", text, *_KEPT]
+        return
+    if linear:
+        why = (
+            f"{linear}: taken for linear-mode lidar, of which every point stays; if single photons "
+            "were counted, delete the last two lines of the workflow, and name survey.sensor"
+        )
+        made.unknown.append(("filter", why))
+        made.lines += ["", *wrapped(f"? {why}"), *_KEPT]
         return
     made.lines += [
         "",

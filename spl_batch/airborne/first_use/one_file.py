@@ -17,6 +17,7 @@ from spl_batch.airborne.first_use.clouds import (
     CloudLook,
     channel_guess,
     crs_guess,
+    linear_mode_signs,
     look_at,
 )
 from spl_batch.airborne.plan.inputs.survey_inputs import NO_POINTS
@@ -207,6 +208,14 @@ def _proposal(
         )
     instrument = sensor or SENSOR
     channel = channel_guess([look], load_preset(instrument))
+    signs = linear_mode_signs([look]) if sensor is None and channel.value is None else ""
+    if signs:
+        raise WorkflowError(
+            f"{path}: this looks like linear-mode lidar ({signs}), and denoise would take true "
+            f"points for noise; `spl-batch init {path.parent}` writes a workflow that keeps every "
+            "point and makes ground and surfaces; if single photons were counted, name the "
+            f"instrument: --sensor {SENSOR}"
+        )
     survey: dict[str, Any] = {
         "name": path.stem,
         "flightlines": str(real_path(path)),

@@ -10,6 +10,8 @@ import rasterio
 
 from spl_batch import api
 from spl_batch.airborne.first_use import one_file
+from spl_batch.airborne.first_use.clouds import linear_mode_signs, look_at
+from spl_batch.airborne.first_use.commented import begin
 from spl_batch.errors import StoppedError
 from tests import surveys
 
@@ -131,3 +133,16 @@ def test_what_stopped_goes_on_and_what_failed_in_part_is_tried_again(
     assert cloud.exists()
     assert denoise(line, cloud).status == 0  # what it wrote itself needs no --force
     assert not work.exists()
+
+
+def test_linear_mode_lidar_is_refused_unless_the_instrument_is_named(tmp_path: Path) -> None:
+    columns = {name: values[::13] for name, values in surveys.flightline().items()}
+    source = surveys.write_cloud(tmp_path / "in.laz", columns, channel=False)
+    assert linear_mode_signs([look_at(source)]).count(",") == 2, "sparse, and few at the same time"
+    ended = denoise(source, tmp_path / "out.laz")
+    assert ended.status == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["in.laz"]
+    begun = begin(tmp_path)
+    assert begun is not None
+    assert "filter: {method: none}" in begun.lines
+    assert denoise(source, tmp_path / "out.laz", "--sensor", "spl100").status == 0
