@@ -262,6 +262,12 @@ class Report(Part):
     schema_version: Literal[1] = SCHEMA_VERSION
     survey: Survey
     counts: Counts
+    header_changes: dict[str, Count] = Field(
+        {},
+        description="Delivered clouds whose header differs from their input's, by what differs: "
+        "gps_time_bit, waveform_bits, wkt_bit, file_source_id, system_identifier, "
+        "generating_software, creation_date [count].",
+    )
     accuracy: Accuracy | None = Field(None, description="Null without reference points.")
     requirements: tuple[Requirement, ...] = Field((), description="Is it good enough?")
     checkpoints: Checkpoints | None = Field(None, description="Null without checkpoints.")

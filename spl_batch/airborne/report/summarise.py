@@ -1,6 +1,8 @@
 """Stage ``report``: what all receipts say together, as one report with its pictures."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import cast
 
@@ -81,6 +83,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
     report = Report(
         survey=_survey(done, context),
         counts=counts,
+        header_changes=_header_changes(done),
         accuracy=_accuracy(found),
         requirements=judged(done, context),
         checkpoints=tested,
@@ -196,6 +199,12 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
         not_read=facts.not_read,
         records_left_out=sum(f["records_left_out"] for f in delivered),
     )
+
+
+def _header_changes(done: Receipts) -> dict[str, int]:
+    """Delivered clouds whose header has something in another way, by what that is."""
+    changes = (r.facts["header_changes"] for r in done.get("deliver_file", {}).values())
+    return dict(sorted(Counter(chain.from_iterable(changes)).items()))
 
 
 def _accuracy(found: Comparison | None) -> Accuracy | None:

@@ -31,7 +31,7 @@ from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.convert import conversion
 from spl_batch.formats.las.copc import copy_as_copc
-from spl_batch.formats.las.frame import Extent
+from spl_batch.formats.las.frame import Extent, header_changes
 from spl_batch.formats.las.header import EXTERNAL_BIT, read_header
 from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.layers import GIVEN
@@ -182,6 +182,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
         "noise_class": _nonzero(labels.counts),
         "classes": _nonzero(classes - labels.copied),
         "records_left_out": broken.total(),
+        "header_changes": header_changes(header, copy),
         "findings": [*_of_header(broken, "left_out"), *_of_header(mended, "changed")],
     }
     return Produced(outputs, facts, written)

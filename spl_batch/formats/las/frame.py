@@ -48,6 +48,17 @@ _UNCOMPRESSED: Final = (9, 10)
 _PLACE: Final = struct.Struct("<q")
 _COUNTS: Final = struct.Struct("<QQIQ15Q")
 WAVEFORM_KEY: Final = ("LASF_Spec", 65535)
+_FIELDS: Final = {
+    "file_source_id": slice(4, 6),
+    "system_identifier": slice(26, 58),
+    "generating_software": slice(58, 90),
+    "creation_date": slice(90, 94),
+}
+_BITS: Final = {
+    "gps_time_bit": ADJUSTED_BIT,
+    "waveform_bits": INTERNAL_BIT | EXTERNAL_BIT,
+    "wkt_bit": WKT_BIT,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +95,13 @@ def preamble(old: bytes, encoding: int) -> bytes:
     date = old[90:94] if 1 <= day <= 366 and 1 <= year <= 9999 else bytes(4)
     encoded = encoding.to_bytes(2, "little")
     return b"LASF" + old[4:6] + encoded + old[8:24] + b"\1\4" + system + software + date
+
+
+def header_changes(given: LasHeader, copy: LasHeader) -> list[str]:
+    """Names of the header's fields that a copy has in another way."""
+    bits = given.global_encoding ^ copy.global_encoding
+    fields = (name for name, part in _FIELDS.items() if given.raw[part] != copy.raw[part])
+    return [*(name for name, some in _BITS.items() if bits & some), *fields]
 
 
 def copied_encoding(

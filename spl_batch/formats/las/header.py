@@ -21,7 +21,7 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, reason_of
 from spl_batch.formats.declared import bounded, gathered
 
-HEADER_SIZES: Final = {1: 227, 2: 227, 3: 235, 4: 375}
+HEADER_SIZES: Final = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 """Bytes of the header by minor version."""
 
 VLR_HEAD: Final = struct.Struct("<H16sHH32s")
@@ -42,6 +42,9 @@ _FAR_M: Final = 1e9
 _SCALE_MAX_M: Final = 1000.0
 _HIGH_M: Final = (2**31 - 1) / QUANTA_PER_M
 _MAX_POINTS: Final = 2**32 - 1
+_START_SIGNATURES: Final = (b"\xdd\xcc", b"\xcc\xdd")
+"""Bytes before the points of LAS 1.0; some writers count them among the points."""
+
 _MAX_LENGTH: Final = 2**16 - 1
 _MAX_RECORDS: Final = 4096
 _REWRITE: Final = "the header is damaged, rewrite the file with the software that made it"
@@ -160,6 +163,8 @@ def read_header(path: Path) -> LasHeader:
             raw, _CORE_START
         )[:6]
         floats = _CORE.unpack_from(raw, _CORE_START)[11:]
+        if raw[25] == 0:
+            points_start += _signature_bytes(file, points_start)
         compressed = bool(pf & _COMPRESSED_BIT)
         version = (raw[24], raw[25])
         n_points = _count_points(raw, version[1], legacy)
@@ -226,13 +231,20 @@ def _read_raw(path: Path, file: BinaryIO) -> bytes:
     major, minor = head[24], head[25]
     if major != 1 or minor not in HEADER_SIZES:
         raise InputError(
-            str(path), f"is LAS version {major}.{minor}; 1.1 to 1.4 can be read: convert it"
+            str(path), f"is LAS version {major}.{minor}; 1.0 to 1.4 can be read: convert it"
         )
     if len(head) < HEADER_SIZES[minor]:
         raise InputError(
             str(path), f"is cut off inside its header: {len(head)} bytes; copy it again"
         )
     return head[: HEADER_SIZES[minor]]
+
+
+def _signature_bytes(file: BinaryIO, points_start: int) -> int:
+    """Bytes of the start signature of LAS 1.0 behind the offset to the points, 0 or 2."""
+    file.seek(max(points_start - 2, 0))
+    around = file.read(4)
+    return 2 * (around[2:] in _START_SIGNATURES and around[:2] not in _START_SIGNATURES)
 
 
 def _count_points(raw: bytes, minor: int, legacy: int) -> int:

@@ -1,5 +1,6 @@
 """Reading LAS and LAZ: laspy reads the same files, coordinates are exact."""
 
+import struct
 from decimal import Decimal
 from pathlib import Path
 
@@ -177,3 +178,17 @@ def test_crs_from_geotiff_and_wkt(
     found = inspect(path).crs
     assert found is not None
     assert found.to_epsg() == code
+
+
+@pytest.mark.parametrize("counted", [False, True])
+def test_las_1_0_is_read_behind_its_start_signature(tmp_path: Path, *, counted: bool) -> None:
+    path = write_las(tmp_path / "a.las", version="1.2", point_format=1)
+    want, content = read_all(path), bytearray(path.read_bytes())
+    start = struct.unpack_from("<I", content, 96)[0]
+    content[25] = 0
+    content[start:start] = b"\xdd\xcc"
+    struct.pack_into("<I", content, 96, start if counted else start + 2)
+    path.write_bytes(content)
+    got = read_all(path)
+    for name in "xyz":
+        np.testing.assert_array_equal(got[name], want[name])
