@@ -47,7 +47,7 @@ STEPS: Final[Steps] = table(
     Step(
         name="compare",
         stage="profile",
-        run=f"{_TASKS}.reference:compare",
+        run=f"{_TASKS}.heights:compare",
         tasks="spl_batch.altimetry.plan:compare",
         after=("profile",),
         settings=("reference",),

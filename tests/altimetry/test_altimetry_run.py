@@ -18,7 +18,7 @@ from spl_batch.altimetry.report.pictures import TrackAxis
 from spl_batch.altimetry.report.summarise import of_labels
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.simulate import SceneFile, simulate_file
-from spl_batch.altimetry.tasks import reference as reference_task
+from spl_batch.altimetry.tasks import heights as reference_task
 from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.errors import WorkflowError
 from tests import surveys

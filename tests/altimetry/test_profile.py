@@ -17,7 +17,7 @@ from spl_batch.altimetry.ground.profile import (
 )
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
-from spl_batch.altimetry.tasks.reference import REFERENCE_GAP_M, between
+from spl_batch.altimetry.tasks.heights import REFERENCE_GAP_M, between
 from spl_batch.altimetry.water.surface import AIR, NO_WATER, WATER
 from tests.altimetry.tracks import lattice, quanta
 
@@ -39,7 +39,7 @@ def test_a_slope_under_trees_is_found(slope: float, cover: float, seed: int) -> 
     z = 500.0 + slope * x + rng.normal(0.0, 0.15, len(x))
     z += np.where(leaf, rng.uniform(6.0, 15.0, len(x)), 0.0)
     along, height = in_order(*quanta(np.stack([x, z], axis=1)))
-    columns = profile(along, height, np.ones(len(x), np.bool_), EVERYTHING, SETTINGS).columns
+    columns = profile(along, height, np.ones(len(x), np.bool_), EVERYTHING, SETTINGS)
     inner = slice(1, -1)
     error = np.abs(columns["ground"] - 500.0 - slope * columns["along_track"])
     lean = np.abs(columns["slope"] - slope)
@@ -62,7 +62,7 @@ def test_stray_photons_below_the_ground_do_not_pull_it_down() -> None:
     x = np.concatenate([rng.uniform(0.0, 400.0, 800), rng.uniform(0.0, 400.0, 40)])
     z = np.concatenate([rng.normal(50.0, 0.1, 800), rng.uniform(20.0, 49.0, 40)])
     along, height = in_order(*quanta(np.stack([x, z], axis=1)))
-    columns = profile(along, height, np.ones(len(x), np.bool_), EVERYTHING, SETTINGS).columns
+    columns = profile(along, height, np.ones(len(x), np.bool_), EVERYTHING, SETTINGS)
     assert np.abs(columns["ground"] - 50.0).max() < 0.15
 
 
@@ -85,7 +85,7 @@ def test_a_lonely_clump_needs_photons_that_are_labelled_signal() -> None:
     along, height = in_order(*quanta(np.stack([x, z], axis=1)))
     for sure, there in ((True, True), (False, False)):
         flags = np.full(12, sure)
-        columns = profile(along, height, flags, EVERYTHING, SETTINGS).columns
+        columns = profile(along, height, flags, EVERYTHING, SETTINGS)
         assert np.isfinite(columns["ground"]).any() == there
 
 
@@ -96,7 +96,7 @@ def test_ground_that_rises_and_falls_within_a_cell_is_followed() -> None:
     z = 1.5 * np.sin(x / 4.0) + 3.0 * np.sin(x / 22.0) + rng.normal(0.0, 0.15, len(x))
     along, height = in_order(*quanta(np.stack([x, z], axis=1)))
     thin = SETTINGS.model_copy(update={"layer_m": 0.75})
-    columns = profile(along, height, np.ones(len(x), np.bool_), EVERYTHING, thin).columns
+    columns = profile(along, height, np.ones(len(x), np.bool_), EVERYTHING, thin)
     at = columns["along_track"]
     off = np.abs(columns["ground"] - 1.5 * np.sin(at / 4.0) - 3.0 * np.sin(at / 22.0))
     assert np.count_nonzero(np.isfinite(off)) >= 48
@@ -212,7 +212,7 @@ def test_the_error_of_ground_covers_what_it_says(relief_m: float, falls: float) 
     along, height = quanta(np.stack([x, land(x) + rng.normal(0.0, 0.3, len(x))], axis=1))
     order = np.lexsort((height, along))
     sure = np.ones(len(x), np.bool_)
-    found = profile(along[order], height[order], sure, EVERYTHING, ProfileSettings()).columns
+    found = profile(along[order], height[order], sure, EVERYTHING, ProfileSettings())
     error = np.abs(found["ground"] - land(found["along_track"]))
     assert np.mean(error < 2.0 * found["ground_error"]) > 0.9
     assert np.sqrt(np.mean(found["ground_error"] ** 2)) < 2.75 * np.sqrt(np.mean(error**2))
@@ -227,7 +227,7 @@ def test_layers_of_steep_tracks_are_thicker_and_of_flat_ones_as_before() -> None
         sure, error = np.ones(len(along), np.bool_), []
         for spread in (0.0, spread_m(ProfileSettings(), "atl03")):
             thin = for_layout(ProfileSettings(), "atl03")
-            found = profile(along, height, sure, EVERYTHING, thin, spread).columns
+            found = profile(along, height, sure, EVERYTHING, thin, spread)
             off = found["ground"] - np.interp(found["along_track"], *track.reference_m.T)
             error.append(float(np.sqrt(np.nanmean(off**2))))
         assert error[1] < gain * error[0] if gain else error[1] == error[0]
@@ -245,14 +245,12 @@ def test_heights_do_not_depend_on_where_the_track_is_cut(
     some = track.truth > 0
     along, height = in_order(along[some], height[some])
     sure = np.arange(len(along)) % 7 > 0
-    whole = profile(along, height, sure, EVERYTHING, SETTINGS, spread).columns
+    whole = profile(along, height, sure, EVERYTHING, SETTINGS, spread)
     reach, size = reach_cells(SETTINGS, spread), 20_000
     parts = []
     for owned in ((EVERYTHING[0], cut), (cut, EVERYTHING[1])):
         rows = (along >= (owned[0] - reach) * size) & (along < (owned[1] + reach) * size)
-        parts.append(
-            profile(along[rows], height[rows], sure[rows], owned, SETTINGS, spread).columns
-        )
+        parts.append(profile(along[rows], height[rows], sure[rows], owned, SETTINGS, spread))
     for name, values in whole.items():
         joined = np.concatenate([p[name] for p in parts])
         np.testing.assert_array_equal(values, joined, err_msg=name)

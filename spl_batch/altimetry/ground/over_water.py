@@ -61,7 +61,7 @@ def profile(
     below = wet & (off < -surface_q)
     dry = ~wet | (np.abs(off) <= round(_NEAR_M * QUANTA_PER_M))
     top, floor = (
-        profiles.profile(along[some], height[some], sure[some], owned, *settings).columns
+        profiles.profile(along[some], height[some], sure[some], owned, *settings)
         for some in (dry, below)
     )
     cells = np.unique(np.concatenate([top["cell"], floor["cell"]]))

@@ -13,7 +13,6 @@ depends on photons within :func:`reach_cells` of it.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -52,13 +51,6 @@ COLUMNS: Final = {
 }
 """Columns of a profile: cell number, its middle, heights [m], counts; NaN
 where unknown."""
-
-
-@dataclass(frozen=True, slots=True)
-class Profile:
-    """Cells of a profile, in order; columns as in :data:`COLUMNS`."""
-
-    columns: dict[str, NDArray[Any]]
 
 
 LAYER_M: Final = 1.5
@@ -118,8 +110,8 @@ def profile(
     owned: tuple[int, int],
     settings: ProfileSettings,
     spread: float = 0.0,
-) -> Profile:
-    """Heights of the cells of a piece of track that hold signal.
+) -> dict[str, NDArray[Any]]:
+    """Heights of the cells of a piece of track that hold signal, as in :data:`COLUMNS`.
 
     Parameters
     ----------
@@ -164,19 +156,17 @@ def profile(
     ground = fit[mine, 0]
     bare = np.where(np.isfinite(ground), 0.0, np.nan)
     error2 = fit[:, 2] ** 2 + _misfit2(index, fit[:, 4], settings)
-    return Profile(
-        {
-            "cell": index[mine],
-            "along_track": (index[mine] * size + size // 2) / QUANTA_PER_M,
-            "ground": ground,
-            "slope": fit[mine, 1],
-            "ground_error": np.sqrt(error2)[mine],
-            "ground_photons": np.nan_to_num(fit[mine, 3]).astype(np.int64),
-            "canopy_top": np.where(leaves > 0, top, ground),
-            "canopy_height": np.where(leaves > 0, top - ground, bare),
-            "canopy_photons": leaves,
-        }
-    )
+    return {
+        "cell": index[mine],
+        "along_track": (index[mine] * size + size // 2) / QUANTA_PER_M,
+        "ground": ground,
+        "slope": fit[mine, 1],
+        "ground_error": np.sqrt(error2)[mine],
+        "ground_photons": np.nan_to_num(fit[mine, 3]).astype(np.int64),
+        "canopy_top": np.where(leaves > 0, top, ground),
+        "canopy_height": np.where(leaves > 0, top - ground, bare),
+        "canopy_photons": leaves,
+    }
 
 
 def _thick(
