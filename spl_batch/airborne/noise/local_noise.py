@@ -4,8 +4,8 @@ Domain: space. Deviation: [W18] Eq. 2 takes the mean of a whole voxel. Where a g
 edge of a flightline or delivery cuts a voxel, that is too small for its points. So each
 flightline's density is found on squares, 2.5 m wide in voxels of 10 m, and flightlines add up:
 
-- One beamlet stands for the noise in a sphere over the beamlets that cross it; a square has that
-  times its beamlets (``VoxelPart.squares``).
+- One beamlet of usual noise stands for the noise in a sphere over the beamlets that cross it; a
+  square has that times its beamlets, each by the noise that it stands for (``VoxelPart.squares``).
 - A count is believed as far as its Poisson error allows, against the squares around and then the
   mean of the voxel. Gaps of up to two squares are closed.
 - A layer in which the gate ends counts up to the end
@@ -31,6 +31,7 @@ from spl_batch.airborne.noise.beamlet_counts import (
 )
 from spl_batch.airborne.noise.gate_ends import without_ends
 from spl_batch.airborne.noise.noise_interpolation import add_between
+from spl_batch.airborne.noise.voxel_noise import BEAMLET
 
 DOMAIN: Final = "space"
 
@@ -80,7 +81,7 @@ def listened(
     """
     if not counts.any():
         return None
-    beamlets = unpack(counts)
+    beamlets = unpack(counts) / np.float32(BEAMLET)
     covered = joined(np.logical_and, joined(np.logical_or, beamlets > 0))
     gate = without_ends(amount, beamlets, voxel_m)
     density = _believed(beamlets, covered)

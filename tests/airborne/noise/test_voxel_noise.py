@@ -56,12 +56,13 @@ def test_steep_beamlets_deposit_what_they_do_one_by_one(seed: int) -> None:
     near, far = np.sort(rng.uniform(-60.0, 60.0, (2, n)), axis=0)
     rows = (voxel, point, line, near, far, rng.uniform(0.0, 1e6, n))
     none, ordinal = np.zeros((0, 0, 0), np.int64), np.arange(n)
+    share = rng.integers(1, 40, n)
     amount, one_by_one = np.zeros((2, 25, 25, 25), np.int64)
     squares, counted = np.zeros((2, 25, 25, 25, 16), np.uint16)
-    deposit_beamlets(*rows, 10.0, RADIUS_M, ordinal, amount, none, none, squares)
+    deposit_beamlets(*rows, 10.0, RADIUS_M, ordinal, amount, none, none, share, squares)
     for i in range(n):
         row = [values[i] for values in rows]
-        deposit_beamlet(*row, 10.0, RADIUS_M, i, one_by_one, none, none, none, counted)
+        deposit_beamlet(*row, 10.0, RADIUS_M, i, one_by_one, none, none, none, share[i], counted)
     np.testing.assert_array_equal(amount, one_by_one)
     np.testing.assert_array_equal(squares, counted)
 
@@ -97,7 +98,7 @@ def test_a_stretch_in_several_boxes_adds_up_to_one() -> None:
     model, whole = run(flight)
     place = np.column_stack((flight.table["x"], flight.table["y"]))
     gap = int(np.diff(np.sort(place, axis=0), axis=0).max()) - 1
-    parts = voxel_noise.deposit_apart(flight.table, beams, model, SEEN, gap)
+    parts = voxel_noise.deposit_apart(flight.table, beams, model, SEEN, far_q=gap)
     assert len(parts) > 1
     for name in ("amount", "squares"):
         total = getattr(whole, name).astype(np.int64)
