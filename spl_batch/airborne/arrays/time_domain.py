@@ -98,7 +98,7 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
         flags[rows] |= ~beams.known * np.uint8(PointFlag.NO_BEAM)
         lit = np.flatnonzero(beams.known)
         mine, beams = mine.take(lit), beams.take(lit)
-        lines.append(voxel_noise.deposit_apart(mine, beams, model, settings.noise, ground[lit]))
+        lines.append(voxel_noise.deposit(mine, beams, model, settings.noise, ground[lit]))
     basis = "vertical" if "vertical" in bases else next(iter(bases), "beams")
     return Assessed(table.with_columns(flags=flags, **added), lines, count, basis, texts(found))
 

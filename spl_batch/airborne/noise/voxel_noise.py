@@ -56,8 +56,11 @@ def deposit(
     model: LineModel,
     settings: NoiseSettings,
     ground: NDArray[np.float64] | None = None,
-) -> VoxelPart:
-    """One stretch's share of the noise expected in each voxel.
+    far_q: int = FAR_Q,
+) -> list[VoxelPart]:
+    """A stretch's share of the noise expected in each voxel, a box of voxels for each place of it.
+
+    A single stray point would stretch one box over all that lies between.
 
     Parameters
     ----------
@@ -67,45 +70,14 @@ def deposit(
         Their beams; rows without a known beam deposit nothing.
     ground : (n,) float64, optional
         Gain of the ground that each point's beamlet looks at; 1 by default.
-
-    Returns
-    -------
-    VoxelPart
-        With ``shots`` and ``beamlets`` where the correction is "published", else with
-        ``squares``.
-    """
-    parts = deposit_apart(table, beams, model, settings, ground, far_q=None)
-    if parts:
-        return parts[0]
-    empty = np.zeros((0, 0, 0), dtype=np.int64)
-    if settings.correction == "published":
-        return VoxelPart((0, 0, 0), empty, empty, empty)
-    return VoxelPart((0, 0, 0), empty, squares=np.zeros((0, 0, 0, 16), dtype=np.uint16))
-
-
-def deposit_apart(
-    table: PointTable,
-    beams: BeamTable,
-    model: LineModel,
-    settings: NoiseSettings,
-    ground: NDArray[np.float64] | None = None,
-    far_q: int | None = FAR_Q,
-) -> list[VoxelPart]:
-    """A stretch's share as a box of voxels for each place of it.
-
-    A single stray point would stretch one box over all that lies between.
-
-    Parameters
-    ----------
-    table, beams, model, settings, ground
-        As in :func:`deposit`.
-    far_q : int, optional
-        Empty columns or rows of more than this divide a stretch [quanta]; without it all is one.
+    far_q : int
+        Empty columns or rows of more than this divide a stretch [quanta].
 
     Returns
     -------
     list of VoxelPart
-        From west to east and south to north; none where no beamlet is known.
+        From west to east and south to north, with ``shots`` and ``beamlets`` where the correction
+        is "published", else with ``squares``; none where no beamlet is known.
     """
     published = settings.correction == "published"
     known = rows_of(beams.known)
@@ -129,7 +101,7 @@ def deposit_apart(
     per_m = line_density(table, model) if published else seen_density(table, model) * ground
     usual = max(model.mean_rate / max(float(np.mean(model.seen_fraction)), 1e-9), 1e-12)
     share = np.clip(np.rint(BEAMLET / usual * per_m), 1, MOST).astype(np.int64)
-    if far_q is None or all(np.ptp(table[axis]) <= far_q for axis in "xy"):
+    if all(np.ptp(table[axis]) <= far_q for axis in "xy"):
         return [_in_one_box(table, beams, (near, far, per_m, share), settings)]
     places = np.column_stack((table["x"], table["y"]))
     return [

@@ -232,7 +232,7 @@ def _assess(
         noise = shot_noise(subset, beams, workflow.filter, model.gate_m, array)
         flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
-    parts = voxel_noise.deposit_apart(subset, beams, model, workflow.noise, ground)
+    parts = voxel_noise.deposit(subset, beams, model, workflow.noise, ground)
     # A stretch is one box of voxels, unless some of its points lie far from the rest.
     names = [args["stretch"], *(f"{args['stretch']}.{k}" for k in range(1, len(parts)))]
     paths = [context.store.path("voxels", f"{name}.zarr") for name in names[: len(parts)]]

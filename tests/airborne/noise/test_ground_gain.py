@@ -127,7 +127,8 @@ def test_bright_and_dark_parcels_have_the_noise_that_they_send_back() -> None:
     model = model_of(flight)
     gain = ground_gain.looked_at(flight.table, beams, model, SETTINGS)
     part, one_rate = (
-        voxel_noise.deposit(flight.table, beams, model, SETTINGS, ground) for ground in (gain, None)
+        voxel_noise.deposit(flight.table, beams, model, SETTINGS, ground)[0]
+        for ground in (gain, None)
     )
     corner = np.array(part.corner)
     point = np.column_stack([flight.table[axis] * QUANTUM_M for axis in "xyz"])
