@@ -51,8 +51,11 @@ def fly(
     gains: NDArray[np.float64] | None = None,
     canopy_m: float = 0.0,
     scan_m: float = 400.0,
+    albedo: Surface | None = None,
 ) -> Flight:
     """Fly a line to the east.
+
+    ``albedo`` multiplies the noise of a beamlet by the brightness of the ground that it looks at.
 
     ``gate_kind``: "range" opens the gate at one slant range, "height" cuts at two heights,
     "surface" opens it ``gate_ahead_m`` in front of the surface under each shot.
@@ -79,6 +82,9 @@ def fly(
     near, far = _gate(gate_kind, hit, cosine, ahead, gate_m)
     rate = noise_per_m(shot) if callable(noise_per_m) else np.full(shots, noise_per_m)
     expected = rate[:, None] * gains * (far - near)
+    if albedo is not None:
+        place = sensor[:, None] + direction * hit[..., None]
+        expected = expected * albedo(place[..., 0], place[..., 1])
     count = rng.poisson(expected)
     s_noise, c_noise = (np.repeat(v.ravel(), count.ravel()) for v in np.indices(count.shape))
     r_noise = rng.uniform(near[s_noise, c_noise], far[s_noise, c_noise])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw
 from spl_batch.airborne.beams.told_apart import told_apart
-from spl_batch.airborne.noise import line_noise
+from spl_batch.airborne.noise import ground_gain, line_noise
 from spl_batch.airborne.noise.line_noise import LineModel
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
@@ -73,7 +73,9 @@ def assess(
     settings: Workflow,
     beamlets: Beamlets,
 ) -> dict[str, NDArray[Any]]:
-    """Columns that the time domain adds to a stretch, and its ``channel``.
+    """Columns that the time domain adds to a stretch, its ``channel``, and ``ground``.
+
+    ``ground``, float64, is the gain of what each point's beamlet looks at.
 
     Parameters
     ----------
@@ -88,7 +90,10 @@ def assess(
     added: dict[str, NDArray[Any]] = {
         name: np.zeros(len(table), np.float32) for name in COLUMNS_ADDED
     }
-    added["line_density"][rows] = line_noise.line_density(known, model)
+    ground = ground_gain.looked_at(known, lit, model, settings.noise)
+    added["line_density"][rows] = line_noise.line_density(known, model) * ground
+    added["ground"] = np.ones(len(table))
+    added["ground"][rows] = ground
     added["channel"] = table["channel"]
     if not settings.afterpulse.enabled:
         return added

@@ -92,12 +92,13 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
         model, law, _ = shots.fit([observed], settings.noise, beamlets)
         found += [finding._replace(subject=name) for finding in model.findings]
         columns = shots.assess(mine, beams, (model, law), settings, beamlets)
+        ground = columns.pop("ground")
         for key, values in columns.items():
             added[key][rows] = values
         flags[rows] |= ~beams.known * np.uint8(PointFlag.NO_BEAM)
         lit = np.flatnonzero(beams.known)
         mine, beams = mine.take(lit), beams.take(lit)
-        lines.append(voxel_noise.deposit_apart(mine, beams, model, settings.noise))
+        lines.append(voxel_noise.deposit(mine, beams, model, settings.noise, ground[lit]))
     basis = "vertical" if "vertical" in bases else next(iter(bases), "beams")
     return Assessed(table.with_columns(flags=flags, **added), lines, count, basis, texts(found))
 

@@ -8,8 +8,13 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.noise.beamlet_counts import SQUARES
-from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS, Listened, around, listened
-from spl_batch.airborne.noise.noise_interpolation import put_places
+from spl_batch.airborne.noise.local_noise import (
+    MARGIN_VOXELS,
+    Listened,
+    around,
+    listened,
+    put_places,
+)
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.airborne.store.voxel_parts import StoredVoxels
 from spl_batch.engine.store.working_store import Store

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from spl_batch.airborne.noise.gate import Gate
-from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, PROFILE_BINS, SUMMARY
+from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, PROFILE_BINS
+from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.engine.findings import Finding
 
 REGION_MIN: Final = 0.2

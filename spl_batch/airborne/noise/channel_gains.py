@@ -4,7 +4,7 @@ Domain: time. Dead channels hear nothing. The gains of others are counted, and s
 far as chance explains their differences (empirical Bayes, gamma prior).
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,12 +89,12 @@ def channel_gains(
     return gain
 
 
-def prior_weight(n: NDArray[np.int64], expected: NDArray[np.float64]) -> float:
+def prior_weight(n: NDArray[Any], expected: NDArray[np.float64]) -> float:
     """Counts that a gamma prior is worth: 1 / relative variance beyond Poisson.
 
     Parameters
     ----------
-    n, expected : (k,) int64 and float64
+    n, expected : (k,) integer or float64, and float64
         Counts, and what was expected of each.
     """
     excess = float(np.sum((n - expected) ** 2 - expected))

@@ -19,11 +19,11 @@ from spl_batch.airborne.noise.line_statistics import (
     BUFFER_LADDER,
     LONE_GAPS,
     LONE_MOST,
-    SUMMARY,
     SUPPORT,
     spacing_m,
     without_lone,
 )
+from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.engine.findings import Finding
 
 WINDOW_INTERVALS: Final = 64

@@ -24,6 +24,8 @@ class LineModel:
     near: NDArray[np.float64]
     far: NDArray[np.float64]
     gain: NDArray[np.float64]  #: (256,): rate of each channel over the mean; 0 for a dead one.
+    cell: NDArray[np.int64]  #: (c,): cells of the ground that were looked at, ascending.
+    ground: NDArray[np.float64]  #: (c,): rate over each of them, over the rate of the interval.
     seen_fraction: NDArray[np.float64]  #: (m,): beamlets with a return over beamlets fired.
     kind: Kind  #: "range" or "height": what ``near`` and ``far`` are.
     gate_m: float  #: Median slant length of the gate [m].

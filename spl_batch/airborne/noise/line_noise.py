@@ -7,11 +7,12 @@ Sources: [W17] Eq. 5.1, [W18] 2.2.1.
 | N | ``outside``: noise returns of an interval |
 | 6000 | shots fired x ``beamlets`` |
 | R | slant length of gate that was counted |
-| rho_l | ``rate`` x ``gain`` of the channel |
+| rho_l | ``rate`` x ``gain`` of the channel x ``ground`` of the cell that is looked at |
 
 Deviations: silent shots count as fired; R is what the gate really leaves, as a slant length; the
-buffer shrinks where the gate is short. Rates of intervals are shrunk towards their neighbours and
-gains of channels towards one (empirical Bayes, gamma prior). Where the buffer has shrunk, intervals
+buffer shrinks where the gate is short; the ground has a gain. Rates of intervals and gains of the
+ground are shrunk towards their neighbours and gains of channels towards one (empirical Bayes, gamma
+prior). Where the buffer has shrunk, intervals
 far above those around hold signal, if their two sides differ or the signal's height varies as much
 as the buffer; they are left out.
 """
@@ -25,8 +26,10 @@ from numpy.typing import NDArray
 from spl_batch.airborne.noise.background_region import choose_region, offered_lengths, profile_rate
 from spl_batch.airborne.noise.channel_gains import active_channels, channel_gains, prior_weight
 from spl_batch.airborne.noise.gate import fit_gate
+from spl_batch.airborne.noise.ground_gain import Ground, ground
 from spl_batch.airborne.noise.line_model import LineModel
-from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, SUMMARY, merge, observe
+from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, merge, observe
+from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.engine.findings import Finding
@@ -54,6 +57,9 @@ some: a brighter sky or ground adds to both alike."""
 SPREAD: Final = 0.25
 """Standard deviation of an interval's signal height over the buffer, from which on there may be
 signal beyond it on both sides: a fifteenth of the interval is then a buffer higher."""
+
+GROUND_ROUNDS: Final = 3
+"""Times that rates of intervals and gains of the ground are found, each by the other."""
 
 CLIP_ROUNDS: Final = 5
 """Times that the neighbourhood is counted again without such intervals."""
@@ -88,6 +94,7 @@ def fit(
     if region.side == "none":
         flat = profile_rate(merged["profile"], gate, summary, fired)
         rate, gain = np.full(len(interval), flat), gain_active
+        cell, of_cell, bright = np.empty(0, np.int64), np.empty(0), np.ones(len(interval))
     else:
         sides = np.array(use[region.side])
         counted = (outside[:, :, region.buffer] @ sides).astype(np.int64)
@@ -100,7 +107,9 @@ def fit(
             torn = _torn(outside[:, :, region.buffer], sided, summary, buffer_m)
             quiet = _quiet(interval, counted, heard, settings.smooth_intervals, torn)
             counted, heard = counted * quiet, heard * quiet
-        rate = _smooth(interval, counted, heard, settings.smooth_intervals)
+        patches = ground(merged, interval, region.buffer, sides).only(heard > 0.0)
+        rate, of_cell, bright = _rates(interval, counted, heard, patches, settings.smooth_intervals)
+        cell = patches.cell
         by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
         gain = channel_gains(by_channel, gain_active)
     seen = np.where(present, merged["beamlets"][rows], 0)
@@ -117,13 +126,31 @@ def fit(
         seen_fraction=np.minimum(seen / fired, 1.0),
         kind=gate.kind,
         gate_m=gate.length_m,
-        mean_rate=float(np.average(rate, weights=fired)),
+        mean_rate=float(np.average(rate * bright, weights=fired)),
+        cell=cell,
+        ground=of_cell,
         beamlets=beamlets,
         interval_shots=settings.interval_shots,
         seen_shots=_seen_window(looks, last - first + 1, settings.interval_shots),
         gate_basis=gate.basis,
         findings=(*warnings, *gate.warnings, *region.warnings, *_few(merged), *_strays(merged)),
     )
+
+
+def _rates(
+    interval: NDArray[np.int64],
+    counted: NDArray[np.int64],
+    heard: NDArray[np.float64],
+    looks: Ground,
+    half: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Rate of each interval over ground of gain 1 [1/m], gains of cells, and their means."""
+    bright = np.ones(len(interval))
+    for _ in range(GROUND_ROUNDS):
+        rate = _smooth(interval, counted, heard * bright, half)
+        gain = looks.gains(rate * heard)
+        bright = looks.brightness(gain, len(interval))
+    return rate, gain, bright
 
 
 def _strays(merged: dict[str, NDArray[Any]]) -> Iterator[Finding]:
@@ -146,7 +173,7 @@ def _few(merged: dict[str, NDArray[Any]]) -> tuple[Finding, ...]:
 def _nothing(settings: NoiseSettings, sensor: Sensor) -> LineModel:
     none, empty = np.empty(0, dtype=np.int64), np.empty(0)
     return LineModel(
-        none, empty, none, none, empty, empty, np.ones(256), empty, "range",
+        none, empty, none, none, empty, empty, np.ones(256), none, empty, empty, "range",
         sensor.gate_m or 0.0, 0.0, sensor.beamlets, settings.interval_shots, 1,
         "stated" if sensor.gate_m else "assumed",
         (Finding("N01", {"kind": "none"}),),
@@ -298,17 +325,17 @@ def _seen_window(seen: NDArray[np.int64], fired: NDArray[np.int64], interval_sho
     return interval_shots
 
 
-def line_density(table: PointTable, model: LineModel) -> NDArray[np.float32]:
-    """Expected noise of each point's beamlet [W17 Eq. 5.1].
+def line_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
+    """Expected noise of each point's beamlet over ground of gain 1 [W17 Eq. 5.1].
 
     Returns
     -------
-    (n,) float32
+    (n,) float64
         Noise returns per metre of beamlet [1/m].
     """
     density = model.at(model.row(table["shot"]), model.rate, model.mean_rate)
     density *= model.gain.take(table["channel"])
-    return density.astype(np.float32)
+    return density
 
 
 def gate_of(

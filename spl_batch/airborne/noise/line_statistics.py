@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.shot_runs import blind_behind, lag_behind, run_starts
-from spl_batch.airborne.noise.noise_intervals import observe_intervals
+from spl_batch.airborne.noise.ground_cells import look_through, signal_of
+from spl_batch.airborne.noise.noise_intervals import count_noise
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.constants import QUANTUM_M
-from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
 
 BUFFER_LADDER: Final = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
@@ -53,15 +53,11 @@ STRAY_SHARE: Final = 0.1
 LONE_GAPS: Final = (3, 8)
 """Gaps between the extremes that follow which tell their spacing, at least and at most [count]."""
 
-SUMMARY: Final = (
-    "signal_z", "signal_range", "cosine", "signal_sd", "range_min", "range_max",
-    "z_min", "z_max", "behind_min", "behind_max",
-)  # fmt: skip
-"""Columns of ``summary``, all in metres but the cosine."""
-
 _BY_INTERVAL: Final = (
     "interval", "summary", "outside", "blinded", "returns", "beamlets", "shots", "first", "last",
 )  # fmt: skip
+
+_BY_LOOK: Final = ("look_interval", "look_cell", "look_number", "look_outside")
 
 
 def observe(
@@ -97,24 +93,23 @@ def _observed(
 ) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
     """Statistics of some rows, (n,) bool, and which of these are far beyond their interval."""
     rows, lone = rows_of(chosen), np.zeros(len(chosen), np.bool_)
-    table = table.take(rows)
-    range_m, cosine = beams.range_m[rows], -beams.direction[rows, 2]
+    table, beams = table.take(rows), beams.take(rows)
     shot, time, channel = table["shot"], table["gps_time"], table["channel"]
-    interval = np.floor_divide(shot, settings.interval_shots)
-    offset = shot - interval * settings.interval_shots
+    offset = shot - np.floor_divide(shot, settings.interval_shots) * settings.interval_shots
     beamlet = run_starts(time, channel)
-    starts = run_starts(interval)
+    seen = signal_of(table, beams, settings)
+    starts = seen.starts
     m, b = len(starts) - 1, len(BUFFER_LADDER)
     lag = np.empty(len(table), dtype=np.float32)
     blind = np.empty(len(table), dtype=np.float64)
-    lag_behind(beamlet, range_m, 0.0, FOLLOWER_M, lag)
-    blind_behind(beamlet, range_m, FOLLOWER_M, blind)
-    crowded = _crowded(beamlet, starts, range_m, blind)
+    lag_behind(beamlet, beams.range_m, 0.0, FOLLOWER_M, lag)
+    blind_behind(beamlet, beams.range_m, FOLLOWER_M, blind)
+    crowded = _crowded(beamlet, starts, beams.range_m, blind)
     lag[crowded], blind[crowded] = 0.0, 0.0
+    looks = look_through(table, beams, seen)
     out: dict[str, NDArray[Any]] = {
-        "interval": interval[starts[:-1]],
-        "summary": np.zeros((m, len(SUMMARY))),
-        "outside": np.zeros((m, 2, b), dtype=np.int32),
+        "interval": np.floor_divide(shot[starts[:-1]], settings.interval_shots),
+        "summary": seen.summary,
         "blinded": np.zeros((m, 2, b)),
         "returns": np.diff(starts),
         "by_channel": np.zeros((2, b, 256), dtype=np.int64),
@@ -124,15 +119,21 @@ def _observed(
         "shots": _runs_per_interval(run_starts(time), starts),
         "first": offset[starts[:-1]],
         "last": offset[starts[1:] - 1] if m else offset[:0],
+        "look_cell": looks.cell,
+        "look_number": looks.number,
+        "look_outside": np.zeros((len(looks.cell), 2, b), dtype=np.int32),
     }
-    # Sorted all at once: numpy has vector instructions for it, a kernel has none.
-    order = lexicographic_order([np.repeat(np.arange(m), out["returns"]), table["z"]])
-    observe_intervals(
-        starts, table["z"] * QUANTUM_M, order, range_m, np.maximum(cosine, 0.1), offset, channel,
-        lag == 0, blind, settings.buffer_m * np.array(BUFFER_LADDER), settings.interval_shots,
-        settings.peak_m, out["summary"], out["outside"], out["blinded"], out["by_channel"],
-        out["profile"],
+    count_noise(
+        starts, seen.below, np.maximum(-beams.direction[:, 2], 0.1), channel, looks.row,
+        lag == 0, blind, settings.buffer_m * np.array(BUFFER_LADDER), out["look_outside"],
+        out["blinded"], out["by_channel"], out["profile"],
     )  # fmt: skip
+    look_starts = np.searchsorted(looks.first, starts[:-1])
+    out["look_interval"] = np.repeat(
+        out["interval"], np.diff(np.append(look_starts, len(looks.cell)))
+    )
+    out["outside"] = np.add.reduceat(out["look_outside"], look_starts) if m else out["look_outside"]
+    order = seen.order
     far = _far_beyond(
         table["z"][order] * QUANTUM_M, starts, out["outside"][:, :, 3],
         settings.buffer_m * BUFFER_LADDER[3],
@@ -183,7 +184,9 @@ def _above_gaps(
     beyond = starts[1:] - at
     within = noise - beyond
     spacing = (z[at - 1] - from_m) / np.maximum(within, 1)
-    stray = (widest > LONE_SPACINGS * spacing) & (within >= SUPPORT) & (spacing > 0)
+    # The widest of many gaps of uniform noise is wider than any one of them by their logarithm.
+    chance = np.log(np.maximum(STRAY_SHARE * within, 1.0))
+    stray = (widest > (LONE_SPACINGS + chance) * spacing) & (within >= SUPPORT) & (spacing > 0)
     stray &= (beyond > LONE_MOST) & (beyond <= STRAY_SHARE * within)
     found: NDArray[np.intp] = np.flatnonzero(
         np.arange(len(z)) >= np.repeat(np.where(stray, at, starts[1:]), size)
@@ -299,6 +302,8 @@ def merge(
     if np.any(np.diff(interval[order]) == 0):
         raise ValueError("stretches of a flightline share an interval of shots")
     merged = {k: np.concatenate([p[k] for p in parts])[order] for k in _BY_INTERVAL}
+    of_look = np.argsort(np.concatenate([p["look_interval"] for p in parts]), kind="stable")
+    merged |= {k: np.concatenate([p[k] for p in parts])[of_look] for k in _BY_LOOK}
     for name in ("by_channel", "seen_channel", "profile", "strays"):
         merged[name] = np.sum([p[name] for p in parts], axis=0)
     return merged

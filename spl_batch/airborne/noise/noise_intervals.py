@@ -4,11 +4,18 @@ Nothing here looks over an interval's edge, so a flightline may be cut at any of
 """
 
 import math
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
+
+SUMMARY: Final = (
+    "signal_z", "signal_range", "cosine", "signal_sd", "range_min", "range_max",
+    "z_min", "z_max", "behind_min", "behind_max",
+)  # fmt: skip
+"""Columns of ``summary``, all in metres but the cosine."""
 
 GROUP_RETURNS = 100
 """Returns that make the peak of a group sure [count]."""
@@ -157,64 +164,85 @@ def observe_interval(
 
 
 @njit()
-def observe_intervals(
+def signal_depths(
     starts: NDArray[np.int64],
     z: NDArray[np.float64],
     order: NDArray[np.int64],
     range_m: NDArray[np.float64],
     cosine: NDArray[np.float64],
     offset: NDArray[np.int64],
-    channel: NDArray[np.uint8],
-    counts: NDArray[np.bool_],
-    blind_m: NDArray[np.float64],
-    buffers: NDArray[np.float64],
     interval_shots: int,
     width: float,
     summary: NDArray[np.float64],
-    outside: NDArray[np.int32],
-    blinded: NDArray[np.float64],
-    by_channel: NDArray[np.int64],
-    profile: NDArray[np.int64],
+    below: NDArray[np.float64],
 ) -> None:
-    """Noise counts of every interval of a stretch.
+    """How far each return of a stretch lies below the signal, interval by interval.
 
     Parameters
     ----------
     starts : (m + 1,) int64
         Rows where intervals start, then n.
-    z, range_m, cosine, offset
+    z, range_m, cosine, offset, interval_shots, width
         Rows as in :func:`observe_interval`.
     order : (n,) int64
         Rows of the stretch by interval and increasing height.
-    channel : (n,) uint8
-        Beamlet numbers.
-    counts : (n,) bool
-        Rows that count as noise; the others follow a return of their own beamlet.
-    blind_m : (n,) float64
-        Length behind each return in which no return would have counted [m].
-    buffers : (b,) float64
-        Heights around the signal that are left out, descending [m].
-    interval_shots, width
-        As in :func:`observe_interval`.
     summary : (m, 10) float64
         Filled as in :func:`observe_interval`.
-    outside : (m, 2, b) int32
-        Filled with the returns that count, more than each buffer above and below the signal.
-    blinded : (m, 2, b) float64
-        Filled with what returns there, whether they count or not, have blinded [m].
-    by_channel : (2, b, 256) int64
-        The same summed by channel; added to.
-    profile : (p,) int64
-        Histogram of the height below the signal in 1 m bins, zero in the middle; added to.
+    below : (n,) float64
+        Filled with the height of the signal less that of the return [m].
     """
-    below = np.empty(len(z), dtype=np.float64)
-    half = len(profile) // 2
     for m in range(len(starts) - 1):
         rows = slice(starts[m], starts[m + 1])
         observe_interval(
             z[rows], order[rows] - starts[m], range_m[rows], cosine[rows], offset[rows],
             interval_shots, width, summary[m], below[rows],
         )  # fmt: skip
+
+
+@njit()
+def count_noise(
+    starts: NDArray[np.int64],
+    below: NDArray[np.float64],
+    cosine: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+    look: NDArray[np.int64],
+    counts: NDArray[np.bool_],
+    blind_m: NDArray[np.float64],
+    buffers: NDArray[np.float64],
+    outside: NDArray[np.int32],
+    blinded: NDArray[np.float64],
+    by_channel: NDArray[np.int64],
+    profile: NDArray[np.int64],
+) -> None:
+    """Noise counts of every interval of a stretch, by the ground that is looked at.
+
+    Parameters
+    ----------
+    starts : (m + 1,) int64
+        Rows where intervals start, then n.
+    below, cosine
+        From :func:`signal_depths`, and as there.
+    channel : (n,) uint8
+        Beamlet numbers.
+    look : (n,) int64
+        Row of ``outside`` for each return.
+    counts : (n,) bool
+        Rows that count as noise; the others follow a return of their own beamlet.
+    blind_m : (n,) float64
+        Length behind each return in which no return would have counted [m].
+    buffers : (b,) float64
+        Heights around the signal that are left out, descending [m].
+    outside : (k, 2, b) int32
+        Filled with the returns that count, more than each buffer above and below the signal.
+    blinded : (m, 2, b) float64
+        Filled with what returns there, whether they count or not, have blinded [m].
+    by_channel : (2, b, 256) int64
+        Returns that count by channel; added to.
+    profile : (p,) int64
+        Histogram of the height below the signal in 1 m bins, zero in the middle; added to.
+    """
+    half = len(profile) // 2
+    for m in range(len(starts) - 1):
         for i in range(starts[m], starts[m + 1]):
             bin_ = int(np.floor(below[i])) + half
             if counts[i] and 0 <= bin_ < len(profile):
@@ -227,6 +255,6 @@ def observe_intervals(
                 room = (abs(below[i]) - buffers[b]) / cosine[i] if side == 0 else np.inf
                 blinded[m, side, b] += min(blind_m[i], room)
                 if counts[i]:
-                    outside[m, side, b] += 1
+                    outside[look[i], side, b] += 1
                     by_channel[side, b, channel[i]] += 1
                 b -= 1

@@ -17,7 +17,7 @@ STEEP: Final = 0.7
 """Vertical part of a direction from which on a beam crosses a voxel's height in one square."""
 
 MOST: Final = 65535
-"""Beamlets at which the count of a square stops."""
+"""Where the count of a square stops."""
 
 
 @njit()
@@ -52,6 +52,7 @@ def cover(
     far: float,
     edge: float,
     radius: float,
+    share: int,
     squares: NDArray[np.uint16],
 ) -> None:
     """Count a beamlet in the squares that it crosses half-way up each layer that it listens in.
@@ -64,12 +65,14 @@ def cover(
     ----------
     voxel, point, direction, near, far, edge, radius
         As :func:`deposit_beamlet` takes them.
+    share : int
+        What the beamlet counts for.
     squares : (nx, ny, nz, 16) uint16
         Beamlets in square (x, y) of a voxel at ``x * 4 + y``, at most :data:`MOST`.
     """
     along = direction[2]
     if abs(along) < STEEP:
-        cover_whole(voxel, point, direction, near, far, edge, squares)
+        cover_whole(voxel, point, direction, near, far, edge, share, squares)
         return
     ends = (point[2] + near * along, point[2] + far * along)
     half = 0.5 * edge
@@ -78,13 +81,13 @@ def cover(
         t = (layer * edge - point[2]) / along
         x = math.floor((point[0] + t * direction[0] + half) * (4.0 / edge))
         y = math.floor((point[1] + t * direction[1] + half) * (4.0 / edge))
-        _count(squares[voxel[0] + x // 4, voxel[1] + y // 4, voxel[2] + layer], x % 4 * 4 + y % 4)
+        of_voxel = squares[voxel[0] + x // 4, voxel[1] + y // 4, voxel[2] + layer]
+        _count(of_voxel, x % 4 * 4 + y % 4, share)
 
 
 @njit()
-def _count(counts, at):  # type: ignore[no-untyped-def]
-    if counts[at] < MOST:
-        counts[at] += np.uint16(1)
+def _count(counts, at, share):  # type: ignore[no-untyped-def]
+    counts[at] = np.uint16(min(np.int64(counts[at]) + share, MOST))
 
 
 @njit()
@@ -95,6 +98,7 @@ def cover_whole(
     near: float,
     far: float,
     edge: float,
+    share: int,
     squares: NDArray[np.uint16],
 ) -> None:
     """Count a beamlet in all squares of the voxels it passes; arguments as of :func:`cover`."""
@@ -109,7 +113,7 @@ def cover_whole(
             index[axis] = at
         if not same:
             for square in range(16):
-                _count(squares[index[0], index[1], index[2]], square)
+                _count(squares[index[0], index[1], index[2]], square, share)
 
 
 @njit()
@@ -127,6 +131,7 @@ def deposit_beamlet(
     shots: NDArray[np.int64],
     beamlets: NDArray[np.int64],
     last_shot: NDArray[np.int64],
+    share: int,
     squares: NDArray[np.uint16],
 ) -> None:
     """Add one beamlet's chords to every sphere that it crosses.
@@ -150,11 +155,11 @@ def deposit_beamlet(
         Added to.
     shots, beamlets, last_shot : (nx, ny, nz) int64, or empty
         Added to where not empty: shots and beamlets that touch each sphere.
-    squares : (nx, ny, nz, 16) uint16, or empty
-        Beamlets that cross each square, see :func:`cover`.
+    share, squares
+        As :func:`cover` takes them; squares may be empty.
     """
     if squares.size:
-        cover(voxel, point, direction, near, far, edge, radius, squares)
+        cover(voxel, point, direction, near, far, edge, radius, share, squares)
     axis = 2
     for k in range(2):
         if abs(direction[k]) > abs(direction[axis]):
@@ -210,6 +215,7 @@ def deposit_steep(
     edge: float,
     radius: float,
     amount: NDArray[np.int64],
+    share: NDArray[np.int64],
     squares: NDArray[np.uint16],
 ) -> None:
     """What :func:`deposit_beamlet` adds, to the last bit, for steep beams and with squares.
@@ -222,7 +228,7 @@ def deposit_steep(
     ----------
     rows : (s,) int64
         Beamlets whose direction is nearest to the vertical axis, by at least :func:`steepness`.
-    voxel, point, direction, near, far, weight, edge, radius, amount, squares
+    voxel, point, direction, near, far, weight, edge, radius, amount, share, squares
         As :func:`deposit_beamlets` takes them. The box reaches a voxel beyond all that a beam
         touches.
     """
@@ -238,7 +244,7 @@ def deposit_steep(
         px, py, pz = point[row, 0], point[row, 1], point[row, 2]
         i0, j0, k0 = voxel[row, 0], voxel[row, 1], voxel[row, 2]
         # Own names: values in an array are read again after each store into another one.
-        start, stop, per_m = near[row], far[row], weight[row]
+        start, stop, per_m, shared = near[row], far[row], weight[row], share[row]
         low, high = pz + start * along, pz + stop * along
         if low > high:
             low, high = high, low
@@ -274,7 +280,7 @@ def deposit_steep(
             amounts[sphere[0, layer]] += adds[0, layer]
             amounts[sphere[1, layer]] += adds[1, layer]
         for layer in range(layers):
-            _count(counts, square[layer])
+            _count(counts, square[layer], shared)
 
 
 @njit()
@@ -291,6 +297,7 @@ def deposit_beamlets(
     amount: NDArray[np.int64],
     shots: NDArray[np.int64],
     beamlets: NDArray[np.int64],
+    share: NDArray[np.int64],
     squares: NDArray[np.uint16],
 ) -> None:
     """Add every beamlet; rows as the arguments of :func:`deposit_beamlet`."""
@@ -302,7 +309,7 @@ def deposit_beamlets(
             steep[i] = abs(direction[i, 2]) >= max(across, least)
         deposit_steep(
             np.flatnonzero(steep), voxel, point, direction, near, far, weight, edge, radius,
-            amount, squares,
+            amount, share, squares,
         )  # fmt: skip
     last_shot = np.full(beamlets.shape, -1, dtype=np.int64)
     for row in range(len(steep)):
@@ -310,5 +317,5 @@ def deposit_beamlets(
             continue
         deposit_beamlet(
             voxel[row], point[row], direction[row], near[row], far[row], weight[row], edge, radius,
-            ordinal[row], amount, shots, beamlets, last_shot, squares,
+            ordinal[row], amount, shots, beamlets, last_shot, share[row], squares,
         )  # fmt: skip

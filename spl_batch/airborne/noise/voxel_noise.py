@@ -11,10 +11,11 @@ Sources: [W17] Eq. 5.2-5.3, 6.1-6.2; [W18] Eq. 1-2.
 Deviations: points hold no silent beamlets, and the published gamma counts a shot that merely
 touches the sphere as a whole one. By default the seen beamlets of a few shots share out equally
 what these shots listened to. A beamlet counts once, however many returns it has; chords end at the
-gate. Where channels are unknown, each return is a beamlet of its shot.
+gate. Where channels are unknown, each return is a beamlet of its shot. The published correction
+leaves out the gain of the ground.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from spl_batch.airborne.beams.rays import in_voxels, reach
 from spl_batch.airborne.beams.shot_runs import run_starts, share_out
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_noise import gate_of, line_density
-from spl_batch.airborne.noise.voxel_chords import deposit_beamlets
+from spl_batch.airborne.noise.voxel_chords import MOST, deposit_beamlets
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import VOXEL_FIXED_POINT, BeamTable, PointTable, VoxelPart, rows_of
@@ -37,6 +38,9 @@ FAR_Q: Final = 1_000_000
 UNEVEN: Final = 1.15
 """Difference of the densities of a voxel and one above or below, under which no gate ends there."""
 
+BEAMLET: Final = 16
+"""What a beamlet of usual noise adds to the counts of squares."""
+
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
 COLUMNS_ADDED: Final = ()
 
@@ -47,9 +51,16 @@ def sphere_radius_m(voxel_m: float) -> float:
 
 
 def deposit(
-    table: PointTable, beams: BeamTable, model: LineModel, settings: NoiseSettings
-) -> VoxelPart:
-    """One stretch's share of the noise expected in each voxel.
+    table: PointTable,
+    beams: BeamTable,
+    model: LineModel,
+    settings: NoiseSettings,
+    ground: NDArray[np.float64] | None = None,
+    far_q: int = FAR_Q,
+) -> list[VoxelPart]:
+    """A stretch's share of the noise expected in each voxel, a box of voxels for each place of it.
+
+    A single stray point would stretch one box over all that lies between.
 
     Parameters
     ----------
@@ -57,65 +68,48 @@ def deposit(
         Rows of one stretch, sorted by (gps_time, channel, ...).
     beams : BeamTable
         Their beams; rows without a known beam deposit nothing.
-
-    Returns
-    -------
-    VoxelPart
-        With ``shots`` and ``beamlets`` where the correction is "published", else with
-        ``squares``.
-    """
-    parts = deposit_apart(table, beams, model, settings, far_q=None)
-    if parts:
-        return parts[0]
-    empty = np.zeros((0, 0, 0), dtype=np.int64)
-    if settings.correction == "published":
-        return VoxelPart((0, 0, 0), empty, empty, empty)
-    return VoxelPart((0, 0, 0), empty, squares=np.zeros((0, 0, 0, 16), dtype=np.uint16))
-
-
-def deposit_apart(
-    table: PointTable,
-    beams: BeamTable,
-    model: LineModel,
-    settings: NoiseSettings,
-    far_q: int | None = FAR_Q,
-) -> list[VoxelPart]:
-    """A stretch's share as a box of voxels for each place of it.
-
-    A single stray point would stretch one box over all that lies between.
-
-    Parameters
-    ----------
-    table, beams, model, settings
-        As in :func:`deposit`.
-    far_q : int, optional
-        Empty columns or rows of more than this divide a stretch [quanta]; without it all is one.
+    ground : (n,) float64, optional
+        Gain of the ground that each point's beamlet looks at; 1 by default.
+    far_q : int
+        Empty columns or rows of more than this divide a stretch [quanta].
 
     Returns
     -------
     list of VoxelPart
-        From west to east and south to north; none where no beamlet is known.
+        From west to east and south to north, with ``shots`` and ``beamlets`` where the correction
+        is "published", else with ``squares``; none where no beamlet is known.
     """
     published = settings.correction == "published"
     known = rows_of(beams.known)
-    table, beams = table.select(COLUMNS_NEEDED).take(known), beams.take(known)
+    ground = np.ones(len(table)) if ground is None else ground
+    table, beams, ground = (
+        table.select(COLUMNS_NEEDED).take(known),
+        beams.take(known),
+        ground[known],
+    )
     if model.beamlets > 1:
         rows = run_starts(table["gps_time"], table["channel"])[:-1]
-        table, beams = table.take(rows), beams.take(rows)
+        table, beams, ground = table.take(rows), beams.take(rows), ground[rows]
     near, far = gate_of(table, beams, model)
     usable = far > near
     if not usable.all():
         table, beams, near, far = table.take(usable), beams.take(usable), near[usable], far[usable]
+        ground = ground[usable]
     near, far = near - beams.range_m, far - beams.range_m
     if len(table) == 0:
         return []
-    per_m = line_density(table, model) if published else seen_density(table, model)
-    if far_q is None or all(np.ptp(table[axis]) <= far_q for axis in "xy"):
-        return [_in_one_box(table, beams, (near, far, per_m), settings)]
+    per_m = line_density(table, model) if published else seen_density(table, model) * ground
+    usual = max(model.mean_rate / max(float(np.mean(model.seen_fraction)), 1e-9), 1e-12)
+    share = np.clip(np.rint(BEAMLET / usual * per_m), 1, MOST).astype(np.int64)
+    if all(np.ptp(table[axis]) <= far_q for axis in "xy"):
+        return [_in_one_box(table, beams, (near, far, per_m, share), settings)]
     places = np.column_stack((table["x"], table["y"]))
     return [
         _in_one_box(
-            table.take(rows), beams.take(rows), (near[rows], far[rows], per_m[rows]), settings
+            table.take(rows),
+            beams.take(rows),
+            (near[rows], far[rows], per_m[rows], share[rows]),
+            settings,
         )
         for rows in map(np.sort, far_apart(places, far_q))
     ]
@@ -124,15 +118,18 @@ def deposit_apart(
 def _in_one_box(
     table: PointTable,
     beams: BeamTable,
-    listened: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.floating[Any]]],
+    listened: tuple[
+        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]
+    ],
     settings: NoiseSettings,
 ) -> VoxelPart:
     """What beamlets deposit in the voxels around all of them.
 
-    ``listened``: first and last place along each beamlet, from its point [m], and noise [1/m].
+    ``listened``: first and last place along each beamlet, from its point [m], noise [1/m], and its
+    share of the squares' counts.
     """
     published = settings.correction == "published"
-    near, far, per_m = listened
+    near, far, per_m, share = listened
     edge = quanta(settings.voxel_m)
     place = (table["x"], table["y"], table["z"])
     direction = beams.direction
@@ -149,7 +146,7 @@ def _in_one_box(
     deposit_beamlets(
         voxel, relative, direction, near, far,
         per_m.astype(np.float64) * VOXEL_FIXED_POINT, settings.voxel_m, radius, shot,
-        amount, counted[0], counted[1], squares,
+        amount, counted[0], counted[1], share, squares,
     )  # fmt: skip
     first = (int(corner[0]), int(corner[1]), int(corner[2]))
     if published:

@@ -223,14 +223,16 @@ def _assess(
     beamlets = lines_of_sight.beamlets(args, context)
     known = rows_of(beams.known)
     subset = table.take(known)
-    table = table.with_columns(**shots.assess(table, beams, (model, law), workflow, beamlets))
+    added = shots.assess(table, beams, (model, law), workflow, beamlets)
+    ground = added.pop("ground")[known]
+    table = table.with_columns(**added)
     beams = beams.take(known)
     if args["of_shots"] is not None:
         array = beamlets.seen.array_columns
         noise = shot_noise(subset, beams, workflow.filter, model.gate_m, array)
         flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
-    parts = voxel_noise.deposit_apart(subset, beams, model, workflow.noise)
+    parts = voxel_noise.deposit(subset, beams, model, workflow.noise, ground)
     # A stretch is one box of voxels, unless some of its points lie far from the rest.
     names = [args["stretch"], *(f"{args['stretch']}.{k}" for k in range(1, len(parts)))]
     paths = [context.store.path("voxels", f"{name}.zarr") for name in names[: len(parts)]]

@@ -157,7 +157,7 @@ def totals(
     sensor = load_preset("spl100").model_copy(update={"beamlets": beamlets})
     beams = geometry.beams(flight.table, flight.trajectory)
     stats = line_noise.merge([line_noise.observe(flight.table, beams, SETTINGS)])
-    part = voxel_noise.deposit(
+    (part,) = voxel_noise.deposit(
         flight.table, beams, line_noise.fit(stats, SETTINGS, sensor), SETTINGS
     )
     true = np.zeros(part.amount.shape)

@@ -11,7 +11,7 @@ from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.noise.beamlet_counts import SQUARES
 from spl_batch.airborne.noise.local_noise import Listened, around, listened
 from spl_batch.airborne.noise.voxel_chords import deposit_beamlets
-from spl_batch.airborne.noise.voxel_noise import sphere_radius_m
+from spl_batch.airborne.noise.voxel_noise import BEAMLET, sphere_radius_m
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.lattice.tables import VOXEL_FIXED_POINT
 
@@ -53,7 +53,7 @@ def lines() -> tuple[Listened, ...]:
         deposit_beamlets(
             voxel - corner, place - (voxel + 0.5) * 10.0, np.tile(LEAN, (n, 1)),
             np.full(n, ends[0]), np.full(n, ends[1]), np.full(n, weight), 10.0,
-            sphere_radius_m(10.0), np.arange(n), amount, none, none, squares,
+            sphere_radius_m(10.0), np.arange(n), amount, none, none, np.full(n, BEAMLET), squares,
         )  # fmt: skip
         heard = listened(amount, squares, 10.0)
         assert heard is not None

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spl_batch.airborne.noise.gate_ends import Gate, without_ends
+from spl_batch.airborne.noise.local_noise import Gate, without_ends
 from spl_batch.airborne.noise.voxel_noise import sphere_radius_m
 from spl_batch.lattice.tables import VOXEL_FIXED_POINT
 

@@ -15,8 +15,8 @@ from spl_batch.airborne.noise.background_region import choose_region
 from spl_batch.airborne.noise.channel_gains import active_channels
 from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
-from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, SUMMARY
-from spl_batch.airborne.noise.noise_intervals import densest_window
+from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER
+from spl_batch.airborne.noise.noise_intervals import SUMMARY, densest_window
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.engine.findings import Finding
@@ -215,7 +215,7 @@ def test_rate_follows_the_sky_and_density_the_model() -> None:
     middle = model.interval * 60 + 30
     assert model.rate == pytest.approx(sky(middle), rel=0.25)
     density = line_noise.line_density(flight.table, model)
-    assert density.dtype == np.float32
+    assert density.dtype == np.float64
     first = flight.table["shot"][0] // 60 == model.interval[0]
     assert first
     assert density[0] == pytest.approx(model.rate[0] * model.gain[flight.table["channel"][0]])

@@ -7,7 +7,7 @@ from scipy import ndimage
 from spl_batch.airborne.noise import local_noise
 from spl_batch.airborne.noise.beamlet_counts import square_shares, unpack
 from spl_batch.airborne.noise.voxel_chords import cover
-from spl_batch.airborne.noise.voxel_noise import sphere_radius_m
+from spl_batch.airborne.noise.voxel_noise import BEAMLET, sphere_radius_m
 from spl_batch.lattice.tables import VOXEL_FIXED_POINT
 
 PER_M3 = 0.2
@@ -37,7 +37,7 @@ def made(share: np.ndarray, squares: np.ndarray) -> local_noise.Listened:
     """A line with that share of the noise in each sphere, by x and z, and beamlets over squares."""
     share = share.reshape(SIZE[0], 1, -1)
     amount = np.broadcast_to(share, SIZE) * PER_M3 * 1000.0 * VOXEL_FIXED_POINT
-    heard = local_noise.listened(np.rint(amount).astype(np.int64), pack(squares), 10.0)
+    heard = local_noise.listened(np.rint(amount).astype(np.int64), BEAMLET * pack(squares), 10.0)
     assert heard is not None
     return heard
 
@@ -141,7 +141,7 @@ def test_a_beam_marks_squares_half_way_up(direction: tuple[float, float, float])
     unit = np.array(direction) / np.linalg.norm(direction)
     point, voxel = np.array([3.1, -2.2, 1.7]), np.array([6, 6, 6])
     counts = np.zeros((12, 12, 12, 16), dtype=np.uint16)
-    cover(voxel, point, unit, -12.0, 21.0, 10.0, RADIUS, counts)
+    cover(voxel, point, unit, -12.0, 21.0, 10.0, RADIUS, 1, counts)
     assert set(np.unique(counts)) == {0, 1}
     squares = unpack(counts) > 0
     expected = np.zeros_like(squares)
@@ -171,7 +171,7 @@ def test_what_lies_beyond_the_margin_changes_nothing(seed: int) -> None:
     number = rng.poisson(10.0 ** rng.uniform(-1, 2), (36, 36, 8)) * (rng.random((36, 36, 8)) < 0.9)
     number[:, :, 5:] *= rng.random(3) < 0.5
     amount = np.rint(number.reshape(9, 4, 9, 4, 8).sum(axis=(1, 3)) * 1e6 * rng.random(shape))
-    counts = pack(number)
+    counts = BEAMLET * pack(number)
 
     def density(first: int) -> np.ndarray:
         inner = (slice(first, 9 - first), slice(first, 9 - first), slice(first, 8 - first))
@@ -193,7 +193,9 @@ def strip(rate: np.ndarray, beamlets: np.ndarray) -> local_noise.Listened:
     rates = np.repeat(rate[:, None], SIZE[1] * 4, axis=1).reshape(SIZE[0], 4, SIZE[1], 4, -1)
     amount = np.einsum("xiyjz,ij->xyz", rates, square_shares())
     fixed = np.rint(amount * PER_M3 * 1000.0 * VOXEL_FIXED_POINT).astype(np.int64)
-    heard = local_noise.listened(np.broadcast_to(fixed, SIZE).copy(), pack(beamlets), 10.0)
+    heard = local_noise.listened(
+        np.broadcast_to(fixed, SIZE).copy(), BEAMLET * pack(beamlets), 10.0
+    )
     assert heard is not None
     return heard
 

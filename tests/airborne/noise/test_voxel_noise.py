@@ -28,7 +28,8 @@ def run(flight: Flight, chosen: NoiseSettings = SEEN) -> tuple[LineModel, VoxelP
     beams = geometry.beams(flight.table, flight.trajectory)
     stats = line_noise.merge([line_noise.observe(flight.table, beams, chosen)])
     model = line_noise.fit(stats, chosen, load_preset("spl100"))
-    return model, voxel_noise.deposit(flight.table, beams, model, chosen)
+    (part,) = voxel_noise.deposit(flight.table, beams, model, chosen)
+    return model, part
 
 
 @settings(deadline=None, max_examples=40)
@@ -56,12 +57,13 @@ def test_steep_beamlets_deposit_what_they_do_one_by_one(seed: int) -> None:
     near, far = np.sort(rng.uniform(-60.0, 60.0, (2, n)), axis=0)
     rows = (voxel, point, line, near, far, rng.uniform(0.0, 1e6, n))
     none, ordinal = np.zeros((0, 0, 0), np.int64), np.arange(n)
+    share = rng.integers(1, 40, n)
     amount, one_by_one = np.zeros((2, 25, 25, 25), np.int64)
     squares, counted = np.zeros((2, 25, 25, 25, 16), np.uint16)
-    deposit_beamlets(*rows, 10.0, RADIUS_M, ordinal, amount, none, none, squares)
+    deposit_beamlets(*rows, 10.0, RADIUS_M, ordinal, amount, none, none, share, squares)
     for i in range(n):
         row = [values[i] for values in rows]
-        deposit_beamlet(*row, 10.0, RADIUS_M, i, one_by_one, none, none, none, counted)
+        deposit_beamlet(*row, 10.0, RADIUS_M, i, one_by_one, none, none, none, share[i], counted)
     np.testing.assert_array_equal(amount, one_by_one)
     np.testing.assert_array_equal(squares, counted)
 
@@ -97,7 +99,7 @@ def test_a_stretch_in_several_boxes_adds_up_to_one() -> None:
     model, whole = run(flight)
     place = np.column_stack((flight.table["x"], flight.table["y"]))
     gap = int(np.diff(np.sort(place, axis=0), axis=0).max()) - 1
-    parts = voxel_noise.deposit_apart(flight.table, beams, model, SEEN, gap)
+    parts = voxel_noise.deposit(flight.table, beams, model, SEEN, far_q=gap)
     assert len(parts) > 1
     for name in ("amount", "squares"):
         total = getattr(whole, name).astype(np.int64)
@@ -114,7 +116,7 @@ def test_deposit_against_every_sphere() -> None:
     flight = fly(shots=240, first_shot=12_360, detection=0.1)
     model, _ = run(flight)
     few = flight.table.take((flight.table["shot"] >= 12_420) & (flight.table["shot"] < 12_424))
-    part = voxel_noise.deposit(few, geometry.beams(few, flight.trajectory), model, SEEN)
+    (part,) = voxel_noise.deposit(few, geometry.beams(few, flight.trajectory), model, SEEN)
     slow = slow_deposit(few, flight, model, part)
     assert part.amount / VOXEL_FIXED_POINT == pytest.approx(slow, abs=2e-5)
     assert slow.sum() > 1
@@ -167,7 +169,7 @@ def test_a_beamlet_counts_once() -> None:
     again = np.repeat(np.arange(len(flight.table)), 2)
     twice = flight.table.take(again)
     assert np.array_equal(key[:, again][:, ::2], key)
-    other = voxel_noise.deposit(twice, geometry.beams(twice, flight.trajectory), model, SEEN)
+    (other,) = voxel_noise.deposit(twice, geometry.beams(twice, flight.trajectory), model, SEEN)
     assert np.array_equal(part.amount, other.amount)
 
 
@@ -180,7 +182,9 @@ def test_parts_add_up_to_the_last_bit(intervals: int, published: bool) -> None: 
     sums = {k: np.zeros_like(whole.amount) for k in ("amount", "shots", "beamlets")}
     squares = np.zeros((*whole.amount.shape, 16), dtype=np.int64)
     for table in cut(flight.table, 60 * intervals):
-        part = voxel_noise.deposit(table, geometry.beams(table, flight.trajectory), model, chosen)
+        (part,) = voxel_noise.deposit(
+            table, geometry.beams(table, flight.trajectory), model, chosen
+        )
         at = tuple(
             slice(c - w, c - w + n)
             for c, w, n in zip(part.corner, whole.corner, part.amount.shape, strict=True)
