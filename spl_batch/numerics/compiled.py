@@ -134,6 +134,14 @@ class KeptCode(caching.IndexDataCacheFile):
             self._save_data(name, data)
             self._save_index({**overloads, key: name})
 
+    def _load_index(self) -> dict[Any, str]:
+        """Names of code by types; none of an earlier version whose types are gone from there."""
+        try:
+            found: dict[Any, str] = super()._load_index()
+        except (ImportError, AttributeError):
+            return {}
+        return found
+
 
 def is_kept(kernel: Any, types: Iterable[Any]) -> bool:
     """Whether a kernel's code for some types lies on disk, for this processor and this version.

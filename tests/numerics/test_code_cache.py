@@ -1,6 +1,7 @@
 """Compiled code that is kept: by several processes at once, and as long as it is current."""
 
 import importlib
+import pickle
 import pkgutil
 import threading
 from collections.abc import Iterator
@@ -170,3 +171,14 @@ def test_linked_code_is_taken_in_and_never_made_ready_to_run() -> None:
     assert isinstance(library, LinkedLibrary)
     kind = library.serialize_using_object_code()[1]
     assert kind == "bitcode"
+
+
+def test_an_index_whose_types_are_gone_names_no_code(tmp_path: Path) -> None:
+    earlier = kept(tmp_path)
+    earlier.save("types", "code")
+    path = Path(earlier._index_path)
+    version, rest = pickle.dumps(earlier._version), b"cspl_batch.no_such_module\nGone\n."
+    path.write_bytes(version + rest)
+    assert kept(tmp_path)._load_index() == {}
+    kept(tmp_path).save("types", "code")
+    assert kept(tmp_path).load("types") == "code"
