@@ -53,3 +53,6 @@ NOISE_BACKGROUND: Final = 1
 NOISE_AFTERPULSE: Final = 2
 NOISE_NOT_ASSESSED: Final = 255
 """Values of the delivered extra byte ``noise_class``."""
+
+FOOT_M: Final = 0.3048
+"""An international foot; a US survey foot is 2 parts in a million longer [m]."""

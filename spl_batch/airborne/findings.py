@@ -291,14 +291,16 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             "Checkpoints",
             {
                 "file": "{what}",
-                "beyond": "{count:checkpoints|lie} where the terrain model has no value: {names}",
+                "beyond": "{count:checkpoints|lie} where the terrain model has no value, and count "
+                "for nothing: {names}",
                 "blunder": "{count} of {of} checkpoints differ from the terrain by more than "
                 "{limit_cm:.0f} cm and far from the others: {names}; at worst {worst}, DTM minus "
-                "checkpoint {error_cm:.1f} cm",
+                "checkpoint {error_cm:.1f} cm; they count in every RMSE, so correct them, or look "
+                "at the terrain there",
+                "feet": "the heights of {count} checkpoints are {ratio:.3f} times those of the "
+                "terrain, as heights in feet are: give them in metres",
             },
-            "checkpoints without a value count for nothing, all others in every RMSE",
-            "correct the file of checkpoints; where it is right, look at the terrain there",
-            "file",
+            noun="file",
         ),
         "C02": Code(
             "The reference does not serve",

@@ -96,7 +96,6 @@ def read_checkpoints(
         )
     remarks: list[str] = []
     if not any("surface" in row for row in rows):
-        remarks.append("no column surface, so every checkpoint counts as open; add it for others")
         rows = [{**row, "surface": "open"} for row in rows]
     kept = _checked(rows, accuracy_m, remarks)
     moved = _in_crs(path, kept, crs, own, remarks)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.constants import QUANTUM_M
+from spl_batch.constants import FOOT_M, QUANTUM_M
 from spl_batch.lattice.tables import PointTable, Trajectory
 
 DOMAIN: Final = "time"
@@ -60,9 +60,6 @@ SPEED_M_S: Final = 150.0
 
 ABOVE_M: Final = (2500.0, 2500.0)
 """Height above the points, and its spread [m]."""
-
-FOOT_M: Final = 0.3048
-"""Length of a foot [m]."""
 
 ROUNDS: Final = 15
 """Rounds of re-weighting [count]."""

@@ -28,6 +28,7 @@ from spl_batch.engine.verbs.beginning import (
 from spl_batch.errors import InputError, WorkflowError, counted, grouped, named, plain
 from spl_batch.formats import checkpoints
 from spl_batch.formats.files.atomic import real_path
+from spl_batch.formats.las.reader import is_delivered
 from spl_batch.formats.trajectory.records import (
     PARQUET_SUFFIXES,
     SBET_RECORD,
@@ -36,9 +37,6 @@ from spl_batch.formats.trajectory.records import (
 )
 
 CLOUDS: Final = frozenset({".las", ".laz"})
-
-DELIVERED: Final = frozenset({"input_classification", "noise_class"})
-"""Dimensions that a run adds to each cloud."""
 
 EMPTY: Final = -1
 """Rank of a cloud without points."""
@@ -114,7 +112,7 @@ def _sort_clouds(files: Sequence[Path], found: _Folder) -> None:
         except InputError as error:
             found.bad.append(error)
             continue
-        if set(look.facts.dimensions) >= DELIVERED:
+        if is_delivered(file):
             found.results.append(file)
         else:
             looks.append(look)

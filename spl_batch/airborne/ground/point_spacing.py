@@ -5,7 +5,6 @@ overlap, and counts of parts of a cell add up.
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -40,17 +39,6 @@ def in_squares(x: Float, y: Float) -> Squares:
     count = np.zeros((ends[1] - ends[0] + 1, ends[3] - ends[2] + 1), dtype=np.int64)
     count_squares(x, y, WIDE_M, ends[0], ends[2], count)
     return Squares(count, (ends[0], ends[2]))
-
-
-def added_up(parts: Sequence[Squares]) -> Squares:
-    """Sums of all parts of an area; at least one."""
-    first = min(part.first[0] for part in parts), min(part.first[1] for part in parts)
-    shape = [max(part.first[k] + part.sums.shape[k] for part in parts) - first[k] for k in (0, 1)]
-    total = np.zeros((*shape, *parts[0].sums.shape[2:]), parts[0].sums.dtype)
-    for sums, corner in parts:
-        i, j = corner[0] - first[0], corner[1] - first[1]
-        total[i : i + sums.shape[0], j : j + sums.shape[1]] += sums
-    return Squares(total, first)
 
 
 def spacing_m(x: Float, y: Float) -> float:

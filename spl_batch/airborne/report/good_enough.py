@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -35,11 +35,14 @@ from spl_batch.airborne.report.model import Requirement as RequirementReport
 from spl_batch.airborne.report.strip_pairs import strip_pairs
 from spl_batch.airborne.tasks import checkpoints
 from spl_batch.airborne.tasks.cells import pulses
-from spl_batch.constants import QUANTUM_M
+from spl_batch.constants import FOOT_M, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
+
+FEET_ALIKE: Final = 0.01
+"""Share by which heights over those of the terrain may differ from the ratio of units."""
 
 
 def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
@@ -110,9 +113,13 @@ def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
 
 
 def checkpoint_findings(tested: Checkpoints | None, context: Context) -> Iterator[Finding]:
-    """Checkpoints with a blunder: outliers beyond three times the class's RMSE_V."""
+    """Heights in feet, and blunders: outliers beyond three times the class's RMSE_V."""
     limit_m = OUTLIER_SIGMA * _class_m(context)
     points = tested.points if tested else ()
+    heights = [(z, z + off) for z, off in ((p.z_m, p.error_m) for p in points) if z and off]
+    ratio = float(np.median([z / terrain for z, terrain in heights if terrain] or [1.0]))
+    if abs(ratio * FOOT_M - 1.0) < FEET_ALIKE:
+        yield Finding("C01", {"kind": "feet", "count": len(heights), "ratio": ratio})
     gross = [one for one in points if one.outlier and abs(one.error_m or 0.0) > limit_m]
     if gross:
         worst = max(gross, key=lambda one: abs(one.error_m or 0.0))

@@ -53,7 +53,6 @@ def render_page(
     front: Front,
     *,
     package: str = HOME,
-    script_hash: str = "",
     **more: Any,
 ) -> str:
     """The page of a report.
@@ -62,9 +61,6 @@ def render_page(
     ----------
     report : BaseModel
         A receiver's model with ``performance``, ``failures``, ``findings`` and ``provenance``.
-    script_hash : str
-        Names the one script that the page may run, as a content security policy does; none may
-        where it is empty.
     **more
         More for the template; ``pictures``, a mapping of str to
         :class:`~spl_batch.engine.report.picture.Picture`, is always among it.
@@ -80,7 +76,6 @@ def render_page(
         front=front,
         changed=[*changed(report.provenance.parameters)],
         longest=LONGEST_TABLE,
-        script_hash=script_hash,
         **more,
     )
 

@@ -22,7 +22,9 @@ from spl_batch.formats.las.chunks import RecordReader
 from spl_batch.formats.las.header import ADJUSTED_BIT, LasHeader, open_input, read_header
 from spl_batch.formats.las.layers import can_be_copied
 from spl_batch.formats.las.records import (
+    FIRST_CLASS,
     RecordLayout,
+    added,
     dimension,
     given_classes,
     record_layout,
@@ -80,6 +82,12 @@ def inspect(path: Path) -> LasFacts:
     """
     with as_input_fault(path):
         return _inspected(path)
+
+
+def is_delivered(path: Path) -> bool:
+    """Whether a file is a copy with labels that a run has made: its extra bytes say so."""
+    described = {one.descriptor for one in record_layout(read_header(path)).extra}
+    return described >= {added(name).descriptor for name in (FIRST_CLASS, "noise_class")}
 
 
 def _inspected(path: Path) -> LasFacts:

@@ -2,7 +2,7 @@
 
 import shutil
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,9 +26,6 @@ Blocks = Iterable[tuple[int, int, NDArray[np.float32]]]
 TILE_PX: Final = 256
 """Edge of a COG's internal tile [cells]."""
 
-NO_COUNT: Final = 255
-"""Value of cells that hold nothing in a raster of counts with colours."""
-
 CACHE_BYTES: Final = 64 * 2**20
 """GDAL's block cache while a COG is written: memory does not grow with the raster [bytes]."""
 
@@ -44,7 +41,6 @@ def write_cog(
     description: str,
     unit: str = "",
     nodata: float = NODATA,
-    colours: Sequence[str] = (),
 ) -> None:
     """Write a cloud-optimised GeoTIFF: tiled, deflated, with overviews; equal input, equal bytes.
 
@@ -62,9 +58,6 @@ def write_cog(
         Anything that GDAL understands as a CRS: EPSG code, WKT.
     unit : str
         Unit of its values, as GDAL's unit type; empty where they have none.
-    colours : sequence of str
-        Of values that are counts: colours ``#rrggbb`` of 0, 1 and so on, the last one for all
-        above. The raster is one of bytes with a colour table then, its nodata :data:`NO_COUNT`.
 
     Raises
     ------
@@ -72,8 +65,6 @@ def write_cog(
         If ``crs`` is not understood.
     """
     pieces: Blocks = [(0, 0, blocks)] if isinstance(blocks, np.ndarray) else blocks
-    if colours:
-        pieces, nodata = _counts(pieces, nodata), NO_COUNT
     try:
         known_crs = None if crs is None else rasterio.crs.CRS.from_user_input(crs)
     except CRSError as error:
@@ -83,7 +74,7 @@ def write_cog(
         "height": shape[0],
         "width": shape[1],
         "count": 1,
-        "dtype": "uint8" if colours else "float32",
+        "dtype": "float32",
         "nodata": nodata,
         "crs": known_crs,
         "transform": Affine(cell_m, 0.0, origin_xy_m[0], 0.0, -cell_m, origin_xy_m[1]),
@@ -96,8 +87,8 @@ def write_cog(
         ):
             # Overviews and other by-products of GDAL come and go with the folder.
             plain, finished = Path(folder, "plain.tif"), Path(folder, "cog.tif")
-            marks = _write_plain(plain, pieces, profile, (description, unit), colours)
-            _add_overviews(plain, shape, Resampling.mode if colours else Resampling.average)
+            marks = _write_plain(plain, pieces, profile, (description, unit))
+            _add_overviews(plain, shape, Resampling.average)
             _copy_as_cog(plain, finished)
             _verify(finished, marks)
             finished.replace(cog)
@@ -106,11 +97,7 @@ def write_cog(
 
 
 def _write_plain(
-    path: Path,
-    pieces: Blocks,
-    profile: dict[str, Any],
-    named: tuple[str, str],
-    colours: Sequence[str],
+    path: Path, pieces: Blocks, profile: dict[str, Any], named: tuple[str, str]
 ) -> list[tuple[Window, int]]:
     """Write pieces as they come; uncompressed, so that rewriting a tile leaves no waste.
 
@@ -122,8 +109,6 @@ def _write_plain(
         out.set_band_description(1, named[0])
         if named[1]:
             out.set_band_unit(1, named[1])
-        if colours:
-            out.write_colormap(1, _table(colours))
         for row, col, block in pieces:
             rows, cols = block.shape
             window = Window(col, row, cols, rows)
@@ -131,20 +116,6 @@ def _write_plain(
             out.write(values, 1, window=window)
             marks.append((window, zlib.crc32(values.tobytes())))
     return marks
-
-
-def _counts(pieces: Blocks, nodata: float) -> Iterator[tuple[int, int, NDArray[np.float32]]]:
-    """Whole numbers that a byte holds."""
-    for row, col, block in pieces:
-        held = np.clip(np.rint(block), 0, NO_COUNT - 1)
-        yield row, col, np.where(block == np.float32(nodata), NO_COUNT, held).astype(np.float32)
-
-
-def _table(colours: Sequence[str]) -> dict[int, tuple[int, int, int, int]]:
-    """Colour of each byte; that of nodata lets everything through."""
-    known = [(*bytes.fromhex(colour.removeprefix("#")), 255) for colour in colours]
-    table = {k: known[min(k, len(known) - 1)] for k in range(NO_COUNT)}
-    return {**table, NO_COUNT: (0, 0, 0, 0)}
 
 
 def _verify(cog: Path, marks: Iterable[tuple[Window, int]]) -> None:

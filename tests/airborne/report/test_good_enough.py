@@ -40,6 +40,22 @@ def test_a_file_in_week_time_among_adjusted_ones_shows() -> None:
     assert _time_standard(flown[:1]) == "adjusted"
 
 
+@pytest.mark.parametrize(("unit_m", "feet"), [(0.3048, True), (1.0, False)])
+def test_checkpoints_in_feet_are_named(unit_m: float, *, feet: bool) -> None:
+    terrain_m = [99.0, 101.5, 104.0]
+    tested = Checkpoints(
+        statement="", nva=CheckpointStatistics(n=3), vva=CheckpointStatistics(n=0),
+        points=tuple(
+            Checkpoint(id=f"{k}", x_m=1.0, y_m=2.0, z_m=(z + 0.02) / unit_m, surface="open",
+                       error_m=z - (z + 0.02) / unit_m)
+            for k, z in enumerate(terrain_m)
+        ),
+    )  # fmt: skip
+    context: Any = SimpleNamespace(workflow=SimpleNamespace(requirements=RequirementSettings()))
+    kinds = [one.values["kind"] for one in checkpoint_findings(tested, context)]
+    assert kinds == (["feet"] if feet else [])
+
+
 @pytest.mark.parametrize(("error_m", "warned"), [(-2.5, True), (0.31, True), (0.25, False)])
 def test_a_checkpoint_with_a_blunder_is_warned_of(error_m: float, *, warned: bool) -> None:
     errors = [("a", 0.01), ("b", -0.02), ("p17", error_m)]

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
-    BLOCK_M,
     QUARTER_M,
     SIGMA_M,
     STEEP,
@@ -18,7 +17,6 @@ from spl_batch.airborne.ground.multiscale.ranging_layer import (
     off_planes,
     reckoned,
 )
-from spl_batch.airborne.ground.point_spacing import added_up
 from spl_batch.numerics.cell_groups import group_by_cell
 
 Float = NDArray[np.float64]
@@ -82,17 +80,6 @@ def test_scatter_about_planes_is_that_of_least_squares_in_any_order() -> None:
             assert square == pytest.approx(expected, rel=1e-6)
     assert np.array_equal(found[0], found[1])
     assert 0 < np.isinf(found[0]).sum() < len(found[0])
-
-
-def test_evidence_of_parts_adds_up() -> None:
-    x, y, z = cloud(np.random.default_rng(2), 0.03, 0.3)
-    z += np.where(y > 30.0, 2.0 * x, 0.0)
-    told = np.where(y > 40.0, 0.05, 0.03)
-    west = x < 2 * BLOCK_M
-    whole = evidence(x, y, z, told)
-    parts = added_up([evidence(*(v[some] for v in (x, y, z, told))) for some in (west, ~west)])
-    assert np.array_equal(parts.sums, whole.sums)
-    assert parts.first == whole.first
 
 
 def test_overgrown_ground_that_is_steep_has_the_spread_that_is_told() -> None:
