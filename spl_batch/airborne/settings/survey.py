@@ -142,6 +142,5 @@ class OutputSettings(StoreSettings):
     )
     catalogue: bool = Field(
         True,
-        description="STAC catalogue, virtual point cloud, index.gpkg, layers and styles for QGIS, "
-        "ISO metadata.",
+        description="STAC catalogue, virtual point cloud, index.gpkg.",
     )
