@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.plan.cells import units
+from spl_batch.airborne.plan.grid import Grid
 from spl_batch.lattice import density
 from spl_batch.lattice.density import Box, Peak, from_boxes, from_counts, largest
 from spl_batch.lattice.tiles import (
@@ -87,7 +87,7 @@ counts = st.dictionaries(
 @given(counts, st.sampled_from([100, 300, 250]), st.sampled_from([0, 30, 130]))
 def test_tiles_tell_the_fullest_unit(held: dict[CellId, int], unit: int, halo: int) -> None:
     pieces = list(from_counts(held, EDGE))
-    listed = list(units(held, EDGE, unit, halo))
+    listed = list(Grid.plain(unit).units(held, EDGE, halo))
     assert sum(p.units(unit) for p in pieces) == len(listed)
     share = largest(p.peak(unit, halo) for p in pieces)
     assert share.points == pytest.approx(max(u.held for u in listed), abs=1.0 + 1e-9 * share.points)

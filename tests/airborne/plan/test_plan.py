@@ -290,7 +290,7 @@ def test_workers_share_the_memory_of_the_machine(
     machine_gib: float, workers: int, gib: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(preparing, "machine_memory", lambda: int(machine_gib * 2**30))
-    assert preparing.usual_bytes(workers) == gib * 2**30
+    assert preparing.limit_bytes(None, workers) == gib * 2**30
 
 
 def test_a_key_depends_on_the_name_alone() -> None:
