@@ -22,6 +22,7 @@ from benchmarks.sources.surfaces import roof_methods
 from benchmarks.sources.terrain import terrain_methods
 from benchmarks.sources.twins import TWINS
 from spl_batch.airborne.settings.workflow import load_workflow
+from spl_batch.airborne.simulate import simulate
 from spl_batch.geiger.coincidence.settings import CoincidenceSettings
 
 ROWS: Mapping[str, Method] = {
@@ -37,10 +38,10 @@ KEYS = {"filter.method", "noise.correction", "afterpulse.enabled"}
 
 @pytest.fixture(scope="module")
 def workflow(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A workflow of defaults."""
-    path = Path(tmp_path_factory.mktemp("rows")) / "workflow.yaml"
-    path.write_text("survey:\n  flightlines: a.laz\noutput: out\n", encoding="utf-8")
-    return path
+    """Workflow of a tiny twin, as each row runs it."""
+    folder = Path(tmp_path_factory.mktemp("rows"))
+    simulate(TWINS["canopy matched"](1, 0.15), folder)
+    return folder / "workflow.yaml"
 
 
 @pytest.mark.parametrize("row", ROWS)
