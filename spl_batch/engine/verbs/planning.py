@@ -74,7 +74,6 @@ def plan(
         *prepared.ledger.remarks,
         *inputs.warnings,
         *gone_inputs(prepared, deliveries),
-        *look.warnings,
         *_too_full(prepared.context.output, 0 if finished or store.url else cost.disk_bytes),
     )
     return PlanSummary(
@@ -83,7 +82,7 @@ def plan(
         cost,
         prepared.ledger.memory_bytes,
         prepared.ledger.shared,
-        (*look.rows, *prepared.receiver.plan_rows(prepared, cost)),
+        tuple(prepared.receiver.plan_rows(prepared, cost)),
         (*told_together(inputs.bad), *look.faults, *look.late),
         reported(findings, prepared.context.workflow.report.ignore, notes=True),
         finished,

@@ -80,8 +80,6 @@ class FirstLook(NamedTuple):
     """What a plan finds in the inputs."""
 
     faults: tuple[str, ...] = ()  #: What is wrong with some of them, which a run leaves out.
-    warnings: tuple[Finding, ...] = ()
-    rows: tuple[tuple[str, str], ...] = ()  #: Label and value of what else is known of them.
     #: Inputs whose points cannot be read though their headers can, and what these promise [count];
     #: ``faults`` has the reasons.
     unreadable: int = 0
@@ -107,7 +105,8 @@ class Receiver(ABC, Generic[L, C]):
     def gather(self, workflow: Any, base: Path, output: Path) -> Any:
         """Find and check every file of a workflow, from headers alone.
 
-        ``output``: folder of the results: no input may lie there.
+        ``output``: folder of the results: no input may lie there. A receiver with a
+        :meth:`prepare` of its own needs none.
 
         Raises
         ------
