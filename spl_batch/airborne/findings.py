@@ -80,6 +80,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "rasters too large for a file leave them out",
                 "far": "{km:.0f} km from the rest of the survey ({main}), farther than its files "
                 "are long ({length_m:.0f} m); rasters too large for a file leave them out",
+                "astray": "{count:points|lie} up to {km:.1f} km outside the rest, alone in their "
+                "tiles; rasters that reach there are {times:.0f} times as large",
                 "shapes": "{key}: none of its polygons meets the survey: they lie within {shapes}, "
                 "its points within {points}",
                 "geoid": "{count:cells|lie} beyond the grid {grid}: void",
