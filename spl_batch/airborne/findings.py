@@ -193,8 +193,12 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         ),
         "N07": Code(
             "Signal floats",
-            "{share:.1%} of the signal has nothing in the 15 m below it, though something lies "
-            "farther down, over {area_m2:.0f} m2",
+            {
+                "thick": "{share:.1%} of the signal has nothing in the 15 m below it, though "
+                "something lies farther down, over {area_m2:.0f} m2",
+                "alone": "{count:cells|rise} more than {least_m} m above all but one cell of the "
+                "DSM beside them, up to {highest_m:.0f} m above the terrain",
+            },
             "haze, a cloud, stray light or noise in clusters, if no many wires or cranes are "
             "there: it stays signal, and the DSM may lie on it",
             "look at the profile there, and classify by hand what is no surface",
