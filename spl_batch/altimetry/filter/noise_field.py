@@ -39,9 +39,6 @@ _PROFILE_BOXES: Final = 10
 _BELIEF: Final = 10.0
 """Photons that the step before is worth [count]."""
 
-_START_BOXES: Final = 5
-"""Boxes whose photons are counted together before anything is known [count]."""
-
 
 @dataclass(frozen=True, slots=True)
 class Gate:
@@ -105,27 +102,6 @@ class Boxes:
         """Sums by box, (cells, heights) float64."""
         size = self.shape[0] * self.shape[1]
         return np.bincount(box, weight, size).astype(np.float64).reshape(self.shape)
-
-
-def first_density(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Noise before anything is known: the median by height, one for all heights of a cell.
-
-    ``counts``, ``area_m2``: (cells, heights), photons and area of each box.
-    """
-    some = _START_BOXES if counts.shape[1] >= _START_BOXES else 1
-    whole = counts.shape[1] // some * some
-    seen, area = (
-        _sums(values, _PLACES[0], 0)[:, :whole].reshape(len(values), -1, some).sum(axis=2)
-        for values in (counts, area_m2)
-    )
-    most = area.max(axis=1, keepdims=True)
-    inside = area > 0.3 * most
-    each = np.where(inside, seen / np.maximum(area, 1e-9), np.inf)
-    middle = np.maximum(inside.sum(axis=1) - 1, 0) // 2
-    found = np.sort(each, axis=1)[np.arange(len(each)), middle]
-    found = np.where(np.isfinite(found), found, 0.0)
-    least = 1.0 / np.maximum(most[:, 0], 1.0)
-    return np.repeat(np.maximum(found, least)[:, None], counts.shape[1], axis=1)
 
 
 def density(

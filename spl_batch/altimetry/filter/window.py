@@ -17,7 +17,7 @@ Quasirandom Sequences*, 2018), numbered by cell. A window is a function of its p
 its margin alone, so no cut of the track can change it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -31,7 +31,7 @@ from spl_batch.altimetry.filter.neighbours import (
     leaning,
     log_areas,
 )
-from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, first_density, gate
+from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, gate
 from spl_batch.altimetry.filter.posterior import Ratios, noise_posterior, ratios, with_prior
 from spl_batch.altimetry.settings import Shape, SignalSettings
 from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M, water_levels
@@ -40,6 +40,9 @@ from spl_batch.constants import QUANTA_PER_M
 _ROUNDS: Final = 8
 _AGREED: Final = 0.005
 """Rounds at most; change of the noise that ends them sooner, as a share of it."""
+_FIRST: Final = 0.3
+"""Share of all photons that is noise before anything is known."""
+
 _SURE_NOISE: Final = 0.8
 """Share of the noise whose scores are lowest: photons below are noise for its density."""
 
@@ -88,16 +91,15 @@ class _Places:
 
 
 class _Seen(NamedTuple):
-    """Neighbours of photons and places by one shape."""
+    """Neighbours by one shape."""
 
-    near: NDArray[np.float64]  #: (n, K): logarithms of areas, of photons.
-    empty: NDArray[np.float64]  #: (q, K): of places.
+    #: (n, K) and (q, K): logarithms of areas, of photons and of places.
+    near: list[NDArray[np.float64]]
     reach_m2: float  #: Area within the reach.
     table: Ratios
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
+class _Found(NamedTuple):
     """What one shape of neighbourhood finds."""
 
     score: NDArray[np.float64]
@@ -137,18 +139,18 @@ def assess(
     photons = _Places(x_m, z_m, boxes.of(cell, z_m), slopes(cell, z_m), np.empty(0))
     count = np.bincount(cell, minlength=cells)
     at, part = _strewn(start, count)
-    place_x = (at + part[0]) * cell_m
-    gate_m = shown.high_m - shown.low_m
-    # Cells without photons may lie beyond the beam's ends, and between its pieces.
-    gate_m = np.where(count > 0, gate_m, 0.0)
     place_z = shown.low_m[at] + part[1] * (shown.high_m - shown.low_m)[at]
+    # Cells without photons may lie beyond the beam's ends, and between its pieces.
+    gate_m = np.where(count > 0, shown.high_m - shown.low_m, 0.0)
     share = (gate_m * cell_m / np.maximum(np.bincount(at, minlength=cells), 1))[at]
+    place_x = (at + part[0]) * cell_m
     places = _Places(place_x, place_z, boxes.of(at, place_z), slopes(at, place_z), share)
-    known = columns(photons.x_m, photons.z_m)
-    seen = [_seen(known, photons, places, shape, settings) for shape in settings.shapes]
-    field = first_density(boxes.table(photons.box), boxes.table(places.box, share))
+    sides = photons, places
+    known = columns(x_m, z_m)
+    seen = [_seen(known, sides, shape, settings) for shape in settings.shapes]
     dry = np.full(cells, -1)
-    tried = [_agreed(one, photons, places, boxes, field, dry) for one in seen]
+    field = _FIRST * density(boxes.table(photons.box), boxes.table(places.box, share), dry)
+    tried = [_agreed(one, sides, boxes, field, dry) for one in seen]
     every = np.ones(len(x_m), np.bool_), np.ones(len(at), np.bool_)
     best = _best(tried, *every, photons_factor)
     kept = best.found.above >= best.least
@@ -159,18 +161,17 @@ def assess(
         row = boxes.of(np.zeros(cells, np.int64), level / QUANTA_PER_M)
         surface = np.where(level != NO_WATER, row, -1)
         tried = [
-            _below_water(one, photons, places, boxes, before.field, surface)
+            _below_water(one, sides, boxes, before.field, surface)
             for one, before in zip(seen, tried, strict=True)
         ]
-        deep = [
+        mine, there = (
             (level[c] != NO_WATER) & (z < level[c] / QUANTA_PER_M - SURFACE_M)
             for c, z in ((cell, z_m), (at, place_z))
-        ]
-        best = _best(tried, deep[0], deep[1], photons_factor)
-        floor = int(np.count_nonzero(best.found.above[deep[0]] >= best.least))
-        noise = best.found.each[deep[1] & (best.found.other >= best.least)].sum()
-        if stands_out(floor, noise):
-            groups = [(deep[0], deep[1]), (~deep[0], ~deep[1])]
+        )
+        best = _best(tried, mine, there, photons_factor)
+        floor = int(np.count_nonzero(best.found.above[mine] >= best.least))
+        if stands_out(floor, best.found.each[there & (best.found.other >= best.least)].sum()):
+            groups = [(mine, there), (~mine, ~there)]
     score, signal, ground = (np.empty(len(x_m), dtype) for dtype in (np.float32, bool, bool))
     each, passed = np.empty(len(at)), np.empty(len(at), np.bool_)
     for mine, there in groups:
@@ -213,13 +214,15 @@ def _strewn(
 
 
 def _seen(
-    known: Columns, photons: _Places, places: _Places, form: Shape, settings: SignalSettings
+    known: Columns, sides: tuple[_Places, _Places], form: Shape, settings: SignalSettings
 ) -> _Seen:
     """Neighbours of photons and places in ellipses of one shape."""
     shape = form.neighbours, form.aspect, settings.reach_m
     return _Seen(
-        log_areas(known, (photons.x_m, photons.z_m), photons.slope, shape, own=True),
-        log_areas(known, (places.x_m, places.z_m), places.slope, shape, own=False),
+        [
+            log_areas(known, (side.x_m, side.z_m), side.slope, shape, own=not len(side.area_m2))
+            for side in sides
+        ],
         np.pi * settings.reach_m**2 / form.aspect,
         ratios(form.neighbours, settings.contrast_max),
     )
@@ -227,57 +230,58 @@ def _seen(
 
 def _agreed(
     seen: _Seen,
-    photons: _Places,
-    places: _Places,
+    sides: tuple[_Places, _Places],
     boxes: Boxes,
     field: NDArray[np.float64],
     surface: NDArray[np.int64],
 ) -> _Found:
     """Scores and noise by one shape, repeated from a first field until they agree."""
+    photons, places = sides
     total = 0.0
     for turn in range(_ROUNDS):
-        here, there = field.reshape(-1)[photons.box], field.reshape(-1)[places.box]
-        each = there * places.area_m2
+        noise = [field.reshape(-1)[side.box] for side in sides]
+        each = noise[1] * places.area_m2
         part = np.clip(each.sum() / len(photons.x_m), *_NOISE_SHARE)
         table = with_prior(seen.table, float(np.log((1.0 - part) / part)))
-        score = noise_posterior(seen.near, seen.reach_m2, here, table)
+        scores = [
+            noise_posterior(near, seen.reach_m2, here, table)
+            for near, here in zip(seen.near, noise, strict=True)
+        ]
         above, other = (
-            np.clip(np.log(np.maximum(-values, 1e-9)), _BINS[0], _BINS[-2])
-            for values in (
-                score,
-                noise_posterior(seen.empty, seen.reach_m2, there, table),
-            )
+            np.clip(np.log(np.maximum(-score, 1e-9)), _BINS[0], _BINS[-2]) for score in scores
         )
-        found = _Found(score, above, other, field, each)
+        found = _Found(scores[0], above, other, field, each)
         total, before = float(each.sum()), total
         if abs(total - before) <= _AGREED * total:
             break
         if turn < _ROUNDS - 1:
-            field = density(*_unexplained(found, photons, places, boxes), surface)
+            field = density(*_unexplained(found, sides, boxes), surface)
     return found
 
 
 def _unexplained(
-    found: _Found, photons: _Places, places: _Places, boxes: Boxes
+    found: _Found, sides: tuple[_Places, _Places], boxes: Boxes
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Photons that are noise, and the area where a photon would be, (cells, heights) each [m2]."""
-    sure = _quantile(found.other, found.each)
+    photons, places = sides
+    # The score below which most of the noise lies.
+    count = np.cumsum(np.histogram(found.other, _BINS, weights=found.each)[0])
+    sure = _BINS[1 + np.searchsorted(count, _SURE_NOISE * count[-1])]
     low, empty = found.above < sure, found.other < sure
     return boxes.table(photons.box[low]), boxes.table(places.box[empty], places.area_m2[empty])
 
 
 def _below_water(
     seen: _Seen,
-    photons: _Places,
-    places: _Places,
+    sides: tuple[_Places, _Places],
     boxes: Boxes,
     field: NDArray[np.float64],
     surface: NDArray[np.int64],
 ) -> _Found:
     """The same with noise of its own below water, which falls with depth where it is counted."""
-    found = _agreed(seen, photons, places, boxes, field, surface)
-    field = below_water(found.field, *_unexplained(found, photons, places, boxes), surface)
-    return replace(found, each=field.reshape(-1)[places.box] * places.area_m2)
+    found = _agreed(seen, sides, boxes, field, surface)
+    field = below_water(found.field, *_unexplained(found, sides, boxes), surface)
+    return found._replace(each=field.reshape(-1)[sides[1].box] * sides[1].area_m2)
 
 
 class _Best(NamedTuple):
@@ -304,12 +308,6 @@ def _best(
         for one in tried
     ]
     return max(each, key=lambda one: one.f1)
-
-
-def _quantile(score: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
-    """Score below which :data:`_SURE_NOISE` of the noise lies."""
-    total = np.cumsum(np.histogram(score, _BINS, weights=weight)[0])
-    return float(_BINS[1 + np.searchsorted(total, _SURE_NOISE * total[-1])])
 
 
 def _threshold(

@@ -87,15 +87,7 @@ def labelled_copy(source: Path, target: Path) -> Iterator[h5py.File]:
 def add_dataset(
     group: h5py.Group, name: str, size: int, fill: float, attributes: Mapping[str, str], dtype: Any
 ) -> h5py.Dataset:
-    """Make a compressed one-dimensional dataset, in place of one of this name.
-
-    Parameters
-    ----------
-    group : h5py.Group
-        Where.
-    fill : float
-        What values are that nothing is written to.
-    """
+    """Make a compressed one-dimensional dataset of ``fill``, in place of one of this name."""
     if name in group:
         del group[name]
     # A dataset of nothing cannot be cut into chunks.

@@ -96,12 +96,12 @@ def draw(beam: BeamPictures) -> dict[str, Picture]:
         ),
     }
     if beam.differences is not None:
-        found = np.isfinite(beam.differences[:, 1]).any()
+        values = beam.differences
         drawn["differences"] = _picture(
             f"Ground of {beam.name} minus reference",
             "Blue ours, red mDBSCAN's, where both were run; beyond the axis at its edge.",
-            lambda: _differences(beam, axis),
-            there=bool(found),
+            lambda: _differences(values, axis),
+            there=True,
         )
     return drawn
 
@@ -154,11 +154,9 @@ def _rate(beam: BeamPictures, axis: TrackAxis) -> Figure:
     return figure
 
 
-def _differences(beam: BeamPictures, axis: TrackAxis) -> Figure:
+def _differences(differences: NDArray[np.float64], axis: TrackAxis) -> Figure:
     figure, axes = _axes("distance along track [km]", "ground minus reference [m]", 2.4)
-    if beam.differences is None:
-        return figure
-    at, ours, theirs = beam.differences.T
+    at, ours, theirs = differences.T
     known = np.abs(ours[np.isfinite(ours)])
     limit = max(float(np.percentile(known, 99)) * 2.0, 1.0)
     for values, colour in ((theirs, style.NOISE), (ours, style.SIGNAL)):

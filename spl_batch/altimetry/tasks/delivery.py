@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from spl_batch.altimetry.formats.hdf5 import add_dataset, labelled_copy
 from spl_batch.altimetry.formats.track_csv import to_text
 from spl_batch.altimetry.photon_table import LABELS, NOT_ASSESSED
-from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, place, rows_between
+from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, rows_between
 from spl_batch.altimetry.tasks.heights import COLUMNS
 from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M, refracted
 from spl_batch.constants import QUANTA_PER_M
@@ -53,15 +53,13 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
     columns_of = dict(DELIVERED)
     if context.workflow.outputs.refraction:
         columns_of[REFRACTED] = np.float64
-    with writing(photons, columns_of, durable=True) as writer:
+    with writing(photons, columns_of, durable=True, rows=GROUP_PHOTONS) as writer:
         for _, part in _passes(args, context):
             counts += np.bincount(part["signal"], minlength=256)
             water += np.bincount(part["water"], minlength=COLUMN + 1)
-            for start in range(0, len(part["signal"]), GROUP_PHOTONS):
-                rows = slice(start, start + GROUP_PHOTONS)
-                writer.write({name: part[name][rows] for name in columns_of})
+            writer.write(part)
     names = (*_PROFILE, *(("floor_refracted",) if context.workflow.outputs.refraction else ()))
-    columns = read_columns(place(context, "profiles", args["key"], ".parquet"), names)
+    columns = read_columns(context.store.table("profiles", args["key"]), names)
     profile = context.output / "profiles" / f"{args['delivered']}.csv"
     write_bytes(profile, to_text(columns))
     facts = {
@@ -87,8 +85,8 @@ def _passes(
             "water": np.zeros(n, np.uint8),
             REFRACTED: np.full(n, np.nan),
         }
-        for segment in args["segments"]:
-            path = place(context, "labels", segment, ".parquet")
+        for segment, _, _ in args["segments"]:
+            path = context.store.table("labels", segment)
             for rows in rows_between(path, tuple(LABELS), "row", first, first + n):
                 at = rows["row"] - first
                 part["along_track"][at] = rows["along"] / QUANTA_PER_M
@@ -111,8 +109,7 @@ def _in_water(
     below = wet & (depth_m > SURFACE_M)
     kind = np.where(below, np.where(signal, FLOOR, COLUMN), 0)
     kind[wet & signal & (np.abs(depth_m) <= SURFACE_M)] = SURFACE
-    _, up_m = refracted(np.where(below, depth_m, 0.0), off_nadir_deg)
-    return kind.astype(np.uint8), up_m
+    return kind.astype(np.uint8), refracted(np.where(below, depth_m, 0.0), off_nadir_deg)
 
 
 def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
