@@ -70,7 +70,13 @@ def _draft(place: Path, found: _Folder) -> Beginning:
     if found.labels or tables:
         made.lines += ["", "reference:" if found.labels else "# reference:"]
     if found.labels:
-        _labels(made, place, found.labels)
+        pattern = patterns(place, found.labels)
+        reason = "ATL08: its labels of photons are compared with ours"
+        if isinstance(pattern, str):
+            made.known("labels", pattern, reason)
+        else:
+            apart = "put these files into one folder of their own"
+            made.open("labels", pattern[0], f"{reason}; {apart}")
     if tables:
         names = [path.relative_to(place).as_posix() for path in tables]
         made.open(
@@ -99,13 +105,3 @@ def _photons(tracks: Sequence[TrackFile]) -> str:
         f"{layouts}: {counted(len(tracks), 'files')}, {about}{counted(photons, 'photons')}, "
         f"beams {named(beams, 6)}"
     )
-
-
-def _labels(made: Beginning, place: Path, labels: Sequence[Path]) -> None:
-    """ATL08 files, of which a workflow takes one pattern."""
-    pattern = patterns(place, labels)
-    reason = "ATL08: its labels of photons are compared with ours"
-    if isinstance(pattern, str):
-        made.known("labels", pattern, reason)
-    else:
-        made.open("labels", pattern[0], f"{reason}; put these files into one folder of their own")

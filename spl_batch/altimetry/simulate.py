@@ -29,8 +29,6 @@ PIECE_M: Final = 4.0
 SPEED_M_S: Final = 200.0
 GROUND: Final = 1
 CANOPY: Final = 2
-
-
 _START_S: Final = 1000.0
 _NORTH_M_PER_DEG: Final = 110_574.0
 """Metres of a degree of latitude at the equator, where tracks run north along Greenwich."""

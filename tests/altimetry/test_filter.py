@@ -104,8 +104,8 @@ def test_the_gate_is_seen_by_night_and_day(kind: Kind, noise: float, off_m: floa
         scene(kind, "green", 1, length_m=3000.0, above_m=60.0, below_m=90.0, noise_per_m2=noise)
     )
     cell = (track.along_m // 20.0).astype(np.int64)
-    shown = gate(cell, track.height_m, int(cell.max()) + 1)
-    assert np.median(shown.high_m - shown.low_m) == pytest.approx(150.0, abs=off_m)
+    low_m, high_m = gate(cell, track.height_m, int(cell.max()) + 1)
+    assert np.median(high_m - low_m) == pytest.approx(150.0, abs=off_m)
 
 
 @pytest.mark.parametrize(("kind", "canopy", "least"), [("mountain", 0.4, 0.8), ("flat", 0.0, 0.9)])

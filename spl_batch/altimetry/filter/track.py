@@ -139,12 +139,8 @@ def label(
 ) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
     """Columns as of :data:`COLUMNS` and :data:`CELLS` of the photons and cells of a span.
 
-    Parameters
-    ----------
-    along, height : (n,) int64, (n,) int32
-        Photons in order along the track, of the span and of :data:`MARGIN_M` to each side [quanta].
-    span : (int, int)
-        Ends of the span: whole windows [quanta].
+    ``along``, ``height``: (n,), photons in order along the track, of the span and of
+    :data:`MARGIN_M` to each side [quanta]; ``span``: its ends, whole windows [quanta].
     """
     photons, cells = [], []
     window, size, margin = window_quanta(settings), quanta(settings.rate.cell_m), quanta(MARGIN_M)

@@ -25,13 +25,7 @@ _SEGMENT: Final = ("segment_dist_x", "segment_ph_cnt")
 
 
 def beams(path: Path, file: h5py.File) -> list[tuple[str, int, str]]:
-    """Name, photons and group of each beam.
-
-    Raises
-    ------
-    InputError
-        If there is no beam, or one lacks what is needed.
-    """
+    """Name, photons and group of each beam, one at least, with all that is needed."""
     found = []
     for name in BEAMS:
         if f"{name}/heights" not in file:
@@ -53,13 +47,7 @@ def beams(path: Path, file: h5py.File) -> list[tuple[str, int, str]]:
 
 
 def segment_photons(path: Path, file: h5py.File, beam: str) -> NDArray[np.int64]:
-    """Photons of each segment of a beam [count]: none is negative, their sum is a whole number.
-
-    Raises
-    ------
-    InputError
-        If one is not from 0 to the photons of the beam.
-    """
+    """Photons of each segment of a beam [count]: whole numbers, none larger than the beam's."""
     name = f"{beam}/geolocation/segment_ph_cnt"
     most = len(dataset(path, file, f"{beam}/heights/h_ph"))
     count: NDArray[Any] = dataset(path, file, name)[()]

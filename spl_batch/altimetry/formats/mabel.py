@@ -26,17 +26,11 @@ _PHOTON: Final = ("delta_time", "elev", "latitude", "longitude")
 
 
 def beams(path: Path, file: h5py.File) -> list[tuple[str, int, str]]:
-    """Name, photons and group of each channel.
-
-    Raises
-    ------
-    InputError
-        If there is no channel, or one lacks what is needed.
-    """
-    found = []
-    for name in sorted(file["photon"]):
-        count = equal_lengths(path, file, f"photon/{name}", _PHOTON)
-        found.append((name, count, f"photon/{name}"))
+    """Name, photons and group of each channel, one at least, with all that is needed."""
+    found = [
+        (name, equal_lengths(path, file, f"photon/{name}", _PHOTON), f"photon/{name}")
+        for name in sorted(file["photon"])
+    ]
     if not found:
         raise InputError(str(path), "group photon holds no channel")
     return found

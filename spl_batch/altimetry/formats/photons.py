@@ -31,7 +31,7 @@ class BeamFacts:
 
     name: str  #: As the product calls it.
     photons: int  #: Photons, or an estimate where only reading tells [count].
-    group: str = ""  #: Group of its photons in an HDF5 file.
+    group: str  #: Group of its photons in an HDF5 file.
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,20 +69,19 @@ def inspect(path: Path) -> TrackFile:
     with open_input(path) as stream:
         start = stream.read(len(SIGNATURE))
     status = path.stat()
-    if start != SIGNATURE:
-        if path.suffix.lower() in HDF5:
-            raise InputError(str(path), "is no HDF5 file (its first bytes say so); copy it again")
-        beams = [BeamFacts("track", track_csv.estimate(path, status.st_size))]
-        return TrackFile(path, "csv", tuple(beams), status.st_size, status.st_mtime_ns)
-    with open_hdf5(path) as file:
-        layout: Layout = "mabel" if "photon" in file else "atl03"
-        listed = mabel.beams(path, file) if layout == "mabel" else atl03.beams(path, file)
-    beams = [BeamFacts(*values) for values in listed]
-    return TrackFile(path, layout, tuple(beams), status.st_size, status.st_mtime_ns)
+    layout: Layout = "csv"
+    if start != SIGNATURE and path.suffix.lower() not in HDF5:
+        listed = [("track", track_csv.estimate(path, status.st_size), "")]
+    else:
+        with open_hdf5(path) as file:
+            layout = "mabel" if "photon" in file else "atl03"
+            listed = (mabel if layout == "mabel" else atl03).beams(path, file)
+    beams = tuple(BeamFacts(*values) for values in listed)
+    return TrackFile(path, layout, beams, status.st_size, status.st_mtime_ns)
 
 
 def iter_photons(path: Path, layout: Layout, beam: str, chunk: int) -> Iterator[Photons]:
-    """Photons of a beam in the order of the file, never more than ``chunk`` at once.
+    """Photons of a beam in the order of the file, of HDF5 never more than ``chunk`` at once.
 
     Raises
     ------

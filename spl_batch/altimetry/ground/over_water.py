@@ -47,10 +47,6 @@ def profile(
         :func:`spl_batch.altimetry.ground.profile.profile` [quanta].
     level : (n,) int64
         Water surface where each photon lies [quanta]; ``NO_WATER`` where there is none.
-    owned : (int, int)
-        First cell of the piece, and the one after its last.
-    off_nadir_deg : float
-        Angle of the beam from the vertical [deg].
     """
     along, height, sure = photons
     wet, off = level != NO_WATER, height - level

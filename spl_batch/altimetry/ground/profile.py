@@ -57,9 +57,7 @@ COLUMNS: Final = {
     "canopy_height": np.float64,
     "canopy_photons": np.int64,
 }
-"""Columns of a profile: cell number, its middle, heights [m], counts; NaN
-where unknown."""
-
+"""Columns of a profile: cell number, its middle, heights [m], counts; NaN where unknown."""
 
 LAYER_M: Final = 1.5
 """Thickness of a layer of ground where none is set [m]."""
@@ -76,9 +74,6 @@ _PULSE_M: Final = 0.225
 
 STRETCH_CELLS: Final = 25
 """Cells to each side whose slopes decide how thick a layer is [count]."""
-
-_STEPS: Final = 2
-"""Steps in which a thickness doubles [count]."""
 
 
 class Layers(NamedTuple):
@@ -163,7 +158,7 @@ def profile(
 def _thick(
     index: NDArray[np.int64], slope: NDArray[np.float64], least: NDArray[np.float64], spread: float
 ) -> NDArray[np.float64]:
-    """Thickness of each cell's layer by the median slope of its stretch, in steps, (c,) [m]."""
+    """Thickness of each cell's layer by the median slope of its stretch, (c,) [m]."""
     steep = np.abs(slope)
     first = np.searchsorted(index, index - STRETCH_CELLS)
     stop = np.searchsorted(index, index + STRETCH_CELLS, side="right")
@@ -171,10 +166,7 @@ def _thick(
     for c, (a, b) in enumerate(zip(first.tolist(), stop.tolist(), strict=True)):
         known = steep[a:b][np.isfinite(steep[a:b])]
         median[c] = np.median(known) if len(known) else 0.0
-    wanted = np.maximum(np.hypot(_PULSE_M, spread * median), least)
-    whole = np.rint(_STEPS * np.log2(wanted / least))
-    thick: NDArray[np.float64] = least * 2.0 ** (whole / _STEPS)
-    return thick
+    return np.maximum(np.hypot(_PULSE_M, spread * median), least)
 
 
 def _lowest(

@@ -8,12 +8,14 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.altimetry.filter.track import CELLS
 from spl_batch.altimetry.filter.window import stands_out
+from spl_batch.altimetry.photon_table import joined
 from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, TrackReport
 from spl_batch.altimetry.report.page import render
-from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
+from spl_batch.altimetry.report.pictures import MOST_PHOTONS, draw
 from spl_batch.altimetry.tasks.context import Context
-from spl_batch.altimetry.tasks.labels import read_cells, segments_of
+from spl_batch.altimetry.tasks.labels import segments_of
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.page import write_both
 from spl_batch.engine.report.parts import Statistics
@@ -54,7 +56,8 @@ def _finished(done: Receipts, context: Context) -> Iterator[_Finished]:
         source, _, name = key.partition("/")
         segments = [n for n, _, _ in segments_of(key, done["take_in"], done["label"])]
         compared = done.get("compare", {}).get(key)
-        cells = read_cells(segments, context)
+        stored = (context.store.path("cells", f"{segment}.npz") for segment in segments)
+        cells = joined([read_arrays(path) for path in stored], CELLS)
         yield _Finished(
             key,
             done["index_file"][source].facts["name"],
@@ -82,7 +85,17 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
         found += [one._replace(subject=subject) for one in warned]
         if len(pictures) < MOST_BEAMS:
             pictures.append(_pictures(finished, context))
-    counts = _counts(done)
+    labels = {
+        label: sum(r.facts["labels"].get(label, 0) for r in done["deliver_beam"].values())
+        for label in ("0", "1", "255")
+    }
+    counts = TrackCounts(
+        points_in=sum(r.points for r in done["take_in"].values()),
+        points_out=sum(labels.values()),
+        signal=labels["1"],
+        background=labels["0"],
+        not_assessed=labels["255"],
+    )
     inputs = [indexed_file(r.facts, "photons") for r in done["index_file"].values()]
     inputs += [input_file(Path(p), "reference") for p in facts.reference]
     ground = _overall(done, "ground", context)
@@ -116,23 +129,9 @@ def of_labels(kept: int, noise: int, false: float, floor: int = 0) -> Iterator[F
 def _reference_key(context: Context) -> Literal["points", "dtm", "labels"]:
     """What of the reference the heights are taken from."""
     reference = context.workflow.reference
-    if reference is not None and reference.points is not None:
-        return "points"
-    return "dtm" if reference is not None and reference.dtm is not None else "labels"
-
-
-def _counts(done: Receipts) -> TrackCounts:
-    labels = {
-        label: sum(r.facts["labels"].get(label, 0) for r in done["deliver_beam"].values())
-        for label in ("0", "1", "255")
-    }
-    return TrackCounts(
-        points_in=sum(r.points for r in done["take_in"].values()),
-        points_out=sum(labels.values()),
-        signal=labels["1"],
-        background=labels["0"],
-        not_assessed=labels["255"],
-    )
+    if reference is None or (reference.points is None and reference.dtm is None):
+        return "labels"
+    return "dtm" if reference.points is None else "points"
 
 
 def _beam(finished: _Finished, context: Context) -> Beam:
@@ -200,13 +199,11 @@ def _pictures(finished: _Finished, context: Context) -> Mapping[str, Picture]:
         differences = np.column_stack([arrays[name] for name in columns])
     at = (finished.cells["index"] + 0.5) * context.workflow.rate.cell_m
     return draw(
-        BeamPictures(
-            f"{Path(finished.file).name} {finished.name}",
-            _thinned(finished.delivered, context),
-            np.column_stack(lines),
-            np.column_stack([at, finished.density]),
-            differences,
-        )
+        f"{Path(finished.file).name} {finished.name}",
+        _thinned(finished.delivered, context),
+        np.column_stack(lines),
+        np.column_stack([at, finished.density]),
+        differences,
     )
 
 

@@ -34,10 +34,7 @@ CHUNK_PHOTONS: Final = 262_144
 def rows_between(
     path: Path, names: Sequence[str], column: str, low: int, high: int
 ) -> Iterator[dict[str, NDArray[Any]]]:
-    """Rows with ``low <= column < high``, a row group at a time.
-
-    However the file is sorted, no more than a row group and what is asked for is held.
-    """
+    """Rows with ``low <= column < high``, a row group at a time, however the file is sorted."""
     with reading(path) as file:
         for group, (least, most) in enumerate(ranges_of(file.metadata, column)):
             if least >= high or most < low:

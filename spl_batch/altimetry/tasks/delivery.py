@@ -50,15 +50,14 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
     """Write a beam's photons in the order of the file, and its profile."""
     photons = context.output / "photons" / f"{args['delivered']}.parquet"
     counts, water = np.zeros(256, np.int64), np.zeros(COLUMN + 1, np.int64)
-    columns_of = dict(DELIVERED)
-    if context.workflow.outputs.refraction:
-        columns_of[REFRACTED] = np.float64
+    refraction = context.workflow.outputs.refraction
+    columns_of = DELIVERED | ({REFRACTED: np.float64} if refraction else {})
     with writing(photons, columns_of, durable=True, rows=GROUP_PHOTONS) as writer:
         for _, part in _passes(args, context):
             counts += np.bincount(part["signal"], minlength=256)
             water += np.bincount(part["water"], minlength=COLUMN + 1)
             writer.write(part)
-    names = (*_PROFILE, *(("floor_refracted",) if context.workflow.outputs.refraction else ()))
+    names = (*_PROFILE, *(("floor_refracted",) if refraction else ()))
     columns = read_columns(context.store.table("profiles", args["key"]), names)
     profile = context.output / "profiles" / f"{args['delivered']}.csv"
     write_bytes(profile, to_text(columns))
@@ -116,7 +115,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     """Write an HDF5 input again with the labels of its beams in it."""
     source = Path(args["path"])
     target = context.output / "hdf5" / args["delivered"]
-    points = 0
+    points = sum(beam["points"] for beam in args["beams"])
     with (
         unchanged(source, as_indexed("index_file", args, context)),
         labelled_copy(source, target) as file,
@@ -131,5 +130,4 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
                 rows = slice(first, first + len(part["signal"]))
                 made["spl_signal"][rows] = part["signal"]
                 made["spl_confidence"][rows] = part["confidence"]
-            points += beam["points"]
     return Produced([target], {"points": points}, points)

@@ -59,8 +59,6 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {
         "cells": len(columns["cell"]),
         "ground_cells": int(np.count_nonzero(np.isfinite(columns["ground"]))),
-        "water_cells": int(np.count_nonzero(columns["water"])),
-        "floor_cells": int(np.count_nonzero(np.isfinite(columns["floor"]))),
         "canopy_cells": int(np.count_nonzero(columns["canopy_photons"])),
     }
     return Produced([path], facts, args["points"])
