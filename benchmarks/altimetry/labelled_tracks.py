@@ -74,9 +74,9 @@ def read_atl03(atl03: Path, atl08: Path) -> list[Labelled]:
         along, height = (
             np.concatenate([getattr(p, k) for p in parts]) for k in ("along", "height")
         )
-        inside = (row >= theirs.rows[0]) & (row < theirs.rows[1])
+        inside = (row >= theirs.first) & (row < theirs.first + len(theirs.signal))
         label = inside.astype(np.int64)
-        label[inside] += theirs.signal(*theirs.rows)[row[inside] - theirs.rows[0]]
+        label[inside] += theirs.signal[row[inside] - theirs.first]
         found.append(Labelled(facts.name, (along, height), label))
     return found
 

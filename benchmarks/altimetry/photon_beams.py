@@ -1,19 +1,40 @@
 """Photons of a beam in memory, labelled and measured without a run."""
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.filter.track import label, window_quanta
 from spl_batch.altimetry.ground import over_water
-from spl_batch.altimetry.ground.profile import for_layout, spread_m
+from spl_batch.altimetry.ground.profile import layers_of
 from spl_batch.altimetry.settings import TrackWorkflow
-from spl_batch.altimetry.simulate import Track
+from spl_batch.altimetry.simulate import Track, TrackScene
 from spl_batch.constants import QUANTA_PER_M
 
 Photons = tuple[NDArray[np.int64], NDArray[np.int32]]
 Mask = NDArray[np.bool_]
+Kind = Literal["mountain", "flat"]
+Colour = Literal["green", "infrared"]
+
+
+def scene(kind: Kind, colour: Colour, seed: int, **changes: float) -> TrackScene:
+    """One of the four settings of the source, with other values of :class:`TrackScene`.
+
+    California's mountains or Missouri's plain; little signal and much noise, or the other way
+    round.
+    """
+    ground = (
+        {"relief_m": 500.0}
+        if kind == "mountain"
+        else {"relief_m": 8.0, "above_m": 300.0, "below_m": 300.0, "patch": 1.0}
+    )
+    light = (
+        {"signal_per_m": 1.5, "noise_per_m2": 0.02}
+        if colour == "green"
+        else {"signal_per_m": 4.0, "noise_per_m2": 0.01}
+    )
+    return TrackScene.model_validate({"seed": seed, **ground, **light, **changes})
 
 
 def workflow(**changes: Any) -> TrackWorkflow:
@@ -54,10 +75,10 @@ def profile(beam: Labelled, settings: TrackWorkflow, layout: str = "csv") -> dic
     some = np.flatnonzero(beam.columns["ground"] > 0)
     along, height = beam.photons
     some = some[np.lexsort((height[some], along[some]))]
-    chosen = for_layout(settings.profile, layout), spread_m(settings.profile, layout)
     photons = along[some], height[some], beam.kept[some]
     level = beam.columns["level"][some].astype(np.int64)
-    return over_water.profile(photons, level, (-(10**9), 10**9), chosen, 0.0)
+    layers = layers_of(settings.profile, layout)
+    return over_water.profile(photons, level, (-(10**9), 10**9), layers, 0.0)
 
 
 def lattice(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> Photons:

@@ -23,6 +23,7 @@ from benchmarks.altimetry.photon_beams import (
     lattice,
     measures,
     profile,
+    scene,
     workflow,
 )
 from spl_batch import api
@@ -31,7 +32,6 @@ from spl_batch.altimetry.simulate import (
     SceneFile,
     Track,
     TrackScene,
-    scene,
     simulate,
     simulate_track,
 )

@@ -8,10 +8,10 @@ from typing import Final, get_args
 
 import numpy as np
 
-from benchmarks.altimetry.photon_beams import labelled, lattice, workflow
+from benchmarks.altimetry.photon_beams import Colour, Kind, labelled, lattice, scene, workflow
 from benchmarks.sources.given import Figures, Given
 from spl_batch.altimetry.settings import TrackWorkflow
-from spl_batch.altimetry.simulate import Colour, Kind, Track, scene, simulate_track
+from spl_batch.altimetry.simulate import Track, simulate_track
 
 CHANNELS: Final = 3
 LENGTH_M: Final = 3000.0

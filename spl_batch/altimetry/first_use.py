@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from spl_batch.altimetry.formats.atl03 import BEAMS
+from spl_batch.altimetry.formats.atl08 import no_atl08
 from spl_batch.altimetry.formats.photons import HDF5, TrackFile, inspect
 from spl_batch.altimetry.formats.track_csv import is_track
 from spl_batch.engine.verbs.beginning import Beginning, files_below, headed, key_lines, patterns
-from spl_batch.errors import InputError, WorkflowError, as_input_fault, counted, named
+from spl_batch.errors import InputError, WorkflowError, counted, named
 from spl_batch.formats.files.atomic import real_path
-from spl_batch.formats.hdf5 import open_hdf5
 
 
 @dataclass
@@ -31,7 +30,12 @@ def begin(place: Path) -> Beginning | None:
     WorkflowError
         If it holds HDF5 files, and none has photons that can be read.
     """
-    found = _looked_through(place)
+    found = _Folder()
+    for path in files_below(place):
+        try:
+            _sort_in(path, found)
+        except InputError as error:
+            found.bad.append(error)
     if found.tracks or found.tables:
         return _draft(place, found)
     if found.bad:
@@ -45,27 +49,14 @@ def begin(place: Path) -> Beginning | None:
     return None
 
 
-def _looked_through(place: Path) -> _Folder:
-    found = _Folder()
-    for path in files_below(place):
-        suffix = path.suffix.lower()
-        try:
-            if suffix in HDF5 and _is_atl08(path):
-                found.labels.append(path)
-            elif suffix in HDF5:
-                found.tracks.append(inspect(path))
-            elif suffix == ".csv" and is_track(path):
-                found.tables.append(inspect(path))
-        except InputError as error:
-            found.bad.append(error)
-    return found
-
-
-def _is_atl08(path: Path) -> bool:
-    """Whether a file has the photon labels of ATL08, and no photons."""
-    with as_input_fault(path), open_hdf5(path) as file:
-        groups = [beam for beam in BEAMS if f"{beam}/signal_photons" in file]
-        return bool(groups) and not any(f"{beam}/heights" in file for beam in groups)
+def _sort_in(path: Path, found: _Folder) -> None:
+    suffix = path.suffix.lower()
+    if suffix in HDF5 and not no_atl08(path):
+        found.labels.append(path)
+    elif suffix in HDF5:
+        found.tracks.append(inspect(path))
+    elif suffix == ".csv" and is_track(path):
+        found.tables.append(inspect(path))
 
 
 def _draft(place: Path, found: _Folder) -> Beginning:
@@ -79,7 +70,13 @@ def _draft(place: Path, found: _Folder) -> Beginning:
     if found.labels or tables:
         made.lines += ["", "reference:" if found.labels else "# reference:"]
     if found.labels:
-        _labels(made, place, found.labels)
+        pattern = patterns(place, found.labels)
+        reason = "ATL08: its labels of photons are compared with ours"
+        if isinstance(pattern, str):
+            made.known("labels", pattern, reason)
+        else:
+            apart = "put these files into one folder of their own"
+            made.open("labels", pattern[0], f"{reason}; {apart}")
     if tables:
         names = [path.relative_to(place).as_posix() for path in tables]
         made.open(
@@ -108,13 +105,3 @@ def _photons(tracks: Sequence[TrackFile]) -> str:
         f"{layouts}: {counted(len(tracks), 'files')}, {about}{counted(photons, 'photons')}, "
         f"beams {named(beams, 6)}"
     )
-
-
-def _labels(made: Beginning, place: Path, labels: Sequence[Path]) -> None:
-    """ATL08 files, of which a workflow takes one pattern."""
-    pattern = patterns(place, labels)
-    reason = "ATL08: its labels of photons are compared with ours"
-    if isinstance(pattern, str):
-        made.known("labels", pattern, reason)
-    else:
-        made.open("labels", pattern[0], f"{reason}; put these files into one folder of their own")

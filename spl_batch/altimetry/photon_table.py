@@ -1,8 +1,7 @@
 """Columns of a photon table, and photons as their files have them."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,19 +21,26 @@ LABELS: Final[Mapping[str, type]] = {
 photon [quanta], the least int32 for none; signal by mDBSCAN."""
 
 SIGNAL: Final = 1
-NOISE: Final = 0
 NOT_ASSESSED: Final = 255
-"""Values of a photon's label."""
+"""Values of a photon's label; 0 is noise."""
 
 
-@dataclass(frozen=True, slots=True)
-class Slice:
-    """Consecutive photons."""
+class Slice(NamedTuple):
+    """Consecutive photons as their file has them."""
 
-    start: int  #: Position of the first one in the file.
     #: (n,): along-track distance and height [m]; not finite where unknown.
     along_m: NDArray[np.float64]
     height_m: NDArray[np.float64]
     #: (n,): where [deg]; NaN where unknown.
     latitude: NDArray[np.float64]
     longitude: NDArray[np.float64]
+
+
+def joined(
+    parts: Sequence[Mapping[str, NDArray[Any]]], dtypes: Mapping[str, type]
+) -> dict[str, NDArray[Any]]:
+    """Rows of tables with some columns in one, in the order given."""
+    return {
+        name: np.concatenate([np.empty(0, dtype), *(part[name] for part in parts)]).astype(dtype)
+        for name, dtype in dtypes.items()
+    }

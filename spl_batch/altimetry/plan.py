@@ -1,7 +1,7 @@
 """Inputs, steps and cost of ``kind: altimetry``."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -14,6 +14,7 @@ from spl_batch.altimetry.steps import STEPS
 from spl_batch.altimetry.tasks.context import Context
 from spl_batch.altimetry.tasks.delivery import PASS_PHOTONS
 from spl_batch.altimetry.tasks.index import look_through
+from spl_batch.altimetry.tasks.labels import segments_of
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.engine.plan.input_files import expand, name_below, refuse_own, stem_names, usable
@@ -77,15 +78,6 @@ class Tracks(Ledger[Inputs, TrackWorkflow]):
         """Segments that all beams make as their headers have it [count]."""
         most = self.workflow.work.segment_photons
         return sum(-(-beam.photons // most) for _, beam, _ in self.beams())
-
-    def segments(self, key: str) -> list[tuple[str, int, int]]:
-        """Labelled segments of a beam: name, and the span of track of each [quanta]."""
-        labelled = self.of("label")
-        return [
-            (f"{key}/{low}", low, high)
-            for low, high, _ in self.of("take_in")[key].facts["segments"]
-            if f"{key}/{low}" in labelled
-        ]
 
 
 def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
@@ -186,21 +178,24 @@ def label(tracks: Tracks) -> Iterator[Task]:
             yield Task("label", f"{name}/{low}", args, (("take_in", name),), photons)
 
 
+def _labelled(
+    tracks: Tracks, kind: str, after: str = "profile"
+) -> Iterator[tuple[Source, BeamFacts, Task]]:
+    """Beams that an earlier step has finished, each with a task that needs it and the labels."""
+    taken, labels = tracks.of("take_in"), tracks.of("label")
+    for source, beam, key in tracks.beams():
+        if key in tracks.of(after):
+            segments = segments_of(key, taken, labels)
+            needs = ((after, key), *(("label", name) for name, _, _ in segments))
+            n = taken[key].points
+            args = {**_beam_args(source, beam, key), "segments": segments, "points": n}
+            yield source, beam, Task(kind, key, args, needs, n)
+
+
 def profile(tracks: Tracks) -> Iterator[Task]:
     """Beams of whose signal a profile is made."""
-    taken = tracks.of("take_in")
-    for source, _, name in tracks.beams():
-        if name not in taken:
-            continue
-        segments = tracks.segments(name)
-        needs = (("take_in", name), *(("label", s) for s, _, _ in segments))
-        args = {
-            "key": name,
-            "layout": source.file.layout,
-            "segments": segments,
-            "points": taken[name].points,
-        }
-        yield Task("profile", name, args, needs, taken[name].points)
+    for _, _, task in _labelled(tracks, "profile", after="take_in"):
+        yield task
 
 
 def compare(tracks: Tracks) -> Iterator[Task]:
@@ -208,68 +203,44 @@ def compare(tracks: Tracks) -> Iterator[Task]:
     if tracks.workflow.reference is None:
         return
     stamps = [[str(path), *stamp(path)] for path in tracks.inputs.reference]
-    for source, beam, key in tracks.beams():
-        if key not in tracks.of("profile"):
-            continue
-        segments = tracks.segments(key)
-        needs = (
-            ("profile", key),
-            *(("label", s) for s, _, _ in segments),
-        )
+    for source, beam, task in _labelled(tracks, "compare"):
         labels = tracks.inputs.labels if source.file.layout == "atl03" else ()
         args = {
-            **_beam_args(source, beam, key),
+            **task.args,
             "name": f"{source.name}: {beam.name}",
-            "segments": segments,
             "reference": stamps,
             "labels": [str(path) for path in labels],
         }
-        yield Task("compare", key, args, needs, tracks.of("profile")[key].points)
-
-
-def _delivery(tracks: Tracks, source: Source, beam: BeamFacts, key: str) -> dict[str, Any]:
-    return {
-        "key": key,
-        "delivered": f"{tracks.delivered[source.key]}/{beam.name}",
-        "segments": [s for s, _, _ in tracks.segments(key)],
-        "points": tracks.of("take_in")[key].points,
-    }
-
-
-def _delivery_needs(args: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
-    key = args["key"]
-    return (("profile", key), *(("label", s) for s in args["segments"]))
+        yield replace(task, args=args)
 
 
 def deliver_beam(tracks: Tracks) -> Iterator[Task]:
     """Beams to be delivered."""
-    for source, beam, key in tracks.beams():
-        if key in tracks.of("profile"):
-            args = _delivery(tracks, source, beam, key)
-            yield Task("deliver_beam", key, args, _delivery_needs(args), args["points"])
+    for source, beam, task in _labelled(tracks, "deliver_beam"):
+        args = {**task.args, "delivered": f"{tracks.delivered[source.key]}/{beam.name}"}
+        yield replace(task, args=args)
 
 
 def deliver_file(tracks: Tracks) -> Iterator[Task]:
     """Copies of HDF5 files with labels, where they are asked for."""
     if not tracks.workflow.outputs.hdf5:
         return
+    beams: dict[int, list[Task]] = {}
+    for source, beam, task in _labelled(tracks, "deliver_file"):
+        args = {**task.args, "group": beam.group}
+        beams.setdefault(source.key, []).append(replace(task, args=args))
     for source in tracks.inputs.sources:
-        beams = [
-            (beam, f"{source.key}/{beam.name}")
-            for beam in source.beams
-            if f"{source.key}/{beam.name}" in tracks.of("profile")
-        ]
-        if source.file.layout == "csv" or not beams:
+        of_file = beams.get(source.key, [])
+        if source.file.layout == "csv" or not of_file:
             continue
-        listed = [{**_delivery(tracks, source, b, k), "group": b.group} for b, k in beams]
         args = {
             "source": str(source.key),
             "path": str(source.path),
             "delivered": f"{tracks.delivered[source.key]}{source.path.suffix}",
-            "beams": listed,
+            "beams": [task.args for task in of_file],
         }
-        needs = tuple(need for beam in listed for need in _delivery_needs(beam))
-        points = sum(beam["points"] for beam in listed)
+        needs = tuple(need for task in of_file for need in task.needs)
+        points = sum(task.points for task in of_file)
         yield Task("deliver_file", str(source.key), args, needs, points)
 
 

@@ -1,6 +1,6 @@
 """Photon profiles along a track: the receiver ``kind: altimetry``."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -64,7 +64,11 @@ class Altimetry(Receiver[Tracks, Context]):
         taken = tracks.of("take_in")
         if not any(receipt.facts["placed"] for receipt in taken.values()):
             none_usable(failed, {"index_file", "take_in"}, map(str, tracks.inputs.bad))
-        yield from _unplaced(tracks, taken)
+        for source, beam, key in tracks.beams():
+            lost = taken[key].points - taken[key].facts["placed"] if key in taken else 0
+            if lost:
+                values = {"kind": "unplaced", "count": lost}
+                yield Finding("P01", values, f"{source.name} {beam.name}", badness=lost)
 
     def reference(self, ledger: Tracks) -> list[str]:
         """Files that the results are compared with."""
@@ -92,15 +96,6 @@ class Altimetry(Receiver[Tracks, Context]):
             ("profiles", [output / "profiles"]),
             ("photons", [output / "photons", output / "hdf5"]),
         ]
-
-
-def _unplaced(tracks: Tracks, taken: Mapping[str, Receipt]) -> Iterator[Finding]:
-    """Beams with photons that lie nowhere."""
-    for source, beam, key in tracks.beams():
-        lost = taken[key].points - taken[key].facts["placed"] if key in taken else 0
-        if lost:
-            values = {"kind": "unplaced", "count": lost}
-            yield Finding("P01", values, f"{source.name} {beam.name}", badness=lost)
 
 
 RECEIVER: Final[Receiver[Any, Any]] = Altimetry()

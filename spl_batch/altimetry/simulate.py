@@ -15,6 +15,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy import ndimage
 
 from spl_batch.altimetry.formats.mabel import write_mabel
 from spl_batch.altimetry.formats.track_csv import to_text
@@ -26,11 +27,8 @@ PIECE_M: Final = 4.0
 """Track of one noise rate: 0.02 s at 200 m/s [m]."""
 
 SPEED_M_S: Final = 200.0
-NOISE: Final = 0
 GROUND: Final = 1
 CANOPY: Final = 2
-
-
 _START_S: Final = 1000.0
 _NORTH_M_PER_DEG: Final = 110_574.0
 """Metres of a degree of latitude at the equator, where tracks run north along Greenwich."""
@@ -76,29 +74,6 @@ class SceneFile(Section):
     )
 
 
-Kind = Literal["mountain", "flat"]
-Colour = Literal["green", "infrared"]
-
-
-def scene(kind: Kind, colour: Colour, seed: int, **changes: float) -> TrackScene:
-    """One of the four settings of the source, with other values of :class:`TrackScene`.
-
-    California's mountains or Missouri's plain; little signal and much noise, or the other way
-    round.
-    """
-    ground = (
-        {"relief_m": 500.0}
-        if kind == "mountain"
-        else {"relief_m": 8.0, "above_m": 300.0, "below_m": 300.0, "patch": 1.0}
-    )
-    light = (
-        {"signal_per_m": 1.5, "noise_per_m2": 0.02}
-        if colour == "green"
-        else {"signal_per_m": 4.0, "noise_per_m2": 0.01}
-    )
-    return TrackScene.model_validate({"seed": seed, **ground, **light, **changes})
-
-
 @dataclass(frozen=True, slots=True)
 class Track:
     """Simulated photons in the order of their shots, with truth."""
@@ -116,7 +91,7 @@ def simulate_track(scene: TrackScene) -> Track:
     """Draw a track's photons; the same scene gives the same photons."""
     reference = _terrain(np.random.default_rng([scene.seed, 0]), scene)
     rng = np.random.default_rng([scene.seed, 1, scene.stream])
-    coarse = _smooth(reference[:, 1], 1001)
+    coarse = ndimage.uniform_filter1d(reference[:, 1], 1001, mode="nearest")
     start = np.arange(0.0, scene.length_m, PIECE_M)
     density = _noise_density(rng, scene, start)
     gate = scene.above_m + scene.below_m
@@ -160,13 +135,6 @@ def _terrain(rng: np.random.Generator, scene: TrackScene) -> NDArray[np.float64]
     return np.stack([x, z], axis=1)
 
 
-def _smooth(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
-    padded = np.pad(values, width // 2, mode="edge")
-    sums = np.concatenate([[0.0], np.cumsum(padded)])
-    mean: NDArray[np.float64] = (sums[width:] - sums[:-width]) / width
-    return mean
-
-
 def _noise_density(
     rng: np.random.Generator, scene: TrackScene, start: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -196,17 +164,14 @@ def _canopy(
 def simulate_file(
     scene: Path, out: Path, *, progress: Callable[[float], None] | None = None
 ) -> Simulated:
-    """Simulate the track of a scene file: ``track.h5``, ``reference.csv``, ``workflow.yaml``.
-
-    ``progress`` receives the share that is done, 0..1.
-    """
+    """Simulate the track of a scene file: ``track.h5``, ``reference.csv``, ``workflow.yaml``."""
     return simulate(scene_of(SceneFile, scene), out, progress=progress)
 
 
 def simulate(
     scene: SceneFile, out: Path, *, progress: Callable[[float], None] | None = None
 ) -> Simulated:
-    """Simulate a track that several channels see; see :func:`simulate_file`."""
+    """Simulate a track that several channels see; ``progress`` receives the share done, 0..1."""
     channels: dict[str, dict[str, NDArray[Any]]] = {}
     reference = np.empty((0, 2))
     for stream, (name, light) in enumerate(scene.channels.items()):

@@ -1,6 +1,5 @@
 """Level water: its surface, its floor, refraction, and what is no water."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,13 +7,13 @@ import numpy as np
 import pyarrow.csv
 import pytest
 
-from spl_batch.altimetry.simulate import scene, simulate_track
+from benchmarks.altimetry.photon_beams import labelled, lattice, scene, workflow
+from spl_batch.altimetry.simulate import simulate_track
 from spl_batch.altimetry.water.surface import AIR, NO_WATER, WATER, refracted, water_levels
 from tests import surveys
-from tests.altimetry.tracks import labelled, labels, lattice, quanta, settings, write_workflow
+from tests.altimetry.tracks import labels, photons_of, write_workflow
 
 NIGHT, DAY = 2e-4, 0.015
-GATE_M = (-70.0, 30.0)
 NOISE, SURFACE, FLOOR = 1, 2, 3
 
 
@@ -26,28 +25,23 @@ class WaterTrack(NamedTuple):
     kind: np.ndarray
 
 
-def water_track(
-    noise_per_m2: float,
-    seed: int = 1,
-    length_m: float = 4000.0,
-    surface_per_m: float = 1.2,
-    floor_per_m: float = 0.35,
-    column: tuple[float, float] = (0.1, 4.0),
-    depth_m: Callable[[np.ndarray], np.ndarray] = lambda x: 10.0 - 7.0 * np.sin(x / 400.0),
-) -> WaterTrack:
-    """Level water at 0 over a floor, by default 3 to 17 m deep, and the light that it scatters.
+def depth_m(x: np.ndarray) -> np.ndarray:
+    """Of the floor: 3 to 17 m."""
+    depth: np.ndarray = 10.0 - 7.0 * np.sin(x / 400.0)
+    return depth
 
-    That is ``column``: photons per metre, and the depth in which they fade by e [m].
-    """
-    rng = np.random.default_rng(seed)
-    rates_per_m = (surface_per_m, floor_per_m, column[0], noise_per_m2 * 100.0)
+
+def water_track(noise_per_m2: float, length_m: float = 4000.0) -> WaterTrack:
+    """Level water at 0 over a floor, light that it scatters within some 4 m, and noise."""
+    rng = np.random.default_rng(1)
+    rates_per_m = (1.2, 0.35, 0.1, noise_per_m2 * 100.0)
     n = [rng.poisson(rate * length_m) for rate in rates_per_m]
     x = [rng.uniform(0.0, length_m, count) for count in n]
     z = [
         rng.normal(0.0, 0.12, n[0]),
         rng.normal(0.0, 0.2, n[1]) - depth_m(x[1]),
-        -rng.exponential(column[1], n[2]),
-        rng.uniform(*GATE_M, n[3]),
+        -rng.exponential(4.0, n[2]),
+        rng.uniform(-70.0, 30.0, n[3]),
     ]
     kind = np.repeat([SURFACE, FLOOR, NOISE, NOISE], n)
     order = np.argsort(np.concatenate(x), kind="stable")
@@ -57,7 +51,7 @@ def water_track(
 @pytest.mark.parametrize("noise", [NIGHT, DAY])
 def test_surface_and_floor_are_kept_and_noise_is_not(noise: float) -> None:
     track = water_track(noise)
-    beam = labelled(quanta(np.stack([track.x, track.z], axis=1)), settings())
+    beam = labelled(lattice(track.x, track.z), workflow())
     assert beam.kept[track.kind == SURFACE].mean() > 0.97
     assert beam.kept[track.kind == FLOOR].mean() > 0.9
     assert beam.kept[(track.kind == NOISE) & (track.z > 2.0)].mean() < 0.1
@@ -76,14 +70,10 @@ def test_the_surface_is_the_higher_of_two_level_layers() -> None:
     assert np.abs(level).max() < 60
 
 
-@pytest.mark.parametrize("trees", [False, True])
-def test_land_is_no_water(trees: bool) -> None:  # noqa: FBT001
-    relief_m = 0.0 if trees else 20.0
-    canopy = 0.8 if trees else 0.0
-    track = simulate_track(
-        scene("flat", "infrared", 2, length_m=3000.0, relief_m=relief_m, canopy=canopy)
-    )
-    beam = labelled(lattice(track), settings())
+@pytest.mark.parametrize(("relief_m", "canopy"), [(20.0, 0.0), (0.0, 0.8)])
+def test_land_is_no_water(relief_m: float, canopy: float) -> None:
+    wanted = scene("flat", "infrared", 2, length_m=3000.0, relief_m=relief_m, canopy=canopy)
+    beam = labelled(photons_of(simulate_track(wanted)), workflow())
     assert (beam.columns["level"] != NO_WATER).mean() < 0.05
 
 
@@ -101,29 +91,26 @@ def test_no_photons_are_no_water() -> None:
     assert (water_levels(none, none.astype(np.int32), np.arange(20), 20.0) == NO_WATER).all()
 
 
-@pytest.mark.parametrize("angle_deg", [0.0, 0.4, 1.0, 5.0, 15.0, 40.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 1.0, 15.0, 40.0])
 def test_refraction_is_that_of_the_paper(angle_deg: float) -> None:
     """The triangle of C. Parrish et al. (2019), Eq. 1 to 9, where the product adds vectors."""
-    depth = np.array([0.1, 0.5, 2.0, 10.0, 25.0, 38.0])
+    depth = np.array([0.1, 2.0, 10.0, 38.0])
     one = np.radians(angle_deg)
     two = np.arcsin(1.00029 * np.sin(one) / 1.34116)
     s = depth / np.cos(one)
     r = s * 1.00029 / 1.34116
     p = np.sqrt(r**2 + s**2 - 2.0 * r * s * np.cos(one - two))
-    alpha = np.arcsin(r * np.sin(one - two) / p)
-    beta = np.pi / 2.0 - one - alpha
-    across, up = refracted(depth, angle_deg)
-    np.testing.assert_allclose(up, p * np.sin(beta), rtol=1e-9)
-    np.testing.assert_allclose(across, p * np.cos(beta), rtol=1e-9, atol=1e-9)
-    assert not np.any(refracted(np.array([-1.0, 0.0]), angle_deg)), "nothing moves above water"
+    beta = np.pi / 2.0 - one - np.arcsin(r * np.sin(one - two) / p)
+    np.testing.assert_allclose(refracted(depth, angle_deg), p * np.sin(beta), rtol=1e-9)
+    assert not refracted(np.array([-1.0, 0.0]), angle_deg).any(), "nothing moves above water"
 
 
 def test_a_run_tells_surface_floor_and_column_apart(tmp_path: Path) -> None:
     track = water_track(NIGHT, length_m=2500.0)
     rows = [f"{x:.3f},{z:.3f}" for x, z in zip(track.x, track.z, strict=True)]
     (tmp_path / "photons.csv").write_text("\n".join(["along_track,height", *rows]) + "\n")
-    workflow = write_workflow(tmp_path, "photons.csv", outputs={"refraction": True})
-    ended = surveys.command("run", workflow, "--workers", 0)
+    given = write_workflow(tmp_path, "photons.csv", outputs={"refraction": True})
+    ended = surveys.command("run", given, "--workers", 0)
     assert ended.status == 0, ended.text
     table = labels(tmp_path / "out", "photons/track")
     assert (table["water"][track.kind == SURFACE] == 41).mean() > 0.95
@@ -131,9 +118,8 @@ def test_a_run_tells_surface_floor_and_column_apart(tmp_path: Path) -> None:
     assert set(np.unique(table["water"])) == {0, 40, 41, 45}
     lifted = table["height_refracted"] - table["height"]
     floor = table["water"] == 40
-    np.testing.assert_allclose(
-        lifted[floor], -table["height"][floor] * (1.0 - AIR / WATER), atol=0.1
-    )
+    expected = -table["height"][floor] * (1.0 - AIR / WATER)
+    np.testing.assert_allclose(lifted[floor], expected, atol=0.1)
     assert (lifted[table["water"] == 41] == 0).all()
     path = tmp_path / "out/profiles/photons/track.csv"
     assert "nan" not in path.read_text()
@@ -144,11 +130,10 @@ def test_a_run_tells_surface_floor_and_column_apart(tmp_path: Path) -> None:
     assert np.nanmax(np.abs(columns["ground"])) < 0.3
     assert np.isfinite(columns["ground"]).mean() > 0.95
     assert np.isnan(columns["canopy_height"]).all()
-    depth = 10.0 - 7.0 * np.sin(columns["along_track"] / 400.0)
     seen = np.isfinite(columns["floor"])
+    off = np.abs(columns["floor"] + depth_m(columns["along_track"]))[seen]
     assert seen.mean() > 0.9
-    assert np.median(np.abs(columns["floor"] + depth)[seen]) < 0.1
-    assert (np.abs(columns["floor"] + depth)[seen] < 1.0).mean() > 0.95
-    np.testing.assert_allclose(
-        columns["floor_refracted"][seen], columns["floor"][seen] * AIR / WATER, atol=0.1
-    )
+    assert np.median(off) < 0.1
+    assert (off < 1.0).mean() > 0.95
+    lifted = columns["floor_refracted"][seen]
+    np.testing.assert_allclose(lifted, columns["floor"][seen] * AIR / WATER, atol=0.1)

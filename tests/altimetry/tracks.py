@@ -1,7 +1,7 @@
 """Small photon files of every layout, and runs on them."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py
 import numpy as np
@@ -9,10 +9,8 @@ import pyarrow.parquet as pq
 import yaml
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.filter.track import label, window_quanta
-from spl_batch.altimetry.settings import TrackWorkflow
-from spl_batch.altimetry.simulate import Track, scene, simulate_track
-from spl_batch.constants import QUANTA_PER_M
+from benchmarks.altimetry.photon_beams import lattice, scene
+from spl_batch.altimetry.simulate import Track, simulate_track
 
 FIRST_SEGMENT = 700_001
 ORIGIN_M = 14_000_020.0
@@ -26,15 +24,9 @@ def small_track(seed: int = 1, **changes: Any) -> Track:
     return simulate_track(scene("flat", "green", seed, **wanted))
 
 
-def quanta(values: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Along-track distance and height of a (n, 2) table on the lattice."""
-    whole = np.rint(values * QUANTA_PER_M)
-    return whole[:, 0].astype(np.int64), whole[:, 1].astype(np.int32)
-
-
-def lattice(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def photons_of(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Photons of a track on the lattice."""
-    return quanta(np.stack([track.along_m, track.height_m], axis=1))
+    return lattice(track.along_m, track.height_m)
 
 
 def write_atl03(path: Path, tracks: dict[str, Track]) -> Path:
@@ -118,31 +110,3 @@ def labels(output: Path, name: str) -> dict[str, NDArray[Any]]:
     """Columns of a delivered photon table."""
     table = pq.read_table(output / "photons" / f"{name}.parquet")
     return {column: table.column(column).to_numpy() for column in table.column_names}
-
-
-def settings(**sections: Any) -> TrackWorkflow:
-    """Defaults but for some sections."""
-    given = {"track": {"photons": "none"}, "output": "none", **sections}
-    return TrackWorkflow.model_validate(given)
-
-
-class Labelled(NamedTuple):
-    """Photons in the order given that are kept, and all that is found of them and of cells."""
-
-    kept: NDArray[np.bool_]
-    columns: dict[str, NDArray[Any]]
-    cells: dict[str, NDArray[Any]]
-
-
-def labelled(
-    photons: tuple[NDArray[np.int64], NDArray[np.int32]], workflow: TrackWorkflow
-) -> Labelled:
-    """Label a beam as the tasks of a run do."""
-    order = np.lexsort(photons[::-1])
-    along, height = (values[order] for values in photons)
-    size = window_quanta(workflow)
-    span = int(along[0]) // size * size, (int(along[-1]) // size + 1) * size
-    found, cells = label(along, height, span, workflow)
-    back = np.argsort(order)
-    columns = {name: values[back] for name, values in found.items()}
-    return Labelled(columns["signal"] > 0, columns, cells)

@@ -110,8 +110,7 @@ def read_classes(path: Path) -> int:
     found = find_labels(photons, [path], "gt1r")
     if found is None:
         return 0
-    first, stop = found.rows
-    return int(found.signal(first, stop).sum())
+    return int(found.signal.sum())
 
 
 def read_frames(path: Path) -> int:

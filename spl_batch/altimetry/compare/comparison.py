@@ -2,9 +2,9 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -30,9 +30,8 @@ STRETCH_M: Final = 2000.0
 _COLUMNS: Final = ("along_track", "height", "signal")
 
 
-@dataclass(frozen=True, slots=True)
-class Disputed:
-    """A stretch of a beam as several methods see it."""
+class Disputed(NamedTuple):
+    """The stretch of track that several methods disagree about most."""
 
     beam: str
     #: (n,): its photons [m].
@@ -41,25 +40,21 @@ class Disputed:
     signal: dict[str, NDArray[np.bool_]]  #: dict of str to (n,) bool: signal by method.
 
 
-@dataclass(frozen=True, slots=True)
-class Contrast:
+class Contrast(NamedTuple):
     """Methods against the first of them."""
 
     #: Photons that each method keeps and the first removes, and the other way round [count].
-    kept_only: dict[str, int]
-    removed_only: dict[str, int]
-    disputed: Disputed | None  #: Stretch in which they disagree about most photons.
+    kept_only: Mapping[str, int]
+    removed_only: Mapping[str, int]
+    disputed: Disputed | None  #: None where they agree on every photon.
 
 
 def contrast(outputs: Mapping[str, Path]) -> Contrast:
     """Compare the photon tables of several outputs, beam by beam.
 
-    Parameters
-    ----------
-    outputs : mapping of str to Path
-        Output folder of each method; the first is what others differ from.
+    ``outputs``: output folder of each method; the first is what others differ from.
     """
-    kept_only, removed_only = dict.fromkeys(outputs, 0), dict.fromkeys(outputs, 0)
+    kept_only, removed_only = Counter[str](), Counter[str]()
     disagreed: Counter[tuple[str, int]] = Counter()
     for beam in _beams(outputs):
         for part in _groups(outputs, beam):
@@ -68,8 +63,7 @@ def contrast(outputs: Mapping[str, Path]) -> Contrast:
             for method, kept in signal.items():
                 kept_only[method] += int(np.count_nonzero(kept & ~first))
                 removed_only[method] += int(np.count_nonzero(first & ~kept))
-            stacked = np.stack(list(signal.values()))
-            other = stacked.any(axis=0) & ~stacked.all(axis=0)
+            other = np.any([kept != first for kept in signal.values()], axis=0)
             along = next(iter(part.values()))["along_track"][other]
             stretch, count = np.unique(np.floor(along / STRETCH_M), return_counts=True)
             for at, times in zip(stretch.tolist(), count.tolist(), strict=True):
@@ -91,14 +85,13 @@ def _beams(outputs: Mapping[str, Path]) -> list[str]:
 
 def _groups(outputs: Mapping[str, Path], beam: str) -> Iterator[dict[str, dict[str, NDArray[Any]]]]:
     """Rows of a beam by method, a row group at a time: all tables are in the order of the file."""
-    with reading(outputs[next(iter(outputs))] / "photons" / beam) as file:
-        groups = file.num_row_groups
-    for group in range(groups):
-        part = {}
-        for method, output in outputs.items():
-            with reading(output / "photons" / beam) as file:
-                part[method] = read_groups(file, _COLUMNS, [group])
-        yield part
+    with ExitStack() as stack:
+        files = {
+            method: stack.enter_context(reading(output / "photons" / beam))
+            for method, output in outputs.items()
+        }
+        for group in range(next(iter(files.values())).num_row_groups):
+            yield {method: read_groups(file, _COLUMNS, [group]) for method, file in files.items()}
 
 
 def _signal(part: Mapping[str, Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[np.bool_]]:
@@ -149,25 +142,12 @@ class TrackComparison(Compared):
     methods: tuple[TrackMethod, ...] = Field(description="In the order asked for.")
 
 
-def write(out: Path, report: TrackComparison, disputed: Disputed | None) -> None:
-    """Write ``compare.json`` and ``compare.html`` into a folder.
-
-    Parameters
-    ----------
-    disputed : Disputed or None
-        Where the methods disagree about most photons.
-    """
-    pictures = [_picture(disputed)]
-    write_comparison(out, report, "compare_tracks.html.j2", __package__, pictures)
-
-
 def _picture(disputed: Disputed | None) -> Picture:
     title = "Where the methods disagree most"
     if disputed is None:
         return Picture(title, "The methods agree on every photon.")
-    caption = f"{disputed.beam}."
     with style.type_context():
-        return style.picture(_draw(disputed), title, caption)
+        return style.picture(_draw(disputed), title, f"{disputed.beam}.")
 
 
 def _draw(disputed: Disputed) -> Figure:
@@ -203,44 +183,32 @@ def _keys(method: str, settings: TrackWorkflow) -> list[str] | None:
 
 def _write(output: Path, reports: Mapping[str, TrackReport]) -> TrackComparison:
     """Gather the table and the picture, and write them."""
-    folders = {method: output / folder_of(method) for method in reports}
-    found = contrast(folders)
-    done = {method: recalled(folder)[0] for method, folder in folders.items()}
-    results = tuple(
-        _result(method, report, done[method], found.kept_only[method], found.removed_only[method])
-        for method, report in reports.items()
-    )
+    found = contrast({method: output / folder_of(method) for method in reports})
+    results = tuple(_result(output, *named, found) for named in reports.items())
     first = next(iter(reports.values()))
     report = TrackComparison(name=first.name, version=first.provenance.version, methods=results)
-    write(output, report, found.disputed)
+    pictures = [_picture(found.disputed)]
+    write_comparison(output, report, "compare_tracks.html.j2", __package__, pictures)
     return report
 
 
-def _result(
-    method: str,
-    report: TrackReport,
-    done: Mapping[str, Any],
-    kept_only: int,
-    removed_only: int,
-) -> TrackMethod:
-    labels = [
-        receipt.facts["labels"]["ours"]
-        for receipt in done.get("compare", {}).values()
-        if receipt.facts.get("labels")
-    ]
-    sums = {key: sum(one[key] for one in labels) for key in labels[0]} if labels else None
+def _result(output: Path, method: str, report: TrackReport, found: Contrast) -> TrackMethod:
+    done, *_ = recalled(output / folder_of(method))
+    labels = Counter[str]()
+    for receipt in done.get("compare", {}).values():
+        labels.update(receipt.facts.get("labels", {}).get("ours", {}))
     photons = report.counts.points_in
-    told = [b.false_signal for b in report.beams if b.false_signal is not None]
+    expected = [b.false_signal for b in report.beams if b.false_signal is not None]
     return TrackMethod(
         name=method,
         title=METHOD_NAMES[method],
         folder=folder_of(method),
         photons=photons,
         signal=report.counts.signal,
-        false_signal=sum(told) if told else None,
-        kept_only=kept_only,
-        removed_only=removed_only,
-        labels=agreement(**sums) if sums else None,
+        false_signal=sum(expected) if expected else None,
+        kept_only=found.kept_only[method],
+        removed_only=found.removed_only[method],
+        labels=agreement(**labels) if labels else None,
         ground=report.ground,
         signal_s_per_million=per_million(report.performance, "signal", photons),
         failures=len(report.failures),

@@ -138,37 +138,29 @@ def _column(x, z, rows, place, span, near):  # type: ignore[no-untyped-def]
     return found
 
 
-def leaning(
-    x_m: NDArray[np.float64], z_m: NDArray[np.float64], first: NDArray[np.int64], cell_m: float
-) -> NDArray[np.int8]:
+@njit()
+def leaning(x, z, first, cell_m):  # type: ignore[no-untyped-def]
     """Slope of each layer of each cell, as row of :data:`SLOPES`: (cells, layers) int8.
 
     That in which most pairs of photons share a height: one steeper than level needs more of them.
-    ``x_m``, ``z_m``: photons in order along the track, heights from the lowest layer's foot [m];
+    ``x``, ``z``: photons in order along the track, heights from the lowest layer's foot [m];
     ``first``: (cells + 1,), first photon of each cell.
     """
-    layers = int(z_m.max(initial=0.0) // LAYER_M) + 1
-    out = np.zeros((len(first) - 1, layers), np.int8)
-    _leaning(x_m, z_m, first, cell_m, SLOPES, out)
-    return out
-
-
-@njit()
-def _leaning(x, z, first, cell_m, slopes, out):  # type: ignore[no-untyped-def]
-    cells, layers = out.shape
+    cells, layers = len(first) - 1, int(z.max() // LAYER_M) + 1
+    out = np.zeros((cells, layers), np.int8)
     room = np.int64(np.ceil(cell_m * (_CELLS + 1) / _BIN_M)) + 1
     counts = np.zeros(np.int64(layers * LAYER_M / _BIN_M) + 2 * room + 2, np.int64)
     layer = np.empty(len(counts), np.int64)
     for b in range(len(counts)):
-        layer[b] = min(max(np.int64((b - room + 0.5) * _BIN_M / LAYER_M), 0), layers - 1)
+        layer[b] = np.int64(min(max((b - room + 0.5) * _BIN_M / LAYER_M, 0.0), layers - 1.0))
     best = np.empty(layers)
     pairs = np.empty(layers)
     for c in range(cells):
         begin, end = first[max(c - _CELLS, 0)], first[min(c + _CELLS + 1, cells)]
         middle = (c + 0.5) * cell_m
-        for s in range(len(slopes)):
+        for s in range(len(SLOPES)):
             for i in range(begin, end):
-                counts[np.int64((z[i] - slopes[s] * (x[i] - middle)) / _BIN_M + room)] += 1
+                counts[np.int64((z[i] - SLOPES[s] * (x[i] - middle)) / _BIN_M + room)] += 1
             pairs[:] = 0.0
             for b in range(len(counts)):
                 pairs[layer[b]] += counts[b] * (counts[b] - 1) // 2
@@ -179,3 +171,4 @@ def _leaning(x, z, first, cell_m, slopes, out):  # type: ignore[no-untyped-def]
                 elif pairs[i] > best[i]:
                     best[i] = pairs[i]
                     out[c, i] = s
+    return out

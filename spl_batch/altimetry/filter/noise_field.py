@@ -6,7 +6,6 @@ the track around, nearer by nearer, times how much more or less lies at a height
 believed as far as it has photons (a gamma prior of the step before).
 """
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -25,8 +24,8 @@ heights where that is more: by day there are dozens [count]."""
 _GATE_PHOTONS: Final = 30
 """Such photons that show how far a gate reaches [count]."""
 
-_REACHES: Final = (0, 1, 2, 4, 8, 16, 32, 64)
-"""Cells to each side that are asked for a gate, until enough is seen [count]."""
+_REACHES: Final = (64, 32, 16, 8, 4, 2, 1, 0)
+"""Cells to each side that are asked for a gate: the fewest in which enough is seen [count]."""
 
 _GATE_LEAST_M: Final = 4.0
 _PLACES: Final = (50, 15, 5)
@@ -39,43 +38,37 @@ _PROFILE_BOXES: Final = 10
 _BELIEF: Final = 10.0
 """Photons that the step before is worth [count]."""
 
-_START_BOXES: Final = 5
-"""Boxes whose photons are counted together before anything is known [count]."""
 
+def gate(
+    cell: NDArray[np.int64], z_m: NDArray[np.float64], cells: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lower and upper end of the heights that each cell records, (c,) each [m].
 
-@dataclass(frozen=True, slots=True)
-class Gate:
-    """Heights that each cell of a window records."""
-
-    low_m: NDArray[np.float64]  #: (c,): lower end.
-    high_m: NDArray[np.float64]  #: (c,): upper end.
-
-
-def gate(cell: NDArray[np.int64], z_m: NDArray[np.float64], cells: int) -> Gate:
-    """Gates of cells as far as photons around show them; ``cell``: of each photon, from 0."""
+    As far as photons around show them; ``cell``: of each photon, from 0.
+    """
     low, high = np.full(cells, np.inf), np.full(cells, -np.inf)
     np.minimum.at(low, cell, z_m)
     np.maximum.at(high, cell, z_m)
-    ends = [
-        (
-            ndimage.minimum_filter1d(low, 2 * reach + 1, mode="nearest"),
-            ndimage.maximum_filter1d(high, 2 * reach + 1, mode="nearest"),
-        )
-        for reach in _REACHES
-    ]
+
+    def ends(reach: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        size = 2 * reach + 1
+        lowest: NDArray[np.float64] = ndimage.minimum_filter1d(low, size, mode="nearest")
+        return lowest, ndimage.maximum_filter1d(high, size, mode="nearest")
+
+    widest, *narrower = _REACHES
+    low_m, high_m = ends(widest)
     key = cell * (1 << 32) + np.floor(z_m / 5.0).astype(np.int64)
     _, inverse, times = np.unique(key, return_inverse=True, return_counts=True)
-    mean = 5.0 * np.bincount(cell)[cell] / np.maximum(ends[-1][1] - ends[-1][0], 5.0)[cell]
+    mean = 5.0 * np.bincount(cell)[cell] / np.maximum(high_m - low_m, 5.0)[cell]
     lone = np.bincount(cell, times[inverse] <= np.maximum(_LONE, mean), cells).astype(np.float64)
-    low_m, high_m = np.full(cells, np.nan), np.full(cells, np.nan)
-    for reach, (lowest, highest) in zip(_REACHES, ends, strict=True):
-        seen = around(lone, reach)
-        mine = np.isnan(low_m) & ((seen >= _GATE_PHOTONS) | (reach == _REACHES[-1]))
-        low_m[mine], high_m[mine] = lowest[mine], highest[mine]
+    for reach in narrower:
+        seen = around(lone, reach) >= _GATE_PHOTONS
+        lowest, highest = ends(reach)
+        low_m, high_m = np.where(seen, lowest, low_m), np.where(seen, highest, high_m)
     # Far from any photon there is no gate to speak of.
     low_m = np.where(np.isfinite(low_m), low_m, 0.0)
     high_m = np.where(np.isfinite(high_m), high_m, 0.0)
-    return Gate(low_m, np.maximum(high_m, low_m + _GATE_LEAST_M))
+    return low_m, np.maximum(high_m, low_m + _GATE_LEAST_M)
 
 
 def around(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
@@ -105,27 +98,6 @@ class Boxes:
         """Sums by box, (cells, heights) float64."""
         size = self.shape[0] * self.shape[1]
         return np.bincount(box, weight, size).astype(np.float64).reshape(self.shape)
-
-
-def first_density(counts: NDArray[np.float64], area_m2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Noise before anything is known: the median by height, one for all heights of a cell.
-
-    ``counts``, ``area_m2``: (cells, heights), photons and area of each box.
-    """
-    some = _START_BOXES if counts.shape[1] >= _START_BOXES else 1
-    whole = counts.shape[1] // some * some
-    seen, area = (
-        _sums(values, _PLACES[0], 0)[:, :whole].reshape(len(values), -1, some).sum(axis=2)
-        for values in (counts, area_m2)
-    )
-    most = area.max(axis=1, keepdims=True)
-    inside = area > 0.3 * most
-    each = np.where(inside, seen / np.maximum(area, 1e-9), np.inf)
-    middle = np.maximum(inside.sum(axis=1) - 1, 0) // 2
-    found = np.sort(each, axis=1)[np.arange(len(each)), middle]
-    found = np.where(np.isfinite(found), found, 0.0)
-    least = 1.0 / np.maximum(most[:, 0], 1.0)
-    return np.repeat(np.maximum(found, least)[:, None], counts.shape[1], axis=1)
 
 
 def density(

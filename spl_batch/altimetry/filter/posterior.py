@@ -16,7 +16,7 @@ with Q the regularised upper incomplete gamma function, which is the chance of f
 noise photons within x.
 
 A neighbour that is not found within the reach is censored: its likelihood is the chance
-that it lies beyond, P_k(X > x) = Q(k, x) for noise, and its mean over c for signal.
+that it lies beyond, P_k(X > x) = Q(k, x) for noise, and the integral of its density for signal.
 """
 
 from functools import lru_cache
@@ -24,15 +24,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import integrate, interpolate, special
+from scipy import integrate, special
 
 from spl_batch.numerics.compiled import njit
 
 _FIRST: Final = float(np.log(1e-7))
 _LAST: Final = float(np.log(100.0))
 _COLUMNS: Final = 1024
-_STEPS: Final = 200
-"""Steps of the mean over contrasts [count]."""
 
 
 class Ratios(NamedTuple):
@@ -45,49 +43,25 @@ class Ratios(NamedTuple):
     step: float  #: Columns per unit of ln x.
 
 
-def _log_share(k: int, x: NDArray[np.float64], contrast_max: float) -> NDArray[np.float64]:
-    """Logarithm of [Q(k, x) - Q(k, C x)], from the tail in which it does not cancel."""
-    upper = special.gammaincc(k, x) - special.gammaincc(k, contrast_max * x)
-    lower = special.gammainc(k, contrast_max * x) - special.gammainc(k, x)
-    share = np.where(x < k, lower, upper)
-    log: NDArray[np.float64] = np.log(np.maximum(share, np.finfo(np.float64).tiny))
-    return log
-
-
 @lru_cache(maxsize=8)
 def ratios(neighbours: int, contrast_max: float) -> Ratios:
     """Tables for :func:`noise_posterior`; ``contrast_max``: C, largest signal over noise."""
     log_x = np.linspace(_FIRST, _LAST, _COLUMNS)
-    x = np.exp(log_x)
-    within = np.empty((neighbours, _COLUMNS))
-    for row in range(neighbours):
-        log_noise = row * log_x - x - special.gammaln(row + 1)
-        log_signal = _log_share(row + 1, x, contrast_max) - log_x - np.log(np.log(contrast_max))
-        within[row] = log_signal - log_noise
-    beyond = _beyond(neighbours, contrast_max, log_x)
+    x, step = np.exp(log_x), log_x[1] - log_x[0]
+    tiny, log_c = np.finfo(np.float64).tiny, np.log(contrast_max)
+    within, beyond = np.empty((2, neighbours, _COLUMNS))
+    for k in range(1, neighbours + 1):
+        # From the tail in which the difference does not cancel.
+        upper = special.gammaincc(k, x) - special.gammaincc(k, contrast_max * x)
+        lower = special.gammainc(k, contrast_max * x) - special.gammainc(k, x)
+        share = np.maximum(np.where(x < k, lower, upper), tiny)
+        log_noise = (k - 1) * log_x - x - special.gammaln(k)
+        within[k - 1] = np.log(share / log_c) - log_x - log_noise
+        # Its integral over ln x from x on; past the last column it falls by e in 1 / x.
+        left = integrate.cumulative_simpson(share[::-1], dx=step, initial=share[-1] / x[-1])[::-1]
+        beyond[k - 1] = np.log(np.maximum(left / log_c, tiny))
+        beyond[k - 1] -= np.log(np.maximum(special.gammaincc(k, x), tiny))
     return Ratios(within, beyond, _FIRST, (_COLUMNS - 1) / (_LAST - _FIRST))
-
-
-def _beyond(
-    neighbours: int, contrast_max: float, log_x: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Logarithm of P(X > x | signal) / P(X > x | noise), (K, m) float64.
-
-    It is smooth in ln x: every eighth value is integrated, a spline gives the others.
-    """
-    # Closest near a contrast of 1, where the chance falls fastest.
-    log_c = np.log(contrast_max) * np.linspace(0.0, 1.0, _STEPS) ** 2
-    knots = np.linspace(log_x[0], log_x[-1], len(log_x) // 8)
-    x = np.exp(knots)
-    tiny = np.finfo(np.float64).tiny
-    rows = np.empty((neighbours, len(log_x)))
-    for row in range(neighbours):
-        chance = special.gammaincc(row + 1, np.exp(log_c[:, None] + knots))
-        mean = integrate.trapezoid(chance, log_c, axis=0) / np.log(contrast_max)
-        noise = special.gammaincc(row + 1, x)
-        ratio = np.log(np.maximum(mean, tiny)) - np.log(np.maximum(noise, tiny))
-        rows[row] = interpolate.CubicSpline(knots, ratio)(log_x)
-    return rows
 
 
 def with_prior(table: Ratios, log_prior: float) -> Ratios:

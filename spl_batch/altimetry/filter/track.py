@@ -1,14 +1,12 @@
 """Labels of a stretch of track, window by window: pure functions of photons and their margin.
 
-Filters of [W17] as published, on a window and its margin for a channel.
-
+Beside ours there are the filters of [W17] as published, on a window and its margin for a channel.
 mDBSCAN [W17 3.1.2] takes photons in the ellipse of one whose own holds four times what ellipses at
 random places of the gate hold in the mean. The posterior [W17 4.1] is that of circles on an axis
 stretched by the noise rate, and the n_s photons least like noise are signal, n_s being all photons
 less the noise expected. Both take the noise rate from ours, the source from its product.
 """
 
-from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +16,7 @@ from scipy.spatial import cKDTree
 from spl_batch.altimetry.filter.neighbours import columns, log_areas
 from spl_batch.altimetry.filter.posterior import noise_posterior, ratios, with_prior
 from spl_batch.altimetry.filter.window import Assessed, assess
-from spl_batch.altimetry.photon_table import LABELS, PHOTONS
+from spl_batch.altimetry.photon_table import LABELS, PHOTONS, joined
 from spl_batch.altimetry.settings import BaselineSettings, SignalSettings, TrackWorkflow
 from spl_batch.altimetry.water.surface import NO_WATER
 from spl_batch.constants import QUANTA_PER_M
@@ -141,45 +139,21 @@ def label(
 ) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
     """Columns as of :data:`COLUMNS` and :data:`CELLS` of the photons and cells of a span.
 
-    Parameters
-    ----------
-    along, height : (n,) int64, (n,) int32
-        Photons in order along the track, of the span and of :data:`MARGIN_M` to each side [quanta].
-    span : (int, int)
-        Ends of the span: whole windows [quanta].
-    settings : TrackWorkflow
-        Cells, method, profile.
+    ``along``, ``height``: (n,), photons in order along the track, of the span and of
+    :data:`MARGIN_M` to each side [quanta]; ``span``: its ends, whole windows [quanta].
     """
-    photons: list[dict[str, NDArray[Any]]] = [
-        {name: np.empty(0, dtype) for name, dtype in COLUMNS.items()}
-    ]
-    cells: list[dict[str, NDArray[Any]]] = [
-        {name: np.empty(0, dtype) for name, dtype in CELLS.items()}
-    ]
-    window, size = window_quanta(settings), quanta(settings.rate.cell_m)
-    for number, mine, some in _windows(along, span, window):
-        found, known = _window(along[some], height[some], settings)
-        inside = slice(mine.start - some.start, mine.stop - some.start)
-        photons.append({name: found[name][inside] for name in COLUMNS})
-        own = (known.index * size // window == number) & (known.gate_m > 0.0)
-        cells.append({name: getattr(known, name)[own] for name in CELLS})
-    return tuple(  # type: ignore[return-value]
-        {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        for parts in (photons, cells)
-    )
-
-
-def _windows(
-    along: NDArray[np.int64], span: tuple[int, int], window: int
-) -> Iterator[tuple[int, slice, slice]]:
-    """Number of each window that holds photons, its rows, and those with its margin."""
-    margin = quanta(MARGIN_M)
+    photons, cells = [], []
+    window, size, margin = window_quanta(settings), quanta(settings.rate.cell_m), quanta(MARGIN_M)
     low, high = np.searchsorted(along, span)
     for number in np.unique(along[low:high] // window).tolist():
-        ends = number * window, (number + 1) * window
-        mine = np.searchsorted(along, ends)
-        some = np.searchsorted(along, (ends[0] - margin, ends[1] + margin))
-        yield number, slice(*mine.tolist()), slice(*some.tolist())
+        start, stop = number * window, (number + 1) * window
+        first, end = np.searchsorted(along, (start - margin, stop + margin))
+        found, known = _window(along[first:end], height[first:end], settings)
+        mine = slice(*(np.searchsorted(along, (start, stop)) - first).tolist())
+        photons.append({name: found[name][mine] for name in COLUMNS})
+        own = (known.index * size // window == number) & (known.gate_m > 0.0)
+        cells.append({name: getattr(known, name)[own] for name in CELLS})
+    return joined(photons, COLUMNS), joined(cells, CELLS)
 
 
 def _window(
@@ -200,7 +174,8 @@ def _window(
         ground = kept
     elif signal.method == "mdbscan":
         kept = ground = baseline
-        score = np.where(kept, _SURE, np.float32(0.0))
+        # As sure as a method without scores can say.
+        score = np.where(kept, np.float32(-30.0), np.float32(0.0))
     return {
         "score": score,
         "signal": kept.astype(np.uint8),
@@ -208,7 +183,3 @@ def _window(
         "level": level[known.cell].astype(np.int32),
         "baseline": baseline.astype(np.uint8),
     }, known
-
-
-_SURE: Final = np.float32(-30.0)
-"""Score of what a method without scores calls signal."""

@@ -17,7 +17,7 @@ Quasirandom Sequences*, 2018), numbered by cell. A window is a function of its p
 its margin alone, so no cut of the track can change it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -26,20 +26,22 @@ from numpy.typing import NDArray
 from spl_batch.altimetry.filter.neighbours import (
     LAYER_M,
     SLOPES,
-    Columns,
     columns,
     leaning,
     log_areas,
 )
-from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, first_density, gate
+from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, gate
 from spl_batch.altimetry.filter.posterior import Ratios, noise_posterior, ratios, with_prior
-from spl_batch.altimetry.settings import Shape, SignalSettings
+from spl_batch.altimetry.settings import SignalSettings
 from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M, water_levels
 from spl_batch.constants import QUANTA_PER_M
 
 _ROUNDS: Final = 8
 _AGREED: Final = 0.005
 """Rounds at most; change of the noise that ends them sooner, as a share of it."""
+_FIRST: Final = 0.3
+"""Share of all photons that is noise before anything is known."""
+
 _SURE_NOISE: Final = 0.8
 """Share of the noise whose scores are lowest: photons below are noise for its density."""
 
@@ -76,28 +78,15 @@ class Assessed:
     false: NDArray[np.float64]  #: (c,): those of them expected among the signal [count].
 
 
-@dataclass(frozen=True, slots=True)
-class _Places:
+class _Places(NamedTuple):
     """Photons, or places where one may be."""
 
-    x_m: NDArray[np.float64]
-    z_m: NDArray[np.float64]
     box: NDArray[np.int64]
     slope: NDArray[np.float64]
     area_m2: NDArray[np.float64]  #: Area that each stands for; empty for photons.
 
 
-class _Seen(NamedTuple):
-    """Neighbours of photons and places by one shape."""
-
-    near: NDArray[np.float64]  #: (n, K): logarithms of areas, of photons.
-    empty: NDArray[np.float64]  #: (q, K): of places.
-    reach_m2: float  #: Area within the reach.
-    table: Ratios
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
+class _Found(NamedTuple):
     """What one shape of neighbourhood finds."""
 
     score: NDArray[np.float64]
@@ -105,6 +94,56 @@ class _Found:
     other: NDArray[np.float64]  #: The same of each place.
     field: NDArray[np.float64]  #: (cells, heights): noise density [1/m2].
     each: NDArray[np.float64]  #: Noise photons that each place stands for.
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Neighbours by one shape."""
+
+    photons: _Places
+    places: _Places
+    boxes: Boxes  #: What noise is counted in.
+    near: NDArray[np.float64]  #: (n, K): logarithms of areas, of photons.
+    empty: NDArray[np.float64]  #: (q, K): of places.
+    reach_m2: float  #: Area within the reach.
+    table: Ratios
+
+    def agreed(self, field: NDArray[np.float64], surface: NDArray[np.int64]) -> _Found:
+        """Scores and noise, repeated from a first field until they agree."""
+        total = 0.0
+        for turn in range(_ROUNDS):
+            here, there = (field.reshape(-1)[side.box] for side in (self.photons, self.places))
+            each = there * self.places.area_m2
+            part = np.clip(each.sum() / len(here), *_NOISE_SHARE)
+            table = with_prior(self.table, float(np.log((1.0 - part) / part)))
+            score = noise_posterior(self.near, self.reach_m2, here, table)
+            other = noise_posterior(self.empty, self.reach_m2, there, table)
+            above, beside = (
+                np.clip(np.log(np.maximum(-values, 1e-9)), _BINS[0], _BINS[-2])
+                for values in (score, other)
+            )
+            found = _Found(score, above, beside, field, each)
+            total, before = float(each.sum()), total
+            if abs(total - before) <= _AGREED * total:
+                break
+            if turn < _ROUNDS - 1:
+                field = density(*self._unexplained(found), surface)
+        return found
+
+    def _unexplained(self, found: _Found) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Photons that are noise, and the area where one would be, (cells, heights) each [m2]."""
+        # The score below which most of the noise lies.
+        count = np.cumsum(np.histogram(found.other, _BINS, weights=found.each)[0])
+        sure = _BINS[1 + np.searchsorted(count, _SURE_NOISE * count[-1])]
+        low, empty = found.above < sure, found.other < sure
+        area_m2 = self.boxes.table(self.places.box[empty], self.places.area_m2[empty])
+        return self.boxes.table(self.photons.box[low]), area_m2
+
+    def below_water(self, field: NDArray[np.float64], surface: NDArray[np.int64]) -> _Found:
+        """The same with noise of its own below water, which falls with depth."""
+        found = self.agreed(field, surface)
+        field = below_water(found.field, *self._unexplained(found), surface)
+        return found._replace(each=field.reshape(-1)[self.places.box] * self.places.area_m2)
 
 
 def assess(
@@ -125,7 +164,7 @@ def assess(
     cells = int(along[-1]) // size - start + 1
     cell = along // size - start
     x_m, z_m = (along - start * size) / QUANTA_PER_M, height / QUANTA_PER_M
-    shown = gate(cell, z_m, cells)
+    low_m, high_m = gate(cell, z_m, cells)
     boxes = Boxes(z_m, cells)
     lean = leaning(x_m, z_m - boxes.low_m, np.searchsorted(cell, np.arange(cells + 1)), cell_m)
 
@@ -134,21 +173,23 @@ def assess(
         found: NDArray[np.float64] = SLOPES[lean[cell, np.clip(layer, 0, lean.shape[1] - 1)]]
         return found
 
-    photons = _Places(x_m, z_m, boxes.of(cell, z_m), slopes(cell, z_m), np.empty(0))
+    photons = _Places(boxes.of(cell, z_m), slopes(cell, z_m), np.empty(0))
     count = np.bincount(cell, minlength=cells)
-    at, part = _strewn(start, count)
-    place_x = (at + part[0]) * cell_m
-    gate_m = shown.high_m - shown.low_m
     # Cells without photons may lie beyond the beam's ends, and between its pieces.
-    gate_m = np.where(count > 0, gate_m, 0.0)
-    place_z = shown.low_m[at] + part[1] * (shown.high_m - shown.low_m)[at]
-    share = (gate_m * cell_m / np.maximum(np.bincount(at, minlength=cells), 1))[at]
-    places = _Places(place_x, place_z, boxes.of(at, place_z), slopes(at, place_z), share)
-    known = columns(photons.x_m, photons.z_m)
-    seen = [_seen(known, photons, places, shape, settings) for shape in settings.shapes]
-    field = first_density(boxes.table(photons.box), boxes.table(places.box, share))
+    gate_m = np.where(count > 0, high_m - low_m, 0.0)
+    at, place_x, place_z, share = _strewn(start, count, low_m, gate_m, cell_m)
+    places = _Places(boxes.of(at, place_z), slopes(at, place_z), share)
+    known, seen = columns(x_m, z_m), []
+    for form in settings.shapes:
+        shape = form.neighbours, form.aspect, settings.reach_m
+        near = log_areas(known, (x_m, z_m), photons.slope, shape, own=True)
+        empty = log_areas(known, (place_x, place_z), places.slope, shape, own=False)
+        table = ratios(form.neighbours, settings.contrast_max)
+        reach_m2 = np.pi * settings.reach_m**2 / form.aspect
+        seen.append(_Seen(photons, places, boxes, near, empty, reach_m2, table))
     dry = np.full(cells, -1)
-    tried = [_agreed(one, photons, places, boxes, field, dry) for one in seen]
+    field = _FIRST * density(boxes.table(photons.box), boxes.table(places.box, share), dry)
+    tried = [one.agreed(field, dry) for one in seen]
     every = np.ones(len(x_m), np.bool_), np.ones(len(at), np.bool_)
     best = _best(tried, *every, photons_factor)
     kept = best.found.above >= best.least
@@ -159,18 +200,16 @@ def assess(
         row = boxes.of(np.zeros(cells, np.int64), level / QUANTA_PER_M)
         surface = np.where(level != NO_WATER, row, -1)
         tried = [
-            _below_water(one, photons, places, boxes, before.field, surface)
-            for one, before in zip(seen, tried, strict=True)
+            one.below_water(before.field, surface) for one, before in zip(seen, tried, strict=True)
         ]
-        deep = [
+        mine, there = (
             (level[c] != NO_WATER) & (z < level[c] / QUANTA_PER_M - SURFACE_M)
             for c, z in ((cell, z_m), (at, place_z))
-        ]
-        best = _best(tried, deep[0], deep[1], photons_factor)
-        floor = int(np.count_nonzero(best.found.above[deep[0]] >= best.least))
-        noise = best.found.each[deep[1] & (best.found.other >= best.least)].sum()
-        if stands_out(floor, noise):
-            groups = [(deep[0], deep[1]), (~deep[0], ~deep[1])]
+        )
+        best = _best(tried, mine, there, photons_factor)
+        floor = int(np.count_nonzero(best.found.above[mine] >= best.least))
+        if stands_out(floor, best.found.each[there & (best.found.other >= best.least)].sum()):
+            groups = [(mine, there), (~mine, ~there)]
     score, signal, ground = (np.empty(len(x_m), dtype) for dtype in (np.float32, bool, bool))
     each, passed = np.empty(len(at)), np.empty(len(at), np.bool_)
     for mine, there in groups:
@@ -199,9 +238,13 @@ def stands_out(kept: int, noise: float) -> bool:
 
 
 def _strewn(
-    start: int, count: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Cell of each place, and where it lies in cell and gate, 0..1."""
+    start: int,
+    count: NDArray[np.int64],
+    low_m: NDArray[np.float64],
+    gate_m: NDArray[np.float64],
+    cell_m: float,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Cell of each place, where it lies along the track and in height [m], and its area [m2]."""
     many = np.clip(count // _PHOTONS_PER_PLACE, _LEAST_PLACES, _MOST_PLACES)
     many = np.where(count > 0, many, 0)
     cell = np.repeat(np.arange(len(count)), many)
@@ -209,75 +252,8 @@ def _strewn(
     # Unsigned products wrap around: the sequence modulo 1, to 2^-32.
     number = ((start + cell) * _MOST_PLACES + inside).astype(np.uint64)
     along, up = (((number * step) >> _HALF) / 2.0**32 for step in _STEPS)
-    return cell, (along, up)
-
-
-def _seen(
-    known: Columns, photons: _Places, places: _Places, form: Shape, settings: SignalSettings
-) -> _Seen:
-    """Neighbours of photons and places in ellipses of one shape."""
-    shape = form.neighbours, form.aspect, settings.reach_m
-    return _Seen(
-        log_areas(known, (photons.x_m, photons.z_m), photons.slope, shape, own=True),
-        log_areas(known, (places.x_m, places.z_m), places.slope, shape, own=False),
-        np.pi * settings.reach_m**2 / form.aspect,
-        ratios(form.neighbours, settings.contrast_max),
-    )
-
-
-def _agreed(
-    seen: _Seen,
-    photons: _Places,
-    places: _Places,
-    boxes: Boxes,
-    field: NDArray[np.float64],
-    surface: NDArray[np.int64],
-) -> _Found:
-    """Scores and noise by one shape, repeated from a first field until they agree."""
-    total = 0.0
-    for turn in range(_ROUNDS):
-        here, there = field.reshape(-1)[photons.box], field.reshape(-1)[places.box]
-        each = there * places.area_m2
-        part = np.clip(each.sum() / len(photons.x_m), *_NOISE_SHARE)
-        table = with_prior(seen.table, float(np.log((1.0 - part) / part)))
-        score = noise_posterior(seen.near, seen.reach_m2, here, table)
-        above, other = (
-            np.clip(np.log(np.maximum(-values, 1e-9)), _BINS[0], _BINS[-2])
-            for values in (
-                score,
-                noise_posterior(seen.empty, seen.reach_m2, there, table),
-            )
-        )
-        found = _Found(score, above, other, field, each)
-        total, before = float(each.sum()), total
-        if abs(total - before) <= _AGREED * total:
-            break
-        if turn < _ROUNDS - 1:
-            field = density(*_unexplained(found, photons, places, boxes), surface)
-    return found
-
-
-def _unexplained(
-    found: _Found, photons: _Places, places: _Places, boxes: Boxes
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Photons that are noise, and the area where a photon would be, (cells, heights) each [m2]."""
-    sure = _quantile(found.other, found.each)
-    low, empty = found.above < sure, found.other < sure
-    return boxes.table(photons.box[low]), boxes.table(places.box[empty], places.area_m2[empty])
-
-
-def _below_water(
-    seen: _Seen,
-    photons: _Places,
-    places: _Places,
-    boxes: Boxes,
-    field: NDArray[np.float64],
-    surface: NDArray[np.int64],
-) -> _Found:
-    """The same with noise of its own below water, which falls with depth where it is counted."""
-    found = _agreed(seen, photons, places, boxes, field, surface)
-    field = below_water(found.field, *_unexplained(found, photons, places, boxes), surface)
-    return replace(found, each=field.reshape(-1)[places.box] * places.area_m2)
+    area_m2 = gate_m * cell_m / np.maximum(many, 1)
+    return cell, (cell + along) * cell_m, low_m[cell] + up * gate_m[cell], area_m2[cell]
 
 
 class _Best(NamedTuple):
@@ -304,12 +280,6 @@ def _best(
         for one in tried
     ]
     return max(each, key=lambda one: one.f1)
-
-
-def _quantile(score: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
-    """Score below which :data:`_SURE_NOISE` of the noise lies."""
-    total = np.cumsum(np.histogram(score, _BINS, weights=weight)[0])
-    return float(_BINS[1 + np.searchsorted(total, _SURE_NOISE * total[-1])])
 
 
 def _threshold(

@@ -6,10 +6,9 @@ for their first five characters; a clip's may have any, so files are tried in tu
 numbered anew on each track, so the time has to agree as well.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple, TypeVar
 
 import h5py
 import numpy as np
@@ -21,9 +20,11 @@ from spl_batch.errors import InputError
 from spl_batch.formats.hdf5 import SIGNATURE, open_hdf5
 from spl_batch.formats.las.header import open_input
 
+T = TypeVar("T")
+
 _PHOTON: Final = ("classed_pc_flag", "classed_pc_indx", "ph_segment_id", "delta_time")
 
-_SEGMENT: Final = ("segment_id", "segment_ph_cnt", "delta_time", "segment_dist_x")
+_SEGMENT: Final = ("segment_id", "delta_time", "segment_dist_x")
 
 _LAND: Final = ("segment_id_beg", "delta_time")
 
@@ -40,58 +41,31 @@ SLICE_PHOTONS: Final = 262_144
 """Photons of an ATL08 file that are read at once [count]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Segments:
-    """Segments of an ATL03 beam: their numbers, times [s], photons and first photons."""
+class Segments(NamedTuple):
+    """Segments of an ATL03 beam."""
 
     number: NDArray[np.int64]
     time_s: NDArray[np.float64]
-    count: NDArray[np.int64]
-    start: NDArray[np.int64]
     along_m: NDArray[np.float64]  #: Along-track distance of its start [m].
+    photons: NDArray[np.int64]
+    start: NDArray[np.int64]  #: Its first photon.
+
+    def find(self, number: NDArray[Any], time_s: Any) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Segment of each number, and whether it is that one, by its number and its time [s]."""
+        at = np.minimum(np.searchsorted(self.number, number), len(self.number) - 1)
+        same = np.abs(time_s - self.time_s[at]) < _SAME_TIME_S
+        return at, (self.number[at] == number) & same
 
 
-@dataclass(frozen=True, slots=True)
-class Slice:
-    """Consecutive photons of an ATL08 file, and the ATL03 photons among which they lie."""
+class PhotonClasses(NamedTuple):
+    """What an ATL08 file has of the photons of an ATL03 beam."""
 
-    at: tuple[int, int]  #: Where in the ATL08 file: first, stop.
-    rows: tuple[int, int]  #: Where in the ATL03 beam, to whole segments: first, stop.
-
-
-@dataclass(frozen=True, slots=True)
-class PhotonClasses:
-    """What an ATL08 file says of the photons of an ATL03 beam, read a stretch at a time."""
-
-    path: Path  #: The ATL08 file.
-    beam: str
-    segments: Segments  #: Of the ATL03 file.
-    slices: tuple[Slice, ...]  #: The parts of the ATL08 file that speak of it.
-
-    @property
-    def rows(self) -> tuple[int, int]:
-        """First photon of the stretch that it classified, and the one after the last."""
-        return min(s.rows[0] for s in self.slices), max(s.rows[1] for s in self.slices)
-
-    def signal(self, first: int, stop: int) -> NDArray[np.bool_]:
-        """Whether each photon ``first <= row < stop`` is ground, canopy or its top to ATL08, (n,).
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read any more.
-        """
-        found = np.zeros(stop - first, np.bool_)
-        wanted = [s for s in self.slices if s.rows[0] < stop and s.rows[1] > first]
-        with open_hdf5(self.path) as file:
-            for part in wanted:
-                segment, row, flag = _located(file, self.beam, part.at, self.segments)
-                row = row[(flag >= 1) & (segment >= 0)]
-                found[row[(row >= first) & (row < stop)] - first] = True
-        return found
+    first: int  #: First photon of the stretch that it classified.
+    #: (n,): whether each photon from there is ground, canopy or its top.
+    signal: NDArray[np.bool_]
 
 
-def find_labels(atl03: Path, files: Iterable[Path], beam: str) -> PhotonClasses | None:
+def find_labels(atl03: Path, files: Sequence[Path], beam: str) -> PhotonClasses | None:
     """Classes of a beam's photons, from the first file that has its segments.
 
     Raises
@@ -99,32 +73,10 @@ def find_labels(atl03: Path, files: Iterable[Path], beam: str) -> PhotonClasses 
     InputError
         If a file cannot be read or lacks what is needed.
     """
-    segments = _segments(atl03, beam)
-    for path in files if len(segments.number) else ():
-        with open_hdf5(path) as file:
-            group = f"{beam}/signal_photons"
-            if group in file:
-                photons = equal_lengths(path, file, group, _PHOTON)
-                slices = tuple(_slices(file, beam, photons, segments))
-                if slices:
-                    return PhotonClasses(path, beam, segments, slices)
-    return None
+    return _first_of(atl03, files, (beam, "signal_photons"), _classes)
 
 
-def _segments(atl03: Path, beam: str) -> Segments:
-    """Segments of a beam of ATL03."""
-    with open_hdf5(atl03) as file:
-        equal_lengths(atl03, file, f"{beam}/geolocation", _SEGMENT)
-        count = segment_photons(atl03, file, beam)
-        number, time_s, along_m = (
-            dataset(atl03, file, f"{beam}/geolocation/{name}")[()]
-            for name in ("segment_id", "delta_time", "segment_dist_x")
-        )
-    start = np.cumsum(count) - count
-    return Segments(number.astype(np.int64), time_s, count, start, along_m.astype(np.float64))
-
-
-def terrain_heights(atl03: Path, files: Iterable[Path], beam: str) -> NDArray[np.float64]:
+def terrain_heights(atl03: Path, files: Sequence[Path], beam: str) -> NDArray[np.float64]:
     """Terrain that ATL08 fits along a beam, (m, 2) float64: along-track distance, height [m].
 
     A height is of a segment of ATL03, some 20 m, and stands at its middle; where a release has
@@ -135,20 +87,67 @@ def terrain_heights(atl03: Path, files: Iterable[Path], beam: str) -> NDArray[np
     InputError
         If a file cannot be read or lacks what is needed.
     """
-    wanted = list(files)
-    if not wanted:
-        return np.empty((0, 2))
+    found = _first_of(atl03, files, (beam, "land_segments"), _fitted)
+    return np.empty((0, 2)) if found is None else found
+
+
+def _first_of(
+    atl03: Path,
+    files: Sequence[Path],
+    wanted: tuple[str, str],
+    read: Callable[[Path, h5py.File, str, Segments], T | None],
+) -> T | None:
+    """What the first file with some of a beam's segments has in a group; None without one."""
+    beam, group = wanted
+    if not files:
+        return None
     segments = _segments(atl03, beam)
-    for path in wanted if len(segments.number) else ():
+    for path in files if len(segments.number) else ():
         with open_hdf5(path) as file:
-            if f"{beam}/land_segments" in file:
-                found = _fitted(path, file, f"{beam}/land_segments", segments)
-                if len(found):
+            if f"{beam}/{group}" in file:
+                found = read(path, file, f"{beam}/{group}", segments)
+                if found is not None:
                     return found
-    return np.empty((0, 2))
+    return None
 
 
-def _fitted(path: Path, file: h5py.File, group: str, segments: Segments) -> NDArray[np.float64]:
+def _segments(atl03: Path, beam: str) -> Segments:
+    """Segments of a beam of ATL03."""
+    with open_hdf5(atl03) as file:
+        equal_lengths(atl03, file, f"{beam}/geolocation", (*_SEGMENT, "segment_ph_cnt"))
+        count = segment_photons(atl03, file, beam)
+        number, time_s, along_m = (
+            dataset(atl03, file, f"{beam}/geolocation/{name}")[()] for name in _SEGMENT
+        )
+    start = np.cumsum(count) - count
+    return Segments(number.astype(np.int64), time_s, along_m.astype(np.float64), count, start)
+
+
+def _classes(path: Path, file: h5py.File, group: str, segments: Segments) -> PhotonClasses | None:
+    """Classes of the photons that lie in these segments."""
+    photons = equal_lengths(path, file, group, _PHOTON)
+    seen, rows = [], [np.empty(0, np.int64)]
+    for first in range(0, photons, SLICE_PHOTONS):
+        flag, index, number, time_s = (
+            file[f"{group}/{name}"][first : first + SLICE_PHOTONS] for name in _PHOTON
+        )
+        at, fits = segments.find(number, time_s)
+        fits &= (index >= 1) & (index <= segments.photons[at])
+        if fits.any():
+            seen += [at[fits].min(), at[fits].max()]
+        signal = fits & (flag >= 1)
+        rows.append(segments.start[at[signal]] + index[signal].astype(np.int64) - 1)
+    if not seen:
+        return None
+    low, last = int(segments.start[min(seen)]), max(seen)
+    signal = np.zeros(int(segments.start[last] + segments.photons[last]) - low, np.bool_)
+    signal[np.concatenate(rows) - low] = True
+    return PhotonClasses(low, signal)
+
+
+def _fitted(
+    path: Path, file: h5py.File, group: str, segments: Segments
+) -> NDArray[np.float64] | None:
     """Heights of a file that lie on these segments, in order of distance."""
     count = equal_lengths(path, file, group, _LAND)
     fine = f"{group}/{_FIT_20M}" in file
@@ -158,13 +157,10 @@ def _fitted(path: Path, file: h5py.File, group: str, segments: Segments) -> NDAr
     height = fit[()].astype(np.float64).reshape(count, -1)
     first, time_s = (file[f"{group}/{name}"][()] for name in _LAND)
     offset = np.arange(height.shape[1]) if fine else np.array([2])
-    number = first.astype(np.int64)[:, None] + offset
-    at = np.minimum(np.searchsorted(segments.number, number), len(segments.number) - 1)
-    fits = (segments.number[at] == number) & finite(height)
-    fits &= np.abs(time_s[:, None] - segments.time_s[at]) < _SAME_TIME_S
+    at, fits = segments.find(first.astype(np.int64)[:, None] + offset, time_s[:, None])
+    fits &= finite(height)
     found = np.column_stack([segments.along_m[at[fits]] + _HALF_SEGMENT_M, height[fits]])
-    ordered: NDArray[np.float64] = found[np.argsort(found[:, 0], kind="stable")]
-    return ordered
+    return found[np.argsort(found[:, 0], kind="stable")] if len(found) else None
 
 
 def no_atl08(path: Path) -> str:
@@ -182,29 +178,3 @@ def no_atl08(path: Path) -> str:
         if any(f"{beam}/signal_photons" in file for beam in BEAMS):
             return ""
         return "atl03" if any(f"{beam}/heights" in file for beam in BEAMS) else "no atl08"
-
-
-def _slices(file: h5py.File, beam: str, photons: int, segments: Segments) -> Iterator[Slice]:
-    """Slices of an ATL08 file with photons of these segments."""
-    for first in range(0, photons, SLICE_PHOTONS):
-        at = (first, min(first + SLICE_PHOTONS, photons))
-        segment, _, _ = _located(file, beam, at, segments)
-        segment = segment[segment >= 0]
-        if len(segment):
-            low, last = segment.min(), segment.max()
-            stop = segments.start[last] + segments.count[last]
-            yield Slice(at, (int(segments.start[low]), int(stop)))
-
-
-def _located(
-    file: h5py.File, beam: str, at: tuple[int, int], segments: Segments
-) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
-    """Segment of each photon of a slice, -1 where it is none of these; its row, and its class."""
-    columns = (file[f"{beam}/signal_photons/{name}"][slice(*at)] for name in _PHOTON)
-    flag, index, number, time_s = columns
-    segment = np.searchsorted(segments.number, number)
-    segment = np.minimum(segment, len(segments.number) - 1)
-    fits = (segments.number[segment] == number) & (index >= 1) & (index <= segments.count[segment])
-    fits &= np.abs(time_s - segments.time_s[segment]) < _SAME_TIME_S
-    row = segments.start[segment] + index.astype(np.int64) - 1
-    return np.where(fits, segment, -1), row, flag

@@ -25,13 +25,7 @@ _CHUNK_BYTES_MAX: Final = 256 << 20
 
 
 def dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
-    """Dataset of this name.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """Dataset of this name, which there has to be."""
     found = file.get(name)
     if not isinstance(found, h5py.Dataset):
         raise InputError(str(path), f"no dataset {name}; is it of the product that it should be?")
@@ -49,13 +43,7 @@ def _check_size(path: Path, name: str, found: h5py.Dataset) -> None:
 
 
 def equal_lengths(path: Path, file: h5py.File, group: str, names: Sequence[str]) -> int:
-    """Length that one-dimensional datasets of a group have in common.
-
-    Raises
-    ------
-    InputError
-        With every dataset that is missing, or of another shape or kind.
-    """
+    """Length that one-dimensional datasets of numbers of a group have in common, if all is well."""
     faults: list[str] = []
     sizes: dict[str, int] = {}
     for name in names:
@@ -87,15 +75,7 @@ def labelled_copy(source: Path, target: Path) -> Iterator[h5py.File]:
 def add_dataset(
     group: h5py.Group, name: str, size: int, fill: float, attributes: Mapping[str, str], dtype: Any
 ) -> h5py.Dataset:
-    """Make a compressed one-dimensional dataset, in place of one of this name.
-
-    Parameters
-    ----------
-    group : h5py.Group
-        Where.
-    fill : float
-        What values are that nothing is written to.
-    """
+    """Make a compressed one-dimensional dataset of ``fill``, in place of one of this name."""
     if name in group:
         del group[name]
     # A dataset of nothing cannot be cut into chunks.

@@ -8,7 +8,7 @@ Along-track distance is time times the mean speed over ground, from the whole se
 the channel's first photon was recorded.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,45 +21,32 @@ from spl_batch.altimetry.formats.hdf5 import equal_lengths, finite
 from spl_batch.altimetry.photon_table import Slice
 from spl_batch.errors import InputError
 from spl_batch.formats.files.atomic import replacing
-from spl_batch.formats.hdf5 import open_hdf5
 
 _PHOTON: Final = ("delta_time", "elev", "latitude", "longitude")
 
 
 def beams(path: Path, file: h5py.File) -> list[tuple[str, int, str]]:
-    """Name, photons and group of each channel.
-
-    Raises
-    ------
-    InputError
-        If there is no channel, or one lacks what is needed.
-    """
-    found = []
-    for name in sorted(file["photon"]):
-        count = equal_lengths(path, file, f"photon/{name}", _PHOTON)
-        found.append((name, count, f"photon/{name}"))
+    """Name, photons and group of each channel, one at least, with all that is needed."""
+    found = [
+        (name, equal_lengths(path, file, f"photon/{name}", _PHOTON), f"photon/{name}")
+        for name in sorted(file["photon"])
+    ]
     if not found:
         raise InputError(str(path), "group photon holds no channel")
     return found
 
 
-def slices(path: Path, beam: str, chunk: int) -> Iterator[Slice]:
-    """Photons of a channel in slices."""
-    with open_hdf5(path) as file:
-        group = file[f"photon/{beam}"]
-        total = len(group["elev"])
-        if not total:
-            return
-        origin, speed = _motion(path, group)
-        for first in range(0, total, chunk):
-            rows = slice(first, min(first + chunk, total))
-            yield Slice(
-                first,
-                (group["delta_time"][rows].astype(np.float64) - origin) * speed,
-                group["elev"][rows].astype(np.float64),
-                group["latitude"][rows].astype(np.float64),
-                group["longitude"][rows].astype(np.float64),
-            )
+def reader(path: Path, file: h5py.File, beam: str) -> tuple[int, Callable[[slice], Slice]]:
+    """Photons of a channel [count], and what reads some of them."""
+    group = file[f"photon/{beam}"]
+    count = len(group["elev"])
+    origin, speed = _motion(path, group) if count else (0.0, 0.0)
+
+    def read(rows: slice) -> Slice:
+        time, *others = (group[name][rows].astype(np.float64) for name in _PHOTON)
+        return Slice((time - origin) * speed, *others)
+
+    return count, read
 
 
 def _motion(path: Path, group: h5py.Group) -> tuple[float, float]:
@@ -81,15 +68,7 @@ def _motion(path: Path, group: h5py.Group) -> tuple[float, float]:
 
 
 def write_mabel(path: Path, channels: Mapping[str, Mapping[str, NDArray[Any]]]) -> None:
-    """Write a file of this layout, atomically.
-
-    Parameters
-    ----------
-    path : Path
-        Where.
-    channels : mapping
-        Channel -> delta_time, elev, latitude, longitude, and whatever else.
-    """
+    """Write a file of this layout: by channel delta_time, elev, latitude, longitude and others."""
     with replacing(path) as temporary, h5py.File(temporary, "w") as file:
         for name, columns in channels.items():
             for key, values in columns.items():

@@ -1,6 +1,6 @@
 """Photons of any known layout, in slices: along-track distance and height on the lattice."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -31,7 +31,7 @@ class BeamFacts:
 
     name: str  #: As the product calls it.
     photons: int  #: Photons, or an estimate where only reading tells [count].
-    group: str = ""  #: Group of its photons in an HDF5 file.
+    group: str  #: Group of its photons in an HDF5 file.
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +59,7 @@ class Photons:
 
 
 def inspect(path: Path) -> TrackFile:
-    """Layout and beams of a file, from its header.
-
-    Parameters
-    ----------
-    path : Path
-        HDF5 or CSV.
+    """Layout and beams of a file of HDF5 or CSV, from its header.
 
     Raises
     ------
@@ -74,62 +69,55 @@ def inspect(path: Path) -> TrackFile:
     with open_input(path) as stream:
         start = stream.read(len(SIGNATURE))
     status = path.stat()
-    if start != SIGNATURE:
-        if path.suffix.lower() in HDF5:
-            raise InputError(str(path), "is no HDF5 file (its first bytes say so); copy it again")
-        beams = [BeamFacts("track", track_csv.estimate(path, status.st_size))]
-        return TrackFile(path, "csv", tuple(beams), status.st_size, status.st_mtime_ns)
-    with open_hdf5(path) as file:
-        layout: Layout = "mabel" if "photon" in file else "atl03"
-        listed = mabel.beams(path, file) if layout == "mabel" else atl03.beams(path, file)
-    beams = [BeamFacts(*values) for values in listed]
-    return TrackFile(path, layout, tuple(beams), status.st_size, status.st_mtime_ns)
+    layout: Layout = "csv"
+    if start != SIGNATURE and path.suffix.lower() not in HDF5:
+        listed = [("track", track_csv.estimate(path, status.st_size), "")]
+    else:
+        with open_hdf5(path) as file:
+            layout = "mabel" if "photon" in file else "atl03"
+            listed = (mabel if layout == "mabel" else atl03).beams(path, file)
+    beams = tuple(BeamFacts(*values) for values in listed)
+    return TrackFile(path, layout, beams, status.st_size, status.st_mtime_ns)
 
 
 def iter_photons(path: Path, layout: Layout, beam: str, chunk: int) -> Iterator[Photons]:
-    """Photons of a beam in the order of the file, never more than ``chunk`` at once.
+    """Photons of a beam in the order of the file, of HDF5 never more than ``chunk`` at once.
 
     Raises
     ------
     InputError
         If a slice cannot be read, or holds heights or distances that cannot be.
     """
-    source: Iterator[Slice]
-    if layout == "atl03":
-        source = atl03.slices(path, beam, chunk)
-    elif layout == "mabel":
-        source = mabel.slices(path, beam, chunk)
-    else:
-        source = track_csv.slices(path, chunk)
-    for piece in source:
-        yield _placed(path, piece)
-
-
-def _placed(path: Path, piece: Slice) -> Photons:
-    known = finite(piece.along_m) & finite(piece.height_m)
-    along_m, height_m = piece.along_m[known], piece.height_m[known]
-    faults = _faults(along_m, height_m)
-    if faults:
-        raise InputError(str(path), faults)
-    return Photons(
-        (piece.start + np.flatnonzero(known)).astype(np.int64),
-        np.rint(along_m * QUANTA_PER_M).astype(np.int64),
-        np.rint(height_m * QUANTA_PER_M).astype(np.int32),
-        piece.latitude[known],
-        piece.longitude[known],
-        len(known),
-    )
-
-
-def _faults(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> Sequence[str]:
-    faults = []
-    for name, values, most in (
-        ("height", height_m, _HEIGHT_MAX_M),
-        ("along-track distance", along_m, _ALONG_MAX_M),
-    ):
-        worst = float(np.abs(values).max(initial=0.0))
-        if worst > most:
-            faults.append(
-                f"{name} {worst:g} m; at most {most:g} m is possible: check units and columns"
+    first = 0
+    for piece in _slices(path, layout, beam, chunk):
+        known = finite(piece.along_m) & finite(piece.height_m)
+        along_m, height_m, latitude, longitude = (values[known] for values in piece)
+        faults = [
+            f"{name} {worst:g} m; at most {most:g} m is possible: check units and columns"
+            for name, values, most in (
+                ("height", height_m, _HEIGHT_MAX_M),
+                ("along-track distance", along_m, _ALONG_MAX_M),
             )
-    return faults
+            if (worst := float(np.abs(values).max(initial=0.0))) > most
+        ]
+        if faults:
+            raise InputError(str(path), faults)
+        yield Photons(
+            first + np.flatnonzero(known),
+            np.rint(along_m * QUANTA_PER_M).astype(np.int64),
+            np.rint(height_m * QUANTA_PER_M).astype(np.int32),
+            latitude,
+            longitude,
+            len(known),
+        )
+        first += len(known)
+
+
+def _slices(path: Path, layout: Layout, beam: str, chunk: int) -> Iterator[Slice]:
+    if layout == "csv":
+        yield from track_csv.slices(path)
+        return
+    with open_hdf5(path) as file:
+        count, read = (mabel if layout == "mabel" else atl03).reader(path, file, beam)
+        for first in range(0, count, chunk):
+            yield read(slice(first, min(first + chunk, count)))

@@ -29,16 +29,10 @@ _TILE_IT: Final = "write it in tiles (gdal_translate -co TILED=YES)"
 def sample_terrain(
     path: Path, latitude: NDArray[np.float64], longitude: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Terrain height between the four nearest cell centres, (n,) float64 [m].
+    """Terrain height between the four nearest cell centres of band 1, (n,) float64 [m].
 
-    Read by blocks, so that the raster may be as large as it likes.
-
-    Parameters
-    ----------
-    path : Path
-        Raster with a CRS; its first band is taken.
-    latitude, longitude : (n,) float64
-        WGS 84 [deg]; NaN gives NaN, as do places outside and nodata.
+    ``latitude``, ``longitude``: (n,), WGS 84 [deg]; NaN gives NaN, as do places outside and nodata.
+    A raster of any size is read by blocks.
 
     Raises
     ------
@@ -49,10 +43,9 @@ def sample_terrain(
     heights = np.full(len(latitude), np.nan)
     with as_input_fault(path), _opened(path) as raster:
         transformer = Transformer.from_crs("EPSG:4326", raster.crs, always_xy=True)
-        x, y = transformer.transform(longitude, latitude)
-        x, y = np.asarray(x), np.asarray(y)
+        x, y = map(np.asarray, transformer.transform(longitude, latitude))
+        # Values are those of the centres of cells.
         to_cell = ~raster.transform
-        # Values stand at the centres of cells.
         column = to_cell.a * x + to_cell.b * y + to_cell.c - 0.5
         row = to_cell.d * x + to_cell.e * y + to_cell.f - 0.5
         inside = (column >= 0) & (row >= 0)

@@ -25,13 +25,7 @@ _MANY: Final = 1000
 
 
 def estimate(path: Path, size_bytes: int) -> int:
-    """Photons of a file by the length of its first lines [count]; checks its header.
-
-    Raises
-    ------
-    InputError
-        If a column is missing.
-    """
+    """Photons of a file by the length of its first lines [count]; its columns are checked."""
     with open_input(path) as stream:
         head = stream.read(_HEAD_BYTES)
     _names(path, head)
@@ -40,13 +34,10 @@ def estimate(path: Path, size_bytes: int) -> int:
 
 def is_track(path: Path) -> bool:
     """Whether the first line of a file names the columns that are needed."""
-    with open_input(path) as stream:
-        head = stream.read(_HEAD_BYTES)
     try:
-        _names(path, head)
+        return estimate(path, 0) > 0
     except InputError:
         return False
-    return True
 
 
 def check_unit(path: Path, photons: int, length_m: float) -> None:
@@ -87,25 +78,18 @@ def _names(path: Path, head: bytes) -> dict[str, str]:
     return {k: names[k] for k in (*NEEDED, *_PLACE) if k in names}
 
 
-def slices(path: Path, chunk: int) -> Iterator[Slice]:
-    """Photons in slices."""
+def slices(path: Path) -> Iterator[Slice]:
+    """Photons by blocks of a MiB of text, 262 144 at most."""
     with open_input(path) as stream:
         names = _names(path, stream.read(_HEAD_BYTES))
         stream.seek(0)
-        start = 0
         for batch in _batches(path, stream, names):
-            for first in range(0, batch.num_rows, chunk):
-                part = batch.slice(first, chunk)
-                columns = {k: _values(part, v) for k, v in names.items()}
-                unknown = np.full(part.num_rows, np.nan)
-                yield Slice(
-                    start,
-                    columns["along_track"],
-                    columns["height"],
-                    columns.get("latitude", unknown),
-                    columns.get("longitude", unknown),
-                )
-                start += part.num_rows
+            unknown = np.full(batch.num_rows, np.nan)
+            columns = (
+                batch.column(names[k]).to_numpy(zero_copy_only=False) if k in names else unknown
+                for k in (*NEEDED, *_PLACE)
+            )
+            yield Slice(*columns)
 
 
 def _batches(path: Path, stream: Any, names: dict[str, str]) -> Iterator[pa.RecordBatch]:
@@ -142,11 +126,6 @@ def _no_number(path: Path, reason: str) -> str:
     )
 
 
-def _values(batch: pa.RecordBatch, name: str) -> NDArray[np.float64]:
-    values: NDArray[np.float64] = batch.column(name).to_numpy(zero_copy_only=False)
-    return values.astype(np.float64)
-
-
 def read_profile(path: Path) -> NDArray[np.float64]:
     """Reference heights, in order of distance: (m, 2) float64 [m].
 
@@ -155,7 +134,7 @@ def read_profile(path: Path) -> NDArray[np.float64]:
     InputError
         If a column is missing, a value is no number, or there are fewer than two.
     """
-    parts = [np.stack([s.along_m, s.height_m], axis=1) for s in slices(path, 1 << 20)]
+    parts = [np.stack([s.along_m, s.height_m], axis=1) for s in slices(path)]
     whole: NDArray[np.float64] = np.concatenate([np.empty((0, 2)), *parts])
     whole = whole[np.isfinite(whole).all(axis=1)]
     if len(whole) < 2:

@@ -13,12 +13,13 @@ Along-track positions stay whole numbers until a cell's middle is taken off, so 
 depends on where a piece of track begins.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.sorting import sort
 
 _ROUNDS: int = 6
 _TUKEY: float = 4.685
@@ -27,58 +28,48 @@ _LEAST_SPREAD_M: float = 0.05
 _QUANTA_PER_M: float = 1000.0
 
 
+class Cells(NamedTuple):
+    """Photons by cell: each is seen with the one before and the one after it."""
+
+    along: NDArray[np.int64]  #: (n,): photons in order along the track [quanta].
+    height_m: NDArray[np.float64]  #: (n,): their heights.
+    #: (c,): rows of the photons of a cell and its two neighbours; middle of each cell [quanta].
+    first: NDArray[np.int64]
+    stop: NDArray[np.int64]
+    centre: NDArray[np.int64]
+
+
 @njit()
-def lowest_layers(
-    along: NDArray[np.int64],
-    height_m: NDArray[np.float64],
-    first: NDArray[np.int64],
-    stop: NDArray[np.int64],
-    centre: NDArray[np.int64],
-    layer_m: float,
-    slope_max: float,
-    steps: int,
-    share: float,
-    photons_min: int,
-    out: NDArray[np.float64],
-) -> None:
-    """Height and slope of the lowest layer of each cell that is dense.
+def lowest_layers(along, height_m, first, stop, centre, thick_m, share, steps, slope_max, least):  # type: ignore[no-untyped-def]
+    """Height at the middle [m] and slope of the lowest dense layer of each cell, (c, 2); or NaN.
 
     For each slope the photons are sheared and counted in bins of a third of a layer.
     The slope whose fullest layer holds most photons wins, the gentlest of equals; of its
-    layers the lowest is taken that holds ``share`` of that, and ``photons_min``.
-
-    Parameters
-    ----------
-    along, height_m : (n,) int64, (n,) float64
-        Photons in order along the track [quanta, m].
-    first, stop, centre : (c,) int64
-        Rows of the photons of a cell and its two neighbours; middle of each cell [quanta].
-    layer_m, slope_max, steps
-        Thickness of a layer [m]; steepest slope, and slopes tried to each side of level ground.
-    out : (c, 2) float64
-        Receives height at the middle [m] and slope [m/m]; NaN where no layer is dense.
+    layers the lowest is taken that holds ``share`` of that, and ``least`` photons. ``thick_m``,
+    ``share`` and ``steps``, slopes tried to each side of level ground, are (c,).
     """
-    bin_m = layer_m / 3.0
+    out = np.empty((len(first), 2))
     for c in range(len(first)):
         out[c, 0] = out[c, 1] = np.nan
         n = stop[c] - first[c]
-        if n < photons_min:
+        if n < least:
             continue
         bins = np.empty(n, np.int64)
-        fullest = photons_min - 1
-        for step in range(2 * steps + 1):
+        fullest, bin_m = least - 1, thick_m[c] / 3.0
+        for step in range(2 * steps[c] + 1):
             # 0, 1, -1, 2, -2, ...: the gentlest first.
             turn = (step + 1) // 2 if step % 2 else -(step // 2)
-            slope = slope_max * turn / steps
+            slope = slope_max * turn / steps[c]
             base, counts = _count(along, height_m, first[c], centre[c], slope, bin_m, bins)
             most = 0
             for b in range(1, len(counts) - 1):
                 most = max(most, counts[b - 1] + counts[b] + counts[b + 1])
             if most > fullest:
                 fullest = most
-                b = _lowest(counts, max(share * most, float(photons_min)))
+                b = _lowest(counts, max(share[c] * most, float(least)))
                 out[c, 0] = (base + b - 0.5) * bin_m
                 out[c, 1] = slope
+    return out
 
 
 @njit()
@@ -113,26 +104,16 @@ def _lowest(counts, least):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def fit_ground(
-    along: NDArray[np.int64],
-    height_m: NDArray[np.float64],
-    first: NDArray[np.int64],
-    stop: NDArray[np.int64],
-    centre: NDArray[np.int64],
-    layer_m: float,
-    half_m: float,
-    photons_min: int,
-    layers: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> None:
+def fit_ground(along, height_m, first, stop, centre, layers, thick_m, half_m, least):  # type: ignore[no-untyped-def]
     """Line and parabola through the photons of each cell's layer: bisquare weights, six rounds.
 
-    Parameters as in :func:`lowest_layers`. ``half_m``: half the length of what is compared with the
-    line in the middle [m]. ``layers``: (c, 2), height at the middle and slope of the layer.
-    ``out``, (c, 9), receives of the line height at the middle [m], slope [m/m], standard error of
-    the height [m]; photons in the layer; the same three of the parabola; height of a line through
-    the cell's own photons, and its error [m]. NaN where photons are too few.
+    ``layers``: (c, 2), as of :func:`lowest_layers`; ``half_m``: half the length of what is compared
+    with the line in the middle [m]; ``least``: photons of a height. Gives (c, 9): of the line
+    height at the middle [m], slope [m/m], standard error of the height [m]; photons in the layer;
+    the same three of the parabola; height of a line through the cell's own photons, and its error
+    [m]. NaN where photons are too few.
     """
+    out = np.empty((len(first), 9))
     for c in range(len(first)):
         out[c] = np.nan
         if np.isnan(layers[c, 0]):
@@ -141,19 +122,20 @@ def fit_ground(
         n = 0
         for row in range(first[c], stop[c]):
             dx = (along[row] - centre[c]) / _QUANTA_PER_M
-            if abs(height_m[row] - layers[c, 0] - layers[c, 1] * dx) <= layer_m:
+            if abs(height_m[row] - layers[c, 0] - layers[c, 1] * dx) <= thick_m[c]:
                 x[n], z[n] = dx, height_m[row]
                 n += 1
-        if n >= photons_min:
+        if n >= least:
             _fit(x[:n], z[:n], layers[c, 0], layers[c, 1], 1, out[c])
             out[c, 3] = n
-            if n >= 3 * photons_min:
+            if n >= 3 * least:
                 _fit(x[:n], z[:n], out[c, 0], out[c, 1], 2, out[c, 4:7])
             own = np.abs(x[:n]) <= half_m
-            if 2 * photons_min <= np.count_nonzero(own) < n:
+            if 2 * least <= np.count_nonzero(own) < n:
                 near = np.empty(3)
                 _fit(x[:n][own], z[:n][own], out[c, 0], out[c, 1], 1, near)
                 out[c, 7], out[c, 8] = near[0], near[2]
+    return out
 
 
 @njit()
@@ -213,19 +195,7 @@ def _spread(x, z, level, slope, bend, off):  # type: ignore[no-untyped-def]
     n = len(x)
     for i in range(n):
         off[i] = abs(z[i] - level - slope * x[i] - bend * x[i] ** 2)
-    # Shell's sort: nothing to compile but loops, and a layer holds hundreds of photons.
-    gap = 1
-    while gap < n // 3:
-        gap = 3 * gap + 1
-    while gap > 0:
-        for i in range(gap, n):
-            value = off[i]
-            j = i
-            while j >= gap and off[j - gap] > value:
-                off[j] = off[j - gap]
-                j -= gap
-            off[j] = value
-        gap //= 3
+    sort(off)
     median = (off[(n - 1) // 2] + off[n // 2]) / 2.0
     return max(_MAD * median, _LEAST_SPREAD_M)
 
@@ -244,29 +214,14 @@ _LEAST2_M2: Final = 1e-8
 """Least variance of the difference [m2]."""
 
 
-@njit()
-def held(
-    along: NDArray[np.int64],
-    height_m: NDArray[np.float64],
-    first: NDArray[np.int64],
-    stop: NDArray[np.int64],
-    centre: NDArray[np.int64],
-    layers: NDArray[np.float64],
-    reach_m: NDArray[np.float64],
-    out: NDArray[np.int64],
-) -> None:
-    """Photons of each cell that lie within ``reach_m``, (c,), of a layer: 0 where there is none.
-
-    Parameters as in :func:`fit_ground`, rows of the cells alone; ``out`` receives them, (c,).
-    """
-    for c in range(len(first)):
-        out[c] = 0
-        if np.isnan(layers[c, 0]):
-            continue
-        for row in range(first[c], stop[c]):
-            dx = (along[row] - centre[c]) / _QUANTA_PER_M
-            if abs(height_m[row] - layers[c, 0] - layers[c, 1] * dx) <= reach_m[c]:
-                out[c] += 1
+def around(
+    index: NDArray[np.int64], reach: int, *values: NDArray[np.int64]
+) -> list[NDArray[np.int64]]:
+    """Sums over so many cells to each side, (c,) int64: those of whole numbers have no order."""
+    first = np.searchsorted(index, index - reach)
+    stop = np.searchsorted(index, index + reach, side="right")
+    sums = [np.concatenate([[0], np.cumsum(v)]) for v in values]
+    return [total[stop] - total[first] for total in sums]
 
 
 def with_bends(
@@ -282,13 +237,11 @@ def with_bends(
     known = bent[:, 2] < _TWICE * line[:, 2]
     chance2 = np.maximum(bent[:, 2] ** 2 - line[:, 2] ** 2, _LEAST2_M2)
     against = np.where(known, (bent[:, 0] - line[:, 0]) ** 2 / chance2, 0.0)
-    # A cell alone may be far off; whole numbers, whose sums have no order.
-    counted = np.rint(np.minimum(against, _ALONE) * 1e6).astype(np.int64), known.astype(np.int64)
-    first = np.searchsorted(index, index - reach)
-    stop = np.searchsorted(index, index + reach, side="right")
-    total, cells = ((s := np.concatenate([[0], np.cumsum(v)]))[stop] - s[first] for v in counted)
-    around = (total - counted[0]) * 1e-6 / np.maximum(cells - 1, 1)
-    bends = known & ((against > _ALONE) | ((against > _OWN) & (around > _AROUND)))
+    # A cell alone may be far off.
+    counted = np.rint(np.minimum(against, _ALONE) * 1e6).astype(np.int64)
+    total, cells = around(index, reach, counted, known.astype(np.int64))
+    others = (total - counted) * 1e-6 / np.maximum(cells - 1, 1)
+    bends = known & ((against > _ALONE) | ((against > _OWN) & (others > _AROUND)))
     out = np.where(bends[:, None], bent, line)
     off2 = (near[:, 0] - out[:, 0]) ** 2 - np.maximum(near[:, 1] ** 2 - out[:, 2] ** 2, 0.0)
     return np.column_stack([out, photons, off2])

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.ground import profile as profiles
-from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M, refracted
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
@@ -36,7 +35,7 @@ def profile(
     photons: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.bool_]],
     level: NDArray[np.int64],
     owned: tuple[int, int],
-    settings: tuple[ProfileSettings, float],
+    layers: profiles.Layers,
     off_nadir_deg: float,
 ) -> dict[str, NDArray[Any]]:
     """Columns as in :data:`COLUMNS`, of the cells of a piece that hold signal.
@@ -48,34 +47,23 @@ def profile(
         :func:`spl_batch.altimetry.ground.profile.profile` [quanta].
     level : (n,) int64
         Water surface where each photon lies [quanta]; ``NO_WATER`` where there is none.
-    owned : (int, int)
-        First cell of the piece, and the one after its last.
-    settings : (ProfileSettings, float)
-        Cells, layer, canopy; what a slope of 1 spreads a pulse to.
-    off_nadir_deg : float
-        Angle of the beam from the vertical [deg].
     """
     along, height, sure = photons
     wet, off = level != NO_WATER, height - level
-    surface_q = round(SURFACE_M * QUANTA_PER_M)
-    below = wet & (off < -surface_q)
-    dry = ~wet | (np.abs(off) <= round(_NEAR_M * QUANTA_PER_M))
+    below = wet & (off < -quanta(SURFACE_M))
+    dry = ~wet | (np.abs(off) <= quanta(_NEAR_M))
     top, floor = (
-        profiles.profile(along[some], height[some], sure[some], owned, *settings)
+        profiles.profile(along[some], height[some], sure[some], owned, layers)
         for some in (dry, below)
     )
-    cells = np.unique(np.concatenate([top["cell"], floor["cell"]]))
+    cells = np.union1d(top["cell"], floor["cell"])
     columns = {name: _spread(top, name, cells) for name in profiles.COLUMNS}
-    size = quanta(settings[0].cell_m)
-    columns["along_track"] = (cells * size + size // 2) / QUANTA_PER_M
-    at = np.searchsorted(cells, along // size)
-    mine = np.flatnonzero(np.isin(along // size, cells))
-    count, wet_count, level_sum = (
-        np.bincount(at[mine], weight[mine], len(cells))
-        for weight in (np.ones(len(along)), wet, np.where(wet, level, 0))
-    )
-    water = wet_count > count / 2
-    surface_m = level_sum / np.maximum(wet_count, 1.0) / QUANTA_PER_M
+    size = quanta(layers.settings.cell_m)
+    columns |= {"cell": cells, "along_track": (cells * size + size // 2) / QUANTA_PER_M}
+    mine = np.isin(along // size, cells)
+    at = np.searchsorted(cells, along[mine] // size)
+    wet_count = np.bincount(at, wet[mine], len(cells))
+    water = wet_count > np.bincount(at, minlength=len(cells)) / 2
     for name in ("canopy_top", "canopy_height"):
         columns[name][water] = np.nan
     columns["canopy_photons"][water] = 0
@@ -83,14 +71,14 @@ def profile(
         values = _spread(floor, source, cells)
         values[~water] = 0 if values.dtype == np.int64 else np.nan
         columns[name] = values
-    _, up_m = refracted(surface_m - columns["floor"], off_nadir_deg)
+    level_sum = np.bincount(at, np.where(wet, level, 0)[mine], len(cells))
+    surface_m = level_sum / np.maximum(wet_count, 1.0) / QUANTA_PER_M
+    up_m = refracted(surface_m - columns["floor"], off_nadir_deg)
     return {**columns, "water": water.astype(np.int64), "floor_refracted": columns["floor"] + up_m}
 
 
 def _spread(columns: dict[str, NDArray[Any]], name: str, cells: NDArray[np.int64]) -> NDArray[Any]:
     """A column at other cells too: NaN there, or 0."""
-    if name == "cell":
-        return cells
     values = columns[name]
     out = np.full(len(cells), 0 if values.dtype == np.int64 else np.nan, values.dtype)
     out[np.searchsorted(cells, columns["cell"])] = values

@@ -9,22 +9,30 @@ way:
 it smooths the medians of photons iteratively from below, and takes for the canopy's top the 98 %
 quantile of heights above that ground, as here (A. Neuenschwander and K. Pitts, *The ATL08 land and
 vegetation product for the ICESat-2 Mission*, Remote Sens. Environ. 221, 2019). A cell's result
-depends on photons within :func:`reach_cells` of it.
+depends on photons within :attr:`Layers.reach_cells` of it.
 """
 
-import math
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.ground.cell_ground import fit_ground, held, lowest_layers, with_bends
+from spl_batch.altimetry.ground.cell_ground import (
+    Cells,
+    around,
+    fit_ground,
+    lowest_layers,
+    with_bends,
+)
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
 _DENSE: Final = 0.3
 _DENSE_THIN: Final = 0.23
+"""Share of the fullest layer that ground holds at least, and where layers are thin: ground that
+bends fills several thin layers, and each holds less of it."""
+
 _UNSURE: Final = 1.5
 """Standard errors by which what a line leaves of the ground's shape is told too large."""
 
@@ -49,9 +57,7 @@ COLUMNS: Final = {
     "canopy_height": np.float64,
     "canopy_photons": np.int64,
 }
-"""Columns of a profile: cell number, its middle, heights [m], counts; NaN
-where unknown."""
-
+"""Columns of a profile: cell number, its middle, heights [m], counts; NaN where unknown."""
 
 LAYER_M: Final = 1.5
 """Thickness of a layer of ground where none is set [m]."""
@@ -69,38 +75,27 @@ _PULSE_M: Final = 0.225
 STRETCH_CELLS: Final = 25
 """Cells to each side whose slopes decide how thick a layer is [count]."""
 
-_STEPS: Final = 2
-"""Steps in which a thickness doubles [count]."""
+
+class Layers(NamedTuple):
+    """How the layer that is ground is sought."""
+
+    settings: ProfileSettings
+    layer_m: float = LAYER_M  #: Thickness [m].
+    spread_m: float = 0.0  #: What a slope of 1 adds to a pulse [m]; 0 where all layers are alike.
+
+    @property
+    def reach_cells(self) -> int:
+        """Cells to each side that decide a cell's heights [count]."""
+        return 4 * self.settings.reach_cells + 1 + (STRETCH_CELLS if self.spread_m else 0)
 
 
-def thickness_m(settings: ProfileSettings) -> float:
-    """Thickness of the layer that is ground [m]."""
-    return LAYER_M if settings.layer_m is None else settings.layer_m
-
-
-def dense_share(layer_m: float) -> float:
-    """Share of the fullest layer that ground holds at least: 0.3, or 0.23 where layers are thin.
-
-    Ground that bends fills several thin layers, and each holds less of it.
-    """
-    return _DENSE if layer_m >= LAYER_M else _DENSE_THIN
-
-
-def for_layout(settings: ProfileSettings, layout: str) -> ProfileSettings:
-    """The settings with the thickness of a layout's ground, where none is set."""
-    if settings.layer_m is not None or layout != "atl03":
-        return settings
-    return settings.model_copy(update={"layer_m": ATL03_LAYER_M})
-
-
-def spread_m(settings: ProfileSettings, layout: str) -> float:
-    """What a slope of 1 spreads a pulse to [m]; 0 where a thickness is set or light is narrow."""
-    return _SPREAD * ATL03_LIGHT_M if settings.layer_m is None and layout == "atl03" else 0.0
-
-
-def reach_cells(settings: ProfileSettings, spread: float = 0.0) -> int:
-    """Cells to each side that decide a cell's heights [count]; ``spread`` as of :func:`profile`."""
-    return 4 * settings.reach_cells + 1 + (STRETCH_CELLS if spread else 0)
+def layers_of(settings: ProfileSettings, layout: str) -> Layers:
+    """Thickness that is set, or that of a layout's ground, where none is."""
+    if settings.layer_m is not None:
+        return Layers(settings, settings.layer_m)
+    if layout == "atl03":
+        return Layers(settings, ATL03_LAYER_M, _SPREAD * ATL03_LIGHT_M)
+    return Layers(settings)
 
 
 def profile(
@@ -108,57 +103,48 @@ def profile(
     height: NDArray[np.int32],
     sure: NDArray[np.bool_],
     owned: tuple[int, int],
-    settings: ProfileSettings,
-    spread: float = 0.0,
+    layers: Layers,
 ) -> dict[str, NDArray[Any]]:
     """Heights of the cells of a piece of track that hold signal, as in :data:`COLUMNS`.
 
     Parameters
     ----------
     along, height : (n,) int64, (n,) int32
-        Photons that may be signal, of the piece and of :func:`reach_cells` to each side, in
+        Photons that may be signal, of the piece and of ``layers.reach_cells`` to each side, in
         order of distance and height [quanta].
     sure : (n,) bool
         Those that are labelled signal; canopy is made of them alone.
     owned : (int, int)
         First cell of the piece, and the one after its last.
-    settings : ProfileSettings
-        Cells, layer, canopy.
-    spread : float
-        By :func:`spread_m`: layers are as much thicker as the slope of a kilometre asks for [m].
     """
+    settings = layers.settings
     size = quanta(settings.cell_m)
     index = np.unique(along // size)
     z = height / QUANTA_PER_M
-    centre = index * size + size // 2
-    first = np.searchsorted(along, (index - 1) * size)
-    stop = np.searchsorted(along, (index + 2) * size)
-    photons = along, z, first, stop, centre
-    thick = np.full(len(index), thickness_m(settings))
-    found = _lowest(photons, thick, settings)
-    if spread:
-        thick = _thick(index, found[:, 1], thick, spread)
-        steep = np.flatnonzero(thick > thickness_m(settings))
-        some = along, z, first[steep], stop[steep], centre[steep]
-        found[steep] = _lowest(some, thick[steep], settings)
-    agreed, asked = _settled(photons, index, found, thick, settings)
+    first, stop = (np.searchsorted(along, (index + beside) * size) for beside in (-1, 2))
+    cells = Cells(along, z, first, stop, index * size + size // 2)
+    thick = np.full(len(index), layers.layer_m)
+    found = _lowest(cells, thick, settings)
+    if layers.spread_m:
+        thick = _thick(index, found[:, 1], thick, layers.spread_m)
+        found = _lowest(cells, thick, settings)
+    agreed, asked = _settled(cells, index, found, thick, settings)
     # A clump of noise reaches into the cells beside it, which then confirm it: photons that are
     # labelled signal have to vouch for a layer, more of them where no neighbour does.
-    for c in np.flatnonzero(np.isfinite(agreed[:, 0])):
-        rows = slice(first[c], stop[c])
-        line = agreed[c, 0] + agreed[c, 1] * ((along[rows] - centre[c]) / QUANTA_PER_M)
-        inside = sure[rows] & (np.abs(z[rows] - line) <= thick[c])
-        if np.count_nonzero(inside) < (1 if asked[c] >= 2 else _ALONE * settings.photons_min):
-            agreed[c] = np.nan
-    fit = with_bends(index, _fitted(photons, thick, agreed, settings), settings.reach_cells)
+    vouch = sum(
+        held(along[sure], z[sure], (index, size), agreed, thick, beside) for beside in (-1, 0, 1)
+    )
+    agreed[vouch < np.where(asked >= 2, 1, _ALONE * settings.photons_min)] = np.nan
+    half_m, least = settings.cell_m / 4.0, settings.photons_min
+    fit = with_bends(index, fit_ground(*cells, agreed, thick, half_m, least), settings.reach_cells)
     mine = np.flatnonzero((index >= owned[0]) & (index < owned[1]))
-    top, leaves = _canopy(along, z, sure, index, centre, fit, mine, settings)
+    top, leaves = _canopy(cells, sure, index, fit, mine, settings)
     ground = fit[mine, 0]
     bare = np.where(np.isfinite(ground), 0.0, np.nan)
     error2 = fit[:, 2] ** 2 + _misfit2(index, fit[:, 4], settings)
     return {
         "cell": index[mine],
-        "along_track": (index[mine] * size + size // 2) / QUANTA_PER_M,
+        "along_track": cells.centre[mine] / QUANTA_PER_M,
         "ground": ground,
         "slope": fit[mine, 1],
         "ground_error": np.sqrt(error2)[mine],
@@ -172,7 +158,7 @@ def profile(
 def _thick(
     index: NDArray[np.int64], slope: NDArray[np.float64], least: NDArray[np.float64], spread: float
 ) -> NDArray[np.float64]:
-    """Thickness of each cell's layer by the median slope of its stretch, in steps, (c,) [m]."""
+    """Thickness of each cell's layer by the median slope of its stretch, (c,) [m]."""
     steep = np.abs(slope)
     first = np.searchsorted(index, index - STRETCH_CELLS)
     stop = np.searchsorted(index, index + STRETCH_CELLS, side="right")
@@ -180,54 +166,58 @@ def _thick(
     for c, (a, b) in enumerate(zip(first.tolist(), stop.tolist(), strict=True)):
         known = steep[a:b][np.isfinite(steep[a:b])]
         median[c] = np.median(known) if len(known) else 0.0
-    wanted = np.maximum(np.hypot(_PULSE_M, spread * median), least)
-    whole = np.rint(_STEPS * np.log2(wanted / least))
-    thick: NDArray[np.float64] = least * 2.0 ** (whole / _STEPS)
-    return thick
-
-
-_Photons = tuple[
-    NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]
-]
+    return np.maximum(np.hypot(_PULSE_M, spread * median), least)
 
 
 def _lowest(
-    photons: _Photons, thick: NDArray[np.float64], settings: ProfileSettings
+    cells: Cells, thick: NDArray[np.float64], settings: ProfileSettings
 ) -> NDArray[np.float64]:
-    """Layers of cells, those of one thickness together: (c, 2) float64."""
-    along, z, first, stop, centre = photons
-    out = np.empty((len(thick), 2))
-    for layer_m in np.unique(thick):
-        own = thick == layer_m
-        # A step of slope moves the ends of three cells by a layer at most.
-        steps = max(math.ceil(1.5 * settings.cell_m * settings.slope_max / layer_m), 1)
-        part = np.empty((np.count_nonzero(own), 2))
-        cells = along, z, first[own], stop[own], centre[own]
-        slopes = float(layer_m), settings.slope_max, steps
-        lowest_layers(*cells, *slopes, dense_share(layer_m), settings.photons_min, part)
-        out[own] = part
-    return out
+    """Layers of cells: (c, 2) float64."""
+    # A step of slope moves the ends of three cells by a layer at most.
+    steps = np.ceil(1.5 * settings.cell_m * settings.slope_max / thick)
+    found: NDArray[np.float64] = lowest_layers(
+        *cells, thick, np.where(thick >= LAYER_M, _DENSE, _DENSE_THIN),
+        np.maximum(steps, 1.0).astype(np.int64), settings.slope_max, settings.photons_min,
+    )  # fmt: skip
+    return found
+
+
+def held(
+    along: NDArray[np.int64],
+    z: NDArray[np.float64],
+    cells: tuple[NDArray[np.int64], int],
+    layers: NDArray[np.float64],
+    reach_m: NDArray[np.float64],
+    beside: int = 0,
+) -> NDArray[np.int64]:
+    """Photons within ``reach_m`` of the layer of the cell so many beside their own, (c,) int64.
+
+    ``cells``: numbers, in order, and their length [quanta].
+    """
+    index, size = cells
+    number = along // size + beside
+    at = np.minimum(np.searchsorted(index, number), len(index) - 1)
+    dx = (along - index[at] * size - size // 2) / QUANTA_PER_M
+    inside = np.abs(z - layers[at, 0] - layers[at, 1] * dx) <= reach_m[at]
+    return np.bincount(at[inside & (index[at] == number)], minlength=len(index))
 
 
 def _settled(
-    photons: _Photons,
+    cells: Cells,
     index: NDArray[np.int64],
     found: NDArray[np.float64],
     thick: NDArray[np.float64],
     settings: ProfileSettings,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Layers as the cell itself and then its neighbours have them, as of :func:`agree`."""
-    along, z, *_, centre = photons
     size = quanta(settings.cell_m)
-    first = np.searchsorted(along, index * size)
-    stop = np.searchsorted(along, (index + 1) * size)
-    alone = along, z, first, stop, centre
-
-    own = _lowest(alone, thick, settings)
-    inside = np.empty((2, len(index)), np.int64)
-    for layers, out in zip((found, own), inside, strict=True):
-        held(*alone, layers, thick / 2.0, out)
-    found = not_beside(found, own, inside[0], inside[1], settings.photons_min)
+    first, stop = (np.searchsorted(cells.along, (index + end) * size) for end in (0, 1))
+    own = _lowest(cells._replace(first=first, stop=stop), thick, settings)
+    in_found, in_own = (
+        held(cells.along, cells.height_m, (index, size), layers, thick / 2.0)
+        for layers in (found, own)
+    )
+    found = not_beside(found, own, in_found, in_own, settings.photons_min)
     return agree(index, found, settings, thick)
 
 
@@ -251,26 +241,6 @@ def not_beside(
     return np.where((missed & np.isfinite(found[:, 0]))[:, None], own, found)
 
 
-def _fitted(
-    photons: _Photons,
-    thick: NDArray[np.float64],
-    layers: NDArray[np.float64],
-    settings: ProfileSettings,
-) -> NDArray[np.float64]:
-    """Ground fitted to layers of cells, those of one thickness together: (c, 9) float64."""
-    along, z, first, stop, centre = photons
-    out = np.empty((len(thick), 9))
-    for layer_m in np.unique(thick):
-        own = thick == layer_m
-        part = np.empty((np.count_nonzero(own), 9))
-        fit_ground(
-            along, z, first[own], stop[own], centre[own], float(layer_m), settings.cell_m / 4.0,
-            settings.photons_min, layers[own], part,
-        )  # fmt: skip
-        out[own] = part
-    return out
-
-
 def agree(
     index: NDArray[np.int64],
     found: NDArray[np.float64],
@@ -281,19 +251,8 @@ def agree(
 
     A neighbour expects its own height, carried along by the mean of both slopes. The median
     of at least two decides where a layer is farther from it than two layers' thickness; a
-    single neighbour's word is enough to take it away.
-
-    Parameters
-    ----------
-    index, thick : (c,) int64, (c,) float64 or float
-        Cells, in order; thickness of their layers [m].
-    found : (c, 2) float64
-        Height [m] and slope [m/m] of each cell's layer; NaN where there is none.
-
-    Returns
-    -------
-    (c, 2) float64, (c,) int64
-        Layers put right; neighbours that expect something [count].
+    single neighbour's word is enough to take it away. ``index``: cells, in order; ``found``:
+    (c, 2), height [m] and slope of their layers, NaN where there is none; ``thick``: (c,) [m].
     """
     expected = np.full((2 * settings.reach_cells + 1, len(index)), np.nan)
     for row, step in enumerate(range(-settings.reach_cells, settings.reach_cells + 1)):
@@ -324,14 +283,9 @@ def _misfit2(
     """
     known = np.isfinite(off2)
     value = np.where(known, off2, 0.0)
-    # Whole numbers: their sums have no order.
     counted = [np.rint(v * 1e9).astype(np.int64) for v in (value, value**2)]
-    first = np.searchsorted(index, index - settings.reach_cells)
-    stop = np.searchsorted(index, index + settings.reach_cells, side="right")
-    total, squares, count = (
-        (sums := np.concatenate([[0], np.cumsum(v)]))[stop] - sums[first]
-        for v in (*counted, known.astype(np.int64))
-    )
+    counted.append(known.astype(np.int64))
+    total, squares, count = around(index, settings.reach_cells, *counted)
     n = np.maximum(count, 2)
     mean = total * 1e-9 / n
     error = np.sqrt(np.maximum(squares * 1e-9 / n - mean**2, 0.0) / (n - 1))
@@ -340,23 +294,21 @@ def _misfit2(
 
 
 def _canopy(
-    along: NDArray[np.int64],
-    z: NDArray[np.float64],
+    cells: Cells,
     sure: NDArray[np.bool_],
     index: NDArray[np.int64],
-    centre: NDArray[np.int64],
     fit: NDArray[np.float64],
     mine: NDArray[np.intp],
     settings: ProfileSettings,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Top of the canopy and photons in it, of the cells that are owned."""
     size = quanta(settings.cell_m)
-    start = np.searchsorted(along, index[mine] * size)
-    stop = np.searchsorted(along, (index[mine] + 1) * size)
+    ends = (np.searchsorted(cells.along, (index[mine] + end) * size) for end in (0, 1))
     top = np.full(len(mine), np.nan)
     photons = np.zeros(len(mine), np.int64)
-    for i, (c, a, b) in enumerate(zip(mine, start, stop, strict=True)):
-        above = z[a:b] - fit[c, 0] - fit[c, 1] * ((along[a:b] - centre[c]) / QUANTA_PER_M)
+    for i, (c, a, b) in enumerate(zip(mine, *ends, strict=True)):
+        dx = (cells.along[a:b] - cells.centre[c]) / QUANTA_PER_M
+        above = cells.height_m[a:b] - fit[c, 0] - fit[c, 1] * dx
         leaf = above[(above >= settings.canopy_min_m) & sure[a:b]]
         if len(leaf) >= settings.photons_min:
             top[i] = fit[c, 0] + np.quantile(leaf, settings.canopy_share)

@@ -9,12 +9,14 @@ from spl_batch.engine.report.page import Front, render_page
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.verdict import Verdict, ending_rows, failure_verdict, speed_remark
+from spl_batch.errors import counted
 
 SECTIONS: Final = (("profiles", "Profiles"), ("accuracy", "Accuracy"), ("beams", "Beams"))
 
 
 def render(report: TrackReport, pictures: Sequence[Mapping[str, Picture]]) -> str:
     """The page, without any reference to another file; the same input gives the same text."""
+    length_km = sum(b.length_km or 0.0 for b in report.beams)
     flat = {f"{key}_{i}": shown for i, drawn in enumerate(pictures) for key, shown in drawn.items()}
     return render_page(
         "track.html.j2",
@@ -22,7 +24,7 @@ def render(report: TrackReport, pictures: Sequence[Mapping[str, Picture]]) -> st
         Front(
             title=report.name,
             kicker="Photon-counting altimetry",
-            facts=tuple(_facts(report)),
+            facts=(counted(len(report.beams), "beams"), f"{text.significant(length_km)} km"),
             sections=SECTIONS,
             verdicts=tuple(_verdicts(report)),
             cards=tuple(_cards(report)),
@@ -34,13 +36,6 @@ def render(report: TrackReport, pictures: Sequence[Mapping[str, Picture]]) -> st
         labelled=[b for b in report.beams if b.labels],
         names=METHOD_NAMES,
     )
-
-
-def _facts(report: TrackReport) -> Iterator[str]:
-    length = sum(b.length_km or 0.0 for b in report.beams)
-    n = len(report.beams)
-    yield f"{n} beam{'s' * (n != 1)}"
-    yield f"{text.significant(length)} km"
 
 
 def _verdicts(report: TrackReport) -> Iterator[Verdict]:
@@ -57,12 +52,7 @@ def _verdicts(report: TrackReport) -> Iterator[Verdict]:
             "neutral", "No reference heights are near: the accuracy of the heights is not known."
         )
     else:
-        spread, middle = (text.metres(v) for v in (report.ground.nmad, report.ground.median))
-        yield Verdict(
-            "good",
-            f"Ground minus reference: median {middle}, NMAD {spread}, "
-            f"RMSE {text.metres(report.ground.rmse)}.",
-        )
+        yield Verdict("good", f"Ground minus reference: {_accuracy(report.ground)}.")
     yield failure_verdict(report.failures, report.findings)
 
 

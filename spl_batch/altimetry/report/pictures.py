@@ -15,7 +15,6 @@ from spl_batch.engine.report.picture import Picture
 MOST_PHOTONS: Final = 120_000
 """A picture of more photons is thinned evenly: it has no pixels for them."""
 
-
 _SURFACE: Final = "#4fb3d9"
 _FLOOR: Final = "#d08a2e"
 _LINES: Final = (
@@ -24,20 +23,6 @@ _LINES: Final = (
     ("#1b6f93", "water surface"),
     ("#8f4f0e", "floor"),
 )
-
-
-@dataclass(frozen=True, slots=True)
-class BeamPictures:
-    """Plain arrays of one beam; along-track distance in every first column [m]."""
-
-    name: str
-    #: (n, 4): height [m], label, and part of the water (41 surface, 40 floor, 45 noise below).
-    photons: NDArray[np.float64]
-    #: (c, 5): ground, canopy top, water surface and floor [m]; NaN where there is none.
-    profile: NDArray[np.float64]
-    rate: NDArray[np.float64]  #: (r, 2): noise density [1/m2].
-    #: (d, 3) float64 or None: ground minus reference, ours and mDBSCAN's [m].
-    differences: NDArray[np.float64] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,35 +63,47 @@ class TrackAxis:
         )
 
 
-def draw(beam: BeamPictures) -> dict[str, Picture]:
-    """Pictures of a beam, by what they show; without the gaps that are longer than its data."""
-    axis = TrackAxis.of(beam.rate[:, 0])
+def draw(
+    name: str,
+    photons: NDArray[np.float64],
+    profile: NDArray[np.float64],
+    rate: NDArray[np.float64],
+    differences: NDArray[np.float64] | None,
+) -> dict[str, Picture]:
+    """Pictures of a beam, by what they show; without the gaps that are longer than its data.
+
+    Along-track distance is every first column [m]. ``photons``: (n, 4), height [m], label, and part
+    of the water as delivered; ``profile``: (c, 5), ground, canopy top, water surface and floor [m],
+    NaN where there is none; ``rate``: (r, 2), noise density [1/m2]; ``differences``: (d, 3), ground
+    minus reference, ours and mDBSCAN's [m].
+    """
+    axis = TrackAxis.of(rate[:, 0])
     drawn = {
         "profile": _picture(
-            f"Profile of {beam.name}",
+            f"Profile of {name}",
             "Dots are photons, lines what is drawn through them.",
-            lambda: _profile(beam, axis),
-            there=len(beam.photons) > 0,
+            lambda: _profile(photons, profile, axis),
+            there=len(photons) > 0,
         ),
         "rate": _picture(
-            f"Noise along {beam.name}",
+            f"Noise along {name}",
             "Noise photons per metre of track and metre of height.",
-            lambda: _rate(beam, axis),
-            there=len(beam.rate) > 0,
+            lambda: _rate(rate, axis),
+            there=len(rate) > 0,
         ),
     }
-    if beam.differences is not None:
-        found = np.isfinite(beam.differences[:, 1]).any()
+    if differences is not None:
         drawn["differences"] = _picture(
-            f"Ground of {beam.name} minus reference",
+            f"Ground of {name} minus reference",
             "Blue ours, red mDBSCAN's, where both were run; beyond the axis at its edge.",
-            lambda: _differences(beam, axis),
-            there=bool(found),
+            lambda: _differences(differences, axis),
         )
     return drawn
 
 
-def _picture(title: str, caption: str, make: Callable[[], Figure], *, there: bool) -> Picture:
+def _picture(
+    title: str, caption: str, make: Callable[[], Figure], *, there: bool = True
+) -> Picture:
     if not there:
         return Picture(title, "There is nothing to show.")
     with style.type_context():
@@ -123,9 +120,9 @@ def _axes(xlabel: str, ylabel: str, height_in: float) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def _profile(beam: BeamPictures, axis: TrackAxis) -> Figure:
+def _profile(photons: NDArray[np.float64], profile: NDArray[np.float64], axis: TrackAxis) -> Figure:
     figure, axes = _axes("distance along track [km]", "height [m]", 4.2)
-    x, z, label, water = beam.photons.T
+    x, z, label, water = photons.T
     for mine, colour, size, name in (
         (label == 0, "#aab4be", 0.5, "noise"),
         ((label == 1) & (water == 0), style.SIGNAL, 1.2, "signal"),
@@ -137,7 +134,7 @@ def _profile(beam: BeamPictures, axis: TrackAxis) -> Figure:
                 axis.km(x[mine]), z[mine], s=size, c=colour, linewidths=0, rasterized=True,
                 label=name,
             )  # fmt: skip
-    at, *lines = beam.profile.T
+    at, *lines = profile.T
     for line, (colour, name) in zip(lines, _LINES, strict=True):
         if np.isfinite(line).any():
             axes.plot(*axis.line(at, line), color=colour, linewidth=0.8, label=f"{name} line")
@@ -146,19 +143,17 @@ def _profile(beam: BeamPictures, axis: TrackAxis) -> Figure:
     return figure
 
 
-def _rate(beam: BeamPictures, axis: TrackAxis) -> Figure:
+def _rate(rate: NDArray[np.float64], axis: TrackAxis) -> Figure:
     figure, axes = _axes("distance along track [km]", "noise [photons/m\N{SUPERSCRIPT TWO}]", 2.0)
-    axes.plot(*axis.line(*beam.rate.T), color=style.NOISE, linewidth=0.8)
+    axes.plot(*axis.line(*rate.T), color=style.NOISE, linewidth=0.8)
     axis.mark(axes)
     axes.set_ylim(bottom=0)
     return figure
 
 
-def _differences(beam: BeamPictures, axis: TrackAxis) -> Figure:
+def _differences(differences: NDArray[np.float64], axis: TrackAxis) -> Figure:
     figure, axes = _axes("distance along track [km]", "ground minus reference [m]", 2.4)
-    if beam.differences is None:
-        return figure
-    at, ours, theirs = beam.differences.T
+    at, ours, theirs = differences.T
     known = np.abs(ours[np.isfinite(ours)])
     limit = max(float(np.percentile(known, 99)) * 2.0, 1.0)
     for values, colour in ((theirs, style.NOISE), (ours, style.SIGNAL)):

@@ -14,12 +14,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.altimetry.photon_table import joined
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.formats.verified.parquet_npz import read_groups, reading
+from spl_batch.formats.verified.parquet_npz import ranges_of, read_groups, reading
 from spl_batch.lattice.row_order import lexicographic_order
 
 Context = RunContext[TrackWorkflow]
@@ -31,24 +31,13 @@ CHUNK_PHOTONS: Final = 262_144
 """Photons read at once from an input [count]."""
 
 
-def place(context: Context, what: str, beam: str, suffix: str) -> Path:
-    """File of a beam, ``SOURCE/BEAM``, or of one of its segments, in the store."""
-    return context.store.path(what, f"{beam}{suffix}")
-
-
 def rows_between(
     path: Path, names: Sequence[str], column: str, low: int, high: int
 ) -> Iterator[dict[str, NDArray[Any]]]:
-    """Rows with ``low <= column < high``, a row group at a time.
-
-    However the file is sorted, no more than a row group and what is asked for is held.
-    """
+    """Rows with ``low <= column < high``, a row group at a time, however the file is sorted."""
     with reading(path) as file:
-        footer = file.metadata
-        at = footer.schema.names.index(column)
-        for group in range(footer.num_row_groups):
-            span = footer.row_group(group).column(at).statistics
-            if span is None or not span.has_min_max or span.min >= high or span.max < low:
+        for group, (least, most) in enumerate(ranges_of(file.metadata, column)):
+            if least >= high or most < low:
                 continue
             columns = read_groups(file, names, [group])
             inside = (columns[column] >= low) & (columns[column] < high)
@@ -59,10 +48,6 @@ def gather(
     parts: Iterator[Mapping[str, NDArray[Any]]], dtypes: Mapping[str, type]
 ) -> dict[str, NDArray[Any]]:
     """Rows in one table, in order of distance, height and position in the file."""
-    found = list(parts)
-    table: dict[str, NDArray[Any]] = {
-        name: np.concatenate([np.empty(0, dtype), *(part[name] for part in found)]).astype(dtype)
-        for name, dtype in dtypes.items()
-    }
+    table = joined(list(parts), dtypes)
     order = lexicographic_order([table["along"], table["height"], table["row"]])
     return {name: values[order] for name, values in table.items()}

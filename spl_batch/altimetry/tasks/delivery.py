@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from spl_batch.altimetry.formats.hdf5 import add_dataset, labelled_copy
 from spl_batch.altimetry.formats.track_csv import to_text
 from spl_batch.altimetry.photon_table import LABELS, NOT_ASSESSED
-from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, place, rows_between
+from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, rows_between
 from spl_batch.altimetry.tasks.heights import COLUMNS
 from spl_batch.altimetry.water.surface import NO_WATER, SURFACE_M, refracted
 from spl_batch.constants import QUANTA_PER_M
@@ -50,18 +50,15 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
     """Write a beam's photons in the order of the file, and its profile."""
     photons = context.output / "photons" / f"{args['delivered']}.parquet"
     counts, water = np.zeros(256, np.int64), np.zeros(COLUMN + 1, np.int64)
-    columns_of = dict(DELIVERED)
-    if context.workflow.outputs.refraction:
-        columns_of[REFRACTED] = np.float64
-    with writing(photons, columns_of, durable=True) as writer:
+    refraction = context.workflow.outputs.refraction
+    columns_of = DELIVERED | ({REFRACTED: np.float64} if refraction else {})
+    with writing(photons, columns_of, durable=True, rows=GROUP_PHOTONS) as writer:
         for _, part in _passes(args, context):
             counts += np.bincount(part["signal"], minlength=256)
             water += np.bincount(part["water"], minlength=COLUMN + 1)
-            for start in range(0, len(part["signal"]), GROUP_PHOTONS):
-                rows = slice(start, start + GROUP_PHOTONS)
-                writer.write({name: part[name][rows] for name in columns_of})
-    names = (*_PROFILE, *(("floor_refracted",) if context.workflow.outputs.refraction else ()))
-    columns = read_columns(place(context, "profiles", args["key"], ".parquet"), names)
+            writer.write(part)
+    names = (*_PROFILE, *(("floor_refracted",) if refraction else ()))
+    columns = read_columns(context.store.table("profiles", args["key"]), names)
     profile = context.output / "profiles" / f"{args['delivered']}.csv"
     write_bytes(profile, to_text(columns))
     facts = {
@@ -87,8 +84,8 @@ def _passes(
             "water": np.zeros(n, np.uint8),
             REFRACTED: np.full(n, np.nan),
         }
-        for segment in args["segments"]:
-            path = place(context, "labels", segment, ".parquet")
+        for segment, _, _ in args["segments"]:
+            path = context.store.table("labels", segment)
             for rows in rows_between(path, tuple(LABELS), "row", first, first + n):
                 at = rows["row"] - first
                 part["along_track"][at] = rows["along"] / QUANTA_PER_M
@@ -111,15 +108,14 @@ def _in_water(
     below = wet & (depth_m > SURFACE_M)
     kind = np.where(below, np.where(signal, FLOOR, COLUMN), 0)
     kind[wet & signal & (np.abs(depth_m) <= SURFACE_M)] = SURFACE
-    _, up_m = refracted(np.where(below, depth_m, 0.0), off_nadir_deg)
-    return kind.astype(np.uint8), up_m
+    return kind.astype(np.uint8), refracted(np.where(below, depth_m, 0.0), off_nadir_deg)
 
 
 def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     """Write an HDF5 input again with the labels of its beams in it."""
     source = Path(args["path"])
     target = context.output / "hdf5" / args["delivered"]
-    points = 0
+    points = sum(beam["points"] for beam in args["beams"])
     with (
         unchanged(source, as_indexed("index_file", args, context)),
         labelled_copy(source, target) as file,
@@ -134,5 +130,4 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
                 rows = slice(first, first + len(part["signal"]))
                 made["spl_signal"][rows] = part["signal"]
                 made["spl_confidence"][rows] = part["confidence"]
-            points += beam["points"]
     return Produced([target], {"points": points}, points)

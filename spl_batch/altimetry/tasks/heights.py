@@ -1,7 +1,6 @@
 """Stage ``profile``: ground and canopy top of a beam, and what a reference says of it."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,89 +12,76 @@ from spl_batch.altimetry.formats.terrain import extent_deg, sample_terrain
 from spl_batch.altimetry.formats.track_csv import read_profile
 from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground import profile as profiles
-from spl_batch.altimetry.photon_table import LABELS
-from spl_batch.altimetry.settings import ProfileSettings
-from spl_batch.altimetry.tasks.context import Context, gather, place, rows_between
+from spl_batch.altimetry.photon_table import LABELS, joined
+from spl_batch.altimetry.settings import TrackReferenceSettings
+from spl_batch.altimetry.tasks.context import Context, gather, rows_between
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns, write_arrays, writing
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.error_statistics import statistics
 
-COLUMNS: Final = {
-    **over_water.COLUMNS,
-    "latitude": np.float64,
-    "longitude": np.float64,
-    "baseline_ground": np.float64,
-}
+_WHERE: Final = {"latitude": np.float64, "longitude": np.float64}
+_MADE: Final = {**over_water.COLUMNS, "baseline_ground": np.float64}
+
+COLUMNS: Final = {**over_water.COLUMNS, **_WHERE, "baseline_ground": np.float64}
 """Columns of a profile in the store; the last one is mDBSCAN's ground."""
+
+REFERENCE_GAP_M: Final = 200.0
+"""Points of a reference that are farther apart say nothing of what lies between them [m]."""
 
 
 def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     """Heights along a beam, segment by segment."""
-    beam = args["key"]
-    settings = profiles.for_layout(context.workflow.profile, args["layout"])
-    spread = profiles.spread_m(context.workflow.profile, args["layout"])
-    size = quanta(settings.cell_m)
+    layers = profiles.layers_of(context.workflow.profile, args["layout"])
+    size = quanta(context.workflow.profile.cell_m)
+    reach = layers.reach_cells * size
+
+    def labelled(low: int, high: int) -> Iterator[dict[str, NDArray[Any]]]:
+        """Photons of a span of track, from every segment that has some."""
+        for name, first, stop in args["segments"]:
+            if first < high and stop > low:
+                path = context.store.table("labels", name)
+                yield from rows_between(path, tuple(LABELS), "along", low, high)
+
     pieces = []
     for _, low, high in args["segments"]:
         owned = (-(-low // size), -(-high // size))
-        reach = profiles.reach_cells(settings, spread) * size
-        table = _labelled(args, owned[0] * size - reach, owned[1] * size + reach, context)
-        if not len(table["row"]):
-            continue
-        pieces.append(_heights(table, owned, (settings, spread), context))
-    columns = {
-        name: np.concatenate([np.empty(0, dtype), *(p[name] for p in pieces)])
-        for name, dtype in COLUMNS.items()
-        if name not in {"latitude", "longitude"}
-    }
-    columns |= _where(beam, columns["along_track"], context)
-    path = place(context, "profiles", beam, ".parquet")
+        found = labelled(owned[0] * size - reach, owned[1] * size + reach)
+        table = gather(found, LABELS)
+        if len(table["row"]):
+            pieces.append(_heights(table, owned, layers, context))
+    columns = joined(pieces, _MADE)
+    columns |= _where(args["key"], columns["along_track"], context)
+    path = context.store.table("profiles", args["key"])
     with writing(path, COLUMNS) as writer:
         writer.write(columns)
-    ground = np.isfinite(columns["ground"])
     facts = {
-        "cells": len(ground),
-        "ground_cells": int(np.count_nonzero(ground)),
-        "water_cells": int(np.count_nonzero(columns["water"])),
-        "floor_cells": int(np.count_nonzero(np.isfinite(columns["floor"]))),
+        "cells": len(columns["cell"]),
+        "ground_cells": int(np.count_nonzero(np.isfinite(columns["ground"]))),
         "canopy_cells": int(np.count_nonzero(columns["canopy_photons"])),
     }
     return Produced([path], facts, args["points"])
 
 
-def _labelled(
-    args: Mapping[str, Any], low: int, high: int, context: Context
-) -> dict[str, NDArray[Any]]:
-    """Labelled photons of a span of track, from every segment that has some."""
-
-    def parts() -> Iterator[dict[str, NDArray[Any]]]:
-        for name, first, stop in args["segments"]:
-            if first < high and stop > low:
-                path = place(context, "labels", name, ".parquet")
-                yield from rows_between(path, tuple(LABELS), "along", low, high)
-
-    return gather(parts(), LABELS)
-
-
 def _heights(
     table: Mapping[str, NDArray[Any]],
     owned: tuple[int, int],
-    settings: tuple[ProfileSettings, float],
+    layers: profiles.Layers,
     context: Context,
 ) -> dict[str, NDArray[Any]]:
+    """Columns of the cells of a piece of track."""
     reference = context.workflow.reference
     sure, some = table["signal"] > 0, table["ground"] > 0
     photons = table["along"][some], table["height"][some], sure[some]
     level = table["level"][some].astype(np.int64)
     off_nadir_deg = context.workflow.track.off_nadir_deg
-    columns = over_water.profile(photons, level, owned, settings, off_nadir_deg)
+    columns = over_water.profile(photons, level, owned, layers, off_nadir_deg)
     columns["baseline_ground"] = np.full(len(columns["cell"]), np.nan)
     if reference is not None and reference.baseline:
         base = table["baseline"] > 0
         other = profiles.profile(
-            table["along"][base], table["height"][base], base[base], owned, *settings
+            table["along"][base], table["height"][base], base[base], owned, layers
         )
         _, mine, theirs = np.intersect1d(columns["cell"], other["cell"], return_indices=True)
         columns["baseline_ground"][mine] = other["ground"][theirs]
@@ -106,11 +92,10 @@ def _where(
     beam: str, along_m: NDArray[np.float64], context: Context
 ) -> dict[str, NDArray[np.float64]]:
     """Latitude and longitude of places along a beam, between the first photons of its cells."""
-    places = read_arrays(place(context, "places", beam, ".npz"))
+    places = read_arrays(context.store.path("places", f"{beam}.npz"))
     known = np.isfinite(places["latitude"]) & np.isfinite(places["longitude"])
     if not known.any():
-        unknown = np.full(len(along_m), np.nan)
-        return {"latitude": unknown, "longitude": unknown}
+        return dict.fromkeys(_WHERE, np.full(len(along_m), np.nan))
     at = places["index"][known] * context.workflow.rate.cell_m
     # Unwrapped, so that nothing is interpolated through Greenwich at the date line.
     longitude = np.interp(along_m, at, np.unwrap(places["longitude"][known], period=360.0))
@@ -120,143 +105,110 @@ def _where(
     }
 
 
-PASS_PHOTONS: Final = 2_000_000
-"""Photons whose classes are compared at once [count]."""
-
-REFERENCE_GAP_M: Final = 200.0
-"""Points of a reference that are farther apart say nothing of what lies between them [m]."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Heights:
-    """Heights of a reference along a beam."""
-
-    at: NDArray[np.float64]  #: (m,): along-track distances at which both are compared [m].
-    height: NDArray[np.float64]  #: (m,): of the reference's ground, NaN where it has none [m].
-    lacks: Finding | None  #: Of a reference that has none anywhere.
-
-
 def compare(args: Mapping[str, Any], context: Context) -> Produced:
     """Differences of a beam's ground from a reference, and agreement with other labels."""
-    beam = args["key"]
     reference = context.workflow.reference
     if reference is None:
         return Produced()
-    columns = read_columns(place(context, "profiles", beam, ".parquet"), tuple(COLUMNS))
+    columns = read_columns(context.store.table("profiles", args["key"]), tuple(COLUMNS))
+    along, ground = columns["along_track"], np.isfinite(columns["ground"])
+    files = [Path(name) for name in args["labels"]]
     facts: dict[str, Any] = {"name": args["name"], "findings": []}
-    truth = _reference_heights(columns, args, context)
-    arrays = {"along_track": truth.at}
+    arrays = {"along_track": along}
+    if reference.points is None and reference.dtm is None:
+        arrays["along_track"], height = terrain_heights(Path(args["path"]), files, args["beam"]).T
+    else:
+        height = _at_cells(columns, reference, context)
     for name in ("ground", "baseline_ground"):
-        arrays[name] = _at(truth.at, columns["along_track"], columns[name]) - truth.height
+        mine = columns[name]
+        if arrays["along_track"] is not along:
+            known = np.isfinite(mine)
+            mine = between(arrays["along_track"], np.column_stack([along, mine])[known])
+        arrays[name] = mine - height
         if reference.remove_bias and np.isfinite(arrays[name]).any():
             arrays[name] = arrays[name] - np.nanmedian(arrays[name])
         facts[name] = statistics(arrays[name])
-    if args["labels"]:
-        facts["labels"] = _agreement(args, context)
+    if files:
+        facts["labels"] = _agreement(args, files, context)
         if not facts["labels"]:
             facts["findings"].append(Finding("P01", {"kind": "granule"}))
-    lacks = not facts["ground"]["n"] and np.isfinite(columns["ground"]).any()
-    if lacks and truth.lacks and not facts["findings"]:
-        facts["findings"].append(truth.lacks)
-    path = place(context, "compared", beam, ".npz")
+    if not facts["ground"]["n"] and ground.any() and not facts["findings"]:
+        where = {name: columns[name][ground] for name in ("along_track", *_WHERE)}
+        facts["findings"] += _nothing_near(where, files, reference, context)
+    path = context.store.path("compared", f"{args['key']}.npz")
     write_arrays(path, arrays)
-    return Produced([path], facts, len(columns["cell"]))
+    return Produced([path], facts, len(along))
 
 
-def _reference_heights(
-    columns: Mapping[str, NDArray[Any]], args: Mapping[str, Any], context: Context
-) -> _Heights:
-    """Reference ground: at each cell, or at each height that ATL08 fits."""
-    reference = context.workflow.reference
-    at = columns["along_track"]
-    ground = np.isfinite(columns["ground"])
-    if reference is not None and reference.points is not None:
-        known = read_profile(context.resolve(reference.points))
-        ends = [[v.min(), v.max()] if len(v) else [np.nan] * 2 for v in (known[:, 0], at[ground])]
-        from_km, to_km, first_km, last_km = (np.ravel(ends) / 1000).tolist()
-        values = {
-            "kind": "points", "name": reference.points, "from_km": from_km, "to_km": to_km,
-            "first_km": first_km, "last_km": last_km,
-        }  # fmt: skip
-        far = Finding("P01", values)
-        return _Heights(at, between(at, known), far)
-    if reference is not None and reference.dtm is not None:
-        path = context.resolve(reference.dtm)
-        where = columns["latitude"], columns["longitude"]
-        off = _off_raster(reference.dtm, path, [values[ground] for values in where])
-        return _Heights(at, sample_terrain(path, *where), off)
-    files = _label_files(args)
-    fitted = terrain_heights(Path(args["path"]), files, args["beam"])
-    lacks = Finding("P01", {"kind": "terrain"}) if files else None
-    return _Heights(fitted[:, 0], fitted[:, 1], lacks)
-
-
-def _off_raster(name: str, path: Path, where: list[NDArray[np.float64]]) -> Finding:
-    """A raster that has no height along a beam."""
-    known = np.isfinite(where).all(axis=0)
-    if not known.any():
-        return Finding("P01", {"kind": "unplaced ground", "name": name})
-    latitude, longitude = (values[known] for values in where)
-    box = [float(v) for ends in ("min", "max") for v in (getattr(longitude, ends)(),
-                                                         getattr(latitude, ends)())]  # fmt: skip
-    return Finding(
-        "P01", {"kind": "dtm", "name": name, "dtm": list(extent_deg(path)), "ground": box}
-    )
-
-
-def _at(
-    wanted: NDArray[np.float64], at: NDArray[np.float64], height: NDArray[np.float64]
+def _at_cells(
+    columns: Mapping[str, NDArray[Any]], reference: TrackReferenceSettings, context: Context
 ) -> NDArray[np.float64]:
-    """Heights of a profile at places [m]; at its own cells they are what they are."""
-    if wanted is at:
-        return height
-    known = np.isfinite(height)
-    if not known.any():
-        return np.full(len(wanted), np.nan)
-    return between(wanted, np.column_stack([at[known], height[known]]))
+    """Heights of points or of a raster at each cell [m]."""
+    if reference.points is not None:
+        known = read_profile(context.resolve(reference.points))
+        return between(columns["along_track"], known)
+    path = context.resolve(reference.dtm or "")
+    return sample_terrain(path, columns["latitude"], columns["longitude"])
+
+
+def _nothing_near(
+    where: Mapping[str, NDArray[np.float64]],
+    files: Sequence[Path],
+    reference: TrackReferenceSettings,
+    context: Context,
+) -> Iterator[Finding]:
+    """Why a reference has no height at any ground of a beam."""
+    name = reference.points or reference.dtm
+    if reference.points is not None:
+        known = read_profile(context.resolve(reference.points))[:, 0]
+        ends = {"from_km": known[0], "to_km": known[-1]}
+        ends |= {"first_km": where["along_track"].min(), "last_km": where["along_track"].max()}
+        ends_km = {key: float(value) / 1000 for key, value in ends.items()}
+        yield Finding("P01", {"kind": "points", "name": name, **ends_km})
+    elif reference.dtm is not None:
+        placed = [values[np.isfinite(values)] for values in (where["longitude"], where["latitude"])]
+        if not all(len(values) for values in placed):
+            yield Finding("P01", {"kind": "unplaced ground", "name": name})
+            return
+        box = [float(end(values)) for end in (np.min, np.max) for values in placed]
+        dtm = list(extent_deg(context.resolve(reference.dtm)))
+        yield Finding("P01", {"kind": "dtm", "name": name, "dtm": dtm, "ground": box})
+    elif files:
+        yield Finding("P01", {"kind": "terrain"})
 
 
 def between(at: NDArray[np.float64], known: NDArray[np.float64]) -> NDArray[np.float64]:
     """Heights at places, NaN beyond those known and where these are far apart [m]."""
-    heights: NDArray[np.float64] = np.interp(
-        at, known[:, 0], known[:, 1], left=np.nan, right=np.nan
-    )
+    if not len(known):
+        return np.full(len(at), np.nan)
+    places, values = known.T
+    heights: NDArray[np.float64] = np.interp(at, places, values, left=np.nan, right=np.nan)
     if len(known) > 1:
-        after = np.clip(np.searchsorted(known[:, 0], at), 1, len(known) - 1)
-        low, high = known[after - 1, 0], known[after, 0]
+        after = np.clip(np.searchsorted(places, at), 1, len(places) - 1)
+        low, high = places[after - 1], places[after]
         heights[(high - low > REFERENCE_GAP_M) & (low < at) & (at < high)] = np.nan
     return heights
 
 
-def _agreement(args: Mapping[str, Any], context: Context) -> dict[str, dict[str, int]]:
-    """Photons that are signal here and there, by method: true and false, positive and negative.
-
-    Counts add up, so photons are looked at in passes of a bounded number.
-    """
-    theirs = find_labels(Path(args["path"]), _label_files(args), args["beam"])
+def _agreement(
+    args: Mapping[str, Any], files: Sequence[Path], context: Context
+) -> dict[str, dict[str, int]]:
+    """Photons that are signal here and there, by method: true and false, positive and negative."""
+    theirs = find_labels(Path(args["path"]), files, args["beam"])
     if theirs is None:
         return {}
     reference = context.workflow.reference
-    methods = ["ours", "mdbscan"] if reference is not None and reference.baseline else ["ours"]
+    methods = {"ours": "signal"}
+    if reference is not None and reference.baseline:
+        methods["mdbscan"] = "baseline"
     # By method: neither, there only, here only, both.
-    counts = np.zeros((len(methods), 4), np.int64)
-    low, high = theirs.rows
-    for first in range(low, high, PASS_PHOTONS):
-        stop = min(first + PASS_PHOTONS, high)
-        signal = theirs.signal(first, stop)
-        for name, _, _ in args["segments"]:
-            path = place(context, "labels", name, ".parquet")
-            for rows in rows_between(path, tuple(LABELS), "row", first, stop):
-                there = signal[rows["row"] - first]
-                for k, method in enumerate(methods):
-                    here = rows["signal" if method == "ours" else "baseline"] > 0
-                    counts[k] += np.bincount(2 * here + there, minlength=4)
+    counts = {method: np.zeros(4, np.int64) for method in methods}
+    first, stop = theirs.first, theirs.first + len(theirs.signal)
+    for name, _, _ in args["segments"]:
+        path = context.store.table("labels", name)
+        for rows in rows_between(path, tuple(LABELS), "row", first, stop):
+            there = theirs.signal[rows["row"] - first]
+            for method, column in methods.items():
+                counts[method] += np.bincount(2 * (rows[column] > 0) + there, minlength=4)
     names = ("neither", "only_there", "only_here", "both")
-    return {
-        method: dict(zip(names, row.tolist(), strict=True))
-        for method, row in zip(methods, counts, strict=True)
-    }
-
-
-def _label_files(args: Mapping[str, Any]) -> list[Path]:
-    return [Path(name) for name in args["labels"]]
+    return {m: dict(zip(names, row.tolist(), strict=True)) for m, row in counts.items()}

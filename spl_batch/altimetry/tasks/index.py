@@ -12,7 +12,7 @@ from spl_batch.altimetry.formats.photons import Layout, Photons, iter_photons
 from spl_batch.altimetry.formats.track_csv import check_unit
 from spl_batch.altimetry.photon_table import PHOTONS
 from spl_batch.altimetry.settings import TrackWorkflow
-from spl_batch.altimetry.tasks.context import CHUNK_PHOTONS, GROUP_PHOTONS, Context, place
+from spl_batch.altimetry.tasks.context import CHUNK_PHOTONS, GROUP_PHOTONS, Context
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
@@ -32,45 +32,49 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
 
 
 class _Cells:
-    """Photons of each cell, and the first one's place."""
+    """Photons of each cell, and where its first one lies."""
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self.parts: list[tuple[NDArray[np.int64], ...]] = []
-        self.places: list[NDArray[np.float64]] = []
+        #: Number of each cell, photons, latitude and longitude, of each chunk.
+        self.parts: list[NDArray[np.float64]] = []
         self.ends: list[int] = []
 
     def add(self, photons: Photons) -> None:
         """Count a chunk in."""
+        if not len(photons.row):
+            return
         cell, first, count = np.unique(
             photons.along // self.size, return_index=True, return_counts=True
         )
-        self.parts.append((cell, count.astype(np.int64)))
+        where = photons.latitude[first], photons.longitude[first]
+        self.parts.append(np.stack([cell, count, *where]))
         self.ends += [int(photons.along.min()), int(photons.along.max())]
-        self.places.append(np.stack([photons.latitude[first], photons.longitude[first]]))
 
     def length_m(self) -> float:
         """Length of track that holds photons [m]: that of all, or of the cells that hold some."""
-        if not self.ends:
-            return 0.0
-        cells = np.unique(np.concatenate([p[0] for p in self.parts]))
-        span = max(self.ends) - min(self.ends)
-        return float(min(span, len(cells) * self.size) / QUANTA_PER_M)
+        span = max(self.ends, default=0) - min(self.ends, default=0)
+        return min(span, len(self.arrays()["index"]) * self.size) / QUANTA_PER_M
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Cells in order."""
-        cells = np.concatenate([np.empty(0, np.int64), *(p[0] for p in self.parts)])
-        counts = np.concatenate([np.empty(0, np.int64), *(p[1] for p in self.parts)])
-        places = np.concatenate([np.empty((2, 0)), *self.places], axis=1)
-        index, first, at = np.unique(cells, return_index=True, return_inverse=True)
-        count = np.zeros(len(index), np.int64)
-        np.add.at(count, at, counts)
+        cell, count, latitude, longitude = np.concatenate([np.empty((4, 0)), *self.parts], axis=1)
+        index, first, at = np.unique(cell, return_index=True, return_inverse=True)
         return {
-            "index": index,
-            "count": count,
-            "latitude": places[0, first],
-            "longitude": places[1, first],
+            "index": index.astype(np.int64),
+            "count": np.bincount(at, count, len(index)).astype(np.int64),
+            "latitude": latitude[first],
+            "longitude": longitude[first],
         }
+
+
+def _read(path: Path, layout: Layout, beam: str, cells: _Cells) -> Iterator[Photons]:
+    """Photons of a beam, counted by cell; a table that is not in metres is refused at its end."""
+    for photons in iter_photons(path, layout, beam, CHUNK_PHOTONS):
+        cells.add(photons)
+        yield photons
+    if layout == "csv":
+        check_unit(path, int(cells.arrays()["count"].sum()), cells.length_m())
 
 
 def look_through(path: Path, layout: Layout, beam: str, cell_m: float) -> None:
@@ -81,42 +85,30 @@ def look_through(path: Path, layout: Layout, beam: str, cell_m: float) -> None:
     InputError
         What a run would raise of it.
     """
-    cells, placed = _Cells(quanta(cell_m)), 0
-    for photons in iter_photons(path, layout, beam, CHUNK_PHOTONS):
-        placed += len(photons.row)
-        if len(photons.row):
-            cells.add(photons)
-    if layout == "csv":
-        check_unit(path, placed, cells.length_m())
+    for _ in _read(path, layout, beam, _Cells(quanta(cell_m))):
+        pass
 
 
 def take_in(args: Mapping[str, Any], context: Context) -> Produced:
     """Read a beam once from end to end: photons and rate in the store's form."""
-    path, beam = Path(args["path"]), args["beam"]
-    workflow = context.workflow
+    path, workflow, read = Path(args["path"]), context.workflow, 0
     cells = _Cells(quanta(workflow.rate.cell_m))
-    read = placed = 0
-    target = place(context, "photons", args["key"], ".parquet")
+    outputs = [
+        context.store.table("photons", args["key"]),
+        context.store.path("places", f"{args['key']}.npz"),
+    ]
     with (
         unchanged(path, as_indexed("index_file", args, context)),
-        writing(target, PHOTONS) as writer,
+        writing(outputs[0], PHOTONS, rows=GROUP_PHOTONS) as writer,
     ):
-        for photons in iter_photons(path, args["layout"], beam, CHUNK_PHOTONS):
+        for photons in _read(path, args["layout"], args["beam"], cells):
             read += photons.read
-            placed += len(photons.row)
-            for start in range(0, len(photons.row), GROUP_PHOTONS):
-                rows = slice(start, start + GROUP_PHOTONS)
-                writer.write({name: getattr(photons, name)[rows] for name in PHOTONS})
-            if len(photons.row):
-                cells.add(photons)
-    outputs = [target, place(context, "places", args["key"], ".npz")]
+            writer.write({name: getattr(photons, name) for name in PHOTONS})
     counted = cells.arrays()
     write_arrays(outputs[1], counted)
-    if args["layout"] == "csv":
-        check_unit(path, placed, cells.length_m())
     facts = {
         "points": read,
-        "placed": placed,
+        "placed": int(counted["count"].sum()),
         "segments": list(segments(counted["index"], counted["count"], workflow)),
     }
     return Produced(outputs, facts, read)
@@ -127,12 +119,7 @@ def segments(
 ) -> Iterator[tuple[int, int, int]]:
     """Runs of windows of ``work.segment_photons`` at most, or one window: ends [quanta], photons.
 
-    Parameters
-    ----------
-    index, count : (n,) int64
-        Cells that hold photons, in order, and how many.
-    workflow : TrackWorkflow
-        Cells, windows, photons of a segment.
+    ``index``, ``count``: (n,), cells that hold photons, in order, and how many.
     """
     size = window_quanta(workflow)
     window, at = np.unique(index * quanta(workflow.rate.cell_m) // size, return_inverse=True)

@@ -6,7 +6,7 @@ Water is level where land is not: photons of 800 m within half a metre of a line
 A product places photons as if light went through air all the way. In water it is slower and bends:
 a floor seems deeper than it is, by a third at nadir. The correction is that of C. Parrish et al.
 (Remote Sens. 11, 1634, 2019) for a level surface: S = D / cos(t1) is the slant range in air,
-R = S n1 / n2 that in water, and their difference as vectors is what a photon is moved by.
+R = S n1 / n2 that in water, and a photon is lifted by the height of their difference as vectors.
 """
 
 from typing import Final
@@ -114,31 +114,14 @@ WATER: Final = 1.34116
 """Refractive indices that the paper gives, for sea water and 532 nm."""
 
 
-def refracted(
-    depth_m: NDArray[np.float64], off_nadir_deg: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What photons below a surface are moved by, (n,) float64 each [m].
+def refracted(depth_m: NDArray[np.float64], off_nadir_deg: float) -> NDArray[np.float64]:
+    """Height that photons below a surface gain, (n,) float64 [m].
 
-    Parameters
-    ----------
-    depth_m : (n,) float64
-        Depth below the surface as the product has it; nothing moves at 0 and above [m].
-    off_nadir_deg : float
-        Angle of the ray in air from the vertical [deg].
-
-    Returns
-    -------
-    across : (n,) float64
-        Horizontally, against the way that the ray is inclined [m].
-    up : (n,) float64
-        Upwards [m].
+    ``depth_m``: depth below the surface as the product has it; at 0 and above nothing moves.
+    ``off_nadir_deg``: angle of the ray in air from the vertical.
     """
-    depth = np.maximum(depth_m, 0.0)
     air = np.radians(off_nadir_deg)
     water = np.arcsin(AIR * np.sin(air) / WATER)
-    apparent = depth / np.cos(air)
-    true = apparent * AIR / WATER
-    return (
-        apparent * np.sin(air) - true * np.sin(water),
-        true * -np.cos(water) + apparent * np.cos(air),
-    )
+    apparent = np.maximum(depth_m, 0.0) / np.cos(air)
+    up: NDArray[np.float64] = apparent * np.cos(air) - apparent * AIR / WATER * np.cos(water)
+    return up

@@ -50,9 +50,11 @@ _HASH_CHARACTERS: Final = 32
 class GroupWriter:
     """Appends row groups to one Parquet file; see :func:`writing`."""
 
-    def __init__(self, path: Path, schema: pa.Schema, sought: Sequence[str] | None) -> None:
+    def __init__(
+        self, path: Path, schema: pa.Schema, sought: Sequence[str] | None, rows: int | None
+    ) -> None:
         split = {f.name for f in schema if not pa.types.is_boolean(f.type)}
-        self._schema = schema
+        self._schema, self._rows = schema, rows
         self._file = pq.ParquetWriter(
             path,
             schema,
@@ -64,10 +66,10 @@ class GroupWriter:
         )
 
     def write(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Append rows as one row group."""
+        """Append rows as one row group, or as groups of so many rows."""
         stored = {k: pa.array(columns[k]) for k in self._schema.names}
         arrow = pa.table(stored, schema=self._schema)
-        self._file.write_table(arrow, row_group_size=max(arrow.num_rows, 1))
+        self._file.write_table(arrow, row_group_size=self._rows or max(arrow.num_rows, 1))
 
     def close(self) -> None:
         """Write the footer."""
@@ -81,6 +83,7 @@ def writing(
     *,
     sought: Sequence[str] | None = None,
     durable: bool = False,
+    rows: int | None = None,
 ) -> Iterator[GroupWriter]:
     """Write a Parquet file by row groups, atomically.
 
@@ -92,13 +95,15 @@ def writing(
         Columns by whose bounds row groups are chosen; by default the footer has bounds of all.
     durable : bool
         As :func:`~spl_batch.formats.files.atomic.replacing` has it: for what is delivered.
+    rows : int, optional
+        Most rows of a row group; by default what is written at once is one.
     """
     schema = pa.schema(
         # What cannot be missing is written and read a quarter faster.
         [pa.field(k, pa.from_numpy_dtype(np.dtype(v)), nullable=False) for k, v in dtypes.items()]
     )
     with replacing(path, durable=durable) as temporary:
-        writer = GroupWriter(temporary, schema, sought)
+        writer = GroupWriter(temporary, schema, sought, rows)
         try:
             yield writer
         finally:
