@@ -1,8 +1,7 @@
 """Figures of the other receivers: altimetry, coincidence, water surfaces."""
 
 from collections.abc import Iterator
-from dataclasses import astuple, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from benchmarks.geiger.coincidence import known_scene
 from benchmarks.geiger.water import water_surface as water
 from benchmarks.held.figures import Figure, Moves, chosen, figure
 from benchmarks.held.surveys import Given
-from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
+from spl_batch.geiger.coincidence.simulate import SceneSettings
 from spl_batch.geiger.water.simulate import Instrument
 
 TRACKS: Final[Moves] = {
@@ -76,8 +75,7 @@ def surface(given: Given) -> Iterator[Figure]:
     seed = 1
     instrument = Instrument(seed=seed)
     ways, dead = water.calibrated_ways(instrument, seed)
-    on_water: dict[str, Any] = dict(water.ON_WATER)
-    wet = replace(instrument, **on_water)
+    wet = instrument.model_copy(update=water.ON_WATER)
     for name, target, receiver, view in (
         ("hard", water.HARD, instrument, water.HARD_VIEW),
         ("calm", water.CALM, wet, water.WATER_VIEW),
@@ -90,5 +88,5 @@ def surface(given: Given) -> Iterator[Figure]:
             yield figure(f"{name}: {what}", value, unit, "more", tolerance)
         if name == "waves":
             ends = [water.floor_errors(*pair, view) for pair in pairs]
-            off = np.mean([astuple(one) for one in ends], axis=0)
+            off = np.mean(ends, axis=0)
             yield figure("waves: ends of rays by the surface", 100 * off[2], "cm", "more", 0.5)

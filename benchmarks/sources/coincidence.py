@@ -2,7 +2,7 @@
 
 from benchmarks.geiger.coincidence import known_scene
 from benchmarks.sources.given import Figures, Given
-from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
+from spl_batch.geiger.coincidence.simulate import SceneSettings
 
 METHODS = ("published", "bridge_sign")
 """Names of :data:`~benchmarks.geiger.coincidence.known_scene.SETTINGS`."""

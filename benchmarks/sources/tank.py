@@ -6,8 +6,7 @@ times were not.
 """
 
 import time
-from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +28,7 @@ def measure(given: Given) -> Figures:
     """Spread by frames, by gate; errors by target and way; time of an acquisition."""
     instrument = Instrument(seed=given.seed)
     ways, dead = water.calibrated_ways(instrument, given.seed)
-    wet = replace(instrument, **dict[str, Any](water.ON_WATER))
+    wet = instrument.model_copy(update=water.ON_WATER)
     count = 1 if given.quick else ACQUISITIONS
     found = _gates(instrument, ways["the source's way"][0], dead)
     chosen = [ways[name] for name in WAYS.values()]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.geiger.coincidence import accuracy
-from spl_batch.geiger.coincidence.simulate.scene import (
+from spl_batch.geiger.coincidence.simulate import (
     BAR_WIDTHS_M,
     PLACES_M,
     SceneSettings,

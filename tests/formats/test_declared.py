@@ -22,7 +22,7 @@ from spl_batch.errors import InputError
 from spl_batch.formats.declared import BOMB_RATIO, SMALL_BYTES, bounded, refuse_bomb
 from spl_batch.formats.las.reader import iter_points
 from spl_batch.formats.trajectory.records import read_records
-from spl_batch.geiger.coincidence.formats import l1_files
+from spl_batch.geiger.coincidence import files
 from spl_batch.geiger.coincidence.tables import Detections
 from spl_batch.geiger.water.formats import inspect_frames
 from tests.io_files import patch, write_las
@@ -110,9 +110,9 @@ def test_a_parquet_bomb_is_refused_by_its_size(
     with pytest.raises(InputError, match="records would unpack to"):
         next(iter(read_records(path)))
     whole = ("frame", "detector")
-    path = constant(tmp_path / "d.parquet", Detections.names(), rows, whole)
+    path = constant(tmp_path / "d.parquet", Detections.types(), rows, whole)
     with pytest.raises(InputError, match="rows would unpack to"):
-        l1_files.inspect(path, Detections.names())
+        files.inspect(path, Detections.types())
 
 
 def test_a_raster_of_one_block_is_refused(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from spl_batch.formats.las.writer import KEEP_CLASS, write_classified
 from spl_batch.formats.trajectory.positions import gathering
 from spl_batch.formats.trajectory.records import ends
 from spl_batch.formats.vector_files import contains, read_polygons
-from spl_batch.geiger.coincidence.formats import l1_files
+from spl_batch.geiger.coincidence import files
 from spl_batch.geiger.coincidence.settings import ArraySettings
 from spl_batch.geiger.coincidence.tables import Detections, Frames
 from spl_batch.geiger.water.formats import inspect_frames, iter_frames, read_truth
@@ -124,16 +124,16 @@ def read_frames(path: Path) -> int:
 
 def read_l1_frames(path: Path) -> int:
     """Frames in order."""
-    l1_files.inspect(path, Frames.names())
-    l1_files.extents(path)
-    return len(l1_files.read_frames(path))
+    files.inspect(path, Frames.types())
+    files.extents(path)
+    return len(files.read_frames(path))
 
 
 def read_l1_detections(path: Path) -> int:
     """Detections in order."""
-    l1_files.inspect(path, Detections.names())
-    l1_files.extents(path)
-    return sum(map(len, l1_files.read_detections(path, ArraySettings())))
+    files.inspect(path, Detections.types())
+    files.extents(path)
+    return sum(map(len, files.read_detections(path, ArraySettings())))
 
 
 READERS: Final[dict[str, Callable[[Path], int]]] = {

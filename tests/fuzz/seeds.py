@@ -21,7 +21,7 @@ from spl_batch.airborne.simulate.file_writers import write_polygons
 from spl_batch.altimetry.formats.mabel import write_mabel
 from spl_batch.formats.las.writer import write_points
 from spl_batch.formats.trajectory.records import SBET_RECORD
-from spl_batch.geiger.coincidence.formats.l1_files import write
+from spl_batch.geiger.coincidence.files import write
 from spl_batch.geiger.coincidence.tables import Detections, Frames
 from spl_batch.geiger.water import formats as water
 from spl_batch.lattice.tables import PointTable

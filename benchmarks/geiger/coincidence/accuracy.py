@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from benchmarks.geiger.coincidence.scene_distances import heights_below, surface_distance
-from spl_batch.geiger.coincidence.simulate.scene import (
+from spl_batch.geiger.coincidence.scene_rays import Targets
+from spl_batch.geiger.coincidence.simulate import (
     PLACES_M,
     SPOKE_RADIUS_M,
     TARGET_HEIGHT_M,
     Target,
     bars,
 )
-from spl_batch.geiger.coincidence.simulate.scene_rays import Targets
 
 BAND_M = 0.3
 """Height around a level target within which points are taken for its own [m]."""

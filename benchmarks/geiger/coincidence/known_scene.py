@@ -29,16 +29,18 @@ from numpy.typing import NDArray
 from benchmarks.geiger.coincidence import accuracy
 from spl_batch.engine.report import style
 from spl_batch.formats.files.atomic import write_bytes
+from spl_batch.geiger.coincidence.scene_rays import Targets, painted, tube_distance
 from spl_batch.geiger.coincidence.settings import CoincidenceSettings
-from spl_batch.geiger.coincidence.simulate.scene import (
+from spl_batch.geiger.coincidence.simulate import (
     PLACES_M,
     TARGET_HEIGHT_M,
     SceneSettings,
     build,
-    fly,
+    detect,
+    flights,
 )
-from spl_batch.geiger.coincidence.simulate.scene_rays import Targets, painted, tube_distance
 from spl_batch.geiger.coincidence.surface import coincide
+from spl_batch.geiger.coincidence.tables import Detections, Frames
 from spl_batch.lattice.tiles import Bounds
 
 SETTINGS: Final[Mapping[str, Mapping[str, Any]]] = {
@@ -88,6 +90,12 @@ class Cloud:
 
 Numbers = dict[str, float]
 """What a cloud is worth, by name and unit."""
+
+
+def fly(scene: SceneSettings) -> tuple[Frames, Detections]:
+    """Frames and detections of all passes, in order."""
+    targets, frames = build(scene), list(flights(scene))
+    return Frames.joined(frames), Detections.joined([detect(scene, f, targets) for f in frames])
 
 
 def measure(

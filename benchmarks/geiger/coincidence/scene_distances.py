@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.geiger.coincidence.simulate.scene_rays import (
+from spl_batch.geiger.coincidence.scene_rays import (
     Targets,
     on_spoke,
     opaque,
@@ -85,5 +85,4 @@ def heights_below(x, y, scene, z):  # type: ignore[no-untyped-def]
     origin, way = np.empty(3), np.array([0.0, 0.0, -1.0])
     for row in range(len(x)):
         origin[0], origin[1], origin[2] = x[row], y[row], 100.0
-        t = opaque(origin, way, scene)
-        z[row] = 100.0 - (t - 1e9 if t > 5e8 else t)
+        z[row] = 100.0 - opaque(origin, way, scene)[0]

@@ -18,7 +18,6 @@ which light comes back. Each seed is another instrument with a calibration of it
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, replace
 from functools import reduce
 from operator import add
 from pathlib import Path
@@ -83,11 +82,16 @@ HARD_VIEW = view_of(CAMERA, MountSettings(off_nadir_deg=0.0))
 WATER_DOWN_M = 0.81915
 WATER_VIEW = view_of(CAMERA, MountSettings(position_m=(-4.013, -0.3376, WATER_DOWN_M - 3.1)))
 
-HARD = Target(3.3)
-CALM = Target(WATER_DOWN_M, penetration_m=0.01)
-WAVES = replace(
-    CALM,
-    waves=(Wave(0.07, 2.0, 20.0, 10.0), Wave(0.01, 0.5, -60.0, 100.0), Wave(0.003, 0.25, 70.0)),
+HARD = Target(down_m=3.3)
+CALM = Target(down_m=WATER_DOWN_M, penetration_m=0.01)
+WAVES = Target(
+    down_m=WATER_DOWN_M,
+    penetration_m=0.01,
+    waves=(
+        Wave(amplitude_m=0.07, length_m=2.0, heading_deg=20.0, phase_deg=10.0),
+        Wave(amplitude_m=0.01, length_m=0.5, heading_deg=-60.0, phase_deg=100.0),
+        Wave(amplitude_m=0.003, length_m=0.25, heading_deg=70.0),
+    ),
 )
 """15 cm from trough to crest, as the source's wave maker gave, with shorter waves on it."""
 
@@ -128,7 +132,7 @@ def observations(instrument: Instrument, seed: int) -> tuple[list[Observation], 
     for k, distance in enumerate(DISTANCES_M):
         dim = 0.015 / instrument.peak_photoelectrons
         for light in (dim, 1.0, *((0.3, 3.0, 8.0) if k % 3 == 0 else ())):
-            target = Target(float(distance))
+            target = Target(down_m=float(distance))
             drawn = acquisitions(
                 target,
                 instrument.dimmed(light),
@@ -208,7 +212,7 @@ def water_normals(_: Path, count: int = 8) -> Figure:
     instrument = Instrument(seed=1)
     ways, dead = calibrated_ways(instrument, 1)
     chosen = {name: ways[name] for name in ("the source's way", "ours")}
-    wet = replace(instrument, **ON_WATER)
+    wet = instrument.model_copy(update=ON_WATER)
     colours = dict(zip(chosen, (style.NOISE, style.SIGNAL), strict=True))
     drawn = style.figure(9.2, 3.1)
     left, *right = drawn.subplots(1, 3)
@@ -293,7 +297,7 @@ def main(seeds: Sequence[int], count: int) -> None:
             f"offset {o.offset_ns:.3f} ns, echo {o.pulse_ns:.3f} ns, "
             f"{int((dead & USED).sum())} dead pixels in use"
         )
-        wet = replace(instrument, **ON_WATER)
+        wet = instrument.model_copy(update=ON_WATER)
         for name, target, receiver, view in (
             ("hard", HARD, instrument, HARD_VIEW),
             ("calm", CALM, wet, WATER_VIEW),
@@ -306,7 +310,7 @@ def main(seeds: Sequence[int], count: int) -> None:
             for acquired, results in made:
                 for way, surface in zip(ways, results, strict=True):
                     found[way].append(errors(acquired, surface))
-                    floor[way].append(astuple(floor_errors(acquired, surface, view)))
+                    floor[way].append(floor_errors(acquired, surface, view))
             for way in ways:
                 tables[name].setdefault(way, []).append(np.mean(found[way], axis=0))
                 if name == "waves":

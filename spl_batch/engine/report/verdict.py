@@ -1,7 +1,7 @@
 """Sentences and rows that every receiver's page and console show: verdicts, time, failures."""
 
-from collections.abc import Sequence
-from typing import Final, Literal, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, Final, Literal, NamedTuple
 
 from spl_batch.engine.report.number_format import as_ascii, duration, large, number
 from spl_batch.engine.report.parts import Failure, FindingReport, Performance
@@ -37,6 +37,13 @@ def ending_rows(
     if findings:
         rows.append(("warnings", number(len(findings))))
     return [(label, as_ascii(value)) for label, value in rows]
+
+
+def card_rows(cards: Iterable[tuple[str, str, str]], report: Any) -> list[tuple[str, str]]:
+    """Label and value of what the console shows of a page's cards, and last of its ``report``."""
+    rows = [(label.lower(), f"{value} ({remark})") for label, value, remark in cards]
+    plain = [(label, as_ascii(value.replace("°", " deg"))) for label, value in rows]
+    return plain + ending_rows(report.performance, report.failures, report.findings)
 
 
 def _failed(failure: Failure) -> str:

@@ -1,8 +1,9 @@
 """Sections of a workflow of ``kind: coincidence``; what [M20] leaves open is ours and says so."""
 
 import math
-from collections.abc import Iterator
-from typing import Literal, Self
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -15,19 +16,16 @@ class ArraySettings(Section):
 
     rows: int = Field(32, ge=1, le=1024, description="Detectors across the flight [count].")
     columns: int = Field(128, ge=1, le=1024, description="Detectors along the flight [count].")
-    ifov_rad: float = Field(
-        30e-6, gt=0, le=0.01, description="Field of view of one detector, edge to edge [rad]."
-    )
+    ifov_rad: float = Field(30e-6, gt=0, le=0.01, description="Field of view of a detector [rad].")
     gate_start_m: Positive = Field(2500.0, description="Slant range at which detectors arm [m].")
     gate_stop_m: Positive = Field(3500.0, description="Slant range at which they are read [m].")
 
     @model_validator(mode="after")
     def _gate_opens_before_it_closes(self) -> Self:
-        if self.gate_stop_m <= self.gate_start_m:
-            raise ValueError(
-                f"gate_stop_m {self.gate_stop_m:g} is not beyond gate_start_m "
-                f"{self.gate_start_m:g}; give slant ranges in metres"
-            )
+        start, stop = self.gate_start_m, self.gate_stop_m
+        if stop <= start:
+            text = f"gate_stop_m {stop:g} is not beyond gate_start_m {start:g}"
+            raise ValueError(f"{text}; give slant ranges in metres")
         return self
 
     @property
@@ -39,58 +37,38 @@ class ArraySettings(Section):
 class BridgeSignSettings(Section):
     """Moving quadratic least squares and its maxima [M20 4.2-4.3]."""
 
-    window_voxels: Literal[3, 5, 7, 9] = Field(
-        5, description="Edge of the neighbourhood that a polynomial is fitted to [count]; ours."
-    )
+    window_voxels: Literal[3, 5, 7, 9] = Field(5, description="Of the neighbourhood [count]; ours.")
     wide_below: int = Field(
-        6,
-        ge=0,
-        description="Where fewer detections coincide, the neighbourhood is two voxels wider "
-        "[count]; 0 for nowhere; ours.",
+        6, ge=0, description="With fewer detections it is two voxels wider [count]; 0 never; ours."
     )
     threshold: Share | None = Field(
         None,
-        description="Least value of the polynomial at a point: detections for each look that "
-        "interrogates the voxel [1/1]; 0.01 by default, and 0.06 as published, where nothing else "
-        "tells surfaces from blur; ours.",
+        description="Least value of the polynomial at a point: detections for each look there "
+        "[1/1]; 0.01 by default, and 0.06 as published; ours.",
     )
     edge_rule: bool = Field(
-        True,
-        description="Whether a point is left out whose detections lie farther to the side than on "
-        "a straight edge; ours.",
+        True, description="Detections lie no farther to the side than on a straight edge; ours."
     )
     edge_share: float = Field(
-        0.5,
-        ge=0,
-        lt=1,
-        description="Least part that a point has of what is strong beside it: of the mean of the "
-        "points within half a neighbourhood and one voxel, weighted with themselves [0..1]; ours.",
+        0.5, ge=0, lt=1, description="Least part of what is strong beside a point [0..1]; ours."
     )
     strongest_along_normal: bool = Field(
-        True,
-        description="Whether a point is left out that has a stronger one before or behind "
-        "it, within half a neighbourhood; ours.",
+        True, description="No stronger point lies within half a neighbourhood along it; ours."
     )
     reach_voxels: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="How far from its voxel's centre, along each axis, a point may lie "
-        "[voxel edges]; ours.",
+        0.5, gt=0, le=1, description="From its voxel's centre, along each axis [edges]; ours."
     )
     curvature_ratio: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="A direction is one of maximum when its second derivative is at least this "
-        "part of the strongest [1/1]; ours.",
+        0.5, gt=0, le=1, description="Of the strongest, from which a maximum counts [1/1]; ours."
     )
-    detections_min: int = Field(
-        4, ge=1, description="Detections that coincide in a neighbourhood [count]; ours."
-    )
-    looks_min: Positive = Field(
-        0.25, description="Least mean of looks through the neighbourhood's voxels [count]; ours."
-    )
+    detections_min: int = Field(4, ge=1, description="That coincide around a point [count]; ours.")
+    looks_min: Positive = Field(0.25, description="Least mean of looks there [count]; ours.")
+
+
+PUBLISHED: Final[Mapping[str, float]] = MappingProxyType(
+    {"wide_below": 0, "edge_rule": False, "edge_share": 0.0, "strongest_along_normal": False}
+)
+"""What the source does without."""
 
 
 class CoincidenceSettings(Section):
@@ -98,8 +76,8 @@ class CoincidenceSettings(Section):
 
     method: Literal["bridge_sign", "published"] = Field(
         "bridge_sign",
-        description="With our rules for edges and along the normal, or without as published: "
-        "edge_rule and strongest_along_normal false, edge_share and wide_below 0.",
+        description="With our rules, or as published: wide_below and edge_share 0, edge_rule and "
+        "strongest_along_normal false.",
     )
     voxel_m: float | None = Field(
         None,
@@ -108,20 +86,16 @@ class CoincidenceSettings(Section):
         description="Edge of a voxel, whole millimetres [m]; by default half the ground size of "
         "a detector's field of view, in the middle of the gate.",
     )
-    volume_voxels: int = Field(
-        128, ge=32, le=512, description="Edge of a sub-volume that is rastered at once [count]."
-    )
+    volume_voxels: int = Field(128, ge=32, le=512, description="Edge of a sub-volume [count].")
     bridge_sign: BridgeSignSettings = BridgeSignSettings()
 
     @property
     def rules(self) -> BridgeSignSettings:
         """Settings of the chosen method, its threshold put in."""
-        chosen: dict[str, float] = {"threshold": self.bridge_sign.threshold or 0.01}
-        if self.method == "published":
-            chosen = {"edge_rule": False, "edge_share": 0.0, "strongest_along_normal": False}
-            chosen["wide_below"] = 0
-            chosen["threshold"] = self.bridge_sign.threshold or 0.06
-        return self.bridge_sign.model_copy(update=chosen)
+        published = self.method == "published"
+        threshold = self.bridge_sign.threshold or (0.06 if published else 0.01)
+        chosen = PUBLISHED if published else {}
+        return self.bridge_sign.model_copy(update={**chosen, "threshold": threshold})
 
     @property
     def windows(self) -> dict[int, int]:
@@ -150,12 +124,8 @@ class L1Settings(Section):
 
     name: str = Field("survey", description="Title of the report.")
     crs: str | None = Field(None, description="CRS of all coordinates, e.g. EPSG:32615.")
-    frames: str | tuple[str, ...] = Field(
-        description="Frames as Parquet: a path or glob, or several, relative to this file."
-    )
-    detections: str | tuple[str, ...] = Field(
-        description="Detections as Parquet: a path or glob, or several, relative to this file."
-    )
+    frames: str | tuple[str, ...] = Field(description="Parquet: a path or glob, or several.")
+    detections: str | tuple[str, ...] = Field(description="Likewise, relative to this file.")
 
 
 class TileSettings(Section):

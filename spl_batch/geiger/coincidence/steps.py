@@ -1,46 +1,38 @@
 """Steps of the coincidence processing, in the order in which they are done."""
 
-from typing import Final
+from typing import Any, Final
 
 from spl_batch.engine.tasks.step import Step, Steps, table
 
-_TASKS: Final = "spl_batch.geiger.coincidence.tasks"
+_HOME: Final = "spl_batch.geiger.coincidence"
+
+
+def _step(name: str, **options: Any) -> Step:
+    """A step whose functions have its name."""
+    return Step(name=name, run=f"{_HOME}.tasks:{name}", tasks=f"{_HOME}.receiver:{name}", **options)
+
 
 STEPS: Final[Steps] = table(
-    Step(
-        name="frames",
+    _step("index_frames", stage="index", after=(), settings=("array",), unit="file"),
+    _step(
+        "index_file",
         stage="index",
-        run=f"{_TASKS}:index_frames",
-        tasks="spl_batch.geiger.coincidence.plan:frames",
-        after=(),
-        settings=("array",),
-        unit="file",
-    ),
-    Step(
-        name="index_file",
-        stage="index",
-        run=f"{_TASKS}:index_file",
-        tasks="spl_batch.geiger.coincidence.plan:index_file",
-        after=("frames",),
+        after=("index_frames",),
         settings=("array.rows", "array.columns", "tiling.tile_m"),
         unit="file",
     ),
-    Step(
-        name="coincide",
+    _step(
+        "coincide_tile",
         stage="coincidence",
-        run=f"{_TASKS}:coincide_tile",
-        tasks="spl_batch.geiger.coincidence.plan:coincide",
-        after=("frames", "index_file"),
+        after=("index_frames", "index_file"),
         settings=("array", "coincidence", "tiling.tile_m"),
         unit="tile",
         remedy="take a smaller tiling.tile_m or coincidence.volume_voxels",
     ),
-    Step(
-        name="deliver_tile",
+    _step(
+        "deliver_tile",
         stage="deliver",
-        run=f"{_TASKS}:deliver_tile",
-        tasks="spl_batch.geiger.coincidence.plan:deliver_tile",
-        after=("coincide",),
+        after=("coincide_tile",),
         settings=("outputs.aggregate_bit",),
         delivers=True,
     ),

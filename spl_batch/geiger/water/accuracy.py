@@ -8,7 +8,7 @@ Deviation: the source's truth is one depth and one normal. Here each pixel of ea
 have its own, so that waves can be judged.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,7 @@ from spl_batch.geiger.water.pixel_geometry import floor_points, refracted
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class SurfaceError:
+class SurfaceError(NamedTuple):
     """Errors of one surface."""
 
     #: Of the down coordinate [G15 Eq. 3-16 to 3-18].
@@ -59,8 +58,7 @@ def angles_deg(normals: Floats, true: Floats) -> Floats:
     """Angle between unit vectors [G15 Eq. 3-26]: (...) float64 [deg]."""
     # The chord keeps small angles that a cosine near one would lose.
     chord = np.linalg.norm(normals - true, axis=-1)
-    angle: Floats = np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)))
-    return angle
+    return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))))
 
 
 def surface_error(
@@ -79,20 +77,13 @@ def surface_error(
         return SurfaceError(*(float("nan"),) * 5, pixels=0), error, angle
     bias, variance = float(error[known].mean()), float(error[known].var())
     means = [v[known].mean(axis=0) for v in (normals, true_normals)]
-    mean, true_mean = (m / np.linalg.norm(m) for m in means)
-    made = SurfaceError(
-        bias,
-        variance,
-        bias**2 + variance,
-        float(angles_deg(mean, true_mean)),
-        float(angle[known].mean()),
-        int(known.sum()),
-    )
+    between = float(angles_deg(*(mean / np.linalg.norm(mean) for mean in means)))
+    each, pixels = float(angle[known].mean()), int(known.sum())
+    made = SurfaceError(bias, variance, bias**2 + variance, between, each, pixels)
     return made, error, angle
 
 
-@dataclass(frozen=True, slots=True)
-class FloorError:
+class FloorError(NamedTuple):
     """How far rays end from where they truly do after a way through the water."""
 
     #: Mean distance of the ends of single pixels' rays: without refraction, refracted by a level
@@ -115,9 +106,8 @@ def floor_error(
 ) -> FloorError:
     """Errors of the ends of rays; NaN where no pixel is known, or no way in water.
 
-    ``look``: (rows, cols, 3), unit vectors along the lines of sight. ``found``, ``true``: places on
-    the surface [m] and unit normals out of the water. ``in_water_m``: length of the way in water
-    [m].
+    ``look``: (rows, cols, 3), lines of sight. ``found``, ``true``: places on the surface [m] and
+    unit normals out of the water.
     """
     known = np.isfinite(found[0]).all(axis=-1) & np.isfinite(found[1]).all(axis=-1)
     if not known.any() or in_water_m <= 0:

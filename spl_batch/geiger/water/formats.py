@@ -50,8 +50,6 @@ class FrameFacts:
     """What a file of frames declares."""
 
     frames: int
-    rows: int
-    cols: int
     #: Frames of an acquisition for which truth lies beside; 0 where there is none [count].
     truth_frames: int
     chunk_frames: int  #: Frames of a chunk; 0 where it is not cut into chunks [count].
@@ -83,38 +81,32 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def inspect_frames(path: Path, rows: int, cols: int) -> FrameFacts:
-    """Check what a file declares against the camera.
-
-    ``path``: HDF5 file or Zarr group.
-
-    Raises
-    ------
-    InputError
-        With every fault of the declaration.
-    """
+    """Check what an HDF5 file or Zarr group declares against the camera, and name every fault."""
     with _opened(path) as group:
         if "frames" not in group:
             raise InputError(str(path), "has no array 'frames' of (n, rows, cols) time bins")
         array = group["frames"]
         if not hasattr(array, "dtype"):
             raise InputError(str(path), "'frames' is a group, not an array; store (n, rows, cols)")
-        _refuse_foreign(path, array)
-        faults = _array_faults(array, rows, cols)
-        truth = 0
+        faults, truth = _array_faults(array, rows, cols), 0
         if "truth" in group and not faults:
-            truth, more = _truth(group["truth"], array.shape)
-            faults += more
+            truth, faults = _truth(group["truth"], array.shape)
         if faults:
             raise InputError(str(path), faults)
-        _refuse_huge(path, array)
-        held = _piece_bytes(array)
-        if truth:
-            for name in TRUTH:
-                _refuse_foreign(path, group[f"truth/{name}"])
-            held += sum(_chunk_bytes(group[f"truth/{name}"]) for name in TRUTH)
+        arrays = [array, *(group[f"truth/{name}"] for name in TRUTH if truth)]
+        for one in arrays:
+            if isinstance(one, h5py.Dataset):
+                refuse_foreign(path, one)
+        frames = bounded(path, "frames", int(array.shape[0]), least=1, most=_FRAMES_MAX)
+        parts = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
+        size, stored = array.dtype.itemsize, sum(p.stat().st_size for p in parts)
+        refuse_bomb(path, f"{frames} frames", frames * rows * cols * size, stored)
+        # Of a piece: decoded values, those of the wanted frames, bins and their sums.
+        wanted = min(_piece_frames(array), frames) * rows * cols
+        held = max(wanted * size, _chunk_bytes(array)) + wanted * (size + 2 + SUM_BYTES)
+        held += sum(map(_chunk_bytes, arrays[1:]))
         chunk = int(array.chunks[0]) if array.chunks else 0
-        missing = _missing_chunks(array)
-        return FrameFacts(int(array.shape[0]), rows, cols, truth, chunk, held, missing)
+        return FrameFacts(frames, truth, chunk, int(held), _missing_chunks(array))
 
 
 def _missing_chunks(array: Any) -> int:
@@ -126,20 +118,6 @@ def _missing_chunks(array: Any) -> int:
     return int(wanted - array.id.get_num_chunks())
 
 
-def _refuse_foreign(path: Path, array: Any) -> None:
-    """Refuse an array of an HDF5 file that lies in another one."""
-    if isinstance(array, h5py.Dataset):
-        refuse_foreign(path, array)
-
-
-def _refuse_huge(path: Path, array: Any) -> None:
-    """Refuse frames that declare more than their bytes can hold."""
-    count = bounded(path, "frames", int(array.shape[0]), least=1, most=_FRAMES_MAX)
-    parts = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
-    size = count * int(array.shape[1] * array.shape[2]) * array.dtype.itemsize
-    refuse_bomb(path, f"{count} frames", size, sum(p.stat().st_size for p in parts))
-
-
 def _piece_frames(array: Any) -> int:
     """Frames that are read at once: whole chunks, as many as are in bounds, or one [count]."""
     chunk = int(array.chunks[0]) if array.chunks else 1
@@ -147,16 +125,9 @@ def _piece_frames(array: Any) -> int:
     return max(most // chunk, 1) * chunk
 
 
-def _piece_bytes(array: Any) -> int:
-    """Memory of a piece: decoded values, those of the wanted frames, bins and their sums [byte]."""
-    size = array.dtype.itemsize
-    wanted = min(_piece_frames(array), array.shape[0]) * array.shape[1] * array.shape[2]
-    return int(max(wanted * size, _chunk_bytes(array)) + wanted * (size + 2 + SUM_BYTES))
-
-
 def _chunk_bytes(array: Any) -> int:
     """Size of a decoded chunk, 0 without any [byte]."""
-    return int(np.prod(array.chunks, dtype=object) * array.dtype.itemsize) if array.chunks else 0
+    return math.prod(map(int, array.chunks)) * array.dtype.itemsize if array.chunks else 0
 
 
 def _array_faults(array: Any, rows: int, cols: int) -> list[str]:
@@ -175,16 +146,14 @@ def _array_faults(array: Any, rows: int, cols: int) -> list[str]:
 
 
 def _truth(group: Any, shape: tuple[int, ...]) -> tuple[int, list[str]]:
+    """Frames of its acquisitions, and what is wrong with the truth beside frames of a shape."""
     given = group.attrs.get("frames_per_acquisition", 0)
     per = int(given) if isinstance(given, int | np.integer) else 0
     if not 1 <= per <= shape[0]:
         return 0, ["truth lacks the attribute frames_per_acquisition, 1 to the number of frames"]
-    wanted = {
-        "down_m": (shape[0] // per, *shape[1:]),
-        "normals": (shape[0] // per, *shape[1:], 3),
-    }
     faults = []
-    for name, expected in wanted.items():
+    for name, vector in zip(TRUTH, ((), (3,)), strict=True):
+        expected = (shape[0] // per, *shape[1:], *vector)
         found = tuple(getattr(group[name], "shape", ())) if name in group else None
         if found != expected:
             faults.append(f"truth/{name} has the shape {found}, expected {expected}")
@@ -194,15 +163,7 @@ def _truth(group: Any, shape: tuple[int, ...]) -> tuple[int, list[str]]:
 def iter_frames(
     path: Path, first: int, last: int, bins: int
 ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
-    """Frames ``first <= n < last``, a piece after the other: number of its first one, frames.
-
-    ``path``: checked by :func:`inspect_frames`.
-
-    Raises
-    ------
-    InputError
-        If they cannot be read, or a value is no bin of the camera.
-    """
+    """Frames ``first <= n < last`` of an inspected file, a piece after the other, and its first."""
     with _opened(path) as group:
         array = group["frames"]
         step = _piece_frames(array)
@@ -231,11 +192,8 @@ def _checked(
 def read_truth(path: Path, first: int, last: int) -> FrameTruth:
     """Truth of the acquisitions ``first <= a < last``."""
     with _opened(path) as group:
-        truth = group["truth"]
-        return FrameTruth(
-            np.asarray(truth["down_m"][first:last], dtype=np.float64),
-            np.asarray(truth["normals"][first:last], dtype=np.float64),
-        )
+        found = (np.asarray(group[f"truth/{k}"][first:last], dtype=np.float64) for k in TRUTH)
+        return FrameTruth(*found)
 
 
 def write_frames(
@@ -247,14 +205,8 @@ def write_frames(
 ) -> None:
     """Write frames, and their truth where it is given; whole or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        ``.h5`` or ``.zarr``.
-    frames : (n, rows, cols) uint16
-        Bins; 0 is no hit.
-    frames_per_acquisition : int
-        Frames of an acquisition of the truth.
+    ``path``: ``.h5`` or ``.zarr``. ``frames``: (n, rows, cols), bins; 0 is no hit.
+    ``frames_per_acquisition``: frames of an acquisition of the truth.
     """
     chunk = (min(len(frames), CHUNK_FRAMES), *frames.shape[1:])
     with replacing(path) as temporary:

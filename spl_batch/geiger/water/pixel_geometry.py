@@ -4,12 +4,12 @@ Frames: the sensor's has z along the optical axis; the local one is north, east,
 out of the water.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.geiger.water.settings import CameraSettings, MountSettings
@@ -33,37 +33,23 @@ class View:
     @property
     def norm(self) -> Floats:
         """Length of (x, y, 1) [G15 Eq. 3-12]: (rows, cols) float64."""
-        length: Floats = np.sqrt(self.x**2 + self.y**2 + 1.0)
-        return length
+        return np.asarray(np.sqrt(self.x**2 + self.y**2 + 1.0))
 
     @property
     def look(self) -> Floats:
         """Unit vectors in the local frame [G15 Eq. 3-13 to 3-15]: (rows, cols, 3) float64."""
         vectors = np.stack([self.x, self.y, np.ones_like(self.x)], axis=-1)
-        look: Floats = (vectors / self.norm[..., None]) @ self.rotation.T
-        return look
+        return np.asarray((vectors / self.norm[..., None]) @ self.rotation.T)
 
     def places(self, range_m: Floats) -> Floats:
         """North, east, down of ranges: (..., rows, cols, 3) float64 [m]."""
-        places: Floats = self.origin_m + range_m[..., None] * self.look
-        return places
-
-    def to_local(self, vectors: Floats) -> Floats:
-        """Turn vectors of the sensor's frame: (..., 3) float64."""
-        turned: Floats = vectors @ self.rotation.T
-        return turned
+        return np.asarray(self.origin_m + range_m[..., None] * self.look)
 
 
 def rotation(roll_deg: float, pitch_deg: float, heading_deg: float) -> Floats:
     """Rz(heading) Ry(pitch) Rx(roll): (3, 3) float64 [G15 Eq. 3-6]."""
-    (cr, sr), (cp, sp), (ch, sh) = (
-        (math.cos(math.radians(a)), math.sin(math.radians(a)))
-        for a in (roll_deg, pitch_deg, heading_deg)
-    )
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    about_z = np.array([[ch, -sh, 0.0], [sh, ch, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(about_z @ about_y @ about_x)
+    angles = [heading_deg, pitch_deg, roll_deg]
+    return np.asarray(Rotation.from_euler("ZYX", angles, degrees=True).as_matrix())
 
 
 def view_of(camera: CameraSettings, mount: MountSettings) -> View:
@@ -88,11 +74,9 @@ def refracted(beam: Floats, normal: Floats, index_water: float) -> Floats:
     eta = 1.0 / index_water
     k = -(beam * normal).sum(axis=-1, keepdims=True)
     root = np.sqrt(1.0 + eta**2 * (k**2 - 1.0))
-    behind: Floats = eta * beam + (eta * k - root) * normal
-    return behind
+    return np.asarray(eta * beam + (eta * k - root) * normal)
 
 
 def floor_points(surface: Floats, direction: Floats, in_water_m: float | Floats) -> Floats:
     """Where rays end after a path in water: (..., 3) float64 [m]."""
-    ends: Floats = surface + np.asarray(in_water_m)[..., None] * direction
-    return ends
+    return np.asarray(surface + np.asarray(in_water_m)[..., None] * direction)

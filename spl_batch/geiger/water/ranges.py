@@ -2,15 +2,11 @@
 
 Mean time of each pixel from frames [G15 2.2.5, 2.2.6, 3.4.2]: Eq. 2-1 is the intensity, Eq. 2-3 the
 mean. A frame holds for each pixel the bin of its only hit, 0 for none. All sums are integers:
-pieces of a file come in any order.
+pieces of a file come in any order. The source's gate was chosen by eye; here it lies around the
+highest value of the histogram, smoothed by a window of five bins. Dead pixels are found.
 
-The source's gate was chosen by eye from a histogram; here it lies around the highest
-value of the histogram, smoothed by a window of five bins. Dead pixels are found: those with far
-fewer hits than the pixels around, and those that fire outside the gate in many frames.
-
-Ranges from mean bins, and the fit of that from frames of a target [G15 3.4.3-3.4.4].
-
-The measured time of a pixel is
+Ranges from mean times, and the fit of that from frames of a target [G15 3.4.3-3.4.4]: the measured
+time of a pixel is
 
     m = R0 t + R1 - walk(I) + delay of the pixel,
 
@@ -20,22 +16,20 @@ dim pixels (Eq. 3-1, 3-2), then ``walk = A exp(B I)`` through what brighter ones
 (:func:`first_photon`) by weighted least squares over all pixels and distances, in turn with a
 delay for each pixel, shrunk towards nothing as far as the spread of its hits explains it.
 
-Deviations from the source. The target is flat and stands across the axis, so an outer pixel's range
-is longer than the axis'; the source takes one distance for all. The walk was defined as a
-difference of measured times: it is added to the measured time, before the scale is divided out.
-Delays of pixels are new.
+Deviations from the source. The target is flat and across the axis, so an outer pixel's range is
+longer than the axis'; the source takes one distance for all. The walk was defined as a difference
+of measured times: it is added to the measured time, before the scale is divided out.
 
 The first-photon law: a pixel that expects n photo-electrons of an echo fires at the first of them.
 Their times spread by a normal law with standard deviation s; I = 1 - exp(-n) is the share of frames
 with a hit, whose mean is early by s g(I), with g the mean over -I of z n phi(z) exp(-n Phi(z)). It
-follows from the Poisson law of detection alone; [G15 3.4.4] instead fits an exponential to its
-measurements, and puts it down to faster avalanches.
+follows from Poisson's law alone; [G15 3.4.4] instead fits an exponential to its measurements.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,13 +45,13 @@ from spl_batch.geiger.water.settings import (
     PixelSettings,
 )
 
+Floats = NDArray[np.float64]
+
 SMOOTHED_BINS = 5
 SUMS = ("hits", "total", "square", "outside")
-"""Sums of a pixel."""
 
 
-@dataclass(frozen=True, slots=True)
-class Gate:
+class Gate(NamedTuple):
     """Bins that count: ``low <= bin < high``."""
 
     low: int
@@ -83,14 +77,13 @@ class Hits:
         return Hits(self.frames + other.frames, self.gate, *sums)
 
     @property
-    def intensity(self) -> NDArray[np.float64]:
+    def intensity(self) -> Floats:
         """Share of frames with a hit in the gate [G15 Eq. 2-1]: (rows, cols) float64."""
-        share: NDArray[np.float64] = self.hits / self.frames
-        return share
+        return np.asarray(self.hits / self.frames)
 
-    def mean_bin(self) -> NDArray[np.float64]:
+    def mean_bin(self) -> Floats:
         """Mean bin [G15 Eq. 2-3]: (rows, cols) float64; NaN without a hit."""
-        mean: NDArray[np.float64] = np.full(self.hits.shape, np.nan)
+        mean: Floats = np.full(self.hits.shape, np.nan)
         np.divide(self.total, self.hits, out=mean, where=self.hits > 0)
         return mean + self.gate.low
 
@@ -120,10 +113,7 @@ def histogram(frames: NDArray[np.uint16], used: NDArray[np.bool_], bins: int) ->
 
 
 def find_gate(counts: NDArray[np.int64], settings: GateSettings) -> Gate | None:
-    """Gate around the peak of a histogram [G15 3.4.2]; None without a hit.
-
-    ``counts``: (bins + 1,), hits of each bin; bin 0 is no hit.
-    """
+    """Gate around the peak of a histogram, (bins + 1,) [G15 3.4.2]; None without a hit."""
     centre = settings.centre_bin
     if centre is None:
         around = np.convolve(counts[1:], np.ones(SMOOTHED_BINS, dtype=np.int64), mode="same")
@@ -137,10 +127,7 @@ def find_gate(counts: NDArray[np.int64], settings: GateSettings) -> Gate | None:
 
 
 def add_up(frames: NDArray[np.uint16], gate: Gate) -> Hits:
-    """Sums of frames within a gate.
-
-    ``frames``: (n, rows, cols) uint16, bins; 0 is no hit.
-    """
+    """Sums of frames, (n, rows, cols), bins, within a gate; 0 is no hit."""
     inside = (frames >= gate.low) & (frames < gate.high) & (frames > 0)
     step = np.where(inside, frames, gate.low).astype(np.int32) - gate.low
     hits = inside.sum(axis=0)
@@ -164,8 +151,6 @@ def dead_pixels(hits: Hits, used: NDArray[np.bool_], settings: PixelSettings) ->
         dead[row, col] = True
     return dead
 
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 50
 HITS_MIN = 5
@@ -235,13 +220,12 @@ def observation(
 
 def faults_of(observations: Sequence[Observation], settings: CalibrationSettings) -> list[str]:
     """Why nothing can be fitted, each with a remedy; empty where it can."""
-    faults = []
-    for k, seen in enumerate(observations):
-        if not seen.hits.any():
-            faults.append(
-                f"calibration.frames[{k}]: no pixel has {HITS_MIN} hits within the gate; "
-                "take more frames or check gate:"
-            )
+    faults = [
+        f"calibration.frames[{k}]: no pixel has {HITS_MIN} hits within the gate; "
+        "take more frames or check gate:"
+        for k, seen in enumerate(observations)
+        if not seen.hits.any()
+    ]
     dim = {seen.distance_m for seen in observations if _dim(seen, settings).any()}
     if settings.range_walk == "exponential" and len(dim) < 2 and not faults:
         faults.append(
@@ -260,6 +244,7 @@ def fit(observations: Sequence[Observation], settings: CalibrationSettings) -> C
 
 
 def _dim(seen: Observation, settings: CalibrationSettings) -> NDArray[np.bool_]:
+    """Pixels without range walk."""
     dim = (seen.intensity > settings.dim_min) & (seen.intensity < settings.dim_max)
     return dim & (seen.hits > 0)
 
@@ -270,57 +255,48 @@ def _fit_source(observations: Sequence[Observation], settings: CalibrationSettin
     actual = [seen.actual_ns[rows].mean() for seen, rows in dim]
     measured = [seen.measured_ns[rows].mean() for seen, rows in dim]
     scale, offset = np.polyfit(actual, measured, 1)
-    chosen = {"scale": float(scale), "offset_ns": float(offset)}
-    bright, early, weight = [], [], []
-    for seen in observations:
-        rows = (seen.hits > 0) & (seen.intensity > settings.dim_min)
-        rows &= seen.intensity < BRIGHTEST
-        bright.append(seen.intensity[rows])
-        early.append(scale * seen.actual_ns[rows] + offset - seen.measured_ns[rows])
-        weight.append(seen.hits[rows])
+    bright = [
+        np.stack([s.intensity, scale * s.actual_ns + offset - s.measured_ns, s.hits])[:, rows]
+        for s in observations
+        for rows in [_fitted(s) & (s.intensity > settings.dim_min)]
+    ]
+    intensity, early, hits = np.concatenate(bright, axis=1)
     start: Any = (settings.walk_ns or 0.02, settings.walk_exponent)
     (a, b), _ = curve_fit(
-        exponential,
-        np.concatenate(bright),
-        np.concatenate(early),
-        p0=start,
-        sigma=1.0 / np.sqrt(np.concatenate(weight)),
-        maxfev=2000,
+        exponential, intensity, early, p0=start, sigma=1.0 / np.sqrt(hits), maxfev=2000
     )
-    chosen |= {"walk_ns": max(float(a), 0.0), "walk_exponent": float(b)}
-    return _with_delays(observations, settings.model_copy(update=chosen))
+    walk = {"walk_ns": max(float(a), 0.0), "walk_exponent": float(b)}
+    clock = {"scale": float(scale), "offset_ns": float(offset)}
+    return _with_delays(observations, settings.model_copy(update=clock | walk))
+
+
+def _fitted(seen: Observation) -> NDArray[np.bool_]:
+    """Pixels that take part in a fit."""
+    return (seen.hits > 0) & (seen.intensity < BRIGHTEST)
 
 
 def _fit_joint(observations: Sequence[Observation], settings: CalibrationSettings) -> Calibration:
     """All numbers at once, in turn with the pixels' delays until neither moves."""
     walks = settings.range_walk == "first_photon"
-    pixel = np.zeros_like(observations[0].actual_ns)
-    fitted, residual = settings, 0.0
+    made = Calibration(settings, np.zeros_like(observations[0].actual_ns))
     last: Floats = np.zeros(3)
     for _ in range(ROUNDS):
         normal, right = np.zeros((3, 3)), np.zeros(3)
         for seen in observations:
-            rows = (seen.hits > 0) & (seen.intensity < BRIGHTEST)
+            rows = _fitted(seen)
             early = first_photon(seen.intensity[rows]) if walks else np.zeros(int(rows.sum()))
             design = np.stack([seen.actual_ns[rows], np.ones(len(early)), -early], axis=1)
             weighted = design * seen.hits[rows, None]
             normal += weighted.T @ design
-            right += weighted.T @ (seen.measured_ns[rows] - pixel[rows])
+            right += weighted.T @ (seen.measured_ns[rows] - made.pixel_ns[rows])
         numbers = np.asarray(np.linalg.lstsq(normal, right)[0], dtype=np.float64)
-        pulse = max(float(numbers[2]), 0.0) if walks else settings.pulse_ns
-        fitted = settings.model_copy(
-            update={
-                "scale": float(numbers[0]),
-                "offset_ns": float(numbers[1]),
-                "pulse_ns": pulse,
-            }
-        )
-        made = _with_delays(observations, fitted)
-        pixel, residual = made.pixel_ns, made.residual_ns
+        found = dict(zip(("scale", "offset_ns", "pulse_ns"), numbers.tolist(), strict=True))
+        found["pulse_ns"] = max(found["pulse_ns"], 0.0) if walks else settings.pulse_ns
+        made = _with_delays(observations, settings.model_copy(update=found))
         if np.abs(numbers - last).max() < 1e-9:
             break
         last = numbers
-    return Calibration(fitted, pixel, residual)
+    return made
 
 
 def _with_delays(observations: Sequence[Observation], fitted: CalibrationSettings) -> Calibration:
@@ -328,7 +304,7 @@ def _with_delays(observations: Sequence[Observation], fitted: CalibrationSetting
     none = Calibration(fitted, np.zeros_like(observations[0].actual_ns))
     hits, delay, expected = (np.zeros_like(none.pixel_ns) for _ in range(3))
     for seen in observations:
-        rows = (seen.hits > 0) & (seen.intensity < BRIGHTEST)
+        rows = _fitted(seen)
         left = seen.measured_ns + none.walk_ns(seen.intensity)
         left -= fitted.scale * seen.actual_ns + fitted.offset_ns
         hits[rows] += seen.hits[rows]
@@ -354,7 +330,7 @@ _STEP: Final = 0.02
 
 
 @cache
-def _table() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _table() -> tuple[Floats, Floats]:
     expected = np.arange(0.0, MOST + _STEP / 2, _STEP)
     z = np.linspace(-9.0, 9.0, 3601)
     density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
@@ -363,17 +339,13 @@ def _table() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return expected, np.concatenate([[0.0], early])
 
 
-def first_photon(intensity: NDArray[np.float64]) -> NDArray[np.float64]:
+def first_photon(intensity: Floats) -> Floats:
     """How early hits are, in standard deviations of the echo, by their share of frames: g, >= 0."""
     expected, early = _table()
     n = -np.log1p(-np.minimum(intensity, -np.expm1(-MOST)))
-    walk: NDArray[np.float64] = np.interp(n, expected, early)
-    return walk
+    return np.asarray(np.interp(n, expected, early))
 
 
-def exponential(
-    intensity: NDArray[np.float64], amplitude: float, exponent: float
-) -> NDArray[np.float64]:
+def exponential(intensity: Floats, amplitude: float, exponent: float) -> Floats:
     """``A exp(B I)`` [G15 Eq. 3-5]: (...) float64, in the unit of A."""
-    walk: NDArray[np.float64] = amplitude * np.exp(exponent * intensity)
-    return walk
+    return np.asarray(amplitude * np.exp(exponent * intensity))

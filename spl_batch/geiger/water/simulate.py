@@ -13,14 +13,14 @@ the size of a pixel's footprint on a slope.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
+from scipy.stats import exponnorm
 
 from spl_batch.engine.settings.base import Positive, Section
 from spl_batch.engine.verbs.simulation import Simulated, finished, scene_of
@@ -29,27 +29,24 @@ from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS, Floats, View, vie
 from spl_batch.geiger.water.settings import CameraSettings, MountSettings
 
 GRAVITY_M_S2 = 9.81
+NotNegative = Annotated[float, Field(ge=0)]
 
 
-@dataclass(frozen=True, slots=True)
-class Wave:
+class Wave(Section):
     """One sinusoid of deep water, travelling."""
 
-    #: Half of crest to trough, and crest to crest [m].
-    amplitude_m: float
-    length_m: float
-    heading_deg: float = 0.0  #: Where it goes, from north over east [deg].
-    phase_deg: float = 0.0  #: At the origin at time 0 [deg].
+    amplitude_m: float = Field(description="Half of crest to trough [m].")
+    length_m: Positive = Field(description="Crest to crest [m].")
+    heading_deg: float = Field(0.0, description="Where it goes, from north over east [deg].")
+    phase_deg: float = Field(0.0, description="At the origin at time 0 [deg].")
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(Section):
     """What the array looks at: a level surface, or waves about it."""
 
-    down_m: float  #: Of the level surface in the local frame [m].
-    waves: tuple[Wave, ...] = ()  #: Added up; none for a flat target.
-    #: Mean length of the way in water of light that comes back [m]; 0 for a hard target.
-    penetration_m: float = 0.0
+    down_m: float = Field(description="Of the level surface in the local frame [m].")
+    waves: tuple[Wave, ...] = Field((), description="Added up; none for a flat target.")
+    penetration_m: NotNegative = Field(0.0, description="Mean way of echoes in water [m].")
 
     def surface(
         self, north: Floats, east: Floats, time_s: Floats | float
@@ -90,44 +87,35 @@ class Target:
         return length, normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
-@dataclass(frozen=True, slots=True)
-class Instrument:
+class Instrument(Section):
     """The array as it really is; the defaults are a twin of the source's."""
 
-    peak_photoelectrons: float = 0.4  #: Expected of an echo in the middle of the beam [count].
-    #: float, (float, float): 1/e2 radius of the beam on the array, and its middle: row, column
-    #: [pixel].
-    beam_px: float = 22.0
-    beam_centre_px: tuple[float, float] = (14.0, 15.5)
-    sensitivity_spread: float = 0.1  #: Relative spread of the pixels' efficiency.
-    #: Standard deviations of the laser's pulse and of the avalanche's delay [ns].
-    pulse_ns: float = 1.0
-    jitter_ns: float = 0.085
-    noise_hz: float = 700.0  #: Dark counts and background of a pixel [1/s].
-    #: Clock: measured = scale x actual + offset [ns].
-    scale: float = 1.02379235588971
-    offset_ns: float = 82.3525317669176
-    #: Delay of the pixels: standard deviation of a part of its own for each, and of a part that
-    #: changes smoothly over the array [ns].
-    delay_ns: float = 0.05
-    pattern_ns: float = 0.018
-    dead: int = 150  #: Dead pixels, most of them in the last three rows [count].
-    hot: int = 0  #: Pixels that fire in most frames by themselves [count].
-    seed: int = 1  #: Of what is fixed to the instrument.
+    peak_photoelectrons: Positive = Field(0.4, description="Of an echo in mid-beam [count].")
+    beam_px: Positive = Field(22.0, description="1/e2 radius of the beam on the array [pixel].")
+    beam_centre_px: tuple[float, float] = Field((14.0, 15.5), description="Row, column [pixel].")
+    sensitivity_spread: NotNegative = Field(0.1, description="Of the pixels' efficiency [1].")
+    pulse_ns: Positive = Field(1.0, description="Standard deviation of the laser's pulse [ns].")
+    jitter_ns: NotNegative = Field(0.085, description="Of the avalanche's delay [ns].")
+    noise_hz: Positive = Field(700.0, description="Dark counts and background of a pixel [1/s].")
+    scale: Positive = Field(1.02379235588971, description="Measured over actual time [1].")
+    offset_ns: float = Field(82.3525317669176, description="Delay of the electronics [ns].")
+    delay_ns: NotNegative = Field(0.05, description="Spread of each pixel's own delay [ns].")
+    pattern_ns: NotNegative = Field(0.018, description="Of a delay smooth over the array [ns].")
+    dead: int = Field(150, ge=0, description="Dead pixels, most in the last three rows [count].")
+    seed: int = Field(1, ge=0, description="Of what is fixed to the instrument.")
 
     def dimmed(self, factor: float) -> "Instrument":
         """The same instrument with another share of the light."""
-        return replace(self, peak_photoelectrons=factor * self.peak_photoelectrons)
+        light = factor * self.peak_photoelectrons
+        return self.model_copy(update={"peak_photoelectrons": light})
 
 
-@dataclass(frozen=True)
-class Array:
+class Array(NamedTuple):
     """Properties of one instrument's pixels: (rows, cols) each."""
 
     photoelectrons: Floats  #: Expected of an echo [count].
     delay_ns: Floats  #: Of the pixel [ns].
-    noise_hz: Floats  #: Dark counts and background [1/s].
-    dead: NDArray[np.bool_] = field(repr=False)  #: Pixels that never fire.
+    dead: NDArray[np.bool_]  #: Pixels that never fire.
 
 
 def build_array(instrument: Instrument, camera: CameraSettings) -> Array:
@@ -147,9 +135,7 @@ def build_array(instrument: Instrument, camera: CameraSettings) -> Array:
     chosen = np.concatenate([order[last][:many], order[~last][: instrument.dead - many]])
     dead = np.zeros(shape, dtype=np.bool_)
     dead.ravel()[chosen] = True
-    noise = np.full(shape, instrument.noise_hz)
-    noise.ravel()[order[~last][instrument.dead :][: instrument.hot]] = 1e6
-    return Array(instrument.peak_photoelectrons * beam * gain, delay, noise, dead)
+    return Array(instrument.peak_photoelectrons * beam * gain, delay, dead)
 
 
 def _pattern(rng: np.random.Generator, row: Floats, col: Floats) -> Floats:
@@ -159,8 +145,7 @@ def _pattern(rng: np.random.Generator, row: Floats, col: Floats) -> Floats:
         angle, turns, phase = rng.uniform(0, 2 * math.pi), rng.uniform(0.3, 1.2), rng.uniform(0, 1)
         along = math.cos(angle) * row + math.sin(angle) * col
         total += np.sin(2 * math.pi * (turns * along + phase))
-    smooth: Floats = (total - total.mean()) / total.std()
-    return smooth
+    return np.asarray((total - total.mean()) / total.std())
 
 
 def late_photon(share: Floats, decay: float) -> Floats:
@@ -169,15 +154,9 @@ def late_photon(share: Floats, decay: float) -> Floats:
     ``decay``: mean of the exponential that light from below the surface adds, in the same unit.
     """
     if decay <= 0.0:
-        hard: Floats = ndtri(share)
-        return hard
-    # Normal and exponential together, inverted by a table: ndtr(t) less its late part.
+        return np.asarray(ndtri(share))
     t = np.linspace(-8.0, 8.0 + 40.0 * decay, 8001)
-    late = np.exp(0.5 / decay**2 - t / decay + np.log(np.maximum(ndtr(t - 1.0 / decay), 1e-300)))
-    cumulative = np.maximum.accumulate(np.clip(ndtr(t) - late, 0.0, 1.0))
-    rising = np.concatenate([[True], np.diff(cumulative) > 1e-15])
-    delayed: Floats = np.interp(share, cumulative[rising], t[rising])
-    return delayed
+    return np.asarray(np.interp(share, exponnorm.cdf(t, decay), t))
 
 
 def draw_frames(
@@ -194,18 +173,13 @@ def draw_frames(
     ``decay_ns``: mean delay of light from below the surface [ns].
     """
     shape = actual_ns.shape
-    never = np.inf
     reached = rng.standard_exponential(shape) / array.photoelectrons
-    signal = np.full(shape, never)
-    comes = reached < 1.0
-    share = np.clip(reached[comes], 1e-12, 1.0 - 1e-12)
     # An echo has the pulse's width; where its middle lies depends on the frame.
-    signal[comes] = actual_ns[comes] + instrument.pulse_ns * late_photon(
-        share, decay_ns / instrument.pulse_ns
-    )
-    measured = instrument.scale * signal + instrument.offset_ns
-    noise = rng.standard_exponential(shape) / (array.noise_hz * 1e-9)
-    first = np.minimum(measured, noise)
+    signal, comes = np.full(shape, np.inf), reached < 1.0
+    share, pulse_ns = np.clip(reached[comes], 1e-12, 1.0 - 1e-12), instrument.pulse_ns
+    signal[comes] = actual_ns[comes] + pulse_ns * late_photon(share, decay_ns / pulse_ns)
+    noise = rng.standard_exponential(shape) / (instrument.noise_hz * 1e-9)
+    first = np.minimum(instrument.scale * signal + instrument.offset_ns, noise)
     first = first + instrument.jitter_ns * rng.standard_normal(shape) + array.delay_ns
     fired = np.isfinite(first) & (first < camera.bin_ns * (camera.bins + 1)) & ~array.dead
     bins = np.zeros(shape, dtype=np.uint16)
@@ -213,8 +187,7 @@ def draw_frames(
     return bins
 
 
-@dataclass(frozen=True, slots=True)
-class Acquisition:
+class Acquisition(NamedTuple):
     """Frames of one acquisition and what is true in its middle."""
 
     frames: NDArray[np.uint16]  #: (n, rows, cols): bins; 0 is no hit.
@@ -244,12 +217,8 @@ def acquisitions(
     for k in range(count):
         rng = np.random.default_rng((*seeds, k))
         times = (k * frames + np.arange(frames)) / camera.prf_hz
-        middle = float(times.mean())
-        true_range, true_normals = target.meet(view, middle)
-        if target.waves:
-            range_m, _ = target.meet(view, times[:, None, None])
-        else:
-            range_m = np.broadcast_to(true_range, (frames, *true_range.shape))
+        true_range, true_normals = target.meet(view, float(times.mean()))
+        range_m = target.meet(view, times[:, None, None])[0]
         drawn = draw_frames(array, instrument, camera, range_m / HALF_C_M_NS, decay_ns, rng)
         down = view.places(true_range)[..., 2]
         yield Acquisition(drawn, true_range, down, true_normals)
@@ -265,9 +234,7 @@ class TargetFrames(Section):
         (0.04, 0.3, 1.0, 4.0), min_length=1, description="Shares of the light of the beam."
     )
     frames: int = Field(1000, ge=1, description="Frames at each distance and light [count].")
-    tape_m: float = Field(
-        0.0, ge=0, description="Standard deviation of the error of a distance [m]."
-    )
+    tape_m: NotNegative = Field(0.0, description="Standard error of a distance [m].")
 
 
 class WaterScene(Section):
@@ -277,86 +244,72 @@ class WaterScene(Section):
     name: str = Field("water", description="Title, and name of the files.")
     seed: int = Field(1, ge=0, description="Every photon follows from it.")
     camera: CameraSettings = CameraSettings()
-    mount: MountSettings = Field(
-        MountSettings(position_m=(0.0, 0.0, -3.1)), description="Where the lens is."
-    )
-    target: Target = Field(Target(0.0), description="Surface: down_m, waves, penetration_m.")
-    instrument: Instrument = Field(Instrument(), description="The array as it really is.")
+    mount: MountSettings = MountSettings(position_m=(0.0, 0.0, -3.1))
+    target: Target = Target(down_m=0.0)
+    instrument: Instrument = Instrument()
     files: int = Field(1, ge=1, le=10_000, description="Files of frames [count].")
     acquisitions: int = Field(10, ge=1, description="Acquisitions of each file [count].")
     frames_per_acquisition: int = Field(200, ge=1, description="Frames of each [count].")
     calibration: TargetFrames | None = TargetFrames()
     format: Literal["h5", "zarr"] = Field("h5", description="HDF5 or Zarr.")
-    in_water_m: float = Field(0.0, ge=0, description="Way in water of the workflow's rays [m].")
+    in_water_m: NotNegative = Field(0.0, description="Way in water of the workflow's rays [m].")
 
 
 def simulate_file(
     path: Path, out: Path, *, progress: Callable[[float], None] | None = None
 ) -> Simulated:
-    """Simulate the scene of a file; see :func:`simulate`."""
-    return simulate(scene_of(WaterScene, path), out, progress=progress)
-
-
-def simulate(
-    scene: WaterScene, out: Path, *, progress: Callable[[float], None] | None = None
-) -> Simulated:
-    """Write the files of a scene.
+    """Make the files of a scene's file, into ``frames/``, ``calibration/`` and ``workflow.yaml``.
 
     ``progress`` receives the share of the files that is written, 0..1.
     """
-    for k in range(scene.files):
-        _water(scene, k, out / "frames" / f"{scene.name}_{k:02d}.{scene.format}")
-        if progress is not None:
-            progress((k + 1) / (scene.files + (scene.calibration is not None)))
-    listed = _targets(scene, scene.calibration, out) if scene.calibration else []
-    if progress is not None:
-        progress(1.0)
-    frames = scene.files * scene.acquisitions * scene.frames_per_acquisition
-    targets = len(listed) * scene.calibration.frames if scene.calibration else 0
-    return finished(out, _workflow(scene, listed), {"frames": frames, "frames of targets": targets})
-
-
-def _water(scene: WaterScene, k: int, path: Path) -> None:
+    scene, tell = scene_of(WaterScene, path), progress or (lambda _: None)
     view, per = view_of(scene.camera, scene.mount), scene.frames_per_acquisition
-    what = (scene.target, scene.instrument, scene.camera, view)
-    made = list(acquisitions(*what, scene.acquisitions, per, (scene.seed, k)))
-    truth = FrameTruth(
-        np.stack([a.true_down_m for a in made]), np.stack([a.true_normals for a in made])
-    )
-    _write(scene, path, np.concatenate([a.frames for a in made]), truth)
-
-
-def _write(scene: WaterScene, path: Path, frames: Any, truth: FrameTruth | None = None) -> None:
+    what = scene.target, scene.instrument, scene.camera, view, scene.acquisitions, per
     described = {"bin_ns": scene.camera.bin_ns, "prf_hz": scene.camera.prf_hz}
-    write_frames(path, frames, described, truth, scene.frames_per_acquisition)
-
-
-def _targets(scene: WaterScene, wanted: TargetFrames, out: Path) -> list[dict[str, Any]]:
-    """Frames of a flat target across the axis, at distances that are known with an error."""
-    rng = np.random.default_rng((scene.seed, 1_000_000))
-    view = view_of(scene.camera, MountSettings(off_nadir_deg=0.0))
-    listed: list[dict[str, Any]] = []
-    for distance in wanted.distances_m:
-        measured = float(distance + wanted.tape_m * rng.standard_normal())
-        for light in wanted.lights:
-            seed = (scene.seed, 1_000_001 + len(listed))
-            what = (Target(distance), scene.instrument.dimmed(light), scene.camera, view)
-            (made,) = acquisitions(*what, 1, wanted.frames, seed)
-            name = f"calibration/{distance:g}m_{light:g}.{scene.format}"
-            _write(scene, out / name, made.frames)
-            listed.append({"frames": name, "distance_m": measured})
-    return listed
-
-
-def _workflow(scene: WaterScene, listed: list[dict[str, Any]]) -> dict[str, Any]:
-    camera = scene.camera.model_dump(mode="json", exclude_defaults=True)
-    mount = scene.mount.model_dump(mode="json", exclude_defaults=True)
-    content: dict[str, Any] = {
+    for k in range(scene.files):
+        made = list(acquisitions(*what, (scene.seed, k)))
+        down, normals = np.stack([a.true_down_m for a in made]), [a.true_normals for a in made]
+        name = f"frames/{scene.name}_{k:02d}.{scene.format}"
+        frames = np.concatenate([a.frames for a in made])
+        write_frames(out / name, frames, described, FrameTruth(down, np.stack(normals)), per)
+        tell((k + 1) / (scene.files + (scene.calibration is not None)))
+    listed = []
+    for target, seen in _targets(scene, scene.calibration) if scene.calibration else ():
+        write_frames(out / target["frames"], seen, described)
+        listed.append(target)
+    tell(1.0)
+    camera, mount = (
+        section.model_dump(mode="json", exclude_defaults=True)
+        for section in (scene.camera, scene.mount)
+    )
+    given = {"camera": camera, "mount": mount, "calibration": listed and {"frames": listed}}
+    workflow = {
         "kind": "water_surface",
         "survey": {"name": scene.name, "frames": f"frames/*.{scene.format}"},
         "output": "out",
-        "surface": {"frames_per_acquisition": scene.frames_per_acquisition},
+        "surface": {"frames_per_acquisition": per},
         "path": {"in_water_m": scene.in_water_m},
+        **{key: value for key, value in given.items() if value},
     }
-    given = {"camera": camera, "mount": mount, "calibration": listed and {"frames": listed}}
-    return content | {key: value for key, value in given.items() if value}
+    counts = {"frames": scene.files * scene.acquisitions * per}
+    counts["frames of targets"] = len(listed) * scene.calibration.frames if scene.calibration else 0
+    return finished(out, workflow, counts)
+
+
+def _targets(
+    scene: WaterScene, wanted: TargetFrames
+) -> Iterator[tuple[dict[str, Any], NDArray[np.uint16]]]:
+    """Frames of a flat target across the axis, and what a workflow has of them.
+
+    Distances are known with an error.
+    """
+    rng = np.random.default_rng((scene.seed, 1_000_000))
+    view, number = view_of(scene.camera, MountSettings(off_nadir_deg=0.0)), 1_000_001
+    for distance in wanted.distances_m:
+        measured = float(distance + wanted.tape_m * rng.standard_normal())
+        for light in wanted.lights:
+            what = (Target(down_m=distance), scene.instrument.dimmed(light), scene.camera, view)
+            (made,) = acquisitions(*what, 1, wanted.frames, (scene.seed, number))
+            name = f"calibration/{distance:g}m_{light:g}.{scene.format}"
+            yield {"frames": name, "distance_m": measured}, made.frames
+            number += 1

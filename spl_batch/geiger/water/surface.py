@@ -2,10 +2,10 @@
 
 ``windowed`` is the source's chain [G15 3.6.2]: places by Eq. 3-9, median and fast non-local means
 of the down coordinate (Eq. 2-4, 2-8 to 2-13), a regression plane in a window of 3 x 3 or 5 x 5
-pixels, its normal (Eq. 2-14 to 2-26). The non-local means are scikit-image's. A pixel's own weight
-is 2 there; Eq. 2-9 gives it the greatest of the others'. The sum of a patch's squared differences
-is compared with h squared times its pixels; Eq. 2-13 compares its square with h squared. Dead
-pixels take their neighbours' median.
+pixels, its normal (Eq. 2-14 to 2-26). The non-local means are scikit-image's: a pixel's own weight
+is 2, where Eq. 2-9 gives it the greatest of the others', and the sum of a patch's squared
+differences is compared with h squared times its pixels, where Eq. 2-13 compares its square with
+h squared. Dead pixels take their neighbours' median.
 
 ``adaptive`` neither filters nor fixes a window. It regresses the inverse of the depth along the
 optical axis on the image coordinates, :math:`1/z = a + b x + c y`: there a plane in space is a
@@ -13,18 +13,16 @@ plane too, and they are free of error, while north and east carry the range's.
 
 First comes a polynomial over the whole array, as most waves are longer than it is wide, shrunk
 towards a plane as far as noise explains it (:func:`shrunk_polynomial`). The plane's three numbers
-are free; those of the higher terms, Legendre polynomials of the image coordinates, have a normal
-prior whose variance falls from order to order. The result is a mean over sizes and falls of that
-prior, weighted by how likely the pixels are under each, all terms integrated out [M92]: the most
-likely one alone is far off now and then. So a level surface keeps the plane's small error, and a
-wave gets its curvature. What it leaves goes to planes in windows that grow as long as the
-confidence intervals of all so far have a value in common (:func:`growing_windows`, [G97]). A
-pixel's weight is the inverse variance of its mean, from the spread of single hits in the
-acquisition and from what the calibration leaves; one far from the median of those around it takes
-no part.
+are free; those of the higher terms, Legendre polynomials, have a normal prior whose variance falls
+from order to order. The result is a mean over sizes and falls of that prior, weighted by how likely
+the pixels are under each, all terms integrated out [M92]: the most likely one alone is far off now
+and then. What it leaves goes to planes in windows that grow as long as the confidence intervals of
+all so far have a value in common (:func:`growing_windows`, [G97]). A pixel's weight is the inverse
+variance of its mean, from the spread of single hits and from what the calibration leaves; one far
+from the median of those around it takes no part.
 
-Either way a pixel without a range, such as a dead one, takes its place from its neighbours, if one
-within two pixels has a range.
+Either way a pixel without a range takes its place from its neighbours, if one within two pixels has
+a range.
 
 - **[G97]** A. Goldenshluger, A. Nemirovski: *On spatial adaptive estimation of nonparametric
   regression*. Mathematical Methods of Statistics 6, 1997.
@@ -64,18 +62,12 @@ def planes(value: Floats, weight: Floats, x: Floats, y: Floats, half: int) -> tu
     ``value``, ``weight``, ``x``, ``y``: (rows, cols), what is regressed on x and y, finite; inverse
     variances, 0 where there is none. ``half``: half the edge of the window; 1 is 3 x 3 [pixel].
 
-    Returns
-    -------
-    plane, spread : (rows, cols, 3) float64
-        Value at the pixel, slopes along x and y, and their standard deviations; NaN without a
-        plane.
+    Value at the pixel, slopes along x and y, (rows, cols, 3), and their standard deviations; NaN
+    without a plane.
     """
-    products = np.stack([x**0, x, y, value, x * x, x * y, y * y, x * value, y * value])
-    window = np.ones(2 * half + 1)
+    products = np.stack([x**0, x, y, value, x * x, x * y, y * y, x * value, y * value]) * weight
     for axis in (1, 2):
-        products = convolve1d(
-            products if axis == 2 else products * weight, window, axis=axis, mode="constant"
-        )
+        products = convolve1d(products, np.ones(2 * half + 1), axis=axis, mode="constant")
     total = products[0]
     with np.errstate(invalid="ignore", divide="ignore"):
         mx, my, mv = products[1:4] / total
@@ -94,22 +86,18 @@ def planes(value: Floats, weight: Floats, x: Floats, y: Floats, half: int) -> tu
 
 def growing_windows(
     value: Floats, weight: Floats, halves: Sequence[int], agreement: float
-) -> tuple[Floats, NDArray[np.int64]]:
+) -> Floats:
     """Weighted plane around each pixel, in the widest window that agrees with all narrower ones.
 
     The value at the pixel and the two slopes each choose a window: a value suffers sooner from
     curvature than a slope does. ``halves``: half edges of the windows, rising [pixel];
     ``agreement``: half width of an interval, in standard deviations.
 
-    Returns
-    -------
-    (rows, cols, 3) float64, (rows, cols, 2) int64
-        Value, slope along columns, slope along rows [1/pixel], NaN without a plane; half edges for
-        value and slopes, 0 without a plane.
+    Value, slope along columns, slope along rows [1/pixel]: (rows, cols, 3); NaN without a plane.
     """
     index: Floats = np.indices(value.shape, dtype=np.float64)
     y, x = index[0], index[1]
-    found, chosen = np.full((*value.shape, 3), np.nan), np.zeros((*value.shape, 2), np.int64)
+    found = np.full((*value.shape, 3), np.nan)
     low, high = np.full(found.shape, -np.inf), np.full(found.shape, np.inf)
     for half in halves:
         plane, spread = planes(value, weight, x, y, half)
@@ -117,13 +105,12 @@ def growing_windows(
         low = np.fmax(low, plane - agreement * spread)
         high = np.fmin(high, plane + agreement * spread)
         agrees = low <= high
-        for part, fine in enumerate((agrees[..., 0], agrees[..., 1:].all(axis=-1))):
-            columns = slice(0, 1) if part == 0 else slice(1, 3)
-            found[known & fine, columns] = plane[known & fine, columns]
-            chosen[known & fine, part] = half
+        for part in (slice(0, 1), slice(1, 3)):
+            wider = known & agrees[..., part].all(axis=-1)
+            found[wider, part] = plane[wider, part]
         if half >= max(value.shape):
             break
-    return found, chosen
+    return found
 
 
 SIZES = 10.0 ** np.arange(-5.0, -0.9, 0.25)
@@ -156,8 +143,8 @@ def shrunk_polynomial(value: Floats, weight: Floats, x: Floats, y: Floats, order
     return np.stack(
         [
             _products(u, v, terms) @ numbers,
-            _products(u, v, terms, along_u=True) @ numbers / size,
-            _products(u, v, terms, along_v=True) @ numbers / size,
+            _products(u, v, terms, 0) @ numbers / size,
+            _products(u, v, terms, 1) @ numbers / size,
         ],
         axis=-1,
     )
@@ -193,26 +180,19 @@ def _most_likely(design: Floats, wanted: Floats, orders: NDArray[np.int64]) -> F
 
 
 def _products(
-    u: Floats,
-    v: Floats,
-    terms: list[tuple[int, int]],
-    *,
-    along_u: bool = False,
-    along_v: bool = False,
+    u: Floats, v: Floats, terms: list[tuple[int, int]], along: int | None = None
 ) -> Floats:
-    """Products of Legendre polynomials, or their derivatives: (..., terms) float64."""
-    count = max(map(sum, terms)) + 1
-    basis = np.eye(count)
-    values = [[legendre.legval(w, row) for row in basis] for w in (u, v)]
-    slopes = [[legendre.legval(w, legendre.legder(row)) for row in basis] for w in (u, v)]
-    first = slopes[0] if along_u else values[0]
-    second = slopes[1] if along_v else values[1]
-    products: Floats = np.stack([first[p] * second[q] for p, q in terms], axis=-1)
-    return products
+    """Products of Legendre polynomials, or their derivatives along one: (..., terms) float64."""
+    basis = np.eye(max(map(sum, terms)) + 1)
+    values = [
+        [legendre.legval(w, legendre.legder(row) if axis == along else row) for row in basis]
+        for axis, w in enumerate((u, v))
+    ]
+    return np.asarray(np.stack([values[0][p] * values[1][q] for p, q in terms], axis=-1))
 
 
 LENT_PX: Final = 2
-"""How far from a pixel with a range the surface is told [pixel]."""
+"""How far from a pixel with a range the surface is known [pixel]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,9 +205,6 @@ class Surface:
     places_m: Floats  #: (rows, cols, 3): on the surface [m]; NaN where it is not known.
     #: (rows, cols, 3): unit vectors out of the water, so with a negative last part; NaN likewise.
     normals: Floats
-    #: (rows, cols, 2): half edges of the windows of place and normal [pixel]; 0 where there is
-    #: none.
-    half_windows: NDArray[np.int64]
 
 
 def ranges(
@@ -258,17 +235,16 @@ def make_surface(
     """
     range_m = ranges(hits, dead, calibration, camera, pixels)
     if settings.method == "windowed":
-        places, normals, halves = _windowed(range_m, view, settings.windowed)
+        places, normals = _windowed(range_m, view, settings.windowed)
     else:
         variance = _variance(hits, calibration, camera)
-        places, normals, halves = _adaptive(range_m, variance, view, settings.adaptive)
+        places, normals = _adaptive(range_m, variance, view, settings.adaptive)
     # What no pixel nearby has seen, the array's unused rows too, is not made up.
     seen = maximum_filter(np.isfinite(range_m), size=2 * LENT_PX + 1, mode="constant")
     seen &= used_pixels(camera)
     places[~seen] = np.nan
     normals[~seen] = np.nan
-    halves[~seen] = 0
-    return Surface(range_m, hits.intensity, places, normals, halves)
+    return Surface(range_m, hits.intensity, places, normals)
 
 
 def _variance(hits: Hits, calibration: Calibration, camera: CameraSettings) -> Floats:
@@ -284,7 +260,7 @@ def _variance(hits: Hits, calibration: Calibration, camera: CameraSettings) -> F
 
 def _adaptive(
     range_m: Floats, variance: Floats, view: View, settings: AdaptiveSettings
-) -> tuple[Floats, Floats, NDArray[np.int64]]:
+) -> tuple[Floats, Floats]:
     around = window_median(range_m, 2)
     sound = np.isfinite(range_m)
     sound[sound] = (range_m - around)[sound] ** 2 <= settings.outlier**2 * 1.2 * variance[sound]
@@ -294,7 +270,7 @@ def _adaptive(
     weight[sound] = 1.0 / (slope**2 * variance[sound])
     trend = shrunk_polynomial(inverse, weight, view.x, view.y, settings.order_max)
     left = inverse - trend[..., 0]
-    plane, halves = growing_windows(left, weight, settings.half_windows, settings.agreement)
+    plane = growing_windows(left, weight, settings.half_windows, settings.agreement)
     # Rows of the image run against x, columns along y.
     value = trend[..., 0] + plane[..., 0]
     along_x = trend[..., 1] + plane[..., 2] / (view.x[1, 0] - view.x[0, 0])
@@ -302,12 +278,10 @@ def _adaptive(
     axis = value - along_x * view.x - along_y * view.y
     normals = -np.stack([along_x, along_y, axis], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    return view.places(view.norm / value), view.to_local(normals), halves
+    return view.places(view.norm / value), normals @ view.rotation.T
 
 
-def _windowed(
-    range_m: Floats, view: View, settings: WindowedSettings
-) -> tuple[Floats, Floats, NDArray[np.int64]]:
+def _windowed(range_m: Floats, view: View, settings: WindowedSettings) -> tuple[Floats, Floats]:
     # A dead pixel has a place as soon as its neighbours lend it a range.
     filled = np.where(np.isfinite(range_m), range_m, window_median(range_m, settings.median // 2))
     places = view.places(filled)
@@ -323,8 +297,7 @@ def _windowed(
     known = np.isfinite(plane[..., 0])
     places[~known] = np.nan
     normals[~known] = np.nan
-    halves = np.repeat(np.where(known, half, 0)[..., None], 2, axis=2)
-    return places, normals, halves
+    return places, normals
 
 
 def window_median(image: Floats, half: int) -> Floats:

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, fly
+from spl_batch.geiger.coincidence.simulate import SceneSettings, build, detect, flights
 from spl_batch.geiger.coincidence.tables import Detections, Frames
 from spl_batch.lattice.tiles import Bounds
 
@@ -26,7 +26,9 @@ SMALL = SceneSettings(
 
 @cache
 def flown() -> tuple[Frames, Detections]:
-    return fly(SMALL)
+    frames = list(flights(SMALL))
+    found = [detect(SMALL, seen, build(SMALL)) for seen in frames]
+    return Frames.joined(frames), Detections.joined(found)
 
 
 def region(scene: SceneSettings = SMALL) -> Bounds:

@@ -16,13 +16,13 @@ import yaml
 from spl_batch import api
 from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.errors import InputError, WorkflowError
-from spl_batch.geiger.coincidence.formats import l1_files
+from spl_batch.geiger.coincidence import files
 from spl_batch.geiger.coincidence.settings import (
     ArraySettings,
     CoincidenceSettings,
     CoincidenceWorkflow,
 )
-from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
+from spl_batch.geiger.coincidence.simulate import SceneSettings
 from spl_batch.geiger.coincidence.surface import coincide
 from spl_batch.geiger.coincidence.tables import Detections
 from spl_batch.lattice.tiles import Bounds
@@ -112,13 +112,18 @@ def test_neither_cuts_nor_the_order_of_rows_change_the_points(survey: Path) -> N
     assert done <= planned <= 1.5 * done
 
 
+def own(survey: Path, folder: Path) -> tuple[Path, Path]:
+    """L1 files and workflow in a folder of the test's own."""
+    l1 = Path(shutil.copytree(survey / "l1", folder / "l1"))
+    return l1, Path(shutil.copy(survey / "workflow.yaml", folder))
+
+
 def test_bad_files_are_named_and_the_rest_goes_on(survey: Path, tmp_path: Path) -> None:
-    l1 = Path(shutil.copytree(survey / "l1", tmp_path / "l1"))
-    workflow = Path(shutil.copy(survey / "workflow.yaml", tmp_path))
+    l1, workflow = own(survey, tmp_path)
     (l1 / "zz_detections.parquet").write_bytes(b"PAR1 no more")
     unknown = pa.table({"frame": [5], "detector": [0], "x": [5e5], "y": [4.2e6], "z": [100.0]})
     pq.write_table(unknown, l1 / "yy_detections.parquet")
-    empty = pa.table({k: pa.array([], pa.int64()) for k in Detections.names()})
+    empty = pa.table({k: pa.array([], pa.int64()) for k in Detections.types()})
     pq.write_table(empty, l1 / "xx_detections.parquet")
     result = api.run(workflow, workers=0)
     assert result.exit_status == 1
@@ -131,8 +136,7 @@ def test_bad_files_are_named_and_the_rest_goes_on(survey: Path, tmp_path: Path) 
 
 
 def test_frames_whose_detections_cannot_be_read_are_no_looks(survey: Path, tmp_path: Path) -> None:
-    l1 = Path(shutil.copytree(survey / "l1", tmp_path / "l1"))
-    workflow = Path(shutil.copy(survey / "workflow.yaml", tmp_path))
+    l1, workflow = own(survey, tmp_path)
     bad, frames = l1 / "pass_1_detections.parquet", l1 / "pass_1_frames.parquet"
     sound, seen = bad.read_bytes(), frames.read_bytes()
     bad.write_bytes(b"PAR1 no more")
@@ -201,7 +205,7 @@ def test_faults_of_a_detections_file(tmp_path: Path, change: dict[str, Any], fau
     path = tmp_path / "d.parquet"
     pq.write_table(pa.table({k: v for k, v in (GOOD | change).items() if v is not None}), path)
     with pytest.raises(InputError, match=fault) as caught:
-        list(l1_files.read_detections(path, ArraySettings(rows=16, columns=32)))
+        list(files.read_detections(path, ArraySettings(rows=16, columns=32)))
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -210,8 +214,8 @@ def test_stretches_are_in_order_and_their_faults_add_up(tmp_path: Path) -> None:
     _, detections = flown()
     path = tmp_path / "d.parquet"
     order = np.random.default_rng(2).permutation(len(detections))
-    l1_files.write(path, detections.take(order))
-    parts = list(l1_files.read_detections(path, SMALL.array, 3000))
+    files.write(path, detections.take(order))
+    parts = list(files.read_detections(path, SMALL.array, 3000))
     assert len(parts) == -(-len(detections) // 3000)
     assert all((np.diff(part.frame) >= 0).all() for part in parts)
     found = Detections.joined(parts).distinct()
@@ -222,22 +226,22 @@ def test_stretches_are_in_order_and_their_faults_add_up(tmp_path: Path) -> None:
     x[[5, -5]] = np.inf
     pq.write_table(table.set_column(2, "x", [x]), path, row_group_size=700)
     with pytest.raises(InputError, match="2 values of 'x'"):
-        list(l1_files.read_detections(path, SMALL.array, 1000))
+        list(files.read_detections(path, SMALL.array, 1000))
 
 
 def test_a_damaged_footer_ends_no_process(tmp_path: Path) -> None:
     path, column = tmp_path / "d.parquet", np.arange(40)
-    names = Detections.names()
+    names = Detections.types()
     table = {name: column if name in {"frame", "detector"} else column / 2 for name in names}
     pq.write_table(pa.table(table), path, row_group_size=20)
-    assert l1_files.extents(path) == ((0.0, 0.0, 9.5, 9.5, 20), (10.0, 10.0, 19.5, 19.5, 20))
+    assert files.extents(path) == ((0.0, 0.0, 9.5, 9.5, 20), (10.0, 10.0, 19.5, 19.5, 20))
     whole, refused = path.read_bytes(), 0
     start = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
     for at in range(start, start + 400):
         path.write_bytes(whole[:at] + bytes([4 if whole[at] == 0 else 0]) + whole[at + 1 :])
         try:
-            l1_files.inspect(path, names)
-            refused += l1_files.extents(path) is None
+            files.inspect(path, names)
+            refused += files.extents(path) is None
         except InputError:
             refused += 1
     assert refused > 50

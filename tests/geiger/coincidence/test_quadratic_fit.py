@@ -70,11 +70,8 @@ def surfaces(
     raster: np.ndarray, voxel: np.ndarray, looks: float, half: int, *limits: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Places, normals, values and kinds."""
-    n = len(voxel)
-    found = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, "u1")
-    summed = np.full(n, round((2 * half + 1) ** 3 * looks * UNIT))
-    kernels.find_surfaces(raster, summed, voxel, half, kernels.fit_matrix(half), *limits, *found)
-    return found
+    summed = np.full(len(voxel), round((2 * half + 1) ** 3 * looks * UNIT))
+    return kernels.find_surfaces(raster, summed, voxel, half, kernels.fit_matrix(half), *limits)
 
 
 def layer(size: int, height: float, sigma: float) -> np.ndarray:
@@ -94,9 +91,7 @@ def test_a_level_surface_is_found_once_at_its_height() -> None:
     row_of[6, 6, 6:8] = [0, 1]
     rows = (voxel[3:5], place[3:5], normal[3:5], value[3:5])
     for along, kept in ((3, [True, False]), (-1, [True, True])):
-        keep = np.empty(2, np.bool_)
-        kernels.drop_weaker(*rows, row_of, along, 3, 0.0, keep)
-        assert keep.tolist() == kept
+        assert kernels.drop_weaker(*rows, row_of, along, 3, 0.0).tolist() == kept
     assert place[3] == pytest.approx([0, 0, 0.3], abs=0.15)
     assert np.abs(normal[3]) == pytest.approx([0, 0, 1], abs=1e-6)
     # A parabola over seven layers flattens a peak of 0.33 / 2 detections per look.
@@ -150,8 +145,7 @@ def test_weaker_points_against_all_pairs(seed: int, reach: int, share: float) ->
     value = rng.integers(1, 9, n) / 8
     row_of = np.full(filled.shape, -1, np.int32)
     row_of[tuple(voxel.T)] = np.arange(n)
-    keep = np.empty(n, np.bool_)
-    kernels.drop_weaker(voxel, place, normal, value, row_of, 2, reach, share, keep)
+    keep = kernels.drop_weaker(voxel, place, normal, value, row_of, 2, reach, share)
     slow, edges = np.ones(n, np.bool_), np.zeros(n, np.bool_)
     for row in range(n):
         away = voxel + place - voxel[row] - place[row]

@@ -1,6 +1,7 @@
 """Files of frames: what is written is read, what is wrong is refused in one line."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -43,7 +44,7 @@ def test_what_is_written_is_read(tmp_path: Path, suffix: str) -> None:
     path, frames, truth = tmp_path / f"a{suffix}", some_frames(), some_truth()
     write_frames(path, frames, {"bin_ns": 0.25}, truth, 4)
     facts = inspect_frames(path, ROWS, COLS)
-    assert (facts.frames, facts.rows, facts.cols, facts.truth_frames) == (12, ROWS, COLS, 4)
+    assert (facts.frames, facts.truth_frames) == (12, 4)
     assert (facts.chunk_frames, facts.missing_chunks) == (12, 0)
     np.testing.assert_array_equal(read_frames(path, 0, 12, 8000), frames)
     np.testing.assert_array_equal(read_frames(path, 3, 7, 8000), frames[3:7])
@@ -61,62 +62,55 @@ def stored(path: Path, frames: np.ndarray, chunks: tuple[int, ...] | None = None
         group.create_array("frames", data=frames, chunks=chunks or "auto")
 
 
-@pytest.mark.parametrize("suffix", [".h5", ".zarr"])
+def cut(path: Path) -> None:
+    write_frames(path, some_frames(), {})
+    path.write_bytes(path.read_bytes()[:-200])
+
+
+def spoiled(change: Callable[[h5py.File], object]) -> Callable[[Path], None]:
+    def make(path: Path) -> None:
+        write_frames(path, some_frames(), {}, some_truth(), 4)
+        with h5py.File(path, "r+") as group:
+            change(group)
+
+    return make
+
+
+UNFIT = (
+    (np.zeros((4, ROWS, COLS + 1), np.uint16), "camera.rows"),
+    (np.zeros((4, ROWS), np.uint16), r"\(4, 6\)"),
+    (np.zeros((0, ROWS, COLS), np.uint16), "no frame"),
+    (np.zeros((4, ROWS + 1, COLS), np.float32), "camera.cols.*; .*float32"),
+)
+
+
 @pytest.mark.parametrize(
-    ("content", "fault"),
+    ("name", "make", "fault"),
     [
-        (np.zeros((4, ROWS, COLS + 1), np.uint16), "camera.rows"),
-        (np.zeros((4, ROWS), np.uint16), r"\(4, 6\)"),
-        (np.zeros((0, ROWS, COLS), np.uint16), "no frame"),
-        (np.zeros((4, ROWS + 1, COLS), np.float32), "camera.cols.*; .*float32"),
+        ("text.h5", lambda path: path.write_text("no frames at all"), "is no HDF5 file"),
+        ("cut.h5", cut, "damaged HDF5"),
+        ("frames.npy", lambda path: np.save(path, some_frames()), "frames are HDF5"),
+        ("gone.h5", lambda _: None, "no such file"),
+        ("gone.zarr", lambda _: None, "no such file"),
+        ("a.h5", spoiled(lambda group: group.pop("frames")), "no array 'frames'"),
+        ("b.h5", spoiled(lambda g: (g.pop("frames"), g.create_group("frames"))), "is a group"),
+        ("c.h5", spoiled(lambda group: group.pop("truth/normals")), "truth/normals"),
+        ("d.h5", spoiled(lambda g: g["truth"].attrs.pop("frames_per_acquisition")), "attribute"),
+        *(
+            (f"e{suffix}", partial(stored, frames=content), fault)
+            for content, fault in UNFIT
+            for suffix in (".h5", ".zarr")
+        ),
     ],
 )
-def test_what_does_not_fit_the_camera_is_refused(
-    tmp_path: Path, suffix: str, content: np.ndarray, fault: str
+def test_what_cannot_be_used_is_refused_in_a_line(
+    tmp_path: Path, name: str, make: Callable[[Path], object], fault: str
 ) -> None:
-    path = tmp_path / f"a{suffix}"
-    stored(path, content)
+    make(tmp_path / name)
     with pytest.raises(InputError, match=fault) as caught:
-        inspect_frames(path, ROWS, COLS)
-    assert str(caught.value).startswith(str(path))
-
-
-def test_what_is_no_file_of_frames_is_refused(tmp_path: Path) -> None:
-    text, cut, other = tmp_path / "text.h5", tmp_path / "cut.h5", tmp_path / "frames.npy"
-    text.write_text("no frames at all")
-    write_frames(cut, some_frames(), {})
-    cut.write_bytes(cut.read_bytes()[:-200])
-    np.save(other, some_frames())
-    for path, fault in (
-        (text, "is no HDF5 file"),
-        (cut, "damaged HDF5"),
-        (other, "frames are HDF5"),
-        (tmp_path / "gone.h5", "no such file"),
-        (tmp_path / "gone.zarr", "no such file"),
-    ):
-        with pytest.raises(InputError, match=fault) as caught:
-            inspect_frames(path, ROWS, COLS)
-        assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "fault"),
-    [
-        (lambda group: group.pop("frames"), "no array 'frames'"),
-        (lambda group: (group.pop("frames"), group.create_group("frames")), "is a group"),
-        (lambda group: group.pop("truth/normals"), "truth/normals"),
-        (lambda group: group["truth"].attrs.pop("frames_per_acquisition"), "lacks the attribute"),
-    ],
-)
-def test_half_a_file_is_refused(
-    tmp_path: Path, spoil: Callable[[h5py.File], object], fault: str
-) -> None:
-    path = tmp_path / "a.h5"
-    write_frames(path, some_frames(), {}, some_truth(), 4)
-    with h5py.File(path, "r+") as group:
-        spoil(group)
-    with pytest.raises(InputError, match=fault):
-        inspect_frames(path, ROWS, COLS)
+        inspect_frames(tmp_path / name, ROWS, COLS)
+    assert str(caught.value).startswith(str(tmp_path / name))
+    assert "\n" not in str(caught.value)
 
 
 def test_bins_that_the_camera_has_not_and_damage_are_refused(tmp_path: Path) -> None:

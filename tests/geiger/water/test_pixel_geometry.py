@@ -4,20 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
-from spl_batch.geiger.water.pixel_geometry import floor_points, refracted, rotation, view_of
+from spl_batch.geiger.water.pixel_geometry import floor_points, refracted, view_of
 from spl_batch.geiger.water.settings import CameraSettings, MountSettings
 
-angles = st.floats(-70, 70)
 vectors = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.3, 1))
-
-
-@settings(deadline=None)
-@given(angles, angles, st.floats(-180, 180))
-def test_rotations_are_those_of_another_library(roll: float, pitch: float, head: float) -> None:
-    expected = Rotation.from_euler("ZYX", [head, pitch, roll], degrees=True).as_matrix()
-    np.testing.assert_allclose(rotation(roll, pitch, head), expected, atol=1e-12)
 
 
 def test_the_source_s_arrangement() -> None:

@@ -1,7 +1,5 @@
 """Surfaces and normals: kernels against slow twins, chains against surfaces that are known."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -39,7 +37,7 @@ from spl_batch.geiger.water.surface import (
     shrunk_polynomial,
     window_median,
 )
-from spl_batch.geiger.water.tasks.delivery import grid_around, height_raster
+from spl_batch.geiger.water.tasks import grid_around, height_raster, known_places
 
 CAMERA = CameraSettings(last_rows_unused=0)
 VIEW = view_of(CAMERA, MountSettings(position_m=(1.0, 2.0, -3.0)))
@@ -107,10 +105,10 @@ def test_windows_grow_while_their_intervals_agree(seed: int, agreement: float) -
     value = 0.1 * row - 0.3 * col + 2.0 * (col > 5) + 0.1 * rng.standard_normal((8, 9))
     weight = rng.uniform(50, 150, (8, 9)) * (rng.random((8, 9)) < 0.9)
     halves = [1, 2, 4, 9]
-    plane, chosen = growing_windows(value, weight, halves, agreement)
+    plane = growing_windows(value, weight, halves, agreement)
     for at in np.ndindex(8, 9):
         low, high = np.full(3, -np.inf), np.full(3, np.inf)
-        found, used = [np.nan] * 3, [0, 0]
+        found = [np.nan] * 3
         for half in halves:
             slow = slow_plane(value, weight, col, row, half, at)
             if slow is None:
@@ -119,11 +117,10 @@ def test_windows_grow_while_their_intervals_agree(seed: int, agreement: float) -
             low = np.maximum(low, fit - agreement * spread)
             high = np.minimum(high, fit + agreement * spread)
             if low[0] <= high[0]:
-                found[0], used[0] = fit[0], half
+                found[0] = fit[0]
             if (low[1:] <= high[1:]).all():
-                found[1:], used[1] = list(fit[1:]), half
+                found[1:] = list(fit[1:])
         np.testing.assert_allclose(plane[at], found, atol=1e-9)
-        assert list(chosen[at]) == used
 
 
 def test_the_polynomial_is_exact_where_nothing_is_noisy() -> None:
@@ -197,8 +194,8 @@ def test_nothing_is_made_of_nothing(way: SurfaceSettings) -> None:
     assert np.isnan(made.normals).all()
     found = (made.places_m, made.normals)
     assert surface_error(*found, np.zeros((32, 32)), np.zeros((32, 32, 3)))[0].pixels == 0
-    assert np.isnan(dataclasses.astuple(floor_error(VIEW.look, found, found, 6.0, 1.33))).all()
-    assert grid_around(made.places_m, 0.01) is None
+    assert np.isnan(floor_error(VIEW.look, found, found, 6.0, 1.33)).all()
+    assert not len(known_places(made.places_m, (1.0, 2.0, 3.0)))
 
 
 def test_medians_are_those_of_their_windows() -> None:
@@ -214,20 +211,14 @@ def test_medians_are_those_of_their_windows() -> None:
 def test_non_local_means_weigh_patches_as_the_source_says() -> None:
     image = np.random.default_rng(10).standard_normal((12, 12)) * 0.01
     settings = WindowedSettings(search=5, patch=3, strength_m=0.01)
-    found = denoised(image, settings)
     padded = np.pad(image, 6, mode="reflect")
-    at = (6, 7)
-    own = padded[at[0] + 6 : at[0] + 8, at[1] + 6 : at[1] + 8]
-    weights, total = 0.0, 0.0
-    for di in range(-2, 3):
-        for dj in range(-2, 3):
-            i, j = at[0] + di + 6, at[1] + dj + 6
-            patch = padded[i : i + 2, j : j + 2]
-            weight = np.exp(-((patch - own) ** 2).sum() / 9 / 0.01**2)
-            # scikit-image counts a pixel itself twice, and takes a quick exponential.
-            weight *= 2 if di == dj == 0 else 1
-            weights, total = weights + weight, total + weight * padded[i, j]
-    assert found[at] == pytest.approx(total / weights, abs=2e-4)
+    near = [(12 + di, 13 + dj) for di in range(-2, 3) for dj in range(-2, 3)]
+    off = [((padded[i : i + 2, j : j + 2] - padded[12:14, 13:15]) ** 2).sum() for i, j in near]
+    weight = np.exp(-np.array(off) / 9 / 0.01**2)
+    # scikit-image counts a pixel itself twice, and takes a quick exponential.
+    weight[12] *= 2
+    expected = np.average([padded[at] for at in near], weights=weight)
+    assert denoised(image, settings)[6, 7] == pytest.approx(expected, abs=2e-4)
     assert np.isnan(denoised(np.where(image == image[3, 3], np.nan, image), settings)[3, 3])
 
 
@@ -256,7 +247,7 @@ def test_errors_are_the_source_s() -> None:
 
 
 def test_floor_errors_vanish_for_the_true_surface() -> None:
-    target = Target(0.8, (Wave(0.05, 1.5, 30.0),))
+    target = Target(down_m=0.8, waves=(Wave(amplitude_m=0.05, length_m=1.5, heading_deg=30.0),))
     range_m, normals = target.meet(VIEW, 0.3)
     true = VIEW.places(range_m), normals
     made = floor_error(VIEW.look, true, true, 6.0, 1.33)
@@ -274,24 +265,23 @@ def test_rasters_interpolate_the_surface_on_an_absolute_grid() -> None:
     n = np.array([0.05, -0.1, -1.0])
     n /= np.linalg.norm(n)
     places = VIEW.places(a_plane(n, 0.4))
-    grid = grid_around(places, 0.01)
-    assert grid is not None
+    known = known_places(places, (0.0, 0.0, 0.0))
+    grid = grid_around(known, 0.01)
     assert grid.east * 0.01 <= places[..., 1].min() < (grid.east + 1) * 0.01
     assert (grid.north + grid.rows) * 0.01 > places[..., 0].max()
-    height = height_raster(places, grid)
+    height = height_raster(known, grid)
     centre_n = (grid.north + np.arange(grid.rows) + 0.5) * 0.01
     centre_e = (grid.east + np.arange(grid.cols) + 0.5) * 0.01
     plane = places[16, 16]
     expected = (
         -plane[2] - ((centre_n[:, None] - plane[0]) * n[0] + (centre_e - plane[1]) * n[1]) / -n[2]
     )
-    known = np.isfinite(height)
-    assert known.mean() > 0.75
+    filled = np.isfinite(height)
+    assert filled.mean() > 0.75
     # Outside the triangles, the rim takes the nearest pixel's height.
-    assert np.median(np.abs(height - expected)[known]) < 1e-9
-    assert np.abs(height - expected)[known].max() < 0.004
+    assert np.median(np.abs(height - expected)[filled]) < 1e-9
+    assert np.abs(height - expected)[filled].max() < 0.004
     # Cells of a local frame that begins elsewhere are the same.
-    away = dataclasses.replace(grid, origin_m=(0.25, -0.125))
-    places += np.array([0.125, -0.25, 0.0])
-    assert grid_around(places, 0.01, away.origin_m) == away
-    np.testing.assert_allclose(height_raster(places, away)[known], height[known], atol=1e-6)
+    away = known_places(places + np.array([0.125, -0.25, 7.0]), (0.25, -0.125, 7.0))
+    assert grid_around(away, 0.01) == grid
+    np.testing.assert_allclose(height_raster(away, grid)[filled], height[filled], atol=1e-6)

@@ -18,8 +18,7 @@ from spl_batch import api
 from spl_batch.engine.report.schema import schemas
 from spl_batch.errors import PlanError, WorkflowError
 from spl_batch.formats.verified.parquet_npz import read_arrays
-from spl_batch.geiger.water import formats
-from spl_batch.geiger.water import plan as planning
+from spl_batch.geiger.water import formats, receiver
 from spl_batch.geiger.water.settings import WaterSurvey, WaterWorkflow
 from spl_batch.geiger.water.simulate import WaterScene, simulate_file
 from tests import surveys
@@ -93,7 +92,7 @@ def test_points_and_rasters_lie_where_the_water_is(tank: Path, done: api.RunResu
 def test_pieces_change_nothing(
     tank: Path, tmp_path: Path, done: api.RunResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(planning, "PIECE_ACQUISITIONS", 2)
+    monkeypatch.setattr(receiver, "PIECE_ACQUISITIONS", 2)
     monkeypatch.setattr(formats, "PIECE_VALUES", 37 * 20 * 18)
     path = own(tank, tmp_path)
     with h5py.File(path.parent / "frames" / "tank_00.h5", "r+") as file:

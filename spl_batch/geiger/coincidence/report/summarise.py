@@ -1,25 +1,17 @@
 """Stage ``report``: what all receipts have together, as a page with its pictures."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.report import number_format as text
-from spl_batch.engine.report import style
+from spl_batch.engine.report import run_record, style
 from spl_batch.engine.report.maps import Raster, draw_ramp, draw_relief, reduce_raster, spread
 from spl_batch.engine.report.page import Front, render_page, write_both
-from spl_batch.engine.report.parts import InputFile
 from spl_batch.engine.report.picture import Picture
-from spl_batch.engine.report.run_record import (
-    Receipts,
-    RunFacts,
-    common_parts,
-    indexed_file,
-    remember,
-)
+from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.report.verdict import Verdict, failure_verdict
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.coincidence.report.model import CoincidenceReport, Counts, Intensity, Scene
@@ -44,64 +36,60 @@ def _intensity(raster: Raster) -> Picture:
     return style.picture(drawn, title, caption)
 
 
-def _slice(done: Receipts, context: CoincidenceContext) -> Picture:
+def _slice(made: Mapping[str, int], context: CoincidenceContext) -> Picture:
     """A slice of the tile with most points."""
-    made = {t: r.facts["points"] for t, r in done.get("coincide", {}).items() if r.facts["points"]}
-    if not made:
-        return Picture("Slice", "There are no points to show.")
     tile = max(sorted(made), key=lambda name: made[name])
     arrays = read_arrays(context.store.path("maps", f"{tile}.npz"))
     height = arrays["slice_points"][:, 1]
     with style.type_context():
         figure = style.figure(style.WIDTH_IN, 4.8)
-        upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
-        for axes, name in ((upper, "detections"), (lower, "points")):
-            places = arrays[f"slice_{name}"]
-            axes.plot(places[:, 0], places[:, 1], ".", ms=2.5, mew=0, color=style.SIGNAL)
+        both = figure.subplots(2, 1, sharex=True, sharey=True)
+        for axes, name in zip(both, ("detections", "points"), strict=True):
+            axes.plot(*arrays[f"slice_{name}"].T, ".", ms=2.5, mew=0, color=style.SIGNAL)
             axes.set(title=name.title(), ylabel="height [m]")
             axes.spines[["top", "right"]].set_visible(False)
-        lower.set_xlabel("distance along the slice [m]")
-        lower.set_ylim(height.min() - 2.0, height.max() + 2.0)
+        axes.set(xlabel="distance along the slice [m]")
+        axes.set_ylim(height.min() - 2.0, height.max() + 2.0)
     caption = "A slice of the fullest tile: detections above, points below."
     return style.picture(figure, "A slice, before and after", caption)
 
 
 def render(report: CoincidenceReport, shown: Mapping[str, Picture]) -> str:
     """The page as HTML."""
-    counts, scene = report.counts, report.scene
+    scene = report.scene
     front = Front(
         scene.name,
         "Geiger-mode lidar, coincidence processing",
         tuple(filter(None, (scene.crs, f"voxels of {text.centimetres(scene.voxel_m)}"))),
         (("points", "Points"),),
         tuple(verdicts(report)),
-        (
-            ("Looks", text.large(counts.looks), f"{text.number(counts.frames)} frames"),
-            ("Detections", text.large(counts.detections), _share(counts.detections, counts.looks)),
-            ("Points", text.large(counts.points), f"{text.number(counts.tiles)} tiles"),
-        ),
+        cards(report),
     )
     return render_page(
         "page_coincidence.html.j2", report, front, package=__package__, pictures=shown
     )
 
 
-def _share(part: int, whole: int) -> str:
-    return f"{text.percent(part / whole)} of the looks" if whole else ""
+def cards(report: CoincidenceReport) -> tuple[tuple[str, str, str], ...]:
+    """Label, value and remark of each key number."""
+    counts = report.counts
+    share = f"{text.percent(counts.detections / counts.looks)} of the looks" if counts.looks else ""
+    return (
+        ("Looks", text.large(counts.looks), f"{text.number(counts.frames)} frames"),
+        ("Detections", text.large(counts.detections), share),
+        ("Points", text.large(counts.points), f"{text.number(counts.tiles)} tiles"),
+    )
 
 
 def verdicts(report: CoincidenceReport) -> list[Verdict]:
     """Sentences that state whether the result can be used."""
     counts, found = report.counts, failure_verdict(report.failures, report.findings)
     if not counts.points:
-        return [
-            Verdict("bad", "No points: nowhere do enough detections coincide for the threshold."),
-            found,
-        ]
-    made = (
-        f"{text.number(counts.detections)} detections became {text.number(counts.points)} points."
-    )
-    return sorted([Verdict("good", made), found], key=lambda verdict: verdict.tone != "bad")
+        none = "No points: nowhere do enough detections coincide for the threshold."
+        return [Verdict("bad", none), found]
+    detections, points = text.number(counts.detections), text.number(counts.points)
+    made = Verdict("good", f"{detections} detections became {points} points.")
+    return [found, made] if found.tone == "bad" else [made, found]
 
 
 LARGEST_MAP: Final = 4_000
@@ -110,8 +98,27 @@ LARGEST_MAP: Final = 4_000
 
 def summarise(done: Receipts, context: CoincidenceContext, facts: RunFacts) -> CoincidenceReport:
     """Write ``report.json`` and ``report.html``."""
-    counts = _counts(done, context)
     workflow = context.workflow
+    tiles = {t: r.facts for t, r in done.get("coincide_tile", {}).items() if r.facts["points"]}
+    frames, detections = (
+        {r.facts["name"]: r.facts for r in done.get(step, {}).values()}
+        for step in ("index_frames", "index_file")
+    )
+    pulses = sum(f["frames"] for f in frames.values())
+    kinds = np.sum([np.zeros(4, int), *(f["kinds"] for f in tiles.values())], axis=0).tolist()
+    counts = Counts(
+        frames=pulses,
+        looks=pulses * workflow.array.detectors,
+        detections=sum(f["points"] for f in detections.values()),
+        tiles=len(tiles),
+        points=sum(kinds),
+        **dict(zip(("surface", "ridge", "peak"), kinds[1:], strict=True)),
+    )
+    inputs = [run_record.indexed_file(f, "frames", f["frames"]) for f in frames.values()]
+    inputs += [run_record.indexed_file(f, "detections", f["points"]) for f in detections.values()]
+    weight = [f["points"] for f in tiles.values()]
+    shares = [f["intensity"] for f in tiles.values()]
+    spread = np.average(shares, axis=0, weights=weight).tolist() if tiles else ()
     report = CoincidenceReport(
         scene=Scene(
             name=workflow.survey.name,
@@ -121,66 +128,32 @@ def summarise(done: Receipts, context: CoincidenceContext, facts: RunFacts) -> C
             tile_m=workflow.tiling.tile_m,
         ),
         counts=counts,
-        intensity=_spread(done),
-        **common_parts(context, facts, counts.detections, list(_inputs(done))),
+        intensity=Intensity(**dict(zip(("p05", "median", "p95"), spread, strict=False))),
+        **run_record.common_parts(context, facts, counts.detections, inputs),
     )
-    shown = {"slice": _slice(done, context)}
-    for name, draw in (("height", _height), ("intensity", _intensity)):
-        raster = _map(done, context, name)
-        none = Picture(name.title(), "There are no points to show.")
-        shown[name] = draw(raster) if raster is not None and raster.any_value else none
+    none = "There are no points to show."
+    shown = {name: Picture(name.title(), none) for name in ("slice", "height", "intensity")}
+    if tiles:
+        shown["slice"] = _slice({tile: f["points"] for tile, f in tiles.items()}, context)
+        for name, draw in (("height", _height), ("intensity", _intensity)):
+            shown[name] = draw(_map(tiles, context, name))
     write_both(context.output, report, render(report, shown))
-    remember(done, context, facts)
+    run_record.remember(done, context, facts)
     return report
 
 
-def _counts(done: Receipts, context: CoincidenceContext) -> Counts:
-    frames = sum(r.facts["frames"] for r in done.get("frames", {}).values())
-    made = [r.facts for r in done.get("coincide", {}).values()]
-    kinds = np.sum([f["kinds"] for f in made], axis=0).tolist() if made else [0] * 4
-    return Counts(
-        frames=frames,
-        looks=frames * context.workflow.array.detectors,
-        detections=sum(r.facts["points"] for r in done.get("index_file", {}).values()),
-        tiles=sum(1 for facts in made if facts["points"]),
-        points=sum(f["points"] for f in made),
-        surface=kinds[1],
-        ridge=kinds[2],
-        peak=kinds[3],
-    )
-
-
-def _spread(done: Receipts) -> Intensity:
-    made = [r.facts for r in done.get("coincide", {}).values() if r.facts["points"]]
-    if not made:
-        return Intensity()
-    weight = [f["points"] for f in made]
-    low, middle, high = np.average([f["intensity"] for f in made], axis=0, weights=weight)
-    return Intensity(p05=low, median=middle, p95=high)
-
-
-def _inputs(done: Receipts) -> Iterable[InputFile]:
-    for kind, role in (("frames", "frames"), ("index_file", "detections")):
-        for receipt in done.get(kind, {}).values():
-            held = receipt.facts["frames" if kind == "frames" else "points"]
-            yield indexed_file(receipt.facts, role, held)
-
-
-def _map(done: Receipts, context: CoincidenceContext, name: str) -> Raster | None:
+def _map(tiles: Iterable[str], context: CoincidenceContext, name: str) -> Raster:
     """Maps of all tiles side by side, north first."""
-    tiles = [parse_cell(tile) for tile, r in done.get("coincide", {}).items() if r.facts["points"]]
-    if not tiles:
-        return None
-    west, east = min(t.i for t in tiles), max(t.i for t in tiles) + 1
-    south, north = min(t.j for t in tiles), max(t.j for t in tiles) + 1
+    cells = {tile: parse_cell(tile) for tile in tiles}
+    west, east = min(c.i for c in cells.values()), max(c.i for c in cells.values()) + 1
+    south, north = min(c.j for c in cells.values()), max(c.j for c in cells.values()) + 1
     # One cell of several where all would be too many for a picture.
     skip = max(1, -(-max(east - west, north - south) * MAP_CELLS // LARGEST_MAP))
-    cells = len(range(0, MAP_CELLS, skip))
-    values = np.full(((north - south) * cells, (east - west) * cells), np.nan, np.float32)
-    for tile in tiles:
+    size = len(range(0, MAP_CELLS, skip))
+    values = np.full(((north - south) * size, (east - west) * size), np.nan, np.float32)
+    for tile, cell in cells.items():
         arrays = read_arrays(context.store.path("maps", f"{tile}.npz"))
-        part: NDArray[Any] = arrays[name][::skip, ::skip]
-        row, column = (north - 1 - tile.j) * cells, (tile.i - west) * cells
-        values[row : row + cells, column : column + cells] = part
+        row, column = (north - 1 - cell.j) * size, (cell.i - west) * size
+        values[row : row + size, column : column + size] = arrays[name][::skip, ::skip]
     edge = context.workflow.tiling.tile_m
     return Raster(values, (west * edge, east * edge, south * edge, north * edge))

@@ -14,48 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
-from spl_batch.geiger.coincidence.settings import (
-    ArraySettings,
-    BridgeSignSettings,
-    CoincidenceSettings,
-)
-from spl_batch.geiger.coincidence.surface.quadratic_fit import (
-    NOTHING,
-    drop_weaker,
-    edge_offset,
-    find_surfaces,
-    fit_matrix,
-)
-from spl_batch.geiger.coincidence.surface.voxel_raster import (
-    UNIT,
-    box_sum,
-    deposit_all,
-    interrogate,
-)
+from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
+from spl_batch.geiger.coincidence.surface import quadratic_fit as fits
+from spl_batch.geiger.coincidence.surface import voxel_raster as rasters
 from spl_batch.geiger.coincidence.tables import Detections, Frames, Points
 from spl_batch.lattice.tiles import Bounds
 
 BESIDE = 1
-"""Voxels beyond half a neighbourhood within which a point's strength is compared [count].
-
-The blur of a target's edge ends half a neighbourhood away: the comparison reaches inside.
-"""
-
-
-class Box(NamedTuple):
-    """Half-open box of voxels of the absolute lattice."""
-
-    low: NDArray[np.int64]
-    high: NDArray[np.int64]
+"""Voxels beyond half a neighbourhood, where an edge's blur ends, that points are compared in."""
 
 
 class Scene(NamedTuple):
     """What a region is made from."""
 
     frames: Frames  #: Those that look at the region.
-    detections: Detections  #: All of these frames, in their order.
+    detections: Detections  #: All of these frames.
     xyz: NDArray[np.int64]  #: (n, 3): detections near the region [quanta].
     edge_q: int
+    chosen: CoincidenceSettings
+    array: ArraySettings
 
 
 def reach_q(chosen: CoincidenceSettings, array: ArraySettings) -> int:
@@ -86,10 +63,8 @@ def coincide(
     reach = halo(chosen) + 1
     voxel = detections.xyz[:, :2] // edge
     near = ((voxel >= low - reach) & (voxel < high + reach)).all(axis=1)
-    by_frame = detections.take(np.argsort(detections.frame, kind="stable"))
-    scene = Scene(frames, by_frame, detections.xyz[near], edge)
-    parts = [_volume(scene, box, chosen, array) for box in _volumes(scene, low, high, chosen)]
-    return Points.joined(parts).in_order()
+    scene = Scene(frames, detections, detections.xyz[near], edge, chosen, array)
+    return Points.joined([_volume(scene, *box) for box in _volumes(scene, low, high)]).in_order()
 
 
 def _first_voxel(edge_of_region: int, edge: int) -> int:
@@ -98,19 +73,16 @@ def _first_voxel(edge_of_region: int, edge: int) -> int:
 
 
 def _volumes(
-    scene: Scene, low: NDArray[np.int64], high: NDArray[np.int64], chosen: CoincidenceSettings
-) -> Iterator[Box]:
-    """Boxes of at most a sub-volume's size that hold everything worth rastering.
+    scene: Scene, low: NDArray[np.int64], high: NDArray[np.int64]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """First and last voxels of sub-volumes that hold everything worth rastering.
 
     A neighbourhood of w voxels takes weight from places within w + 1 edges, in a block of two by
     two by two cells of that edge. Blocks with too few detections are left out.
     """
-    cell = 2 * max(chosen.windows) + 2
-    least = chosen.bridge_sign.detections_min
+    cell, edge = 2 * max(scene.chosen.windows) + 2, scene.chosen.volume_voxels
+    least = scene.chosen.bridge_sign.detections_min
     blocks = _crowded(scene.xyz // (cell * scene.edge_q), least) * cell
-    if not len(blocks):
-        return
-    edge = chosen.volume_voxels
     spread = np.stack(np.meshgrid(*[[0, 2 * cell]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     volumes = np.unique(((blocks[:, None] + spread) // edge).reshape(-1, 3), axis=0)
     for volume in volumes:
@@ -120,7 +92,7 @@ def _volumes(
         stop = np.minimum(last, own.max(axis=0) + 2 * cell + 1)
         start[:2], stop[:2] = np.maximum(start[:2], low), np.minimum(stop[:2], high)
         if (stop > start).all():
-            yield Box(start, stop)
+            yield start, stop
 
 
 def _crowded(cells: NDArray[np.int64], least: int) -> NDArray[np.int64]:
@@ -129,125 +101,70 @@ def _crowded(cells: NDArray[np.int64], least: int) -> NDArray[np.int64]:
     spread = np.stack(np.meshgrid(*[[0, -1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     blocks = (filled[:, None] + spread).reshape(-1, 3)
     first, place = np.unique(blocks, axis=0, return_inverse=True)
-    total = np.zeros(len(first), np.int64)
-    np.add.at(total, place.ravel(), np.repeat(count, len(spread)))
+    total = np.bincount(place.ravel(), np.repeat(count, len(spread)), len(first))
     return first[total >= least]
 
 
-def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySettings) -> Points:
+def _volume(scene: Scene, low: NDArray[np.int64], high: NDArray[np.int64]) -> Points:
     """Points of one sub-volume."""
-    rules, wide = chosen.rules, max(chosen.windows)
-    # Points just outside may be stronger than those inside: they are found as well.
-    rim = halo(chosen)
-    corner = box.low - rim
-    raster = np.zeros(tuple((box.high - box.low + 2 * rim).tolist()), np.int64)
-    first, last = (corner - 1) * scene.edge_q, (box.high + rim + 1) * scene.edge_q
+    chosen, rules, wide = scene.chosen, scene.chosen.rules, max(scene.chosen.windows)
+    # Points just outside may be stronger than those inside: they are found as well. A raster's
+    # outermost voxels are incomplete.
+    rim, inner = halo(chosen) + 1, slice(wide + 1, -wide - 1)
+    corner = low - rim
+    raster = np.zeros(tuple((high - low + 2 * rim).tolist()), np.int64)
+    first, last = (corner - 1) * scene.edge_q, (high + rim + 1) * scene.edge_q
     near = ((scene.xyz >= first) & (scene.xyz < last)).all(axis=1)
-    deposit_all(scene.xyz[near], scene.edge_q, corner, raster)
+    rasters.deposit_all(scene.xyz[near], scene.edge_q, corner, raster)
     left = np.zeros(raster.shape, np.bool_)
-    left[wide:-wide, wide:-wide, wide:-wide] = True
+    left[inner, inner, inner] = True
     crowded: dict[int, NDArray[np.int64]] = {}
     for half, least in chosen.windows.items():
-        here = left & (_summed(raster, half) >= least * UNIT)
+        here = left & (rasters.box_sum(raster, half) >= least * rasters.UNIT)
         crowded[half] = np.argwhere(here)
         left &= ~here
     voxel = np.concatenate(list(crowded.values()))
     if not len(voxel):
         return Points.joined([])
-    looks, at = _looks(scene, voxel + corner, wide, array)
-    parts = [
-        _maxima(raster, rows, _summed(looks, half)[tuple((rows + corner - at).T)], half, rules)
-        for half, rows in crowded.items()
-    ]
-    found = _Maxima(*map(np.concatenate, zip(*parts, strict=True)))
+    looks, at = _looks(scene, voxel + corner, wide + 1)
+    parts = []
+    for half, rows in crowded.items():
+        summed = rasters.box_sum(looks, half)[tuple((rows + corner - at).T)]
+        # A thin layer's peak falls as the window grows.
+        threshold = (rules.threshold or 0.0) * rules.window_voxels / (2 * half + 1)
+        limits = threshold, rules.looks_min, rules.curvature_ratio, rules.reach_voxels
+        aside = fits.edge_offset(half) if rules.edge_rule else math.inf
+        window = half, fits.fit_matrix(half)
+        parts.append(fits.find_surfaces(raster, summed, rows, *window, *limits, aside))
+    found = [np.concatenate(part) for part in zip(*parts, strict=True)]
     # In the order of the raster, of points alone.
     rows = np.lexsort(voxel.T[::-1])
-    rows = rows[found.kind[rows] != NOTHING]
-    voxel, found = voxel[rows], found.take(rows)
-    own = _strongest(raster.shape, voxel, found, rules)
-    own &= ((voxel >= rim) & (voxel < np.array(raster.shape) - rim)).all(axis=1)
-    places = (voxel[own] + corner + 0.5 + found.place[own]) * scene.edge_q
-    share = found.value[own].astype(np.float32)
-    return Points(np.rint(places).astype(np.int64), share, found.kind[own])
-
-
-def _summed(raster: NDArray[np.int64], half: int) -> NDArray[np.int64]:
-    sums = np.empty_like(raster)
-    box_sum(raster, half, sums)
-    return sums
-
-
-class _Maxima(NamedTuple):
-    """Results of :func:`find_surfaces`."""
-
-    place: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    value: NDArray[np.float64]
-    kind: NDArray[np.uint8]
-
-    def take(self, rows: NDArray[np.intp]) -> "_Maxima":
-        """Some of them."""
-        return _Maxima(self.place[rows], self.normal[rows], self.value[rows], self.kind[rows])
-
-
-def _maxima(
-    raster: NDArray[np.int64],
-    voxel: NDArray[np.int64],
-    looks: NDArray[np.int64],
-    half: int,
-    rules: BridgeSignSettings,
-) -> _Maxima:
-    n = len(voxel)
-    # A thin layer's peak falls as the window grows.
-    threshold = (rules.threshold or 0.0) * rules.window_voxels / (2 * half + 1)
-    found = _Maxima(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.uint8))
-    find_surfaces(
-        *(raster, looks, voxel, half, fit_matrix(half)),
-        *(threshold, rules.looks_min, rules.curvature_ratio, rules.reach_voxels),
-        edge_offset(half) if rules.edge_rule else math.inf,
-        *found,
-    )
-    return found
-
-
-def _strongest(
-    shape: tuple[int, ...],
-    voxel: NDArray[np.int64],
-    found: _Maxima,
-    rules: BridgeSignSettings,
-) -> NDArray[np.bool_]:
-    """Which points nothing stronger before, behind or beside takes the place of: (n,) bool."""
-    half = rules.window_voxels // 2
-    row_of = np.full(shape, -1, np.int32)
+    rows = rows[found[-1][rows] != fits.NOTHING]
+    voxel, (place, normal, value, kind) = voxel[rows], (values[rows] for values in found)
+    row_of = np.full(raster.shape, -1, np.int32)
     row_of[tuple(voxel.T)] = np.arange(len(voxel))
-    keep = np.empty(len(voxel), np.bool_)
+    half = rules.window_voxels // 2
     along = half if rules.strongest_along_normal else -1
-    drop_weaker(
-        *(voxel, found.place, found.normal, found.value, row_of),
-        *(along, half + BESIDE, rules.edge_share, keep),
-    )
-    return keep
+    reach = half + BESIDE
+    own = fits.drop_weaker(voxel, place, normal, value, row_of, along, reach, rules.edge_share)
+    own &= ((voxel >= rim) & (voxel < np.array(raster.shape) - rim)).all(axis=1)
+    places = (voxel[own] + corner + 0.5 + place[own]) * scene.edge_q
+    return Points(np.rint(places).astype(np.int64), value[own].astype(np.float32), kind[own])
 
 
 def _looks(
-    scene: Scene, voxel: NDArray[np.int64], half: int, array: ArraySettings
+    scene: Scene, voxel: NDArray[np.int64], half: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Raster of interrogations around voxels of the lattice, and its first voxel."""
     low, high = voxel.min(axis=0) - half, voxel.max(axis=0) + half + 1
     raster = np.zeros(tuple((high - low).tolist()), np.int64)
-    edge_m = scene.edge_q * QUANTUM_M
+    array, edge_m = scene.array, scene.edge_q * QUANTUM_M
     rows = looking_at(scene.frames, array, (low - 1) * edge_m, (high + 1) * edge_m)
     frames = scene.frames.take(rows)
-    interrogate(
-        frames.origin_m,
-        frames.turn,
-        scene.detections.of_frames(frames).ranges_m(frames, array),
-        math.tan(array.ifov_rad),
-        np.array([array.gate_start_m, array.gate_stop_m]),
-        edge_m,
-        low,
-        raster,
-    )
+    seen = scene.detections.ranges_m(frames, array)
+    gate = np.array([array.gate_start_m, array.gate_stop_m])
+    look = frames.origin_m, frames.turn, seen, math.tan(array.ifov_rad), gate
+    rasters.interrogate(*look, edge_m, low, raster)
     return raster, low
 
 
@@ -266,30 +183,21 @@ def looking_at(
     across, along = 0.5 * array.rows * tangent, 0.5 * array.columns * tangent
     corners = np.array([[x, y, -1.0] for x in (-across, across) for y in (-along, along)])
     way = np.einsum("fij,cj->fci", frames.turn, corners)
-    down = np.minimum(way[..., 2], -1e-6)
-    near = np.ones(len(frames), np.bool_)
-    for axis in range(2):
-        cross = np.stack(
-            [
-                frames.origin_m[:, None, axis]
-                + way[..., axis] / down * (height - frames.origin_m[:, None, 2])
-                for height in (low_m[2], high_m[2])
-            ]
-        )
-        near &= (cross.min(axis=(0, 2)) <= high_m[axis]) & (cross.max(axis=(0, 2)) >= low_m[axis])
-    return np.flatnonzero(near | (way[..., 2] > -1e-6).any(axis=1))
+    run = way[..., :2] / np.minimum(way[..., 2:], -1e-6)
+    rise = np.array([low_m[2], high_m[2]])[:, None, None, None] - frames.origin_m[:, None, 2:]
+    cross = frames.origin_m[:, None, :2] + run * rise
+    near = (cross.min(axis=(0, 2)) <= high_m[:2]) & (cross.max(axis=(0, 2)) >= low_m[:2])
+    return np.flatnonzero(near.all(axis=1) | (way[..., 2] > -1e-6).any(axis=1))
 
 
 def sight_error(frames: Frames, detections: Detections, array: ArraySettings) -> float:
     """How far detections lie from their lines of sight: median [fields of view of a detector].
 
-    Detections come in order of their frames; those of other frames are left out, and 0 is none.
+    Detections of other frames are left out, and 0 is none.
     """
-    own = detections.of_frames(frames)
+    own, row, away = detections.seen_from(frames)
     if not len(own):
         return 0.0
-    row = np.searchsorted(frames.number, own.frame)
-    away = own.xyz * QUANTUM_M - frames.origin_m[row]
     body = np.einsum("nji,nj->ni", frames.turn[row], away)
     at = body[:, :2] / -body[:, 2:]
     place = np.stack(np.divmod(own.detector, array.columns), axis=-1)

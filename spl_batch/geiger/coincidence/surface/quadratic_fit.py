@@ -14,15 +14,14 @@ Deviations, with reasons:
 - Eq. 5 as printed, v1 v1' p_center, lies on a line *through the voxel's centre* when v1 is
   tangential, as 4.3 has it. The point of a ridge closest to the centre is
   ``(I - v1 v1') p_center``, that of a surface ``v3 v3' p_center``, v3 being the normal.
-- The source does not say where it normalises by interrogations. Here the polynomial's value is
-  divided by their mean in the neighbourhood: quotients of voxels are mostly noise.
-- A point must be the strongest along its normal, within the reach of its neighbourhood: a
-  polynomial of few detections has maxima of its own beside surfaces.
-- No threshold tells the blur beyond a target's edge from a faint target. A point is blur if its
+- Where the source normalises by interrogations is open. Here the polynomial's value is divided by
+  their mean in the neighbourhood: quotients of voxels are mostly noise.
+- A point is the strongest along its normal within its neighbourhood: a polynomial of few detections
+  has maxima of its own beside surfaces.
+- No threshold parts the blur beyond a target's edge from a faint target. A point is blur if its
   detections lie farther to the side than on a straight edge (:func:`edge_offset`), or if it has
   less than a share of what is strong beside it (:func:`drop_weaker`).
-- One point per voxel at most: of a peak, else a ridge, else a surface, by how many of the
-  curvatures are comparable with the strongest.
+- A voxel has one point at most: of a peak, else a ridge, else a surface.
 """
 
 import math
@@ -40,6 +39,8 @@ SURFACE: Final = 1
 RIDGE: Final = 2
 PEAK: Final = 3
 """What a point is a maximum of: one direction, two, or all three."""
+
+Maxima = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]
 
 
 def fit_matrix(half: int) -> NDArray[np.float64]:
@@ -106,9 +107,9 @@ def closest_maximum(
     """Place near a voxel's centre where its polynomial is at a maximum: kind, and value there.
 
     ``c``: (10,) coefficients. ``ratio``: a further direction counts from this part of the strongest
-    curvature. ``reach``: largest distance along each axis [voxel edges]. ``values``, ``vectors``:
-    scratch of :func:`eigen_symmetric`; the last vector is the normal. ``place`` receives the place
-    from the centre [voxel edges].
+    curvature. ``reach``: largest distance along each axis. ``values``, ``vectors``: scratch of
+    :func:`eigen_symmetric`; the last vector is the normal. ``place`` receives the place from the
+    centre. Lengths are in voxel edges.
     """
     matrix = np.array([2.0 * c[4], c[7], c[8], 2.0 * c[5], c[9], 2.0 * c[6]])
     eigen_symmetric(matrix, values, vectors)
@@ -137,29 +138,24 @@ def find_surfaces(
     detections: NDArray[np.int64], looks: NDArray[np.int64], voxel: NDArray[np.int64],
     half: int, fit: NDArray[np.float64],
     threshold: float, looks_min: float, ratio: float, reach: float, aside: float,
-    place: NDArray[np.float64], normal: NDArray[np.float64],
-    value: NDArray[np.float64], kind: NDArray[np.uint8],
-) -> None:  # fmt: skip
-    """Points of maximum density near some voxels.
+) -> Maxima:  # fmt: skip
+    """Points of maximum density near (n, 3) voxels of a raster of detections.
 
-    Parameters
-    ----------
-    detections, looks : (nx, ny, nz), (n,) int64
-        Raster, :data:`~.voxel_raster.UNIT` for each detection; interrogations summed over each
-        neighbourhood, in the same unit.
-    voxel, half, fit
-        Voxels of the raster, (n, 3); voxels beside a neighbourhood's centre, and its matrix.
-    aside : float
-        Largest distance of the detections' mean from the centre, across the normal [voxel edges].
-    place, normal, value, kind
-        Receive places from the voxels' centres [voxel edges], directions of the strongest maximum,
-        detections per interrogation, and :data:`NOTHING` or what was found; a row for each voxel.
+    ``looks``: (n,), interrogations summed over each neighbourhood; as ``detections`` in parts of
+    :data:`~.voxel_raster.UNIT`. ``half``, ``fit``: voxels beside a neighbourhood's centre, and its
+    matrix. ``aside``: largest distance of the detections' mean from the centre, across the normal
+    [voxel edges].
+
+    Gives for each voxel the place from its centre [voxel edges], the direction of the strongest
+    maximum, detections per interrogation, and :data:`NOTHING` or what was found.
     """
+    n = len(voxel)
+    place, normal = np.zeros((n, 3)), np.zeros((n, 3))
+    value, kind = np.zeros(n), np.zeros(n, np.uint8)
     moment, c = np.empty(10, np.int64), np.empty(10)
     values, vectors = np.empty(3), np.empty((3, 3))
     cube = (2 * half + 1) ** 3
-    for row in range(len(voxel)):
-        kind[row] = NOTHING
+    for row in range(n):
         if looks[row] < looks_min * cube * UNIT:
             continue
         moments(detections, voxel[row, 0], voxel[row, 1], voxel[row, 2], half, moment)
@@ -176,15 +172,15 @@ def find_surfaces(
             kind[row] = found
             value[row] = share
             normal[row] = vectors[2]
+    return place, normal, value, kind
 
 
 @njit()
 def drop_weaker(
     voxel: NDArray[np.int64], place: NDArray[np.float64], normal: NDArray[np.float64],
     value: NDArray[np.float64], row_of: NDArray[np.int32], half: int, reach: int, share: float,
-    keep: NDArray[np.bool_],
-) -> None:  # fmt: skip
-    """Find points that have no stronger one before or behind them, nor much stronger ones beside.
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Which points have no stronger one before or behind them, nor much stronger ones beside.
 
     Before and behind is within 45 degrees of the point's own normal; of equal ones the first in the
     order of voxels stays. Beside is everything else: its strength is the mean of the values, the
@@ -193,13 +189,12 @@ def drop_weaker(
     ``voxel`` and what follows: voxels of the points in a raster, in its order, and what
     :func:`find_surfaces` gives. ``row_of``: (nx, ny, nz), row of the point of each voxel, -1 for
     none. ``half``, ``reach``: voxels on either side that are looked at before and behind, and in
-    all; reach >= half. ``share``: least part of the strength beside it that a point needs. ``keep``
-    receives whether a point stays.
+    all; reach >= half. ``share``: least part of the strength beside it that a point needs.
     """
     nx, ny, nz = row_of.shape
+    keep = np.ones(len(voxel), np.bool_)
     for row in range(len(voxel)):
         i, j, k = voxel[row, 0], voxel[row, 1], voxel[row, 2]
-        keep[row] = True
         total = value[row]
         squares = total * total
         for p in range(max(i - reach, 0), min(i + reach + 1, nx)):
@@ -220,3 +215,4 @@ def drop_weaker(
                         if stronger or (value[other] == value[row] and other < row):
                             keep[row] = False
         keep[row] &= value[row] * total >= share * squares
+    return keep

@@ -1,14 +1,14 @@
 """Detections and looks on a voxel raster, with trilinear weights [M20 4.1].
 
-The lattice is absolute: voxel i of an axis covers ``[i, i + 1)`` edges from coordinate zero, and
-its value stands for its centre. A place is rounded to :data:`STEPS` parts of an edge, so its
-weights in the eight voxels around are whole numbers that add up to :data:`UNIT`: sums are exact,
-whatever a raster is cut from. Detections are whole quanta; samples of looks are computed from the
-sensor's place in the survey's coordinates, and round alike in each raster.
+The lattice is absolute: voxel i of an axis covers ``[i, i + 1)`` edges from coordinate zero, its
+value is that of its centre. A place is rounded to :data:`STEPS` parts of an edge, so its weights in
+the eight voxels around are whole numbers that add up to :data:`UNIT`: sums are exact, whatever a
+raster is cut from. Samples of looks are computed from the sensor's place in the survey's
+coordinates, and round alike in each raster.
 
-A look is sampled once per voxel edge along its line of sight, at whole multiples plus a half of the
-edge from the sensor; a sample is one interrogation. After its detection a Geiger-mode detector is
-blind (blocking loss): its samples end at the one that holds the detection.
+A look is sampled at whole multiples plus a half of a voxel's edge from the sensor; a sample is one
+interrogation. After its detection a detector is blind (blocking loss): its samples end at the one
+that holds the detection.
 """
 
 import math
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 
 STEPS: Final = 32
-"""Parts of a voxel's edge that places are told apart by [count]."""
+"""Parts of a voxel's edge that places are rounded to [count]."""
 
 UNIT: Final = STEPS**3
 """What one detection, or one interrogation, adds to a raster in all."""
@@ -34,42 +34,34 @@ _MASK: Final = STEPS - 1
 
 @njit()
 def _add(u: int, v: int, w: int, corner: NDArray[np.int64], raster: NDArray[np.int64]) -> None:
-    """Add one place, in steps from the first voxel's centre of the absolute lattice."""
+    """Add one place, in steps from the first voxel's centre of the absolute lattice.
+
+    What lies at a raster's rim is left out: its outermost voxels have not all that is theirs.
+    """
     i, j, k = (u >> _SHIFT) - corner[0], (v >> _SHIFT) - corner[1], (w >> _SHIFT) - corner[2]
     nx, ny, nz = raster.shape
-    if i < -1 or j < -1 or k < -1 or i >= nx or j >= ny or k >= nz:
+    if i < 0 or j < 0 or k < 0 or i + 1 >= nx or j + 1 >= ny or k + 1 >= nz:
         return
     fx, fy, fz = u & _MASK, v & _MASK, w & _MASK
-    if i >= 0 and j >= 0 and k >= 0 and i + 1 < nx and j + 1 < ny and k + 1 < nz:
-        a, b = (STEPS - fx) * (STEPS - fy), (STEPS - fx) * fy
-        c, d = fx * (STEPS - fy), fx * fy
-        raster[i, j, k] += a * (STEPS - fz)
-        raster[i, j, k + 1] += a * fz
-        raster[i, j + 1, k] += b * (STEPS - fz)
-        raster[i, j + 1, k + 1] += b * fz
-        raster[i + 1, j, k] += c * (STEPS - fz)
-        raster[i + 1, j, k + 1] += c * fz
-        raster[i + 1, j + 1, k] += d * (STEPS - fz)
-        raster[i + 1, j + 1, k + 1] += d * fz
-        return
-    for di in range(2):
-        for dj in range(2):
-            for dk in range(2):
-                p, q, r = i + di, j + dj, k + dk
-                if 0 <= p < nx and 0 <= q < ny and 0 <= r < nz:
-                    part_x = fx if di else STEPS - fx
-                    part_y = fy if dj else STEPS - fy
-                    raster[p, q, r] += part_x * part_y * (fz if dk else STEPS - fz)
+    a, b = (STEPS - fx) * (STEPS - fy), (STEPS - fx) * fy
+    c, d = fx * (STEPS - fy), fx * fy
+    raster[i, j, k] += a * (STEPS - fz)
+    raster[i, j, k + 1] += a * fz
+    raster[i, j + 1, k] += b * (STEPS - fz)
+    raster[i, j + 1, k + 1] += b * fz
+    raster[i + 1, j, k] += c * (STEPS - fz)
+    raster[i + 1, j, k + 1] += c * fz
+    raster[i + 1, j + 1, k] += d * (STEPS - fz)
+    raster[i + 1, j + 1, k + 1] += d * fz
 
 
 @njit()
 def deposit(
     x: float, y: float, z: float, scale: float, corner: NDArray[np.int64], raster: NDArray[np.int64]
 ) -> None:
-    """Add a place [m] to a raster, :data:`UNIT` in all; what falls beside the raster is left out.
+    """Add a place [m] to a raster from a voxel of the absolute lattice on, :data:`UNIT` in all.
 
-    ``scale``: :data:`STEPS` over the edge of a voxel [1/m]. ``corner``: index of the raster's first
-    voxel on the absolute lattice.
+    ``scale``: :data:`STEPS` over the edge of a voxel [1/m].
     """
     u = math.floor(x * scale - _HALF)
     v = math.floor(y * scale - _HALF)
@@ -98,12 +90,8 @@ def look_direction(
 ) -> None:
     """Unit vector of a line of sight: east, north, up into ``out``.
 
-    Parameters
-    ----------
-    turn : (3, 3) float64
-        Starboard, nose, up of the array as columns: east, north, up of each.
-    across, along : float
-        Tangents of the detector's angles off the array's axis, to starboard and to the nose.
+    ``turn``: starboard, nose, up of the array as columns. ``across``, ``along``: tangents of the
+    detector's angles off the array's axis, to starboard and to the nose.
     """
     scale = 1.0 / math.sqrt(1.0 + across * across + along * along)
     for axis in range(3):
@@ -111,7 +99,7 @@ def look_direction(
 
 
 @njit()
-def _between(
+def between(
     origin: NDArray[np.float64], way: NDArray[np.float64],
     low: NDArray[np.float64], high: NDArray[np.float64],
 ) -> tuple[float, float]:  # fmt: skip
@@ -134,18 +122,12 @@ def interrogate(
     tangent: float, gate: NDArray[np.float64], edge: float,
     corner: NDArray[np.int64], raster: NDArray[np.int64],
 ) -> None:  # fmt: skip
-    """Add the interrogations of all looks of some frames.
+    """Add the interrogations of all looks of some frames, a sample for each voxel's edge [m].
 
-    Parameters
-    ----------
-    origin, turn : (f, 3), (f, 3, 3) float64
-        Places of the sensor [m]; as :func:`look_direction` takes them.
-    seen : (f, rows, columns) float32
-        Slant range of each detector's detection, infinite where it made none [m].
-    tangent, gate : float, (2,) float64
-        Tangent of a detector's field of view; slant ranges between which detectors are armed [m].
-    edge : float
-        Edge of a voxel, and distance of the samples along a line of sight [m].
+    ``origin``, ``turn``: (f, 3), places of the sensor [m]; (f, 3, 3), as :func:`look_direction`
+    takes them. ``seen``: (f, rows, columns), slant range of each detector's detection, infinite
+    where it made none [m]. ``tangent``: of a detector's field of view. ``gate``: slant ranges
+    between which detectors are armed [m].
     """
     _, rows, columns = seen.shape
     low, high, way = np.empty(3), np.empty(3), np.empty(3)
@@ -158,7 +140,7 @@ def interrogate(
             for column in range(columns):
                 along = (column - 0.5 * (columns - 1)) * tangent
                 look_direction(turn[frame], across, along, way)
-                near, far = _between(origin[frame], way, low, high)
+                near, far = between(origin[frame], way, low, high)
                 far = min(far, seen[frame, row, column] + edge)
                 if near > far:
                     continue
@@ -178,9 +160,10 @@ def interrogate(
 
 
 @njit()
-def box_sum(raster: NDArray[np.int64], half: int, out: NDArray[np.int64]) -> None:
+def box_sum(raster: NDArray[np.int64], half: int) -> NDArray[np.int64]:
     """Sum over the cube of ``2 half + 1`` voxels around each; beside the raster is nothing."""
     nx, ny, nz = raster.shape
+    out = np.empty_like(raster)
     line = np.empty(max(nx, ny, nz), np.int64)
     for i in range(nx):
         for j in range(ny):
@@ -190,20 +173,18 @@ def box_sum(raster: NDArray[np.int64], half: int, out: NDArray[np.int64]) -> Non
     for j in range(ny):
         for k in range(nz):
             _slide(out[:, j, k], half, line, out[:, j, k])
+    return out
 
 
 @njit()
 def _slide(values, half, line, out):  # type: ignore[no-untyped-def]
     """Moving sum of one line; ``values`` and ``out`` may be the same."""
     n = len(values)
-    total = 0
-    for k in range(min(half, n)):
-        total += values[k]
+    total = values[: min(half, n)].sum()
     for k in range(n):
         if k + half < n:
             total += values[k + half]
         if k - half - 1 >= 0:
             total -= values[k - half - 1]
         line[k] = total
-    for k in range(n):
-        out[k] = line[k]
+    out[:] = line[:n]

@@ -1,102 +1,70 @@
 """Stage ``report``: what all receipts have together, as a page with its pictures."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.engine.report import number_format as text
-from spl_batch.engine.report import style
+from spl_batch.engine.report import run_record, style
 from spl_batch.engine.report.maps import WIDTH_IN as MAP_WIDTH_IN
 from spl_batch.engine.report.maps import Raster, draw_ramp, spread
-from spl_batch.engine.report.number_format import metres, number
+from spl_batch.engine.report.number_format import metres, millimetres, number
 from spl_batch.engine.report.page import Front, render_page, write_both
 from spl_batch.engine.report.picture import Picture
-from spl_batch.engine.report.run_record import (
-    Receipts,
-    RunFacts,
-    common_parts,
-    indexed_file,
-    remember,
-)
-from spl_batch.engine.report.verdict import Verdict, ending_rows, failure_verdict
+from spl_batch.engine.report.run_record import Receipts, RunFacts
+from spl_batch.engine.report.verdict import Verdict, failure_verdict
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.rasters.parts import read_overview
 from spl_batch.formats.verified.parquet_npz import read_arrays
+from spl_batch.geiger.water import accuracy
 from spl_batch.geiger.water.accuracy import pixel_maps
-from spl_batch.geiger.water.report.model import (
-    FloorErrors,
-    SurfaceError,
-    SurfaceErrors,
-    WaterCalibration,
-    WaterFile,
-    WaterReport,
-)
-from spl_batch.geiger.water.tasks.surfaces import WaterContext
+from spl_batch.geiger.water.report import model
+from spl_batch.geiger.water.report.model import SurfaceError, WaterReport
+from spl_batch.geiger.water.tasks import WaterContext
+
+Floats = NDArray[np.float64]
 
 
 def render(report: WaterReport, pictures: Mapping[str, Picture]) -> str:
-    """The page.
-
-    ``pictures``: from :mod:`~spl_batch.geiger.water.report.summarise`; any may be missing.
-    """
-    sections = (("accuracy", "Accuracy"), ("surface", "Surface"), ("calibration", "Calibration"))
-    return render_page(
-        "water.html.j2",
-        report,
-        Front(
-            title=report.name,
-            kicker="Water surface from a Geiger-mode array",
-            facts=tuple(_facts(report)),
-            sections=sections,
-            verdicts=(
-                _accuracy_verdict(report),
-                failure_verdict(report.failures, report.findings),
-            ),
-            cards=tuple(_cards(report)),
+    """The page; any picture may be missing."""
+    water = [file for file in report.files if file.role == "water"]
+    frames = number(report.frames_per_acquisition)
+    front = Front(
+        title=report.name,
+        kicker="Water surface from a Geiger-mode array",
+        facts=(
+            f"{len(water)} file{'s' * (len(water) != 1)} of frames",
+            f"{number(_surfaces(report))} acquisitions of {frames} frames",
+            report.crs or "no CRS",
         ),
-        package=__package__,
-        pictures=pictures,
+        sections=tuple((name.lower(), name) for name in ("Accuracy", "Surface", "Calibration")),
+        verdicts=(_accuracy_verdict(report), failure_verdict(report.failures, report.findings)),
+        cards=tuple(cards(report)),
     )
+    return render_page("water.html.j2", report, front, package=__package__, pictures=pictures)
 
 
 def _surfaces(report: WaterReport) -> int:
     return sum(file.acquisitions for file in report.files)
 
 
-def _facts(report: WaterReport) -> Iterator[str]:
-    water = [file for file in report.files if file.role == "water"]
-    yield f"{len(water)} file{'s' * (len(water) != 1)} of frames"
-    frames = text.number(report.frames_per_acquisition)
-    yield f"{text.number(_surfaces(report))} acquisitions of {frames} frames"
-    yield report.crs or "no CRS"
-
-
-def _cards(report: WaterReport) -> Iterator[tuple[str, str, str]]:
-    yield "Surfaces", text.number(_surfaces(report)), f"{text.large(report.points)} points"
-    if report.surfaces is not None:
-        made = report.surfaces
-        spread = None if made.variance_m2 is None else made.variance_m2**0.5
-        yield (
-            "Normals",
-            f"{text.significant(made.pixel_normal_deg)}°",
-            f"{text.significant(made.normal_deg)}° of the mean normal",
-        )
-        yield (
-            "Height",
-            text.millimetres(spread),
-            f"spread; bias {text.millimetres(made.signed_bias_m)} down",
-        )
-    if report.floor is not None:
-        yield (
-            "Sea floor",
-            text.millimetres(report.floor.refracted_beam_m),
-            f"{text.millimetres(report.floor.level_beam_m)} under a level surface",
-        )
-    if report.calibration is not None:
-        dead = report.calibration.dead
-        yield "Dead pixels", text.number(dead), f"of {text.number(report.calibration.used)} in use"
+def cards(report: WaterReport) -> Iterator[tuple[str, str, str]]:
+    """Label, value and remark of each key number."""
+    made, floor, calibration = report.surfaces, report.floor, report.calibration
+    yield "Surfaces", number(_surfaces(report)), f"{text.large(report.points)} points"
+    if made is not None:
+        mean = f"{text.significant(made.normal_deg)}° of the mean normal"
+        yield "Normals", f"{text.significant(made.pixel_normal_deg)}°", mean
+        bias = f"spread; bias {millimetres(made.signed_bias_m)} down"
+        yield "Height", millimetres((made.variance_m2 or 0.0) ** 0.5), bias
+    if floor is not None:
+        level = f"{millimetres(floor.level_beam_m)} under a level surface"
+        yield "Sea floor", millimetres(floor.refracted_beam_m), level
+    if calibration is not None:
+        yield "Dead pixels", number(calibration.dead), f"of {number(calibration.used)} in use"
 
 
 def _accuracy_verdict(report: WaterReport) -> Verdict:
@@ -106,40 +74,8 @@ def _accuracy_verdict(report: WaterReport) -> Verdict:
     return Verdict(
         "good",
         f"Normals lie {text.significant(made.pixel_normal_deg)}° from the true ones, heights "
-        f"{text.millimetres((made.mse_m2 or 0.0) ** 0.5)} (root mean square).",
+        f"{millimetres((made.mse_m2 or 0.0) ** 0.5)} (root mean square).",
     )
-
-
-def screen_summary(report: WaterReport) -> list[tuple[str, str]]:
-    """Label and value of each number that the console shows after a run."""
-    rows = [
-        ("surfaces", f"{text.number(_surfaces(report))}, {text.number(report.points)} points"),
-    ]
-    if report.calibration is not None:
-        made = report.calibration
-        rows.append(("calibration", "fitted" if made.fitted else "as given"))
-        rows.append(("dead pixels", f"{text.number(made.dead)} of {text.number(made.used)} in use"))
-    if report.surfaces is None:
-        rows.append(("accuracy", "no truth"))
-    else:
-        found = report.surfaces
-        rows.append(("normals", f"{text.significant(found.pixel_normal_deg)} deg"))
-        rows.append(("bias", text.millimetres(found.signed_bias_m)))
-    if report.floor is not None:
-        rows.append(("sea floor", text.millimetres(report.floor.refracted_beam_m)))
-    plain = [(label, text.as_ascii(value)) for label, value in rows]
-    return plain + ending_rows(report.performance, report.failures, report.findings)
-
-
-Floats = NDArray[np.float64]
-
-PANELS = (
-    ("bias_m", "bias [mm]", 1e3),
-    ("variance_m2", "standard deviation [mm]", 1e3),
-    ("mse_m2", "root mean square error [mm]", 1e3),
-    ("normal_deg", "angle of the normal [deg]", 1.0),
-)
-"""Errors of a pixel: their names, and the factor to the unit in the name."""
 
 
 def _height(raster: Raster | None) -> Picture:
@@ -149,16 +85,9 @@ def _height(raster: Raster | None) -> Picture:
     middle = float(np.nanmedian(raster.masked()))
     shown = Raster(1000 * (raster.masked() - middle), raster.extent_m)
     reach = max(float(np.abs(spread(shown.values, 1, 99)).max()), 1.0)
-    drawn = draw_ramp(
-        shown,
-        title,
-        "height above the median [mm]",
-        ramp=style.DIFFERENCE,
-        limits=(-reach, reach),
-        extend="both",
-    )
+    label, limits = "height above the median [mm]", (-reach, reach)
     return style.picture(
-        drawn,
+        draw_ramp(shown, title, label, ramp=style.DIFFERENCE, limits=limits, extend="both"),
         title,
         f"Mean of the surfaces of the first file, above its median height of {metres(middle, 3)}. "
         "Calm water is even; a tilt or a bowl points to the boresight or to range walk.",
@@ -176,37 +105,35 @@ def _histogram(counts: NDArray[np.int64], gate: Sequence[int]) -> Picture:
         axes.axvspan(low - 0.5, high - 0.5, color=style.RULE, zorder=0)
         axes.set(title=title, xlabel="time bin [number]", ylabel="hits [count]", xlim=(first, last))
         axes.yaxis.set_major_formatter(lambda hits, _: number(hits))
-    return style.picture(
-        drawn, title, f"Grey is the gate, bins {low} to {high - 1}: hits outside are not used."
-    )
+    caption = f"Grey is the gate, bins {low} to {high - 1}: hits outside are not used."
+    return style.picture(drawn, title, caption)
 
 
 def _intensity(share: Floats) -> Picture:
     title = "Intensity"
     with style.type_context():
         drawn = style.figure(MAP_WIDTH_IN, 4.2)
-        axes = drawn.add_subplot()
-        shown = axes.imshow(share, cmap=style.DENSITY, vmin=0.0, interpolation="nearest")
-        drawn.colorbar(shown, ax=axes, label="share of frames with a hit [1/1]")
-        axes.set(title=title, xlabel="column [pixel]", ylabel="row [pixel]")
-    return style.picture(
-        drawn, title, "Where the beam lies on the array, and which pixels are dead."
-    )
+        axes = drawn.add_subplot(title=title)
+        _array(axes, share, "share of frames with a hit [1/1]", cmap=style.DENSITY, vmin=0.0)
+    caption = "Where the beam lies on the array, and which pixels are dead."
+    return style.picture(drawn, title, caption)
 
 
 def _pixels(maps: dict[str, Floats]) -> Picture:
     title = "Errors of each pixel"
+    panels = {
+        "bias [mm]": 1e3 * maps["bias_m"],
+        "standard deviation [mm]": 1e3 * np.sqrt(maps["variance_m2"]),
+        "root mean square error [mm]": 1e3 * np.sqrt(maps["mse_m2"]),
+        "angle of the normal [deg]": maps["normal_deg"],
+    }
     with style.type_context():
         drawn = style.figure(style.WIDTH_IN, 8.0)
-        for axes, (key, label, factor) in zip(drawn.subplots(2, 2).flat, PANELS, strict=True):
-            values = factor * (maps[key] if key in {"bias_m", "normal_deg"} else np.sqrt(maps[key]))
+        for axes, (label, values) in zip(drawn.subplots(2, 2).flat, panels.items(), strict=True):
             top = float(np.nanpercentile(np.abs(values), 98)) if np.isfinite(values).any() else 1.0
-            colours = {"cmap": style.SKY, "vmin": 0.0, "vmax": top}
-            if key == "bias_m":
-                colours |= {"cmap": style.DIFFERENCE, "vmin": -top}
-            shown = axes.imshow(values, interpolation="nearest", **colours)
-            drawn.colorbar(shown, ax=axes, label=label)
-            axes.set(xlabel="column [pixel]", ylabel="row [pixel]")
+            signed = label.startswith("bias")
+            colours = style.DIFFERENCE if signed else style.SKY
+            _array(axes, values, label, cmap=colours, vmin=-top if signed else 0.0, vmax=top)
     return style.picture(
         drawn,
         title,
@@ -215,10 +142,11 @@ def _pixels(maps: dict[str, Floats]) -> Picture:
     )
 
 
-_ERRORS: Final = ("bias_m", "variance_m2", "mse_m2", "normal_deg", "pixel_normal_deg")
-"""Columns of the errors that a task leaves; the number of pixels is the last one."""
-
-_CALIBRATION: Final = ("scale", "offset_ns", "range_walk", "walk_ns", "walk_exponent", "pulse_ns")
+def _array(axes: Any, values: Floats, label: str, **colours: Any) -> None:
+    """Draw a value of each pixel."""
+    shown = axes.imshow(values, interpolation="nearest", **colours)
+    axes.figure.colorbar(shown, ax=axes, label=label)
+    axes.set(xlabel="column [pixel]", ylabel="row [pixel]")
 
 
 def summarise(done: Receipts, context: WaterContext, facts: RunFacts) -> WaterReport:
@@ -226,7 +154,7 @@ def summarise(done: Receipts, context: WaterContext, facts: RunFacts) -> WaterRe
     workflow = context.workflow
     counted = sorted(done.get("count_frames", {}).items(), key=lambda item: item[1].facts["name"])
     each, floor, pixels = _errors(done, context, dict(counted))
-    inputs = [indexed_file(r.facts, "frames", r.facts["frames"]) for _, r in counted]
+    inputs = [run_record.indexed_file(r.facts, "frames", r.facts["frames"]) for _, r in counted]
     report = WaterReport(
         name=workflow.survey.name,
         crs=context.crs.to_string() if context.crs else None,
@@ -234,99 +162,92 @@ def summarise(done: Receipts, context: WaterContext, facts: RunFacts) -> WaterRe
         frames_per_acquisition=workflow.surface.frames_per_acquisition,
         files=tuple(_file(key, receipt, done) for key, receipt in counted),
         calibration=_calibration(done),
-        points=sum(r.facts["points"] for r in done.get("deliver_points", {}).values()),
+        points=sum(r.facts["points"] for r in done.get("deliver_file", {}).values()),
         surfaces=_mean(each),
         each_surface=tuple(each),
         floor=_floor_errors(floor, workflow.path.in_water_m),
-        **common_parts(context, facts, sum(file.points or 0 for file in inputs), inputs),
+        **run_record.common_parts(context, facts, sum(file.points or 0 for file in inputs), inputs),
     )
     water = [(key, r.facts) for key, r in counted if r.facts["role"] == "water"]
-    pictures = _pictures(*water[0], done, context, pixels) if water else {}
+    pictures = _pictures(*water[0], done, context) if water else {}
+    if pixels.any():
+        pictures["pixels"] = _pixels(pixel_maps(pixels))
     write_both(context.output, report, render(report, pictures))
-    remember(done, context, facts)
+    run_record.remember(done, context, facts)
     return report
 
 
-def _file(key: str, counted: Receipt, done: Receipts) -> WaterFile:
+def _file(key: str, counted: Receipt, done: Receipts) -> model.WaterFile:
     """A file that was counted; one without surfaces was recorded of a target, or failed."""
-    made = [
-        receipt.facts["acquisitions"]
-        for name, receipt in done.get("make_surfaces", {}).items()
-        if name.startswith(f"{key}/")
-    ]
-    keys = ("name", "role", "frames", "gate", "hits", "outside")
-    return WaterFile(**{k: counted.facts[k] for k in keys}, acquisitions=sum(made))
+    made = done.get("make_surfaces", {}).items()
+    surfaces = sum(r.facts["acquisitions"] for name, r in made if name.startswith(f"{key}/"))
+    known = {**counted.facts, "acquisitions": surfaces}
+    return model.WaterFile(**{k: known[k] for k in model.WaterFile.model_fields})
 
 
-def _calibration(done: Receipts) -> WaterCalibration | None:
+def _calibration(done: Receipts) -> model.WaterCalibration | None:
     made = done.get("calibrate", {}).get("all")
     if made is None:
         return None
-    rest = {k: made.facts[k] for k in ("fitted", "residual_ns", "dead", "used")}
-    return WaterCalibration(**{k: made.facts["settings"][k] for k in _CALIBRATION}, **rest)
+    known = {**made.facts["settings"], **made.facts}
+    return model.WaterCalibration(**{k: known[k] for k in model.WaterCalibration.model_fields})
 
 
 def _errors(
     done: Receipts, context: WaterContext, counted: Mapping[str, Receipt]
-) -> tuple[list[SurfaceError], Floats, dict[str, Floats]]:
+) -> tuple[list[SurfaceError], Floats, Floats]:
     """Errors of the surfaces in the order of files, of the ends of rays (a, 6), of the pixels."""
     each: list[SurfaceError] = []
-    floors, sums = [np.empty((0, 6))], np.zeros(())
-    made = done.get("make_surfaces", {})
-    places = {name: name.partition("/") for name, receipt in made.items() if receipt.facts["truth"]}
-    for key, receipt in counted.items():
-        before = len(each)
-        for name in sorted((n for n, p in places.items() if p[0] == key), key=_piece):
-            kept = read_arrays(context.store.path("errors", f"{name}.npz"))
-            floors.append(kept["floor"])
-            sums = sums + kept["pixels"]
-            for *row, pixels in kept["errors"].tolist():
-                numbers = dict(zip(_ERRORS, row, strict=True))
-                place = {"file": receipt.facts["name"], "acquisition": len(each) - before}
-                each.append(SurfaceError(**place, **numbers, pixels=int(pixels)))
-    return each, np.concatenate(floors), pixel_maps(sums) if sums.any() else {}
+    floors, sums = [np.empty((0, len(accuracy.FloorError._fields)))], np.zeros(())
+    pieces = [
+        (counted[name.partition("/")[0]].facts["name"], name)
+        for name, receipt in done.get("make_surfaces", {}).items()
+        if receipt.facts["truth"]
+    ]
+    seen = Counter[str]()
+    for file, name in sorted(pieces):
+        kept = read_arrays(context.store.path("errors", f"{name}.npz"))
+        floors.append(kept["floor"])
+        sums = sums + kept["pixels"]
+        for row in kept["errors"].tolist():
+            numbers = accuracy.SurfaceError(*row)._asdict()
+            each.append(SurfaceError(file=file, acquisition=seen[file], **numbers))
+            seen[file] += 1
+    return each, np.concatenate(floors), sums
 
 
-def _piece(name: str) -> int:
-    return int(name.partition("/")[2])
-
-
-def _mean(each: list[SurfaceError]) -> SurfaceErrors | None:
+def _mean(each: list[SurfaceError]) -> model.SurfaceErrors | None:
     known = [e for e in each if e.bias_m is not None and np.isfinite(e.bias_m)]
     if not known:
         return None
-    rows = np.array([[getattr(e, k) for k in _ERRORS] for e in known], dtype=np.float64)
-    mean = dict(zip(_ERRORS, rows.mean(axis=0).tolist(), strict=True))
+    names = accuracy.SurfaceError._fields[:-1]
+    rows = np.array([[getattr(e, k) for k in names] for e in known], dtype=np.float64)
+    mean = dict(zip(names, rows.mean(axis=0).tolist(), strict=True))
     mean |= {"bias_m": float(np.abs(rows[:, 0]).mean()), "signed_bias_m": mean["bias_m"]}
-    return SurfaceErrors(acquisitions=len(known), **mean)
+    return model.SurfaceErrors(acquisitions=len(known), **mean)
 
 
-def _floor_errors(floor: Floats, in_water_m: float) -> FloorErrors | None:
+def _floor_errors(floor: Floats, in_water_m: float) -> model.FloorErrors | None:
     known = floor[np.isfinite(floor[:, 0])]
     if not len(known):
         return None
-    names = [k for k in FloorErrors.model_fields if k != "in_water_m"]
-    means = dict(zip(names, known.mean(axis=0).tolist(), strict=True))
-    return FloorErrors(in_water_m=in_water_m, **means)
+    means = accuracy.FloorError(*known.mean(axis=0).tolist())
+    return model.FloorErrors(in_water_m=in_water_m, **means._asdict())
 
 
 def _pictures(
-    key: str,
-    facts: Mapping[str, Any],
-    done: Receipts,
-    context: WaterContext,
-    pixels: dict[str, Floats],
+    key: str, facts: Mapping[str, Any], done: Receipts, context: WaterContext
 ) -> dict[str, Picture]:
-    """What the first file of the water shows, and the errors of all."""
+    """What the first file of the water shows."""
     sums = read_arrays(context.store.path("counts", f"{key}.npz"))
-    delivered = done.get("deliver_rasters", {}).get(key)
+    delivered = done.get("deliver_file", {}).get(key)
     height = None
-    if delivered is not None and delivered.outputs:
+    # Without a place that is known there are points alone, none of them.
+    if delivered is not None and delivered.points:
         part = read_overview(context.output / f"surfaces/{delivered.facts['delivered']}.tif")
         height = Raster(part.values, part.extent_m)
-    made = {
+    return {
         "height": _height(height),
         "intensity": _intensity(sums["hits"] / facts["frames"]),
         "histogram": _histogram(sums["histogram"], facts["gate"]),
     }
-    return made | ({"pixels": _pixels(pixels)} if pixels else {})

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.geiger.coincidence.surface.voxel_raster import look_direction
+from spl_batch.geiger.coincidence.surface.voxel_raster import between, look_direction
 from spl_batch.numerics.compiled import njit
 
 _FAR: Final = 1e30
@@ -35,7 +35,7 @@ class Targets(NamedTuple):
     coil_radius: float
     #: (4,): x and y of a painted disc, its radius, edge of its squares; radius 0 for none.
     logo: NDArray[np.float64]
-    #: (m, 5): level squares: x, y, height, reflectivity, transmissivity.
+    #: (m, 5): level squares, highest first: x, y, height, reflectivity, transmissivity.
     leaves: NDArray[np.float64]
     leaf_m: float
     #: (5,): west, south, edge of the cells that leaves are listed by; lowest, highest leaf.
@@ -102,21 +102,15 @@ def _into_tube(origin, way, near, far, axis, radius):  # type: ignore[no-untyped
 @njit()
 def _into_box(origin, way, box):  # type: ignore[no-untyped-def]
     """Range at which a ray enters a box; far away where it does not."""
-    near, far = -_FAR, _FAR
-    for axis in range(3):
-        if abs(way[axis]) < 1e-12:
-            if origin[axis] < box[axis] or origin[axis] > box[axis + 3]:
-                return _FAR
-            continue
-        a = (box[axis] - origin[axis]) / way[axis]
-        b = (box[axis + 3] - origin[axis]) / way[axis]
-        near, far = max(near, min(a, b)), min(far, max(a, b))
+    near, far = between(origin, way, box[:3], box[3:])
     return near if 0.0 < near <= far else _FAR
 
 
 @njit()
-def opaque(origin: NDArray[np.float64], way: NDArray[np.float64], scene: Targets) -> float:
-    """Range at which a ray that points downwards meets a target, or bare ground plus 1e9 [m].
+def opaque(
+    origin: NDArray[np.float64], way: NDArray[np.float64], scene: Targets
+) -> tuple[float, bool]:
+    """Range at which a ray that points downwards ends [m], and whether on a target or paint.
 
     ``origin``, ``way``: (3,) float64, start [m] and unit vector.
     """
@@ -137,17 +131,17 @@ def opaque(origin: NDArray[np.float64], way: NDArray[np.float64], scene: Targets
     for k in range(len(scene.cubes)):
         best = min(best, _into_box(origin, way, scene.cubes[k]))
     if len(scene.coil) > 1:
-        low, high = np.empty(6), scene.coil_radius
+        box = np.empty(6)
         for axis in range(3):
-            low[axis] = scene.coil[:, axis].min() - high
-            low[axis + 3] = scene.coil[:, axis].max() + high
-        near = _into_box(origin, way, low)
+            box[axis] = scene.coil[:, axis].min() - scene.coil_radius
+            box[axis + 3] = scene.coil[:, axis].max() + scene.coil_radius
+        near = _into_box(origin, way, box)
         if near < ground:
             best = min(best, _into_tube(origin, way, near, ground, scene.coil, scene.coil_radius))
     if best < ground:
-        return best
+        return best, True
     x, y = origin[0] + ground * way[0], origin[1] + ground * way[1]
-    return float(ground if painted(x, y, scene.logo) else ground + 1e9)
+    return ground, painted(x, y, scene.logo)
 
 
 @njit()
@@ -167,11 +161,7 @@ def _leaves(origin, way, scene, hit):  # type: ignore[no-untyped-def]
         x = origin[0] + t * way[0] - scene.leaves[leaf, 0]
         y = origin[1] + t * way[1] - scene.leaves[leaf, 1]
         if abs(x) <= half and abs(y) <= half and n < len(hit):
-            place = n
-            while place > 0 and scene.leaves[hit[place - 1], 2] < scene.leaves[leaf, 2]:
-                hit[place] = hit[place - 1]
-                place -= 1
-            hit[place] = leaf
+            hit[n] = leaf
             n += 1
     return n
 
@@ -186,10 +176,8 @@ def _event(rng, origin, way, scene, efficiency, hit):  # type: ignore[no-untyped
         if rng.random() < -math.expm1(-mean):
             return (scene.leaves[leaf, 2] - origin[2]) / way[2]
         left *= scene.leaves[leaf, 4]
-    t = opaque(origin, way, scene)
-    bare = t > 5e8
-    t = t - 1e9 if bare else t
-    mean = efficiency * left * (scene.ground if bare else scene.target)
+    t, target = opaque(origin, way, scene)
+    mean = efficiency * left * (scene.target if target else scene.ground)
     return t if rng.random() < -math.expm1(-mean) else _FAR
 
 
@@ -199,15 +187,13 @@ def expose(
     scene: Targets, tangent: float, gate: NDArray[np.float64], efficiency: float,
     dark_per_m: float, jitter: NDArray[np.float64], bin_m: float, range_m: NDArray[np.float64],
 ) -> None:  # fmt: skip
-    """Ranges that the detectors of one frame record.
+    """Ranges that the detectors of one frame record, into (rows, columns); infinite for none [m].
 
-    ``origin``, ``turn``: place of the sensor from the scene's centre [m], and as
-    :func:`look_direction` has it. ``tangent``: of a detector's field of view. ``gate``: slant
-    ranges between which detectors are armed [m]. ``efficiency``, ``dark_per_m``: photo-electrons
-    per look from reflectivity 1; dark counts per metre of armed detector [1/m]. ``jitter``:
-    standard deviations of range [m] and of each angle [rad]. ``bin_m``: range bin, whose middle is
-    recorded [m]. ``range_m``, (rows, columns), receives ranges, infinite where a detector did not
-    fire [m].
+    ``origin``: from the scene's centre [m]. ``turn``: as :func:`look_direction` has it.
+    ``tangent``: of a detector's field of view. ``gate``: slant ranges between which detectors are
+    armed [m]. ``efficiency``: photo-electrons per look from reflectivity 1. ``dark_per_m``: dark
+    counts per metre of armed detector. ``jitter``: standard deviations of range [m] and of each
+    angle [rad]. ``bin_m``: range bin, whose middle is recorded [m].
     """
     rows, columns = range_m.shape
     way, hit = np.empty(3), np.empty(32, np.int64)
@@ -224,9 +210,7 @@ def expose(
             first = min(noise, signal)
             if signal <= noise:
                 first += jitter[0] * rng.standard_normal()
-            if first < gate[0] or first >= gate[1]:
-                range_m[row, column] = np.inf
-            else:
-                range_m[row, column] = (
-                    gate[0] + (math.floor((first - gate[0]) / bin_m) + 0.5) * bin_m
-                )
+            range_m[row, column] = np.inf
+            if gate[0] <= first < gate[1]:
+                middle = math.floor((first - gate[0]) / bin_m) + 0.5
+                range_m[row, column] = gate[0] + middle * bin_m

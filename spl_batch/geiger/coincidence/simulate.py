@@ -9,9 +9,10 @@ Each frame has its own random numbers, so it does not depend on the others.
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 import yaml
@@ -22,11 +23,10 @@ from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
 from spl_batch.engine.settings.base import Positive, Section, Share
 from spl_batch.engine.verbs.simulation import Simulated, finished, scene_of
 from spl_batch.formats.files.atomic import write_bytes
-from spl_batch.geiger.coincidence.formats import l1_files
+from spl_batch.geiger.coincidence import files
+from spl_batch.geiger.coincidence.scene_rays import Targets, expose
 from spl_batch.geiger.coincidence.settings import ArraySettings
-from spl_batch.geiger.coincidence.simulate.scene_rays import Targets, expose
 from spl_batch.geiger.coincidence.tables import Detections, Frames
-from spl_batch.numerics.attitude import rotations
 
 BAR_WIDTHS_M: Final = (
     *(1.00, 0.95, 0.90, 0.85, 0.80, 0.75, 0.70, 0.65, 0.60, 0.55),
@@ -47,14 +47,10 @@ _STEEPEST: Final = 0.1
 
 _BAR_ROW_M: Final = 24.0
 """Length of a row of tri-bars [m]."""
-
 _BAR_TOP_M: Final = 10.0
 """North edge of the first row, from the middle of both sets [m]."""
 
 Target = Literal["spokes", "bars", "cube", "coil", "logo", "covered_spokes", "foliage"]
-ALL: Final[tuple[Target, ...]] = (
-    *("spokes", "bars", "cube", "coil", "logo", "covered_spokes", "foliage"),
-)
 
 PLACES_M: Final[dict[Target, tuple[float, float]]] = {
     "spokes": (0.0, 0.0),
@@ -79,12 +75,8 @@ class FlightSettings(Section):
     headings_deg: tuple[float, ...] = Field(
         (0.0, 180.0, 270.0, 90.0), min_length=1, description="One for each pass [deg]."
     )
-    efficiency: Share = Field(
-        0.5, description="Photo-electrons per look from a target of reflectivity 1 [count]."
-    )
-    dark_rate_hz: Positive = Field(
-        1500.0, description="Dark counts and sunlight of one detector [1/s]."
-    )
+    efficiency: Share = Field(0.5, description="Photo-electrons per look, reflectivity 1 [count].")
+    dark_rate_hz: Positive = Field(1500.0, description="Of a detector, sunlight too [1/s].")
     range_jitter_m: Positive = Field(0.05, description="Standard deviation of a range [m].")
     angle_jitter_rad: Positive = Field(10e-6, description="Of each angle of a look [rad].")
     range_bin_m: Positive = Field(0.05, description="Range bin [m].")
@@ -95,13 +87,9 @@ class SceneSettings(Section):
 
     kind: Literal["coincidence"] = Field("coincidence", description="Receiver of the scene.")
     seed: int = Field(1, ge=0, description="Seed of leaves and photons.")
-    targets: tuple[Target, ...] = Field(ALL, description="Targets that are there.")
-    extent_m: tuple[Positive, Positive] = Field(
-        (100.0, 100.0), description="Size of the part that is looked at [m]."
-    )
-    centre_m: tuple[float, float] = Field(
-        (0.0, 0.0), description="Centre of that part, east and north of the scene's [m]."
-    )
+    targets: tuple[Target, ...] = Field(get_args(Target), description="Targets that are there.")
+    extent_m: tuple[Positive, Positive] = Field((100.0, 100.0), description="Of what is seen [m].")
+    centre_m: tuple[float, float] = Field((0.0, 0.0), description="Of that, from the scene's [m].")
     origin_m: tuple[float, float, float] = Field(
         (500_000.0, 4_200_000.0, 100.0), description="Coordinates of the scene's centre [m]."
     )
@@ -126,12 +114,10 @@ def bars(centre_m: tuple[float, float]) -> list[tuple[float, bool, NDArray[np.fl
                 x, y, tallest = x0, y - tallest - 0.5, 0.0
             tallest = max(tallest, size)
             first = np.arange(3) * 2.0 * width
-            plates = np.empty((3, 5))
+            plates = np.full((3, 5), TARGET_HEIGHT_M)
             plates[:, 0] = x + (first if north else 0.0)
             plates[:, 1] = y - size + (0.0 if north else first)
-            plates[:, 2] = plates[:, 0] + (width if north else size)
-            plates[:, 3] = plates[:, 1] + (size if north else width)
-            plates[:, 4] = TARGET_HEIGHT_M
+            plates[:, 2:4] = plates[:, :2] + ((width, size) if north else (size, width))
             found.append((width, north, plates))
             x += size + 0.5
     return found
@@ -139,24 +125,27 @@ def bars(centre_m: tuple[float, float]) -> list[tuple[float, bool, NDArray[np.fl
 
 def build(scene: SceneSettings) -> Targets:
     """Arrays of a scene; leaves are drawn from its seed."""
-    there = set(scene.targets)
-    place = PLACES_M
-    plates = [p for _, _, p in bars(place["bars"])] if "bars" in there else []
+    there = {name: PLACES_M[name] for name in scene.targets}
+    plates = [p for _, _, p in bars(there["bars"])] if "bars" in there else []
     wheels = [
-        [*place[name], SPOKE_RADIUS_M, TARGET_HEIGHT_M, SPOKES]
+        [*there[name], SPOKE_RADIUS_M, TARGET_HEIGHT_M, SPOKES]
         for name in ("spokes", "covered_spokes")
         if name in there
     ]
-    x, y = place["cube"]
+    x, y = PLACES_M["cube"]
     cubes = [[x - 1, y - 1, 0, x + 1, y + 1, 2]] if "cube" in there else []
-    logo = [*place["logo"], 16.0 if "logo" in there else 0.0, 2.0]
+    # Two loops of 1.5 m across, 5 m tall with the tube.
+    turn = np.linspace(0.0, 2.0, 97) if "coil" in there else np.empty(0)
+    (x, y), angle = PLACES_M["coil"], 2 * np.pi * turn
+    coil = np.stack([x + 0.75 * np.cos(angle), y + 0.75 * np.sin(angle), 0.25 + 2.25 * turn], -1)
+    logo = [*PLACES_M["logo"], 16.0 if "logo" in there else 0.0, 2.0]
     leaf_m = scene.flight.altitude_m * scene.array.ifov_rad
     leaves = _draw_leaves(scene)
     return Targets(
         np.concatenate([np.empty((0, 5)), *plates]),
         np.array(wheels, np.float64).reshape(-1, 5),
         np.array(cubes, np.float64).reshape(-1, 6),
-        _coil(place["coil"]) if "coil" in there else np.empty((0, 3)),
+        coil,
         0.25,
         np.array(logo, np.float64),
         leaves,
@@ -167,20 +156,8 @@ def build(scene: SceneSettings) -> Targets:
     )
 
 
-def _coil(centre_m: tuple[float, float]) -> NDArray[np.float64]:
-    """Axis of the coil: two loops of 1.5 m across, 5 m tall with the tube."""
-    turn = np.linspace(0.0, 2.0, 97)
-    return np.stack(
-        [
-            centre_m[0] + 0.75 * np.cos(2 * np.pi * turn),
-            centre_m[1] + 0.75 * np.sin(2 * np.pi * turn),
-            0.25 + 2.25 * turn,
-        ],
-        axis=-1,
-    )
-
-
 def _draw_leaves(scene: SceneSettings) -> NDArray[np.float64]:
+    """Leaves of the canopies, from the highest down."""
     parts = [np.empty((0, 5))]
     for k, name in enumerate(("covered_spokes", "foliage")):
         if name in scene.targets:
@@ -189,7 +166,8 @@ def _draw_leaves(scene: SceneSettings) -> NDArray[np.float64]:
             drawn[:, :2] = (drawn[:, :2] - 0.5) * _CANOPY_M + PLACES_M[name]
             drawn[:, 2] += 4.5
             parts.append(drawn)
-    return np.concatenate(parts)
+    leaves = np.concatenate(parts)
+    return leaves[np.argsort(-leaves[:, 2], kind="stable")]
 
 
 def _leaf_lists(
@@ -219,31 +197,19 @@ def _leaf_lists(
 def simulate_file(
     path: Path, out: Path, *, progress: Callable[[float], None] | None = None
 ) -> Simulated:
-    """Fly over the scene of a file; see :func:`simulate`."""
-    return simulate(scene_of(SceneSettings, path), out, progress=progress)
+    """Fly over the scene of a file, into ``l1/`` and ``workflow.yaml`` below a folder.
 
-
-def simulate(
-    scene: SceneSettings, out: Path, *, progress: Callable[[float], None] | None = None
-) -> Simulated:
-    """Fly over a scene.
-
-    Parameters
-    ----------
-    out : Path
-        Folder for ``l1/``, ``scene.yaml`` and ``workflow.yaml``.
-    progress : callable, optional
-        Receives the share of the passes that is flown, 0..1.
+    ``progress`` receives the share of the passes that is flown, 0..1.
     """
+    scene, tell = scene_of(SceneSettings, path), progress or (lambda _: None)
     targets, passes = build(scene), len(scene.flight.headings_deg)
-    frames = detections = 0
+    counts = Counter[str]()
     for k, seen in enumerate(flights(scene), start=1):
         found = detect(scene, seen, targets)
         for name, table in (("frames", seen), ("detections", found)):
-            l1_files.write(out / "l1" / f"pass_{k}_{name}.parquet", table)
-        frames, detections = frames + len(seen), detections + len(found)
-        if progress is not None:
-            progress(k / passes)
+            files.write(out / "l1" / f"pass_{k}_{name}.parquet", table)
+            counts[name] += len(table)
+        tell(k / passes)
     workflow = {
         "kind": "coincidence",
         "survey": {
@@ -257,7 +223,7 @@ def simulate(
     }
     made = yaml.safe_dump(scene.model_dump(mode="json"), sort_keys=False)
     write_bytes(out / "scene.yaml", made.encode())
-    return finished(out, workflow, {"frames": frames, "detections": detections})
+    return finished(out, workflow, counts)
 
 
 FRAMES_OF_A_PASS = 10_000_000
@@ -270,27 +236,25 @@ def flights(scene: SceneSettings) -> Iterator[Frames]:
     half = 0.5 * np.array([array.rows, array.columns]) * array.ifov_rad * flight.altitude_m
     reach = 0.5 * math.hypot(*scene.extent_m) + float(half.max()) + flight.speed_m_s
     n = math.ceil(2 * reach / flight.speed_m_s * flight.pulse_rate_hz)
-    for number, heading_deg in enumerate(flight.headings_deg, start=1):
-        rng = np.random.default_rng([scene.seed, number])
+    for pass_number, heading_deg in enumerate(flight.headings_deg, start=1):
+        rng = np.random.default_rng([scene.seed, pass_number])
         time = np.arange(n) / flight.pulse_rate_hz
         phase = (time * flight.sweeps_hz + 2.0 * rng.random()) % 2.0
         roll = flight.sweep_rad * (2.0 * np.abs(phase - 1.0) - 1.0)
         heading = np.full(n, math.radians(heading_deg))
         nose = np.array([math.sin(heading[0]), math.cos(heading[0]), 0.0])
-        origin = (
-            np.array([*scene.centre_m, flight.altitude_m])
-            + nose * (flight.speed_m_s * time - reach)[:, None]
-        )
-        turn = rotations(heading, roll, np.zeros(n))
+        origin = nose * (flight.speed_m_s * time - reach)[:, None]
+        origin = np.array([*scene.centre_m, flight.altitude_m]) + origin
+        attitude = np.stack([heading, roll, np.zeros(n)], axis=-1)
+        number = pass_number * FRAMES_OF_A_PASS + np.arange(n)
+        frames = Frames(number, origin + np.array(scene.origin_m), attitude)
+        turn = frames.turn
         axis = -turn[:, :, 2]
         ground = origin - axis * (origin[:, 2] / axis[:, 2])[:, None]
         # The image lies along the flight, which runs along an axis or slants across.
         lies = np.abs(turn[:, :2, 0]) * half[0] + np.abs(turn[:, :2, 1]) * half[1]
         away = np.abs(ground[:, :2] - scene.centre_m) - 0.5 * np.array(scene.extent_m)
-        rows = np.flatnonzero((away <= lies + 0.5).all(axis=1))
-        attitude = np.stack([heading, roll, np.zeros(n)], axis=-1)[rows]
-        place = origin[rows] + np.array(scene.origin_m)
-        yield Frames(number * FRAMES_OF_A_PASS + rows, place, attitude)
+        yield frames.take((away <= lies + 0.5).all(axis=1))
 
 
 def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections:
@@ -320,10 +284,3 @@ def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections
         xyz = np.rint(place * QUANTA_PER_M).astype(np.int64)
         parts.append(Detections(np.full(len(fired), number), fired.astype(np.int32), xyz))
     return Detections.joined(parts)
-
-
-def fly(scene: SceneSettings) -> tuple[Frames, Detections]:
-    """Frames and detections of all passes, in order."""
-    targets = build(scene)
-    frames = list(flights(scene))
-    return Frames.joined(frames), Detections.joined([detect(scene, f, targets) for f in frames])
