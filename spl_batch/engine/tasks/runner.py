@@ -244,6 +244,8 @@ def do(
     """
     task, key = job.task, job.key
     if not key:
+        if any(one.again and one.need in job.open for one in needed):
+            return Outcome(job.need, None, again=True)
         made = {o.need: o.receipt.digest for o in needed if o.receipt and not o.receipt.failed}
         found = {**job.found, **made}
         bound = _step(task, context).bound(task, found)
