@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -74,8 +75,9 @@ def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
     return crs
 
 
+@lru_cache(maxsize=64)
 def crs_from_wkt(data: bytes) -> CRS | None:
-    """CRS of a WKT record; none where it is empty.
+    """CRS of a WKT record; none where it is empty. The files of a survey share a few of them.
 
     Raises
     ------
