@@ -114,7 +114,8 @@ def _digest(content: Mapping[str, Any]) -> str:
 def write_receipt(store: Store, receipt: Receipt) -> None:
     """Leave a receipt; the last thing that a task does."""
     path = store.receipt(receipt.kind, receipt.name)
-    write_json(path, dataclasses.asdict(receipt), durable=False)
+    content = {field.name: getattr(receipt, field.name) for field in dataclasses.fields(receipt)}
+    write_json(path, content, durable=False)
 
 
 def forget_receipt(store: Store, kind: str, name: str) -> None:
