@@ -72,7 +72,7 @@ def handed_out(progress: Any, points: Sequence[int], *fails: str) -> list[list[s
             yield Task("ground", f"{k}", {}, (), count)
 
     step, pool = replace(STEPS["ground"], tasks=tasks, bind=None), Pool(*fails)
-    graph.Graph([step], pool, progress).run()
+    graph.Graph([step], pool, progress).run()  # type: ignore[arg-type]
     assert len(progress.prepared.ledger.of("ground")) == len(points)
     return pool.batches
 

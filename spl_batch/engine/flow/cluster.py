@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from typing import Any, Final
 
 from spl_batch.engine.flow.dask_flow import PATIENCE_S, OnDask, lost, workers_of
-from spl_batch.engine.flow.job import Executor, Handshake, InProcess, Observer, misfit
+from spl_batch.engine.flow.job import Handshake, InProcess, Observer, misfit
 from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.watch.events import WorkersReady
 from spl_batch.errors import StoppedError, WorkflowError
@@ -57,6 +57,9 @@ SETTINGS: Final[Mapping[str, Any]] = {
     "logging.distributed": "critical",
 }
 
+
+Executor = InProcess | OnDask
+"""Something that does jobs."""
 
 _ADDRESS: Final = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^/\s]+:\d+")
 """What an address of a scheduler looks like."""

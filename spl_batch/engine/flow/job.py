@@ -30,23 +30,6 @@ class Observer(Protocol):
         """Take in that a worker has begun a task."""
 
 
-class Executor(Protocol):
-    """Something that does jobs."""
-
-    @property
-    def has_room(self) -> bool:
-        """Whether it takes more jobs now: what it holds is bounded."""
-
-    def batch_of(self, count: int) -> int:
-        """How many of so many small tasks of a step it does in one go, at most [count]."""
-
-    def submit(self, jobs: Sequence[Job], context: RunContext[Any]) -> None:
-        """Take jobs of a step, done one after the other; what they wait for was submitted."""
-
-    def ended(self) -> Sequence[Outcome]:
-        """Wait for the next jobs to end that were submitted together; there are some."""
-
-
 @dataclass(frozen=True, slots=True)
 class Handshake:
     """What every worker has to find: this code, and this run's mark on the shared path."""

@@ -12,7 +12,7 @@ from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.runner import finished, task_key
 from spl_batch.engine.tasks.step import Step
-from spl_batch.engine.tasks.task import Job, Receipt, Task
+from spl_batch.engine.tasks.task import Job, Need, Receipt, Task
 
 
 class Worklist:
@@ -33,6 +33,12 @@ class Worklist:
         Tasks to do, and those that :meth:`look` found finished [count].
     points : int
         Points that the tasks to do will handle [count].
+    head : Task or None
+        The next one to do, once :meth:`advance` was called; None where all were.
+    awaited : Need or None
+        What keeps it from being handed out.
+    pending : int
+        Tasks that are handed out and have not ended [count].
     """
 
     def __init__(
@@ -42,7 +48,10 @@ class Worklist:
         context: RunContext[Any],
         is_over: Callable[[str], bool] = lambda _: True,
     ) -> None:
-        self.left = self.ready = self.points = 0
+        self.left = self.ready = self.points = self.pending = 0
+        self.head: Task | None = None
+        self.awaited: Need | None = None
+        self._rest: Iterator[Task] | None = None
         self._left_out: set[str] = set()
         self.step, self._ledger, self._context, self._is_over = step, ledger, context, is_over
         self._done = ledger.of(step.name)
@@ -68,6 +77,11 @@ class Worklist:
         """Tasks that no look has found finished, made when they are asked for."""
         made = self.step.planned(self._ledger)
         return (t for t in made if t.name not in self._done and t.name not in self._left_out)
+
+    def advance(self) -> None:
+        """Go on to the next task."""
+        self._rest = self.tasks() if self._rest is None else self._rest
+        self.head, self.awaited = next(self._rest, None), None
 
     def job(self, task: Task) -> Job | None:
         """A task that can be done, with its key unless some of what it needs is still to come.

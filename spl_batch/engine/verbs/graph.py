@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from spl_batch.engine.findings import of_receipts
-from spl_batch.engine.flow.job import Executor
+from spl_batch.engine.flow.cluster import Executor
 from spl_batch.engine.tasks.runner import failure
 from spl_batch.engine.tasks.step import Step
 from spl_batch.engine.tasks.task import Job, Need, Outcome, Task
@@ -23,21 +23,6 @@ from spl_batch.errors import INTERRUPTED
 BATCH_POINTS: Final = 100_000
 """Points of the tasks that travel together, at most: what a worker does in some tenths of a second
 [count]."""
-
-
-class _Open:
-    """A step whose tasks are known."""
-
-    def __init__(self, step: Step, work: Worklist) -> None:
-        self.step, self.work = step, work
-        self.tasks = work.tasks()
-        self.head: Task | None = next(self.tasks, None)
-        self.awaited: Need | None = None  #: What keeps its next task from being handed out.
-        self.pending = 0  #: Tasks that are handed out and have not ended [count].
-
-    def advance(self) -> None:
-        """Go on to the next task."""
-        self.head, self.awaited = next(self.tasks, None), None
 
 
 class Graph:
@@ -52,7 +37,7 @@ class Graph:
     def __init__(self, steps: Sequence[Step], pool: Executor, progress: Progress) -> None:
         self.prepared, self.pool, self.progress = progress.prepared, pool, progress
         self._steps = {step.name: step for step in steps}
-        self._waiting, self._open = list(steps), dict[str, _Open]()
+        self._waiting, self._open = list(steps), dict[str, Worklist]()
         self._missing: set[Need] = set()  # tasks of open steps that failed or were left out
         self._closed: set[str] = set()
         self._pending: dict[Need, Task] = {}
@@ -101,7 +86,8 @@ class Graph:
         if work.left or work.ready:
             event = PhaseStarted(step.stage, step.name, work.left, work.ready, work.points)
             progress.tell(event)
-        self._open[step.name] = _Open(step, work)
+        work.advance()
+        self._open[step.name] = work
 
     def _settled(self, step: Step, task: Task, *, found: bool = False) -> None:
         """Report that a task needs no doing: it was finished, or misses what it needs."""
@@ -113,10 +99,10 @@ class Graph:
         """Hand out a batch of tasks, of the latest step that can; whether there was one."""
         return any(self._hand_out_of(one) for one in reversed(self._open.values()))
 
-    def _hand_out_of(self, one: _Open) -> bool:
+    def _hand_out_of(self, one: Worklist) -> bool:
         """Hand out the next tasks of a step, or find that they are none; whether it could."""
         first, jobs, points = one.head, list[Job](), 0
-        most = self.pool.batch_of(one.work.left)
+        most = self.pool.batch_of(one.left)
         while one.head is not None and len(jobs) < most and self._can_begin(one, one.head):
             weight = one.head.weight or BATCH_POINTS
             if jobs and points + weight > BATCH_POINTS:
@@ -129,16 +115,16 @@ class Graph:
             self.pool.submit(jobs, self.prepared.context)
         return one.head is not first
 
-    def _can_begin(self, one: _Open, task: Task) -> bool:
+    def _can_begin(self, one: Worklist, task: Task) -> bool:
         """Whether all that the next task of a step needs is known."""
         if one.awaited is None or self._is_known(one.awaited):
             one.awaited = next((need for need in task.needs if not self._is_known(need)), None)
         return one.awaited is None
 
-    def _settle(self, one: _Open, task: Task) -> Job | None:
+    def _settle(self, one: Worklist, task: Task) -> Job | None:
         """The next task of a step as a job to be handed out; None where it is none."""
         one.advance()
-        job = one.work.job(task)
+        job = one.job(task)
         if job is None:
             self._settled(one.step, task)
             return None
@@ -163,7 +149,7 @@ class Graph:
         """Take in what has come of a task."""
         task = self._pending[outcome.need]
         one, receipt = self._open[outcome.need[0]], outcome.receipt
-        job = one.work.job(task) if outcome.again else None
+        job = one.job(task) if outcome.again else None
         if job is not None:
             self.pool.submit([job], self.prepared.context)
             return
