@@ -63,12 +63,8 @@ class _Trial:
 class OnDask:
     """Does jobs on the workers of a dask scheduler, which it looks for before the first of them.
 
-    Parameters
-    ----------
-    connect : callable
-        Gives a client of the scheduler; it may start workers first.
-    local : bool
-        Whether these are workers of our own, which come back when they die.
+    ``connect`` gives a client of it, and may start workers first; ``local`` ones come back when they
+    die.
     """
 
     def __init__(

@@ -133,13 +133,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def parse_yaml(text: str) -> Any:
-    """Value that a YAML text stands for.
-
-    Raises
-    ------
-    yaml.YAMLError
-        If it is none, or names a key twice.
-    """
+    """Value of a YAML text; yaml.YAMLError where it is none, or names a key twice."""
     try:
         return yaml.load(text, _Loader)  # noqa: S506 - a safe loader
     except (ValueError, RecursionError) as error:  # of a date that is none, or of sections too deep

@@ -165,12 +165,7 @@ def _written_ns(path: Path) -> int:
 def run_task(task: Task, key: str, context: RunContext[Any], run: str = "") -> Receipt:
     """Do one task and leave its receipt, also when it fails: with a reason where the task failed.
 
-    ``key``: from :func:`task_key`.
-
-    Raises
-    ------
-    StoppedError
-        If something concerns every task, such as a full disk.
+    What concerns every task, such as a full disk, raises StoppedError.
     """
     # From here on an earlier receipt's outputs may be overwritten: it must not speak for them if
     # this task is killed half-way.

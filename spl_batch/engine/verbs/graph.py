@@ -26,13 +26,7 @@ BATCH_POINTS: Final = 100_000
 
 
 class Graph:
-    """Steps of a run, from the first to the last.
-
-    Parameters
-    ----------
-    steps : sequence of Step
-        Those that are to be done, in order.
-    """
+    """Steps of a run, those that are to be done, from the first to the last."""
 
     def __init__(self, steps: Sequence[Step], pool: Executor, progress: Progress) -> None:
         self.prepared, self.pool, self.progress = progress.prepared, pool, progress

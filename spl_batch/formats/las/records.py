@@ -130,16 +130,9 @@ def _plain(size: int, first: int) -> list[ExtraDimension]:
 
 
 def new_dimension(name: str, dtype: np.dtype[Any], text: str) -> ExtraDimension:
-    """Extra dimension of a plain numeric dtype [LAS 1.4 R15, table 24].
+    """Extra dimension of a plain numeric dtype, named and described in 32 ASCII characters each.
 
-    Parameters
-    ----------
-    name : str
-        At most 32 ASCII characters.
-    dtype : dtype
-        Integer of 8 to 64 bits, float32 or float64.
-    text : str
-        Description, at most 32 ASCII characters.
+    [LAS 1.4 R15, table 24].
     """
     plain = np.dtype(dtype)
     code = _TYPES.index(f"{plain.kind}{plain.itemsize}") + 1
