@@ -102,7 +102,7 @@ def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> It
     """Layers that hold shapes of some kinds, and of each only these.
 
     Layers of others are left out, and points; lines and collections among polygons, unless wanted,
-    are faults, as they may be meant as areas, and so are shapes that are damaged or nowhere on Earth.
+    are faults, as they may be meant as areas; so are shapes that are damaged or nowhere on Earth.
     """
     for layer in all_layers(path, fields=fields):
         chosen = np.isin(shapely.get_type_id(layer.shapes), kinds) & ~shapely.is_empty(layer.shapes)

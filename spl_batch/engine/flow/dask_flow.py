@@ -63,7 +63,7 @@ class _Trial:
 class OnDask:
     """Does jobs on the workers of a dask scheduler, which it looks for before the first of them.
 
-    ``connect`` gives a client of it, and may start workers first; ``local`` ones come back when they
+    ``connect`` gives its client, and may start workers first; ``local`` ones come back when they
     die.
     """
 

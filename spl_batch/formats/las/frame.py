@@ -77,7 +77,7 @@ class Frame:
 
 
 def preamble(old: bytes, encoding: int) -> bytes:
-    """First bytes of a LAS 1.4 header, with ids, date and system of an ``old`` one that are sound."""
+    """First bytes of a LAS 1.4 header; sound ids, date and system of an ``old`` one are kept."""
     software = f"spl-batch {__version__}".encode("ascii").ljust(32, b"\0")
     system = bytes(b if b < 0x80 else ord("?") for b in old[26:58])
     if not system.strip(b"\0 "):
