@@ -51,7 +51,7 @@ def draw(workflow: Path) -> Any:
         heights = np.linspace(0.0, 1.0, len(listed) + 2)[1:-1]
         for (name, _), height in zip(listed, heights[::-1], strict=True):
             places[kind, name] = (column, float(height))
-    lines = defaultdict(list)
+    lines: dict[str, list[Any]] = defaultdict(list)
     for kind, listed in found.items():
         for name, needs in listed:
             lines[kind] += [(places[need], places[kind, name]) for need in needs]

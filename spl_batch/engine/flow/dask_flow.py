@@ -112,13 +112,7 @@ class OnDask:
         return min(-(-count // batches), BATCH_TASKS) if batches else 1
 
     def submit(self, jobs: Sequence[Job], context: RunContext[Any], number: int = 1) -> None:
-        """Hand jobs to the scheduler, with the futures of what they wait for.
-
-        Raises
-        ------
-        StoppedError
-            If the scheduler is lost.
-        """
+        """Hand jobs to the scheduler, with the futures of what they wait for."""
         if self.client is None:
             self._begin()
         step, name = jobs[0].need

@@ -142,13 +142,7 @@ def read_receipts(store: Store, kind: str) -> Iterator[Receipt]:
 
 
 def append_log(output: Path, event: Mapping[str, Any]) -> None:
-    """Add one line to ``log.jsonl``.
-
-    Raises
-    ------
-    StoppedError
-        If it cannot be written.
-    """
+    """Add one line to ``log.jsonl``; StoppedError if it cannot be written."""
     path = output / "log.jsonl"
     try:
         with path.open("a", encoding="utf-8") as stream:
