@@ -1,36 +1,40 @@
 """Workers that were started elsewhere: what they must find, and how work flows to them."""
 
+import contextlib
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 from distributed import Client, LocalCluster
 
 from spl_batch.airborne.steps import STEPS
-from spl_batch.engine.flow import dask_flow, job
+from spl_batch.engine.flow import cluster, dask_flow, job
 from spl_batch.engine.flow.cluster import OnDask
 from spl_batch.engine.flow.job import Handshake
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
+from spl_batch.engine.watch.events import WorkersReady
 from spl_batch.errors import StoppedError
 
 # The flow of jobs, on workers that are threads of this process
 
 
 class Watcher:
-    """Notes which tasks begin."""
+    """Notes which tasks begin, and what is told of workers."""
 
     def __init__(self) -> None:
         self.began: list[tuple[str, str]] = []
+        self.told: list[object] = []
 
     def started(self, task: Task, worker: str) -> None:
         self.began.append((task.name, worker))
 
-    def tell(self, _event: object) -> None:
-        """Workers are there before the test begins."""
+    def tell(self, event: object) -> None:
+        self.told.append(event)
 
 
 @pytest.fixture
@@ -219,3 +223,48 @@ def test_a_task_that_cannot_be_done_fails_alone(
     found, _ = flow_through(threads, apart(jobs(3)), monkeypatch, do)
     failed = {o.need[1]: o.receipt.reason for o in found if o.receipt and o.receipt.failed}
     assert failed == {"1_0": "LookupError: nothing of the kind here"}
+
+
+# Workers that do not end in time spoil no run whose tasks are done
+
+
+@contextlib.contextmanager
+def slow_to_end(*_: object) -> Iterator[str]:
+    yield "nowhere"
+    raise TimeoutError
+
+
+@pytest.fixture
+def pool(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Gives an executor for an observer, on which ``begin`` looks for workers; none does a job."""
+    monkeypatch.setattr(cluster, "local_cluster", slow_to_end)
+    monkeypatch.setattr("distributed.Client", lambda _: MagicMock())
+    monkeypatch.setattr(cluster, "find_spec", lambda _: None)
+    idle = lambda connect, *_, **__: SimpleNamespace(begin=connect, close=lambda: None)  # noqa: E731
+    monkeypatch.setattr(cluster, "OnDask", idle)
+    return lambda observer: cluster.executor(
+        workers=1,
+        memory_bytes=2**30,
+        scheduler=None,
+        observer=observer,
+        handshake=Handshake("imaging", "code", "mark", "content"),
+    )
+
+
+def test_workers_are_started_where_something_is_to_be_done(pool: Any) -> None:
+    busy, idle = Watcher(), Watcher()
+    with pool(busy) as started:
+        started.begin()
+    with pool(idle):
+        pass
+    assert (busy.told, idle.told) == ([WorkersReady()], [])
+
+
+def test_a_task_that_has_no_answer_is_still_heard_of(pool: Any) -> None:
+    def run() -> None:
+        with pool(Watcher()) as started:
+            started.begin()
+            raise TimeoutError("of the task")
+
+    with pytest.raises(TimeoutError, match="of the task"):
+        run()
