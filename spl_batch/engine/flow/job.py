@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import RunContext
@@ -67,6 +67,10 @@ class InProcess:
         return [do(job, context)]
 
 
+REPORT_S: Final = 0.5
+"""A worker reports at most once in so long at which task of a batch it is [s]."""
+
+
 class TryAgainError(Exception):
     """A task has failed for the first time in a run: its scheduler gives it another try."""
 
@@ -94,9 +98,11 @@ def work(
     if fault:
         raise StoppedError(f"worker {worker.address} {fault}; mend it and run again")
     limit_memory(worker.memory_manager.memory_limit)
-    known, outcomes = [*chain.from_iterable(needed)], []
+    known, outcomes, reported_s = [*chain.from_iterable(needed)], [], -REPORT_S
     for job in jobs:
-        worker.log_event(topic, {"need": job.need, "worker": worker.address})
+        if time.monotonic() - reported_s >= REPORT_S:
+            worker.log_event(topic, {"need": job.need, "worker": worker.address})
+            reported_s = time.monotonic()
         before = read_receipt(context.store, *job.need)
         with owned_by(handshake.mark, handshake.content):
             outcome = do(job, context, known, handshake.content)
