@@ -16,30 +16,7 @@ from spl_batch.engine.tasks.task import Job, Need, Receipt, Task
 
 
 class Worklist:
-    """What one step has to do.
-
-    Parameters
-    ----------
-    step : Step
-        The step; those that its plan reads are over.
-    ledger : Ledger
-        What is finished so far; what this step finishes is added to it.
-    is_over : callable
-        Whether nothing more is to come of a step, by its name; so of all of them by default.
-
-    Attributes
-    ----------
-    left, ready : int
-        Tasks to do, and those that :meth:`look` found finished [count].
-    points : int
-        Points that the tasks to do will handle [count].
-    head : Task or None
-        The next one to do, once :meth:`advance` was called; None where all were.
-    awaited : Need or None
-        What keeps it from being handed out.
-    pending : int
-        Tasks that are handed out and have not ended [count].
-    """
+    """What one step has to do; ``is_over``: whether nothing more is to come of another one."""
 
     def __init__(
         self,
@@ -48,9 +25,11 @@ class Worklist:
         context: RunContext[Any],
         is_over: Callable[[str], bool] = lambda _: True,
     ) -> None:
-        self.left = self.ready = self.points = self.pending = 0
-        self.head: Task | None = None
-        self.awaited: Need | None = None
+        self.left = self.ready = 0  #: Tasks to do, and those that :meth:`look` found finished.
+        self.points = 0  #: Points that the tasks to do will handle [count].
+        self.head: Task | None = None  #: The next one to do, once :meth:`advance` was called.
+        self.awaited: Need | None = None  #: What keeps it from being handed out.
+        self.pending = 0  #: Tasks that are handed out and have not ended [count].
         self._rest: Iterator[Task] | None = None
         self._left_out: set[str] = set()
         self.step, self._ledger, self._context, self._is_over = step, ledger, context, is_over
