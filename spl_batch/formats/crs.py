@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -74,14 +75,9 @@ def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
     return crs
 
 
+@lru_cache(maxsize=64)
 def crs_from_wkt(data: bytes) -> CRS | None:
-    """CRS of a WKT record; none where it is empty.
-
-    Raises
-    ------
-    CRSError
-        If the text is no CRS.
-    """
+    """CRS of a WKT record, of which a survey has few; none where it is empty."""
     text = data.split(b"\0")[0].decode("utf-8", errors="replace").strip()
     return CRS.from_wkt(text) if text else None
 
@@ -89,13 +85,8 @@ def crs_from_wkt(data: bytes) -> CRS | None:
 def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | None:
     """CRS of GeoTIFF keys, user-defined ones too; none where they define none.
 
-    Only GDAL reads such keys completely. The records are TIFF tags byte for byte, so they are put
-    into a TIFF of one pixel.
-
-    Parameters
-    ----------
-    directory, doubles, text : bytes
-        Records 34735, 34736, 34737; the last two may be empty.
+    Only GDAL reads such keys completely. Records 34735 to 34737, of which the last two may be
+    empty, are TIFF tags byte for byte, so they are put into a TIFF of one pixel.
     """
     tiff = _one_pixel_tiff(_with_heights_unit(directory), doubles, text)
     try:

@@ -81,13 +81,7 @@ def refuse_referring(path: Path, *, raster: bool = False) -> None:
 
 
 def all_layers(path: Path, *, fields: bool) -> Iterator[Layer]:
-    """Layers of a file that hold shapes, whatever these are.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, it names others, or it cannot be read.
-    """
+    """Layers of a file that hold shapes, whatever these are; InputError where it cannot be read."""
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
     refuse_referring(path)
@@ -107,18 +101,8 @@ def all_layers(path: Path, *, fields: bool) -> Iterator[Layer]:
 def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> Iterator[Layer]:
     """Layers that hold shapes of some kinds, and of each only these.
 
-    Parameters
-    ----------
-    kinds : sequence of int
-        Types of geometry that are wanted. Layers of others are left out, and points; lines and
-        collections among polygons, unless wanted, are faults: they may be meant as areas.
-    fields : bool
-        Whether columns are read.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or a shape is missing, damaged or nowhere on Earth.
+    Layers of others are left out, and points; lines and collections among polygons, unless wanted,
+    are faults, as they may be meant as areas; so are shapes that are damaged or nowhere on Earth.
     """
     for layer in all_layers(path, fields=fields):
         chosen = np.isin(shapely.get_type_id(layer.shapes), kinds) & ~shapely.is_empty(layer.shapes)
@@ -170,20 +154,7 @@ def _as_one_line(path: Path) -> Iterator[None]:
 def in_crs(
     path: Path, shapes: Geometries, own: str | None, crs: CRS | None, *, heights: bool = False
 ) -> Geometries:
-    """Shapes of a file in another CRS.
-
-    Parameters
-    ----------
-    shapes : (n,) ndarray of Geometry
-        What it holds.
-    heights : bool
-        Whether heights are kept, as they are.
-
-    Raises
-    ------
-    InputError
-        If one of both has no CRS, or they cannot be transformed.
-    """
+    """Shapes of a file in another CRS, with their heights as they are or without."""
     if own is None and crs is None:
         return shapes
     if own is None:

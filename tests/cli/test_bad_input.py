@@ -64,24 +64,8 @@ def not_las(path: Path) -> None:
     path.write_text("x,y,z\n1,2,3\n" * 200)
 
 
-def empty_file(path: Path) -> None:
-    path.write_bytes(b"")
-
-
 def many_vlrs(path: Path) -> None:
     patch(path, 100, "I", 1_069_128_089)
-
-
-def zero_scale(path: Path) -> None:
-    patch(path, 131, "d", 0.0)
-
-
-def wrong_version(path: Path) -> None:
-    patch(path, 25, "B", 9)
-
-
-def cut_header(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:120])
 
 
 def cut_in_half(path: Path) -> None:
@@ -89,17 +73,7 @@ def cut_in_half(path: Path) -> None:
     path.write_bytes(content[: len(content) * 2 // 3])
 
 
-def lost_chunk_table(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    start = struct.unpack_from("<I", content, 96)[0]
-    struct.pack_into("<q", content, start, 2**40)
-    path.write_bytes(content)
-
-
-BROKEN = [not_las, empty_file, many_vlrs, zero_scale, wrong_version, cut_header, lost_chunk_table]
-
-
-@pytest.mark.parametrize("spoil", BROKEN)
+@pytest.mark.parametrize("spoil", [not_las, many_vlrs])
 def test_a_broken_file_alone_is_refused(survey: Path, spoil: Callable[[Path], None]) -> None:
     path = survey.parent / "lines/good.laz"
     spoil(path)

@@ -1,34 +1,40 @@
 """Workers that were started elsewhere: what they must find, and how work flows to them."""
 
+import contextlib
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 from distributed import Client, LocalCluster
 
-from spl_batch.engine.flow import dask_flow, job
+from spl_batch.airborne.steps import STEPS
+from spl_batch.engine.flow import cluster, dask_flow, job
 from spl_batch.engine.flow.cluster import OnDask
 from spl_batch.engine.flow.job import Handshake
+from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Job, Outcome, Receipt, Task
+from spl_batch.engine.watch.events import WorkersReady
 from spl_batch.errors import StoppedError
 
 # The flow of jobs, on workers that are threads of this process
 
 
 class Watcher:
-    """Notes which tasks begin."""
+    """Notes which tasks begin, and what is told of workers."""
 
     def __init__(self) -> None:
         self.began: list[tuple[str, str]] = []
+        self.told: list[object] = []
 
     def started(self, task: Task, worker: str) -> None:
         self.began.append((task.name, worker))
 
-    def tell(self, _event: object) -> None:
-        """Workers are there before the test begins."""
+    def tell(self, event: object) -> None:
+        self.told.append(event)
 
 
 @pytest.fixture
@@ -53,10 +59,18 @@ def jobs(count: int) -> list[Job]:
     return [Job(Task("denoise", f"{k}_0", {}), f"key {k}") for k in range(count)]
 
 
+def apart(todo: list[Job]) -> list[list[Job]]:
+    return [[one] for one in todo]
+
+
+def done(one: Job, _: object) -> Outcome:
+    return Outcome(one.need, receipt(one.task, one.key))
+
+
 def flow_through(
-    threads: LocalCluster, todo: list[Job], monkeypatch: pytest.MonkeyPatch, do: Any
+    threads: LocalCluster, todo: list[list[Job]], monkeypatch: pytest.MonkeyPatch, do: Any
 ) -> tuple[list[Outcome], Watcher]:
-    """Let jobs flow; ``do`` is what workers do with a job and with what it waited for."""
+    """Let batches flow; ``do`` is what workers do with a job and with what it waited for."""
     before: dict[Any, Receipt] = {}
 
     def done(one: Job, _context: object, needed: Any, run: str) -> Outcome:
@@ -74,7 +88,7 @@ def flow_through(
         try:
             for one in todo:
                 on_dask.submit(one, context)  # type: ignore[arg-type]
-            found = [on_dask.ended() for _ in todo]
+            found = [outcome for _ in todo for outcome in on_dask.ended()]
         finally:
             on_dask.close()
     return found, watcher
@@ -92,7 +106,7 @@ def test_a_failure_is_tried_once_more(
         made = receipt(one.task, one.key, "RuntimeError: no" if bad else "")
         return Outcome(one.need, made)
 
-    found, watcher = flow_through(threads, jobs(8), monkeypatch, do)
+    found, watcher = flow_through(threads, apart(jobs(8)), monkeypatch, do)
     assert sorted(o.need[1] for o in found) == sorted(one.task.name for one in jobs(8))
     assert [o.need[1] for o in found if o.receipt and o.receipt.failed] == ["3_0"]
     assert len(tries) == 10
@@ -111,9 +125,50 @@ def test_a_job_is_given_what_it_waits_for_as_a_value(
             given.extend(needed)
         return Outcome(one.need, receipt(one.task, one.key))
 
-    found, _ = flow_through(threads, [*first, later], monkeypatch, do)
+    found, _ = flow_through(threads, apart([*first, later]), monkeypatch, do)
     assert [o.need for o in given] == [one.need for one in first]
     assert found[-1].need == later.need
+
+
+def test_of_a_batch_only_what_fails_is_done_again_and_what_waits_for_it_as_well(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker does small tasks one after the other; each has its own outcome."""
+    monkeypatch.setattr(runner, "run_task", lambda task, key, *_: receipt(
+        task, key, "no" if task.name == "1_0" else ""))  # fmt: skip
+    monkeypatch.setattr(runner, "finished", lambda *_: None)
+    monkeypatch.setattr(runner, "task_key", lambda *_: "key")
+    monkeypatch.setattr(runner, "_step", lambda *_: STEPS["ground"])
+    first = jobs(3)
+    later = [Job(Task("ground", one.task.name, {"noise": {}}), "", (one.need,)) for one in first]
+    do = lambda one, needed: runner.do(one, SimpleNamespace(), needed)  # type: ignore[arg-type]  # noqa: E731
+    found, watcher = flow_through(threads, [first, later], monkeypatch, do)
+    again = {("denoise", "1_0"), ("ground", "1_0")}
+    assert {o.need for o in found if o.again} == again
+    assert [o.need for o in found] == [one.need for one in (*first, *later)]
+    assert [name for name, _ in watcher.began] == ["0_0", "0_0"], "others follow within no time"
+
+
+def test_the_tasks_of_a_batch_that_cannot_be_done_are_tried_one_by_one(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def do(one: Job, _: object) -> Outcome:
+        raise LookupError(one.task.name)
+
+    found, _ = flow_through(threads, [jobs(2)], monkeypatch, do)
+    assert [(o.need[1], o.again, o.receipt) for o in found] == [
+        ("0_0", True, None),
+        ("1_0", True, None),
+    ]
+
+
+def test_small_tasks_are_shared_among_the_workers(threads: LocalCluster) -> None:
+    with Client(threads) as client:
+        on_dask = OnDask(lambda: client, Watcher(), Handshake("", "", "", ""), local=False)
+        assert on_dask.batch_of(300) == 1
+        on_dask._begin()
+        assert [on_dask.batch_of(n) for n in (3, 40, 10_000)] == [1, 10, dask_flow.BATCH_TASKS]
+        on_dask.close()
 
 
 def test_a_task_knows_the_limit_of_its_worker(
@@ -121,8 +176,7 @@ def test_a_task_knows_the_limit_of_its_worker(
 ) -> None:
     limits: list[int | None] = []
     monkeypatch.setattr(job, "limit_memory", limits.append)
-    done = lambda one, _: Outcome(one.need, receipt(one.task, one.key))  # noqa: E731
-    flow_through(threads, jobs(1), monkeypatch, done)
+    flow_through(threads, [jobs(1)], monkeypatch, done)
     assert {*limits} == {w.memory_manager.memory_limit for w in threads.workers.values()}
 
 
@@ -147,7 +201,7 @@ def test_what_concerns_everything_stops_everything(
         raise StoppedError("disk full; free some space and run again")
 
     with pytest.raises(StoppedError, match="disk full"):
-        flow_through(threads, jobs(3), monkeypatch, full)
+        flow_through(threads, apart(jobs(3)), monkeypatch, full)
 
 
 def test_a_worker_that_joins_with_other_code_stops_the_run(
@@ -155,7 +209,7 @@ def test_a_worker_that_joins_with_other_code_stops_the_run(
 ) -> None:
     monkeypatch.setattr(job, "misfit", lambda _: "has spl_batch 0.0, here it is 0.1")
     with pytest.raises(StoppedError, match=r"worker inproc://.* has spl_batch 0.0.*run again"):
-        flow_through(threads, jobs(3), monkeypatch, print)
+        flow_through(threads, apart(jobs(3)), monkeypatch, print)
 
 
 def test_a_task_that_cannot_be_done_fails_alone(
@@ -166,6 +220,51 @@ def test_a_task_that_cannot_be_done_fails_alone(
             raise LookupError("nothing of the kind here")
         return Outcome(one.need, receipt(one.task, one.key))
 
-    found, _ = flow_through(threads, jobs(3), monkeypatch, do)
+    found, _ = flow_through(threads, apart(jobs(3)), monkeypatch, do)
     failed = {o.need[1]: o.receipt.reason for o in found if o.receipt and o.receipt.failed}
     assert failed == {"1_0": "LookupError: nothing of the kind here"}
+
+
+# Workers that do not end in time spoil no run whose tasks are done
+
+
+@contextlib.contextmanager
+def slow_to_end(*_: object) -> Iterator[str]:
+    yield "nowhere"
+    raise TimeoutError
+
+
+@pytest.fixture
+def pool(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Gives an executor for an observer, on which ``begin`` looks for workers; none does a job."""
+    monkeypatch.setattr(cluster, "local_cluster", slow_to_end)
+    monkeypatch.setattr("distributed.Client", lambda _: MagicMock())
+    monkeypatch.setattr(cluster, "find_spec", lambda _: None)
+    idle = lambda connect, *_, **__: SimpleNamespace(begin=connect, close=lambda: None)  # noqa: E731
+    monkeypatch.setattr(cluster, "OnDask", idle)
+    return lambda observer: cluster.executor(
+        workers=1,
+        memory_bytes=2**30,
+        scheduler=None,
+        observer=observer,
+        handshake=Handshake("imaging", "code", "mark", "content"),
+    )
+
+
+def test_workers_are_started_where_something_is_to_be_done(pool: Any) -> None:
+    busy, idle = Watcher(), Watcher()
+    with pool(busy) as started:
+        started.begin()
+    with pool(idle):
+        pass
+    assert (busy.told, idle.told) == ([WorkersReady()], [])
+
+
+def test_a_task_that_has_no_answer_is_still_heard_of(pool: Any) -> None:
+    def run() -> None:
+        with pool(Watcher()) as started:
+            started.begin()
+            raise TimeoutError("of the task")
+
+    with pytest.raises(TimeoutError, match="of the task"):
+        run()

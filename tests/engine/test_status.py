@@ -17,8 +17,7 @@ from spl_batch.cli.console import PlainConsole
 from spl_batch.cli.document import of_status
 from spl_batch.engine.store.output_lock import holder, lock_file, locked, was_stopped
 from spl_batch.engine.tasks.task import Task
-from spl_batch.engine.verbs.failures import plain_name
-from spl_batch.engine.verbs.progress import end_last_line
+from spl_batch.engine.verbs.progress import end_last_line, plain_name
 from spl_batch.engine.watch.events import (
     Note,
     PhaseStarted,

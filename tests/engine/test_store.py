@@ -16,7 +16,7 @@ from spl_batch.engine.store.working_store import (
     write_receipt,
 )
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.engine.verbs.repair import TRIES, forget_makers
+from spl_batch.engine.verbs.progress import TRIES, forget_makers
 from spl_batch.errors import StoppedError, WorkflowError
 from spl_batch.formats.files.atomic import (
     checksum,

@@ -3,13 +3,16 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import task_memory
+from spl_batch.airborne.plan.cost import estimate
 from spl_batch.airborne.plan.heaviest_tasks import needs
+from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import (
@@ -223,3 +226,14 @@ def test_the_speed_of_a_stage_counts_each_point_once() -> None:
     told = performance(RunFacts(60.0, 2, {"shuffle": cost}), 120)
     assert told.stages["shuffle"].points_per_s == 4.0
     assert told.points_per_s == 2.0
+
+
+def test_a_plan_counts_what_many_small_files_take_beside_their_points() -> None:
+    times = []
+    for files, points in ((1, 100_000), (2000, 50)):
+        facts = SimpleNamespace(n_points=points, mins_m=(0.0, 0.0, 0.0), maxs_m=(99.0, 99.0, 9.0))
+        sources = tuple(SimpleNamespace(facts=facts, key=k) for k in range(files))
+        inputs = Inputs(sources, (), (), ReferenceFiles((), ()), None, ())  # type: ignore[arg-type]
+        times.append(estimate(Survey(inputs, WORKFLOW, 2**32, 2)).time_s)
+    assert times[0] < 2
+    assert 30 < times[1] < 300

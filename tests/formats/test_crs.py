@@ -59,15 +59,9 @@ def test_a_named_vertical_crs_completes_that_of_the_files(tmp_path: Path) -> Non
     assert vertical(whole).to_epsg() == 5703
     assert same_crs(whole, flat)
     assert with_vertical(whole, "EPSG:5703", "key") is whole
-    write_cog(
-        tmp_path / "a.tif",
-        np.ones((3, 4), np.float32),
-        shape=(3, 4),
-        origin_xy_m=(272_000.0, 3_290_000.0),
-        cell_m=1.0,
-        crs=whole.to_wkt(),
-        description="height",
-    )
+    place = {"origin_xy_m": (272_000.0, 3_290_000.0), "cell_m": 1.0, "description": "height"}
+    values = np.ones((3, 4), np.float32)
+    write_cog(tmp_path / "a.tif", values, shape=(3, 4), crs=whole.to_wkt(), **place)  # type: ignore[arg-type]
     with rasterio.open(tmp_path / "a.tif") as source:
         read = CRS.from_wkt(source.crs.to_wkt())
     assert vertical(read).to_epsg() == 5703

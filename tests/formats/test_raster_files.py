@@ -97,13 +97,7 @@ def test_a_full_disk_stops_everything(tmp_path, monkeypatch):
 
 def test_a_crs_that_nobody_knows_is_named(tmp_path):
     with pytest.raises(InputError, match="EPSG:1234567"):
-        write_cog(
-            tmp_path / "a.tif",
-            np.ones((2, 2), np.float32),
-            shape=(2, 2),
-            crs="EPSG:1234567",
-            **PLACE,
-        )
+        write_cog(tmp_path / "a", np.ones((2, 2)), shape=(2, 2), crs="EPSG:1234567", **PLACE)
 
 
 @pytest.fixture
@@ -160,21 +154,10 @@ def test_making_the_store_again_keeps_it_and_other_sizes_are_refused(store):
         create_raster_store(store, ["dtm"], ground_cell=10_000, raster_cell=3000)
 
 
-def test_a_raster_knows_its_statistics_whatever_the_order_of_its_pieces(tmp_path):
+def test_a_raster_knows_its_statistics(tmp_path):
     values = np.random.default_rng(4).normal(300, 20, (40, 60)).astype(np.float32)
     values[3:9, 5:20] = NODATA
-    pieces = [(0, 0, values[:, :25]), (0, 25, values[:, 25:])]
-    for name, those in (("a", pieces), ("b", pieces[::-1])):
-        write_cog(
-            tmp_path / f"{name}.tif",
-            those,
-            shape=values.shape,
-            origin_xy_m=(0.0, 40.0),
-            cell_m=1.0,
-            crs=None,
-            description="height",
-        )
-    assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
+    write_cog(tmp_path / "a.tif", values, shape=values.shape, crs=None, **PLACE)
     with rasterio.open(tmp_path / "a.tif") as source:
         tags = source.tags(1)
     known = values[values != NODATA].astype(np.float64)

@@ -10,6 +10,7 @@ order the returns of a beam. How a flightline is cut does not matter.
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -286,10 +287,18 @@ def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.bincount(index, minlength=STEP_BINS).astype(np.int64)
 
 
-def _half(step: NDArray[np.int64] | int) -> NDArray[np.int64]:
-    """Half a window around steps, in which jitter does not split the mode [bins]."""
-    half: NDArray[np.int64] = np.maximum(3, np.asarray(step) // 50)
-    return half
+@cache
+def _windows() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Window of +-2 % around each bin, in which jitter does not split the mode [bins].
+
+    Its first bin, the one after its last, and the square root of their number; the same for each of
+    thousands of flightlines.
+    """
+    step = np.arange(STEP_BINS)
+    half = np.maximum(3, step // 50)
+    low = np.maximum(step - half, 0)
+    high = np.minimum(step + half + 1, STEP_BINS)
+    return low, high, np.sqrt(high - low)
 
 
 def estimate_prf(steps: NDArray[np.int64]) -> float | None:
@@ -314,21 +323,18 @@ def estimate_prf(steps: NDArray[np.int64]) -> float | None:
     total = int(steps.sum())
     if total < 10:
         return None
-    centre = np.arange(len(steps)) * STEP_BIN_S
-    # A window of +-2 % around each bin.
-    half = _half(np.arange(len(steps)))
+    low, high, root = _windows()
     cumulative = np.concatenate([[0], np.cumsum(steps)])
-    low = np.maximum(np.arange(len(steps)) - half, 0)
-    high = np.minimum(np.arange(len(steps)) + half + 1, len(steps))
     window = (cumulative[high] - cumulative[low]).astype(np.float64)
     window[:4] = 0
     # The window widens with the step, so ties and trends favour the long steps: undo it.
-    mode = int(np.argmax(window / np.sqrt(high - low)))
+    mode = int(np.argmax(window / root))
     if window[mode] < max(5.0, 0.05 * total):
         return None
     halves, doubles = (steps[round(0.95 * k * mode) : round(1.05 * k * mode)] for k in (0.5, 2))
     if halves.sum() > 0.05 * window[mode] or doubles.sum() > window[mode]:
         return None
     near = slice(math.ceil(mode / LONGER), math.floor(mode * LONGER) + 1)
-    period = float(np.dot(steps[near], centre[near]) / steps[near].sum())
+    centre = np.arange(len(steps))[near] * STEP_BIN_S
+    period = float(np.dot(steps[near], centre) / steps[near].sum())
     return float(f"{1.0 / period:.{PRF_DIGITS}g}")

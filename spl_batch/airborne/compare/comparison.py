@@ -27,7 +27,6 @@ from spl_batch.airborne.report.verdicts import noise_removed, photon_counting
 from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.report import style
-from spl_batch.engine.report.comparison import Compared, ComparedMethod, write_comparison
 from spl_batch.engine.report.number_format import (
     as_ascii,
     centimetres,
@@ -35,6 +34,7 @@ from spl_batch.engine.report.number_format import (
     share,
     significant,
 )
+from spl_batch.engine.report.page import Compared, ComparedMethod, write_comparison
 from spl_batch.engine.report.parts import Count, Number
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.verbs.comparing import Methods, folder_of, per_million

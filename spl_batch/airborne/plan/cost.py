@@ -48,6 +48,10 @@ reference; ``benchmarks/end_to_end.py``,
 two workers, 53 % noise, and a little less."""
 
 
+TASK_S: Final = 0.02
+"""What a task takes however few points it has: files to open and to put in place [s]."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurveyCost(Cost):
     """What a run on an airborne survey will do, and what it is expected to cost."""
@@ -79,16 +83,27 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     compared = sum(facts.n_points for facts in survey.inputs.reference.usable)
     work = {stage: compared if stage == "report" else points for stage in rates}
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
+    flown, found = len(survey.inputs.trajectory), survey.filtering and not survey.inputs.trajectory
     # every file is indexed, a large one by parts, and most likely is a flightline; each stretch is
     # gathered and scattered; without a trajectory flightlines have a heading and a path, and
     # stretches are observed after that
-    tasks = 2 * (len(sources) + stretches + cells) + tiles + denoise_cells + delivered
-    tasks += _rasters_and_comparisons(survey, cells)
-    tasks += sum(parts_of(source.facts.n_points) for source in sources)
-    tasks += sum(map(len, survey.inputs.reference)) + reference_tasks.squares(survey)
-    if survey.filtering:
-        flown = len(survey.inputs.trajectory)
-        tasks += 1 + flown if flown else 2 * len(sources) + stretches
+    tasks = {
+        "index": len(sources)
+        + sum(map(parts_of, files))
+        + (flown and survey.filtering) * (flown + 1),
+        "shots": len(sources) + stretches + found * (2 * len(sources) + stretches),
+        "shuffle": stretches + tiles,
+        "denoise": denoise_cells,
+        "ground": cells,
+        "surfaces": cells,
+        "deliver": delivered + _rasters_and_comparisons(survey, cells),
+        "report": sum(map(len, survey.inputs.reference)) + reference_tasks.squares(survey),
+    }
+    # What a store has measured has the time of its tasks in it.
+    alone = {
+        stage: TASK_S * tasks[stage] * (RATES_POINTS_PER_S[stage] == rates[stage])
+        for stage in rates
+    }
     return SurveyCost(
         points=points,
         stretches=stretches,
@@ -97,13 +112,13 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         cells=cells,
         side=side,
         halo_m=halo_m(workflow),
-        tasks=tasks,
+        tasks=sum(tasks.values()),
         disk_bytes=points * (STORE_BYTES_PER_POINT + _copies(workflow) * DELIVERED_BYTES_PER_POINT)
         + compared * REFERENCE_BYTES_PER_POINT,
         memory_bytes=heaviest.memory_bytes,
         heaviest=heaviest.task,
         remedy=heaviest.remedy,
-        stages_s={stage: work[stage] / rate for stage, rate in rates.items()},
+        stages_s={stage: work[stage] / rate + alone[stage] for stage, rate in rates.items()},
         workers=survey.workers,
         measured=measured,
     )

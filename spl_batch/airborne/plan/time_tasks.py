@@ -118,6 +118,7 @@ def heading(survey: Survey) -> Iterator[Task]:
     for line in survey.flightlines:
         args = {
             "psid": line.psid,
+            "points": line.points,
             "sources": list(line.sources),
             "seconds": [int(line.first_s // 1), int(line.last_s // 1)],
         }

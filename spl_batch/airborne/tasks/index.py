@@ -25,7 +25,14 @@ from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.gps_clock import contradicted_bit
 from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.layers import GIVEN, given_of
-from spl_batch.formats.las.reader import SAMPLE_POINTS, Numbers, inspect, iter_points, read_ends
+from spl_batch.formats.las.reader import (
+    SAMPLE_POINTS,
+    LasFacts,
+    Numbers,
+    inspect,
+    iter_points,
+    read_ends,
+)
 from spl_batch.formats.las.records import RecordLayout
 from spl_batch.formats.trajectory.positions import PointExtent, gathering, write_trajectory
 from spl_batch.formats.trajectory.records import Records
@@ -67,7 +74,7 @@ def index_part(args: Mapping[str, Any], context: Context) -> Produced:
     path, facts = Path(args["path"]), {"stamp": args["stamp"]}
     try:
         with unchanged(path, args["stamp"]):
-            found = _read(args, context, args["part"])
+            found = _read(args, context, inspect(path), args["part"])
     except InputError as error:
         return Produced((), {**facts, "fault": str(error)})
     kept = _kept(args, context, args["part"])
@@ -84,7 +91,10 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     with unchanged(path, args["stamp"]):
         digest = checksum(path)
         header = inspect(path)
-        found, spans = _joined(args, context) if args["parts"] else (_read(args, context, None), [])
+        if args["parts"]:
+            found, spans = _joined(args, context)
+        else:
+            found, spans = _read(args, context, header), []
     tally = found.tally
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
@@ -158,11 +168,12 @@ class _Found:
         return self.tally.to_arrays() | self.extent.to_arrays()
 
 
-def _read(args: Mapping[str, Any], context: Context, part: int | None) -> _Found:
+def _read(
+    args: Mapping[str, Any], context: Context, header: LasFacts, part: int | None = None
+) -> _Found:
     """Read a file, or a part of it, and keep its points and what delivery needs of the records."""
     path, settings = Path(args["path"]), context.workflow.survey
     name = args["source"] if part is None else part_name(args["source"], part)
-    header = inspect(path)
     start, stop = (0, header.n_points) if part is None else part_range(header.n_points, part)
     found = _Found(settings.gap_s)
     points = context.store.path("points", f"{name}.parquet")
@@ -213,7 +224,7 @@ def _joined(
     whole, spans = _Found(context.workflow.survey.gap_s), []
     for part in range(args["parts"]):
         if part in args["again"]:
-            found = _read(args, context, part)
+            found = _read(args, context, inspect(Path(args["path"])), part)
             whole.outputs += found.outputs
             arrays = found.to_arrays()
         else:

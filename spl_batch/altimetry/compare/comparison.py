@@ -16,8 +16,8 @@ from spl_batch.altimetry.report.model import METHOD_NAMES, Agreement, TrackRepor
 from spl_batch.altimetry.report.summarise import agreement
 from spl_batch.altimetry.settings import Method, TrackWorkflow
 from spl_batch.engine.report import style
-from spl_batch.engine.report.comparison import Compared, ComparedMethod, write_comparison
 from spl_batch.engine.report.number_format import as_ascii, metres, number, percent, significant
+from spl_batch.engine.report.page import Compared, ComparedMethod, write_comparison
 from spl_batch.engine.report.parts import Count, Number, Statistics
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.verbs.comparing import Methods, folder_of, per_million

@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from typing import Any, Final
 
 from spl_batch.engine.flow.dask_flow import PATIENCE_S, OnDask, lost, workers_of
-from spl_batch.engine.flow.job import Executor, Handshake, InProcess, Observer, misfit
+from spl_batch.engine.flow.job import Handshake, InProcess, Observer, misfit
 from spl_batch.engine.flow.warm_up import WarmUp
 from spl_batch.engine.watch.events import WorkersReady
 from spl_batch.errors import StoppedError, WorkflowError
@@ -58,6 +58,9 @@ SETTINGS: Final[Mapping[str, Any]] = {
 }
 
 
+Executor = InProcess | OnDask
+"""Something that does jobs."""
+
 _ADDRESS: Final = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^/\s]+:\d+")
 """What an address of a scheduler looks like."""
 
@@ -94,24 +97,11 @@ def executor(
 ) -> Iterator[Executor]:
     """Give somewhere to run tasks; workers are started, or looked for, before the first of them.
 
-    Parameters
-    ----------
-    workers : int
-        Worker processes of a local cluster; 0 works in this process.
-    memory_bytes : int
-        Memory limit of each local worker, or what a task may need of others' workers [byte].
-    scheduler : str or None
-        Address of a running scheduler, which is used instead.
-    observer : Observer
-        Notified of what happens to tasks and workers.
-    warm_up : WarmUp, optional
-        What local workers do before their first task.
-
-    Yields
-    ------
-    Executor
-        Where to run tasks; before the first one it raises :class:`WorkflowError` if the workers
-        cannot do the work, and :class:`StoppedError` if the scheduler cannot be reached.
+    ``memory_bytes`` limits each local worker, or is what a task may need of others' workers; with a
+    ``scheduler`` that is running elsewhere its workers are used. With 0 ``workers`` tasks run in
+    this process; local ones do their ``warm_up`` before their first task. Before that task
+    WorkflowError is raised if the workers cannot do the work, StoppedError if the scheduler cannot
+    be reached.
     """
     if scheduler is None and workers == 0:
         yield InProcess(observer)

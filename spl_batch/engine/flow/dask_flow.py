@@ -9,7 +9,7 @@ in a row fails, with the nannies' reason.
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -23,11 +23,18 @@ from spl_batch.engine.watch.events import Note, WorkersSeen
 from spl_batch.errors import StoppedError
 
 HELD_PER_THREAD: Final = 8
-"""Jobs that the scheduler holds for each worker thread, those that wait for others included
-[count]."""
+"""Batches of jobs that the scheduler holds for each worker thread, those that wait for others
+included [count]."""
 
 HELD_LEAST: Final = 32
 """The same for few threads: what a job waits for has to be among them [count]."""
+
+BATCH_TASKS: Final = 64
+"""Small tasks that a worker does in one go, at most: dask takes as long for each as they do
+[count]."""
+
+BATCHES_PER_THREAD: Final = 4
+"""Batches of a step for each worker thread at the least, so that all end together [count]."""
 
 TICK_S: Final = 2.0
 """How often the workers are looked at [s]; less often where they are hundreds."""
@@ -44,9 +51,9 @@ _MEMORY_TOPIC: Final = "worker-restart-memory"
 
 @dataclass(slots=True)
 class _Trial:
-    """A job on its way."""
+    """Jobs on their way together."""
 
-    job: Job
+    jobs: Mapping[Need, Job]
     context: RunContext[Any]
     future: Any
     number: int = 1
@@ -56,12 +63,8 @@ class _Trial:
 class OnDask:
     """Does jobs on the workers of a dask scheduler, which it looks for before the first of them.
 
-    Parameters
-    ----------
-    connect : callable
-        Gives a client of the scheduler; it may start workers first.
-    local : bool
-        Whether these are workers of our own, which come back when they die.
+    ``connect`` gives its client, and may start workers first; ``local`` ones come back when they
+    die.
     """
 
     def __init__(
@@ -76,8 +79,8 @@ class OnDask:
         self.observer, self.handshake, self.local = observer, handshake, local
         self.client: Any = None
         self._connect, self._warm_up = connect, warm_up
-        self._trials: dict[Need, _Trial] = {}
-        self._needs: dict[Any, Need] = {}  # by the keys of futures
+        self._trials: dict[Any, _Trial] = {}  # by the keys of futures
+        self._keys: dict[Need, Any] = {}
         self._starved: set[str] = set()
         self._watch = _Watch(self)
 
@@ -95,39 +98,47 @@ class OnDask:
 
     @property
     def window(self) -> int:
-        """Jobs that it holds at once [count]."""
+        """Batches of jobs that it holds at once [count]."""
         return max(HELD_LEAST, HELD_PER_THREAD * sum(self._watch.known.values()))
 
-    def submit(self, job: Job, context: RunContext[Any], number: int = 1) -> None:
-        """Hand a job to the scheduler, with the futures of what it waits for.
+    @property
+    def has_room(self) -> bool:
+        """Whether it takes more jobs now."""
+        return len(self._trials) < self.window
 
-        Raises
-        ------
-        StoppedError
-            If the scheduler is lost.
-        """
+    def batch_of(self, count: int) -> int:
+        """How many of so many small tasks of a step a worker does in one go, at most [count]."""
+        batches = BATCHES_PER_THREAD * sum(self._watch.known.values())
+        return min(-(-count // batches), BATCH_TASKS) if batches else 1
+
+    def submit(self, jobs: Sequence[Job], context: RunContext[Any], number: int = 1) -> None:
+        """Hand jobs to the scheduler, with the futures of what they wait for."""
         if self.client is None:
             self._begin()
-        step, name = job.need
+        step, name = jobs[0].need
+        needed = {self._keys[need]: None for job in jobs for need in job.open if need in self._keys}
         try:
             # What a task needs is in its key, and of a whole survey it is a long list.
-            sent = job if not job.key else job._replace(task=replace(job.task, needs=()))
+            sent = [
+                job if not job.key else job._replace(task=replace(job.task, needs=()))
+                for job in jobs
+            ]
             future = self.client.submit(
                 work,
                 *(sent, context, self.handshake, self._topic),
-                *(self._trials[need].future for need in job.open),
+                *(self._trials[key].future for key in needed),
                 key=(f"{step}-{self.client.id}", name, time.monotonic_ns()),
                 retries=1,
                 pure=False,
             )
         except Exception as error:
             raise lost(error) from error
-        self._trials[job.need] = _Trial(job, context, future, number)
-        self._needs[future.key] = job.need
+        self._trials[future.key] = _Trial({job.need: job for job in jobs}, context, future, number)
+        self._keys |= dict.fromkeys(self._trials[future.key].jobs, future.key)
         self._ended.add(future)
 
-    def ended(self) -> Outcome:
-        """Wait for the next job to end.
+    def ended(self) -> Sequence[Outcome]:
+        """Wait for the next jobs to end that were submitted together.
 
         Raises
         ------
@@ -135,13 +146,14 @@ class OnDask:
             If the scheduler is lost or a task met something that concerns everything.
         """
         for future, result in self._ended:
-            trial = self._trials.get(self._needs.pop(future.key, ("", "")))
-            if trial is None or trial.future is not future:
+            trial = self._trials.pop(future.key, None)
+            if trial is None:
                 continue
-            outcome = self._outcome(future, result, trial)
-            if outcome is not None:
-                del self._trials[trial.job.need]
-                return outcome
+            for need in trial.jobs:
+                del self._keys[need]
+            outcomes = self._outcomes(future, result, trial)
+            if outcomes:
+                return outcomes
         raise self._watch.fault or lost("its futures are gone")
 
     def close(self) -> None:
@@ -149,6 +161,7 @@ class OnDask:
         self._watch.over.set()
         self.give_up()
         self._trials.clear()
+        self._keys.clear()
         with contextlib.suppress(Exception):
             self.client.unsubscribe_topic(self._topic)
 
@@ -158,12 +171,12 @@ class OnDask:
             with contextlib.suppress(Exception):
                 trial.future.cancel()
 
-    def _outcome(self, future: Any, result: Any, trial: _Trial) -> Outcome | None:
-        """What has come of a job; None where it is tried again."""
+    def _outcomes(self, future: Any, result: Any, trial: _Trial) -> Sequence[Outcome]:
+        """What has come of jobs; nothing where they are tried again."""
         from distributed.scheduler import KilledWorker  # noqa: PLC0415
 
         if future.status == "finished":
-            found: Outcome = result
+            found: Sequence[Outcome] = result
             return found
         if self._watch.fault is not None:
             raise self._watch.fault
@@ -172,25 +185,27 @@ class OnDask:
         error = result[1] if isinstance(result, tuple) else future.exception()
         if isinstance(error, StoppedError):
             raise error
+        jobs = [*trial.jobs.values()]
+        # Of several nobody knows which one it was; and what a job waits for may have failed.
+        if len(jobs) > 1 or any(need in self._keys for need in jobs[0].open):
+            return [Outcome(job.need, None, again=True) for job in jobs]
         if isinstance(error, KilledWorker):
-            return self._killed(error, trial)
-        if any(need in self._trials for need in trial.job.open):
-            return Outcome(trial.job.need, None, again=True)
+            return self._killed(error, trial, jobs[0])
         # The worker could not even begin.
         reason = f"{type(error).__name__}: {error}"
-        return Outcome(trial.job.need, failure(trial.job.task, trial.job.key, reason))
+        return [Outcome(jobs[0].need, failure(jobs[0].task, jobs[0].key, reason))]
 
-    def _killed(self, killed: Any, trial: _Trial) -> Outcome | None:
+    def _killed(self, killed: Any, trial: _Trial, job: Job) -> Sequence[Outcome]:
         """Failure of a task that has lost all the workers that it was given to."""
         if killed.task != trial.future.key:  # what it waits for has
-            return Outcome(trial.job.need, None, again=True)
+            return [Outcome(job.need, None, again=True)]
         last, tries = killed.last_worker, killed.allowed_failures + 1
         time.sleep(HEARING_S)
         # It may have waited behind the guilty one, or run beside it in another thread.
         alone = trial.began_on == last.address and last.nthreads == 1
         if trial.number == 1 and not alone:
-            self.submit(trial.job, trial.context, 2)
-            return None
+            self.submit([job], trial.context, 2)
+            return []
         if last.address in self._starved:
             limit = f"{last.memory_limit / 2**20:.0f} MiB"
             why = f"OutOfMemory: its worker needed more than {limit}, on each of {tries} tries"
@@ -201,15 +216,16 @@ class OnDask:
                 "memory or a crash"
             )
             code = "F04"
-        receipt = failure(trial.job.task, trial.job.key, why, code=code)
+        receipt = failure(job.task, job.key, why, code=code)
         write_receipt(trial.context.store, receipt)
-        return Outcome(trial.job.need, receipt)
+        return [Outcome(job.need, receipt)]
 
     def _began(self, event: tuple[float, Mapping[str, Any]]) -> None:
-        trial = self._trials.get(tuple(event[1]["need"]))
+        need = tuple(event[1]["need"])
+        trial = self._trials.get(self._keys.get(need))
         if trial is not None:
             trial.began_on = event[1]["worker"]
-            self.observer.started(trial.job.task, trial.began_on)
+            self.observer.started(trial.jobs[need].task, trial.began_on)
 
     def _restarted(self, event: tuple[float, Mapping[str, Any]]) -> None:
         sign = event[1]

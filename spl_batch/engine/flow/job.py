@@ -3,10 +3,12 @@
 import contextlib
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import RunContext
@@ -28,20 +30,6 @@ class Observer(Protocol):
         """Take in that a worker has begun a task."""
 
 
-class Executor(Protocol):
-    """Something that does jobs."""
-
-    @property
-    def window(self) -> int:
-        """Jobs that it holds at once, those that wait for others included [count]."""
-
-    def submit(self, job: Job, context: RunContext[Any]) -> None:
-        """Take a job; what it waits for was submitted before."""
-
-    def ended(self) -> Outcome:
-        """Wait for the next job to end; there is one."""
-
-
 @dataclass(frozen=True, slots=True)
 class Handshake:
     """What every worker has to find: this code, and this run's mark on the shared path."""
@@ -57,18 +45,30 @@ class InProcess:
     """Does one job after the other, here; for debugging and for tests."""
 
     observer: Observer
-    window: int = 1  # what a job needs is finished before it is submitted, then
     waiting: deque[tuple[Job, RunContext[Any]]] = field(default_factory=deque)
 
-    def submit(self, job: Job, context: RunContext[Any]) -> None:
-        """Take a job."""
-        self.waiting.append((job, context))
+    @property
+    def has_room(self) -> bool:
+        """Whether it has nothing to do: what a job needs is finished before it is submitted."""
+        return not self.waiting
 
-    def ended(self) -> Outcome:
+    def batch_of(self, _count: int) -> int:
+        """One at a time."""
+        return 1
+
+    def submit(self, jobs: Sequence[Job], context: RunContext[Any]) -> None:
+        """Take jobs."""
+        self.waiting.extend((job, context) for job in jobs)
+
+    def ended(self) -> Sequence[Outcome]:
         """Do the next job; there is no other worker that could try one again."""
         job, context = self.waiting.popleft()
         self.observer.started(job.task, "this process")
-        return do(job, context)
+        return [do(job, context)]
+
+
+REPORT_S: Final = 0.5
+"""A worker reports at most once in so long at which task of a batch it is [s]."""
 
 
 class TryAgainError(Exception):
@@ -76,14 +76,20 @@ class TryAgainError(Exception):
 
 
 def work(
-    job: Job, context: RunContext[Any], handshake: Handshake, topic: str, *needed: Outcome
-) -> Outcome:
-    """Do a job on a worker, where what it waited for has come to its end.
+    jobs: Sequence[Job],
+    context: RunContext[Any],
+    handshake: Handshake,
+    topic: str,
+    *needed: Sequence[Outcome],
+) -> list[Outcome]:
+    """Do jobs on a worker, where what they waited for has come to its end.
+
+    One of several that fails for the first time in this run is to be done again by itself.
 
     Raises
     ------
     TryAgainError
-        If it fails for the first time in this run.
+        If a single one does.
     """
     from distributed import get_worker  # noqa: PLC0415
 
@@ -92,17 +98,23 @@ def work(
     if fault:
         raise StoppedError(f"worker {worker.address} {fault}; mend it and run again")
     limit_memory(worker.memory_manager.memory_limit)
-    worker.log_event(topic, {"need": job.need, "worker": worker.address})
-    before = read_receipt(context.store, *job.need)
-    with owned_by(handshake.mark, handshake.content):
-        outcome = do(job, context, needed, handshake.content)
-    receipt = outcome.receipt
-    # A damaged file is damaged for all; it is made again, which takes more than a try.
-    if receipt and receipt.failed and "damaged" not in receipt.facts:
-        tried = before is not None and before.facts.get("run") == handshake.content
-        if not tried:
-            raise TryAgainError(receipt.reason)
-    return outcome
+    known, outcomes, reported_s = [*chain.from_iterable(needed)], [], -REPORT_S
+    for job in jobs:
+        if time.monotonic() - reported_s >= REPORT_S:
+            worker.log_event(topic, {"need": job.need, "worker": worker.address})
+            reported_s = time.monotonic()
+        before = read_receipt(context.store, *job.need)
+        with owned_by(handshake.mark, handshake.content):
+            outcome = do(job, context, known, handshake.content)
+        receipt = outcome.receipt
+        # A damaged file is damaged for all; it is made again, which takes more than a try.
+        if receipt and receipt.failed and "damaged" not in receipt.facts:
+            tried = before is not None and before.facts.get("run") == handshake.content
+            if not tried and len(jobs) == 1:
+                raise TryAgainError(receipt.reason)
+            outcome = outcome if tried else Outcome(job.need, None, again=True)
+        outcomes.append(outcome)
+    return outcomes
 
 
 @cache

@@ -2,11 +2,11 @@
 
 ``page.html.j2`` has what every report has: title, verdicts, key numbers, failures, cost,
 provenance. A receiver's template extends it by the blocks ``overview``, ``sections`` and
-``method``.
+``method``. ``comparison.html.j2`` has what every comparison of methods has.
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from inspect import getmembers, isfunction
@@ -15,10 +15,12 @@ from typing import Any, Final
 
 import yaml
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from spl_batch import errors
 from spl_batch.engine.report import number_format
+from spl_batch.engine.report.parts import Count, Part
+from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.verdict import Verdict
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
@@ -137,3 +139,31 @@ def write_both(out: Path, report: BaseModel, page: str, name: str = "report") ->
     """Write a report as JSON and as a page into a folder, each whole or not at all."""
     write_bytes(out / f"{name}.json", report_json(report).encode())
     write_bytes(out / f"{name}.html", page.encode())
+
+
+class ComparedMethod(Part):
+    """What one method made of the inputs."""
+
+    name: str = Field(description="Method, as it was asked for.")
+    folder: str = Field(description="Its results, relative to the comparison.")
+    signal: Count = Field(description="Signal [count].")
+    kept_only: Count = Field(description="Signal here, noise by the first method [count].")
+    removed_only: Count = Field(description="Noise here, signal by the first method [count].")
+    failures: Count = Field(0, description="Files and tasks that failed [count].")
+
+
+class Compared(Part):
+    """What a comparison writes down."""
+
+    version: str = Field(description="Version of the code.")
+
+
+def write_comparison(
+    out: Path, report: Compared, template: str, package: str, pictures: Sequence[Picture]
+) -> None:
+    """Write ``compare.json`` and ``compare.html`` into a folder.
+
+    ``report`` has ``methods``; ``template`` is the receiver's page, in its ``package``.
+    """
+    page: Any = environment(package).get_template(template)
+    write_both(out, report, page.render(report=report, pictures=pictures), "compare")

@@ -33,13 +33,7 @@ def refuse_urls(*names: Path | str | None) -> None:
 
 
 def refuse_no_output(path: Path, verb: str) -> None:
-    """Refuse what is no output folder of a run.
-
-    Raises
-    ------
-    WorkflowError
-        One line that names it.
-    """
+    """Refuse what is no output folder of a run, in one line that names it."""
     if any((path / name).exists() for name in _OUTPUT_MARKS):
         return
     fault = url_fault(path) or (

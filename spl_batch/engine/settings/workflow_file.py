@@ -31,13 +31,7 @@ def parse_any(content: Mapping[str, Any], where: str) -> BaseWorkflow:
 
 
 def known_kind(content: Mapping[str, Any], where: str) -> str:
-    """Receiver that a file is for, by its ``kind``; airborne surveys where it has none.
-
-    Raises
-    ------
-    WorkflowError
-        If there is no such receiver.
-    """
+    """Receiver that a file is for, by its ``kind``; airborne surveys where it has none."""
     kind = content.get("kind", IMAGING)
     if kind not in HOMES:
         near = difflib.get_close_matches(str(kind), HOMES, n=1, cutoff=0.0)
@@ -133,13 +127,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def parse_yaml(text: str) -> Any:
-    """Value that a YAML text stands for.
-
-    Raises
-    ------
-    yaml.YAMLError
-        If it is none, or names a key twice.
-    """
+    """Value of a YAML text; yaml.YAMLError where it is none, or names a key twice."""
     try:
         return yaml.load(text, _Loader)  # noqa: S506 - a safe loader
     except (ValueError, RecursionError) as error:  # of a date that is none, or of sections too deep

@@ -27,29 +27,17 @@ LISTED: Final = 20
 class Deliveries:
     """The files that the runs of an output folder have written.
 
-    Attributes
-    ----------
-    survey : mapping or None
-        ``name`` and ``inputs`` of the survey that the output belongs to; None where no run has
-        recorded any.
-    files : dict of str to list
-        Size [byte], time of writing [ns since 1970] and checksum of each file, by its name below
-        the output.
-    spared : list of str
-        Names of files that :meth:`withdraw` has left, as tasks failed.
-
-    Parameters
-    ----------
-    stopped : bool
-        Whether the run before was stopped: receipts have what it delivered.
+    Where the run before was ``stopped`` receipts have what it delivered.
     """
 
     def __init__(self, context: RunContext[Any], *, stopped: bool = False) -> None:
         self.output = context.output
         self._kinds = delivering(context.workflow.kind)
+        #: ``name`` and ``inputs`` of the survey that the output belongs to, once one is recorded.
         self.survey: Mapping[str, Any] | None = None
+        #: Size [byte], time of writing [ns since 1970] and checksum of each, by its name below it.
         self.files: dict[str, list[Any]] = {}
-        self.spared: list[str] = []
+        self.spared: list[str] = []  #: Those that :meth:`withdraw` has left, as tasks failed.
         try:
             kept = read_json(self.output / RECORD)
             self.survey, self.files = kept["survey"], kept["files"]

@@ -114,7 +114,8 @@ def _digest(content: Mapping[str, Any]) -> str:
 def write_receipt(store: Store, receipt: Receipt) -> None:
     """Leave a receipt; the last thing that a task does."""
     path = store.receipt(receipt.kind, receipt.name)
-    write_json(path, dataclasses.asdict(receipt), durable=False)
+    content = {field.name: getattr(receipt, field.name) for field in dataclasses.fields(receipt)}
+    write_json(path, content, durable=False)
 
 
 def forget_receipt(store: Store, kind: str, name: str) -> None:
@@ -141,13 +142,7 @@ def read_receipts(store: Store, kind: str) -> Iterator[Receipt]:
 
 
 def append_log(output: Path, event: Mapping[str, Any]) -> None:
-    """Add one line to ``log.jsonl``.
-
-    Raises
-    ------
-    StoppedError
-        If it cannot be written.
-    """
+    """Add one line to ``log.jsonl``; StoppedError if it cannot be written."""
     path = output / "log.jsonl"
     try:
         with path.open("a", encoding="utf-8") as stream:

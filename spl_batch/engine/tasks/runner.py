@@ -165,12 +165,7 @@ def _written_ns(path: Path) -> int:
 def run_task(task: Task, key: str, context: RunContext[Any], run: str = "") -> Receipt:
     """Do one task and leave its receipt, also when it fails: with a reason where the task failed.
 
-    ``key``: from :func:`task_key`.
-
-    Raises
-    ------
-    StoppedError
-        If something concerns every task, such as a full disk.
+    What concerns every task, such as a full disk, raises StoppedError.
     """
     # From here on an earlier receipt's outputs may be overwritten: it must not speak for them if
     # this task is killed half-way.
@@ -244,6 +239,8 @@ def do(
     """
     task, key = job.task, job.key
     if not key:
+        if any(one.again and one.need in job.open for one in needed):
+            return Outcome(job.need, None, again=True)
         made = {o.need: o.receipt.digest for o in needed if o.receipt and not o.receipt.failed}
         found = {**job.found, **made}
         bound = _step(task, context).bound(task, found)

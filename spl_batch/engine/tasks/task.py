@@ -22,6 +22,11 @@ class Task:
     #: receipt's key.
     how: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def weight(self) -> int:
+        """Points that it reads, by which small ones are done together; 0 where unknown [count]."""
+        return self.points or int(self.args.get("points", 0))
+
 
 @dataclass(frozen=True, slots=True)
 class Receipt:

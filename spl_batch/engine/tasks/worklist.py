@@ -12,28 +12,11 @@ from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.runner import finished, task_key
 from spl_batch.engine.tasks.step import Step
-from spl_batch.engine.tasks.task import Job, Receipt, Task
+from spl_batch.engine.tasks.task import Job, Need, Receipt, Task
 
 
 class Worklist:
-    """What one step has to do.
-
-    Parameters
-    ----------
-    step : Step
-        The step; those that its plan reads are over.
-    ledger : Ledger
-        What is finished so far; what this step finishes is added to it.
-    is_over : callable
-        Whether nothing more is to come of a step, by its name; so of all of them by default.
-
-    Attributes
-    ----------
-    left, ready : int
-        Tasks to do, and those that :meth:`look` found finished [count].
-    points : int
-        Points that the tasks to do will handle [count].
-    """
+    """What one step has to do; ``is_over``: whether nothing more is to come of another one."""
 
     def __init__(
         self,
@@ -42,7 +25,12 @@ class Worklist:
         context: RunContext[Any],
         is_over: Callable[[str], bool] = lambda _: True,
     ) -> None:
-        self.left = self.ready = self.points = 0
+        self.left = self.ready = 0  #: Tasks to do, and those that :meth:`look` found finished.
+        self.points = 0  #: Points that the tasks to do will handle [count].
+        self.head: Task | None = None  #: The next one to do, once :meth:`advance` was called.
+        self.awaited: Need | None = None  #: What keeps it from being handed out.
+        self.pending = 0  #: Tasks that are handed out and have not ended [count].
+        self._rest: Iterator[Task] | None = None
         self._left_out: set[str] = set()
         self.step, self._ledger, self._context, self._is_over = step, ledger, context, is_over
         self._done = ledger.of(step.name)
@@ -68,6 +56,11 @@ class Worklist:
         """Tasks that no look has found finished, made when they are asked for."""
         made = self.step.planned(self._ledger)
         return (t for t in made if t.name not in self._done and t.name not in self._left_out)
+
+    def advance(self) -> None:
+        """Go on to the next task."""
+        self._rest = self.tasks() if self._rest is None else self._rest
+        self.head, self.awaited = next(self._rest, None), None
 
     def job(self, task: Task) -> Job | None:
         """A task that can be done, with its key unless some of what it needs is still to come.

@@ -22,8 +22,7 @@ from spl_batch.engine.store.deliveries import Deliveries
 from spl_batch.engine.store.working_store import read_json, write_json
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.step import delivering, stages
-from spl_batch.engine.verbs.failures import failures
-from spl_batch.engine.verbs.progress import Progress
+from spl_batch.engine.verbs.progress import Progress, failures
 from spl_batch.engine.verbs.receiver import Prepared
 from spl_batch.engine.watch.events import ReportStarted
 from spl_batch.errors import DamagedError

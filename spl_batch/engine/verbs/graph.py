@@ -2,51 +2,36 @@
 
 A step's tasks are planned once the steps that its plan reads are over. Then each is handed out as
 soon as what it needs has been, later steps first: the scheduler gets the futures of what is not
-finished, so that one step begins where another has ended. What is finished is not handed out. A
-window bounds what the scheduler holds.
+finished, so that one step begins where another has ended. What is finished is not handed out. Small
+tasks of a step travel in one batch, as dask takes longer for a task than they do. A window bounds
+what the scheduler holds.
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 from spl_batch.engine.findings import of_receipts
-from spl_batch.engine.flow.job import Executor
+from spl_batch.engine.flow.cluster import Executor
 from spl_batch.engine.tasks.runner import failure
 from spl_batch.engine.tasks.step import Step
-from spl_batch.engine.tasks.task import Need, Outcome, Task
+from spl_batch.engine.tasks.task import Job, Need, Outcome, Task
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.engine.verbs.progress import Progress
 from spl_batch.engine.watch.events import PhaseStarted, TaskSettled
 from spl_batch.errors import INTERRUPTED
 
-
-class _Open:
-    """A step whose tasks are known."""
-
-    def __init__(self, step: Step, work: Worklist) -> None:
-        self.step, self.work = step, work
-        self.tasks = work.tasks()
-        self.head: Task | None = next(self.tasks, None)
-        self.awaited: Need | None = None  #: What keeps its next task from being handed out.
-        self.pending = 0  #: Tasks that are handed out and have not ended [count].
-
-    def advance(self) -> None:
-        """Go on to the next task."""
-        self.head, self.awaited = next(self.tasks, None), None
+BATCH_POINTS: Final = 100_000
+"""Points of the tasks that travel together, at most: what a worker does in some tenths of a second
+[count]."""
 
 
 class Graph:
-    """Steps of a run, from the first to the last.
-
-    Parameters
-    ----------
-    steps : sequence of Step
-        Those that are to be done, in order.
-    """
+    """Steps of a run, those that are to be done, from the first to the last."""
 
     def __init__(self, steps: Sequence[Step], pool: Executor, progress: Progress) -> None:
         self.prepared, self.pool, self.progress = progress.prepared, pool, progress
         self._steps = {step.name: step for step in steps}
-        self._waiting, self._open = list(steps), dict[str, _Open]()
+        self._waiting, self._open = list(steps), dict[str, Worklist]()
         self._missing: set[Need] = set()  # tasks of open steps that failed or were left out
         self._closed: set[str] = set()
         self._pending: dict[Need, Task] = {}
@@ -59,10 +44,11 @@ class Graph:
             if not self.progress.begins_again:
                 self._close_steps()
                 self._open_steps()
-                while len(self._pending) < self.pool.window and self._hand_out():
+                while self.pool.has_room and self._hand_out():
                     pass
             if self._pending:
-                self._ended(self.pool.ended())
+                for outcome in self.pool.ended():
+                    self._ended(outcome)
             elif self.progress.begins_again:
                 return
 
@@ -94,7 +80,8 @@ class Graph:
         if work.left or work.ready:
             event = PhaseStarted(step.stage, step.name, work.left, work.ready, work.points)
             progress.tell(event)
-        self._open[step.name] = _Open(step, work)
+        work.advance()
+        self._open[step.name] = work
 
     def _settled(self, step: Step, task: Task, *, found: bool = False) -> None:
         """Report that a task needs no doing: it was finished, or misses what it needs."""
@@ -103,29 +90,44 @@ class Graph:
         self.progress.tell(TaskSettled(step.stage, step.name, task.name, task.points, found))
 
     def _hand_out(self) -> bool:
-        """Hand out one task, of the latest step that can; whether there was one."""
-        return any(self._settle(one) for one in reversed(self._open.values()))
+        """Hand out a batch of tasks, of the latest step that can; whether there was one."""
+        return any(self._hand_out_of(one) for one in reversed(self._open.values()))
 
-    def _settle(self, one: _Open) -> bool:
-        """Hand out the next task of a step, or find that it is none; whether it could."""
-        if one.head is None or (one.awaited is not None and not self._is_known(one.awaited)):
-            return False
-        one.awaited = next((need for need in one.head.needs if not self._is_known(need)), None)
-        if one.awaited is not None:
-            return False
-        task = one.head
+    def _hand_out_of(self, one: Worklist) -> bool:
+        """Hand out the next tasks of a step, or find that they are none; whether it could."""
+        first, jobs, points = one.head, list[Job](), 0
+        most = self.pool.batch_of(one.left)
+        while one.head is not None and len(jobs) < most and self._can_begin(one, one.head):
+            weight = one.head.weight or BATCH_POINTS
+            if jobs and points + weight > BATCH_POINTS:
+                break
+            found = self._settle(one, one.head)
+            if found is not None:
+                jobs.append(found)
+                points += weight
+        if jobs:
+            self.pool.submit(jobs, self.prepared.context)
+        return one.head is not first
+
+    def _can_begin(self, one: Worklist, task: Task) -> bool:
+        """Whether all that the next task of a step needs is known."""
+        if one.awaited is None or self._is_known(one.awaited):
+            one.awaited = next((need for need in task.needs if not self._is_known(need)), None)
+        return one.awaited is None
+
+    def _settle(self, one: Worklist, task: Task) -> Job | None:
+        """The next task of a step as a job to be handed out; None where it is none."""
         one.advance()
-        job = one.work.job(task)
+        job = one.job(task)
         if job is None:
             self._settled(one.step, task)
-            return True
+            return None
         one.pending += 1
         self._pending[job.need] = task
         if task.refused:
             self._ended(Outcome(job.need, failure(task, job.key, task.refused, code="F02")))
-        else:
-            self.pool.submit(job, self.prepared.context)
-        return True
+            return None
+        return job
 
     def _is_known(self, need: Need) -> bool:
         """Whether a task is handed out, has ended, or will never be."""
@@ -141,9 +143,9 @@ class Graph:
         """Take in what has come of a task."""
         task = self._pending[outcome.need]
         one, receipt = self._open[outcome.need[0]], outcome.receipt
-        job = one.work.job(task) if outcome.again else None
+        job = one.job(task) if outcome.again else None
         if job is not None:
-            self.pool.submit(job, self.prepared.context)
+            self.pool.submit([job], self.prepared.context)
             return
         del self._pending[outcome.need]
         one.pending -= 1

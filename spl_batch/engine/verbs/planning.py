@@ -91,13 +91,7 @@ def plan(
 
 
 def fitting_cost(prepared: Prepared[Any, Any]) -> Cost:
-    """Cost of a run that fits into its memory limit.
-
-    Raises
-    ------
-    PlanError
-        If a task cannot; it names the heaviest one.
-    """
+    """Cost of a run; PlanError, which names the heaviest task, where that does not fit a worker."""
     cost = prepared.receiver.cost(prepared)
     refuse_too_large(cost, prepared.ledger.memory_bytes, shared=prepared.ledger.shared)
     return cost

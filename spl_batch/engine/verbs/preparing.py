@@ -97,13 +97,7 @@ def limit_bytes(memory: str | int | None, workers: int, *, remote: bool = False)
 
 
 def parse_bytes(text: str | int) -> int:
-    """Size such as ``4GiB``, ``500 MB`` or ``2000000000`` [byte].
-
-    Raises
-    ------
-    WorkflowError
-        If it is no size, or less than 256 MiB.
-    """
+    """Size such as ``4GiB`` or ``2000000000`` [byte]; WorkflowError below 256 MiB."""
     try:
         size = byte_count(str(text))
     except (ValueError, OverflowError):

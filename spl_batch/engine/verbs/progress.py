@@ -1,24 +1,33 @@
-"""Costs, findings and failures of one run as they come in; events are passed on and logged."""
+"""Costs, findings and failures of one run as they come in; events are passed on and logged.
+
+What did not make it is named with what it needed, and damaged files of the store are made again.
+"""
 
 import os
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import cached_property
+from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-from spl_batch.engine.findings import Finding, settled
-from spl_batch.engine.report.parts import FindingReport
+from spl_batch.engine.findings import Finding, settled, table
+from spl_batch.engine.report.parts import Failure, FindingReport
 from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.store.deliveries import Deliveries
-from spl_batch.engine.store.working_store import append_log
-from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.engine.verbs.failures import plain_name
+from spl_batch.engine.store.working_store import (
+    Store,
+    append_log,
+    forget_receipt,
+    read_receipts,
+)
+from spl_batch.engine.tasks.ledger import Ledger
+from spl_batch.engine.tasks.step import Steps
+from spl_batch.engine.tasks.task import Need, Receipt, Task
 from spl_batch.engine.verbs.receiver import Prepared
-from spl_batch.engine.verbs.repair import forget_finished, forget_makers
 from spl_batch.engine.watch.events import (
     Compiling,
     Event,
@@ -35,6 +44,12 @@ from spl_batch.formats.files.atomic import sweep
 
 LOG_WORKERS_S: Final = 10.0
 """How often the log has how the workers are [s]."""
+
+TRIES: Final = 3
+"""Times that a run makes a damaged file again: a disk that fails for good fails each time."""
+
+METADATA: Final = "zarr.json"
+"""File that describes arrays: a run makes it before the tasks that fill them."""
 
 
 @dataclass
@@ -168,3 +183,94 @@ def end_last_line(log: Path) -> None:
             stream.seek(-1, os.SEEK_END)
             if stream.read(1) != b"\n":
                 stream.write(b"\n")
+
+
+def failures(
+    prepared: Prepared[Any, Any], failed: Iterable[tuple[Task, Receipt]]
+) -> Iterator[Failure]:
+    """What did not make it, inputs first."""
+    ledger, first = prepared.ledger, next(iter(prepared.steps.values()))
+    for bad in ledger.inputs.bad:
+        yield Failure(
+            code="F01",
+            stage=first.stage,
+            place=bad.path,
+            reason="; ".join(bad.faults),
+            remedy=table()["F01"].remedy,
+            inputs=(bad.path,),
+        )
+    names = {str(s.key): s.name for s in ledger.inputs.sources}
+    for task, receipt in failed:
+        step, code = prepared.steps[task.kind], receipt.facts.get("code", "F04")
+        lighter = f"{step.remedy}, or " if code == "F02" and step.remedy else ""
+        yield Failure(
+            code=code,
+            stage=step.stage,
+            place=names.get(task.name) or str(task.args.get("path", task.name)),
+            reason=receipt.reason,
+            remedy=f"{lighter}{table()[code].remedy}",
+            task=f"{task.kind} {task.name}",
+            inputs=tuple(inputs(task, names, prepared.steps)),
+        )
+
+
+def inputs(task: Task, names: Mapping[str, str], steps: Steps) -> list[str]:
+    """Files and units of earlier steps that a task reads; ``names``: of input files, by key."""
+    found = [names[str(task.args["source"])]] if task.args.get("source") in names else []
+    found += [str(path) for path in task.args.get("paths", ())]
+    if "path" in task.args and not found:
+        found.append(str(task.args["path"]))
+    for kind, name in task.needs:
+        word = steps[kind].unit
+        if name in names or word:
+            found.append(names.get(name) or f"{word} {name}")
+    return list(dict.fromkeys(found))
+
+
+def plain_name(task: Task, names: Mapping[str, str]) -> str:
+    """What a user calls a task; ``names``: names of the input files by key."""
+    parts = [task.kind.replace("_", " ")]
+    if task.name != "all":
+        known = names.get(str(task.args.get("source"))) or names.get(task.name)
+        read = Path(str(task.args["path"])).name if "path" in task.args else ""
+        parts.append(known or read or task.name)
+    if "part" in task.args:
+        parts.append(str(task.args["part"]))
+    return " ".join(parts)
+
+
+def makers(store: Store, kinds: Iterable[str], damaged: Iterable[str]) -> dict[str, Need | None]:
+    """Damaged files, as receipts call them, with the task that makes each; None for metadata."""
+    names = [*damaged]
+    found: dict[str, Need | None] = {n: None for n in names if n.endswith(f"/{METADATA}")}
+    # A chunk is part of an output that is a directory.
+    parts = {part for name in names for part in (name, *map(str, PurePosixPath(name).parents))}
+    for kind in kinds if parts else ():
+        for receipt in read_receipts(store, kind):
+            made = parts & receipt.outputs.keys()
+            found.update(dict.fromkeys(made, (receipt.kind, receipt.name)))
+    return dict(sorted(found.items()))
+
+
+def forget_makers(
+    store: Store, kinds: Iterable[str], damaged: Iterable[str], known: dict[str, int]
+) -> list[str]:
+    """Have damaged files made again by the next look at the tasks; those that can be.
+
+    ``known``: how often this was done, by their names [count]; it is counted on.
+    """
+    found = makers(store, kinds, damaged)
+    again = {name: need for name, need in found.items() if known.get(name, 0) < TRIES}
+    for name, need in again.items():
+        known[name] = known.get(name, 0) + 1
+        if need is not None:
+            forget_receipt(store, *need)
+    return [*again]
+
+
+def forget_finished(ledger: Ledger[Any, Any]) -> None:
+    """Forget what is finished, and what was derived of it."""
+    ledger.done.clear()
+    for name, member in vars(type(ledger)).items():
+        if isinstance(member, cached_property):
+            ledger.__dict__.pop(name, None)

@@ -113,13 +113,13 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
         yield temporary
         _stop_if_disowned()
         _put_in_place(temporary, path, durable=durable)
-    except OSError as error:
-        stop_if_full(error, path)
-        if error.errno in _NOT_ALLOWED:
-            raise WorkflowError(f"{path}: cannot be written: {reason_of(error)}") from error
-        raise
-    finally:
+    except BaseException as error:
         remove(temporary)
+        if isinstance(error, OSError):
+            stop_if_full(error, path)
+            if error.errno in _NOT_ALLOWED:
+                raise WorkflowError(f"{path}: cannot be written: {reason_of(error)}") from error
+        raise
 
 
 @contextmanager

@@ -59,13 +59,7 @@ def is_remote(path: Path) -> bool:
 
 @contextmanager
 def reaching(path: Path) -> Iterator[None]:
-    """Let "not found" through and stop the run for anything else that a store may say.
-
-    Raises
-    ------
-    StoppedError
-        If the store cannot be reached, or refuses.
-    """
+    """Let "not found" through, and stop the run for anything else that a store may say."""
     try:
         yield
     except (FileNotFoundError, StoppedError):

@@ -57,13 +57,7 @@ class ChunkTable:
 
 
 def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
-    """Read and check the LASzip record and the chunk table.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be a whole LAZ file.
-    """
+    """Read and check the LASzip record and the chunk table; InputError where they are not whole."""
     path = str(header.path)
     laszip = _laszip_data(header)
     chunk_points = CHUNK_SIZE.unpack_from(laszip, CHUNK_SIZE_AT)[0]
@@ -187,10 +181,7 @@ def _table_place(header: LasHeader, file: BinaryIO, start_byte: int) -> int:
 class RecordReader:
     """Reads point records of one file by position; a context manager.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be opened or is damaged; on reading, with the points' numbers.
+    What is damaged raises InputError, on reading with the points' numbers.
     """
 
     def __init__(self, header: LasHeader) -> None:

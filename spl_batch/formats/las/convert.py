@@ -8,10 +8,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-import laspy
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.formats.las.header import standard_dtype
 from spl_batch.formats.las.records import (
     ADDED,
     FIRST_CLASS,
@@ -23,7 +23,7 @@ from spl_batch.formats.las.records import (
     RecordLayout,
     added,
     dimension,
-    standard_dtype,
+    standard_names,
 )
 
 EXTENDED_FORMAT: Final = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
@@ -75,8 +75,11 @@ def conversion(given: RecordLayout, added: Sequence[ExtraDimension]) -> Conversi
     of the same name gets another.
     """
     point_format = copied_format(given.point_format)
-    standard = laspy.PointFormat(point_format).standard_dimension_names
-    taken = {*standard, *(standard_dtype(point_format).names or ()), *(d.name for d in added)}
+    taken = {
+        *standard_names(point_format),
+        *(standard_dtype(point_format).names or ()),
+        *(d.name for d in added),
+    }
     old = [d for d in given.extra if d.descriptor not in _REPLACED]
     new: list[ExtraDimension] = []
     for before in old:

@@ -33,11 +33,6 @@ def refuse_uncounted_records(header: LasHeader, file: BinaryIO) -> None:
     """Refuse an uncompressed file with whole records behind those that its header counts.
 
     A rest that is shorter than a record, and zeros of any length, are no records.
-
-    Raises
-    ------
-    InputError
-        If there are some.
     """
     size, start = header.record_size, header.points_start
     counted_end = start + header.n_points * size
@@ -50,11 +45,6 @@ def refuse_uncounted_chunks(header: LasHeader, file: BinaryIO) -> None:
     """Refuse a LAZ file that counts no points and has compressed ones.
 
     The first point of a chunk lies in it as it is: a chunk is no shorter than a record.
-
-    Raises
-    ------
-    InputError
-        If there are some.
     """
     start = header.points_start + 8
     stop = _points_stop(header, start)
@@ -74,22 +64,8 @@ def refuse_uncounted_rest(header: LasHeader, laszip: bytes, packed: bytes, count
     """Refuse a LAZ file of point formats 0-5 whose last chunk has more points than are counted.
 
     Such a chunk does not say how many it holds. But its last point takes its last bytes: where the
-    counted points do without them, these are of others. What takes
+    ``count`` points that the header leaves for it do without them, these are of others. What takes
     no more than :data:`_REST_BYTES`, mostly one point, may pass.
-
-    Parameters
-    ----------
-    laszip : bytes
-        Data of the LASzip record.
-    packed : bytes
-        The last chunk, which can be decoded.
-    count : int
-        Points that the header leaves for it [count].
-
-    Raises
-    ------
-    InputError
-        If it has more.
     """
     shorter = packed[:-_REST_BYTES]
     if len(shorter) < header.record_size:

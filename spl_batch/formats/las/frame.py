@@ -77,16 +77,7 @@ class Frame:
 
 
 def preamble(old: bytes, encoding: int) -> bytes:
-    """First bytes of a LAS 1.4 header.
-
-    Parameters
-    ----------
-    old : bytes
-        Header whose ids, creation date and system are kept, as far as readers take them; zeros
-        for a new file.
-    encoding : int
-        Bits of the global encoding.
-    """
+    """First bytes of a LAS 1.4 header; sound ids, date and system of an ``old`` one are kept."""
     software = f"spl-batch {__version__}".encode("ascii").ljust(32, b"\0")
     system = bytes(b if b < 0x80 else ord("?") for b in old[26:58])
     if not system.strip(b"\0 "):
@@ -217,17 +208,7 @@ class Extent:
 
 
 def write_laz(path: Path, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
-    """Write a LAS 1.4 file atomically, compressed but for point formats 9 and 10.
-
-    Parameters
-    ----------
-    path : Path
-        Final name; its folder is made where missing.
-    frame : Frame
-        Everything but the points.
-    chunks : iterable of (n,) structured
-        Records of the frame's layout.
-    """
+    """Write records as LAS 1.4, atomically, compressed but for point formats 9 and 10."""
     laz = None if frame.layout.point_format in _UNCOMPRESSED else laz_record(frame.layout)
     with output_file(path) as file:
         extent = Extent()
@@ -293,15 +274,7 @@ def start_file(file: WatchedFile, vlrs: Sequence[Vlr]) -> int:
 
 
 def laz_record(layout: RecordLayout, chunk_points: int | None = None) -> Any:
-    """LASzip record for records of a layout, ``lazrs.LazVlr``.
-
-    Parameters
-    ----------
-    layout : RecordLayout
-        Of a point format that is compressed.
-    chunk_points : int, optional
-        Points of a chunk [count]; by default as many as the compressor takes.
-    """
+    """LASzip record, ``lazrs.LazVlr``; chunks are those of the compressor by default."""
     extra_bytes = sum(d.dtype.itemsize for d in layout.extra)
     laz = lazrs.LazVlr.new_for_compression(layout.point_format, extra_bytes)
     if chunk_points is None:

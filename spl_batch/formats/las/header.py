@@ -12,10 +12,12 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final
 
 import laspy
+import numpy as np
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, reason_of
@@ -112,6 +114,13 @@ class LasHeader:
         return next((v for v in self.vlrs if v.key == (user_id, record_id)), None)
 
 
+@cache
+def standard_dtype(point_format: int) -> np.dtype[Any]:
+    """Packed dtype of a point record without extra bytes."""
+    standard: np.dtype[Any] = laspy.PointFormat(point_format).dtype()
+    return standard
+
+
 @contextmanager
 def open_input(path: Path) -> Iterator[BinaryIO]:
     """Open a file for reading; whatever forbids it becomes one clear line.
@@ -171,7 +180,7 @@ def read_header(path: Path) -> LasHeader:
         faults = _coordinate_faults(floats, n_points)
         with gathered(faults):
             bounded(path, "point format", pf & 0x3F, most=_POINT_FORMATS - 1, remedy="convert it")
-            least = laspy.PointFormat(pf & 0x3F).dtype().itemsize
+            least = standard_dtype(pf & 0x3F).itemsize
             bounded(path, "point record length", record_size, least=least, most=_MAX_LENGTH)
         with gathered(faults):
             least = HEADER_SIZES[version[1]]

@@ -59,18 +59,9 @@ def can_be_copied(reader: RecordReader) -> bool:
 
 
 class LayerCopy:
-    """Copies chunks of a file with other classes and more extra bytes.
+    """Copies chunks of a file that :func:`can_be_copied` with other classes and more extra bytes.
 
-    Parameters
-    ----------
-    reader : RecordReader
-        A file that :func:`can_be_copied`.
-    convert : Conversion
-        Of its records into those of the copy.
-    added : int
-        Dimensions of the copy that are not the input's, its last ones [count].
-    flags : bool
-        Whether flags are the copy's own as well.
+    ``added`` dimensions, the last ones, are the copy's own, and with ``flags`` the flags as well.
     """
 
     def __init__(

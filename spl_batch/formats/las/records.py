@@ -17,7 +17,7 @@ from spl_batch.constants import (
     NOISE_BACKGROUND,
 )
 from spl_batch.formats.declared import bounded
-from spl_batch.formats.las.header import LasHeader
+from spl_batch.formats.las.header import LasHeader, standard_dtype
 
 EXTRA_BYTES_KEY: Final = ("LASF_Spec", 4)
 DESCRIPTOR_SIZE: Final = 192
@@ -73,15 +73,13 @@ class RecordLayout:
     @property
     def names(self) -> tuple[str, ...]:
         """Dimensions that can be asked for by name."""
-        standard = tuple(laspy.PointFormat(self.point_format).standard_dimension_names)
-        return standard + tuple(d.name for d in self.extra)
+        return standard_names(self.point_format) + tuple(d.name for d in self.extra)
 
 
 @cache
-def standard_dtype(point_format: int) -> np.dtype[Any]:
-    """Packed dtype of a record without extra bytes."""
-    standard: np.dtype[Any] = laspy.PointFormat(point_format).dtype()
-    return standard
+def standard_names(point_format: int) -> tuple[str, ...]:
+    """Dimensions of a record without extra bytes, bits of a field each for itself."""
+    return tuple(laspy.PointFormat(point_format).standard_dimension_names)
 
 
 def record_layout(header: LasHeader) -> RecordLayout:
@@ -130,16 +128,9 @@ def _plain(size: int, first: int) -> list[ExtraDimension]:
 
 
 def new_dimension(name: str, dtype: np.dtype[Any], text: str) -> ExtraDimension:
-    """Extra dimension of a plain numeric dtype [LAS 1.4 R15, table 24].
+    """Extra dimension of a plain numeric dtype, named and described in 32 ASCII characters each.
 
-    Parameters
-    ----------
-    name : str
-        At most 32 ASCII characters.
-    dtype : dtype
-        Integer of 8 to 64 bits, float32 or float64.
-    text : str
-        Description, at most 32 ASCII characters.
+    [LAS 1.4 R15, table 24].
     """
     plain = np.dtype(dtype)
     code = _TYPES.index(f"{plain.kind}{plain.itemsize}") + 1

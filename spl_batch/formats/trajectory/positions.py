@@ -61,16 +61,7 @@ class _Batch(NamedTuple):
 class Gathering:
     """Records of trajectory files in the order of time, some at a time; iterate once.
 
-    Attributes are complete at the end of the iteration; made by :func:`gathering`.
-
-    Attributes
-    ----------
-    records : int
-        Records, each time counted once.
-    span_s : (float, float)
-        First and last time [s].
-    warnings : list of str
-        What had to be done to them; each is one sentence.
+    Its attributes are complete at the end of the iteration.
     """
 
     def __init__(
@@ -80,9 +71,9 @@ class Gathering:
         folder: Path | None,
         points: PointExtent | None,
     ) -> None:
-        self.records = 0
-        self.span_s = (np.inf, -np.inf)
-        self.warnings: list[str] = []
+        self.records = 0  #: Records, each time counted once.
+        self.span_s = (np.inf, -np.inf)  #: First and last time [s].
+        self.warnings: list[str] = []  #: What had to be done to them; each is one sentence.
         self._paths, self._disk, self._folder, self._points = paths, disk, folder, points
         self._batches: list[_Batch] = []
         self._dropped = 0

@@ -18,7 +18,7 @@ from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.preparing import prepare
-from spl_batch.engine.verbs.repair import makers
+from spl_batch.engine.verbs.progress import makers
 from spl_batch.errors import DamagedError
 from spl_batch.formats.verified.parquet_npz import (
     group_ranges,
