@@ -17,25 +17,12 @@ def accuracy_report(
     *,
     remove_bias: bool = False,
 ) -> dict[str, Any]:
-    """Accuracy as ``report.json`` holds it.
+    """Accuracy as ``report.json`` holds it, of all places together by class of surface.
 
-    Parameters
-    ----------
-    dtm, dsm : mapping of str to Tally
-        By class of surface, of all places together; may be empty.
-    returns : mapping of str to Tally, optional
-        The same of the returns that the filter keeps.
-    remove_bias : bool
-        Subtract the vertical bias between the sensors from every difference first.
-
-    Returns
-    -------
-    dict
-        ``dtm`` and ``dsm``: :func:`statistics` by class, ``all`` always among them; ``returns``:
-        the same without it;
-        ``vertical_bias_m``: median of the DTM on open ground (else of all of it, else of
-        the DSM on ground; None without any); ``bias_removed_m``: what was subtracted;
-        ``usgs_quality_level``: the best level whose RMSEz the open ground meets, or None.
+    ``dtm`` and ``dsm``: :func:`statistics` by class, ``all`` always among them; ``returns``: the
+    same without it; ``vertical_bias_m``: median of the DTM on open ground (else of all of it, else
+    of the DSM on ground; None without any); ``bias_removed_m``: what was subtracted from every
+    difference; ``usgs_quality_level``: the best level whose RMSEz the open ground meets, or None.
     """
     bias = _bias(dtm, dsm)
     removed = bias if remove_bias and bias is not None else 0.0

@@ -131,10 +131,7 @@ def pairs_of(facts: Mapping[str, Any]) -> list[PairDifference]:
 def difference_map(context: Context) -> tuple[NDArray[np.float32], tuple[float, ...]] | None:
     """Map of :func:`strip_pairs` and where it lies, west to north; None where there is none.
 
-    Raises
-    ------
-    DamagedError
-        If the file is damaged: who writes a report has it made again.
+    Raises DamagedError if the file is damaged: who writes a report has it made again.
     """
     arrays = read_arrays(context.store.path("overlaps", "map.npz"))
     if not arrays["values"].size:

@@ -58,16 +58,9 @@ def needs(
     side: int,
     trajectory: Iterable[Path] = (),
 ) -> list[Need]:
-    """Memory of the heaviest task of each kind.
+    """Memory of the heaviest task of each kind, where the points of ``pieces`` lie.
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Where the points lie.
-    files : sequence of int
-        Points of each file of the survey [count].
-    side : int
-        Tiles along one side of a cell of ``denoise`` [count].
+    ``files``: points of each file; ``side``: tiles along one side of a cell of ``denoise`` [count].
     """
     points, most = sum(files), max(files, default=0)
     labels = min(most, PASS_POINTS) * BYTES_PER_LABEL

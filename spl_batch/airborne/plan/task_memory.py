@@ -68,12 +68,8 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
 def refusal(kind: str, points: float, limit: int, needed: int | None = None) -> str:
     """Why a task cannot be started, and what helps; empty if it can.
 
-    Parameters
-    ----------
-    limit : int
-        Memory limit of a worker [byte].
-    needed : int, optional
-        What it needs, where that does not follow from its points alone [byte].
+    ``limit``: memory of a worker; ``needed``: of the task, where its points alone do not tell
+    [byte].
     """
     needed = task_bytes(kind, points) if needed is None else needed
     if needed <= usable_bytes(limit):

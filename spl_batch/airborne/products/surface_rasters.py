@@ -59,9 +59,6 @@ from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.nearest_heights import nearest_heights
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
 
-DOMAIN: Final = "space"
-"""Needs every flightline of a place."""
-
 COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class", "ground", "flags")
 """Columns that :func:`surfaces` reads, and ``afterpulse`` where the time domain ran."""
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.products.squares import at_centres, held, owned
+from spl_batch.airborne.products.raster_grid import at_centres, held, owned
 from spl_batch.lattice.tiles import Bounds, grow
 
 SPACINGS: Final[Mapping[str, int]] = {"QL1": 350, "QL2": 710, "QL3": 1410}
@@ -43,18 +43,10 @@ def coverage(
     core: Bounds,
     spacing: int,
 ) -> Coverage:
-    """Squares of a region by one spacing.
+    """Squares of a region by one of :data:`SPACINGS` [quanta].
 
-    Parameters
-    ----------
-    x, y : (n,) int64
-        First returns of the region and of five spacings around it [quanta].
-    counted : (rows, columns) bool
-        Cells of the region that count, row 0 southernmost.
-    core : Bounds
-        The region [quanta].
-    spacing : int
-        One of :data:`SPACINGS` [quanta].
+    ``x, y``: first returns of the region and of five spacings around it [quanta]; ``counted``:
+    cells of the region that count, row 0 southernmost.
     """
     pairs, places = owned(core, 2 * spacing), owned(core, spacing)
     wide = grow(places, VOID_SPACINGS)

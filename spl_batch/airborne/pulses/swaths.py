@@ -21,13 +21,11 @@ from numpy.typing import NDArray
 from rasterio.features import shapes
 from scipy import ndimage
 
-from spl_batch.airborne.products.squares import at_centres, held, owned, shape
+from spl_batch.airborne.products.raster_grid import at_centres, held, owned, shape
 from spl_batch.airborne.pulses.coverage import SPACINGS
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.distinct import distinct
 from spl_batch.lattice.tiles import Bounds, grow, quanta
-
-DOMAIN: Final = "space"
 
 EDGE_Q: Final = quanta(5.0)
 """Edge of a square [quanta]: more than twice the spacing of each quality level, so that a swath
@@ -61,15 +59,7 @@ class SwathTotals(NamedTuple):
 
 
 class Swaths:
-    """Swaths of a region.
-
-    Parameters
-    ----------
-    x, y, line : (n,) int64
-        First returns of the region and of two squares around it [quanta], and their flightlines.
-    core : Bounds
-        The region [quanta].
-    """
+    """Swaths of a region, from first returns of it and of two squares around it [quanta]."""
 
     def __init__(
         self, x: NDArray[np.int64], y: NDArray[np.int64], line: NDArray[np.int64], core: Bounds
@@ -86,13 +76,7 @@ class Swaths:
         self._count = count.reshape(-1, rows, columns)
 
     def facts(self, dry: NDArray[np.bool_]) -> list[Found]:
-        """What was found; facts of several regions add up.
-
-        Parameters
-        ----------
-        dry : (rows, columns) bool
-            Cells of the region that count, row 0 southernmost.
-        """
+        """What was found, by the cells that count, row 0 southernmost; facts of regions add up."""
         there, found = at_centres(dry, self._core, self._own, EDGE_Q), []
         for rank, number in enumerate(self._numbers.tolist()):
             count = self._count[rank]
@@ -156,14 +140,9 @@ def by_flightline(
 ) -> dict[str, SwathTotals]:
     """Swaths of a survey, by the names of their flightlines.
 
-    Parameters
-    ----------
-    found : iterable of sequence of Found
-        What :meth:`Swaths.facts` gave, region by region.
-    names : mapping of int to str
-        Names of flightlines by their numbers; what has none is of the flightline "".
-    spacing : str
-        Key of :data:`~spl_batch.airborne.pulses.coverage.SPACINGS`.
+    ``found``: what :meth:`Swaths.facts` gave, region by region; ``names``: of flightlines by their
+    numbers, what has none is of the flightline ""; ``spacing``: key of
+    :data:`~spl_batch.airborne.pulses.coverage.SPACINGS`.
     """
     sums: dict[str, NDArray[np.int64]] = {}
     for of_region in found:
@@ -188,13 +167,8 @@ def outlines(
     """Outline of each flightline by its name, in the survey's CRS [m].
 
     A wide survey is drawn in coarser squares, and steps of squares become straight lines.
-
-    Parameters
-    ----------
-    found : iterable of sequence of Outlined
-        What :meth:`Swaths.outlines` gave, region by region.
-    names : mapping of int to str
-        Names of flightlines by their numbers; others are not drawn.
+    ``found``: what :meth:`Swaths.outlines` gave, region by region; ``names``: of flightlines by
+    their numbers, others are not drawn.
     """
     pieces: dict[str, list[tuple[Bounds, str]]] = {}
     for of_region in found:

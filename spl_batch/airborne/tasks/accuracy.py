@@ -163,12 +163,9 @@ class Comparison:
 
 
 def compared(done: Receipts, context: Context) -> Comparison | None:
-    """What all squares say together; None where nothing was compared.
+    """What all squares found together; None where nothing was compared.
 
-    Raises
-    ------
-    DamagedError
-        If what a square said is missing or damaged.
+    Raises DamagedError if what a square found is missing or damaged.
     """
     settings = context.workflow.reference
     if settings is None or settings.points is None:

@@ -37,10 +37,7 @@ def read_named(
 ) -> tuple[list[Checkpoint], list[str]]:
     """Checkpoints of a file as a workflow has them, and what is wrong with some.
 
-    Raises
-    ------
-    InputError
-        If the file as a whole cannot be used.
+    Raises InputError if the file as a whole cannot be used.
     """
     stated = settings.checkpoints_crs if settings else None
     own = None if stated is None else parse_crs(stated, "reference.checkpoints_crs")

@@ -56,10 +56,7 @@ class _Spans(NamedTuple):
 class Tally:
     """Running totals over the chunks of a file, or of a part of it.
 
-    Parameters
-    ----------
-    gap_s : float
-        A pause of more than this ends a span of time [s].
+    A pause of more than ``gap_s`` ends a span of time [s].
     """
 
     def __init__(self, gap_s: float) -> None:

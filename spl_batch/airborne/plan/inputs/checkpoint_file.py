@@ -37,14 +37,9 @@ def looked_into(
     settings: ReferenceSettings | None,
     files: Sequence[LasFacts],
 ) -> list[Finding]:
-    """Findings on the file before the work starts.
+    """Findings on the file before the work starts; raises WorkflowError where it is of no use.
 
     ``files``: those of the survey; without any nothing is read.
-
-    Raises
-    ------
-    WorkflowError
-        If the file as a whole cannot be used.
     """
     if file is None or not files:
         return []

@@ -27,15 +27,9 @@ def checked_reference(
 ) -> ReferenceFiles:
     """Facts of reference files in the survey's CRS, and what is wrong with the rest.
 
-    Parameters
-    ----------
-    others : sequence of InputError
-        Files of the survey that are in another CRS themselves: any of them may be the wrong one.
-
-    Raises
-    ------
-    WorkflowError
-        If every file that can be read is in another CRS: then the request is wrong, not the files.
+    Raises WorkflowError if every file that can be read is in another CRS: then the request is
+    wrong, not the files. ``others``: files of the survey that are in another CRS themselves: any of
+    them may be the wrong one.
     """
     stated = settings.crs if settings else None
     given = None if stated is None else parse_crs(stated, "reference.crs")

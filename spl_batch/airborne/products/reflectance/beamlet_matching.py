@@ -68,22 +68,11 @@ def shots_near(
     block: NDArray[np.int64],
     tau: NDArray[np.float64],
 ) -> int:
-    """Shots that can have a beamlet in a rectangle, in the order of all shots.
+    """Shots that can have a beamlet in a rectangle, in the order of all shots; how many.
 
-    Parameters
-    ----------
-    level : float
-        A height near the surface [m].
-    depth_m : float
-        How far the surface may be from it [m].
-    box_m : (float, float, float, float)
-        West, south, east and north edge of the rectangle, relative to the grid's corner [m].
-    number : (shots,) int64, written
-        Place of each shot among those that are near; -1 for the others.
-    block : (shots,) int64, written
-        Block of each that is near, from the front.
-    tau : (shots,) float64, written
-        Time of each that is near within its block.
+    The surface is no farther than ``depth_m`` from ``level``, a height near it; ``box_m``: west,
+    south, east and north edge, from the grid's corner [m]. Written: ``number``, place of each shot
+    among those that are near, -1 for others; from the front ``block`` and ``tau`` of each that is.
     """
     west, south, east, north = box_m
     # Taken out of their tuple once: each look into it counts a reference up and down.
@@ -140,24 +129,11 @@ def match_points(
 ) -> None:
     """First return of each beamlet: the highest, for beams go down.
 
-    Of several flightlines that were flown at the same time, the one takes a point whose
-    beamlet passes nearest to it.
-
-    Parameters
-    ----------
-    time_s, channel : (n,)
-        Time and beamlet of each point.
-    place : three (n,) integer arrays
-        Easting, northing and height [quanta].
-    rows : (m,) intp
-        Points that may be first returns; they lie in the grid.
-    cells : (int, int, int, int)
-        South-west corner of the grid (x, y) and edge of a cell [quanta], cells of a row.
-    number : (shots,) int64
-        Row of each shot in ``top``; -1 for shots that do not matter.
-    top : (k, c) int64
-        Height and cell of each beamlet's first return so far, :data:`SILENT` at the beginning;
-        lifted where a return is higher.
+    Of several flightlines that were flown at the same time, the one takes a point whose beamlet
+    passes nearest to it. ``place``: easting, northing, height; ``rows``: points in the grid that
+    may be first; ``cells``: its south-west corner and edge of a cell [quanta], cells of a row;
+    ``number``: row of each shot in ``top``, -1 for shots that do not matter; ``top`` (k, c), height
+    and cell of each first return so far, :data:`SILENT` without: lifted where a return is higher.
     """
     highest, channels = top.reshape(-1), top.shape[1]
     aim = np.empty(9)

@@ -53,25 +53,13 @@ def trace(
     wanted: NDArray[np.int64],
     cell: NDArray[np.int64],
 ) -> None:
-    """Cells where the silent beamlets of a shot meet the surface.
+    """Cells where the silent beamlets of a shot meet the surface, ``row * cols + col``; else -1.
 
-    The arrays of a surface are looked into by this function alone: what is called for each
-    beamlet would count references to them up and down, a third of the time.
-
-    Parameters
-    ----------
-    height, low, high, cell_m
-        Of a :class:`Grid`.
-    level : float
-        A height near the surface, from which the walk's bounds are looked up [m].
-    aim : (9,) float64
-        Sensor [m], dx/dz and dy/dz of the array's middle, and their change with the place in it.
-    pattern : (c, 2) float64
-        Place of each channel in the array; NaN for those that there are not.
-    wanted : (c,) int64
-        First returns of the beamlets; those that are :data:`SILENT` are traced.
-    cell : (c,) int64, written
-        ``row * cols + col`` of the cell; -1 where none is met, or the beamlet not traced.
+    The arrays of a :class:`Grid` are looked into by this function alone: what is called for each
+    beamlet would count references to them up and down, a third of the time. The walk's bounds are
+    looked up from ``level``, a height near the surface [m]; ``aim`` (9,): as :func:`aim_at` has it;
+    ``pattern`` (c, 2): place of each channel in the array, NaN for those that there are not; of
+    ``wanted`` (c,), first returns, those are traced that are :data:`SILENT`.
     """
     rows, cols = height.shape
     per_m = 1.0 / cell_m
@@ -116,18 +104,8 @@ def exposure(
 ) -> float:
     """Photo-electrons per reflectance that a beamlet brings from a cell [W17 Eq. 2.1].
 
-    Parameters
-    ----------
-    slope : (float, float)
-        Of the cell that is met.
-    z, height
-        At which height, and that of the sensor [m].
-    lean : (float, float)
-        Of the beamlet: dx/dz, dy/dz.
-    constant : float
-        Of instrument and channel [m2].
-    extinction : float
-        Of the air [1/m].
+    ``slope`` of the cell, met at ``z`` from the sensor's ``height`` [m]; ``lean``: dx/dz, dy/dz of
+    the beamlet; ``constant``: of instrument and channel [m2]; ``extinction`` of the air [1/m].
     """
     length = math.sqrt(1.0 + lean[0] * lean[0] + lean[1] * lean[1])
     range_m = (height - z) * length
@@ -154,33 +132,12 @@ def expose_cells(
 ) -> int:
     """Share out every fired beamlet to the cell of its first return, or where it ended.
 
-    Parameters
-    ----------
-    shots : ((k,) int64, (k,) float64)
-        Block of each shot, and its time within that.
-    top : (k, c) int64
-        From :func:`match_points`.
-    core : (int, int, int, int)
-        First and past-the-last row, first and past-the-last column of the cells wanted.
-    level : float
-        A height near the surface [m].
-    extinction : float
-        Of the air [1/m].
-    fixed : float
-        Steps of ``silent`` per photo-electron and reflectance.
-    silent : (rows, cols) int64
-        Sum over silent beamlets, fixed point; added to.
-    fired : (rows, cols) int64
-        Beamlets of each cell; added to.
-    seen_cell : (s,) int64
-        Filled with the cell of each seen beamlet.
-    seen_amount : (s,) float64
-        Filled with its photo-electrons per reflectance.
-
-    Returns
-    -------
-    int
-        Number of seen beamlets; rows and columns of the outputs are those of ``core``.
+    ``shots``: block of each, and its time within that; ``top``: from :func:`match_points`;
+    ``core``: first and past-the-last row, first and past-the-last column of the cells wanted, which
+    the outputs have; ``level``: a height near the surface [m]; ``fixed``: steps of ``silent`` per
+    photo-electron and reflectance. Added to: ``silent``, sum over silent beamlets, and ``fired``,
+    beamlets of each cell. Filled: cell and photo-electrons per reflectance of each seen beamlet,
+    whose number is returned.
     """
     aim, ends = np.empty(9), np.empty(top.shape[1], np.int64)
     r0, r1, c0, c1 = core

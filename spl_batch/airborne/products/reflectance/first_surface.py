@@ -32,14 +32,7 @@ def first_surface(
 ) -> Grid:
     """Median height of the first returns of each cell, small voids filled, and its slope.
 
-    Parameters
-    ----------
-    cell : (n,) int64
-        Cell of each first return, row by row.
-    z : (n,) int32
-        Its height [quanta].
-    shape : (int, int)
-        Rows and columns.
+    ``cell, z``: cell of each first return, row by row, and its height [quanta].
     """
     rows, cols = shape
     order, start = sort_into_cells(cell, z, rows * cols)
@@ -83,20 +76,10 @@ def credible_heights(
 
 
 def slopes(height: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
-    """Gradient of a surface that does not look across edges.
+    """Gradient of a surface that does not look across edges, to east and north: (., ., 2).
 
-    Along each axis the flatter of the steps to both neighbours counts, and none where they
-    lead to opposite sides: beside a wall it is that of the roof, in a crown it is small.
-
-    Parameters
-    ----------
-    height : (rows, cols) float64
-        Heights, south row first [m]; NaN where there is none.
-
-    Returns
-    -------
-    (rows, cols, 2) float64
-        Rise/run to the east and to the north.
+    Along each axis the flatter of the steps to both neighbours counts, and none where they lead to
+    opposite sides: beside a wall it is that of the roof, in a crown it is small.
     """
     out = np.zeros((*height.shape, 2))
     for k, axis in enumerate((1, 0)):

@@ -1,4 +1,4 @@
-r"""Reflectance from how often beamlets were seen.
+r"""Reflectance from how often beamlets were seen; domain: space.
 
 Source: [W17] 8.2.2 with Eq. 2.1 and 2.7. A single-photon channel tells one photo-electron from
 none: brightness is in the share of beamlets that were seen. A beamlet that expects :math:`k \rho`
@@ -49,11 +49,11 @@ from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.products.reflectance.first_surface import first_surface
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
+from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.compiled import njit
 
-DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "noise_class")
 
 FIRED_MIN: Final = 5
@@ -82,13 +82,16 @@ def raster(
     wide = grow(cell, margin * size)
     shape = (cell.ymax - cell.ymin) // size, (cell.xmax - cell.xmin) // size
     fired, silent = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
-    parts = [p for p in parts if len(p.first)]
+    parts = [p for p in parts if len(p.blocks)]
     signal = _signal(table, wide)
     z = table["z"][signal]
     if not len(z) or not parts:
         return np.full(shape, NODATA, np.float32)
     blocks = _join(parts, wide)
-    level, depth = _middle_m(z), float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M))
+    level, depth = (
+        float(np.median(z)) * QUANTUM_M,
+        float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M)),
+    )
     shots = int(blocks.offset[-1] + blocks.last[-1] - blocks.first[-1] + 1)
     number, block = np.empty(shots, np.int64), np.empty(shots, np.int64)
     tau = np.empty(shots)
@@ -136,9 +139,7 @@ def _estimate(
     seen = np.bincount(cell, minlength=fired.size)
     start = np.concatenate([[0], np.cumsum(seen)]).astype(np.int64)
     # Beamlets come by time and channel, however the points came: the same sums always.
-    in_order = np.empty(len(amount))
-    sort_by_cell(cell, amount, start, in_order)
-    amount = in_order
+    amount = amount[lexicographic_order([cell])] if len(cell) else amount
     total = np.concatenate([[0], np.cumsum(np.rint(amount * FIXED_POINT).astype(np.int64))])
     mean = (total[start[1:]] - total[start[:-1]] + silent.ravel()) / np.maximum(fired.ravel(), 1)
     rho = np.empty(fired.size)
@@ -160,30 +161,31 @@ def reach_m(settings: ProductSettings) -> float:
 
 def _join(parts: Sequence[FiredPart], wide: Bounds) -> Blocks:
     """Blocks of several stretches by time, relative to a corner."""
-    size = [len(p.first) for p in parts]
-    channels = max(p.pattern.shape[1] for p in parts)
-    first, last = (np.concatenate([getattr(p, k) for p in parts]) for k in ("first", "last"))
-    t0_s = np.repeat([p.t0_s for p in parts], size)
-    prf_hz = np.repeat([p.prf_hz for p in parts], size)
-    begin_s = t0_s + (first - 0.5) / prf_hz
+    size = [len(p.blocks) for p in parts]
+    channels = max(p.patterns.shape[1] for p in parts)
+    t0_s, prf_hz = (np.repeat([getattr(p, k) for p in parts], size) for k in ("t0_s", "prf_hz"))
+    blocks = np.concatenate([p.blocks for p in parts])
+    blocks["anchor"] -= np.array([wide.xmin * QUANTUM_M, wide.ymin * QUANTUM_M, 0.0])
+    begin_s = t0_s + (blocks["first"] - 0.5) / prf_hz
     pattern = np.concatenate([_widen(p.pattern, channels, np.nan) for p in parts])
     bright = np.concatenate(
-        [np.repeat(_widen(p.gain[None] * p.constant_m2, channels, 0.0), len(p.first), 0)
+        [np.repeat(_widen(p.gain[None] * p.constant_m2, channels, 0.0), len(p.blocks), 0)
          for p in parts]
     )  # fmt: skip
-    anchor = np.concatenate([p.anchor for p in parts])
-    anchor = anchor - np.array([wide.xmin * QUANTUM_M, wide.ymin * QUANTUM_M, 0.0])
-    order = np.lexsort((anchor[:, 1], anchor[:, 0], first, begin_s))
-    shots = (last - first + 1)[order]
+    anchor = blocks["anchor"]
+    order = np.lexsort((anchor[:, 1], anchor[:, 0], blocks["first"], begin_s))
+    blocks = blocks[order]
+    shots = blocks["last"] - blocks["first"] + 1
+    fitted = "first", "last", "middle", "half", "anchor", "coefficient", "origin"
     return Blocks(
-        begin_s[order], t0_s[order], prf_hz[order], first[order], last[order],
-        np.concatenate([p.middle for p in parts])[order],
-        np.concatenate([p.half for p in parts])[order],
-        anchor[order],
-        np.concatenate([p.coefficient for p in parts])[order],
-        np.concatenate([p.origin for p in parts])[order],
-        pattern[order], bright[order], np.cumsum(shots) - shots,
-    )  # fmt: skip
+        begin_s=begin_s[order],
+        t0_s=t0_s[order],
+        prf_hz=prf_hz[order],
+        **{name: np.ascontiguousarray(blocks[name]) for name in fitted},
+        pattern=pattern[order],
+        exposure=bright[order],
+        offset=np.cumsum(shots) - shots,
+    )
 
 
 def _widen(values: NDArray[np.float64], channels: int, fill: float) -> NDArray[np.float64]:
@@ -194,39 +196,6 @@ def _widen(values: NDArray[np.float64], channels: int, fill: float) -> NDArray[n
     return wider
 
 
-def _middle_m(z: NDArray[np.int32]) -> float:
-    """Median height of at least one point [m]."""
-    half = len(z) // 2
-    middle = np.partition(z, (max(half - 1, 0), half))[half - 1 + len(z) % 2 : half + 1]
-    return float(np.mean(middle * QUANTUM_M))
-
-
-@njit()
-def sort_by_cell(
-    cell: NDArray[np.int64],
-    amount: NDArray[np.float64],
-    start: NDArray[np.int64],
-    out: NDArray[np.float64],
-) -> None:
-    """Put amounts cell by cell, in the order in which they came.
-
-    Parameters
-    ----------
-    cell : (s,) int64
-        Cell of each.
-    amount : (s,) float64
-        What is sorted.
-    start : (m + 1,) int64
-        First place of each cell, and their number.
-    out : (s,) float64
-        Filled.
-    """
-    place = start[:-1].copy()
-    for s in range(len(cell)):
-        out[place[cell[s]]] = amount[s]
-        place[cell[s]] += 1
-
-
 @njit()
 def most_likely(
     start: NDArray[np.int64],
@@ -234,23 +203,13 @@ def most_likely(
     silent: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    r"""Reflectance under which what was seen, and what was not, is most likely.
+    r"""Reflectance under which what was seen, and what not, is most likely; 0 if none was seen.
 
-    A beamlet that expects :math:`k \rho` photo-electrons is seen with probability
-    :math:`1 - e^{-k \rho}` [W17 Eq. 2.7], so
-    :math:`\sum_{seen} k / (e^{k \rho} - 1) = \sum_{silent} k`; equal ones give
-    :math:`k \rho = -\ln(1 - p)`.
-
-    Parameters
-    ----------
-    start : (m + 1,) int64
-        First seen beamlet of each cell, and their number.
-    amount : (s,) float64
-        k of each seen beamlet, > 0.
-    silent : (m,) float64
-        Sum of k over the silent ones, > 0 where any was seen.
-    out : (m,) float64
-        Filled; 0 where none was seen.
+    A beamlet that expects :math:`k \rho` photo-electrons is seen with probability :math:`1 - e^{-k
+    \rho}` [W17 Eq. 2.7], so :math:`\sum_{seen} k / (e^{k \rho} - 1) = \sum_{silent} k`; equal ones
+    give :math:`k \rho = -\ln(1 - p)`. ``amount``: k of each seen beamlet, those of a cell together
+    from its ``start`` (m + 1,) on; ``silent`` (m,): sum of k over the silent ones, > 0 where any
+    was seen.
     """
     for cell in range(len(start) - 1):
         low, high = start[cell], start[cell + 1]

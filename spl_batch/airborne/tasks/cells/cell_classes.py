@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from spl_batch.airborne.classes import point_classes
 from spl_batch.airborne.classes.buildings import REACH_M, Floor, buildings
 from spl_batch.airborne.diagnostics import air_fill
-from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.raster_grid import cell_number, shape_of
 from spl_batch.airborne.pulses.swaths import Swaths
 from spl_batch.airborne.settings import ClassSettings
@@ -45,23 +44,8 @@ def columns(workflow: Workflow) -> tuple[str, ...]:
 def classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[str, Any], int]:
     """Write the classes of what a cell owns, and look at its noise.
 
-    Parameters
-    ----------
-    cell : Cell
-        The ground cell.
-    arrays : dict of str to (rows, cols) float32
-        Its rasters; ``dtm`` is looked at, ``noise`` is added.
-    swaths : Swaths
-        Which flightlines cover which squares, where overlap is flagged.
-
-    Returns
-    -------
-    path : Path
-        The file of labels.
-    facts : dict
-        What the report needs to know.
-    points : int
-        How many were labelled [count].
+    Of the rasters ``dtm`` is looked at, and ``noise`` is added; ``swaths`` tell where overlap is
+    flagged. Gives the file of labels, facts for the report, and how many points were labelled.
     """
     workflow, dtm = cell.context.workflow, arrays["dtm"]
     table, origin = cell.read(grow(cell.core, reach_q(workflow.classes)), columns(workflow))
@@ -90,9 +74,11 @@ def classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[str
 def _noise(table: PointTable, core: Bounds, size: int) -> NDArray[np.float32]:
     """Mean expected noise density of each raster cell, north up [1/m3]."""
     shape = shape_of(core, size)
-    total, count = np.zeros(shape[0] * shape[1]), np.zeros(shape[0] * shape[1], np.int64)
+    known = np.isfinite(table["noise_density"])
+    cell, value = cell_number(table, core, size)[known], table["noise_density"][known]
     # Sums in 64 bits of so few values of 24 bits each are exact: their order does not count.
-    add_up_finite(cell_number(table, core, size), table["noise_density"], total, count)
+    total = np.bincount(cell, value, shape[0] * shape[1])
+    count = np.bincount(cell, minlength=shape[0] * shape[1])
     mean = np.where(count > 0, total / np.maximum(count, 1), NODATA)
     return np.ascontiguousarray(mean.reshape(shape)[::-1], dtype=np.float32)
 

@@ -66,12 +66,8 @@ def pulse_facts(
 ) -> tuple[dict[str, Any], Swaths]:
     """How densely and evenly first returns cover what was flown of a ground cell, but water.
 
-    Parameters
-    ----------
-    first : PointTable
-        First returns of the cell and what its rasters read around it, with ``x, y, line``.
-    density : (rows, columns) float32
-        Raster of the cell, north up: it has a value where was flown.
+    ``first``: those of the cell and what its rasters read around it, with ``x, y, line``;
+    ``density``: its raster, north up, which has a value where was flown.
     """
     x, y, products = first["x"], first["y"], context.workflow.products
     size = quanta(products.cell_m)
