@@ -9,10 +9,10 @@ import pytest
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import task_memory
-from spl_batch.airborne.plan.heaviest_tasks import needs
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import (
+    needs,
     refusal,
     task_bytes,
 )
@@ -105,8 +105,7 @@ def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
     work = Worklist(STEPS["surface"], known, context(tmp_path))
     args = {
         "cell": "0_0",
-        "noise": {"0_0": [["noise", "a"], ["noise", "b"]]},
-        "ground": {"0_0": [["ground", "0_0"], ["ground", "1_0"]]},
+        "labels": {"noise": {"0_0": ["a", "b"]}, "ground": {"0_0": ["0_0", "1_0"]}},
     }
     needs = (("denoise", "a"), ("denoise", "b"), ("ground", "0_0"), ("ground", "1_0"))
     task = Task("surface", "0_0", args, needs)
@@ -115,8 +114,7 @@ def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
     known.of("ground").put(receipt("ground", "0_0"))
     job = work.job(task)
     assert job is not None
-    assert job.task.args["noise"] == {"0_0": [["noise", "b"]]}
-    assert job.task.args["ground"] == {"0_0": [["ground", "0_0"]]}
+    assert job.task.args["labels"] == {"noise": {"0_0": ["b"]}, "ground": {"0_0": ["0_0"]}}
     assert job.task.needs == (needs[1], needs[2])
 
 

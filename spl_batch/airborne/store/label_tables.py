@@ -325,13 +325,7 @@ def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArr
     return found
 
 
-def tile_cells(names: Sequence[str]) -> list[CellId]:
-    """Tiles by name, as a task's arguments carry them."""
-    return [parse_cell(name) for name in names]
-
-
-def label_units(units: Mapping[str, Sequence[Sequence[str]]]) -> Units:
-    """Label units by tile, as a task's arguments carry them."""
-    return {
-        parse_cell(tile): [(kind, name) for kind, name in listed] for tile, listed in units.items()
-    }
+def label_units(args: Mapping[str, Any], kind: str) -> Units:
+    """Units that hold labels of a kind, by tile, as a task's arguments name them."""
+    labels = args.get("labels", {}).get(kind, {})
+    return {parse_cell(tile): [(kind, name) for name in names] for tile, names in labels.items()}

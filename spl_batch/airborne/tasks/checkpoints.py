@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from spl_batch.airborne.accuracy import Raster
+from spl_batch.airborne.accuracy.raster_and_reference import Raster
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.engine.findings import Finding

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.accuracy import Reference
+from spl_batch.airborne.accuracy.raster_and_reference import Reference
 from spl_batch.airborne.context import Context
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.tasks.context import Produced
