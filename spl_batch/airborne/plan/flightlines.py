@@ -11,7 +11,7 @@ from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN
 from spl_batch.airborne.pulses.swaths import SwathTotals, by_flightline
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.flown_lines import Pass, numbers
-from spl_batch.airborne.tasks.cells.pulses import SWATHS
+from spl_batch.airborne.tasks.pulses import SWATHS
 from spl_batch.airborne.tasks.return_rate import most_points
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.tables import ShotClock

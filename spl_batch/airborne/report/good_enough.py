@@ -38,8 +38,7 @@ from spl_batch.airborne.report.model import (
 )
 from spl_batch.airborne.report.model import Requirement as RequirementReport
 from spl_batch.airborne.settings import ClassSettings
-from spl_batch.airborne.tasks import checkpoints
-from spl_batch.airborne.tasks.cells import pulses
+from spl_batch.airborne.tasks import checkpoints, pulses
 from spl_batch.constants import FOOT_M, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.maps import Raster

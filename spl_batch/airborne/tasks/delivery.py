@@ -18,8 +18,7 @@ from spl_batch.airborne.pulses.swaths import Outlined, outlines
 from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import LabelFiles, label_units, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
-from spl_batch.airborne.tasks import index
-from spl_batch.airborne.tasks.cells import pulses
+from spl_batch.airborne.tasks import index, pulses
 from spl_batch.airborne.tasks.stretches import Copies
 from spl_batch.constants import FLAG_WITHHELD, NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.engine.findings import Finding
