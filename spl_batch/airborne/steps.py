@@ -239,7 +239,7 @@ STEPS: Final[Steps] = table(
     _delivery(
         "deliver_copc",
         run="tasks.delivery:deliver_copc",
-        tasks="catalogue_tasks:deliver_copc",
+        tasks="space_tasks:deliver_copc",
         unit="file",
         bytes_per_point=280,
         remedy="set outputs.copc: false, and outputs.tiles: copc for octrees by tile",
@@ -278,7 +278,7 @@ STEPS: Final[Steps] = table(
         "deliver_catalogue",
         "report",
         "tasks.delivery:deliver_catalogue",
-        tasks="catalogue_tasks:catalogue",
+        tasks="space_tasks:catalogue",
         settings=("survey.name",),
         delivers=True,
     ),

@@ -11,8 +11,8 @@ from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN
 from spl_batch.airborne.pulses.swaths import SwathTotals, by_flightline
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.flown_lines import Pass, numbers
+from spl_batch.airborne.tasks.file_tally import most_points
 from spl_batch.airborne.tasks.pulses import SWATHS
-from spl_batch.airborne.tasks.return_rate import most_points
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.tables import ShotClock
 
@@ -157,7 +157,7 @@ def fullest_span(files: Sequence[tuple[float, float, Sequence[int]]], span_s: fl
     """Points that a span of time holds at the most, whatever it begins with [count].
 
     ``files``: first and last time [s] of each file of a flightline, and its
-    :meth:`~spl_batch.airborne.tasks.return_rate.Rate.fullest`.
+    :meth:`~spl_batch.airborne.tasks.file_tally.Rate.fullest`.
     """
     # Files that follow each other share a span: each is looked at with its own part of it,
     # and that part is known to a step.

@@ -1,5 +1,11 @@
-"""Squares of 5 m that each flightline covers: its density, its outline, where flightlines overlap.
+"""How densely and evenly first returns cover the ground: spatial distribution, data voids, swaths.
 
+Source: USGS Lidar Base Specification, Collection Requirements: spatial distribution, 90 % of the
+squares of twice the nominal spacing hold a first return; data voids, areas of (4 x spacing)^2
+without one. All swaths count together: voids may be filled by another one. Deviations: a void is a
+whole empty square of four spacings, not any shape of its area; only places that were flown count.
+
+Squares of 5 m that each flightline covers tell its density, its outline, where flightlines overlap.
 Source: USGS Lidar Base Specification 2025 rev. A, Collection Requirements. Nominal Pulse Spacing:
 density is assessed "against single swath, first return data located within the geometrically usable
 center portion (typically ~95%) of each swath". Spatial Distribution and Regularity: first returns
@@ -22,10 +28,16 @@ from rasterio.features import shapes
 from scipy import ndimage
 
 from spl_batch.airborne.products.raster_grid import at_centres, held, owned, shape
-from spl_batch.airborne.pulses.coverage import SPACINGS
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.distinct import distinct
 from spl_batch.lattice.tiles import Bounds, grow, quanta
+
+SPACINGS: Final[Mapping[str, int]] = {"QL1": 350, "QL2": 710, "QL3": 1410}
+"""Aggregate nominal pulse spacing of a quality level, that of QL0 is QL1's [quanta]; USGS Lidar
+Base Specification, table of nominal pulse spacing and density."""
+
+VOID_SPACINGS: Final = 4
+"""Edge of a data void [spacings]."""
 
 EDGE_Q: Final = quanta(5.0)
 """Edge of a square [quanta]: more than twice the spacing of each quality level, so that a swath
@@ -44,6 +56,40 @@ middle; squares of twice the spacing in its middle and those filled, by spacing 
 Outlined = tuple[int, list[int], str]
 """A swath of a region: number of its flightline; squares of the region, as :func:`owned` gives
 them, and which of them it covers."""
+
+
+class Coverage(NamedTuple):
+    """Squares of a region that was flown, water excepted; counts of several regions add up."""
+
+    #: Squares of twice the spacing; those that hold a first return [count].
+    squares: int
+    filled: int
+    #: Squares of the spacing; those that lie in a data void [count].
+    places: int
+    void: int
+
+
+def coverage(
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    counted: NDArray[np.bool_],
+    core: Bounds,
+    spacing: int,
+) -> Coverage:
+    """Squares of a region by one of :data:`SPACINGS` [quanta].
+
+    ``x, y``: first returns of the region and of five spacings around it [quanta]; ``counted``:
+    cells of the region that count, row 0 southernmost.
+    """
+    pairs, places = owned(core, 2 * spacing), owned(core, spacing)
+    wide = grow(places, VOID_SPACINGS)
+    window = np.ones((VOID_SPACINGS, VOID_SPACINGS), np.bool_)
+    void = ndimage.binary_opening(~held(x, y, wide, spacing), window)
+    inner = slice(VOID_SPACINGS, -VOID_SPACINGS)
+    there = at_centres(counted, core, pairs, 2 * spacing)
+    beside = at_centres(counted, core, places, spacing)
+    filled, empty = there & held(x, y, pairs, 2 * spacing), beside & void[inner, inner]
+    return Coverage(*(int(np.count_nonzero(some)) for some in (there, filled, beside, empty)))
 
 
 class SwathTotals(NamedTuple):
@@ -142,7 +188,7 @@ def by_flightline(
 
     ``found``: what :meth:`Swaths.facts` gave, region by region; ``names``: of flightlines by their
     numbers, what has none is of the flightline ""; ``spacing``: key of
-    :data:`~spl_batch.airborne.pulses.coverage.SPACINGS`.
+    :data:`~spl_batch.airborne.pulses.swaths.SPACINGS`.
     """
     sums: dict[str, NDArray[np.int64]] = {}
     for of_region in found:

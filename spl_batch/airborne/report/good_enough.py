@@ -26,7 +26,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.diagnostics.terrain_sigma import unsure_share
 from spl_batch.airborne.lines.comparison import difference_map, pairs_of, shifts_of
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, swath_totals
-from spl_batch.airborne.pulses.coverage import SPACINGS, Coverage
+from spl_batch.airborne.pulses.swaths import SPACINGS, Coverage
 from spl_batch.airborne.report.model import (
     AlignedLine,
     Checkpoint,

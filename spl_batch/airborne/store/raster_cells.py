@@ -24,7 +24,7 @@ from spl_batch.formats.verified.zarr_chunks import (
     read_box,
     read_metadata,
 )
-from spl_batch.lattice.tiles import Bounds, CellId
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, shared
 
 HALF_CELLS: Final = 2**20
 """Ground cells on each side of coordinate zero that the store has room for [count]."""
@@ -107,12 +107,7 @@ def stored_blocks(
     """
     _, _, edge = _array(path, name)
     for cell in cells:
-        part = Bounds(
-            max(cell.i * ground_cell, bounds.xmin),
-            max(cell.j * ground_cell, bounds.ymin),
-            min((cell.i + 1) * ground_cell, bounds.xmax),
-            min((cell.j + 1) * ground_cell, bounds.ymax),
-        )
+        part = shared(cell_bounds(cell, ground_cell), bounds)
         if part.xmax > part.xmin and part.ymax > part.ymin:
             row = (bounds.ymax - part.ymax) // edge
             col = (part.xmin - bounds.xmin) // edge
