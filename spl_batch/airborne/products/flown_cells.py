@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.products.raster_grid import held
+from spl_batch.airborne.products.cell_values import held
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from rasterio.features import shapes
 from scipy import ndimage
 
-from spl_batch.airborne.products.raster_grid import at_centres, held, owned, shape
+from spl_batch.airborne.products.cell_values import at_centres, held, owned, shape
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.distinct import distinct
 from spl_batch.lattice.tiles import Bounds, grow, quanta

@@ -20,7 +20,7 @@ from spl_batch.airborne.diagnostics.terrain_sigma import terrain_facts
 from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
-from spl_batch.airborne.products.raster_grid import cell_number, shape_of
+from spl_batch.airborne.products.cell_values import cell_number, shape_of
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.pulses.first_returns import first_returns

@@ -12,14 +12,15 @@ from scipy.optimize import brentq
 
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.plan.cells import fired_index
-from spl_batch.airborne.products.reflectance.beamlet_matching import SILENT
-from spl_batch.airborne.products.reflectance.exposed_cells import Grid, trace
+from spl_batch.airborne.products.reflectance.beamlet_matching import SILENT, Grid, trace
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart, aim, link_constant
-from spl_batch.airborne.products.reflectance.first_surface import bounds, credible_heights, slopes
 from spl_batch.airborne.products.reflectance.reflectance import (
+    bounds,
+    credible_heights,
     most_likely,
     raster,
     reach_m,
+    slopes,
 )
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import ProductSettings
