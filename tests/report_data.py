@@ -17,10 +17,10 @@ from spl_batch.airborne.report.model import (
     Counts,
     Density,
     Flightline,
+    Noise,
     Report,
     Survey,
 )
-from spl_batch.airborne.report.noise_model import Noise
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report import style

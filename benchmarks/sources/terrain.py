@@ -25,8 +25,8 @@ from benchmarks.sources.methods import (
     Method,
 )
 from spl_batch import api
-from spl_batch.airborne.accuracy import Reference, terrain_differences
-from spl_batch.airborne.accuracy.raster_and_reference import Raster
+from spl_batch.airborne.accuracy.differences import terrain_differences
+from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.constants import QUANTUM_M
 from spl_batch.formats.las.reader import iter_points
 from spl_batch.formats.rasters.parts import read_overview

@@ -230,8 +230,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "uneven": "in {count} of {of} stretches returns of hard surfaces are followed more "
                 "or less often than the law of the flightline expects, {times:.1f} times as often "
                 "between gps_time {first_s:.0f} and {last_s:.0f}",
-                "spread": "returns of hard surfaces spread by {sigma_m:.2f} m along the beam, and "
-                "the sensor states {stated_m:.2f} m: surfaces are taken as thick as that",
+                "spread": "returns of hard surfaces spread by {sigma_m:.3f} m along the beam, and "
+                "the sensor states {stated_m:.3f} m: surfaces are taken as thick as that",
             },
             "among leaves more afterpulses stay, or true returns are lost as such; heights of "
             "single returns are less certain",

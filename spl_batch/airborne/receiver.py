@@ -6,8 +6,13 @@ from typing import Any, ClassVar, Final
 
 from spl_batch.airborne.catalogue import index_layers, stac
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
-from spl_batch.airborne.lines.sentences import done_sentence, left_out_warnings, offset_warnings
+from spl_batch.airborne.lines.comparison import (
+    done_sentence,
+    left_out_warnings,
+    offset_warnings,
+    pairs_of,
+    shifts_of,
+)
 from spl_batch.airborne.plan.cost import SurveyCost, estimate
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.findings import (

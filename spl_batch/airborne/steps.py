@@ -25,6 +25,9 @@ _CLASSES: Final = ("outputs.classes", "classes.overlap", "classes.withheld")
 
 _HOME: Final = "spl_batch.airborne"
 
+_LABELLED: Final = f"{_HOME}.tasks.bindings:labelled"
+"""A task goes without the labels of what has failed."""
+
 
 def _step(name: str, stage: str, run: str, *, tasks: str, **options: Any) -> Step:
     """A step whose places begin where they do here."""
@@ -41,6 +44,14 @@ _SHUFFLED: Final = ("build_tile", "align")
 """What the space domain is planned from: its points by tile, and whether flightlines are moved."""
 
 _cell = partial(_step, unit="ground cell")
+_patches = partial(
+    _cell,
+    stage="ground",
+    run="lines.comparison:strip_patches",
+    bytes_per_point=80,
+    remedy="lower ground.cell_m",
+    bind=_LABELLED,
+)
 _delivery = partial(_step, stage="deliver", delivers=True)
 
 STEPS: Final[Steps] = table(
@@ -146,14 +157,7 @@ STEPS: Final[Steps] = table(
         remedy="lower tiling.tile_m",
         after=("build_tile",),
     ),
-    _cell(
-        "recorded_patches",
-        "ground",
-        "lines.comparison:strip_patches",
-        tasks="strip_tasks:recorded_patches",
-        after=("build_tile",),
-        bind=f"{_HOME}.tasks.bindings:labelled",
-    ),
+    _patches("recorded_patches", tasks="strip_tasks:recorded_patches", after=("build_tile",)),
     _step(
         "align",
         "ground",
@@ -171,18 +175,9 @@ STEPS: Final[Steps] = table(
         bytes_per_point=215,
         remedy="lower ground.cell_m or ground.buffer_m",
         after=_SHUFFLED,
-        bind=f"{_HOME}.tasks.bindings:labelled",
+        bind=_LABELLED,
     ),
-    _cell(
-        "strip_patches",
-        "ground",
-        "lines.comparison:strip_patches",
-        tasks="strip_tasks:patches",
-        bytes_per_point=80,
-        remedy="lower ground.cell_m",
-        after=_SHUFFLED,
-        bind=f"{_HOME}.tasks.bindings:labelled",
-    ),
+    _patches("strip_patches", tasks="strip_tasks:patches", after=_SHUFFLED),
     _cell(
         "surface",
         "surfaces",
@@ -216,7 +211,7 @@ STEPS: Final[Steps] = table(
         tasks="space_tasks:deliver",
         settings=("outputs.diagnostics", *_CLASSES),
         after=_SHUFFLED,
-        bind=f"{_HOME}.tasks.bindings:delivered",
+        bind=_LABELLED,
     ),
     _delivery(
         "deliver_tile",
@@ -225,7 +220,7 @@ STEPS: Final[Steps] = table(
         settings=("outputs.tiles", *_CLASSES),
         bytes_per_point=280,
         after=_SHUFFLED,
-        bind=f"{_HOME}.tasks.bindings:delivered_tile",
+        bind=_LABELLED,
     ),
     _delivery(
         "mosaic",
@@ -244,7 +239,8 @@ STEPS: Final[Steps] = table(
     _delivery(
         "deliver_copc",
         run="tasks.delivery:deliver_copc",
-        tasks="catalogue_tasks:deliver_copc",
+        tasks="space_tasks:deliver_copc",
+        unit="file",
         bytes_per_point=280,
         remedy="set outputs.copc: false, and outputs.tiles: copc for octrees by tile",
         after=("deliver_file",),
@@ -266,7 +262,7 @@ STEPS: Final[Steps] = table(
         bytes_per_point=300,
         remedy="cut the reference into files that fill their bounding boxes evenly",
         after=("reference", "mosaic"),
-        bind=f"{_HOME}.tasks.bindings:labelled",
+        bind=_LABELLED,
     ),
     _step(
         "checkpoints",
@@ -282,7 +278,7 @@ STEPS: Final[Steps] = table(
         "deliver_catalogue",
         "report",
         "tasks.delivery:deliver_catalogue",
-        tasks="catalogue_tasks:catalogue",
+        tasks="space_tasks:catalogue",
         settings=("survey.name",),
         delivers=True,
     ),

@@ -11,11 +11,11 @@ import pytest
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import task_memory
 from spl_batch.airborne.plan.cost import estimate
-from spl_batch.airborne.plan.heaviest_tasks import needs
 from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import (
+    needs,
     refusal,
     task_bytes,
 )
@@ -108,8 +108,7 @@ def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
     work = Worklist(STEPS["surface"], known, context(tmp_path))
     args = {
         "cell": "0_0",
-        "noise": {"0_0": [["noise", "a"], ["noise", "b"]]},
-        "ground": {"0_0": [["ground", "0_0"], ["ground", "1_0"]]},
+        "labels": {"noise": {"0_0": ["a", "b"]}, "ground": {"0_0": ["0_0", "1_0"]}},
     }
     needs = (("denoise", "a"), ("denoise", "b"), ("ground", "0_0"), ("ground", "1_0"))
     task = Task("surface", "0_0", args, needs)
@@ -118,8 +117,7 @@ def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
     known.of("ground").put(receipt("ground", "0_0"))
     job = work.job(task)
     assert job is not None
-    assert job.task.args["noise"] == {"0_0": [["noise", "b"]]}
-    assert job.task.args["ground"] == {"0_0": [["ground", "0_0"]]}
+    assert job.task.args["labels"] == {"noise": {"0_0": ["b"]}, "ground": {"0_0": ["0_0"]}}
     assert job.task.needs == (needs[1], needs[2])
 
 
@@ -184,11 +182,11 @@ def test_a_refusal_begins_where_the_limit_ends(kind: str) -> None:
 
 
 def test_a_surface_cell_of_many_raster_cells_asks_for_larger_ones() -> None:
-    pieces = list(from_counts({CellId(3, 5): 10**4}, 100_000))
+    pieces = list(from_counts({CellId(3, 5): 10**6}, 100_000))
     given = {"survey": {"flightlines": "a"}, "output": "o", "products": {"cell_m": 0.01}}
     fine = parse_workflow(given, "w")
     for workflow, remedy in ((WORKFLOW, STEPS["surface"].remedy), (fine, "raise products.cell_m")):
-        (surface,) = (n for n in needs(pieces, workflow, [10**4], 1) if "surface" in n.task)
+        (surface,) = (n for n in needs(pieces, workflow, [10**6], 1) if "surface" in n.task)
         assert surface.remedy == remedy
 
 

@@ -45,20 +45,7 @@ Differences = dict[str, NDArray[np.float32]]
 
 
 def ground_differences(dtm: Raster, reference: Reference) -> NDArray[np.float64]:
-    """DTM minus reference at each ground point, those of the margin included.
-
-    Parameters
-    ----------
-    dtm : Raster
-        Terrain [m].
-    reference : Reference
-        Points; only ground is looked at.
-
-    Returns
-    -------
-    (g,) float64
-        In the order of the ground points [m]; NaN where the DTM is void.
-    """
+    """DTM minus reference at each ground point [m], those of the margin too; NaN on voids."""
     points, _ = _ground(reference.without_noise())
     return dtm.bilinear(points[:, :2]) - points[:, 2]
 
@@ -78,24 +65,12 @@ def terrain_differences(
 ) -> Differences:
     """DTM minus reference ground points, by class of surface.
 
-    Parameters
-    ----------
-    dtm : Raster
-        Terrain [m].
-    reference : Reference
-        Points of all classes; those that are not ground tell what stands on it.
-    chm : Raster, optional
-        Height of the surface above the terrain [m]: what is no open ground stands out in it,
-        and above the reference.
-    at_ground_m : (g,) float64, optional
-        What :func:`ground_differences` says of them, where it has been asked already.
-
-    Returns
-    -------
-    Differences
-        ``all``; ``open_ground``: no reference point more than 0.5 m above the ground within
-        2 m, no surface 0.5 m above both the terrain and the point; ``under_canopy``: vegetation
-        2 m or more above it within 1 m; and ``slope_0_5``, ``slope_5_15``, ... in degrees.
+    ``all``; ``open_ground``: no reference point more than 0.5 m above the ground within 2 m, no
+    surface 0.5 m above both the terrain and the point; ``under_canopy``: vegetation 2 m or more
+    above it within 1 m; and ``slope_0_5``, ``slope_5_15``, ... in degrees. ``reference``: all
+    classes, those that are not ground tell what stands on it; ``chm``: what is no open ground
+    stands out in it, and above the reference; ``at_ground_m``: :func:`ground_differences`, where
+    they are known.
     """
     reference = reference.without_noise()
     points, counts = _ground(reference)
@@ -180,19 +155,9 @@ def _tree(points: NDArray[np.float64]) -> cKDTree:
 def surface_differences(dsm: Raster, reference: Reference) -> Differences:
     """DSM minus the highest reference return of each cell, by class of surface.
 
-    Parameters
-    ----------
-    dsm : Raster
-        Highest returns [m].
-    reference : Reference
-        Points of all classes. A cell counts where its highest reference point does.
-
-    Returns
-    -------
-    Differences
-        ``all``; ``ground``, ``water``, ``building`` (roofs: the cell and its eight
-        neighbours), ``building_edge`` (the other cells topped by a building),
-        ``vegetation`` (all else), by the class of the highest reference point.
+    ``all``; ``ground``, ``water``, ``building`` (roofs: the cell and its eight neighbours),
+    ``building_edge`` (the other cells topped by a building), ``vegetation`` (all else), by the
+    class of the highest reference point. A cell counts where that point does.
     """
     reference = reference.without_noise()
     row, col, held = dsm.place(reference.xyz_m[:, :2])
@@ -231,18 +196,8 @@ def surface_differences(dsm: Raster, reference: Reference) -> Differences:
 def return_differences(xyz_m: NDArray[np.float64], reference: Reference) -> Differences:
     """Kept returns minus the reference's nearest ground or roof, as [W17 5.4] compares filters.
 
-    Parameters
-    ----------
-    xyz_m : (n, 3) float64
-        Returns that a filter keeps [m].
-    reference : Reference
-        Points of all classes, margin included.
-
-    Returns
-    -------
-    Differences
-        ``ground``, ``building``: of the returns within :data:`RETURNS_M` of a reference point of
-        that class, horizontally and in height.
+    ``ground``, ``building``: of the returns within :data:`RETURNS_M` of a reference point of that
+    class, horizontally and in height.
     """
     known = reference.without_noise()
     out: Differences = {}
@@ -269,21 +224,11 @@ def _by_class(
 def difference_sums(
     at_ground_m: NDArray[np.float64], reference: Reference, grid: Grid
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """DTM minus reference ground, added up over the points of each cell of a map.
+    """DTM minus reference ground that counts, added up over the points of each cell of a map.
 
-    Parameters
-    ----------
-    at_ground_m : (g,) float64
-        DTM minus reference at each ground point, by :func:`ground_differences`.
-    reference : Reference
-        The points; only ground that counts is added up.
-
-    Returns
-    -------
-    cell, total, count : (n,) int64
-        Cells that hold a point, counted row by row; sum of the differences [0.1 mm], so that
-        sums of several places do not depend on their order; points [count]. The DTM is taken
-        at each point, so slopes leave no trace.
+    Cells that hold a point, counted row by row; sum of the differences [0.1 mm], so that sums of
+    several places do not depend on their order; points [count]. The DTM is taken at each point, so
+    slopes leave no trace.
     """
     points, counts = _ground(reference.without_noise())
     row, col, held = grid.place(points[:, :2])

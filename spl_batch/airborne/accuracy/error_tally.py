@@ -11,6 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.numerics.error_statistics import quantile, statistics
+
 STEPS_PER_M: Final = 10_000
 """Errors are counted by tenths of a millimetre [1/m]."""
 
@@ -80,3 +82,43 @@ def _together(listed: Sequence[Tally]) -> Tally:
     counts = np.zeros(len(steps), np.int64)
     np.add.at(counts, place, np.concatenate([t.counts for t in listed]))
     return Tally(steps, counts)
+
+
+def accuracy_report(
+    dtm: Mapping[str, Tally],
+    dsm: Mapping[str, Tally],
+    returns: Mapping[str, Tally] | None = None,
+    *,
+    remove_bias: bool = False,
+) -> dict[str, Any]:
+    """Accuracy as ``report.json`` holds it, of all places together by class of surface.
+
+    ``dtm`` and ``dsm``: :func:`statistics` by class, ``all`` always among them; ``returns``: the
+    same without it; ``vertical_bias_m``: median of the DTM on open ground (else of all of it, else
+    of the DSM on ground; None without any); ``bias_removed_m``: what was subtracted from every
+    difference.
+    """
+    bias = _bias(dtm, dsm)
+    removed = bias if remove_bias and bias is not None else 0.0
+    report: dict[str, Any] = {
+        product: {
+            name: statistics(found.errors_m - removed, found.counts)
+            for name, found in {"all": Tally(), **counted}.items()
+        }
+        for product, counted in (("dtm", dtm), ("dsm", dsm))
+    }
+    report["returns"] = {
+        name: statistics(found.errors_m - removed, found.counts)
+        for name, found in (returns or {}).items()
+        if found.n
+    }
+    report["vertical_bias_m"] = bias
+    report["bias_removed_m"] = removed
+    return report
+
+
+def _bias(dtm: Mapping[str, Tally], dsm: Mapping[str, Tally]) -> float | None:
+    for found in (dtm.get("open_ground"), dtm.get("all"), dsm.get("ground")):
+        if found is not None and found.n:
+            return quantile(found.errors_m, found.counts, 0.5)
+    return None

@@ -60,18 +60,7 @@ class Raster:
         return out
 
     def bilinear(self, xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Value between the four cell centres around each point.
-
-        Parameters
-        ----------
-        xy_m : (n, 2) float64
-            Easting and northing [m].
-
-        Returns
-        -------
-        (n,) float64
-            NaN where one of the four is void or beyond the raster.
-        """
+        """Value between the four cell centres around each point (n, 2) [m]; NaN if one is void."""
         rows, cols = self.values.shape
         v = (self.top_m - xy_m[:, 1]) / self.cell_m - 0.5
         u = (xy_m[:, 0] - self.left_m) / self.cell_m - 0.5

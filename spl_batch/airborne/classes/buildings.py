@@ -30,8 +30,6 @@ from spl_batch.lattice.tiles import Bounds, quanta
 
 Heights = NDArray[np.int64]
 
-DOMAIN: Final = "space"
-
 COLUMNS_NEEDED: Final = ("x", "y", "z", "ground")
 
 STANDS_M: Final = 2.0
@@ -88,17 +86,7 @@ class _Planes(NamedTuple):
 
 
 class Floor:
-    """The ground around buildings: mean of each square metre.
-
-    Parameters
-    ----------
-    region : Bounds
-        What all points lie in [quanta].
-    table : PointTable
-        Points with :data:`COLUMNS_NEEDED`.
-    usable : (n,) bool
-        Signal.
-    """
+    """The ground around buildings of a region [quanta]: mean of each square metre."""
 
     def __init__(self, region: Bounds, table: PointTable, usable: NDArray[np.bool_]) -> None:
         self.region = region
@@ -137,22 +125,11 @@ class Floor:
 
 
 def buildings(table: PointTable, usable: NDArray[np.bool_], floor: Floor) -> NDArray[np.bool_]:
-    """Which returns are of buildings.
+    """Which returns are of buildings: (n,) bool.
 
-    Parameters
-    ----------
-    table : PointTable
-        Points with :data:`COLUMNS_NEEDED`, in any order; those that are judged and :data:`REACH_M`
-        around them.
-    usable : (n,) bool
-        Signal; the others are no building and tell nothing.
-    floor : Floor
-        The ground of the whole region. Returns nearer to its edge than :data:`REACH_M` lack
-        neighbours.
-
-    Returns
-    -------
-    (n,) bool
+    ``table``: those that are judged and :data:`REACH_M` around them, in any order; ``usable``:
+    signal, the others are no building and tell nothing; ``floor``: the ground of the whole region.
+    Returns nearer to its edge than :data:`REACH_M` lack neighbours.
     """
     found = np.zeros(len(table), np.bool_)
     if not floor.held:
@@ -199,12 +176,8 @@ def _of_cells(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which returns cells of one size can judge, and which of them are of buildings.
 
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        What stands above the ground, from the corner of the region [quanta].
-    below : (rows, cols) int64
-        Ground returns of each [count].
+    ``xyz``: what stands above the ground, from the corner of the region [quanta]; ``below``: ground
+    returns of each cell [count].
     """
     shape = below.shape
     corner = grid.region.xmin, grid.region.ymin

@@ -31,12 +31,8 @@ from spl_batch.constants import (
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, inside
 
-DOMAIN: Final = "space"
-
 COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class", "ground", "input_class", "flags")
 """And ``wire`` where wires are looked for."""
-
-COLUMNS_ADDED: Final = ("classification",)
 
 WIRE_ABOVE_M: Final = 3.0
 """Conductors hang at least so high [m]."""
@@ -63,37 +59,19 @@ def classify(
     dtm: NDArray[np.float32],
     further: Further = NOTHING_FURTHER,
 ) -> NDArray[np.uint8]:
-    """ASPRS class of each point as delivered.
+    """ASPRS class of each point of a cell as delivered: (n,) uint8.
 
-    Parameters
-    ----------
-    table : PointTable
-        Points of the cell with ``x, y, z, noise_class, ground, input_class, flags``. Points
-        outside the cell are compared with the DTM at its nearest rim.
-    cell : Bounds
-        The ground cell [quanta].
-    dtm : (rows, cols) float32
-        Its DTM, north up [m]; nodata where there is none.
-    further : Further
-        More classes.
+    2 ground; 7 noise below the surface, 18 above it; 9 water: the input's, or in a water polygon
+    within :data:`~spl_batch.airborne.ground.water.level.NEAR_M` of the DTM, which is the water's
+    surface there, or where there is none; its bottom, as whatever else lies deeper or higher, is 1;
+    6 where the input says building; 14 where ``wire`` is given and 1, at least :data:`WIRE_ABOVE_M`
+    above the surface; 1 the rest. Points that are withheld or outside the area of interest keep the
+    input's class. Others that nothing assessed keep it too, but class 2 is only what this project
+    found. Of what would be 1, or is vegetation by the input: 6 of a building that was found; 3, 4,
+    5 by height above the DTM, where it is not void.
 
-    Returns
-    -------
-    (n,) uint8
-        2 ground; 7 noise below the surface, 18 above it; 9 water: the input's, or in a
-        water polygon within :data:`~spl_batch.airborne.ground.water.level.NEAR_M` of the DTM, which
-        is the water's surface there, or where there is none; its bottom, as whatever else lies
-        deeper or higher, is 1; 6 where the input says building; 14 where ``wire`` is
-        given and 1, at least :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points
-        that are withheld or outside the area of interest keep the input's class. Others that
-        nothing assessed keep it too, but class 2 is only what this project found.
-        Of what would be 1, or is vegetation by the input: 6 of a building that was found; 3, 4, 5
-        by height above the DTM, where it is not void.
-
-    Notes
-    -----
-    Where the DTM is void, the median height of the cell's signal stands for the surface;
-    without any signal, all noise is above it.
+    Where the DTM is void, the median height of the cell's signal stands for the surface; without
+    any signal, all noise is above it. Points outside the cell are compared with its nearest rim.
     """
     noise_class, given = table["noise_class"], table["input_class"]
     ground, assessed = table["ground"] > 0, noise_class != NOISE_NOT_ASSESSED

@@ -34,8 +34,6 @@ from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
 from spl_batch.numerics.compiled import njit
 
-DOMAIN: Final = "space"
-
 COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class")
 
 PLACE_M: Final = 10.0
@@ -98,15 +96,10 @@ Marks = NDArray[np.bool_]
 
 
 def highest_ground(dtm: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Ground below the air, NaN where it is void [m].
+    """Ground below the air, NaN where it is void [m]; of the DTM of a whole ground cell.
 
     On a slope a cell rises half-way towards the highest cell beside it: bare ground of 60 degrees
     would fill the air above the middle of its cells.
-
-    Parameters
-    ----------
-    dtm : (rows, columns) float32
-        DTM of a whole ground cell [m]: a part of it does not know the cells beside its edge.
     """
     top = (dtm + ndimage.maximum_filter(dtm, 3)) / np.float32(2.0)
     return np.where(dtm == np.float32(NODATA), np.float32(np.nan), top)
@@ -115,23 +108,10 @@ def highest_ground(dtm: NDArray[np.float32]) -> NDArray[np.float32]:
 def filled_blocks(
     table: PointTable, part: Bounds, highest: NDArray[np.float32], noise_m3: float
 ) -> Marks | None:
-    """Blocks of air that signals fill evenly.
+    """Blocks of air that signals fill evenly: (rows, columns, blocks) bool, or None.
 
-    Parameters
-    ----------
-    table : PointTable
-        Points of a ground cell or a part of it, :data:`COLUMNS_NEEDED`.
-    part : Bounds
-        The cell or part; squares of the absolute grid that lie in it are places [quanta].
-    highest : (rows, columns) float32
-        Its part of :func:`highest_ground`, north up [m].
-    noise_m3 : float
-        Expected noise [1/m3].
-
-    Returns
-    -------
-    (rows, columns, LAYERS - BLOCK + 1) bool or None
-        By place from the south-west and lowest metre; None where no place is whole.
+    By place from the south-west and lowest metre; squares of the absolute grid that lie in the cell
+    are places, and there may be none. ``highest``: :func:`highest_ground`, north up.
     """
     west, south = -(-part.xmin // _EDGE), -(-part.ymin // _EDGE)
     columns, rows = int(part.xmax // _EDGE - west), int(part.ymax // _EDGE - south)
@@ -158,15 +138,7 @@ def filled_blocks(
 
 
 def fill_facts(filled: Marks, core: Bounds) -> dict[str, list[float]]:
-    """What the report needs of a ground cell.
-
-    Parameters
-    ----------
-    filled : (rows, columns, blocks) bool
-        Blocks of the places of the whole cell.
-    core : Bounds
-        The ground cell [quanta].
-    """
+    """What the report needs of a ground cell, by its :func:`filled_blocks`."""
     beside = ndimage.convolve(filled.astype(np.int8), np.ones((3, 3, 1), np.int8), mode="constant")
     air = filled & (beside >= BESIDE)
     anywhere: Marks = np.asarray(air.any(axis=2))
@@ -185,15 +157,7 @@ def fill_facts(filled: Marks, core: Bounds) -> dict[str, list[float]]:
 
 
 def float_facts(bare: Bare, region: Bounds) -> dict[str, list[float]]:
-    """Signal of a region that floats, for the report.
-
-    Parameters
-    ----------
-    bare : Bare
-        Signals by cell of 5 m, around the region too.
-    region : Bounds
-        The ground cell [quanta].
-    """
+    """Signal of a region that floats, for the report; ``bare`` reaches around the region too."""
     at = np.ix_(*bare.columns(region))
     found = floating(bare.kept, bare.marked)[at]
     facts = [float(found.sum()), float(bare.kept.sum(axis=2)[at].sum())]
@@ -207,19 +171,11 @@ def float_facts(bare: Bare, region: Bounds) -> dict[str, list[float]]:
 
 
 def floating(kept: Counts, stray: Marks) -> Counts:
-    """Signals that float, by column.
+    """Signals that float, by column: (a, b).
 
-    Parameters
-    ----------
-    kept : (a, b, c) int64
-        Signals of each cell; layers rise along the last axis, gaps of more than :data:`GAP` may be
-        closed to that [count].
-    stray : (a, b, c) bool
-        Cells whose signals are no surface: nothing floats above these.
-
-    Returns
-    -------
-    (a, b) int64
+    ``kept``: signals of each cell, layers rise along the last axis, gaps of more than :data:`GAP`
+    may be closed to that [count]; ``stray``: cells whose signals are no surface: nothing floats
+    above these.
     """
     layers = np.arange(kept.shape[2])
     solid = np.where(stray, 0, kept)
@@ -238,13 +194,7 @@ def floating(kept: Counts, stray: Marks) -> Counts:
 
 
 def alone_facts(dsm: NDArray[np.float32], dtm: NDArray[np.float32]) -> dict[str, list[float]]:
-    """Cells that rise by more than :data:`LAYERS` metres above all but one cell beside them.
-
-    Parameters
-    ----------
-    dsm, dtm : (rows, columns) float32
-        Rasters of a ground cell [m].
-    """
+    """Cells that rise by more than :data:`LAYERS` metres above all but one cell beside them [m]."""
     beside = ndimage.rank_filter(dsm, -3, 3, mode="constant", cval=NODATA)
     alone = (dsm - beside > LAYERS) & (beside > NODATA) & (dtm > NODATA)
     above = (dsm - dtm)[alone]

@@ -178,12 +178,8 @@ def _weighted(values: NDArray[np.float64], weights: NDArray[np.float64], share: 
 def uniformity(counts: NDArray[np.int64]) -> tuple[float, float] | None:
     """Small p-values over uniform ones, where they are farthest from 1, and up to which value.
 
-    None where too few returns show it.
-
-    Parameters
-    ----------
-    counts : (len(P_VALUES) + 1,) int64
-        Returns up to each value and not up to the one before, and beyond all.
+    None where too few returns show it. ``counts``: returns up to each value and not up to the one
+    before, and beyond all.
     """
     total, value = int(counts.sum()), np.array(P_VALUES)
     times = np.cumsum(counts)[:-1] / (max(total, 1) * value)

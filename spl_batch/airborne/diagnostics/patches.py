@@ -20,13 +20,7 @@ class Patch(NamedTuple):
 
 
 def patches(marked: NDArray[np.bool_]) -> list[Patch]:
-    """Patches of marked squares of a grid, the largest first.
-
-    Parameters
-    ----------
-    marked : (rows, columns) bool
-        The squares.
-    """
+    """Patches of marked squares of a grid, the largest first."""
     number, count = ndimage.label(marked, BESIDE)
     sizes = np.bincount(number.ravel(), minlength=count + 1)[1:]
     boxes = ndimage.find_objects(number)
@@ -47,12 +41,7 @@ def largest_of_squares(
 ) -> tuple[float, tuple[float, float, float, float]]:
     """Area of squares of an absolute grid [m2], and the box around their largest patch [m].
 
-    Parameters
-    ----------
-    at : (n, 2) int64
-        Column and row of each square; at least one.
-    edge_m : float
-        Edge of a square [m].
+    ``at`` (n, 2): column and row of each square; at least one.
     """
     squares = np.unique(at, axis=0)
     low = squares.min(axis=0)

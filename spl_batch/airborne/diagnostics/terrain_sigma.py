@@ -25,15 +25,7 @@ and west, south, east and north [m] of their largest place."""
 
 
 def terrain_facts(quality: NDArray[np.float32], dtm: NDArray[np.float32], core: Bounds) -> Any:
-    """What the report needs of a ground cell, by the name of its fact.
-
-    Parameters
-    ----------
-    quality, dtm : (rows, columns) float32
-        Standard deviation and height of the terrain [m], row 0 northernmost.
-    core : Bounds
-        The ground cell [quanta].
-    """
+    """What the report needs of a ground cell, by the name of its fact; rasters are north up."""
     unsure = quality > UNSURE_M
     known = int(np.count_nonzero(dtm != NODATA))
     fact: list[float] = [known, int(np.count_nonzero(unsure))]

@@ -52,16 +52,9 @@ class LineShift(NamedTuple):
 def align_lines(
     names: Sequence[str], pairs: Sequence[PairDifference], returns: Mapping[str, int]
 ) -> list[LineShift]:
-    """Shifts of flightlines, by name.
+    """Shifts of flightlines, by name, from :func:`~spl_batch.airborne.lines.pair_table.pair_table`.
 
-    Parameters
-    ----------
-    names : sequence of str
-        All that were flown; those of ``pairs`` among them.
-    pairs : sequence of PairDifference
-        From :func:`~spl_batch.airborne.lines.pair_table.pair_table`.
-    returns : mapping of str to int
-        Signal returns of each [count]: their weights.
+    ``names``: all that were flown; ``returns``: signal returns of each, their weights [count].
     """
     names = sorted(names)
     weight = np.array([max(returns.get(name, 0), 1) for name in names], np.float64)

@@ -5,34 +5,40 @@ an alignment leaves follows from the same patches.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.lines.alignment import LineShift, align_lines
+from spl_batch.airborne.lines.alignment import ALONE, MOST_M, TOO_FAR, LineShift, align_lines
 from spl_batch.airborne.lines.pair_table import PairDifference, pair_table
 from spl_batch.airborne.lines.patches import (
     COLUMNS_NEEDED,
     EDGE_M,
+    MOST_LINES,
     Patches,
     find_patches,
     region,
     seen_lines,
 )
-from spl_batch.airborne.lines.sentences import stay_findings
 from spl_batch.airborne.store.cells import Cell
 from spl_batch.airborne.store.flown_lines import SHIFTS, Pass, Shifts, read_shifts
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
+from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
+from spl_batch.errors import grouped
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import EXCLUDED, PointTable
 from spl_batch.lattice.tiles import quanta
 
 MAP_CELLS = 500
 """Cells of the map of differences along its longer side, at most [count]."""
+
+
+NEXT_TO: Final = 0.1
+"""Part of the larger of two horizontal differences below which the smaller is not told."""
 
 
 class _Cell(NamedTuple):
@@ -131,10 +137,7 @@ def pairs_of(facts: Mapping[str, Any]) -> list[PairDifference]:
 def difference_map(context: Context) -> tuple[NDArray[np.float32], tuple[float, ...]] | None:
     """Map of :func:`strip_pairs` and where it lies, west to north; None where there is none.
 
-    Raises
-    ------
-    DamagedError
-        If the file is damaged: who writes a report has it made again.
+    Raises DamagedError if the file is damaged: who writes a report has it made again.
     """
     arrays = read_arrays(context.store.path("overlaps", "map.npz"))
     if not arrays["values"].size:
@@ -181,3 +184,98 @@ def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:
     values[cell[order[first]]] = np.abs(rise)[order[middle]]
     extent = np.array([west, west + shape[1], south, south + shape[0]]) * edge
     return {"values": np.ascontiguousarray(values.reshape(shape)[::-1]), "extent_m": extent}
+
+
+def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Iterator[Finding]:
+    """Pairs whose flightlines differ by more than a single range does.
+
+    ``align``: how flightlines were shifted before they were compared. It names the worst pair, as
+    one flightline that lies off is off from all others; the report has all pairs.
+    """
+    off = [(away, pair) for pair in pairs if (away := _away(pair)) > 0]
+    if not off:
+        return
+    _, pair = min(off, key=lambda found: (-found[0], found[1].first, found[1].second))
+    values = {
+        "pairs": len(off),
+        "of": len(pairs),
+        "first": pair.first,
+        "second": pair.second,
+        "patches": pair.patches,
+        "offset": " and ".join(_parts(pair)),
+        "up_m": pair.up_m,
+        "noise_m": pair.noise_m,
+        "remedy": _remedy(pair, align),
+    }
+    yield Finding("S01", values, place=(pair.x_m, pair.y_m, pair.x_m, pair.y_m))
+
+
+def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[Finding]:
+    """Where a ground cell holds more flightlines than are compared.
+
+    ``left_out``: flightlines that are not compared, of each ground cell [count].
+    """
+    cells = {cell: count for cell, count in left_out.items() if count}
+    if cells:
+        worst = max(sorted(cells), key=lambda cell: cells[cell])
+        values = {
+            "kind": "passes", "cells": len(cells), "most": MOST_LINES,
+            "worst": cells[worst] + MOST_LINES, "cell": worst,
+        }  # fmt: skip
+        yield Finding("S02", values)
+
+
+def _away(pair: PairDifference) -> float:
+    """How far a pair is off, in parts of its ranging noise; 0 where it is not."""
+    vertical = abs(pair.up_m) if pair.is_off_vertically else 0.0
+    horizontal = 0.0
+    if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
+        horizontal = float(np.hypot(pair.east_m, pair.north_m))
+    return max(vertical, horizontal) / max(pair.noise_m, 1e-3)
+
+
+def _remedy(pair: PairDifference, align: str) -> str:
+    """What helps against a difference."""
+    if align == "none" and pair.is_off_vertically and not pair.is_off_horizontally:
+        return "set survey.align: vertical"
+    above = "survey.align: vertical shifts heights alone; " if align == "none" else ""
+    return (
+        f"{above}adjust the flightlines with other software and run again; look for a wrong "
+        "mounting angle, a drift or another datum"
+    )
+
+
+def _parts(pair: PairDifference) -> Iterator[str]:
+    if pair.is_off_vertically:
+        yield f"{100 * abs(pair.up_m):.1f} cm {'higher' if pair.up_m > 0 else 'lower'}"
+    if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
+        ways = ((pair.east_m, "east", "west"), (pair.north_m, "north", "south"))
+        least = NEXT_TO * max(abs(pair.east_m), abs(pair.north_m))
+        for way_m, ahead, back in ways:
+            if abs(way_m) >= least:
+                yield f"{100 * abs(way_m):.0f} cm farther {ahead if way_m > 0 else back}"
+
+
+def stay_findings(lines: Sequence[LineShift]) -> Iterator[Finding]:
+    """Flightlines that stay where they should perhaps not."""
+    alone = [one.name for one in lines if one.stays == ALONE]
+    if alone:
+        yield Finding("S02", {"kind": "alone", "count": len(alone), "names": alone})
+    for one in lines:
+        if one.stays == TOO_FAR:
+            yield Finding("S02", {"kind": "far", "up_m": one.found_m, "most_m": MOST_M}, one.name)
+
+
+def done_sentence(lines: Sequence[LineShift]) -> str:
+    """What a run has added to the heights of flightlines."""
+    shifted = [one for one in lines if not one.stays]
+    if not shifted:
+        return (
+            "no flightline is shifted (survey.align: vertical): each shift that was found is "
+            "within its own error"
+        )
+    noun = "flightlines was" if len(shifted) == 1 else "flightlines were"
+    return (
+        f"{grouped(len(shifted))} of {grouped(len(lines))} {noun} shifted by up to "
+        f"{100 * max(abs(one.up_m) for one in shifted):.1f} cm in height (survey.align: vertical)"
+    )

@@ -102,10 +102,7 @@ def student_t(freedom: int) -> float:
 def pair_table(cells: Iterable[tuple[Sequence[str], Patches]]) -> list[PairDifference]:
     """Differences of all pairs of flightlines that share enough patches.
 
-    Parameters
-    ----------
-    cells : iterable of (sequence of str, dict of str to ndarray)
-        Of each ground cell the names of its flightlines, and its patches.
+    ``cells``: of each ground cell the names of its flightlines, and its patches.
     """
     parts: dict[tuple[str, str], list[Patches]] = {}
     for names, patches in cells:
@@ -165,13 +162,7 @@ class Shift(NamedTuple):
 
 
 def fit_shift(patches: Mapping[str, NDArray[Any]]) -> Shift:
-    """Shift of the second flightline against the first, from patches of both.
-
-    Parameters
-    ----------
-    patches : mapping of str to (p,) ndarray
-        ``x, y, edge_m, rise, variance, east, north, ee, en, nn``; p >= 1.
-    """
+    """Shift of the second flightline against the first, from at least one patch of both."""
     rise, own = patches["rise"], patches["variance"] + OWN_M**2
     design = np.stack([-patches["east"], -patches["north"], np.ones(len(rise))], axis=1)
     noise = np.zeros((len(rise), 3, 3))

@@ -81,26 +81,14 @@ def seen_lines(line: NDArray[np.uint16]) -> Seen:
 def find_patches(
     table: PointTable, seen: Seen, core: Bounds
 ) -> tuple[Patches, set[tuple[int, int]]]:
-    """Patches of a ground cell that two flightlines share.
+    """Patches of a ground cell that two flightlines share, and pairs that overlap.
 
-    Parameters
-    ----------
-    table : PointTable
-        Signal returns with :data:`COLUMNS_NEEDED` of :func:`region`.
-    seen : Seen
-        Those that are compared, by :func:`seen_lines`.
-    core : Bounds
-        What the cell owns: patches in squares that begin in it [quanta].
-
-    Returns
-    -------
-    patches : dict of str to (p,) ndarray
-        ``first, second``: flightlines, by their place in ``seen``; ``x, y``: middle [m];
-        ``edge_m``; ``rise``: the second above the first [m]; ``variance`` of it [m2];
-        ``east, north``: slope [rise/run], and ``ee, en, nn``, its covariance; ``thickness``:
-        standard deviation about the plane [m]; ``returns``: those of both [count].
-    overlaps : set of (int, int)
-        Pairs with :data:`MIN_RETURNS_PER_PATCH` returns each in one of the largest squares.
+    Columns of a patch: ``first, second``, flightlines by their place in ``seen``; ``x, y``, its
+    middle [m]; ``edge_m``; ``rise``, the second above the first [m]; ``variance`` of it [m2];
+    ``east, north``, slope [rise/run], and ``ee, en, nn``, its covariance; ``thickness``, standard
+    deviation about the plane [m]; ``returns``, those of both [count]. Pairs overlap that have
+    :data:`MIN_RETURNS_PER_PATCH` returns each in one of the largest squares. ``table``: signal
+    returns of :func:`region`; squares that begin in ``core`` are the cell's [quanta].
     """
     whole, count = region(core), len(seen.numbers)
     edge, joined = quanta(EDGE_M), 2 ** (LEVELS - 1)
@@ -251,23 +239,10 @@ def add_moments(
 ) -> None:
     """Add points to the sums of the squares that they lie in.
 
-    Sums of ``joined`` x ``joined`` squares have one origin, the middle of all of them, so that
-    they may be added up.
-
-    Parameters
-    ----------
-    x, y, z : (n,) int64
-        Places on the lattice [quanta].
-    line : (n,) int16
-        Flightline of each point.
-    corner : (3,) int64
-        South-west corner of the first square and a height below all points [quanta].
-    edge : int
-        Edge of a square [quanta].
-    joined : int
-        Squares along an edge that share an origin; it divides the rows and columns.
-    moments : (lines, rows, columns, 10) int64
-        Is added to: count and sums of x, y, z, xx, xy, yy, xz, yz, zz [quanta, quanta2].
+    Sums of ``joined`` x ``joined`` squares of an ``edge`` have one origin, the middle of all of
+    them, so that they may be added up. ``corner``: south-west of the first square and a height
+    below all points; ``moments`` (lines, rows, columns, 10): count and sums of x, y, z, xx, xy, yy,
+    xz, yz, zz [quanta].
     """
     rows, columns = moments.shape[1], moments.shape[2]
     half = joined * edge // 2

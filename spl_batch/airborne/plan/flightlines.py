@@ -11,8 +11,8 @@ from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN
 from spl_batch.airborne.pulses.swaths import SwathTotals, by_flightline
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.flown_lines import Pass, numbers
-from spl_batch.airborne.tasks.cells.pulses import SWATHS
-from spl_batch.airborne.tasks.return_rate import most_points
+from spl_batch.airborne.tasks.file_tally import most_points
+from spl_batch.airborne.tasks.pulses import SWATHS
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.tables import ShotClock
 
@@ -156,11 +156,8 @@ def _flightline(
 def fullest_span(files: Sequence[tuple[float, float, Sequence[int]]], span_s: float) -> int:
     """Points that a span of time holds at the most, whatever it begins with [count].
 
-    Parameters
-    ----------
-    files : sequence of (float, float, sequence of int)
-        Of each file of a flightline: first and last time [s], and
-        :meth:`~spl_batch.airborne.tasks.return_rate.Rate.fullest`.
+    ``files``: first and last time [s] of each file of a flightline, and its
+    :meth:`~spl_batch.airborne.tasks.file_tally.Rate.fullest`.
     """
     # Files that follow each other share a span: each is looked at with its own part of it,
     # and that part is known to a step.
@@ -199,17 +196,7 @@ def _prf(
 def swath_totals(
     cells: Iterable[Receipt], lines: Sequence[Flightline], spacing: str
 ) -> dict[str, SwathTotals]:
-    """First returns of each flightline by its name.
-
-    Parameters
-    ----------
-    cells : iterable of Receipt
-        Ground cells whose surfaces are made.
-    lines : sequence of Flightline
-        The flightlines.
-    spacing : str
-        Which nominal pulse spacing.
-    """
+    """First returns of each flightline by its name; ``spacing``: which nominal pulse spacing."""
     names = {line.number: line.name for line in lines}
     found = (receipt.facts[SWATHS] for receipt in cells if not receipt.failed)
     return by_flightline(found, names, spacing)

@@ -60,14 +60,9 @@ class Grid(NamedTuple):
 
     @classmethod
     def of_boxes(cls, boxes: Iterable[Sequence[int]], edge: int, strip: int) -> Self:
-        """Cells of a survey.
+        """Cells of a survey, by the bounding boxes of its files, half-open [quanta].
 
-        Parameters
-        ----------
-        boxes : iterable of (xmin, ymin, xmax, ymax)
-            Bounding boxes of its files, half-open [quanta].
-        edge, strip : int
-            Edge of a square, and width up to which a strip is joined [quanta].
+        ``edge, strip``: edge of a square, and width up to which a strip is joined [quanta].
         """
         corners = list(zip(*boxes, strict=True)) or [(0,), (0,), (1,), (1,)]
         columns = _axis(min(corners[0]), max(corners[2]), edge, strip)

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from spl_batch.airborne.plan.space_tasks import aligned, label_needs, named_units
+from spl_batch.airborne.plan.space_tasks import aligned, labels_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import UNEVEN, points_within, refusal
 from spl_batch.engine.plan.input_files import source_key
@@ -62,7 +62,7 @@ def accuracy(survey: Survey) -> Iterator[Task]:
     edge, _ = _lattice(survey)
     for square in sorted(files):
         tiles = _tiles_of(survey, square, edge)
-        noise, (moved, first) = survey.denoised_in(tiles), aligned(survey)
+        (labels, given), (moved, first) = labels_of(survey, tiles, "noise"), aligned(survey)
         args = {
             **moved,
             "square": square,
@@ -70,11 +70,11 @@ def accuracy(survey: Survey) -> Iterator[Task]:
             "files": files[square],
             "rasters": rasters,
             "tiles": [str(tile) for tile in tiles],
-            "noise": named_units("noise", noise),
+            "labels": labels,
         }
         needs = [*(("reference", name) for name in files[square])]
         needs += [("mosaic", name) for name in rasters]
-        needs += [*label_needs("denoise", noise), *first]
+        needs += [*given, *first]
         refused = refusal("accuracy", points[square], survey.memory_bytes)
         yield Task("accuracy", square, args, tuple(needs), points[square], refused)
 

@@ -1,14 +1,16 @@
 """Tasks of the space domain: tiles, cells, and what is delivered of them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import PurePath
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.accuracy.evidence import LEVELS
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
 from spl_batch.airborne.plan.cells import fired_index, voxel_index
+from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.grid import Unit
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.file_positions import FAR_M
@@ -16,6 +18,7 @@ from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import cell_bytes, refusal
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
+from spl_batch.airborne.tasks.bindings import MADE_BY
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
 from spl_batch.errors import grouped
@@ -98,29 +101,18 @@ def denoise(survey: Survey) -> Iterator[Task]:
     margin = survey.halo_q + MARGIN_VOXELS * voxel_q
     for cell in survey.denoise_cells():
         parts = index.overlapping(grow(cell.core, margin))
-        args = {
-            **cell_args(cell),
-            "halo": survey.halo_q,
-            "voxels": parts,
-            "beamlets": survey.beamlets,
-        }
-        needs = (
-            *tile_needs(cell),
-            *(("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))),
-        )
-        refused = refused_cell("denoise", cell, survey)
-        yield Task("denoise", cell.name, args, needs, cell.points, refused)
+        args = {"halo": survey.halo_q, "voxels": parts, "beamlets": survey.beamlets}
+        needs = (("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts)))
+        yield cell_task("denoise", cell, survey, args, needs)
 
 
 def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
     halo, (moved, first) = quanta(survey.workflow.ground.buffer_m), aligned(survey)
     for cell in survey.ground_cells(halo):
-        noise = survey.denoised_in(cell.tiles)
-        args = {**cell_args(cell), **moved, "halo": halo, "noise": named_units("noise", noise)}
-        needs = (*tile_needs(cell), *label_needs("denoise", noise), *first)
-        refused = refused_cell("ground", cell, survey)
-        yield Task("ground", cell.name, args, needs, cell.points, refused)
+        labels, given = labels_of(survey, cell.tiles, "noise")
+        args = {**moved, "halo": halo, "labels": labels}
+        yield cell_task("ground", cell, survey, args, (*given, *first))
 
 
 def surface(survey: Survey) -> Iterator[Task]:
@@ -129,27 +121,33 @@ def surface(survey: Survey) -> Iterator[Task]:
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
     moved, first = aligned(survey)
     for cell in survey.ground_cells(halo):
-        noise, ground_of = survey.denoised_in(cell.tiles), survey.grounded_in(cell.tiles)
+        labels, given = labels_of(survey, cell.tiles, "noise", "ground")
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
-            **cell_args(cell),
             **moved,
             "halo": halo,
-            "noise": named_units("noise", noise),
-            "ground": named_units("ground", ground_of),
+            "labels": labels,
             "polygons": [*survey.inputs.polygons, *survey.inputs.breaklines],
             "fired": parts,
         }
-        labels = (*label_needs("denoise", noise), *label_needs("ground", ground_of))
-        needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()), *first)
-        refused = refused_cell("surface", cell, survey)
-        yield Task("surface", cell.name, args, needs, cell.points, refused)
+        needs = (*given, *(("scatter", n) for n in parts or ()), *first)
+        yield cell_task("surface", cell, survey, args, needs)
 
 
-def refused_cell(kind: str, cell: Unit, survey: Survey) -> str:
-    """Why a task of a cell cannot be started, empty if it can."""
+def cell_task(
+    kind: str,
+    cell: Unit,
+    survey: Survey,
+    args: Mapping[str, object],
+    needs: Iterable[tuple[str, str]],
+) -> Task:
+    """A task of a cell: what it owns, and the tiles that it reads."""
+    tiles = [str(tile) for tile in cell.tiles]
+    place = {"cell": str(cell.cell), "core": list(cell.core), "tiles": tiles}
     needed = cell_bytes(kind, cell.core, cell.held, survey.workflow)
-    return refusal(kind, cell.held, survey.memory_bytes, needed)
+    refused = refusal(kind, cell.held, survey.memory_bytes, needed)
+    whole = (*(("build_tile", tile) for tile in tiles), *needs)
+    return Task(kind, cell.name, {**place, **args}, whole, cell.points, refused)
 
 
 def knows_reflectance(survey: Survey) -> bool:
@@ -173,7 +171,8 @@ def deliver(survey: Survey) -> Iterator[Task]:
         receipt = survey.of("index_file").get(key)
         if receipt is None:
             continue
-        labels = _label_units(survey, tiles_of.get(key, []))
+        tiles = [str(tile) for tile in tiles_of.get(key, ())]
+        labels, given = labels_of(survey, tiles_of.get(key, ()), "noise", "classes")
         args = {
             **source_args(source),
             **moved,
@@ -182,11 +181,12 @@ def deliver(survey: Survey) -> Iterator[Task]:
             "parts": len(receipt.facts["parts"]),
             "hash": receipt.facts["hash"],
             **_header_args(source, receipt.facts),
-            "tiles": {str(tile): units_of for tile, units_of in labels.items()},
-            "copies": [str(t) for t in labels if built[str(t)].facts["copies"]],
+            "tiles": tiles,
+            "labels": labels,
+            "copies": [tile for tile in tiles if built[tile].facts["copies"]],
             **({"spans": receipt.facts["spans"]} if moved else {}),
         }
-        needs = (*_delivery_needs(labels), *first)
+        needs = (*(("build_tile", tile) for tile in tiles), *given, *first)
         yield Task("deliver_file", key, args, needs, receipt.points)
 
 
@@ -207,9 +207,9 @@ def deliver_tiles(survey: Survey) -> Iterator[Task]:
         return
     moved, first = aligned(survey)
     for tile, count in survey.counts.items():
-        labels = _label_units(survey, [tile])
-        args = {**moved, "tile": str(tile), "units": labels[tile]}
-        needs = (*_delivery_needs(labels), *first)
+        labels, given = labels_of(survey, [tile], "noise", "classes")
+        args = {**moved, "tile": str(tile), "labels": labels}
+        needs = (("build_tile", str(tile)), *given, *first)
         yield Task("deliver_tile", str(tile), args, needs, count)
 
 
@@ -287,38 +287,92 @@ def aligned(survey: Survey) -> tuple[dict[str, object], tuple[tuple[str, str], .
     return {"aligned": True}, (("align", "all"),)
 
 
-def cell_args(cell: Unit) -> dict[str, object]:
-    """A cell as the arguments of a task name it."""
+def labels_of(
+    survey: Survey, tiles: Iterable[CellId], *kinds: str
+) -> tuple[dict[str, dict[str, list[str]]], tuple[tuple[str, str], ...]]:
+    """Units that may hold labels of some tiles, by kind and tile, and the tasks that give them."""
+    found = {
+        kind: (survey.denoise_grid if kind == "noise" else survey.grid).owners(tiles, survey.tile_q)
+        for kind in kinds
+    }
+    needs = (
+        (MADE_BY[kind], name)
+        for kind, units in found.items()
+        for name in sorted({name for names in units.values() for name in names})
+    )
+    labels = {kind: {str(t): names for t, names in units.items()} for kind, units in found.items()}
+    return labels, tuple(needs)
+
+
+def copc_name(delivered: str) -> str:
+    """Name below the output of the COPC twin of a delivered cloud."""
+    return f"copc/{delivered.removesuffix('.laz')}.copc.laz"
+
+
+def deliver_copc(survey: Survey) -> Iterator[Task]:
+    """Delivered clouds, each to be written once more as an octree."""
+    if not survey.workflow.outputs.copc:
+        return
+    for key, receipt in sorted(survey.of("deliver_file").items()):
+        name = receipt.facts["name"]
+        args = {"source": f"laz/{name}", "target": copc_name(name)}
+        refused = refusal("deliver_copc", receipt.points, survey.memory_bytes)
+        yield Task("deliver_copc", key, args, (("deliver_file", key),), receipt.points, refused)
+
+
+def catalogue(survey: Survey) -> Iterator[Task]:
+    """One task, once there is anything to list."""
+    delivered = survey.of("deliver_file")
+    if not survey.workflow.outputs.catalogue or not delivered:
+        return
+    twins = survey.of("deliver_copc")
+    made_of = ("mosaic", "deliver_geoid")
+    rasters = [(kind, name, r) for kind in made_of for name, r in sorted(survey.of(kind).items())]
+    clouds = {key: _cloud(survey, key, key in twins) for key in sorted(delivered)}
+    checkpoints = survey.of("checkpoints")
+    args = {
+        "clouds": list(clouds.values()),
+        "rasters": [n for *_, r in rasters for n in r.outputs if "store/" not in n],
+        "flightlines": list(_flightlines(survey, clouds)),
+        "checkpoints": [one for r in checkpoints.values() for one in r.facts["checkpoints"]],
+        "cells": sorted(survey.of("surface")),
+    }
+    needs = (
+        *(("deliver_file", key) for key in clouds),
+        *(("deliver_copc", key) for key in sorted(twins)),
+        *((kind, name) for kind, name, _ in rasters),
+        *(("checkpoints", name) for name in sorted(checkpoints)),
+        *(("surface", name) for name in sorted(survey.of("surface"))),
+    )
+    yield Task("deliver_catalogue", "all", args, needs)
+
+
+def _cloud(survey: Survey, key: str, as_copc: bool) -> dict[str, Any]:  # noqa: FBT001 - one caller
+    name = survey.of("deliver_file")[key].facts["name"]
+    facts = survey.of("index_file")[key].facts
+    spans = [span for mine in facts["spans"].values() for span in mine]
+    known = facts["standard"] == "adjusted" and spans
     return {
-        "cell": str(cell.cell),
-        "core": list(cell.core),
-        "tiles": [str(t) for t in cell.tiles],
+        "href": copc_name(name) if as_copc else f"laz/{name}",
+        "span_s": [min(s[0] for s in spans), max(s[1] for s in spans)] if known else None,
     }
 
 
-def named_units(kind: str, listed: Mapping[CellId, list[str]]) -> dict[str, list[list[str]]]:
-    """Units that hold labels of each tile, as the arguments of a task carry them."""
-    return {str(tile): [[kind, name] for name in names] for tile, names in listed.items()}
-
-
-def tile_needs(unit: Unit) -> tuple[tuple[str, str], ...]:
-    """The tiles that a unit reads."""
-    return tuple(("build_tile", str(t)) for t in unit.tiles)
-
-
-def label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[str, str], ...]:
-    """The tasks that gave the labels of some tiles."""
-    return tuple((kind, name) for name in sorted({n for names in listed.values() for n in names}))
-
-
-def _label_units(survey: Survey, tiles: list[CellId]) -> dict[CellId, dict[str, list[str]]]:
-    """Units that hold the delivered labels of each tile, by tile and label."""
-    noise, classes = survey.denoised_in(tiles), survey.grounded_in(tiles)
-    return {t: {"noise": noise[t], "classes": classes[t]} for t in tiles}
-
-
-def _delivery_needs(labels: Mapping[CellId, dict[str, list[str]]]) -> tuple[tuple[str, str], ...]:
-    built = tuple(("build_tile", str(tile)) for tile in labels)
-    noise = {tile: units_of["noise"] for tile, units_of in labels.items()}
-    classes = {tile: units_of["classes"] for tile, units_of in labels.items()}
-    return (*built, *label_needs("denoise", noise), *label_needs("surface", classes))
+def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    level = LEVELS[survey.workflow.requirements.quality_level].spacing
+    swaths = swath_totals(survey.of("surface").values(), survey.flown, level)
+    for line in survey.flown:
+        swath = swaths.get(line.name)
+        files = [clouds[key]["href"] for key in line.sources if key in clouds]
+        if files:
+            yield {
+                "id": line.name,
+                "psid": line.psid,
+                "number": line.number,
+                "points": line.points,
+                "first_s": line.first_s,
+                "last_s": line.last_s,
+                "area_m2": None if swath is None else swath.area_m2,
+                "per_m2": None if swath is None else swath.pulses / swath.area_m2,
+                "files": files,
+            }

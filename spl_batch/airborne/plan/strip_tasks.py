@@ -7,11 +7,8 @@ from spl_batch.airborne.lines.patches import SQUARE_M
 from spl_batch.airborne.plan.flightlines import is_timeless
 from spl_batch.airborne.plan.space_tasks import (
     aligned,
-    cell_args,
-    label_needs,
-    named_units,
-    refused_cell,
-    tile_needs,
+    cell_task,
+    labels_of,
 )
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.engine.tasks.task import Task
@@ -54,11 +51,9 @@ def _patches(kind: str, survey: Survey) -> Iterator[Task]:
     if is_one_flightline(survey):
         return
     for cell in survey.ground_cells(quanta(SQUARE_M)):
-        noise = survey.denoised_in(cell.tiles)
-        args = {**cell_args(cell), "noise": named_units("noise", noise), "lines": _lines(survey)}
-        needs = (*tile_needs(cell), *label_needs("denoise", noise))
-        refused = refused_cell("strip_patches", cell, survey)
-        yield Task(kind, cell.name, args, needs, 0, refused)
+        labels, needs = labels_of(survey, cell.tiles, "noise")
+        args = {"labels": labels, "lines": _lines(survey)}
+        yield replace(cell_task(kind, cell, survey, args, needs), points=0)
 
 
 def _together(kind: str, of: str, survey: Survey) -> Task:

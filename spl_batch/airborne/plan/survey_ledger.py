@@ -1,6 +1,6 @@
 """What a run knows about its survey: inputs, limits, and what is finished so far."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -112,14 +112,6 @@ class Survey(Ledger[Inputs, Workflow]):
         """Grid of the ground cells; complete once the index is."""
         boxes = [(xmin, ymin, xmax + 1, ymax + 1) for xmin, ymin, _, xmax, ymax, _ in _boxes(self)]
         return Grid.of_workflow(boxes, self.workflow)
-
-    def denoised_in(self, tiles: Iterable[CellId]) -> dict[CellId, list[str]]:
-        """Cell of ``denoise`` that holds labels of each tile, by tile."""
-        return self.denoise_grid.owners(tiles, self.tile_q)
-
-    def grounded_in(self, tiles: Iterable[CellId]) -> dict[CellId, list[str]]:
-        """Ground cells that hold labels of each tile, by tile."""
-        return self.grid.owners(tiles, self.tile_q)
 
     @property
     def tile_q(self) -> int:

@@ -4,20 +4,27 @@ A task's need is that of a worker that has loaded its kernels and the points tha
 times the bytes of each; ``benchmarks/memory.py`` measures them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
-from spl_batch.airborne.plan.halo import surface_reach_m
+from spl_batch.airborne.plan.halo import halo_m, surface_reach_m
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.steps import STEPS
+from spl_batch.airborne.tasks.delivery import PASS_POINTS
+from spl_batch.airborne.tasks.index import CHUNK_POINTS
+from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.plan.worker_memory import (
     LOADED_BASE_BYTES,
     USABLE_SHARE,
     enough_mib,
     usable_bytes,
 )
+from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.errors import grouped
+from spl_batch.formats.trajectory.positions import WAITING_RECORDS
+from spl_batch.lattice.density import Piece, largest
 from spl_batch.lattice.tiles import Bounds, grow, quanta
 
 RASTER_BYTES: Final = 400
@@ -28,6 +35,23 @@ STRETCH_POINTS: Final = 1_000_000
 
 UNEVEN: Final = 2
 """A stretch is a span of time: where much returns, it holds more than the average, up to this."""
+
+BYTES_PER_LABEL: Final = 3
+"""Labels of a point of the file that is delivered [byte]."""
+
+BYTES_PER_DIAGNOSTIC: Final = 9
+"""And where diagnostics are delivered [byte]."""
+
+BYTES_PER_RECORD: Final = 200
+"""A trajectory's record that waits for its place in time [byte]."""
+
+RECORD_BYTES: Final[Mapping[str, int]] = MappingProxyType(
+    {".out": 136, ".sbet": 136, ".parquet": 20, ".pq": 20}
+)
+"""Size of a trajectory's record on disk, at the least [byte]."""
+
+CSV_RECORD_BYTES: Final = 30
+"""The same where a record is a line of text [byte]."""
 
 
 def task_bytes(kind: str, points: float) -> int:
@@ -55,37 +79,94 @@ def points_within(kind: str, limit: int) -> int:
     return max(usable_bytes(limit) - LOADED_BASE_BYTES, 0) // STEPS[kind].bytes_per_point
 
 
-NAMES: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "build_tile": "a tile",
-        "denoise": "a cell of denoise",
-        "ground": "a ground cell",
-        "recorded_patches": "a ground cell whose flightlines are compared",
-        "strip_patches": "a ground cell whose flightlines are compared",
-        "surface": "a surface cell",
-        "accuracy": "a square of the reference",
-        "deliver_copc": "an octree of a cloud",
-    }
-)
-"""What a kind of task is called, in words."""
+def name_of(kind: str) -> str:
+    """What a task is called, in words."""
+    return f"{kind} of a {STEPS[kind].unit}"
 
 
 def refusal(kind: str, points: float, limit: int, needed: int | None = None) -> str:
     """Why a task cannot be started, and what helps; empty if it can.
 
-    Parameters
-    ----------
-    limit : int
-        Memory limit of a worker [byte].
-    needed : int, optional
-        What it needs, where that does not follow from its points alone [byte].
+    ``limit``: memory of a worker; ``needed``: of the task, where its points alone do not tell
+    [byte].
     """
     needed = task_bytes(kind, points) if needed is None else needed
     if needed <= usable_bytes(limit):
         return ""
     return (
-        f"{NAMES[kind]} with {grouped(points)} points in reach needs about "
+        f"{name_of(kind)} with {grouped(points)} points in reach needs about "
         f"{grouped(needed / 2**20)} MiB, more than {100 * USABLE_SHARE:.0f} % of --memory "
         f"{grouped(limit / 2**20)} MiB; raise it to {enough_mib(needed)}MiB or "
         f"{remedy(kind, points, needed)}"
     )
+
+
+class Need(NamedTuple):
+    """Memory of a task."""
+
+    task: str  #: What it is, and where.
+    memory_bytes: int
+    remedy: str  #: How to make it lighter, beside more memory.
+
+
+def needs(
+    pieces: Sequence[Piece],
+    workflow: Workflow,
+    files: Sequence[int],
+    side: int,
+    trajectory: Iterable[Path] = (),
+) -> list[Need]:
+    """Memory of the heaviest task of each kind, where the points of ``pieces`` lie.
+
+    ``files``: points of each file; ``side``: tiles along one side of a cell of ``denoise`` [count].
+    """
+    points, most = sum(files), max(files, default=0)
+    labels = min(most, PASS_POINTS) * BYTES_PER_LABEL
+    labels += labels // BYTES_PER_LABEL * BYTES_PER_DIAGNOSTIC * workflow.outputs.diagnostics
+    records = sum(_records(path) for path in trajectory)
+    found = list(_cells(pieces, workflow, side))
+    if workflow.outputs.copc:
+        task = f"{name_of('deliver_copc')} with {grouped(most)} points"
+        found.append(Need(task, task_bytes("deliver_copc", most), STEPS["deliver_copc"].remedy))
+    tiles = largest(piece.peak(quanta(workflow.tiling.tile_m), 0) for piece in pieces)
+    return [
+        *found,
+        Need("reading a file", task_bytes("index_file", min(points, CHUNK_POINTS)), ""),
+        Need(
+            "a stretch of a flightline",
+            task_bytes("scatter", min(points, UNEVEN * STRETCH_POINTS)),
+            "",
+        ),
+        Need(
+            "a file's labels",
+            task_bytes("deliver_tile", tiles.points) + labels,
+            "lower tiling.tile_m",
+        ),
+        Need(
+            f"a trajectory of about {grouped(records)} records",
+            LOADED_BASE_BYTES + min(records, WAITING_RECORDS) * BYTES_PER_RECORD,
+            "",
+        ),
+    ]
+
+
+def _cells(pieces: Sequence[Piece], workflow: Workflow, side: int) -> Iterator[Need]:
+    """The cells that read most; the points of a file spread evenly over its box."""
+    tile_m, cell_m = workflow.tiling.tile_m, workflow.ground.cell_m
+    for kind, edge_m, margin_m in (
+        ("build_tile", tile_m, 0.0),
+        ("denoise", side * tile_m, halo_m(workflow)),
+        ("ground", cell_m, workflow.ground.buffer_m),
+        ("surface", cell_m, surface_reach_m(workflow)),
+        ("strip_patches", cell_m, 0.0),
+    ):
+        peak = largest(piece.peak(quanta(edge_m), quanta(margin_m)) for piece in pieces)
+        x, y = (sum(ends) / 2 * QUANTUM_M for ends in (peak.core[::2], peak.core[1::2]))
+        place = f"around x {x:.0f}, y {y:.0f} with {grouped(peak.points)} points in reach"
+        needed = cell_bytes(kind, peak.core, peak.points, workflow)
+        yield Need(f"{name_of(kind)} {place}", needed, remedy(kind, peak.points, needed))
+
+
+def _records(path: Path) -> int:
+    size = RECORD_BYTES.get(path.suffix.lower(), CSV_RECORD_BYTES)
+    return stamp_if_there(path)[0] // size

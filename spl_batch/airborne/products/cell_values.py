@@ -8,6 +8,8 @@ comparison is exact and the order of points does not matter.
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.sorting import first_not_below, sort
 
@@ -17,19 +19,8 @@ def sort_into_cells(
 ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
     """Order points by cell, highest first inside each.
 
-    Parameters
-    ----------
-    cell : (n,) int64
-        Cell of each point, in ``[0, cells)``; ``cells`` below 2**31.
-    z : (n,) int32
-        Heights [quanta].
-
-    Returns
-    -------
-    order : (n,) intp
-        Points sorted by cell, then by falling height; fewer than 2**32.
-    start : (cells + 1,) int64
-        Where each cell begins in ``order``.
+    Of fewer than 2**32 points, by ``cell`` (n,) of fewer than 2**31: their ``order``, and where
+    each cell begins in it, ``start`` (cells + 1,).
     """
     order = np.empty(len(cell), dtype=np.intp)
     start = np.zeros(cells + 1, dtype=np.int64)
@@ -71,17 +62,9 @@ def number_cells(
     cols: int,
     out: NDArray[np.int64],
 ) -> None:
-    """Number of the raster cell of each point.
+    """Number of the raster cell of each point into ``out``; all in quanta.
 
-    Parameters
-    ----------
-    x, y : (n,) int64
-        Points, none west or south of the corner [quanta].
-    corner : (int, int)
-        South-west corner of the raster [quanta].
-    size : float
-        Edge of a cell, a whole number [quanta].
-    out : (n,) int64, written
+    None lies west or south of the ``corner`` (x, y); ``size``, the edge of a cell, is whole.
     """
     for i in range(len(x)):
         # A quotient of whole numbers below 2**53 never rounds up to the next whole one.
@@ -101,20 +84,10 @@ def flown_over(
 ) -> int:
     """Raster cells with any point, and the heights and cells of the points of one kind.
 
-    Parameters
-    ----------
-    place : three (n,) integer arrays
-        Easting, northing, height [quanta].
-    picked : ((n,) uint8, int)
-        Kind of each point, and the kind whose heights are wanted.
-    bounds : (int, int, int, int)
-        West, south, east and north end of the raster; points beyond do not count [quanta].
-    size : float
-        Edge of a cell, a whole number [quanta].
-    flown : (rows * cols,) bool
-        Set where there is a point.
-    heights, cells : (n,) int32
-        Filled from their start.
+    ``place``: easting, northing, height; ``picked``: kind of each point, and the one whose heights
+    are wanted; ``bounds``: west, south, east and north, points beyond do not count; ``size``: edge
+    of a cell, whole [quanta]. ``heights, cells`` (n,) are filled from their start; how many is
+    returned.
     """
     x, y, z = place
     kind, wanted = picked
@@ -130,30 +103,6 @@ def flown_over(
         heights[count], cells[count] = z[i], cell
         count += kind[i] == wanted
     return count
-
-
-@njit()
-def add_up_finite(
-    cell: NDArray[np.int64],
-    value: NDArray[np.float32],
-    total: NDArray[np.float64],
-    count: NDArray[np.int64],
-) -> None:
-    """Sum and number of the finite values of each cell.
-
-    Parameters
-    ----------
-    cell : (n,) int64
-        Cell of each value.
-    value : (n,) float32
-        Values; others than numbers are passed over.
-    total : (cells,) float64, added to
-    count : (cells,) int64, added to
-    """
-    for i in range(len(cell)):
-        if np.isfinite(value[i]):
-            total[cell[i]] += value[i]
-            count[cell[i]] += 1
 
 
 @njit()
@@ -185,20 +134,10 @@ def robust_cell_means(
     """Mean position of the returns of each cell without its outliers in height.
 
     A return counts within 3 robust standard deviations (1.4826 times the lower median absolute
-    deviation) of the cell's median height, and always within ``floor``. Both bounds are symmetric,
-    so nothing of a tilted plane is cut on one side; with means of x and y the mean lies on the
-    plane. Sums are integers: exact in any order.
-
-    Parameters
-    ----------
-    xyz : three (n,) int32
-        Points in the order of :func:`sort_into_cells` [quanta].
-    start : (cells + 1,) int64
-        Where each cell begins.
-    floor : float
-        Distance from the median at which nothing is an outlier [quanta].
-    means : (cells, 3) float64, written
-        Mean x, y, z [quanta]; NaN in cells without returns.
+    deviation) of the cell's median height, and always within ``floor`` [quanta]. Both bounds are
+    symmetric, so nothing of a tilted plane is cut on one side; with means of x and y the mean lies
+    on the plane. Sums are integers: exact in any order. ``xyz`` in the order of
+    :func:`sort_into_cells`; ``means`` (cells, 3), NaN in cells without returns [quanta].
     """
     x, y, z = xyz
     for cell in range(len(start) - 1):
@@ -222,17 +161,9 @@ def robust_cell_means(
 
 
 def ring_offsets(reach_cells: float) -> NDArray[np.int64]:
-    """Steps to the cells within a distance, nearest first.
+    """Steps to the cells within a distance between centres [cells], nearest first: (m, 3).
 
-    Parameters
-    ----------
-    reach_cells : float
-        Largest distance between centres [cells].
-
-    Returns
-    -------
-    (m, 3) int64
-        Step in rows, step in columns, squared distance [cells2]; the cell itself left out.
+    In rows, in columns, and the squared distance; the cell itself is left out.
     """
     reach = int(reach_cells)
     side = np.arange(-reach, reach + 1, dtype=np.int64)
@@ -247,19 +178,11 @@ def ring_offsets(reach_cells: float) -> NDArray[np.int64]:
 def fill_voids(
     values: NDArray[np.float64], offsets: NDArray[np.int64], out: NDArray[np.float64]
 ) -> None:
-    """Give each empty cell the value of its nearest filled one, of several the lowest.
+    """Give each empty cell (NaN) the value of its nearest filled one, of several the lowest.
 
-    No height between two neighbours is invented: an occluded strip beside a wall belongs
-    to the roof or to the ground, never to something half way up.
-
-    Parameters
-    ----------
-    values : (rows, cols) float64
-        Raster; NaN is empty.
-    offsets : (m, 3) int64
-        From :func:`ring_offsets`.
-    out : (rows, cols) float64, written
-        Filled raster; NaN where nothing is near enough.
+    No height between two neighbours is invented: an occluded strip beside a wall belongs to the
+    roof or to the ground, never to something half way up. ``offsets`` as of :func:`ring_offsets`;
+    NaN stays in ``out`` where nothing is near enough.
     """
     rows, cols = values.shape
     reach = 0
@@ -305,3 +228,59 @@ def _nearest2(gap: NDArray[np.int64], row: int, col: int, reach: int) -> int:
         if gap[r, col] <= reach:
             nearest2 = min(nearest2, (r - row) * (r - row) + int(gap[r, col]) ** 2)
     return nearest2
+
+
+def shape_of(bounds: Bounds, size: int) -> tuple[int, int]:
+    """Rows and columns of raster cells of an edge [quanta]."""
+    return (bounds.ymax - bounds.ymin) // size, (bounds.xmax - bounds.xmin) // size
+
+
+def cell_number(table: PointTable, bounds: Bounds, size: int) -> NDArray[np.int64]:
+    """Number of the raster cell of each point within bounds, row by row from the south-west."""
+    number = np.empty(len(table), np.int64)
+    corner, cols = (bounds.xmin, bounds.ymin), shape_of(bounds, size)[1]
+    number_cells(table["x"], table["y"], corner, float(size), cols, number)
+    return number
+
+
+def relative(
+    table: PointTable, order: NDArray[np.intp], corner: Bounds
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """Sorted coordinates relative to a corner: three (n,) int32 [quanta]."""
+    return (
+        (table["x"].take(order) - corner.xmin).astype(np.int32),
+        (table["y"].take(order) - corner.ymin).astype(np.int32),
+        table["z"].take(order),
+    )
+
+
+def owned(core: Bounds, edge: int) -> Bounds:
+    """Columns and rows of the squares whose centres lie in a region; each has one owner."""
+    return Bounds(*(-(-(side - edge // 2) // edge) for side in core))
+
+
+def shape(squares: Bounds) -> tuple[int, int]:
+    """Rows and columns of some squares."""
+    return squares.ymax - squares.ymin, squares.xmax - squares.xmin
+
+
+def held(
+    x: NDArray[np.int64], y: NDArray[np.int64], squares: Bounds, edge: int
+) -> NDArray[np.bool_]:
+    """Which squares hold a place, row 0 southernmost: (rows, columns) bool."""
+    found = np.zeros(shape(squares), np.bool_)
+    row, column = y // edge - squares.ymin, x // edge - squares.xmin
+    there = (row >= 0) & (row < found.shape[0]) & (column >= 0) & (column < found.shape[1])
+    found[row[there], column[there]] = True
+    return found
+
+
+def at_centres(
+    cells: NDArray[np.bool_], core: Bounds, squares: Bounds, edge: int
+) -> NDArray[np.bool_]:
+    """What cells that make up a region hold at the centres of the squares that it owns."""
+    size = (core.xmax - core.xmin) // cells.shape[1]
+    x = np.arange(squares.xmin, squares.xmax) * edge + edge // 2
+    y = np.arange(squares.ymin, squares.ymax) * edge + edge // 2
+    found: NDArray[np.bool_] = cells[np.ix_((y - core.ymin) // size, (x - core.xmin) // size)]
+    return found

@@ -50,21 +50,12 @@ def confirmed_tops(
     by: Support,
     tops: NDArray[np.float64],
 ) -> None:
-    """Height of the highest confirmed return of each cell.
+    """Height of the highest confirmed return of each cell into ``tops``, NaN without [quanta].
 
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates relative to the corner of the raster [quanta], in the order of
-        :func:`spl_batch.airborne.products.cell_values.sort_into_cells`: by cell, highest first.
-    ground : (n,) bool
-        Returns that need no confirmation and give none.
-    start : (cells + 1,) int64
-        Where each cell begins.
-    grid : (int, int)
-        Cells of a row, and edge of a cell [quanta].
-    tops : (cells,) float64, written
-        Heights [quanta]; NaN where no return is confirmed.
+    ``xyz``: (n, 3), from the corner of the raster, in the order of
+    :func:`spl_batch.airborne.products.cell_values.sort_into_cells`, whose ``start`` it is;
+    ``ground``: returns that need no confirmation and give none; ``grid``: cells of a row, and their
+    edge [quanta].
     """
     tops[:] = np.nan
     _tops(
@@ -222,22 +213,12 @@ def lift_pits(
     depth: float,
     out: NDArray[np.float64],
 ) -> None:
-    """Tops with pits lifted to returns that the tops around confirm.
+    """Tops with pits lifted to returns that the tops around confirm, into ``out``, a copy of them.
 
-    Parameters
-    ----------
-    z : (n,) int32
-        Heights [quanta], by cell, highest first.
-    start : (rows * cols + 1,) int64
-        Where each cell begins.
-    tops : (rows, cols) float64
-        Confirmed tops [quanta]; NaN where there is none. Where a cell without one has returns,
-        none of them is ground.
-    depth : float
-        A cell so far below :data:`PIT_NEIGHBOURS` of the eight around it is a pit [quanta].
-    out : (rows, cols) float64
-        A copy of ``tops``. A pit is filled with its highest return that is no higher than that
-        many of them, a cell without a top with one no higher than :data:`RIM_NEIGHBOURS` of them.
+    A cell ``depth`` below :data:`PIT_NEIGHBOURS` of the eight around it is a pit, filled with its
+    highest return no higher than that many of them; a cell without a top, in which no return is
+    ground, gets one no higher than :data:`RIM_NEIGHBOURS` of them. ``z, start`` by cell, highest
+    first [quanta].
     """
     rows, cols = tops.shape
     around = np.empty(8)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.products.squares import held
+from spl_batch.airborne.products.cell_values import held
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
@@ -26,30 +26,15 @@ leans by 15 degrees is 3 m off there."""
 
 
 def ground_heights(table: PointTable, region: Bounds) -> Heights | None:
-    """Lowest and highest ground of a region [quanta]; None without any.
-
-    Parameters
-    ----------
-    table : PointTable
-        Points in any order, with ``x, y, z, ground``.
-    region : Bounds
-        Where [quanta].
-    """
+    """Lowest and highest ground of a region [quanta]; None without any."""
     ground = table["z"][inside(table["x"], table["y"], region) & (table["ground"] == 1)]
     return (int(ground.min()), int(ground.max())) if len(ground) else None
 
 
 def about_ground(table: PointTable, region: Bounds, ground: Heights | None) -> NDArray[np.bool_]:
-    """Returns of a region that lie about as high as the ground: (n,) bool.
+    """Returns of a region that lie about as high as its ground: (n,) bool.
 
-    Parameters
-    ----------
-    table : PointTable
-        Points in any order, with ``x, y, z``.
-    region : Bounds
-        Where [quanta].
-    ground : (int, int), optional
-        Lowest and highest ground around [quanta]; without any all returns count.
+    ``ground``: what :func:`ground_heights` gave; without any all returns count.
     """
     there = inside(table["x"], table["y"], region)
     if ground is not None:
@@ -63,10 +48,7 @@ def covered_cells(
 ) -> NDArray[np.bool_]:
     """Raster cells of a ground cell that returns cover, row 0 southernmost: (rows, columns) bool.
 
-    Parameters
-    ----------
-    x, y : (n,) int64
-        Returns of the cell and of twice ``products.void_max_m`` around it [quanta].
+    ``x, y``: returns of the cell and of twice ``products.void_max_m`` around it [quanta].
     """
     size = quanta(settings.cell_m)
     reach = quanta(settings.void_max_m) // size
@@ -78,16 +60,7 @@ def covered_cells(
 def close(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """Held cells, and gaps between them that no disc of this radius fits into [cells].
 
-    Parameters
-    ----------
-    cells : (rows, cols) bool
-        Cells; beyond the edge nothing is known, and cells there end no gap.
-    reach : int
-        Radius of the disc [cells].
-
-    Returns
-    -------
-    (rows, cols) bool
+    Beyond the edge nothing is known, and cells there end no gap.
     """
     if not cells.any():
         return cells

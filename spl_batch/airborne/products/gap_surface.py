@@ -78,21 +78,11 @@ def bridged(
 ) -> Grid:
     """A terrain model with plates across its gaps.
 
-    Parameters
-    ----------
-    dtm : (rows, columns) float64
-        TIN, row 0 southernmost [any unit]; NaN in voids, which stay.
-    means : (rows + 2 m, columns + 2 m, 3) float64
-        Place, from the first corner of these cells on, and height of the ground in each cell and in
-        a margin of m cells around [unit of ``dtm``]; NaN without ground.
-    wet : (rows + 2 m, columns + 2 m) bool
-        Cells whose ground is water.
-    size : int
-        Edge of a cell [unit of ``dtm``].
-    far : float
-        :data:`FAR_M` in cells.
-    corner : (int, int)
-        Absolute row and column of the first of the cells of ``means``.
+    ``dtm``: TIN, row 0 southernmost, NaN in voids, which stay. ``means`` (., ., 3), with a margin
+    on each side: place, from the first corner of these cells on, and height of the ground in each
+    cell, NaN without; all in the unit of ``size``, the edge of a cell. ``wet``: cells of ``means``
+    whose ground is water; ``far``: :data:`FAR_M` in cells; ``corner``: absolute row and column of
+    their first.
     """
     margin = (len(means) - len(dtm)) // 2
     block = max(round(far * BLOCK_M / FAR_M), 1)
@@ -161,15 +151,9 @@ def _nodes(gaps: NDArray[np.bool_], first: tuple[int, int], step: int) -> NDArra
 
 
 def on_this_side(height: Grid, gaps: Mask, reach: int) -> Mask:
-    """Cells that a way leads to from a gap, without a wall and no longer than the reach.
+    """Cells that a way of ``reach`` cells leads to from a gap, straight or diagonal, but no wall.
 
-    Parameters
-    ----------
-    height : (rows, columns) float64
-        Of the ground [cells]; NaN without any.
-    gaps : (rows, columns) bool
-    reach : int
-        [cells], straight or diagonal.
+    ``height``: of the ground [cells]; NaN without any.
     """
     walls = walls_of(height)
     if not walls.any():

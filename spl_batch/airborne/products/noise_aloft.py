@@ -29,27 +29,11 @@ HELD: Final = 0.25
 
 
 def noise_by_cell(table: PointTable, wide: Bounds, near: Bounds, size: int) -> NDArray[np.float64]:
-    """Noise around raster cells [1/m3].
+    """Noise around the raster cells of ``near``, row by row from the south-west [1/m3].
 
-    The central 96 % of the heights of refused returns stand for the gate, so that strays do not
-    stretch it; the raster cells with any return stand for the ground flown over. A square's own
-    density counts where it is clearly more than the average.
-
-    Parameters
-    ----------
-    table : PointTable
-        Points with ``x``, ``y``, ``z`` and ``noise_class``.
-    wide : Bounds
-        Where returns count, whole raster cells [quanta].
-    near : Bounds
-        Raster cells that are asked for, within ``wide`` [quanta].
-    size : int
-        Edge of a raster cell [quanta].
-
-    Returns
-    -------
-    (rows * cols,) float64
-        Row by row from the south-west; 0 without noise.
+    The central 96 % of the heights of refused returns of ``wide``, which holds ``near``, stand for
+    the gate, so that strays do not stretch it; its raster cells with any return stand for the
+    ground flown over. A square's own density counts where it is clearly more than the average.
     """
     shape = (wide.ymax - wide.ymin) // size, (wide.xmax - wide.xmin) // size
     held = np.zeros(shape[0] * shape[1], np.bool_)

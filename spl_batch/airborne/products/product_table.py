@@ -39,12 +39,6 @@ ABOVE_GEOID: Final = (
 
 
 def products(*, reflectance: bool) -> tuple[Product, ...]:
-    """Every raster of a survey.
-
-    Parameters
-    ----------
-    reflectance : bool
-        Whether the intensity raster is made of detections, and not of the input's values.
-    """
+    """Every raster of a survey; ``reflectance``: whether the intensity is made of detections."""
     of_detections = {REFLECTANCE.name: REFLECTANCE} if reflectance else {}
     return tuple(of_detections.get(product.name, product) for product in PRODUCTS)

@@ -3,8 +3,6 @@
 Domain: space. Runs on the points of a ground cell with its margin, once the filter has judged them.
 """
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,16 +13,11 @@ from spl_batch.airborne.products import surface_rasters
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointFlag, PointTable
 
-DOMAIN: Final = "space"
-
 
 def holds_ground(table: PointTable, bare: Bare | None = None) -> NDArray[np.bool_]:
     """Signal that the ground may rest on: (n,) bool; all points of a cell are at hand.
 
-    Parameters
-    ----------
-    bare : Bare, optional
-        Where signals of the cell are stray; found from these points without.
+    ``bare``: where signals of the cell are stray; found from these points without.
     """
     usable = stands(table, bare_cells(table) if bare is None else bare)
     return usable & ~off_surface(table, usable)
@@ -44,11 +37,6 @@ def makes_surfaces(table: PointTable) -> PointTable:
     """Points that a raster may rest on, or that say how much noise there is.
 
     A point that no unit has labelled, or that lies outside the area, is none.
-
-    Parameters
-    ----------
-    table : PointTable
-        ``x, y, z, flags, noise_class, ground``, and what intensity is made of where it is there.
     """
     chosen = known(table)
     chosen &= ~stray(table, spare_above=True)

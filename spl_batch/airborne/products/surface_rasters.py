@@ -40,11 +40,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.water.level import REACH_M, Levels, flattened, in_water
-from spl_batch.airborne.products.cell_values import robust_cell_means, sort_into_cells
+from spl_batch.airborne.products.cell_values import (
+    cell_number,
+    relative,
+    robust_cell_means,
+    shape_of,
+    sort_into_cells,
+)
 from spl_batch.airborne.products.flown_cells import about_ground, covered_cells, ground_heights
 from spl_batch.airborne.products.gap_surface import FAR_M, bridged
 from spl_batch.airborne.products.noise_aloft import noise_by_cell
-from spl_batch.airborne.products.raster_grid import cell_number, relative, shape_of
 from spl_batch.airborne.products.terrain_quality import Scatter, scatter_of, terrain_sigma
 from spl_batch.airborne.products.top_surface import (
     cells_within,
@@ -58,9 +63,6 @@ from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.nearest_heights import nearest_heights
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
-
-DOMAIN: Final = "space"
-"""Needs every flightline of a place."""
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class", "ground", "flags")
 """Columns that :func:`surfaces` reads, and ``afterpulse`` where the time domain ran."""

@@ -62,15 +62,7 @@ def rings(cell_m: float) -> tuple[int, ...]:
 
 
 class Scatter(NamedTuple):
-    """How the ground returns of each cell lie about their mean.
-
-    Parameters
-    ----------
-    returns : (...) ndarray
-        Ground returns [count].
-    products : (..., 6) ndarray
-        Means of xx, xy, yy, xz, yz, zz of their offsets; 0 without returns [m2].
-    """
+    """How the ground returns of each cell lie about their mean."""
 
     returns: NDArray[Any]
     products: NDArray[Any]
@@ -83,14 +75,7 @@ def scatter_of(
 ) -> Scatter:
     """Scatter of the returns of each cell that holds any, cell by cell.
 
-    Parameters
-    ----------
-    places : three (n,) int32
-        Returns, those of a cell together.
-    start : (cells + 1,) int64
-        Where each cell begins.
-    unit_m : float
-        Unit of the places [m].
+    ``places``: three (n,), those of a cell together from ``start`` on, in units of ``unit_m``.
     """
     first = start[:-1][start[1:] > start[:-1]]
     count = np.diff(np.append(first, len(places[0])))
@@ -123,12 +108,10 @@ def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) ->
     """
     ground = _Ground(means, ~np.isnan(means[:, :, 2]), cell_m)
     radii = rings(cell_m)
-    integrals, field = _room(9, ground.held.shape, 2 * radii[-1])
-    _put_moments(*ground.by_cell, 2 * radii[-1] + 1, integrals)
-    _add_up(integrals)
+    integrals = _moments(ground, 2 * radii[-1])
     levels = _differences(ground, integrals, radii)
     if levels is None:
-        return np.full(field.shape[1:], np.nan)
+        return np.full(ground.held.shape, np.nan)
     found = _at_distance(levels, distances(ground.held), radii)
     if scatter is None:
         return found
@@ -189,7 +172,9 @@ def _differences(ground: _Ground, integrals: Grid, radii: tuple[int, ...]) -> Gr
         off, _ = _room(2, ground.held.shape, AROUND)
         _fit_rings(*ground.by_cell, integrals, outer, inner, AROUND + 1, off)
         _add_up(off)
-        _put_means(off, 2 * AROUND + 1, level)
+        count, total = _boxes(off, AROUND)
+        level[:] = np.nan
+        np.divide(_HALF_NORMAL * total, count, out=level, where=count > _ENOUGH - 0.5)
     nowhere = np.asarray(np.isnan(levels).all(axis=0))
     if nowhere.all():
         return None
@@ -206,23 +191,17 @@ def _differences(ground: _Ground, integrals: Grid, radii: tuple[int, ...]) -> Gr
     return levels
 
 
-@njit()
-def _put_moments(
-    held: NDArray[np.bool_], means: Grid, middle: Grid, cell_m: float, pad: int, out: Grid
-) -> None:
-    """1, x, y, z, xx, xy, yy, xz, yz of cells with ground, behind ``pad`` rows and columns."""
-    rows, columns = held.shape
-    for r in range(rows):
-        for c in range(columns):
-            if not held[r, c]:
-                continue
-            x, y = (means[r, c, 0] - middle[0]) / cell_m, (means[r, c, 1] - middle[1]) / cell_m
-            z = means[r, c, 2] - middle[2]
-            row, column = r + pad, c + pad
-            out[0, row, column] = 1.0
-            out[1, row, column], out[2, row, column], out[3, row, column] = x, y, z
-            out[4, row, column], out[5, row, column], out[6, row, column] = x * x, x * y, y * y
-            out[7, row, column], out[8, row, column] = x * z, y * z
+def _moments(ground: _Ground, reach: int) -> Grid:
+    """1, x, y, z, xx, xy, yy, xz, yz of cells with ground, added up in a :func:`_room`."""
+    held, means, middle, cell_m = ground.by_cell
+    x, y = ((means[:, :, k] - middle[k]) / cell_m for k in (0, 1))
+    z = means[:, :, 2] - middle[2]
+    integrals, field = _room(9, held.shape, reach)
+    moments = np.ones_like(x), x, y, z, x * x, x * y, y * y, x * z, y * z
+    for room, values in zip(field, moments, strict=True):
+        room[held] = values[held]
+    _add_up(integrals)
+    return integrals
 
 
 def _room(count: int, shape: tuple[int, ...], reach: int) -> tuple[Grid, Grid]:
@@ -232,17 +211,10 @@ def _room(count: int, shape: tuple[int, ...], reach: int) -> tuple[Grid, Grid]:
     return fields, fields[:, inside[0], inside[1]]
 
 
-@njit()
 def _add_up(fields: Grid) -> None:
     """Sums from the first corner on, in place: along rows of sums along columns."""
-    count, rows, columns = fields.shape
-    for k in range(count):
-        for r in range(1, rows):
-            for c in range(columns):
-                fields[k, r, c] += fields[k, r - 1, c]
-        for r in range(rows):
-            for c in range(1, columns):
-                fields[k, r, c] += fields[k, r, c - 1]
+    for axis in (1, 2):
+        np.cumsum(fields, axis=axis, out=fields)
 
 
 @njit()
@@ -259,31 +231,11 @@ def _boxes(integrals: Grid, reach: int) -> Grid:
 
     ``integrals``: added up in a :func:`_room` of that reach.
     """
-    count, *shape = integrals.shape
-    summed = np.empty((count, *(size - 2 * reach - 1 for size in shape)))
-    _add_boxes(integrals, 0, 2 * reach + 1, summed)
+    low, high = slice(-2 * reach - 1), slice(2 * reach + 1, None)
+    summed: Grid = integrals[:, high, high] - integrals[:, low, high]
+    summed -= integrals[:, high, low]
+    summed += integrals[:, low, low]
     return summed
-
-
-@njit()
-def _add_boxes(integrals: Grid, low: int, high: int, out: Grid) -> None:
-    count, rows, columns = out.shape
-    for k in range(count):
-        for r in range(rows):
-            for c in range(columns):
-                out[k, r, c] = _box(integrals, k, r, c, low, high)
-
-
-@njit()
-def _put_means(off: Grid, high: int, level: Grid) -> None:
-    """Deviation around each cell, NaN where few tell, of added up numbers and differences."""
-    rows, columns = level.shape
-    for r in range(rows):
-        for c in range(columns):
-            count = _box(off, 0, r, c, 0, high)
-            level[r, c] = np.nan
-            if count > _ENOUGH - 0.5:
-                level[r, c] = _HALF_NORMAL * _box(off, 1, r, c, 0, high) / count
 
 
 @njit()
@@ -342,7 +294,7 @@ def _plane_of(
 ) -> tuple[float, float, float, float, float]:
     """Middle of the plane through some cells (x, y, z) and its rise to east and north.
 
-    Of one cell at least, by the sums that :func:`_put_moments` begins with.
+    Of one cell at least, by its :func:`_moments`.
     """
     x, y, z = x / n, y / n, z / n
     xx, yy, xy = xx / n - x * x + _DAMPING, yy / n - y * y + _DAMPING, xy / n - x * y

@@ -10,9 +10,15 @@ from numpy.typing import NDArray
 from scipy.special import pdtrc
 
 from spl_batch.airborne.beams.dependent_returns import dependents
-from spl_batch.airborne.products.cell_values import fill_voids, ring_offsets, sort_into_cells
+from spl_batch.airborne.products.cell_values import (
+    cell_number,
+    fill_voids,
+    relative,
+    ring_offsets,
+    shape_of,
+    sort_into_cells,
+)
 from spl_batch.airborne.products.confirmed_tops import Support, confirmed_tops, lift_pits
-from spl_batch.airborne.products.raster_grid import cell_number, relative, shape_of
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable

@@ -19,8 +19,6 @@ from scipy.ndimage import binary_fill_holes, distance_transform_edt, find_object
 from spl_batch.constants import NODATA
 from spl_batch.engine.findings import Finding
 
-DOMAIN: Final = "space"
-
 RIM_M: Final = 5.0
 """Half the width of a void at the edge of a survey, at least [m]."""
 
@@ -32,15 +30,7 @@ Blocks = Iterable[tuple[int, int, NDArray[np.float32]]]
 
 
 class Void(NamedTuple):
-    """A void of a terrain model.
-
-    Parameters
-    ----------
-    area_m2 : float
-        Area without a height [m2].
-    east_m, north_m : float
-        A place about in its middle [m].
-    """
+    """A void of a terrain model."""
 
     area_m2: float
     east_m: float
@@ -56,18 +46,8 @@ def wide_voids(
 ) -> list[Void]:
     """Voids that nothing fills, the largest first.
 
-    Parameters
-    ----------
-    dtm : iterable of (row, column, block)
-        Terrain; what no block covers is void.
-    density : iterable of (row, column, block)
-        Signal returns; has a value where it was flown.
-    shape : (int, int)
-        Rows and columns of both.
-    corner_xy_m : (float, float)
-        Easting and northing of their upper left corner [m].
-    cell_m : float
-        Edge of a cell [m].
+    ``dtm``: terrain, what no block covers is void; ``density``: has a value where it was flown.
+    ``shape`` and ``corner_xy_m``: rows and columns of both, and their upper left corner.
     """
     step = max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / SQUARES))))
     ends = [np.minimum(np.arange(step, n + step, step), n) for n in shape]

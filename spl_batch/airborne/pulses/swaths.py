@@ -1,5 +1,11 @@
-"""Squares of 5 m that each flightline covers: its density, its outline, where flightlines overlap.
+"""How densely and evenly first returns cover the ground: spatial distribution, data voids, swaths.
 
+Source: USGS Lidar Base Specification, Collection Requirements: spatial distribution, 90 % of the
+squares of twice the nominal spacing hold a first return; data voids, areas of (4 x spacing)^2
+without one. All swaths count together: voids may be filled by another one. Deviations: a void is a
+whole empty square of four spacings, not any shape of its area; only places that were flown count.
+
+Squares of 5 m that each flightline covers tell its density, its outline, where flightlines overlap.
 Source: USGS Lidar Base Specification 2025 rev. A, Collection Requirements. Nominal Pulse Spacing:
 density is assessed "against single swath, first return data located within the geometrically usable
 center portion (typically ~95%) of each swath". Spatial Distribution and Regularity: first returns
@@ -21,13 +27,17 @@ from numpy.typing import NDArray
 from rasterio.features import shapes
 from scipy import ndimage
 
-from spl_batch.airborne.products.squares import at_centres, held, owned, shape
-from spl_batch.airborne.pulses.coverage import SPACINGS
+from spl_batch.airborne.products.cell_values import at_centres, held, owned, shape
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.distinct import distinct
 from spl_batch.lattice.tiles import Bounds, grow, quanta
 
-DOMAIN: Final = "space"
+SPACINGS: Final[Mapping[str, int]] = {"QL1": 350, "QL2": 710, "QL3": 1410}
+"""Aggregate nominal pulse spacing of a quality level, that of QL0 is QL1's [quanta]; USGS Lidar
+Base Specification, table of nominal pulse spacing and density."""
+
+VOID_SPACINGS: Final = 4
+"""Edge of a data void [spacings]."""
 
 EDGE_Q: Final = quanta(5.0)
 """Edge of a square [quanta]: more than twice the spacing of each quality level, so that a swath
@@ -48,6 +58,40 @@ Outlined = tuple[int, list[int], str]
 them, and which of them it covers."""
 
 
+class Coverage(NamedTuple):
+    """Squares of a region that was flown, water excepted; counts of several regions add up."""
+
+    #: Squares of twice the spacing; those that hold a first return [count].
+    squares: int
+    filled: int
+    #: Squares of the spacing; those that lie in a data void [count].
+    places: int
+    void: int
+
+
+def coverage(
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    counted: NDArray[np.bool_],
+    core: Bounds,
+    spacing: int,
+) -> Coverage:
+    """Squares of a region by one of :data:`SPACINGS` [quanta].
+
+    ``x, y``: first returns of the region and of five spacings around it [quanta]; ``counted``:
+    cells of the region that count, row 0 southernmost.
+    """
+    pairs, places = owned(core, 2 * spacing), owned(core, spacing)
+    wide = grow(places, VOID_SPACINGS)
+    window = np.ones((VOID_SPACINGS, VOID_SPACINGS), np.bool_)
+    void = ndimage.binary_opening(~held(x, y, wide, spacing), window)
+    inner = slice(VOID_SPACINGS, -VOID_SPACINGS)
+    there = at_centres(counted, core, pairs, 2 * spacing)
+    beside = at_centres(counted, core, places, spacing)
+    filled, empty = there & held(x, y, pairs, 2 * spacing), beside & void[inner, inner]
+    return Coverage(*(int(np.count_nonzero(some)) for some in (there, filled, beside, empty)))
+
+
 class SwathTotals(NamedTuple):
     """A swath, water excepted."""
 
@@ -61,15 +105,7 @@ class SwathTotals(NamedTuple):
 
 
 class Swaths:
-    """Swaths of a region.
-
-    Parameters
-    ----------
-    x, y, line : (n,) int64
-        First returns of the region and of two squares around it [quanta], and their flightlines.
-    core : Bounds
-        The region [quanta].
-    """
+    """Swaths of a region, from first returns of it and of two squares around it [quanta]."""
 
     def __init__(
         self, x: NDArray[np.int64], y: NDArray[np.int64], line: NDArray[np.int64], core: Bounds
@@ -86,13 +122,7 @@ class Swaths:
         self._count = count.reshape(-1, rows, columns)
 
     def facts(self, dry: NDArray[np.bool_]) -> list[Found]:
-        """What was found; facts of several regions add up.
-
-        Parameters
-        ----------
-        dry : (rows, columns) bool
-            Cells of the region that count, row 0 southernmost.
-        """
+        """What was found, by the cells that count, row 0 southernmost; facts of regions add up."""
         there, found = at_centres(dry, self._core, self._own, EDGE_Q), []
         for rank, number in enumerate(self._numbers.tolist()):
             count = self._count[rank]
@@ -156,14 +186,9 @@ def by_flightline(
 ) -> dict[str, SwathTotals]:
     """Swaths of a survey, by the names of their flightlines.
 
-    Parameters
-    ----------
-    found : iterable of sequence of Found
-        What :meth:`Swaths.facts` gave, region by region.
-    names : mapping of int to str
-        Names of flightlines by their numbers; what has none is of the flightline "".
-    spacing : str
-        Key of :data:`~spl_batch.airborne.pulses.coverage.SPACINGS`.
+    ``found``: what :meth:`Swaths.facts` gave, region by region; ``names``: of flightlines by their
+    numbers, what has none is of the flightline ""; ``spacing``: key of
+    :data:`~spl_batch.airborne.pulses.swaths.SPACINGS`.
     """
     sums: dict[str, NDArray[np.int64]] = {}
     for of_region in found:
@@ -188,13 +213,8 @@ def outlines(
     """Outline of each flightline by its name, in the survey's CRS [m].
 
     A wide survey is drawn in coarser squares, and steps of squares become straight lines.
-
-    Parameters
-    ----------
-    found : iterable of sequence of Outlined
-        What :meth:`Swaths.outlines` gave, region by region.
-    names : mapping of int to str
-        Names of flightlines by their numbers; others are not drawn.
+    ``found``: what :meth:`Swaths.outlines` gave, region by region; ``names``: of flightlines by
+    their numbers, others are not drawn.
     """
     pieces: dict[str, list[tuple[Bounds, str]]] = {}
     for of_region in found:

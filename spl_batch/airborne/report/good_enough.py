@@ -1,8 +1,9 @@
-"""What the page "Is it good enough?" rests on: receipts as evidence, and what they say together."""
+"""What receipts tell together of coverage, flightlines, checkpoints, and what is required."""
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
@@ -22,39 +23,38 @@ from spl_batch.airborne.accuracy.evidence import (
 )
 from spl_batch.airborne.accuracy.requirements import requirements
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.diagnostics.terrain_sigma import unsure_share
+from spl_batch.airborne.lines.comparison import difference_map, pairs_of, shifts_of
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, swath_totals
-from spl_batch.airborne.pulses.coverage import SPACINGS, Coverage
+from spl_batch.airborne.pulses.swaths import SPACINGS, Coverage
 from spl_batch.airborne.report.model import (
+    AlignedLine,
     Checkpoint,
     Checkpoints,
     CheckpointStatistics,
+    Density,
     StripPair,
     Swath,
 )
 from spl_batch.airborne.report.model import Requirement as RequirementReport
-from spl_batch.airborne.report.strip_pairs import strip_pairs
-from spl_batch.airborne.tasks import checkpoints
-from spl_batch.airborne.tasks.cells import pulses
+from spl_batch.airborne.settings import ClassSettings
+from spl_batch.airborne.tasks import checkpoints, pulses
 from spl_batch.constants import FOOT_M, QUANTUM_M
 from spl_batch.engine.findings import Finding
+from spl_batch.engine.report.maps import Raster
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
+
+VEGETATION_PER_M2: Final = 1.0
+"""Below this density shrubs become ground (``docs/delivery.md``) [1/m2]."""
 
 FEET_ALIKE: Final = 0.01
 """Share by which heights over those of the terrain may differ from the ratio of units."""
 
 
 def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
-    """Every requirement, as a report has it.
-
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : Context
-        The run.
-    """
+    """Every requirement, as a report has it."""
     workflow = context.workflow
     asked, crs = workflow.requirements, context.crs
     limits = LEVELS[asked.quality_level]
@@ -83,18 +83,7 @@ def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
         vertical_datum=None if datum is None else datum.name,
         time_standard=_time_standard(flown),
     )
-    return tuple(
-        RequirementReport(
-            name=row.name,
-            required=row.required,
-            found=row.found,
-            verdict=row.verdict,
-            why=row.why,
-            standard=row.standard,
-            section=row.section,
-        )
-        for row in requirements(known)
-    )
+    return tuple(RequirementReport(**asdict(row)) for row in requirements(known))
 
 
 def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
@@ -106,8 +95,8 @@ def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
     outliers = {*nva.outliers, *vva.outliers}
     return Checkpoints(
         statement=statement(nva, vva, _class_m(context)),
-        nva=_statistics(nva),
-        vva=_statistics(vva),
+        nva=CheckpointStatistics(**asdict(nva)),
+        vva=CheckpointStatistics(**asdict(vva)),
         points=tuple(Checkpoint(**one, outlier=one["id"] in outliers) for one in found),
     )
 
@@ -135,18 +124,6 @@ def _class_m(context: Context) -> float:
     """Vertical accuracy class that is asked for: the largest RMSE_V [m]."""
     asked = context.workflow.requirements
     return asked.rmse_v_m or LEVELS[asked.quality_level].rmse_v_m
-
-
-def _statistics(of: AtCheckpoints) -> CheckpointStatistics:
-    return CheckpointStatistics(
-        n=of.n,
-        mean_m=of.mean_m,
-        sd_m=of.sd_m,
-        rmse_v1_m=of.rmse_v1_m,
-        rmse_v2_m=of.rmse_v2_m,
-        rmse_v_m=of.rmse_v_m,
-        outliers=of.outliers,
-    )
 
 
 def _tested(done: Receipts) -> tuple[AtCheckpoints, AtCheckpoints] | tuple[None, None]:
@@ -220,3 +197,92 @@ def _time_standard(flown: Sequence[Flightline]) -> str | None:
     """Time standards of the flightlines; None where they have no times."""
     found = {str(time_standard(np.array([line.first_s, line.last_s]))) for line in flown}
     return " and ".join(sorted(found)) or None
+
+
+def area_km2(done: Receipts, context: Context) -> float | None:
+    """Area of the raster cells that were flown [km2]; None without any ground cell."""
+    cells = _cells(done)
+    return cells.total() * context.workflow.products.cell_m**2 / 1e6 if cells else None
+
+
+def density(done: Receipts, context: Context, ground: int) -> Density:
+    """How densely returns cover a survey, of which so many points are ground."""
+    cells = _cells(done)
+    if not cells:
+        return Density()
+    cell_m2 = context.workflow.products.cell_m**2
+    area_m2 = cells.total() * cell_m2
+    returns = sum(held * n for held, n in cells.items())
+    return Density(
+        mean_per_m2=returns / area_m2,
+        median_per_m2=_quantile(cells, 0.5) / cell_m2,
+        p05_per_m2=_quantile(cells, 0.05) / cell_m2,
+        # Without signal no ground was looked for.
+        ground_per_m2=ground / area_m2 if returns else None,
+        void_share=sum(r.facts[pulses.VOIDS] for r in done["surface"].values()) / cells.total(),
+        unsure_share=unsure_share(done),
+    )
+
+
+def sparse_vegetation(found: Density, asked: ClassSettings) -> tuple[Finding, ...]:
+    """Whether classes of low and medium vegetation are asked of too few returns."""
+    density_m2 = found.mean_per_m2
+    if asked.vegetation is None or density_m2 is None or density_m2 >= VEGETATION_PER_M2:
+        return ()
+    values = {"per_m2": density_m2, "high_m": asked.vegetation.high}
+    return (Finding("G03", values),)
+
+
+def _cells(done: Receipts) -> Counter[int]:
+    """Raster cells that were flown, by the signal returns in them [count]."""
+    cells: Counter[int] = Counter()
+    for receipt in done.get("surface", {}).values():
+        cells.update({int(returns): n for returns, n in receipt.facts[pulses.CELLS].items()})
+    return cells
+
+
+def _quantile(cells: Mapping[int, int], share: float) -> int:
+    """Smallest value that so many cells do not exceed."""
+    values = sorted(cells)
+    below: Iterable[int] = np.cumsum([cells[value] for value in values])
+    wanted = share * sum(cells.values())
+    return next(value for value, n in zip(values, below, strict=True) if n >= wanted)
+
+
+def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
+    """Pairs of flightlines as they are delivered."""
+    rows = (pair for r in done.get("strip_pairs", {}).values() for pair in pairs_of(r.facts))
+    return tuple(
+        StripPair(
+            **{k: v for k, v in pair._asdict().items() if k in StripPair.model_fields},
+            centre_m=(pair.x_m, pair.y_m),
+        )
+        for pair in rows
+    )
+
+
+def pairs_not_compared(done: Receipts) -> tuple[tuple[str, str], ...]:
+    """Flightlines that overlap without planar patches enough to be compared."""
+    receipts = done.get("strip_pairs", {}).values()
+    return tuple((one, other) for r in receipts for one, other in r.facts.get("not_compared", ()))
+
+
+def alignment(done: Receipts) -> tuple[AlignedLine, ...]:
+    """Shifts that were applied."""
+    return tuple(
+        AlignedLine(**one._asdict())
+        for receipt in done.get("align", {}).values()
+        for one in shifts_of(receipt.facts)
+    )
+
+
+def strip_map(done: Receipts, context: Context) -> Raster | None:
+    """Height between flightlines by place; None where no two share planar patches [m]."""
+    if not done.get("strip_pairs"):
+        return None
+    found = difference_map(context)
+    if found is None:
+        return None
+    values, (west, east, south, north) = found
+    raster = Raster(values, (west, east, south, north))
+    return raster if raster.any_value else None

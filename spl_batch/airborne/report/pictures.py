@@ -39,36 +39,21 @@ class PictureInputs:
     """Plain arrays that the pictures are drawn from; ``None`` where there are none.
 
     Rasters larger than a picture may be given reduced, as an overview.
-
-    Parameters
-    ----------
-    dtm, dsm, chm : Raster, optional
-        Heights of terrain and surface, and canopy height [m].
-    dtm_quality : Raster, optional
-        Standard deviation of the terrain [m].
-    density : Raster, optional
-        Signal returns [1/m2].
-    difference : Raster, optional
-        DTM minus reference [m].
-    noise_density : Raster, optional
-        Expected background noise near the surface [1/m3].
-    differences_m : (n,) float, optional
-        Single differences, DTM minus reference; all or an even sample [m].
-    profile : Profile, optional
-        A vertical strip, about 100 m long and 2-3 m wide; maps show where it lies.
-    strips : Raster, optional
-        Height between flightlines that overlap, whichever lies above [m].
     """
 
+    #: Heights of terrain and surface, canopy height, standard deviation of the terrain [m].
     dtm: Raster | None = None
     dsm: Raster | None = None
     chm: Raster | None = None
     dtm_quality: Raster | None = None
-    density: Raster | None = None
-    difference: Raster | None = None
-    noise_density: Raster | None = None
+    density: Raster | None = None  #: Signal returns [1/m2].
+    difference: Raster | None = None  #: DTM minus reference [m].
+    noise_density: Raster | None = None  #: Expected background noise near the surface [1/m3].
+    #: (n,): single differences, DTM minus reference; all or an even sample [m].
     differences_m: NDArray[Any] | None = None
+    #: A vertical strip, about 100 m long and 2-3 m wide; maps show where it lies.
     profile: Profile | None = None
+    #: Height between flightlines that overlap, whichever lies above [m].
     strips: Raster | None = None
 
 
@@ -80,20 +65,10 @@ NO_RASTER: Final = "The raster holds no value."
 
 
 def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
-    """Draw everything that there is data for.
+    """Draw everything that there is data for; titles quote the report.
 
-    Parameters
-    ----------
-    inputs : PictureInputs
-        Arrays.
-    report : Report
-        Statistics that titles quote, so that page and pictures never disagree.
-
-    Returns
-    -------
-    dict of str to Picture
-        Always the keys ``dtm, dsm, chm, difference, histogram, profile, noise_density,
-        dtm_quality, density, strips``, in the order in which a reader wants them.
+    Always the keys ``dtm, dsm, chm, difference, histogram, profile, noise_density, dtm_quality,
+    density, strips``, in the order in which a reader wants them.
     """
     inputs, photons = _with_line(inputs), photon_counting(report)
     terrain = terrain_statistics(report)
@@ -201,32 +176,16 @@ def _heights(inputs: PictureInputs, key: str) -> tuple[float, float] | None:
 
 
 class Amount(NamedTuple):
-    """A map of something that begins at zero.
-
-    Parameters
-    ----------
-    title, legend, caption : str
-        What it shows, with its unit in the legend.
-    ramp : Colormap
-        Its colours.
-    percent : float
-        Share of the cells whose values the colours tell apart, from below [%].
-    least : float
-        Upper end of the colours, at least [unit of the legend].
-    scale : float
-        Units of the legend in one of the raster.
-    missing : str
-        Why there is no raster, where there is none.
-    """
+    """A map of something that begins at zero."""
 
     title: str
-    legend: str
+    legend: str  #: What it shows, with its unit.
     caption: str
     ramp: Colormap
-    percent: float = 98.0
-    least: float = 0.0
-    scale: float = 1.0
-    missing: str = "This raster was not made."
+    percent: float = 98.0  #: Share of the cells that the colours resolve, from below [%].
+    least: float = 0.0  #: Upper end of the colours, at least [unit of the legend].
+    scale: float = 1.0  #: Units of the legend in one of the raster.
+    missing: str = "This raster was not made."  #: Why there is no raster, where there is none.
 
 
 CANOPY: Final = Amount(

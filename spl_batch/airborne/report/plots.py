@@ -18,45 +18,57 @@ from spl_batch.engine.report.parts import Statistics
 MOST_POINTS: Final = 250_000
 """A profile with more points is thinned evenly: the picture has no pixels for them."""
 
+COLOURS: Final = (style.NOISE, style.SIGNAL, style.GROUND, style.AFTERPULSE)
+"""Of the :attr:`Profile.members`."""
+
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Points of a narrow vertical strip.
+    """Points of a narrow vertical strip."""
 
-    Parameters
-    ----------
-    along_m : (n,) float64
-        Distance along the strip [m].
-    z_m : (n,) float64
-        Height [m].
-    noise_class : (n,) uint8
-        0 signal, 1 background, 2 afterpulse, 255 not assessed.
-    classification : (n,) uint8
-        ASPRS class as delivered.
-    width_m : float
-        Width of the strip [m].
-    line_m : tuple of float, optional
-        Easting and northing of its two ends, for maps [m].
-    """
-
+    #: (n,): distance along the strip, and height [m].
     along_m: NDArray[Any]
     z_m: NDArray[Any]
-    noise_class: NDArray[Any]
-    classification: NDArray[Any]
-    width_m: float
+    noise_class: NDArray[Any]  #: (n,): 0 signal, 1 background, 2 afterpulse, 255 not assessed.
+    classification: NDArray[Any]  #: (n,): ASPRS class as delivered.
+    width_m: float  #: Width of the strip [m].
+    #: Easting and northing of its two ends, for maps [m].
     line_m: tuple[float, float, float, float] | None = None
+
+    @property
+    def members(self) -> tuple[NDArray[np.bool_], ...]:
+        """Which points are background, kept but no ground, ground, and afterpulses."""
+        background = self.noise_class == NOISE_BACKGROUND
+        afterpulse = self.noise_class == NOISE_AFTERPULSE
+        kept = ~(background | afterpulse)
+        ground = kept & (self.classification == CLASS_GROUND)
+        return background, kept & ~ground, ground, afterpulse
+
+    def heights(self) -> tuple[float, float]:
+        """Heights around what was kept: the whole range gate would flatten the scene."""
+        _, others, ground, _ = self.members
+        scene = self.z_m[others | ground] if (others | ground).any() else self.z_m
+        low, high = (float(p) for p in np.percentile(scene, [0.2, 99.8]))
+        margin = max(8.0, 0.35 * (high - low))
+        # No empty sky where nothing was recorded.
+        lowest, highest = float(self.z_m.min()) - 1.0, float(self.z_m.max()) + 1.0
+        return max(low - margin, lowest), min(high + margin, highest)
+
+    def thinned(self) -> "Profile":
+        """Every k-th point in an order that does not depend on the rows' order."""
+        columns = (self.along_m, self.z_m, self.noise_class, self.classification)
+        order = np.lexsort(tuple(reversed(columns)))
+        step = -(-order.size // MOST_POINTS)
+        along, z, noise, classes = (np.asarray(c)[order[::step]] for c in columns)
+        return Profile(along, z, noise, classes, self.width_m)
+
+    def size(self, least: float, most: float) -> float:
+        """Area of a point of a picture [points2]."""
+        return float(np.clip(9e4 / max(self.along_m.size, 1), least, most))
 
 
 def draw_histogram(differences_m: NDArray[Any], statistics: Statistics | None) -> Figure:
-    """Histogram of differences with mean, RMSE and NMAD.
-
-    Parameters
-    ----------
-    differences_m : (n,) float
-        Delivered minus reference, all of them or an even sample [m]; n >= 1.
-    statistics : Statistics, optional
-        Of the whole set; drawn as lines and given in the title.
-    """
+    """Histogram of differences [m], at least one, with mean, RMSE and NMAD of the whole set."""
     values = np.asarray(differences_m, dtype=np.float64)
     values = values[np.isfinite(values)] * 100.0
     low, high = (float(p) for p in np.percentile(values, [0.5, 99.5]))
@@ -109,41 +121,24 @@ def _statistic_lines(axes: Axes, statistics: Statistics) -> None:
 
 
 def draw_profile(profile: Profile) -> Figure:
-    """The same strip twice: everything that was recorded, and what it was taken for.
-
-    Parameters
-    ----------
-    profile : Profile
-        At least one point.
-    """
-    shown = _thinned(profile)
-    along, z = shown.along_m, shown.z_m
-    background = shown.noise_class == NOISE_BACKGROUND
-    afterpulse = shown.noise_class == NOISE_AFTERPULSE
-    kept = ~(background | afterpulse)
-    ground = kept & (shown.classification == CLASS_GROUND)
+    """The same strip twice: everything that was recorded, and what it was taken for."""
+    shown, alphas = profile.thinned(), (0.45, 0.9, 0.95, 0.9)
+    background, _, _, afterpulse = shown.members
     # Where no noise was looked for nothing is called signal.
     noise = bool((background | afterpulse).any())
-    of_ground, all_else = ("signal: ground", "signal: all else") if noise else ("ground", "others")
-    limits = _height_limits(z, kept)
-    size = float(np.clip(9e4 / max(along.size, 1), 0.7, 5.0))
-    layers = (
-        ("noise: background", background, style.NOISE, 0.45),
-        (all_else, kept & ~ground, style.SIGNAL, 0.9),
-        (of_ground, ground, style.GROUND, 0.95),
-        ("noise: afterpulses", afterpulse, style.AFTERPULSE, 0.9),
-    )
+    names = "signal: all else" if noise else "others", "signal: ground" if noise else "ground"
+    labels = ("noise: background", *names, "noise: afterpulses")
     with style.type_context():
         drawn = style.figure(style.WIDTH_IN, 6.2)
         top, bottom = drawn.subplots(2, 1, sharex=True, sharey=True)
-        top.scatter(along, z, s=size, c=style.RAW, alpha=0.55, linewidths=0)
-        top.set_title("As recorded")
-        for _, member, colour, alpha in layers:
-            bottom.scatter(along[member], z[member], s=size, c=colour, alpha=alpha, linewidths=0)
+        _draw_recorded(top, shown, shown.size(0.7, 5.0))
+        _draw_classified(bottom, shown, shown.size(0.7, 5.0), alphas)
         bottom.set_title("As classified")
         handles = [
             Line2D([], [], ls="", marker="o", ms=4, color=colour, alpha=alpha, label=name, mew=0)
-            for name, member, colour, alpha in sorted(layers)
+            for name, member, colour, alpha in sorted(
+                zip(labels, shown.members, COLOURS, alphas, strict=True), key=lambda one: one[0]
+            )
             if member.any()
         ]
         bottom.legend(
@@ -157,85 +152,59 @@ def draw_profile(profile: Profile) -> Figure:
         )
         for axes in (top, bottom):
             axes.set_ylabel("height [m]")
-            axes.spines[["top", "right"]].set_visible(False)
-            axes.grid(color=style.RULE, linewidth=0.4)
-            axes.set_axisbelow(True)
         bottom.set_xlabel(f"distance along the profile [m]; strip {profile.width_m:g} m wide")
-        bottom.set_ylim(*limits)
-        bottom.set_xlim(float(along.min()), max(float(along.max()), float(along.min()) + 1.0))
+        _set_limits(bottom, shown)
     return drawn
 
 
 def draw_methods(profiles: Mapping[str, Profile]) -> Figure:
-    """The same strip as several methods see it, side by side, after what was recorded.
-
-    Parameters
-    ----------
-    profiles : mapping of str to Profile
-        The strip by the method's name; at least one, each with at least one point.
-    """
+    """The same strip by the method's name, side by side, after what was recorded."""
     first = next(iter(profiles.values()))
-    kept = ~np.isin(first.noise_class, (NOISE_BACKGROUND, NOISE_AFTERPULSE))
-    low, high = _height_limits(first.z_m, kept)
     rows = -(-(len(profiles) + 1) // 2)
     with style.type_context():
         drawn = style.figure(style.WIDTH_IN, 0.5 + 2.5 * rows)
         grid = drawn.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
         panels = list(grid.ravel())
-        shown = _thinned(first)
-        size = float(np.clip(9e4 / max(shown.along_m.size, 1), 0.4, 12.0))
-        panels[0].scatter(shown.along_m, shown.z_m, s=size, c=style.RAW, alpha=0.55, linewidths=0)
-        panels[0].set_title("As recorded")
+        shown = first.thinned()
+        size = shown.size(0.4, 12.0)
+        _draw_recorded(panels[0], shown, size)
         for axes, (name, profile) in zip(panels[1:], profiles.items(), strict=False):
-            _draw_kept(axes, _thinned(profile), size)
+            _draw_classified(axes, profile.thinned(), size, (0.25, 0.9, 0.9, 0.5))
             axes.set_title(name)
         for axes in panels[len(profiles) + 1 :]:
             axes.set_axis_off()
-        for axes in panels[: len(profiles) + 1]:
-            axes.spines[["top", "right"]].set_visible(False)
-            axes.grid(color=style.RULE, linewidth=0.4)
-            axes.set_axisbelow(True)
         for axes in grid[:, 0]:
             axes.set_ylabel("height [m]")
         for axes in grid[-1]:
             axes.set_xlabel(f"distance [m]; strip {first.width_m:g} m wide")
-        grid[0, 0].set_ylim(low, high)
-        along = first.along_m
-        grid[0, 0].set_xlim(float(along.min()), max(float(along.max()), float(along.min()) + 1.0))
+        _set_limits(grid[0, 0], first)
     return drawn
 
 
-def _draw_kept(axes: Axes, profile: Profile, size: float) -> None:
-    """What a method keeps and calls ground, over a hint of what it removes."""
-    background = profile.noise_class == NOISE_BACKGROUND
-    afterpulse = profile.noise_class == NOISE_AFTERPULSE
-    kept = ~(background | afterpulse)
-    ground = kept & (profile.classification == CLASS_GROUND)
-    for member, colour, alpha in (
-        (background, style.NOISE, 0.25),
-        (kept & ~ground, style.SIGNAL, 0.9),
-        (ground, style.GROUND, 0.9),
-        (afterpulse, style.AFTERPULSE, 0.5),
-    ):
-        axes.scatter(
-            profile.along_m[member], profile.z_m[member], s=size, c=colour, alpha=alpha,
-            linewidths=0,
-        )  # fmt: skip
+def _draw_recorded(axes: Axes, profile: Profile, size: float) -> None:
+    """Everything that was recorded."""
+    axes.scatter(profile.along_m, profile.z_m, s=size, c=style.RAW, alpha=0.55, linewidths=0)
+    axes.set_title("As recorded")
+    _frame(axes)
 
 
-def _height_limits(z_m: NDArray[Any], kept: NDArray[np.bool_]) -> tuple[float, float]:
-    """Heights around what was kept: the whole range gate would flatten the scene."""
-    scene = z_m[kept] if kept.any() else z_m
-    low, high = (float(p) for p in np.percentile(scene, [0.2, 99.8]))
-    margin = max(8.0, 0.35 * (high - low))
-    # No empty sky where nothing was recorded.
-    return max(low - margin, float(z_m.min()) - 1.0), min(high + margin, float(z_m.max()) + 1.0)
+def _draw_classified(
+    axes: Axes, profile: Profile, size: float, alphas: tuple[float, float, float, float]
+) -> None:
+    """What points were taken for."""
+    for member, colour, alpha in zip(profile.members, COLOURS, alphas, strict=True):
+        along, z = profile.along_m[member], profile.z_m[member]
+        axes.scatter(along, z, s=size, c=colour, alpha=alpha, linewidths=0)
+    _frame(axes)
 
 
-def _thinned(profile: Profile) -> Profile:
-    """Every k-th point in an order that does not depend on the rows' order."""
-    columns = (profile.along_m, profile.z_m, profile.noise_class, profile.classification)
-    order = np.lexsort(tuple(reversed(columns)))
-    step = -(-order.size // MOST_POINTS)
-    along, z, noise, classes = (np.asarray(c)[order[::step]] for c in columns)
-    return Profile(along, z, noise, classes, profile.width_m)
+def _frame(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color=style.RULE, linewidth=0.4)
+    axes.set_axisbelow(True)
+
+
+def _set_limits(axes: Axes, profile: Profile) -> None:
+    along = profile.along_m
+    axes.set_ylim(*profile.heights())
+    axes.set_xlim(float(along.min()), max(float(along.max()), float(along.min()) + 1.0))

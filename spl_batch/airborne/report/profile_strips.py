@@ -44,14 +44,7 @@ def cut_profile(
 ) -> Profile | None:
     """Strip along the easting where most stands on the ground; None without points.
 
-    Parameters
-    ----------
-    height : Part or None
-        Overview of the CHM, which tells where to cut.
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : Context
-        The run.
+    ``height``: overview of the CHM, which tells where to cut.
     """
     if height is None:
         return None
@@ -61,17 +54,7 @@ def cut_profile(
 def read_strip(
     strip: Bounds, done: Mapping[str, Mapping[str, Receipt]], context: Context
 ) -> Profile | None:
-    """Points of a strip with what a run took them for; None without points.
-
-    Parameters
-    ----------
-    strip : Bounds
-        Where; the profile runs along its easting [quanta].
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : Context
-        The run.
-    """
+    """Points of a strip along its easting, with what a run took them for; None without points."""
     table = labelled_points(strip, TILE_COLUMNS, done, context)
     if not len(table):
         return None
@@ -94,21 +77,7 @@ def labelled_points(
     *,
     ordered: bool = True,
 ) -> PointTable:
-    """Points of a region with ``noise_class`` and ``classification``, as far as it is finished.
-
-    Parameters
-    ----------
-    region : Bounds
-        Where [quanta].
-    columns : sequence of str
-        What else of them is read.
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : Context
-        The run.
-    ordered : bool
-        Whether they come in canonical order.
-    """
+    """Points of a region with ``noise_class`` and ``classification``, as far as it is finished."""
     tile_q = quanta(context.workflow.tiling.tile_m)
     built = done.get("build_tile", {})
     shifts = read_shifts({"aligned": bool(done.get("align"))}, context.store)
@@ -165,16 +134,7 @@ def label_holders(
 ) -> dict[CellId, list[tuple[str, str]]]:
     """Label files that may hold each tile's points, by tile.
 
-    Parameters
-    ----------
-    tiles : list of CellId
-        Tiles.
-    tile_q : int
-        Edge of a tile [quanta].
-    folder : str
-        Kind of the labels, as the store names it.
-    units : mapping of str to Receipt
-        Finished units that gave them, by name.
+    ``folder``: kind of the labels, as the store names it; ``units``: finished ones that gave them.
     """
     holders: dict[CellId, list[tuple[str, str]]] = {t: [] for t in tiles}
     for name, receipt in units.items():

@@ -13,15 +13,17 @@ from spl_batch.airborne.diagnostics.air_fill import air_findings
 from spl_batch.airborne.diagnostics.noise_fit import noise_findings, p_values, uniformity
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_findings
 from spl_batch.airborne.hydro.flattening import bank_findings
-from spl_batch.airborne.report.coverage import (
-    area_km2,
-    density,
-    sparse_vegetation,
-)
 from spl_batch.airborne.report.good_enough import (
+    alignment,
+    area_km2,
     checkpoint_findings,
     checkpoint_report,
+    density,
     judged,
+    pairs_not_compared,
+    sparse_vegetation,
+    strip_map,
+    strip_pairs,
     swath_reports,
 )
 from spl_batch.airborne.report.model import (
@@ -29,18 +31,13 @@ from spl_batch.airborne.report.model import (
     Basis,
     Counts,
     Flightline,
+    Noise,
+    NoiseFit,
     Report,
     Survey,
 )
-from spl_batch.airborne.report.noise_model import Noise, NoiseFit
 from spl_batch.airborne.report.pictures import OF_PRODUCTS, PictureInputs, make_pictures
 from spl_batch.airborne.report.profile_strips import cut_profile
-from spl_batch.airborne.report.strip_pairs import (
-    alignment,
-    pairs_not_compared,
-    strip_map,
-    strip_pairs,
-)
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
 from spl_batch.airborne.settings import FilterSettings
@@ -65,17 +62,7 @@ from spl_batch.formats.rasters.parts import Part, read_overview
 
 
 def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
-    """Write ``report.json`` and ``report.html``.
-
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : Context
-        The run.
-    facts : RunFacts
-        What the receipts do not say.
-    """
+    """Write ``report.json`` and ``report.html``."""
     found, counts = compared(done, context), _counts(done, context, facts)
     tested = checkpoint_report(done, context)
     noise = _noise(done, context, counts.background)
@@ -144,17 +131,14 @@ def _flightlines(done: Receipts, context: Context) -> Iterable[Flightline]:
     for name, receipt in done.get("fit_line", {}).items():
         facts = receipt.facts
         yield Flightline(
+            **{key: facts[key] for key in ("points", "prf_hz", "gate_m", "seen_fraction")},
             id=name,
-            points=facts["points"],
             shots=_shots(facts["span_s"], facts["prf_hz"]),
             start_s=facts["span_s"][0],
             end_s=facts["span_s"][1],
-            prf_hz=facts["prf_hz"],
             prf_basis=_basis(workflow, "prf_hz", facts["prf_basis"]),
-            gate_m=facts["gate_m"],
             gate_basis=_basis(workflow, "gate_m", facts["gate_basis"]),
             beam_basis=facts["basis"],
-            seen_fraction=facts["seen_fraction"],
             noise_per_m=facts["noise_per_m"],
         )
 

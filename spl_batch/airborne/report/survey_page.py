@@ -86,19 +86,9 @@ HOW: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def render(report: Report, pictures: Mapping[str, Picture]) -> str:
-    """The page of an airborne survey.
+    """The page of an airborne survey: HTML without any reference to another file.
 
-    Parameters
-    ----------
-    report : Report
-        What is shown.
-    pictures : mapping of str to Picture
-        As :func:`~spl_batch.airborne.report.pictures.make_pictures` gives them; any may be missing.
-
-    Returns
-    -------
-    str
-        HTML without any reference to another file; the same input gives the same text.
+    The same input gives the same text; any of ``pictures`` may be missing.
     """
     photons = photon_counting(report)
     # Without beamlet numbers nothing in the points says that the instrument is the one named.

@@ -27,12 +27,9 @@ _NO_REFERENCE: Final = "no reference was given"
 
 
 def verdicts(report: Report) -> list[Verdict]:
-    """Sentences that say whether the result can be used.
+    """Sentences that say whether the result can be used, bad news before the others.
 
-    Returns
-    -------
-    list of Verdict
-        Always three: accuracy, conservation of points, failures; bad news before the others.
+    Always three: accuracy, conservation of points, failures.
     """
     found = [
         _accuracy_verdict(report),
@@ -87,15 +84,7 @@ def terrain_accuracy(report: Report) -> str | None:
 
 
 def mostly_unfiltered(counts: Counts, method: str) -> str:
-    """Sentence for a survey of which more than half could not be filtered; empty for others.
-
-    Parameters
-    ----------
-    counts : Counts
-        Where every point went.
-    method : str
-        Noise filter.
-    """
+    """Sentence for a survey of which more than half could not be filtered; empty for others."""
     if method == "none" or 2 * counts.no_beam <= counts.points_in:
         return ""
     return (

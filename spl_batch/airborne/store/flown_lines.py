@@ -68,15 +68,7 @@ def line_of(
 
 
 class Shifts:
-    """Heights that a run adds to flightlines.
-
-    Parameters
-    ----------
-    passes : sequence of Pass
-        The flightlines.
-    up_q : (n,) int32
-        What is added to the heights of each [quanta].
-    """
+    """Heights that a run adds to flightlines, ``up_q`` to each [quanta]."""
 
     def __init__(self, passes: Sequence[Pass], up_q: NDArray[np.int32]) -> None:
         self.passes = passes

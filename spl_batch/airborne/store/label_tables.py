@@ -66,14 +66,7 @@ class Origin(NamedTuple):
 def write_labels(path: Path, origin: Origin, labels: Mapping[str, NDArray[Any]]) -> None:
     """Write labels atomically, sorted by tile and row; no more than a tile's are held again.
 
-    Parameters
-    ----------
-    path : Path
-        Final name.
-    origin : Origin
-        Where the n points lie, in any order.
-    labels : mapping of str to (n,) ndarray
-        Their labels by column name.
+    ``labels``: (n,) each, of the points at ``origin``, in any order.
     """
     dtypes: dict[str, Any] = {"tile_i": np.int32, "tile_j": np.int32, "row": np.uint32}
     dtypes |= {name: COLUMNS[name].dtype for name in labels}
@@ -332,13 +325,7 @@ def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArr
     return found
 
 
-def tile_cells(names: Sequence[str]) -> list[CellId]:
-    """Tiles by name, as a task's arguments carry them."""
-    return [parse_cell(name) for name in names]
-
-
-def label_units(units: Mapping[str, Sequence[Sequence[str]]]) -> Units:
-    """Label units by tile, as a task's arguments carry them."""
-    return {
-        parse_cell(tile): [(kind, name) for kind, name in listed] for tile, listed in units.items()
-    }
+def label_units(args: Mapping[str, Any], kind: str) -> Units:
+    """Units that hold labels of a kind, by tile, as a task's arguments name them."""
+    labels = args.get("labels", {}).get(kind, {})
+    return {parse_cell(tile): [(kind, name) for name in names] for tile, names in labels.items()}

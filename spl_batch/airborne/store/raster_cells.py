@@ -24,7 +24,7 @@ from spl_batch.formats.verified.zarr_chunks import (
     read_box,
     read_metadata,
 )
-from spl_batch.lattice.tiles import Bounds, CellId
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, shared
 
 HALF_CELLS: Final = 2**20
 """Ground cells on each side of coordinate zero that the store has room for [count]."""
@@ -33,19 +33,10 @@ HALF_CELLS: Final = 2**20
 def create_raster_store(
     path: Path, names: Sequence[str], *, ground_cell: int, raster_cell: int
 ) -> None:
-    """Make the arrays of the working store; those that are there and sound are kept.
+    """Make the arrays of the working store, float32; those that are there and sound are kept.
 
-    Parameters
-    ----------
-    names : sequence of str
-        One float32 array each.
-    ground_cell, raster_cell : int
-        Edges of a chunk and of a raster cell [quanta]; the first a multiple of the second.
-
-    Raises
-    ------
-    StoreError
-        If the store was made for other cell sizes.
+    ``ground_cell, raster_cell``: edges of a chunk and of a raster cell [quanta]; the first a
+    multiple of the second. Raises StoreError if the store was made for other sizes.
     """
     px, remainder = divmod(ground_cell, raster_cell)
     if remainder or px < 1:
@@ -70,26 +61,10 @@ def create_raster_store(
 
 
 def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32]]) -> list[Path]:
-    """Write the rasters of one ground cell: chunks that are replaced as a whole.
+    """Write the rasters of one ground cell: chunks that are replaced whole; their files.
 
-    Parameters
-    ----------
-    path : Path
-        Store from :func:`create_raster_store`.
-    cell : CellId
-        Column and row of its south-western square.
-    arrays : mapping of str to (rows, columns) float32
-        Rasters of its squares, row 0 northernmost.
-
-    Returns
-    -------
-    list of Path
-        Files of the chunks.
-
-    Raises
-    ------
-    StoreError
-        If there is no such raster or it is not made of whole squares.
+    ``cell``: column and row of its south-western square; ``arrays``: of its squares, row 0
+    northernmost. Raises StoreError if there is no such raster or it is not made of whole squares.
     """
     written = []
     for name, values in arrays.items():
@@ -107,26 +82,10 @@ def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32
 
 
 def read_window(path: Path, name: str, bounds: Bounds) -> NDArray[np.float32]:
-    """Part of a stored raster.
+    """Part of a stored raster, row 0 northernmost; ``bounds`` are whole raster cells [quanta].
 
-    Parameters
-    ----------
-    path : Path
-        Store from :func:`create_raster_store`.
-    bounds : Bounds
-        Region [quanta]; its edges are whole multiples of the raster cell.
-
-    Returns
-    -------
-    (rows, cols) float32
-        Row 0 northernmost.
-
-    Raises
-    ------
-    StoreError
-        If there is no such raster or the region is not aligned to its cells.
-    DamagedError
-        If a chunk is damaged, or not there; names it.
+    Raises StoreError if there is no such raster or the region is not aligned to its cells, and
+    DamagedError, which names it, if a chunk is damaged or not there.
     """
     metadata, px, edge = _array(path, name)
     if any(side % edge for side in bounds):
@@ -142,30 +101,13 @@ def stored_blocks(
 ) -> Iterator[tuple[int, int, NDArray[np.float32]]]:
     """Pieces of a stored raster for ``write_cog``, one ground cell at a time.
 
-    Parameters
-    ----------
-    path : Path
-        Store from :func:`create_raster_store`.
-    bounds : Bounds
-        Region of the mosaic [quanta]; cells beyond it are cut.
-    cells : iterable of CellId
-        Ground cells to read, best in rows from north to south.
-    ground_cell : int
-        Edge of a ground cell [quanta].
-
-    Yields
-    ------
-    row, col, block
-        Place in the mosaic, row 0 northernmost, and values.
+    First row, first column and values, row 0 northernmost. ``bounds``: region of the mosaic, cells
+    beyond it are cut; ``cells`` best in rows from north to south; ``ground_cell``: their edge
+    [quanta].
     """
     _, _, edge = _array(path, name)
     for cell in cells:
-        part = Bounds(
-            max(cell.i * ground_cell, bounds.xmin),
-            max(cell.j * ground_cell, bounds.ymin),
-            min((cell.i + 1) * ground_cell, bounds.xmax),
-            min((cell.j + 1) * ground_cell, bounds.ymax),
-        )
+        part = shared(cell_bounds(cell, ground_cell), bounds)
         if part.xmax > part.xmin and part.ymax > part.ymin:
             row = (bounds.ymax - part.ymax) // edge
             col = (part.xmin - bounds.xmin) // edge
@@ -173,22 +115,7 @@ def stored_blocks(
 
 
 def frame(bounds: Bounds, raster_cell: int) -> tuple[tuple[int, int], tuple[float, float]]:
-    """Shape and upper left corner of a mosaic, as ``write_cog`` wants them.
-
-    Parameters
-    ----------
-    bounds : Bounds
-        Region [quanta], aligned to raster cells.
-    raster_cell : int
-        Edge of a raster cell [quanta].
-
-    Returns
-    -------
-    shape : (int, int)
-        Rows and columns.
-    origin_xy_m : (float, float)
-        Easting and northing of the upper left corner [m].
-    """
+    """Rows and columns, and upper left corner [m], of a mosaic, as ``write_cog`` wants them."""
     shape = (bounds.ymax - bounds.ymin) // raster_cell, (bounds.xmax - bounds.xmin) // raster_cell
     return shape, (bounds.xmin * QUANTUM_M, bounds.ymax * QUANTUM_M)
 

@@ -43,11 +43,6 @@ class StoredVoxels:
     """A stretch's share of the expected noise, as :func:`write_voxels` has written it.
 
     Everything that looks into it raises DamagedError if it is missing or damaged.
-
-    Parameters
-    ----------
-    path : Path
-        The group.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,15 +56,10 @@ class StoredVoxels:
         return range(first, first + metadata["shape"][2])
 
     def add(self, corner: Sequence[int], totals: Mapping[str, NDArray[Any]]) -> None:
-        """Add it to a box of voxels, in place.
+        """Add it to a box of voxels, in place, where they overlap.
 
-        Parameters
-        ----------
-        corner : (3,) int
-            Absolute index of the box's first voxel.
-        totals : mapping of str to (nx, ny, nz) or (nx, ny, nz, 16) integer
-            The box by the name of the sum (``amount``, ``shots``, ``beamlets``, ``squares``); the
-            part is added where they overlap.
+        ``corner``: absolute index of the box's first voxel; ``totals``: the box by the name of the
+        sum, ``amount``, ``shots``, ``beamlets``, ``squares``.
         """
         for name, total in totals.items():
             metadata = self._metadata(name)

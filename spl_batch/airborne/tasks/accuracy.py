@@ -7,22 +7,22 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.accuracy import (
-    STEPS_PER_M,
-    Grid,
-    Raster,
-    Reference,
-    Tallies,
-    Tally,
-    accuracy_report,
-    add_up,
+from spl_batch.airborne.accuracy.differences import (
     difference_sums,
     ground_differences,
     return_differences,
     surface_differences,
-    tallies,
     terrain_differences,
 )
+from spl_batch.airborne.accuracy.error_tally import (
+    STEPS_PER_M,
+    Tallies,
+    Tally,
+    accuracy_report,
+    add_up,
+    tallies,
+)
+from spl_batch.airborne.accuracy.raster_and_reference import Grid, Raster, Reference
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import label_units, read_region
@@ -85,7 +85,7 @@ def _of_returns(
     """Kept returns of a square against the reference, a tile at a time."""
     if context.workflow.filter.method == "none":
         return
-    units, shifts = label_units(args["noise"]), read_shifts(args, context.store)
+    units, shifts = label_units(args, "noise"), read_shifts(args, context.store)
 
     def chosen(table: PointTable) -> NDArray[np.bool_]:
         some = (table["x"] + table["y"] + table["z"]) % EVERY == 0
@@ -163,12 +163,9 @@ class Comparison:
 
 
 def compared(done: Receipts, context: Context) -> Comparison | None:
-    """What all squares say together; None where nothing was compared.
+    """What all squares found together; None where nothing was compared.
 
-    Raises
-    ------
-    DamagedError
-        If what a square said is missing or damaged.
+    Raises DamagedError if what a square found is missing or damaged.
     """
     settings = context.workflow.reference
     if settings is None or settings.points is None:

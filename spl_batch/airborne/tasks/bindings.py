@@ -5,41 +5,29 @@ needs into the arguments that it is done with, or None where it is left out.
 """
 
 from collections.abc import Collection, Mapping
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final
 
 from spl_batch.engine.tasks.task import Need
 
-Found = Collection[Need]
+MADE_BY: Final[Mapping[str, str]] = MappingProxyType(
+    {"noise": "denoise", "ground": "ground", "classes": "surface"}
+)
+"""Step that gives each kind of labels."""
 
 
-def labelled(args: Mapping[str, Any], found: Found) -> dict[str, Any]:
-    """A cell with the labels that there are."""
-    there = {
-        key: {
-            tile: [unit for unit in units if (step, unit[1]) in found]
-            for tile, units in args[key].items()
+def labelled(args: Mapping[str, Any], found: Collection[Need]) -> dict[str, Any]:
+    """A task with the labels that there are."""
+    labels = {
+        kind: {
+            tile: [unit for unit in units if (MADE_BY[kind], unit) in found]
+            for tile, units in by_tile.items()
         }
-        for key, step in (("noise", "denoise"), ("ground", "ground"))
-        if key in args
+        for kind, by_tile in args.get("labels", {}).items()
     }
-    return {**args, **there}
+    return {**args, "labels": labels} if labels else dict(args)
 
 
-def on_ground(args: Mapping[str, Any], found: Found) -> dict[str, Any] | None:
+def on_ground(args: Mapping[str, Any], found: Collection[Need]) -> dict[str, Any] | None:
     """A cell likewise, if its ground is there."""
     return labelled(args, found) if ("ground", args["cell"]) in found else None
-
-
-def delivered(args: Mapping[str, Any], found: Found) -> dict[str, Any]:
-    """A file with the labels that there are of its tiles."""
-    return {**args, "tiles": {t: _units(units, found) for t, units in args["tiles"].items()}}
-
-
-def delivered_tile(args: Mapping[str, Any], found: Found) -> dict[str, Any]:
-    """A tile with the labels that there are."""
-    return {**args, "units": _units(args["units"], found)}
-
-
-def _units(units: Mapping[str, list[str]], found: Found) -> dict[str, list[str]]:
-    steps = {"noise": "denoise", "classes": "surface"}
-    return {key: [n for n in names if (steps[key], n) in found] for key, names in units.items()}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from spl_batch.airborne.accuracy import Raster
+from spl_batch.airborne.accuracy.raster_and_reference import Raster
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.engine.findings import Finding
@@ -37,10 +37,7 @@ def read_named(
 ) -> tuple[list[Checkpoint], list[str]]:
     """Checkpoints of a file as a workflow has them, and what is wrong with some.
 
-    Raises
-    ------
-    InputError
-        If the file as a whole cannot be used.
+    Raises InputError if the file as a whole cannot be used.
     """
     stated = settings.checkpoints_crs if settings else None
     own = None if stated is None else parse_crs(stated, "reference.checkpoints_crs")

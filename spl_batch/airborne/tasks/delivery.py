@@ -16,10 +16,9 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
 from spl_batch.airborne.pulses.swaths import Outlined, outlines
 from spl_batch.airborne.store.flown_lines import read_shifts
-from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
+from spl_batch.airborne.store.label_tables import LabelFiles, label_units, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
-from spl_batch.airborne.tasks import index
-from spl_batch.airborne.tasks.cells import pulses
+from spl_batch.airborne.tasks import index, pulses
 from spl_batch.airborne.tasks.stretches import Copies
 from spl_batch.constants import FLAG_WITHHELD, NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.engine.findings import Finding
@@ -61,6 +60,9 @@ BLOCK: Final = 1024
 _DELIVERED = ("noise_class", "classification")
 _DIAGNOSTICS = ("noise_density", "p_value")
 """Labels that are written always, and where they are asked for."""
+
+_KINDS: Final = {"classification": "classes", "set_flags": "classes"}
+"""Kind of labels that hold them, but for ``noise``."""
 
 
 class _FileLabels:
@@ -110,13 +112,11 @@ class _FileLabels:
         """Points of each tile that count, and their copies with the same labels."""
         store, columns = self.context.store, ("source", "index")
         with LabelFiles(store) as files:
-            for tile, units in self.args["tiles"].items():
-                of_classes = ("classification", "set_flags")
-                holders = {
-                    name: "classes" if name in of_classes else "noise" for name in self.names
-                }
-                labels = {name: [(kind, u) for u in units[kind]] for name, kind in holders.items()}
-                table = read_labelled_tile(store, parse_cell(tile), columns, labels, files)
+            units = {kind: label_units(self.args, kind) for kind in ("noise", "classes")}
+            for tile in self.args["tiles"]:
+                cell = parse_cell(tile)
+                labels = {name: units[_KINDS.get(name, "noise")][cell] for name in self.names}
+                table = read_labelled_tile(store, cell, columns, labels, files)
                 yield table, False
                 if tile in self.args["copies"]:
                     copies = Copies(**read_arrays(store.path("copies", f"{tile}.npz")))
@@ -232,18 +232,12 @@ def _nonzero(counts: NDArray[np.int64]) -> dict[str, int]:
 
 def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     """Write a tile's points with their labels."""
-    units = args["units"]
-    labels = {
-        "classification": [("classes", u) for u in units["classes"]],
-        "noise_class": [("noise", u) for u in units["noise"]],
-    }
-    if context.workflow.classes.flags:
-        labels["set_flags"] = [("classes", u) for u in units["classes"]]
+    names = (*_DELIVERED, *("set_flags",) * context.workflow.classes.flags)
+    cell = parse_cell(args["tile"])
+    labels = {name: label_units(args, _KINDS.get(name, "noise"))[cell] for name in names}
     columns = ("x", "y", "z", "gps_time", "channel", "return_number", "intensity", "input_class")
     lines = read_shifts(args, context.store)
-    table = read_labelled_tile(
-        context.store, parse_cell(args["tile"]), columns, labels, shifts=lines
-    )
+    table = read_labelled_tile(context.store, cell, columns, labels, shifts=lines)
     record = None if lines is None else lines.record()
     labelled = table["classification"].copy()
     _keep(labelled, table["noise_class"], context)

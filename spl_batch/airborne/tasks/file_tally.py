@@ -1,6 +1,7 @@
 """What is in an input file, counted chunk by chunk; counts of its parts add up to those of all."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from spl_batch.airborne.beams.geometry import (
     ordered_times,
     shot_steps,
 )
-from spl_batch.airborne.tasks.return_rate import Rate
+from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
@@ -45,6 +46,15 @@ _TIMED: Final = ("gps_time", "point_source_id", "x", "y", "scan_angle")
 """Columns that say when and whereto a flightline was flown."""
 
 
+BINS_PER_S: Final = 256
+"""Bins of a second that points are counted in [1/s]."""
+
+_FAR_BINS: Final = 2.0**60
+
+_MERGE_AT: Final = 64
+"""Parts that are kept before they are joined [count]."""
+
+
 class _Spans(NamedTuple):
     """Spans of time ``[first, last, points]`` of a file."""
 
@@ -56,10 +66,7 @@ class _Spans(NamedTuple):
 class Tally:
     """Running totals over the chunks of a file, or of a part of it.
 
-    Parameters
-    ----------
-    gap_s : float
-        A pause of more than this ends a span of time [s].
+    A pause of more than ``gap_s`` ends a span of time [s].
     """
 
     def __init__(self, gap_s: float) -> None:
@@ -256,3 +263,59 @@ def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:
         else:
             merged.append([first, last, points])
     return merged
+
+
+class Rate:
+    """Points of a flightline in one file, counted by time."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+
+    def add(self, time_s: NDArray[np.float64]) -> None:
+        """Count points in; times are finite [s]."""
+        # Times that are none may be anything; they are far from all others, wherever that is.
+        bins = np.clip(np.floor(time_s * BINS_PER_S), -_FAR_BINS, _FAR_BINS).astype(np.int64)
+        self._parts.append(_counted(bins, None))
+        if len(self._parts) > _MERGE_AT:
+            self._parts = [self.counted()]
+
+    def join(self, bins: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+        """Add what :meth:`counted` gave of another part of the file."""
+        self._parts.append((bins, counts))
+
+    def fullest(self) -> list[int]:
+        """Most points within 1, 2, 4, ... bins wherever they begin, up to all points [count]."""
+        bins, counts = self.counted()
+        before = np.concatenate([[0], np.cumsum(counts)])
+        found: list[int] = []
+        while not found or found[-1] < before[-1]:
+            after = np.searchsorted(bins, bins + 2 ** len(found))
+            found.append(int((before[after] - before[:-1]).max()))
+        return found
+
+    def counted(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Bins that hold points, in order, and how many [count]."""
+        bins, counts = (np.concatenate(columns) for columns in zip(*self._parts, strict=True))
+        return _counted(bins, counts)
+
+
+def most_points(fullest: Sequence[int], span_s: float) -> int:
+    """Points that a span of time holds at the most [count]."""
+    bins = math.floor(span_s * BINS_PER_S) + 2  # it begins and ends within one
+    if bins >= 2 ** (len(fullest) - 1):
+        return fullest[-1]
+    # Windows side by side make up the span; a longer one has it within.
+    parts = sum(most for k, most in enumerate(fullest) if bins >> k & 1)
+    return min(parts, fullest[(bins - 1).bit_length()])
+
+
+def _counted(
+    bins: NDArray[np.int64], counts: NDArray[np.int64] | None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Bins that hold something, and how much."""
+    order = np.argsort(bins, kind="stable") if np.any(bins[1:] < bins[:-1]) else slice(None)
+    bins = bins[order]
+    starts = run_starts(bins)
+    if counts is None:
+        return bins[starts[:-1]], np.diff(starts)
+    return bins[starts[:-1]], np.add.reduceat(counts[order], starts[:-1])

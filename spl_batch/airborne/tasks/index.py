@@ -150,13 +150,7 @@ def _numbers(path: Path, context: Context) -> dict[str, Numbers]:
 
 
 class _Found:
-    """What is known of a file, or of a part of it, and what is kept of its points.
-
-    Parameters
-    ----------
-    gap_s : float
-        A pause of more than this ends a span of time [s].
-    """
+    """What is known of a file, or of a part of it, and what is kept of its points."""
 
     def __init__(self, gap_s: float) -> None:
         self.tally = Tally(gap_s)
@@ -262,12 +256,7 @@ def check_file(
 ) -> int:
     """Records of a trajectory file, each time counted once, all of them read [count].
 
-    ``folder``: where records wait for their place in time.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be used.
+    Raises InputError if it cannot be used; ``folder``: where records wait for their place in time.
     """
     with gathering(
         [path], survey_crs=survey_crs, trajectory_crs=trajectory_crs, folder=folder

@@ -32,12 +32,7 @@ def columns(args: Mapping[str, Any]) -> tuple[str, ...]:
 def beams(table: PointTable, store: Store, args: Mapping[str, Any]) -> BeamTable:
     """Line of sight of each point of a stretch: by trajectory, found path, or scan angle.
 
-    Parameters
-    ----------
-    table : PointTable
-        At least one point of a stretch.
-    args : mapping
-        ``line``, ``trajectory``, ``sensor_path`` and ``heading_rad`` of the task.
+    ``args``: ``line``, ``trajectory``, ``sensor_path`` and ``heading_rad`` of the task.
     """
     trajectory: Trajectory | None = None
     if args["trajectory"] or args["sensor_path"]:

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.accuracy import Reference
+from spl_batch.airborne.accuracy.raster_and_reference import Reference
 from spl_batch.airborne.context import Context
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.tasks.context import Produced
@@ -59,19 +59,10 @@ def _write_square(scratch: Path, target: Path) -> int:
 
 
 def read_square(context: Context, files: Sequence[str], square: str, core: Bounds) -> Reference:
-    """Points of a square and its margin, those of all files.
+    """Points of a square and its margin, those of all files that have some.
 
-    Parameters
-    ----------
-    files : sequence of str
-        Reference files that have points there, as tasks call them.
-    core : Bounds
-        The square itself, whose points count [quanta].
-
-    Raises
-    ------
-    DamagedError
-        If a file of the store is missing or damaged.
+    Those of ``core``, the square itself, count [quanta]. Raises DamagedError if a file of the store
+    is missing or damaged.
     """
     parts = [read_columns(_file(context, name, square), tuple(_COLUMNS)) for name in files]
     columns = {name: np.concatenate([part[name] for part in parts]) for name in _COLUMNS}

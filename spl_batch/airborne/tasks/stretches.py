@@ -49,12 +49,7 @@ MIXED_RUN_POINTS: Final = 16_384
 def add_points(writer: GroupWriter, table: PointTable) -> None:
     """Keep a chunk of an input file in time order, but for what no computation looks at.
 
-    Parameters
-    ----------
-    writer : GroupWriter
-        Of the file's points; row groups are short, and their footers tell their times.
-    table : PointTable
-        The chunk, with all source columns.
+    Row groups are short, and their footers tell their times.
     """
     time = table["gps_time"]
     mixed = bool(np.any(time[1:] < time[:-1]))
@@ -79,26 +74,15 @@ class Copies(NamedTuple):
 def read_stretch(
     args: Mapping[str, Any], context: Context, names: Sequence[str]
 ) -> tuple[PointTable, Copies]:
-    """Points of a stretch from every file that has some, in time order.
+    """Points of a stretch from every file that has some, in time order, and the copies left out.
 
     A return that is there several times, as where a file is delivered twice, tiles overlap or a
     file holds its points twice, comes once, from the file that is named first and the first place
     in it: copies would vouch for each other.
 
-    Parameters
-    ----------
-    args : mapping
-        ``sources``, the names of files or of their parts, soundest first, ``psid``, ``t0_s``,
-        ``prf_hz``, ``shots``, ``window_s`` and ``span_s``.
-    names : sequence of str
-        Columns that are wanted; those of the order and ``shot`` come too.
-
-    Returns
-    -------
-    table : PointTable
-        The points.
-    copies : Copies
-        What is left out.
+    ``args``: ``sources``, the names of files or of their parts, soundest first, ``psid``, ``t0_s``,
+    ``prf_hz``, ``shots``, ``window_s`` and ``span_s``; ``names``: columns that are wanted, those of
+    the order and ``shot`` come too.
     """
     clock = ShotClock(args["t0_s"], args["prf_hz"])
     columns = list(dict.fromkeys((*TIME_ORDER, *names)))

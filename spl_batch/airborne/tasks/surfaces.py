@@ -1,4 +1,4 @@
-"""Stage ``surfaces``: raster cells and final classes of a ground cell.
+"""Stage ``surfaces``: raster cells and final classes of a ground cell, and its noise.
 
 Points are read once; four looks at them follow each other, each with the columns and the returns
 that it needs.
@@ -12,27 +12,42 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.classes import point_classes
+from spl_batch.airborne.classes.buildings import REACH_M, Floor, buildings
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.diagnostics.air_fill import alone_facts
+from spl_batch.airborne.diagnostics import air_fill
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_facts
 from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
+from spl_batch.airborne.products.cell_values import cell_number, shape_of
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.pulses.first_returns import first_returns
+from spl_batch.airborne.pulses.swaths import Swaths
+from spl_batch.airborne.settings import ClassSettings
+from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.cells import Cell
+from spl_batch.airborne.store.label_tables import write_labels
 from spl_batch.airborne.store.raster_cells import write_cell
-from spl_batch.airborne.tasks.cells import cell_classes, pulses
-from spl_batch.constants import NODATA, NOISE_SIGNAL
+from spl_batch.airborne.tasks import pulses
+from spl_batch.constants import (
+    CLASS_HIGH_NOISE,
+    CLASS_LOW_NOISE,
+    FLAG_OVERLAP,
+    FLAG_WITHHELD,
+    NODATA,
+    NOISE_NOT_ASSESSED,
+    NOISE_SIGNAL,
+)
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
-from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, overlap, quanta
+from spl_batch.lattice.tables import EXCLUDED, PointTable
+from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, inside, overlap, quanta
 
 Rasters = dict[str, NDArray[np.float32]]
 
@@ -52,12 +67,12 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     counted = pulses.covered(arrays, workflow.products)
     counted |= terrain_facts(arrays["dtm_quality"], arrays["dtm"], core)
     if workflow.filter.method == "none":
-        counted |= alone_facts(arrays["dsm"], arrays["dtm"])
+        counted |= air_fill.alone_facts(arrays["dsm"], arrays["dtm"])
     give_back()
     of_pulses, swaths = pulses.pulse_facts(_first(cell), arrays["density"], core, context)
     counted |= of_pulses
     give_back()
-    labels, facts, n_points = cell_classes.classes(cell, arrays, swaths)
+    labels, facts, n_points = _classes(cell, arrays, swaths)
     counted |= facts | ({"banks": list(banks)} if banks else {})
     chunks = _write_rasters(args["cell"], core, arrays, context)
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
@@ -69,7 +84,7 @@ def _at_once(cell: Cell) -> tuple[Bounds, list[str]]:
     """Region and columns of all looks at a cell."""
     workflow, far = cell.context.workflow, cell.args["halo"]
     columns = [*surfacing.COLUMNS_NEEDED, "afterpulse", *pulses.COLUMNS]
-    columns += cell_classes.columns(workflow)
+    columns += _classes_columns(workflow)
     if cell.args["fired"] is None:
         columns += surfacing.COLUMNS_OF_INTENSITY
     else:
@@ -145,3 +160,93 @@ def _mask_outside(arrays: Rasters, core: Bounds, context: Context) -> None:
     outside = ~contains(polygons, east, north).reshape(len(y), len(x))
     for name, values in arrays.items():
         arrays[name] = np.where(outside, np.float32(NODATA), values)
+
+
+def _classes_reach_q(asked: ClassSettings) -> int:
+    """What is looked at around a cell [quanta]."""
+    return quanta(REACH_M if asked.building else 0.0)
+
+
+def _classes_columns(workflow: Workflow) -> tuple[str, ...]:
+    """Columns of points that are looked at."""
+    wires = ("wire",) if workflow.filter.wires.classify else ()
+    return (*point_classes.COLUMNS_NEEDED, *wires, "noise_density")
+
+
+def _classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[str, Any], int]:
+    """Write the classes of what a cell owns, and look at its noise.
+
+    Of the rasters ``dtm`` is looked at, and ``noise`` is added; ``swaths`` tell where overlap is
+    flagged. Gives the file of labels, facts for the report, and how many points were labelled.
+    """
+    workflow, dtm = cell.context.workflow, arrays["dtm"]
+    table, origin = cell.read(
+        grow(cell.core, _classes_reach_q(workflow.classes)), _classes_columns(workflow)
+    )
+    owned = inside(table["x"], table["y"], cell.core)
+    roofs = None
+    if workflow.classes.building:
+        roofs = buildings(table, _usable(table), _floor(cell))[owned]
+    mine = table.take(owned)
+    del table
+    arrays["noise"] = _noise(mine, cell.core, quanta(workflow.products.cell_m))
+    further = point_classes.Further(roofs, workflow.classes.vegetation)
+    classification = point_classes.classify(mine, cell.core, dtm, further)
+    labels = {"classification": classification}
+    if workflow.classes.flags:
+        labels["set_flags"] = _flags(mine, classification, workflow.classes, swaths)
+    facts, noise_m3 = {}, _median(arrays["noise"])
+    if noise_m3 is not None:
+        highest = air_fill.highest_ground(dtm)
+        air = air_fill.filled_blocks(mine, cell.core, highest, noise_m3)
+        facts = {} if air is None else air_fill.fill_facts(air, cell.core)
+    path = cell.context.store.table("classes", cell.args["cell"])
+    write_labels(path, origin.of(owned), labels)
+    return path, facts, len(mine)
+
+
+def _noise(table: PointTable, core: Bounds, size: int) -> NDArray[np.float32]:
+    """Mean expected noise density of each raster cell, north up [1/m3]."""
+    shape = shape_of(core, size)
+    known = np.isfinite(table["noise_density"])
+    cell, value = cell_number(table, core, size)[known], table["noise_density"][known]
+    # Sums in 64 bits of so few values of 24 bits each are exact: their order does not count.
+    total = np.bincount(cell, value, shape[0] * shape[1])
+    count = np.bincount(cell, minlength=shape[0] * shape[1])
+    mean = np.where(count > 0, total / np.maximum(count, 1), NODATA)
+    return np.ascontiguousarray(mean.reshape(shape)[::-1], dtype=np.float32)
+
+
+def _median(noise: NDArray[np.float32]) -> float | None:
+    """Expected noise of a cell [1/m3]; None where there is none."""
+    known = noise[noise > NODATA]
+    return float(np.median(known)) if known.any() else None
+
+
+def _floor(cell: Cell) -> Floor:
+    """The ground that buildings of a cell stand on."""
+    region = grow(cell.core, cell.args["halo"])
+    table = cell.read(region, ("x", "y", "z", "noise_class", "ground", "flags"))[0]
+    return Floor(region, table, _usable(table))
+
+
+def _usable(table: PointTable) -> NDArray[np.bool_]:
+    """Signal that buildings are seen by."""
+    usable = np.isin(table["noise_class"], (NOISE_SIGNAL, NOISE_NOT_ASSESSED))
+    return usable & ~table.has(EXCLUDED)
+
+
+def _flags(
+    table: PointTable,
+    classification: NDArray[np.uint8],
+    asked: ClassSettings,
+    swaths: Swaths,
+) -> NDArray[np.uint8]:
+    """Flags that are set: withheld noise, overlap."""
+    flags = np.zeros(len(table), np.uint8)
+    if asked.withheld:
+        noise = np.isin(classification, (CLASS_LOW_NOISE, CLASS_HIGH_NOISE))
+        flags[noise] |= FLAG_WITHHELD
+    if asked.overlap:
+        flags[swaths.overlapping(table["x"], table["y"])] |= FLAG_OVERLAP
+    return flags

@@ -259,7 +259,6 @@ def _write_fired(
     sensor = lines_of_sight.beamlets(args, context).seen
     part = fired_beamlets.aim(table, beams, model, sensor, clock)
     facts["fired"] = part.reach()
-    facts["fired_blocks"] = [len(part.first), part.dropped]
     path = context.store.path("fired", f"{args['stretch']}.npz")
     write_arrays(path, part.to_arrays())
     return [path]

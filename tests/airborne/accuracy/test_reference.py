@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 
 from spl_batch import api
-from spl_batch.airborne.accuracy import (
-    Raster,
-    Reference,
-    Tallies,
-    accuracy_report,
-    surface_differences,
-    tallies,
-    terrain_differences,
-)
+from spl_batch.airborne.accuracy.differences import surface_differences, terrain_differences
+from spl_batch.airborne.accuracy.error_tally import Tallies, accuracy_report, tallies
+from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.airborne.plan import reference_tasks as planned
 from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.constants import NODATA

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from spl_batch.airborne.lines.comparison import offset_warnings
 from spl_batch.airborne.lines.pair_table import (
     DETERMINED_M,
     FEWEST,
@@ -12,7 +13,6 @@ from spl_batch.airborne.lines.pair_table import (
     pair_table,
 )
 from spl_batch.airborne.lines.patches import Patches
-from spl_batch.airborne.lines.sentences import offset_warnings
 from tests.airborne.lines.two_strips import (
     Heights,
     Shift,

@@ -130,17 +130,16 @@ SPOILS = {
 
 
 @pytest.mark.parametrize("row", SPOILS.values(), ids=SPOILS)
-@pytest.mark.parametrize("at", [40])
-def test_a_record_that_cannot_be_is_left_out_and_told(tmp_path: Path, row: str, at: int) -> None:
+def test_a_record_that_cannot_be_is_left_out_and_told(tmp_path: Path, row: str) -> None:
     path = tmp_path / "t.csv"
-    path.write_bytes(text([*ROWS[:at], row, *ROWS[at:]]))
+    path.write_bytes(text([*ROWS[:40], row, *ROWS[40:]]))
     assert check_file(path, None, None) == len(ROWS)
     with gathering([path], survey_crs=None, trajectory_crs=None) as found:
         times = np.concatenate([time for time, _ in found])
     (said,) = found.warnings
     assert times.tolist() == [float(one.split(",")[0]) for one in ROWS]
     assert said.startswith("trajectory t.csv: 1 of 101 records left out (no finite number")
-    first = f"; the first is record {at}" if row.count(",") == 3 else ""
+    first = "; the first is record 40" if row.count(",") == 3 else ""
     assert said.endswith(f" m){first}")
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.watch.events import Event, Note
@@ -63,22 +62,19 @@ def test_a_copy_whose_times_are_broken_is_not_the_original(small: Path, small_ou
     assert not assessed(result.output)[copy].any()
 
 
-@pytest.mark.parametrize("times", [2])
-def test_points_that_a_file_holds_twice_count_once(
-    small: Path, small_output: Path, times: int
-) -> None:
+def test_points_that_a_file_holds_twice_count_once(small: Path, small_output: Path) -> None:
     path = lines(small)[0]
     columns = surveys.flightline(shots=120, psid=1, seed=1)
     size = len(columns["x"])
     assert size == len(surveys.cloud(path)["X"]), "the survey's first line"
     columns["classification"] = np.full(size, 2, np.uint8)
     some = surveys.take(columns, slice(40, 60))
-    surveys.write_cloud(path, surveys.join(columns, *[some] * times))
+    surveys.write_cloud(path, surveys.join(columns, some, some))
     result = surveys.run(small)
     name = f"lines/{path.name}"
     cloud = surveys.delivered(result.output)[name]
     assert np.all(cloud["input_classification"] == 2)
-    of_originals = np.tile(cloud["classification"][40:60], times)
+    of_originals = np.tile(cloud["classification"][40:60], 2)
     assert np.array_equal(cloud["classification"][size:], of_originals)
     found = assessed(result.output)[name]
     alone = assessed(small_output)[name]
@@ -87,9 +83,9 @@ def test_points_that_a_file_holds_twice_count_once(
     for raster_name, raster in surveys.rasters(small_output).items():
         assert np.array_equal(surveys.rasters(result.output)[raster_name][0], raster[0])
     (one,) = surveys.found(result.report.findings, "I03", "repeated")
-    more = int(np.count_nonzero(alone[40:60])) * times
+    more = 2 * int(np.count_nonzero(alone[40:60]))
     assert (one.subject, one.values["count"]) == (name, more)
-    assert one.values["points"] == size + 20 * times
+    assert one.values["points"] == size + 40
 
 
 def test_points_that_differ_in_anything_are_no_copies(small: Path) -> None:
@@ -128,14 +124,13 @@ def linear_mode(survey: Path) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("point_format", [0])
-def test_copies_in_linear_mode_count_once(tmp_path: Path, point_format: int) -> None:
+def test_copies_in_linear_mode_count_once(tmp_path: Path) -> None:
     columns = surveys.flightline(shots=120, psid=1, seed=1, noise=0.0)
     size = len(columns["x"])
     for folder, times in (("once", 1), ("again", 2)):
         twice = surveys.join(*[{**columns, "classification": np.full(size, 5, np.uint8)}] * times)
         cloud = tmp_path / folder / "lines/a.laz"
-        surveys.write_cloud(cloud, twice, point_format=point_format, channel=False)
+        surveys.write_cloud(cloud, twice, point_format=0, channel=False)
         surveys.write_workflow(tmp_path / folder, survey={"channel_dimension": None})
     shutil.copy(cloud, cloud.with_name("b.laz"))
     once, again = (linear_mode(tmp_path / folder / "workflow.yaml") for folder in ("once", "again"))
@@ -147,14 +142,10 @@ def test_copies_in_linear_mode_count_once(tmp_path: Path, point_format: int) -> 
         assert np.array_equal(got, np.tile(once["lines/a.laz"]["classification"], (2, 1)))
 
 
-@pytest.mark.parametrize("timed", [False])
-def test_intensity_tells_copies_apart_only_where_times_are_none(
-    tmp_path: Path, *, timed: bool
-) -> None:
+def test_intensity_tells_copies_apart_where_times_are_none(tmp_path: Path) -> None:
     columns = surveys.flightline(shots=20, psid=1, seed=1, noise=0.0)
     size = len(columns["x"])
-    if not timed:
-        columns["gps_time"] = np.zeros(size)
+    columns["gps_time"] = np.zeros(size)
     scaled = {**columns, "intensity": columns["intensity"] * np.uint16(128)}
     for name, cloud in (("a", columns), ("b", scaled)):
         surveys.write_cloud(tmp_path / f"lines/{name}.laz", cloud, channel=False)
@@ -162,4 +153,4 @@ def test_intensity_tells_copies_apart_only_where_times_are_none(
     surveys.run(survey, "filter.method=none", "afterpulse.enabled=false", until="shuffle")
     tiles = (tmp_path / "out/store/receipts/build_tile").glob("*.json")
     points = sum(json.loads(path.read_text())["facts"]["points"] for path in tiles)
-    assert points == (size if timed else 2 * size)
+    assert points == 2 * size

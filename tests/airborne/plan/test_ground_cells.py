@@ -75,12 +75,6 @@ def test_strips_up_to_the_buffer_belong_to_the_next_cell() -> None:
     assert cells.keeper(CellId(0, 0)) == CellId(1, 0)
 
 
-def test_a_survey_of_two_strips_is_one_cell() -> None:
-    cells = Grid.of_boxes([(150, 390, 250, 410)], EDGE, BUFFER)
-    assert {cells.keeper(CellId(i, j)) for i in (0, 1) for j in (1, 2)} == {CellId(1, 2)}
-    assert cells.core(CellId(1, 2)) == Bounds(0, 200, 400, 600)
-
-
 COUNTS = {CellId(i, j): 10 + i for i in range(-2, 3) for j in range(4)}
 EXTENT = [Bounds(-200, 0, 300, 400)]
 

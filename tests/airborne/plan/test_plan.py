@@ -19,8 +19,7 @@ from spl_batch.airborne.plan.flightlines import (
 )
 from spl_batch.airborne.plan.task_memory import UNEVEN
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
-from spl_batch.airborne.tasks.file_tally import merge_spans
-from spl_batch.airborne.tasks.return_rate import BINS_PER_S, Rate, most_points
+from spl_batch.airborne.tasks.file_tally import BINS_PER_S, Rate, merge_spans, most_points
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs import preparing

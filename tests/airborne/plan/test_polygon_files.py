@@ -11,16 +11,17 @@ from pyproj import Transformer
 from tests import surveys
 
 
+def write(path: Path, shape: object, kind: str = "Polygon", crs: str = "EPSG:32615") -> None:
+    shapes = shapely.to_wkb(np.array([shape], object))
+    pyogrio.raw.write(path, shapes, [], [], geometry_type=kind, crs=crs)
+
+
 @pytest.mark.parametrize(("key", "status"), [("aoi", 2), ("breaklines", 0)])
 @pytest.mark.parametrize("away_m", [0.0, 5000.0])
 def test_polygons_beyond_the_survey(tmp_path: Path, key: str, status: int, away_m: float) -> None:
     east, north = surveys.ORIGIN_M
     box = shapely.box(east + away_m, north, east + away_m + 9, north + 9)
-    shapes = np.array([shapely.force_3d(box, 20.0)], object)
-    pyogrio.raw.write(
-        tmp_path / "p.gpkg", shapely.to_wkb(shapes), [], [],
-        geometry_type="Polygon Z", crs="EPSG:32615",
-    )  # fmt: skip
+    write(tmp_path / "p.gpkg", shapely.force_3d(box, 20.0), "Polygon Z")
     surveys.write_cloud(tmp_path / "lines" / "a.laz", surveys.flightline(shots=20))
     ended = surveys.command("plan", surveys.write_workflow(tmp_path, **{key: "p.gpkg"}))
     assert ended.status == (status if away_m else 0), ended.text
@@ -29,11 +30,8 @@ def test_polygons_beyond_the_survey(tmp_path: Path, key: str, status: int, away_
 
 def test_an_area_with_latitude_and_longitude_swapped_is_refused(tmp_path: Path) -> None:
     degrees = Transformer.from_crs("EPSG:32615", "EPSG:4326").transform(*surveys.ORIGIN_M)
-    shapes = np.array([shapely.Point(*degrees).buffer(0.001)], object)
-    pyogrio.raw.write(
-        tmp_path / "p.geojson", shapely.to_wkb(shapes), [], [],
-        geometry_type="Polygon", crs="EPSG:4326",
-    )  # fmt: skip
+    area = shapely.Point(*degrees).buffer(0.001)
+    write(tmp_path / "p.geojson", area, crs="EPSG:4326")
     surveys.write_cloud(tmp_path / "lines" / "a.laz", surveys.flightline(shots=20))
     ended = surveys.command("plan", surveys.write_workflow(tmp_path, aoi="p.geojson"))
     assert ended.status == 2
@@ -47,11 +45,7 @@ def test_an_area_between_the_flightlines_is_refused_once_the_points_are_read(
     other["y"] = other["y"] + 200.0
     surveys.write_cloud(tmp_path / "lines" / "a.laz", surveys.join(one, other))
     east, north = surveys.ORIGIN_M
-    shapes = np.array([shapely.box(east - 9, north + 90, east + 9, north + 110)], object)
-    pyogrio.raw.write(
-        tmp_path / "p.gpkg", shapely.to_wkb(shapes), [], [],
-        geometry_type="Polygon", crs="EPSG:32615",
-    )  # fmt: skip
+    write(tmp_path / "p.gpkg", shapely.box(east - 9, north + 90, east + 9, north + 110))
     workflow = surveys.write_workflow(tmp_path, aoi="p.gpkg")
     ended = surveys.command("run", workflow, "--workers", 0, "--until", "shuffle")
     assert ended.status == 2

@@ -10,7 +10,6 @@ from scipy.stats import median_abs_deviation
 
 from spl_batch.airborne.products.cell_values import (
     _spread2,
-    add_up_finite,
     fill_voids,
     flown_over,
     number_cells,
@@ -198,15 +197,6 @@ def test_cells_are_numbered_by_floor_division(seed: int, size: int) -> None:
     number = np.empty(200, np.int64)
     number_cells(x + west, y + south, (west, south), float(size), 12, number)
     assert np.array_equal(number, y // size * 12 + x // size)
-
-
-def test_sums_pass_over_what_is_no_number() -> None:
-    cell = np.array([2, 0, 2, 2, 0])
-    value = np.array([1.5, np.nan, 2.25, np.inf, 4.0], np.float32)
-    total, count = np.zeros(3), np.zeros(3, np.int64)
-    add_up_finite(cell, value, total, count)
-    assert total.tolist() == [4.0, 0.0, 3.75]
-    assert count.tolist() == [1, 0, 2]
 
 
 @given(seed=st.integers(0, 50), n=st.integers(0, 200))

@@ -7,8 +7,6 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
-import rasterio
-from numpy.typing import NDArray
 
 from tests import surveys
 
@@ -51,12 +49,6 @@ def linear(folder: Path, cell_m: float, output: str, **sections: Any) -> dict[st
     surveys.run(folder / "workflow.yaml")
     report: dict[str, Any] = json.loads((folder / output / "report.json").read_text())
     return report
-
-
-def raster(path: Path) -> NDArray[np.float64]:
-    with rasterio.open(path) as source:
-        values: NDArray[np.float64] = source.read(1).astype(np.float64)
-    return values
 
 
 def test_plots_far_apart_count_and_the_console_says_so(tmp_path: Path) -> None:

@@ -12,14 +12,15 @@ from scipy.optimize import brentq
 
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.plan.cells import fired_index
-from spl_batch.airborne.products.reflectance.beamlet_matching import SILENT
-from spl_batch.airborne.products.reflectance.exposed_cells import Grid, trace
+from spl_batch.airborne.products.reflectance.beamlet_matching import SILENT, Grid, trace
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart, aim, link_constant
-from spl_batch.airborne.products.reflectance.first_surface import bounds, credible_heights, slopes
 from spl_batch.airborne.products.reflectance.reflectance import (
+    bounds,
+    credible_heights,
     most_likely,
     raster,
     reach_m,
+    slopes,
 )
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import ProductSettings
@@ -111,11 +112,12 @@ def part_of(table: PointTable, beams: BeamTable, gain: NDArray[np.float64]) -> F
 
 def predicted(part: FiredPart, shot: int, channel: int) -> NDArray[np.float64]:
     """Where a beamlet meets the reference plane, written out once more."""
-    b = int(np.flatnonzero((part.first <= shot) & (shot <= part.last))[0])
-    t = (shot - part.middle[b]) / part.half[b]
-    gx, gy = part.pattern[b, channel]
+    fires = (part.blocks["first"] <= shot) & (shot <= part.blocks["last"])
+    block = part.blocks[fires][0]
+    t = (shot - block["middle"]) / block["half"]
+    gx, gy = part.patterns[block["pattern"], channel]
     terms = np.array([1, t, t**2, t**3, gx, gx * t, gy, gy * t])
-    return part.anchor[b, :2] + terms @ part.coefficient[b]
+    return np.asarray(block["anchor"][:2] + terms @ block["coefficient"])
 
 
 @pytest.mark.parametrize(
@@ -140,17 +142,14 @@ def test_a_line_may_be_cut_anywhere_between_intervals() -> None:
     mine = table["shot"] >= 2 * INTERVAL
     rest = BeamTable(*(getattr(beams, f.name)[mine] for f in fields(BeamTable)))
     piece = part_of(table.take(mine), rest, flat_gain())
-    for name in ("first", "last", "anchor", "coefficient", "origin", "pattern"):
-        np.testing.assert_array_equal(getattr(whole, name)[2:], getattr(piece, name))
+    np.testing.assert_array_equal(whole.blocks[2:], piece.blocks)
+    np.testing.assert_array_equal(whole.pattern[2:], piece.pattern)
 
 
 def test_a_part_survives_the_way_to_disk() -> None:
     table, beams, _ = survey(lambda x, _: np.full(x.shape, 0.2), flat_gain())
     part = part_of(table, beams, flat_gain())
-    part.pattern[1::3] *= 0.5
-    by_block = ("first", "last", "middle", "half", "anchor", "coefficient", "origin", "pattern")
-    empty = replace(part, **{name: getattr(part, name)[:0] for name in by_block})
-    for kept in (part, empty):
+    for kept in (part, replace(part, blocks=part.blocks[:0])):
         again = FiredPart.from_arrays(kept.to_arrays())
         for field in fields(FiredPart):
             found, was = (np.asarray(getattr(some, field.name)) for some in (again, kept))
@@ -188,12 +187,8 @@ def test_order_of_points_and_parts_does_not_matter() -> None:
     table, beams, _ = survey(two_halves, flat_gain())
     part = part_of(table, beams, flat_gain())
     expected = raster(table, [part], CORE, PRODUCTS)
-    half = len(part.first) // 2
-    names = ("first", "last", "middle", "half", "anchor", "coefficient", "origin", "pattern")
-    pieces = [
-        replace(part, **{n: getattr(part, n)[rows] for n in names})
-        for rows in (slice(half, None), slice(None, half))
-    ]
+    half = len(part.blocks) // 2
+    pieces = [replace(part, blocks=some) for some in (part.blocks[half:], part.blocks[:half])]
     mixed = table.take(np.random.default_rng(3).permutation(len(table)))
     np.testing.assert_array_equal(raster(mixed, pieces, CORE, PRODUCTS), expected)
     assert np.isfinite(expected).all()

@@ -12,7 +12,7 @@ from spl_batch.airborne.products.terrain_quality import (
     _boxes,
     _fit_rings,
     _Ground,
-    _put_moments,
+    _moments,
     _room,
     scatter_of,
     terrain_sigma,
@@ -63,9 +63,7 @@ def test_rings_are_those_of_least_squares() -> None:
     held = rng.random((24, 24)) < 0.4
     means = cell_means(rng.normal(0, 1, (24, 24)), held)
     ground, widest = _Ground(means, held, 1.0), 2 * RINGS[-1]
-    integrals, _ = _room(9, held.shape, widest)
-    _put_moments(*ground.by_cell, widest + 1, integrals)
-    _add_up(integrals)
+    integrals = _moments(ground, widest)
     row, column = np.indices(held.shape)
     for ring in RINGS[:3]:
         reaches = ((widest - far, widest + 1 + far) for far in (2 * ring, ring - 1))

@@ -9,9 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.airborne.products.flown_cells import covered_cells
-from spl_batch.airborne.pulses.coverage import SPACINGS, coverage
 from spl_batch.airborne.pulses.first_returns import MOST_RETURNS, first_returns
-from spl_batch.airborne.pulses.swaths import EDGE_Q, SQUARE_M2, Swaths, by_flightline, outlines
+from spl_batch.airborne.pulses.swaths import (
+    EDGE_Q,
+    SPACINGS,
+    SQUARE_M2,
+    Swaths,
+    by_flightline,
+    coverage,
+    outlines,
+)
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds

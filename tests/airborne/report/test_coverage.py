@@ -2,7 +2,7 @@
 
 import pytest
 
-from spl_batch.airborne.report.coverage import sparse_vegetation
+from spl_batch.airborne.report.good_enough import sparse_vegetation
 from spl_batch.airborne.report.model import Density
 from spl_batch.airborne.settings import ClassSettings
 

@@ -15,7 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from spl_batch.airborne.accuracy.accuracy_report import USGS_LEVELS
 from spl_batch.airborne.report.model import (
     Accuracy,
     Counts,
@@ -23,7 +22,6 @@ from spl_batch.airborne.report.model import (
     Survey,
 )
 from spl_batch.airborne.report.verdicts import (
-    USGS_LIMITS,
     noise_removed,
     screen_summary,
     terrain_statistics,
@@ -119,9 +117,6 @@ class TestVerdicts:
         assert level in verdict.text
         assert verdict.tone == tone
         assert "open ground" in verdict.text
-
-    def test_the_levels_are_those_of_the_accuracy_statistics(self) -> None:
-        assert [limit for limit, _ in USGS_LIMITS] == [limit for limit, _ in USGS_LEVELS]
 
     def test_open_ground_goes_before_everything(self) -> None:
         made = Accuracy(

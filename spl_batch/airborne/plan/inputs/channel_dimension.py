@@ -45,18 +45,10 @@ def are_beamlets(numbers: Numbers, sensor: Sensor) -> bool:
 def numbered_dimension(
     files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor
 ) -> tuple[str, dict[str, list[str]]] | None:
-    """The dimension that holds the beamlet numbers of most files.
+    """The dimension that holds the beamlet numbers of most files; None where none is like that.
 
-    Parameters
-    ----------
-    files : mapping of str to mapping of str to Numbers
-        What each dimension of each file holds, by their names.
-
-    Returns
-    -------
-    (str, dict of str to list of str) or None
-        Its name, and files by the range of the numbers, such as ``1 to 100``; None where no
-        dimension is like that.
+    With the files by the range of their numbers, such as ``1 to 100``. ``files``: what each
+    dimension of each file holds, by their names.
     """
     like = {
         name: {key: one for key, one in held.items() if are_beamlets(one, sensor)}

@@ -30,17 +30,9 @@ of a tile, as a share of the tile of most points."""
 def without_degrees(
     files: Sequence[LasFacts], stated: str | None
 ) -> tuple[list[LasFacts], list[InputError]]:
-    """Take out files that carry no CRS and whose coordinates look like degrees.
+    """Files but those without a CRS that look like degrees, and a fault of each of these.
 
-    Parameters
-    ----------
-    stated : str, optional
-        CRS that its workflow states; with it every file is taken at the user's word.
-
-    Returns
-    -------
-    list of InputError
-        One for each that looks like degrees.
+    With a ``stated`` CRS every file is taken at the user's word.
     """
     silent = [f for f in files if stated is None and f.crs is None and f.n_points]
     alike = [facts for facts in silent if look_like_degrees(facts.mins_m, facts.maxs_m)]

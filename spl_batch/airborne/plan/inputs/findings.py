@@ -116,6 +116,12 @@ def copies(survey: Survey) -> Iterator[Finding]:
             yield Finding("I03", values, f"{copy.name} and {kept.name}", badness=count)
 
 
+def _stretches(survey: Survey) -> Iterator[tuple[str, Receipt]]:
+    """Gathered stretches, and the name of the flightline of each."""
+    for name, receipt in survey.of("gather").items():
+        yield name.split("/", maxsplit=1)[0], receipt
+
+
 def points_astray(survey: Survey) -> Iterator[Finding]:
     """Few points outside the rest of the survey that make its rasters more than twice as large."""
     tiles, counts = np.array([*survey.counts]), np.array([*survey.counts.values()])
@@ -144,12 +150,11 @@ def times_off(survey: Survey) -> tuple[dict[str, int], dict[str, float]]:
     """
     looks: dict[str, list[tuple[Ahead, int]]] = {}
     leaps: dict[str, int] = {}
-    for name, receipt in survey.of("gather").items():
-        line = name.split("/", maxsplit=1)[0]
-        if "ahead" in receipt.facts:
-            looks.setdefault(line, []).append((Ahead(*receipt.facts["ahead"]), receipt.points))
-        if receipt.facts.get("leap_s"):
-            leaps[line] = int(receipt.facts["leap_s"])
+    for line, stretch in _stretches(survey):
+        if "ahead" in stretch.facts:
+            looks.setdefault(line, []).append((Ahead(*stretch.facts["ahead"]), stretch.points))
+        if stretch.facts.get("leap_s"):
+            leaps[line] = int(stretch.facts["leap_s"])
     off: dict[str, float] = {}
     for line, stretches in looks.items():
         means, returns = zip(*stretches, strict=True)
@@ -174,10 +179,9 @@ def looks_ahead(survey: Survey) -> Iterator[Finding]:
 def heights_in_other_unit(survey: Survey) -> Iterator[Finding]:
     """Name the trajectory whose heights are feet for metres, or metres for feet."""
     heights: dict[str, list[tuple[float, float] | None]] = {}
-    for name, receipt in survey.of("gather").items():
-        line = name.split("/", maxsplit=1)[0]
-        if "other_unit" in receipt.facts:
-            heights.setdefault(line, []).append(receipt.facts["other_unit"])
+    for line, stretch in _stretches(survey):
+        if "other_unit" in stretch.facts:
+            heights.setdefault(line, []).append(stretch.facts["other_unit"])
     wrong = {line: list(filter(None, some)) for line, some in heights.items()}
     lines = [line for line, some in wrong.items() if 2 * len(some) > len(heights[line])]
     if not lines:
@@ -199,10 +203,9 @@ def heights_in_other_unit(survey: Survey) -> Iterator[Finding]:
 def merged_shots(survey: Survey) -> Iterator[Finding]:
     """Say where several shots share one time, or channels are none."""
     counts: dict[str, list[tuple[int, int, int]]] = {}
-    for name, receipt in survey.of("gather").items():
-        if "off_one_beam" in receipt.facts:
-            line = name.split("/", maxsplit=1)[0]
-            counts.setdefault(line, []).append(receipt.facts["off_one_beam"])
+    for line, stretch in _stretches(survey):
+        if "off_one_beam" in stretch.facts:
+            counts.setdefault(line, []).append(stretch.facts["off_one_beam"])
     for line, stretches in counts.items():
         together, apart, elsewhere = np.sum(stretches, axis=0).tolist()
         if 2 * elsewhere > apart:

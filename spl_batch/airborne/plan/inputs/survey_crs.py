@@ -41,12 +41,7 @@ def survey_crs(
             good.append(facts)
     good, in_degrees = without_degrees(good, stated)
     bad += in_degrees
-    if given is None:
-        votes: Counter[str] = Counter()
-        for facts in good:
-            if facts.crs is not None and facts.n_points:
-                votes[horizontal(facts.crs).to_wkt()] += facts.n_points
-        given = CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
+    given = given or _of_most((facts, facts.crs and horizontal(facts.crs)) for facts in good)
     if given is None:
         return None, good, bad
     agreeing: list[LasFacts] = []
@@ -61,6 +56,15 @@ def survey_crs(
     return horizontal(given), agreeing, bad
 
 
+def _of_most(found: Iterable[tuple[LasFacts, CRS | None]]) -> CRS | None:
+    """CRS that most points have; None where no file names one."""
+    votes: Counter[str] = Counter()
+    for facts, crs in found:
+        if crs is not None and facts.n_points:
+            votes[crs.to_wkt()] += facts.n_points
+    return CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
+
+
 def with_heights(
     crs: CRS | None, stated: str | None, files: Sequence[LasFacts]
 ) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
@@ -71,13 +75,7 @@ def with_heights(
     named = None if stated is None else vertical(parse_crs(stated, "survey.crs"))
     if crs is None:
         return None, list(files), []
-    if named is None:
-        votes: Counter[str] = Counter()
-        for facts in files:
-            heights = _heights(facts)
-            if heights is not None and facts.n_points:
-                votes[heights.to_wkt()] += facts.n_points
-        named = CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
+    named = named or _of_most((facts, _heights(facts)) for facts in files)
     if named is None:
         return crs, list(files), []
     good: list[LasFacts] = []

@@ -13,14 +13,18 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from spl_batch.airborne.plan.inputs import checkpoint_file
-from spl_batch.airborne.plan.inputs.checkpoint_file import CheckpointFile
 from spl_batch.airborne.plan.inputs.file_positions import (
     degrees_as_metres,
     far_positions,
     saved_again,
 )
-from spl_batch.airborne.plan.inputs.reference_files import ReferenceFiles, checked_reference
+from spl_batch.airborne.plan.inputs.reference_files import (
+    CheckpointFile,
+    ReferenceFiles,
+    checked_reference,
+    looked_into,
+    named_file,
+)
 from spl_batch.airborne.plan.inputs.survey_crs import crs_findings, survey_crs, with_heights
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
@@ -103,7 +107,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     trajectory = expand(workflow.survey.trajectory, base, "survey.trajectory", faults)
     reference_names = workflow.reference.points if workflow.reference else None
     reference = expand(reference_names, base, "reference.points", faults)
-    checkpoints = checkpoint_file.named_file(workflow.reference, base)
+    checkpoints = named_file(workflow.reference, base)
     for key, name in (
         ("aoi", workflow.aoi),
         ("water", workflow.water),
@@ -143,7 +147,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     ]
     placed = [(name_below(facts.path, base), facts) for facts in good]
     warnings += [*degrees_as_metres(placed), *far_positions(placed), *saved_again(placed)]
-    warnings += checkpoint_file.looked_into(checkpoints, crs, workflow.reference, good)
+    warnings += looked_into(checkpoints, crs, workflow.reference, good)
     warnings += crs_findings(crs, placed)
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(

@@ -1,4 +1,4 @@
-"""Directions of all fired beamlets, silent ones and silent shots included.
+"""Directions of all fired beamlets, silent ones and silent shots included; domain: time.
 
 Source: [W17] Eq. 2.8-2.15 for the geometry (a rigid array behind a scanner), 8.2.2 for its use.
 Each detection, noise too, lies on the axis of its beamlet. So a block of a few shots shows the path
@@ -13,10 +13,7 @@ the block's own returns tell it, and a channel without any counts as not fired. 
 neither is left out.
 """
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -36,9 +33,7 @@ from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, ShotClock
 
-DOMAIN: Final = "time"
 COLUMNS_NEEDED: Final = ("z", "channel", "shot")
-COLUMNS_ADDED: Final = ()
 
 BLOCK_SHOTS: Final = 60
 """Longest block: within 2 ms a scan of 25 Hz turns by 18 degrees, a cubic to millimetres."""
@@ -52,40 +47,37 @@ LEARNING_ROUNDS: Final = 4
 _RIDGE: Final = 1e-7
 """Weight of "zero" for coefficients that a block's few shots do not determine."""
 
+Rows = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]
+"""Returns of blocks, as :func:`normal_equations` takes them: start, tau, channel, place."""
 
-_BY_BLOCK: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
-    {
-        **dict.fromkeys(("first", "last", "middle", "half"), ()),
-        "anchor": (3,),
-        "coefficient": (TERMS, 2),
-        "origin": (2, 3),
-    }
+BLOCK: Final = np.dtype(
+    [
+        ("first", np.int64),
+        ("last", np.int64),
+        ("middle", np.float64),
+        ("half", np.float64),
+        ("anchor", np.float64, 3),
+        ("coefficient", np.float64, (TERMS, 2)),
+        ("origin", np.float64, (2, 3)),
+        ("pattern", np.int64),
+    ]
 )
-"""Fields of a part for each block, with their shapes; on disk one table, which is read at once."""
+"""A block: first and last shot fired; a shot's time within it is ``(shot - middle) / half``; place
+on the reference plane that the fit is relative to, and its height [m]; where beamlets meet that
+plane, see :mod:`~spl_batch.airborne.products.reflectance.shot_pattern` [m]; sensor relative to the
+anchor at the middle, and its motion per unit of time [m]; which pattern it has."""
 
 _NUMBERS: Final = ("constant_m2", "t0_s", "prf_hz", "dropped")
-"""What it has once."""
+"""What a part has once."""
 
 
 @dataclass(frozen=True, slots=True)
 class FiredPart:
     """Beamlets fired during one stretch."""
 
-    #: (m,): first and last shot fired of each block.
-    first: NDArray[np.int64]
-    last: NDArray[np.int64]
-    #: (m,): a shot's time within its block is ``(shot - middle) / half``.
-    middle: NDArray[np.float64]
-    half: NDArray[np.float64]
-    #: (m, 3): place on the reference plane that the fit is relative to, and its height [m].
-    anchor: NDArray[np.float64]
-    #: (m, TERMS, 2): where the beamlets meet that plane, see
-    #: :mod:`~spl_batch.airborne.products.reflectance.shot_pattern` [m].
-    coefficient: NDArray[np.float64]
-    #: (m, 2, 3): sensor relative to the anchor at the middle, and its motion per unit of time [m].
-    origin: NDArray[np.float64]
-    #: (m, c, 2): place of each channel in the array; NaN where not known.
-    pattern: NDArray[np.float64]
+    blocks: NDArray[np.void]  #: (m,): of :data:`BLOCK`.
+    #: (k, c, 2): places of the channels in the array; NaN where not known.
+    patterns: NDArray[np.float64]
     #: (c,): sensitivity of each channel, median of the live ones one; 0 is dead.
     gain: NDArray[np.float64]
     constant_m2: float  #: Photo-electrons of a beamlet per reflectance, times square of range [m2].
@@ -93,51 +85,38 @@ class FiredPart:
     prf_hz: float
     dropped: int  #: Blocks with returns that no fit describes.
 
+    @property
+    def pattern(self) -> NDArray[np.float64]:
+        """Place of each channel in the array, by block: (m, c, 2)."""
+        found: NDArray[np.float64] = self.patterns[self.blocks["pattern"]]
+        return found
+
     def raised(self, up_q: int) -> "FiredPart":
         """The same fired from higher up [quanta]."""
-        return replace(self, anchor=self.anchor + np.array([0, 0, up_q]) * QUANTUM_M)
+        blocks = self.blocks.copy()
+        blocks["anchor"][:, 2] += up_q * QUANTUM_M
+        return replace(self, blocks=blocks)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Few arrays, of numbers only, as an npz file holds them; of equal patterns one is kept."""
-        m, channels, axes = self.pattern.shape
-        rows = np.ascontiguousarray(self.pattern).reshape(m, channels * axes)
-        whole = rows.view(np.dtype((np.void, rows.shape[1] * rows.itemsize))).ravel()
-        _, first, which = np.unique(whole, return_index=True, return_inverse=True)
-        # Whole numbers below 2**53 are exact.
-        columns = [
-            np.reshape(getattr(self, name), (m, math.prod(shape)))
-            for name, shape in _BY_BLOCK.items()
-        ]
-        return {
-            "blocks": np.column_stack([which, *columns]),
-            "pattern": self.pattern[first],
-            "gain": self.gain,
-            "numbers": np.array([float(getattr(self, name)) for name in _NUMBERS]),
-        }
+        """Few arrays, as an npz file holds them."""
+        numbers = np.array([float(getattr(self, name)) for name in _NUMBERS])
+        arrays = {"blocks": self.blocks, "patterns": self.patterns, "gain": self.gain}
+        return {**arrays, "numbers": numbers}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "FiredPart":
         """Part that :meth:`to_arrays` gave."""
-        widths = [math.prod(shape) for shape in _BY_BLOCK.values()]
-        which, *columns = np.split(arrays["blocks"], np.cumsum([1, *widths[:-1]]), axis=1)
-        content: dict[str, Any] = {
-            name: np.ascontiguousarray(column).reshape(len(which), *shape)
-            for (name, shape), column in zip(_BY_BLOCK.items(), columns, strict=True)
-        }
         numbers = dict(zip(_NUMBERS, arrays["numbers"].tolist(), strict=True))
-        content |= {name: content[name].astype(np.int64) for name in ("first", "last")}
-        content["pattern"] = arrays["pattern"][which.ravel().astype(np.intp)]
-        return cls(
-            **{**content, **numbers, "gain": arrays["gain"], "dropped": int(numbers["dropped"])}
-        )
+        numbers["dropped"] = int(numbers["dropped"])
+        return cls(arrays["blocks"], arrays["patterns"], arrays["gain"], **numbers)
 
     def reach(self) -> list[int]:
         """Rectangle that the beamlets can meet near their reference planes [m]."""
-        if not len(self.first):
+        if not len(self.blocks):
             return [0, 0, 0, 0]
-        a = self.coefficient
+        a = self.blocks["coefficient"]
         spread = np.abs(a[:, 1:]).sum(axis=1)
-        centre = self.anchor[:, :2] + a[:, 0]
+        centre = self.blocks["anchor"][:, :2] + a[:, 0]
         low, high = np.floor((centre - spread).min(axis=0)), np.ceil((centre + spread).max(axis=0))
         return [int(low[0]), int(low[1]), int(high[0]), int(high[1])]
 
@@ -172,19 +151,24 @@ def aim(
     tau = (table["shot"] - np.repeat(middle, size)) / np.repeat(half, size)
     channels = int(max(table["channel"].max(initial=0), sensor.beamlets)) + 1
     data = (start, tau, table["channel"], place)
-    pattern = np.repeat(_grid(sensor, channels)[None], len(size), axis=0)
-    coefficient, rms = _fit(data, pattern)
+    grid = _grid(sensor, channels)
+    coefficient, rms = _fit(data, np.repeat(grid[None], len(size), axis=0))
     wrong = np.flatnonzero(~(rms <= MISFIT_MAX_M))
+    learnt = np.empty((0, channels, 2))
     if len(wrong):
-        learnt = _learn(_only(data, wrong), channels)
-        pattern[wrong], coefficient[wrong], rms[wrong] = learnt
+        learnt, coefficient[wrong], rms[wrong] = _learn(_only(data, wrong), channels)
     good = rms <= MISFIT_MAX_M
     moving = np.empty((len(size), 2, 3))
     motion(start, tau, origin, anchor, moving)
+    which = np.zeros(len(size), np.int64)
+    which[wrong] = np.arange(1, len(wrong) + 1)
+    blocks = np.empty(len(size), BLOCK)
+    columns = first, last, middle, half, anchor, coefficient, moving, which
+    for name, values in zip(BLOCK.names or (), columns, strict=True):
+        blocks[name] = values
     return FiredPart(
-        first[good], last[good], middle[good], half[good], anchor[good], coefficient[good],
-        moving[good], pattern[good], _sensitivity(model, channels), link_constant(sensor),
-        clock.t0_s, clock.prf_hz, int(np.count_nonzero(~good)),
+        blocks[good], np.concatenate([grid[None], learnt]), _sensitivity(model, channels),
+        link_constant(sensor), clock.t0_s, clock.prf_hz, int(np.count_nonzero(~good)),
     )  # fmt: skip
 
 
@@ -230,7 +214,7 @@ def _grid(sensor: Sensor, channels: int) -> NDArray[np.float64]:
 
 
 def _fit(
-    data: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]],
+    data: Rows,
     pattern: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Coefficients of each block, and the root mean square distance from them [m]."""
@@ -246,7 +230,7 @@ def _fit(
 
 
 def _learn(
-    data: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]],
+    data: Rows,
     channels: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Array, coefficients and misfit of blocks whose channels are numbered otherwise."""
@@ -261,9 +245,9 @@ def _learn(
 
 
 def _only(
-    data: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]],
+    data: Rows,
     blocks: NDArray[np.intp],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]:
+) -> Rows:
     """Rows of some blocks."""
     start, tau, channel, place = data
     rows = np.concatenate([np.arange(start[b], start[b + 1]) for b in blocks])

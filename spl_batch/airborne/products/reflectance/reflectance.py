@@ -1,4 +1,4 @@
-r"""Reflectance from how often beamlets were seen.
+r"""Reflectance from how often beamlets were seen; domain: space.
 
 Source: [W17] 8.2.2 with Eq. 2.1 and 2.7. A single-photon channel tells one photo-electron from
 none: brightness is in the share of beamlets that were seen. A beamlet that expects :math:`k \rho`
@@ -11,7 +11,7 @@ symbol                name
 ====================  ==========================================================
 :math:`C`             ``FiredPart.constant_m2``
 :math:`g`             ``FiredPart.gain``: dead channels count as not fired
-:math:`\alpha`        incidence on the slope of the cell, ``first_surface.slopes``
+:math:`\alpha`        incidence on the slope of the cell, :func:`slopes`
 :math:`\beta`         ``products.extinction_per_m``
 :math:`R`             range
 :math:`\rho`          result
@@ -28,6 +28,9 @@ returns. Background in front of the surface blinds a channel for the dead time o
 neglected; so is light that passes a crown. Water, wires and leaves have no incidence: the number is
 that of a Lambertian surface in their place. It may exceed one, and is not cut: means would be too
 dark.
+
+Rays end on the surface that beams meet first: not the DSM, but the median of the first returns of a
+cell, whatever is below them, without what noise has left in the air.
 """
 
 import math
@@ -37,23 +40,25 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.products.cell_values import fill_voids, ring_offsets, sort_into_cells
 from spl_batch.airborne.products.reflectance.beamlet_matching import (
     CELL_BITS,
+    COARSE,
     SILENT,
     Blocks,
+    Grid,
+    expose_cells,
     match_points,
     shots_near,
 )
-from spl_batch.airborne.products.reflectance.exposed_cells import COARSE, expose_cells
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
-from spl_batch.airborne.products.reflectance.first_surface import first_surface
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
+from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 from spl_batch.numerics.compiled import njit
 
-DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "noise_class")
 
 FIRED_MIN: Final = 5
@@ -61,6 +66,15 @@ FIRED_MIN: Final = 5
 
 FIXED_POINT: Final = 2.0**32
 """Steps of a sum per photo-electron and reflectance."""
+
+ALIKE_CELLS: Final = 2.0
+"""Neighbouring cells no farther apart in height than this are of one surface [cells]."""
+
+SUPPORT_SHARE: Final = 0.05
+"""First returns that a surface has at least, in shares of the ordinary one."""
+
+NEAR_SURE_M: Final = 15.0
+"""Sideways and upwards, how far a surface in doubt may be from a sure one [m]."""
 
 
 def raster(
@@ -82,13 +96,16 @@ def raster(
     wide = grow(cell, margin * size)
     shape = (cell.ymax - cell.ymin) // size, (cell.xmax - cell.xmin) // size
     fired, silent = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
-    parts = [p for p in parts if len(p.first)]
+    parts = [p for p in parts if len(p.blocks)]
     signal = _signal(table, wide)
     z = table["z"][signal]
     if not len(z) or not parts:
         return np.full(shape, NODATA, np.float32)
     blocks = _join(parts, wide)
-    level, depth = _middle_m(z), float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M))
+    level, depth = (
+        float(np.median(z)) * QUANTUM_M,
+        float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M)),
+    )
     shots = int(blocks.offset[-1] + blocks.last[-1] - blocks.first[-1] + 1)
     number, block = np.empty(shots, np.int64), np.empty(shots, np.int64)
     tau = np.empty(shots)
@@ -136,9 +153,7 @@ def _estimate(
     seen = np.bincount(cell, minlength=fired.size)
     start = np.concatenate([[0], np.cumsum(seen)]).astype(np.int64)
     # Beamlets come by time and channel, however the points came: the same sums always.
-    in_order = np.empty(len(amount))
-    sort_by_cell(cell, amount, start, in_order)
-    amount = in_order
+    amount = amount[lexicographic_order([cell])] if len(cell) else amount
     total = np.concatenate([[0], np.cumsum(np.rint(amount * FIXED_POINT).astype(np.int64))])
     mean = (total[start[1:]] - total[start[:-1]] + silent.ravel()) / np.maximum(fired.ravel(), 1)
     rho = np.empty(fired.size)
@@ -160,30 +175,31 @@ def reach_m(settings: ProductSettings) -> float:
 
 def _join(parts: Sequence[FiredPart], wide: Bounds) -> Blocks:
     """Blocks of several stretches by time, relative to a corner."""
-    size = [len(p.first) for p in parts]
-    channels = max(p.pattern.shape[1] for p in parts)
-    first, last = (np.concatenate([getattr(p, k) for p in parts]) for k in ("first", "last"))
-    t0_s = np.repeat([p.t0_s for p in parts], size)
-    prf_hz = np.repeat([p.prf_hz for p in parts], size)
-    begin_s = t0_s + (first - 0.5) / prf_hz
+    size = [len(p.blocks) for p in parts]
+    channels = max(p.patterns.shape[1] for p in parts)
+    t0_s, prf_hz = (np.repeat([getattr(p, k) for p in parts], size) for k in ("t0_s", "prf_hz"))
+    blocks = np.concatenate([p.blocks for p in parts])
+    blocks["anchor"] -= np.array([wide.xmin * QUANTUM_M, wide.ymin * QUANTUM_M, 0.0])
+    begin_s = t0_s + (blocks["first"] - 0.5) / prf_hz
     pattern = np.concatenate([_widen(p.pattern, channels, np.nan) for p in parts])
     bright = np.concatenate(
-        [np.repeat(_widen(p.gain[None] * p.constant_m2, channels, 0.0), len(p.first), 0)
+        [np.repeat(_widen(p.gain[None] * p.constant_m2, channels, 0.0), len(p.blocks), 0)
          for p in parts]
     )  # fmt: skip
-    anchor = np.concatenate([p.anchor for p in parts])
-    anchor = anchor - np.array([wide.xmin * QUANTUM_M, wide.ymin * QUANTUM_M, 0.0])
-    order = np.lexsort((anchor[:, 1], anchor[:, 0], first, begin_s))
-    shots = (last - first + 1)[order]
+    anchor = blocks["anchor"]
+    order = np.lexsort((anchor[:, 1], anchor[:, 0], blocks["first"], begin_s))
+    blocks = blocks[order]
+    shots = blocks["last"] - blocks["first"] + 1
+    fitted = "first", "last", "middle", "half", "anchor", "coefficient", "origin"
     return Blocks(
-        begin_s[order], t0_s[order], prf_hz[order], first[order], last[order],
-        np.concatenate([p.middle for p in parts])[order],
-        np.concatenate([p.half for p in parts])[order],
-        anchor[order],
-        np.concatenate([p.coefficient for p in parts])[order],
-        np.concatenate([p.origin for p in parts])[order],
-        pattern[order], bright[order], np.cumsum(shots) - shots,
-    )  # fmt: skip
+        begin_s=begin_s[order],
+        t0_s=t0_s[order],
+        prf_hz=prf_hz[order],
+        **{name: np.ascontiguousarray(blocks[name]) for name in fitted},
+        pattern=pattern[order],
+        exposure=bright[order],
+        offset=np.cumsum(shots) - shots,
+    )
 
 
 def _widen(values: NDArray[np.float64], channels: int, fill: float) -> NDArray[np.float64]:
@@ -194,39 +210,6 @@ def _widen(values: NDArray[np.float64], channels: int, fill: float) -> NDArray[n
     return wider
 
 
-def _middle_m(z: NDArray[np.int32]) -> float:
-    """Median height of at least one point [m]."""
-    half = len(z) // 2
-    middle = np.partition(z, (max(half - 1, 0), half))[half - 1 + len(z) % 2 : half + 1]
-    return float(np.mean(middle * QUANTUM_M))
-
-
-@njit()
-def sort_by_cell(
-    cell: NDArray[np.int64],
-    amount: NDArray[np.float64],
-    start: NDArray[np.int64],
-    out: NDArray[np.float64],
-) -> None:
-    """Put amounts cell by cell, in the order in which they came.
-
-    Parameters
-    ----------
-    cell : (s,) int64
-        Cell of each.
-    amount : (s,) float64
-        What is sorted.
-    start : (m + 1,) int64
-        First place of each cell, and their number.
-    out : (s,) float64
-        Filled.
-    """
-    place = start[:-1].copy()
-    for s in range(len(cell)):
-        out[place[cell[s]]] = amount[s]
-        place[cell[s]] += 1
-
-
 @njit()
 def most_likely(
     start: NDArray[np.int64],
@@ -234,23 +217,13 @@ def most_likely(
     silent: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    r"""Reflectance under which what was seen, and what was not, is most likely.
+    r"""Reflectance under which what was seen, and what not, is most likely; 0 if none was seen.
 
-    A beamlet that expects :math:`k \rho` photo-electrons is seen with probability
-    :math:`1 - e^{-k \rho}` [W17 Eq. 2.7], so
-    :math:`\sum_{seen} k / (e^{k \rho} - 1) = \sum_{silent} k`; equal ones give
-    :math:`k \rho = -\ln(1 - p)`.
-
-    Parameters
-    ----------
-    start : (m + 1,) int64
-        First seen beamlet of each cell, and their number.
-    amount : (s,) float64
-        k of each seen beamlet, > 0.
-    silent : (m,) float64
-        Sum of k over the silent ones, > 0 where any was seen.
-    out : (m,) float64
-        Filled; 0 where none was seen.
+    A beamlet that expects :math:`k \rho` photo-electrons is seen with probability :math:`1 - e^{-k
+    \rho}` [W17 Eq. 2.7], so :math:`\sum_{seen} k / (e^{k \rho} - 1) = \sum_{silent} k`; equal ones
+    give :math:`k \rho = -\ln(1 - p)`. ``amount``: k of each seen beamlet, those of a cell together
+    from its ``start`` (m + 1,) on; ``silent`` (m,): sum of k over the silent ones, > 0 where any
+    was seen.
     """
     for cell in range(len(start) - 1):
         low, high = start[cell], start[cell + 1]
@@ -276,3 +249,95 @@ def most_likely(
             if done:
                 break
         out[cell] = rho
+
+
+def first_surface(
+    cell: NDArray[np.int64],
+    z: NDArray[np.int32],
+    shape: tuple[int, int],
+    settings: ProductSettings,
+) -> Grid:
+    """Median height of the first returns of each cell, small voids filled, and its slope.
+
+    ``cell, z``: cell of each first return, row by row, and its height [quanta].
+    """
+    rows, cols = shape
+    order, start = sort_into_cells(cell, z, rows * cols)
+    count = np.diff(start)
+    median = np.full(rows * cols, np.nan)
+    used = np.flatnonzero(count)
+    median[used] = z[order[start[used] + (count[used] - 1) // 2]] * QUANTUM_M
+    credible = credible_heights(median.reshape(shape), count.reshape(shape), settings.cell_m)
+    height = np.empty(shape)
+    reach = settings.dsm_void_max_m / settings.cell_m
+    fill_voids(credible, ring_offsets(reach), height)
+    low, high = (bounds(height, keep) for keep in (np.fmin, np.fmax))
+    return Grid(settings.cell_m, height, slopes(height, settings.cell_m), low, high)
+
+
+def credible_heights(
+    height: NDArray[np.float64], count: NDArray[np.int64], cell_m: float
+) -> NDArray[np.float64]:
+    """Heights of cells without those where noise may be taken for a surface (NaN).
+
+    A surface goes on in at least two of the eight neighbours. Where few returns support it, it is
+    dark, or few beamlets were fired at it: then it is no farther than :data:`NEAR_SURE_M` above or
+    below the nearest sure one.
+    """
+    padded = np.pad(height, 1, constant_values=np.nan)
+    returns = np.pad(count, 1)
+    rows, cols = height.shape
+    like, support = np.zeros(height.shape, dtype=np.int64), count.copy()
+    for dr, dc in ring_offsets(1.5)[:, :2]:
+        there = slice(1 + dr, 1 + dr + rows), slice(1 + dc, 1 + dc + cols)
+        alike = np.abs(padded[there] - height) <= ALIKE_CELLS * cell_m
+        like += alike
+        support += np.where(alike, returns[there], 0)
+    usual = float(count.sum()) / max(int(np.count_nonzero(count)), 1)
+    goes_on = like >= 2
+    sure = goes_on & (support >= SUPPORT_SHARE * 9 * usual)
+    nearest = np.empty(height.shape)
+    fill_voids(np.where(sure, height, np.nan), ring_offsets(NEAR_SURE_M / cell_m), nearest)
+    beside = np.abs(height - nearest) <= NEAR_SURE_M
+    return np.where(sure | (goes_on & beside), height, np.nan)
+
+
+def slopes(height: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
+    """Gradient of a surface that does not look across edges, to east and north: (., ., 2).
+
+    Along each axis the flatter of the steps to both neighbours counts, and none where they lead to
+    opposite sides: beside a wall it is that of the roof, in a crown it is small.
+    """
+    out = np.zeros((*height.shape, 2))
+    for k, axis in enumerate((1, 0)):
+        if height.shape[axis] < 2:
+            continue
+        step = np.diff(height, axis=axis) / cell_m
+        edge = [(0, 0), (0, 0)]
+        edge[axis] = (1, 0)
+        behind = np.pad(step, edge, constant_values=np.nan)
+        edge[axis] = (0, 1)
+        ahead = np.pad(step, edge, constant_values=np.nan)
+        behind, ahead = (
+            np.where(np.isnan(behind), ahead, behind),
+            np.where(np.isnan(ahead), behind, ahead),
+        )
+        flat = np.where(np.abs(behind) < np.abs(ahead), behind, ahead)
+        out[..., k] = np.where(behind * ahead > 0, flat, 0.0)
+    return out
+
+
+def bounds(height: NDArray[np.float64], keep: np.ufunc) -> NDArray[np.float64]:
+    """Lowest or highest of the cells in and around each coarse square."""
+    rows, cols = height.shape
+    padded = np.pad(height, ((0, -rows % COARSE), (0, -cols % COARSE)), constant_values=np.nan)
+    coarse = padded.reshape(padded.shape[0] // COARSE, COARSE, -1, COARSE)
+    square: NDArray[np.float64] = keep.reduce(keep.reduce(coarse, axis=3), axis=1)
+    for axis in (0, 1):
+        edge = [(0, 0), (0, 0)]
+        edge[axis] = (1, 1)
+        around = np.pad(square, edge, constant_values=np.nan)
+        n = square.shape[axis]
+        taken = [np.take(around, np.arange(k, k + n), axis=axis) for k in range(3)]
+        square = keep(keep(taken[0], taken[1]), taken[2])
+    return square

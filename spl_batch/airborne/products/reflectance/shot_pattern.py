@@ -23,10 +23,7 @@ _TOGETHER = 32
 
 @njit()
 def basis(tau: float, gx: float, gy: float, out: NDArray[np.float64]) -> None:
-    """Value of each term.
-
-    ``tau``: time within the block, -1 to 1. ``out``: (TERMS,) float64, filled.
-    """
+    """Value of each term into ``out`` (TERMS,); ``tau``: time within the block, -1 to 1."""
     out[0] = 1.0
     out[1] = tau
     out[2] = tau * tau
@@ -47,24 +44,11 @@ def normal_equations(
     matrix: NDArray[np.float64],
     right: NDArray[np.float64],
 ) -> None:
-    """Sums that the coefficients of each block follow from.
+    """Sums that the coefficients of each block follow from, into ``matrix`` and ``right``.
 
-    Parameters
-    ----------
-    start : (m + 1,) int64
-        First row of each block, and the number of rows.
-    tau : (n,) float64
-        Time of each row within its block, -1 to 1.
-    channel : (n,) uint8
-        Beamlet of each row.
-    place : (n, 2) float64
-        Where it meets the reference plane, relative to the block's anchor [m].
-    pattern : (m, c, 2) float64
-        Place of each channel in the array; rows of a channel without one (NaN) are left out.
-    matrix : (m, TERMS, TERMS) float64
-        Filled.
-    right : (m, TERMS, 2) float64
-        Filled.
+    Of the rows from ``start[b]`` on: ``tau``, time within the block; ``channel``; ``place`` (n, 2),
+    where the reference plane is met, from the block's anchor on [m]. ``pattern`` (m, c, 2): place
+    of each channel in the array; rows of a channel without one (NaN) are left out.
     """
     term, right_of, zero = np.empty((_TOGETHER, TERMS)), np.empty((_TOGETHER, 2)), np.uint64(0)
     for b in range(len(start) - 1):
@@ -106,17 +90,7 @@ def predict(
     gy: float,
     term: NDArray[np.float64],
 ) -> tuple[float, float]:
-    """Where a beamlet meets the reference plane, relative to the block's anchor [m].
-
-    Parameters
-    ----------
-    coefficient : (TERMS, 2) float64
-        Of the block.
-    tau, gx, gy : float
-        As in :func:`basis`.
-    term : (TERMS,) float64
-        Room.
-    """
+    """Where a beamlet meets the reference plane, from the block's anchor [m]; ``term``: room."""
     basis(tau, gx, gy, term)
     x = y = 0.0
     for i in range(TERMS):
@@ -135,17 +109,7 @@ def misfit(
     coefficient: NDArray[np.float64],
     rms: NDArray[np.float64],
 ) -> None:
-    """Root mean square distance of the rows of each block from its fit.
-
-    Parameters
-    ----------
-    start, tau, channel, place, pattern
-        As in :func:`normal_equations`.
-    coefficient : (m, TERMS, 2) float64
-        Fit of each block.
-    rms : (m,) float64
-        Filled; NaN for a block without rows [m].
-    """
+    """Root mean square distance of the rows of each block from its fit [m]; NaN without rows."""
     term = np.empty(TERMS)
     for b in range(len(start) - 1):
         total, count = 0.0, 0
@@ -168,16 +132,9 @@ def learn_pattern(
     coefficient: NDArray[np.float64],
     pattern: NDArray[np.float64],
 ) -> None:
-    """Mean place of each channel in the array, given how the array turns.
+    """Mean place of each channel in the array, NaN without rows, given how the array turns.
 
-    Parameters
-    ----------
-    start, tau, channel, place
-        As in :func:`normal_equations`.
-    coefficient : (m, TERMS, 2) float64
-        Fit of each block; one whose array is a point takes the ground's own axes.
-    pattern : (m, c, 2) float64
-        Filled; NaN for a channel without rows in the block.
+    ``coefficient`` of a block whose array is a point: it takes the ground's own axes.
     """
     channels = pattern.shape[1]
     count = np.empty(channels)
@@ -214,21 +171,10 @@ def motion(
     anchor: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """Straight lines that the sensor flies during the blocks, by least squares.
+    """Straight lines that the sensor flies during the blocks, by least squares: (m, 2, 3) [m].
 
-    Parameters
-    ----------
-    start : (m + 1,) int64
-        First row of each block, none empty, and the number of rows.
-    tau : (n,) float64
-        Time of each row within its block, -1 to 1.
-    origin : (n, 3) float64
-        Sensor [m].
-    anchor : (m, 3) float64
-        Place that the block's numbers are relative to [m].
-    out : (m, 2, 3) float64
-        Filled with the sensor at the middle of each block, from its anchor, and its motion [m]; it
-        rests where all rows are of one time.
+    ``origin``: sensor at each row; the sensor at the middle of each block, from its anchor, and its
+    motion; it rests where all rows are of one time.
     """
     mean = np.empty(3)
     for b in range(len(start) - 1):

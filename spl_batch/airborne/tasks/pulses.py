@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.flown_cells import covered_cells
-from spl_batch.airborne.pulses.coverage import SPACINGS, coverage
 from spl_batch.airborne.pulses.first_returns import COLUMNS_NEEDED
-from spl_batch.airborne.pulses.swaths import Swaths
+from spl_batch.airborne.pulses.swaths import SPACINGS, Swaths, coverage
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.formats.vector_files import contains, read_polygons
@@ -31,7 +30,7 @@ PULSES: Final = "pulses"
 cells beyond every signal, off the edge or in a wide hole [count]."""
 
 LEVELS: Final = "pulse_levels"
-"""Fact of a ground cell: a :class:`~spl_batch.airborne.pulses.coverage.Coverage` by spacing."""
+"""Fact of a ground cell: a :class:`~spl_batch.airborne.pulses.swaths.Coverage` by spacing."""
 
 SWATHS: Final = "swaths"
 """Fact of a ground cell: what :class:`~spl_batch.airborne.pulses.swaths.Swaths` found."""
@@ -66,12 +65,8 @@ def pulse_facts(
 ) -> tuple[dict[str, Any], Swaths]:
     """How densely and evenly first returns cover what was flown of a ground cell, but water.
 
-    Parameters
-    ----------
-    first : PointTable
-        First returns of the cell and what its rasters read around it, with ``x, y, line``.
-    density : (rows, columns) float32
-        Raster of the cell, north up: it has a value where was flown.
+    ``first``: those of the cell and what its rasters read around it, with ``x, y, line``;
+    ``density``: its raster, north up, which has a value where was flown.
     """
     x, y, products = first["x"], first["y"], context.workflow.products
     size = quanta(products.cell_m)
