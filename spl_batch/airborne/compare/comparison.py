@@ -18,7 +18,7 @@ from spl_batch.airborne.compare.contrast import (
     contrast,
 )
 from spl_batch.airborne.filter.denoise import METHODS as FILTERS
-from spl_batch.airborne.filter.shot_filters import OF_SHOTS
+from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.ground.ground_methods import METHODS as GROUND
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.plots import Profile, draw_methods

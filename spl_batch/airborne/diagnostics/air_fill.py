@@ -189,11 +189,11 @@ def float_facts(bare: Bare, region: Bounds) -> dict[str, list[float]]:
     region : Bounds
         The ground cell [quanta].
     """
-    at = np.ix_(*bare.columns(region))
+    numbers, (x, y) = bare.columns(region)
+    at = np.ix_(*numbers)
     found = floating(bare.kept, bare.marked)[at]
     facts = [float(found.sum()), float(bare.kept.sum(axis=2)[at].sum())]
     if found.any():
-        x, y = bare.corners(region)
         column, row = np.nonzero(found)
         squares = np.column_stack([x[column], y[row]]) // quanta(CELL_M)
         area_m2, box = largest_of_squares(squares, CELL_M)

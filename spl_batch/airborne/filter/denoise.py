@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_decision
 from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow
-from spl_batch.airborne.filter import published, shot_filters
+from spl_batch.airborne.filter import published
 from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
 from spl_batch.airborne.filter.wires import wire_null, wire_scan
@@ -52,8 +52,8 @@ METHODS: Final = MappingProxyType(
     {
         "vsaes": Method(ellipsoid_test.judge, ellipsoid_test.reach_m),
         "aes": Method(published.aes, published.aes_reach_m, by_voxel=True),
-        "dcc": Method(shot_filters.judge, shot_filters.reach_m),
-        "pixels": Method(shot_filters.judge, shot_filters.reach_m),
+        "dcc": Method(published.of_shots, lambda _: 0.0),
+        "pixels": Method(published.of_shots, lambda _: 0.0),
         "voxel": Method(published.voxel, published.voxel_reach_m),
         "multilevel": Method(published.multilevel, published.multilevel_reach_m),
         "cylinder": Method(published.cylinder, published.cylinder_reach_m),

@@ -24,7 +24,7 @@ def holds_ground(table: PointTable, bare: Bare | None = None) -> NDArray[np.bool
     Parameters
     ----------
     bare : Bare, optional
-        Where signals of the cell are stray; found from these points without.
+        Where signals of the table are stray; found from these points without.
     """
     usable = stands(table, bare_cells(table) if bare is None else bare)
     return usable & ~off_surface(table, usable)
@@ -35,8 +35,8 @@ def stands(table: PointTable, bare: Bare | None) -> NDArray[np.bool_]:
     usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
     usable = usable & ~table.has(PointFlag.OUTSIDE_AOI)
     if bare is not None:
-        usable &= ~bare.holds(table)
-        usable &= ~lonely(table, usable, bare.noise(table))
+        usable &= ~bare.holds(table["noise_class"])
+        usable &= ~lonely(table, usable, bare.noise(len(table)))
     return usable
 
 

@@ -89,7 +89,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         facts |= float_facts(bare, cell.core)
     if bare is not None and chances:
         counts = np.zeros(len(P_VALUES) + 1, np.int64)
-        bare.count_chances(table, owned, P_VALUES, counts)
+        bare.count_chances(table["p_value"], owned, P_VALUES, counts)
         facts |= {"p_values": counts.tolist()} if counts.any() else {}
     table = table.select(_GROUND_COLUMNS)
     mask = grounding.ground_mask(table, usable, context.workflow.ground, owned)[owned]

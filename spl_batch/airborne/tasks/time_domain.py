@@ -16,7 +16,7 @@ from spl_batch.airborne.afterpulse import afterpulse_law
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.filter.shot_filters import shot_noise
+from spl_batch.airborne.filter.published import shot_noise
 from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.store.flown_lines import Pass, line_of

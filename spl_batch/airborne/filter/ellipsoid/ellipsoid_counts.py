@@ -31,8 +31,7 @@ from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import (
     no_bodies,
     offsets,
 )
-from spl_batch.airborne.filter.ellipsoid.ellipsoid_walk import measure, walk
-from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, spacing_scratch
+from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, measure, spacing_scratch, walk
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import (
     LEAF,
@@ -77,7 +76,7 @@ def count_inside(
     shape: Shape,
     *,
     alpha: float | NDArray[np.float64],
-    at_most: float = 1.0,
+    at_most: float = math.inf,
     unit: int = 1,
     spacing: NDArray[np.float64] | None = None,
     rule: Spacing = Spacing(1, 1),  # noqa: B008 - a tuple
@@ -96,7 +95,8 @@ def count_inside(
     density : (n,) float64
         Expected noise at each point [1/unit3].
     alpha : float or (n,) float64
-        Counting stops at the smallest k with P(K >= k | lambda) <= alpha of the point.
+        Counting stops at the smallest k >= 1 with P(K >= k | lambda) <= alpha of the point; an
+        alpha above 1 is that k itself.
     at_most : float
         Counts on to there where alpha is larger.
     unit : int
@@ -311,7 +311,10 @@ def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
             if mean != known or alpha[at] != level:
                 known, level = mean, alpha[at]
                 log_mean = math.log(mean) if mean > 0.0 else 0.0
-                stop, least = critical_by_logs(mean, level, stop, log_mean, logs)
+                if level <= 1.0:
+                    stop, least = critical_by_logs(mean, level, stop, log_mean, logs)
+                else:
+                    stop, least = np.int64(level), 1.0
             _flags(near, member, found[at], bodies.quadrics)
             if _spacings(near, member, found[at], others, at, space):
                 _learn(

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid.evidence import Evidence, evidence
 from spl_batch.airborne.filter.ellipsoid.null_distribution import EXACT_TO, null_table
-from spl_batch.airborne.filter.ellipsoid.spacing import enough_peers
+from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.lattice.tiles import quanta
@@ -139,9 +139,11 @@ def _pass_with_peers(
     rows, own = row[slot], found.spacing[slot]
     # A point that does not pass alone is nobody's peer.
     found.spacing[~signal[row]] = -1.0
-    signal[rows] = enough_peers(
-        found.tree, found.spacing, xyz[rows], own, link[np.searchsorted(weak, rows)],
-        settings.link_count, settings.peer_ratio,
+    signal[rows] = np.isfinite(
+        peer_distances(
+            found.tree, found.spacing, xyz[rows], own, link[np.searchsorted(weak, rows)],
+            settings.link_count, settings.peer_ratio,
+        )
     )  # fmt: skip
 
 

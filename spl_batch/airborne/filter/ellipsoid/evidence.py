@@ -36,11 +36,11 @@ class Evidence(NamedTuple):
     tree: KdTree
 
 
-def shape_of(settings: FilterSettings) -> Shape:
+def shape_of(settings: FilterSettings, neighbours: int, radius_m: float) -> Shape:
     """How neighbours become an ellipsoid, in quanta."""
     return Shape(
-        neighbours=settings.neighbours,
-        radius=float(quanta(settings.radius_m)),
+        neighbours=neighbours,
+        radius=float(quanta(radius_m)),
         floor=float(quanta(settings.eigen_floor_m)),
         axis_cap=float(quanta(settings.axis_cap_m)),
         neighbour_cap=quanta(settings.neighbour_cap_m),
@@ -88,7 +88,7 @@ def evidence(
         tree,
         asked,
         density,
-        shape_of(settings),
+        shape_of(settings, settings.neighbours, settings.radius_m),
         alpha=stop,
         at_most=at_most,
         unit=QUANTA_PER_M,

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid.evidence import evidence
-from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, place_of, value_of
+from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, value_of
 from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.engine.settings.base import Section
@@ -135,14 +135,14 @@ class NullTable:
         """Exponential of a table's value, linear between its rows and columns: (n,)."""
         row = self._row(density)
         wanted = -np.log(np.broadcast_to(alpha, density.shape))
-        column = place_of(wanted, -self.alpha)
+        column = np.interp(wanted, -self.alpha, np.arange(len(self.alpha)))
         found: NDArray[np.float64] = np.exp(between(row, column, table))
         return found
 
     def _row(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
         """Row of the table, with its fraction; its ends beyond them."""
         log_density = np.log(np.maximum(density, np.finfo(np.float64).tiny))
-        return place_of(log_density, self.density)
+        return np.interp(log_density, self.density, np.arange(len(self.density)))
 
     def _slope(self) -> float:
         """Change of log p with log score over the last decade of the table, mean over densities."""
