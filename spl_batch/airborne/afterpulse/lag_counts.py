@@ -13,12 +13,14 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
     RETURNS_MIN,
     STEP_M,
     Rules,
+    densest,
     fit_surfaces,
     on_surface,
 )
 from spl_batch.airborne.beams.differential_cell_count import dcc_keep
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.planes.robust_plane import residual
+from spl_batch.numerics.simd import LANES
 from spl_batch.numerics.sorting import first_above, first_not_below
 
 CLEAN = 0.9
@@ -216,7 +218,7 @@ def _square(plane):  # type: ignore[no-untyped-def]
 def _alone(distance, first, spread, rules):  # type: ignore[no-untyped-def]
     """Whether the first returns lie on the plane and no other surface lies behind it."""
     on = near = deep = 0
-    depths = np.empty(len(distance))
+    depths = np.empty(len(distance) + LANES)
     for i in range(len(distance)):
         if not first[i]:
             continue
@@ -229,7 +231,8 @@ def _alone(distance, first, spread, rules):  # type: ignore[no-untyped-def]
             deep += 1
     if on < PARENTS_MIN or on < CLEAN * (on + near):
         return False
-    return most_within(depths[:deep], 2.0 * rules.below_m) < max(DEEP_MIN, DEEP_SHARE * on)
+    _, together = densest(depths, 0, deep, 2.0 * rules.below_m)
+    return together < max(DEEP_MIN, DEEP_SHARE * on)
 
 
 @njit()
@@ -240,18 +243,6 @@ def next_return(i: int, w: NDArray[np.float64], channel: NDArray[np.uint8]) -> i
         if channel[j] == channel[i] and w[j] > w[i] and (found < 0 or w[j] < w[found]):
             found = j
     return found
-
-
-@njit()
-def most_within(depths: NDArray[np.float64], width: float) -> int:
-    """Most of some depths within a window [count]."""
-    most = 0
-    for i in range(len(depths)):
-        within = 0
-        for j in range(len(depths)):
-            within += 0.0 <= depths[j] - depths[i] <= width
-        most = max(most, within)
-    return most
 
 
 @njit()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse.weighted_counts import most_around, spare_rows
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
-from spl_batch.numerics.neighbours.lattice_columns import first_above
+from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above
 from spl_batch.numerics.planes.robust_plane import plane_of_moments
 from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, spread
 
@@ -160,8 +160,7 @@ def _plane_of(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:
 
 @njit()
 def behind_plane(
-    xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
-    true: NDArray[np.bool_], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
+    made: Columns, time: NDArray[np.float64], channel: NDArray[np.uint8], true: NDArray[np.bool_],
     rows: NDArray[np.int32], lag: int, wide: int, high: int, thick: int, share: float,
     least: int, out: NDArray[np.bool_], tilt: NDArray[np.float64], parents: NDArray[np.int32],
 ) -> None:  # fmt: skip
@@ -169,7 +168,7 @@ def behind_plane(
 
     Parameters
     ----------
-    xyz, time, channel, starts, shape, edge, rows
+    made, time, channel, rows
         As in :func:`~spl_batch.airborne.afterpulse.weighted_counts.weigh_around`.
     true : (n,) bool
         Returns that count.
@@ -190,6 +189,7 @@ def behind_plane(
     parents : (m,) int32
         Filled with the points' parents, -1 for none.
     """
+    xyz, starts, shape, edge = made.points, made.start, made.shape, made.edge
     sums, plane = np.empty(9), np.zeros(3)
     offsets = np.empty((3, most_around(starts, shape) + LANES))
     spare = spare_rows(xyz.shape[1])

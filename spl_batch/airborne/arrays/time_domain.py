@@ -13,7 +13,7 @@ from spl_batch.airborne import shots
 from spl_batch.airborne.beams import geometry, sensor_path
 from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.airborne.filter.expected_noise import HeldVoxels, NoiseModel, model_of_lines
+from spl_batch.airborne.filter.expected_noise import HeldVoxels, NoiseModel, noise_model
 from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.settings.workflow import Workflow
@@ -51,7 +51,7 @@ class Assessed(NamedTuple):
     def model(self, xyz: list[NDArray[np.int64]], settings: Workflow) -> NoiseModel | None:
         """Noise of the voxels around places [quanta]; None without any."""
         shares = [[HeldVoxels(part) for part in line] for line in self.lines]
-        return model_of_lines(xyz, shares, self.beamlets, settings.noise)
+        return noise_model(xyz, shares, self.beamlets, settings.noise)
 
 
 def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Workflow) -> Assessed:

@@ -106,13 +106,6 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
-        "afterpulses": {
-            "probability": law.probability,
-            "scale_m": law.scale_m,
-            "longest_m": law.longest_m,
-            "sigma_m": law.sigma_m,
-            "seen": law.seen,
-        },
         "findings": [*model.findings, *found],
     }
     return Produced([path], facts, args["points"])

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid.evidence import Evidence, evidence
-from spl_batch.airborne.filter.ellipsoid.null_distribution import EXACT_TO, null_table
+from spl_batch.airborne.filter.ellipsoid.null_distribution import null_table
 from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
 from spl_batch.airborne.settings import FilterSettings
@@ -66,23 +66,16 @@ def reach_m(settings: FilterSettings) -> float:
     return reach + (settings.link_m if settings.link_count > 0 else 0.0)
 
 
-def judge(
-    cloud: Cloud,
-    settings: FilterSettings,
-    *,
-    exact: bool = False,
-    spent: Spent | None = None,
-) -> Verdict:
+def judge(cloud: Cloud, settings: FilterSettings, *, spent: Spent | None = None) -> Verdict:
     """Test the points asked for.
+
+    Counting stops once the decision stands and, calibrated, the score is below :data:`TOLD_TO`: p
+    farther down is that of the count where it stopped: an upper bound, the same in any tiling.
 
     Parameters
     ----------
     cloud : Cloud
         Independent returns of a block and its halo.
-    exact : bool
-        Count on until the score is below 1e-12: p is exact down to there. Otherwise counting stops
-        once the decision stands and, calibrated, the score is below :data:`TOLD_TO`: p farther down
-        is that of the count where counting stopped, an upper bound, the same whatever the tiling.
     spent : callable, optional
         Share of pure noise that another test keeps, by noise density. The rest of alpha is spent
         here, at least half of it.
@@ -96,19 +89,17 @@ def judge(
     """
     asked = cloud.asked
     if settings.test == "published":
-        stop = min(PUBLISHED_ALPHA, _at_most(settings, exact=exact))
-        found = evidence(cloud.xyz, cloud.density, asked, settings, stop)
+        found = evidence(cloud.xyz, cloud.density, asked, settings, PUBLISHED_ALPHA)
         signal = noise_tail_probability(found.inside + 1, found.expected) <= PUBLISHED_ALPHA
         return Verdict(signal[asked], found.score[asked].astype(np.float32))
     linked = settings.link_count > 0
     assessed = cloud.around(quanta(settings.link_m), (0, 1, 2)) if linked else asked
-    most = _at_most(settings, exact=exact)
     # Of a block of millions each array counts, above all while the tree is built.
     tree = build(cloud.xyz)
     limit = _limits(cloud.density, assessed, settings, spent)
     found = evidence(
         cloud.xyz, cloud.density, assessed, settings, limit,
-        at_most=most, scores_only=True, tree=tree,
+        at_most=TOLD_TO, scores_only=True, tree=tree,
     )  # fmt: skip
     signal = assessed & (found.score <= limit)
     del limit
@@ -228,12 +219,6 @@ def _links(
     # no longer than the halo was made for
     link = np.minimum(table.link(density, alpha), settings.link_m) * quanta(1.0)
     return _Links(table.critical(density, settings.weak_alpha), link)
-
-
-def _at_most(settings: FilterSettings, *, exact: bool) -> float:
-    """Score down to which counting goes on beyond the decision."""
-    told = TOLD_TO if settings.test == "calibrated" else 1.0
-    return min(told, EXACT_TO) if exact else told
 
 
 def _hardly_expected(density: NDArray[np.float64], settings: FilterSettings) -> NDArray[np.bool_]:
