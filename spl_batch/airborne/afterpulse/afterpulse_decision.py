@@ -178,11 +178,6 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
     if "afterpulse_rate" not in table or not len(table):
         none = np.empty(0, np.bool_)
         return Chances(np.empty(0, np.intp), np.empty(0), none, np.empty(0), none)
-    return _within(table, density)
-
-
-def _within(table: PointTable, density: NDArray[np.float64]) -> Chances:
-    """Chances of a table that is not empty."""
     usable = ~table.has(EXCLUDED)
     known = (table["afterpulse_rate"] > 0) & usable & (density > 0) & (table["line_density"] > 0)
     places = _Places(table)

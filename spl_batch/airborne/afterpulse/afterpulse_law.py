@@ -3,7 +3,7 @@ r"""Law of a flightline's afterpulses: how many follow a detection, and how far 
 Domain: time. [W17] 7.5 finds 10-20 afterpulses for 80-100 signal returns of a shot, in a band of
 2-3 m, and gives no law. Here it is a table, :math:`p f(l)`: afterpulses per detection and metre at
 lag l. It counts what follows returns of hard planes that are alone in their shot, less the
-background, in one shot of :data:`EVERY`.
+background (:func:`~spl_batch.airborne.afterpulse.candidates.observe`).
 
 A lag is that of the *next* return of the beamlet, so the counts give a hazard: of :math:`A` returns
 without a follower before a bin of width w, n have one in it, and b A w of those are background:
@@ -12,8 +12,8 @@ without a follower before a bin of width w, n have one in it, and b A w of those
 
 The sensor's own law, an exponential from the dead time to its longest lag, counts as :data:`PRIOR`
 afterpulses. The table goes on beyond the longest lag where more follow than chance and background
-explain, beginning right behind that lag, and enough in all. The same planes tell the ranging spread
-(:mod:`~spl_batch.airborne.afterpulse.ranging_spread`).
+explain, beginning right behind that lag, and enough in all. The same planes tell the ranging
+spread.
 """
 
 import math
@@ -23,26 +23,22 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse.hard_surfaces import SHARP, STEP_M, Rules
+from spl_batch.airborne.afterpulse.hard_surfaces import SHARP, STEP_M
 from spl_batch.airborne.afterpulse.lag_counts import (
     LAG_EDGES_M,
     SPREAD_STEP_M,
     SPREADS,
     Counts,
     no_counts,
-    observe_lags,
+    ranging_spread,
     rate_behind,
 )
-from spl_batch.airborne.afterpulse.ranging_spread import ranging_spread
-from spl_batch.airborne.beams.shot_runs import lag_behind, offsets, run_starts
+from spl_batch.airborne.beams.shot_runs import offsets, run_starts
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
 
 DOMAIN: Final = "time"
-
-EVERY: Final = 4
-"""One shot in so many is observed, by shot number: no cut matters."""
 
 PRIOR: Final = 100.0
 """Afterpulses that the sensor's own figures are worth [count]."""
@@ -130,39 +126,6 @@ def _nodes(dead_m: float, longest_m: float) -> NDArray[np.float64]:
     return dead_m + STEP_M * np.arange(steps + 1, dtype=np.float64)
 
 
-def observe(
-    table: PointTable, beams: BeamTable, rules: Rules, least_m: float
-) -> dict[str, NDArray[np.int64]]:
-    """Lags behind hard surfaces in one stretch; parts of a flightline add up.
-
-    Parameters
-    ----------
-    table : PointTable
-        Rows of one stretch, sorted by (gps_time, channel, ...), with ``shot``.
-    beams : BeamTable
-        Their beams; rows without a known one take no part.
-
-    Returns
-    -------
-    dict
-        The arrays of :class:`~spl_batch.airborne.afterpulse.lag_counts.Counts`, their names
-        beginning with ``afterpulse_``.
-    """
-    counts = no_counts()
-    rows = np.flatnonzero(beams.known & (table["shot"] % EVERY == 0))
-    if len(rows):
-        time, channel = table["gps_time"][rows], table["channel"][rows]
-        range_m = beams.range_m[rows]
-        shots = run_starts(time)
-        lag = np.empty(len(rows), dtype=np.float32)
-        lag_behind(run_starts(time, channel), range_m, least_m, float(LAG_EDGES_M[-1]), lag)
-        observe_lags(
-            shots, np.flatnonzero(_several(channel, shots)), shot_offsets(table.take(rows), shots),
-            beams.direction.take(rows, axis=0), range_m, channel, lag, rules, LAG_EDGES_M, counts,
-        )  # fmt: skip
-    return {f"afterpulse_{name}": value for name, value in counts._asdict().items()}
-
-
 def shot_offsets(table: PointTable, shots: NDArray[np.int64]) -> NDArray[np.float64]:
     """Points relative to the first one of their shot: (n, 3) float64 [m]."""
     offset = np.empty((len(table), 3))
@@ -170,7 +133,7 @@ def shot_offsets(table: PointTable, shots: NDArray[np.int64]) -> NDArray[np.floa
     return offset
 
 
-def _several(channel: NDArray[np.uint8], shots: NDArray[np.int64]) -> NDArray[np.bool_]:
+def several(channel: NDArray[np.uint8], shots: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Shots that know channels: without them, who follows whom is not known."""
     low = np.minimum.reduceat(channel, shots[:-1])
     several: NDArray[np.bool_] = np.maximum.reduceat(channel, shots[:-1]) > low
@@ -185,7 +148,7 @@ def fit(
     Parameters
     ----------
     parts : sequence of dict
-        Results of :func:`observe`, in any order.
+        Results of :func:`~spl_batch.airborne.afterpulse.candidates.observe`, in any order.
     noise_per_m : float
         Background per metre of beamlet, which follows a return as well [1/m].
     sensor : Sensor
@@ -359,6 +322,6 @@ def rate(table: PointTable, beams: BeamTable, law: AfterpulseLaw) -> NDArray[np.
         law.density, found,
     )  # fmt: skip
     shots = run_starts(time)
-    found[~np.repeat(_several(channel, shots), np.diff(shots))] = 0.0
+    found[~np.repeat(several(channel, shots), np.diff(shots))] = 0.0
     out[rows] = found
     return out

@@ -152,19 +152,6 @@ def below_planes(
 
 
 @njit()
-def is_behind(distance: float, rules: Rules) -> bool:
-    """Whether a later return of a beamlet that hit a surface counts as one behind it."""
-    return 0.5 * rules.dead_m < distance <= rules.lag_max_m
-
-
-@njit()
-def too_many(followers: int, on: int, rules: Rules) -> bool:
-    """Whether more returns follow those on a surface than afterpulses, and theirs, can be."""
-    started = min(np.sum(rules.law) * STEP_M, 0.8)
-    return followers > PASSED_MIN + FOLLOWED * on * started / (1.0 - started)
-
-
-@njit()
 def densest(w, low, high, width):  # type: ignore[no-untyped-def]
     """Start of the fullest range window [m], and its count; the nearest of equals.
 
@@ -216,7 +203,7 @@ def returns_behind(
     depths = np.empty(rows[1] - rows[0] + LANES)
     for i in range(rows[0], rows[1]):
         if not first[i]:
-            followers += follows and is_behind(behind[s, i], rules)
+            followers += follows and 0.5 * rules.dead_m < behind[s, i] <= rules.lag_max_m
             continue
         follows = on_surface(behind[s, i], spreads[s], rules)
         if follows:
@@ -228,7 +215,9 @@ def returns_behind(
             if not other:
                 depths[passed] = behind[s, i]
                 passed += 1
-    if too_many(followers, on, rules):
+    # More than afterpulses, and theirs, can be.
+    started = min(np.sum(rules.law) * STEP_M, 0.8)
+    if followers > PASSED_MIN + FOLLOWED * on * started / (1.0 - started):
         return False, np.inf
     if passed == 0:
         return True, np.inf

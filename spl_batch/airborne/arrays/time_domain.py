@@ -26,27 +26,14 @@ from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable, ShotClock
 
 
 class Assessed(NamedTuple):
-    """A cloud with what the time domain knows of it.
+    """A cloud with what the time domain knows of it."""
 
-    Parameters
-    ----------
-    table : PointTable
-        The points, in the caller's order, with the columns that it adds; ``NO_BEAM`` is flagged.
-    lines : list of list of VoxelPart
-        Shares of the expected noise, for each flightline.
-    beamlets : int
-        Beamlets of a shot.
-    basis : str
-        What beams are from: ``beams``, ``intersection`` or ``vertical``.
-    warnings : tuple of str
-        What a user should know.
-    """
-
+    #: Points in the caller's order, with the columns that it adds; ``NO_BEAM`` is flagged.
     table: PointTable
-    lines: list[list[VoxelPart]]
-    beamlets: int
-    basis: str
-    warnings: tuple[str, ...]
+    lines: list[list[VoxelPart]]  #: Shares of the expected noise, for each flightline.
+    beamlets: int  #: Beamlets of a shot.
+    basis: str  #: What beams are from: ``beams``, ``intersection`` or ``vertical``.
+    warnings: tuple[str, ...]  #: What a user should know.
 
     def model(self, xyz: list[NDArray[np.int64]], settings: Workflow) -> NoiseModel | None:
         """Noise of the voxels around places [quanta]; None without any."""

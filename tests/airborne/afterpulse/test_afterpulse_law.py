@@ -14,10 +14,10 @@ from spl_batch.airborne.afterpulse.lag_counts import (
     STEP_M,
     law_at,
     no_counts,
+    ranging_spread,
     rate_behind,
 )
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, expected_and_seen, uneven
-from spl_batch.airborne.afterpulse.ranging_spread import ranging_spread
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.sensors.sensor import Sensor, load_preset
 from spl_batch.airborne.settings import AfterpulseSettings
@@ -222,16 +222,16 @@ def test_tilted_planes_spread_by_the_width_of_the_beam_too() -> None:
         assert sigma_m <= found <= 1.15 * sigma_m
 
 
-def test_a_longest_lag_within_the_dead_time_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"(?s)afterpulse_lag_max_m.*must exceed .* 0\.240 m"):
-        Sensor.model_validate({**SENSOR.model_dump(), "afterpulse_lag_max_m": 0.2})
-    with pytest.raises(ValueError, match=r"must exceed the dead time, 4\.497 m"):
-        Sensor.model_validate({"name": "slow", "dead_time_ns": 30.0})
-
-
-def test_a_dead_time_beyond_the_lags_that_are_looked_at_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"(?s)dead_time_ns.*must be below 400 ns"):
-        Sensor.model_validate({"name": "slow", "dead_time_ns": 401.0, "afterpulse_lag_max_m": 70.0})
+def test_lags_that_no_dead_time_or_search_admits_are_refused() -> None:
+    for facts, said in (
+        ({**SENSOR.model_dump(), "afterpulse_lag_max_m": 0.2},
+         r"(?s)afterpulse_lag_max_m.*must exceed .* 0\.240 m"),
+        ({"name": "slow", "dead_time_ns": 30.0}, r"must exceed the dead time, 4\.497 m"),
+        ({"name": "slow", "dead_time_ns": 401.0, "afterpulse_lag_max_m": 70.0},
+         r"(?s)dead_time_ns.*must be below 400 ns"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=said):
+            Sensor.model_validate(facts)
 
 
 @pytest.mark.parametrize(("dead_ns", "longest"), [(1.6, 0.241), (1.4, 0.21), (399.0, 70.0)])

@@ -1,5 +1,7 @@
 """The null distribution of the noise test: its table, look-ups in it, and its drawing."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,9 +15,12 @@ from spl_batch.airborne.filter.ellipsoid.null_distribution import (
     draw_table,
     null_table,
     periodic_noise,
+    settings_key,
 )
 from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, value_of
-from spl_batch.airborne.settings import FilterSettings
+from spl_batch.airborne.filter.wires import wire_null
+from spl_batch.airborne.settings import FilterSettings, WireSettings
+from spl_batch.engine.settings.base import Section
 
 DEFAULT = FilterSettings()
 
@@ -136,3 +141,46 @@ def test_a_box_that_repeats_itself_has_no_border(density: float) -> None:
     assert inner.mean() == pytest.approx(outer.mean(), rel=0.05)
     within = (found.inside[core] >= 1)[middle].mean(), (found.inside[core] >= 1)[~middle].mean()
     assert within[0] == pytest.approx(within[1], abs=0.06)
+
+
+FILTERS: dict[str, Any] = {
+    "method": "aes",
+    "test": "published",
+    "alpha": 0.02,
+    **{
+        k: getattr(DEFAULT, k)
+        for k in ("wires", "aes", "dcc", "pixels", "voxel", "multilevel", "cylinder")
+    },
+}
+"""Another value of each setting that the null distribution is said not to depend on."""
+
+TABLES = [
+    pytest.param(DEFAULT, null_distribution.IRRELEVANT, id="null_table"),
+    pytest.param(DEFAULT.wires, wire_null.IRRELEVANT, id="wire_null"),
+]
+
+
+@pytest.mark.parametrize(("section", "irrelevant"), TABLES)
+def test_a_setting_is_part_of_the_key_unless_it_is_named(
+    section: Section, irrelevant: frozenset[str]
+) -> None:
+    fields = set(type(section).model_fields)
+    assert irrelevant < fields, "a setting that there is no more"
+    assert set(settings_key(section, irrelevant)) == fields - irrelevant
+
+
+def test_what_is_named_changes_nothing_that_is_drawn() -> None:
+    density = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
+    given = draw_table(DEFAULT, 1500, density)
+    assert set(FILTERS) == null_distribution.IRRELEVANT
+    other = DEFAULT.model_copy(
+        update={**FILTERS, "wires": WireSettings(enabled=False, half_length_m=7.0)}
+    )
+    found = draw_table(other, 1500, density)
+    for name in ("score", "own", "link_m"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(given, name))
+    lax = DEFAULT.wires.model_copy(update={"alpha": 0.05})
+    share = wire_null.draw_shares(lax, 20_000, density[2:3])
+    switched = lax.model_copy(update={"enabled": False, "classify": True})
+    np.testing.assert_array_equal(wire_null.draw_shares(switched, 20_000, density[2:3]), share)
+    assert share > 0

@@ -12,8 +12,9 @@ from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
 from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.filter.published import shot_noise
 from spl_batch.airborne.settings import FilterSettings
-from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable, canonical_order
+from spl_batch.lattice.tables import BeamTable, PointFlag, canonical_order
 from tests.airborne.beams.test_differential_cell_count import slow_dcc
+from tests.airborne.filter.test_denoise import as_table
 from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
 
 SOURCES = ["aes", "voxel", "multilevel", "cylinder"]
@@ -138,16 +139,6 @@ def test_each_filter_is_its_slow_twin(step: int, shift: int) -> None:
     assert (may == must).mean() > 0.8
     for signal in (voxel, levels, cylinder, ellipsoid):
         assert 0.1 < signal.mean() < 0.9
-
-
-def as_table(xyz: NDArray[Any], **columns: NDArray[Any]) -> PointTable:
-    n = len(xyz)
-    zeros = np.zeros(n)
-    names = ("gps_time", "channel", "return_number", "flags", "source")
-    table = PointTable({}).with_columns(
-        x=xyz[:, 0], y=xyz[:, 1], z=xyz[:, 2], index=np.arange(n), **dict.fromkeys(names, zeros)
-    )
-    return table.with_columns(**columns)
 
 
 @pytest.mark.parametrize("method", SOURCES)

@@ -173,15 +173,16 @@ def null_table(settings: FilterSettings) -> NullTable:
 
 @lru_cache(maxsize=8)
 def _table(key: str) -> NullTable:
-    text = (
-        resources.files("spl_batch.airborne.filter.ellipsoid")
-        .joinpath(FILE)
-        .read_text(encoding="utf-8")
-    )
-    shipped = json.loads(text)
-    if shipped["settings"] == json.loads(key):
-        return parse_table(shipped)
+    content = shipped(__package__, FILE)
+    if content["settings"] == json.loads(key):
+        return parse_table(content)
     return draw_table(FilterSettings(test="calibrated", **json.loads(key)), POINTS, DENSITIES[::2])
+
+
+def shipped(package: str, file: str) -> dict[str, Any]:
+    """Content of a table that ships with a package."""
+    content: dict[str, Any] = json.loads((resources.files(package) / file).read_text("utf-8"))
+    return content
 
 
 def parse_table(content: Mapping[str, Any]) -> NullTable:

@@ -52,7 +52,8 @@ def value_of(
     """Quantiles at levels; arguments as for :func:`level_of`, its inverse."""
     beyond = np.minimum(level - levels[-1], 0.0) / slope
     column = np.interp(-level, -levels, np.arange(len(levels)))
-    return between(at, column, quantile) + beyond
+    found: NDArray[np.float64] = between(at, column, quantile) + beyond
+    return found
 
 
 def level_of(

@@ -50,19 +50,8 @@ class Spacing(NamedTuple):
 
 
 @njit()
-def spacing_at(points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound):  # type: ignore[no-untyped-def]
-    """Squared spacing of one slot; arguments as for :func:`nearest_keys` [quanta2]."""
-    found = nearest_keys(
-        points, boxes, depth, leaf, slot, rule.cap, keys, distance, fresh, stack, bound
-    )
-    if found == rule.neighbours:
-        return np.float64(keys[found - 1] >> 32)
-    return np.float64(rule.cap) * np.float64(rule.cap)
-
-
-@njit()
 def spacing_scratch(rule):  # type: ignore[no-untyped-def]
-    """Arrays for :func:`spacing_at`: ``keys, distance, fresh, stack, bound``."""
+    """Arrays for :func:`measure`: ``keys, distance, fresh, stack, bound``."""
     return (
         np.empty(rule.neighbours, np.int64), np.empty(LEAF), np.empty(LEAF, np.int64),
         np.empty(64, np.uint64), np.empty(64),
@@ -71,12 +60,15 @@ def spacing_scratch(rule):  # type: ignore[no-untyped-def]
 
 @njit()
 def measure(points, boxes, depth, slot, space, rule, scratch):  # type: ignore[no-untyped-def]
-    """Find out a slot's spacing."""
+    """Find out a slot's squared spacing [quanta2]."""
     keys, distance, fresh, stack, bound = scratch
     leaf = leaf_of(slot, depth, np.uint64(points.shape[1]))
-    space[slot] = spacing_at(
-        points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
+    found = nearest_keys(
+        points, boxes, depth, leaf, slot, rule.cap, keys, distance, fresh, stack, bound
     )
+    space[slot] = np.float64(rule.cap) * np.float64(rule.cap)
+    if found == rule.neighbours:
+        space[slot] = np.float64(keys[found - 1] >> 32)
 
 
 @njit()
