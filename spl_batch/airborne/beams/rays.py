@@ -1,6 +1,8 @@
 """Lines of sight from where the sensor was to what it saw, and what they pass through."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +50,7 @@ def look(
 
 
 def reach(
-    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
+    place: Sequence[NDArray[np.integer[Any]]],
     step_m: float,
     direction: NDArray[np.float64],
     near: NDArray[np.float64],
@@ -75,7 +77,7 @@ def reach(
 
 
 def in_voxels(
-    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
+    place: Sequence[NDArray[np.integer[Any]]],
     edge: int,
     corner: NDArray[np.int64],
     half_step_m: float,
