@@ -81,20 +81,9 @@ def across_beams(
     u: NDArray[np.float64],
     v: NDArray[np.float64],
 ) -> None:
-    """Coordinates of points across the first beam of their shot.
+    """Coordinates of points across the first beam of their shot: fills ``u, v`` [m].
 
     The two axes are arbitrary, but depend on the beam alone.
-
-    Parameters
-    ----------
-    shots : (s + 1,) int64
-        First row of each shot, then n.
-    direction : (n, 3) float64
-        Unit vectors along the beams.
-    offset : (n, 3) float64
-        Points relative to one of their shot [m].
-    u, v : (n or more,) float64
-        Filled [m].
     """
     for shot in range(len(shots) - 1):
         at = shots[shot]
@@ -147,19 +136,10 @@ def observe_lags(
     edges: NDArray[np.float64],
     counts: Counts,
 ) -> None:
-    """Count what follows the first returns on a plane that is alone in its shot.
+    """Count what follows the first returns on a plane that is alone in its shot, of chosen shots.
 
-    Parameters
-    ----------
-    starts : (m + 1,) int64
-        Rows where shots start, then n.
-    chosen : (s,) int64
-        Shots to look at.
-    offset, direction, range_m, channel, lag, rules
-        As in :func:`~spl_batch.airborne.afterpulse.shot_evidence.shot_probabilities`; lags up to
-        the last edge.
-    edges : (b + 1,) float64
-        :data:`LAG_EDGES_M`.
+    Arrays are as in :func:`~spl_batch.airborne.afterpulse.shot_evidence.shot_probabilities`; lags
+    reach up to the last edge.
     """
     n = len(range_m)
     u, v = np.empty(n), np.empty(n)
@@ -295,16 +275,8 @@ def rate_behind(
 ) -> None:  # fmt: skip
     """Afterpulses per metre expected at each return, of all earlier ones of its beamlet.
 
-    Parameters
-    ----------
-    starts : (m + 1,) int64
-        Rows where beamlets start, then n.
-    range_m : (n,) float64
-        Slant ranges [m], in any order within a beamlet.
-    law : (k,) float64
-        As :func:`law_at` takes it, up to ``reach_m`` [1/m].
-    rate : (n,) float32
-        Filled [1/m]; 0 where no return is in front.
+    ``starts`` (m + 1,): rows where beamlets start, then n; ranges may be in any order within one.
+    ``rate`` (n,) is filled [1/m]; 0 where no return is in front.
     """
     for b in range(len(starts) - 1):
         for i in range(starts[b], starts[b + 1]):
@@ -319,10 +291,7 @@ def rate_behind(
 def ranging_spread(planes: NDArray[np.int64], sensor: Sensor) -> float:
     """One standard deviation of ranges, never less than the sensor's [m].
 
-    Parameters
-    ----------
-    planes : (s,) int64
-        Planes by their spread, in steps of :data:`SPREAD_STEP_M` [count].
+    ``planes``: planes by their spread, in steps of :data:`SPREAD_STEP_M` [count].
     """
     stated = sensor.range_sigma_m
     if not _alike_spreads(planes):

@@ -166,28 +166,12 @@ def behind_plane(
 ) -> None:  # fmt: skip
     """Whether points lie behind a plane that the true returns around their parent make.
 
-    Parameters
-    ----------
-    made, time, channel, rows
-        As in :func:`~spl_batch.airborne.afterpulse.weighted_counts.weigh_around`.
-    true : (n,) bool
-        Returns that count.
-    lag : int
-        Longest way down from a parent, which is at most ``edge`` aside [quanta].
-    wide, high : int
-        Radius and half-height of the cylinder around the parent [quanta], ``wide <= edge``.
-    thick : int
-        Half-thickness of a plane [quanta].
-    share : float
-        Least share of the returns in the cylinder that lie on the plane.
-    out : (m,) bool
-        Filled. The parent lies on the plane, the point behind it by more than ``thick``, and
-        of the cylinder's returns at most one in twenty lies at its depth.
-    tilt : (m, 2) float64
-        Filled with the plane's slopes towards x and y, whatever lies at the point's depth;
-        0 where there is no plane.
-    parents : (m,) int32
-        Filled with the points' parents, -1 for none.
+    A parent is at most ``lag`` above and an edge of a column aside, ``wide`` and ``high`` are
+    radius and half-height of the cylinder around it, ``thick`` the plane's half-thickness [quanta].
+    At least ``share`` of the returns in the cylinder lie on the plane. ``out`` (m,): the parent
+    lies on it, the point behind it by more than ``thick``, and of the cylinder's returns at most
+    one in twenty lies at its depth. ``tilt`` (m, 2): the plane's slopes, whatever lies there, 0
+    where there is no plane. ``parents`` (m,): -1 for none.
     """
     xyz, starts, shape, edge = made.points, made.start, made.shape, made.edge
     sums, plane = np.empty(9), np.zeros(3)

@@ -56,18 +56,13 @@ def weigh_around(
     Parameters
     ----------
     made : Columns
-        The points, coordinates from 0 on; other arrays have their order.
-    time, channel : (n,) float64, uint8
-        Their beamlets.
-    weight : (n,) int16
-        0 to :data:`UNIT`.
+        The points, coordinates from 0 on; other arrays have their order, weights up to
+        :data:`UNIT`.
     rows : (m,) int32
         Points to count around; quickest in ascending order.
-    radii : (k, 2) int64
-        Horizontal and vertical radius of each kernel [quanta]; the first one contains the
-        others, and its horizontal radius is at most a column's edge.
-    tilt : (m, 2) float64
-        Slopes of the kernels towards x and y.
+    radii, tilt : (k, 2) int64, (m, 2) float64
+        Horizontal and vertical radius of each kernel [quanta], and its slopes towards x and y; the
+        first contains the others, and is at most as wide as a column's edge.
     own : int
         What a return of the same beamlet above the point counts for [returns / UNIT]; those
         below it do not count.

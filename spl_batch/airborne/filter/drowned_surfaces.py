@@ -58,17 +58,9 @@ Marks = NDArray[np.bool_]
 
 
 def unfilled(kept: Cells, gone: Cells) -> Marks:
-    """Cells in dense noise around which no surface fills the place.
+    """Cells in dense noise around which no surface fills the place: signals are no ground.
 
-    Parameters
-    ----------
-    kept, gone : (a, b, c) int64
-        Returns of each 5 m cell that the filter kept, and refused [count].
-
-    Returns
-    -------
-    (a, b, c) bool
-        True where signals are no ground.
+    ``kept, gone``: returns of each 5 m cell that the filter kept, and refused [count].
     """
     least, share = RICH
     rich = (kept >= least) & (kept >= share * gone)

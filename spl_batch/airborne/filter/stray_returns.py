@@ -142,7 +142,8 @@ class Bare(NamedTuple):
         """Which signals of the table lie in a marked cell: (n,) bool."""
         out = np.zeros(len(noise_class), np.bool_)
         out[self.rows[self.marked.ravel()[self.cell]]] = True
-        return out & (noise_class == NOISE_SIGNAL)
+        out &= noise_class == NOISE_SIGNAL
+        return out
 
 
 def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:

@@ -72,20 +72,10 @@ def judge(cloud: Cloud, settings: FilterSettings, *, spent: Spent | None = None)
     Counting stops once the decision stands and, calibrated, the score is below :data:`TOLD_TO`: p
     farther down is that of the count where it stopped: an upper bound, the same in any tiling.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        Independent returns of a block and its halo.
-    spent : callable, optional
-        Share of pure noise that another test keeps, by noise density. The rest of alpha is spent
-        here, at least half of it.
-
-    Returns
-    -------
-    Verdict
-        Of the points asked for, in their order. ``p_value`` is the share of pure noise
-        that scores no more for the calibrated test, P(K >= k) for the published one; a linked
-        point has that of its own neighbourhood.
+    ``spent``: share of pure noise that another test keeps, by noise density. The rest of alpha is
+    spent here, at least half of it. ``p_value`` is the share of pure noise that scores no more for
+    the calibrated test, P(K >= k) for the published one; a linked point has that of its own
+    neighbourhood.
     """
     asked = cloud.asked
     if settings.test == "published":

@@ -59,27 +59,10 @@ def evidence(
     scores_only: bool = False,
     tree: KdTree | None = None,
 ) -> Evidence:
-    """Scores of the points asked for.
+    """Scores of the points asked for, in canonical order [quanta; noise 1/m3].
 
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates in canonical order [quanta].
-    density : (n,) float64
-        Expected noise [1/m3].
-    asked : (n,) bool
-        Points to score.
-    settings : FilterSettings
-        The test: the published one counts every neighbour, the others peers only;
-        the calibrated one breaks the ties of counts.
-    stop : float or (n,) float64
-        Counting stops once the score is no larger.
-    at_most : float
-        Counts on to there where ``stop`` is larger.
-    scores_only : bool
-        Whether counts, found and expected, are not wanted.
-    tree : KdTree, optional
-        Of ``xyz``, where there is one already.
+    The published test counts every neighbour, the calibrated one peers only, and breaks the ties of
+    counts. Counting stops once the score is no larger than ``stop``, or ``at_most`` if less.
     """
     spacing = np.full(len(xyz), 0.0 if settings.test == "published" else -1.0)
     tree = build(xyz) if tree is None else tree

@@ -152,15 +152,7 @@ class NullTable:
 
 
 def settings_key(settings: Section, irrelevant: frozenset[str]) -> dict[str, Any]:
-    """Settings that a drawn table belongs to: all but those that do not matter to it.
-
-    Parameters
-    ----------
-    settings : Section
-        Of the filter, or of a part of it.
-    irrelevant : frozenset of str
-        Names of the settings that do not matter.
-    """
+    """Settings, of the filter or a part of it, that a drawn table belongs to: all that matter."""
     return settings.model_dump(mode="json", exclude=set(irrelevant))
 
 
@@ -260,23 +252,9 @@ def _smooth(drawn: NDArray[np.float64]) -> NDArray[np.float64]:
 def periodic_noise(
     rng: np.random.Generator, density: float, points: int, settings: FilterSettings
 ) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.bool_]]:
-    """Uniform noise in a box that repeats itself, as far as the test looks.
+    """Uniform noise in a box that repeats itself, as far as the test looks; see :func:`repeated`.
 
-    Parameters
-    ----------
-    density : float
-        [1/m3].
-    points : int
-        Points wanted in the box [count]; it is no narrower than the test's reach.
-
-    Returns
-    -------
-    xyz : (n, 3) int32
-        Points of the box, then their images around it [quanta].
-    source : (n,) intp
-        Row of the point in the box.
-    core : (n,) bool
-        Points of the box.
+    The box holds ``points`` on average and is no narrower than the test's reach.
     """
     around = max(settings.neighbour_cap_m, settings.axis_cap_m + settings.spacing_cap_m)
     around = quanta(max(around, settings.link_m))
@@ -290,14 +268,9 @@ def repeated(
     size: NDArray[np.int64],
     around: NDArray[np.int64],
 ) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.bool_]]:
-    """Uniform noise in a box of any size, and its images around it.
+    """Uniform noise [1/m3] in a box of any size, and its images ``around`` it [quanta].
 
-    Parameters
-    ----------
-    rng, density
-        As for :func:`periodic_noise`, which says what is returned.
-    size, around : (3,) int64
-        Edges of the box; width of the images around it, at most the same [quanta].
+    Points (n, 3) of the box, then the images; the row of each in the box; which are no images.
     """
     number = rng.poisson(density * float(np.prod(size / quanta(1.0))))
     xyz = rng.integers(0, size, (number, 3))

@@ -9,19 +9,9 @@ from spl_batch.numerics.compiled import njit
 def between(
     row: NDArray[np.float64], column: NDArray[np.float64], table: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Values of a table linear between its rows and columns.
+    """Values of a table (d, k) linear between its rows and columns, at fractional places: (n,).
 
-    Parameters
-    ----------
-    row, column : (n,) float64
-        Places in the table, with their fractions, 0 to d - 1 and to k - 1.
-    table : (d, k) float64
-        Values, d and k >= 2.
-
-    Returns
-    -------
-    (n,) float64
-        What ``scipy.ndimage.map_coordinates`` of order 1 gives, sooner.
+    What ``scipy.ndimage.map_coordinates`` of order 1 gives, sooner.
     """
     out = np.empty(len(row), dtype=np.float64)
     _between(row, column, table, out)
@@ -63,25 +53,10 @@ def level_of(
     level: NDArray[np.float64],
     slope: float,
 ) -> NDArray[np.float64]:
-    """Level at which the quantile of an interpolated row equals a value.
+    """Level at which the quantile of an interpolated row of a table (d, p) equals a value: (n,).
 
-    Parameters
-    ----------
-    at : (n,) float64
-        Row of the table, with its fraction.
-    value : (n,) float64
-        What is looked up.
-    quantile : (d, p) float64
-        Quantiles, descending along each row.
-    level : (p,) float64
-        Level of each column, descending.
-    slope : float
-        Level per value beyond the last column.
-
-    Returns
-    -------
-    (n,) float64
-        The largest such level; the first where the value lies above the row's first quantile.
+    Quantiles and levels descend; beyond the last column there are ``slope`` levels per value. The
+    largest such level; the first where the value lies above the row's first quantile.
     """
     out = np.empty(len(value), dtype=np.float64)
     _levels(at, value, quantile, level, slope, out)

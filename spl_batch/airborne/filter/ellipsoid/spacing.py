@@ -148,27 +148,10 @@ def peer_distances(
     wanted: int,
     peer_ratio: float,
 ) -> NDArray[np.float64]:
-    """Distance from places to their n-th nearest peer.
+    """Distance from places to their n-th nearest peer, infinite if there are fewer: (m,) [quanta].
 
-    Parameters
-    ----------
-    spacing : (n,) float64
-        Squared spacings of the points, by slot [quanta2]; negative for those that do not count.
-    places : (m, 3) int32
-        Coordinates relative to the tree's anchor [quanta].
-    own : (m,) float64
-        Squared spacings of the places, >= 0 [quanta2].
-    radius : float or (m,) float64
-        Farthest point that counts, inclusive [quanta].
-    wanted : int
-        Which peer, a point at the place itself included [count], >= 1.
-    peer_ratio : float
-        A peer's spacing is at least the place's divided by this.
-
-    Returns
-    -------
-    (m,) float64
-        Distance to peer number ``wanted`` [quanta]; infinite where there are fewer.
+    ``spacing``: of the points, squared, by slot; negative for those that do not count. ``own``: of
+    the places (m, 3), squared. ``radius``: of each or all, inclusive. A point at a place counts.
     """
     squared = np.full(len(places), np.inf)
     if tree.points.size:

@@ -224,23 +224,10 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
 ):  # fmt: skip
     """Fullest tube of every seed, column by column, each column from below.
 
-    Parameters
-    ----------
-    made : Columns
-        The points.
-    seed : (n,) int32
-        Number of the seed, from 0, by row; negative for points that are none.
-    length, density : (m,) float64
-        Half-length [quanta] and background [1/quanta3] of each seed.
-    largest : (k,) float64
-        Largest lambda at which so many returns make a tube worth keeping.
-    radius, least : float
-        Half-width of a tube; nearest neighbour that tells a direction [quanta].
-    slope_max, bend : float
-        Steepest tube [rise/run]; parabola z = bend h^2 [1/quanta].
-    count, azimuth, slope, expected
-        (m,) of each seed, out: K, or 0 where the tube is not worth keeping; direction
-        [rad, rise/run]; lambda.
+    ``seed`` (n,) has the number of the seed by row, negative for points that are none; ``length``
+    and ``density`` its half-length [quanta] and background [1/quanta3]; ``largest`` the largest
+    lambda at which so many returns make a tube worth keeping. ``count``, 0 where it is not,
+    ``azimuth``, ``slope`` and ``expected`` are filled, (m,) by seed.
     """
     points, start, edge, corner = made.points, made.start, made.edge, made.corner
     nx, ny = made.shape

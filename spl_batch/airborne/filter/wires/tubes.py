@@ -99,19 +99,10 @@ def _in_tube(made: Columns, tubes: Tubes, s: int, reach, aside, above, spread, b
 def refine(
     made: Columns, tubes: Tubes, radius: float, bend: float, flank: NDArray[np.int32]
 ) -> None:
-    """Lay a line through the returns of each tube, by least squares.
+    """Lay a line through the returns of each tube, by least squares: replaces line and middle.
 
-    Parameters
-    ----------
-    made : Columns
-        The returns.
-    tubes : Tubes
-        Their directions and middles are replaced.
-    radius, bend : float
-        Half-width [quanta], and the parabola taken away [1/quanta].
-    flank : (m,) int32
-        Receives the returns beside or above and below the tube, whichever are more, out to
-        three times its half-width, less those inside. A plane has twice as many.
+    ``flank`` (m,) receives the returns beside or above and below the tube, whichever are more, out
+    to three times its half-width, less those inside. A plane has twice as many.
     """
     found = np.empty((4, made.points.shape[1]))
     for s in range(len(tubes.length)):
@@ -150,26 +141,11 @@ def agreeing(  # type: ignore[no-untyped-def]
 ):
     """Count the tubes that prolong each one, and those beside it that point the same way.
 
-    Parameters
-    ----------
-    made : Columns
-        The tubes' middles, rounded; rows number the tubes.
-    tubes : Tubes
-        The tubes.
-    stretch : float
-        Farthest tube that counts, along [half-lengths].
-    radius, spread : float
-        Half-width of a line drawn out [quanta; quanta per quantum].
-    beside, above : float
-        Farthest parallel tube, across and upwards [quanta].
-    turn_max : float
-        Largest difference of direction [rad; rise/run].
-    bend : float
-        Parabola of a hanging line [1/quanta].
-    inline, abreast, against : (m,) int32
-        Receive the counts. In line are agreeing tubes beyond the own half-length, which share
-        no return with it; abreast those off its line. Against it speak the tubes on
-        its line that point elsewhere, less those that agree.
+    ``made`` lists the tubes' middles, rounded. Tubes count as far as ``stretch`` half-lengths
+    along, ``beside`` and ``above`` off the line, and turned by ``turn_max`` [rad; rise/run].
+    ``inline`` (m,) receives agreeing tubes beyond the own half-length, which share no return with
+    it, ``abreast`` those off its line, ``against`` the tubes on its line that point elsewhere, less
+    those that agree.
     """
     found = np.empty((4, len(tubes.length)))
     for s in range(len(tubes.length)):
@@ -206,10 +182,7 @@ def agreeing(  # type: ignore[no-untyped-def]
 def vote(  # type: ignore[no-untyped-def]
     made: Columns, tubes: Tubes, radius: float, spread: float, bend: float, votes
 ) -> None:
-    """Count for every point the tubes that hold it: ``votes`` (n,) int32 by row.
-
-    The other parameters are those of :func:`agreeing`; the columns are the points'.
-    """
+    """Count for every point the tubes that hold it: ``votes`` (n,) int32 by row."""
     found = np.empty((4, made.points.shape[1]))
     for s in range(len(tubes.length)):
         size = _in_tube(made, tubes, s, tubes.length[s], radius, radius, spread, bend, found)
@@ -219,18 +192,10 @@ def vote(  # type: ignore[no-untyped-def]
 
 @njit()
 def surroundings(made, tubes, rings, bend, count, held):  # type: ignore[no-untyped-def]
-    """Count the returns within some distances of each tube's line.
+    """Count the returns within some distances d of each tube's line, ascending [quanta].
 
-    Parameters
-    ----------
-    made, tubes, bend
-        As for :func:`vote`.
-    rings : (k,) float64
-        Distances d, ascending [quanta].
-    count : (m, k) int32
-        Receives the returns of ``|x| <= length`` no farther off than each distance.
-    held : (m, PARTS) bool
-        Receives which parts of the tube hold returns within the first distance; must be False.
+    ``count`` (m, k) receives those of ``|x| <= length`` by distance, ``held`` (m, PARTS), all
+    False, which parts of the tube hold returns within the first.
     """
     found = np.empty((4, made.points.shape[1]))
     for s in range(len(tubes.length)):

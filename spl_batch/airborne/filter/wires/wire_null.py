@@ -138,20 +138,7 @@ def draw_shares(
     tell: Callable[[float], None] = lambda _: None,
     workers: int = 1,
 ) -> NDArray[np.float64]:
-    """Share of uniform noise that the scan keeps.
-
-    Parameters
-    ----------
-    densities : (d,) float64
-        [1/m3].
-    tell : callable
-        Called with each density before it is drawn.
-
-    Returns
-    -------
-    (d,) float64
-        The same for the same settings, points and densities.
-    """
+    """Share of uniform noise of some densities [1/m3] that the scan keeps: (d,)."""
     wires = wires.model_copy(update={"enabled": True})
 
     def one(i: int) -> float:

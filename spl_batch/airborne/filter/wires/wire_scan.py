@@ -132,18 +132,9 @@ def reach_m(settings: WireSettings) -> float:
 
 
 def scan(cloud: Cloud, settings: WireSettings) -> Found:
-    """Look for conductors among the points that no surface explains.
+    """Look for conductors among the points that no surface explains, for those asked for.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        Independent returns of a block and its halo; right in the halo as far as
-        :func:`reach_m`.
-
-    Returns
-    -------
-    Found
-        Of the points asked for, in their order.
+    The cloud is right in its halo as far as :func:`reach_m`.
     """
     n = len(cloud.xyz)
     signal, wire = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
