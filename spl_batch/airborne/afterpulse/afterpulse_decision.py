@@ -268,7 +268,8 @@ class _Places:
 
     def listed(self, values: NDArray[Any]) -> NDArray[Any]:
         """A column of the table by place."""
-        return values[self._order]
+        found: NDArray[Any] = values[self._order]
+        return found
 
     def around(
         self,
