@@ -44,16 +44,9 @@ class Assessed(NamedTuple):
 def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Workflow) -> Assessed:
     """What the shots of a cloud tell of its noise and its afterpulses.
 
-    Parameters
-    ----------
-    table : PointTable
-        ``x, y, z, flags, gps_time, channel, point_source_id, return_number, source, index``.
-        Without channels (all the same) each shot is one beamlet.
-    origin_m : (n, 3) float64 or None
-        Position of the sensor at each point's shot [m]; NaN where it is not known. None finds the
-        sensor's path where lines of sight meet, or takes beams as vertical.
-    settings : Workflow
-        The settings.
+    Without channels (all the same) each shot is one beamlet. ``origin_m`` (n, 3) is the position of
+    the sensor at each point's shot [m], NaN where it is not known; None finds its path where lines
+    of sight meet, or takes beams as vertical.
     """
     known = usable_times(table["gps_time"])
     channels = table["channel"]

@@ -219,23 +219,10 @@ def judge(
 
 
 def verdict_on(cloud: Cloud, settings: FilterSettings) -> tuple[Verdict, NDArray[np.bool_]]:
-    """Verdict of the method, with what the scan for conductors keeps; the sure ones among that.
+    """Verdict of the method, with what the scan for conductors keeps; (m,) bool, its sure ones.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        Independent returns of a block and its halo.
-    settings
-        As for :func:`denoise`.
-
-    Returns
-    -------
-    Verdict
-        Of the points asked for. Test and scan share alpha, and p: a share x of pure noise has
-        p <= x by either. So what the scan keeps of it is added to the p of the test, from the
-        scan's own alpha on.
-    (m,) bool
-        Points that are surely of a conductor.
+    Test and scan share alpha, and p: a share x of pure noise has p <= x by either. So what the scan
+    keeps of it is added to the p of the test, from the scan's own alpha on.
     """
     nothing = np.zeros(int(np.count_nonzero(cloud.asked)), np.bool_)
     if settings.method != "vsaes":
