@@ -19,7 +19,6 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
-from itertools import zip_longest
 from typing import Any, Final
 
 from numba import types
@@ -32,9 +31,6 @@ _ARRAY: Final = re.compile(r"(readonly )?array\((\w+), (\d)d, ([ACF])\)")
 
 WATCHED: Final = "watched"
 """Argument of the process that compiles: it ends when its standard input does."""
-
-EVERY: Final = -1
-"""In place of a share: all of them, a kernel of each in turn."""
 
 
 def signatures() -> dict[str, list[str]]:
@@ -112,22 +108,13 @@ def _elsewhere(share: int, shares: int, tell: Tell) -> int:
 
 
 @contextlib.contextmanager
-def compiling_beside(shares: int) -> Iterator["subprocess.Popen[bytes] | None"]:
-    """Compile in another process as long as a block lasts, where a second processor is idle.
-
-    It takes a kernel of each share in turn, so that as much is left of one as of another.
-
-    Parameters
-    ----------
-    shares : int
-        Workers that compile the rest [count].
-    """
+def compiling_beside() -> Iterator["subprocess.Popen[bytes] | None"]:
+    """Compile in another process as long as a block lasts, where a second processor is idle."""
     if (os.cpu_count() or 1) < 2:
         yield None
         return
-    command = _command(EVERY, max(shares, 1))
     with subprocess.Popen(  # noqa: S603 - this project's own module
-        command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        _command(0, 1), stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     ) as child:
         try:
             yield child
@@ -135,18 +122,11 @@ def compiling_beside(shares: int) -> Iterator["subprocess.Popen[bytes] | None"]:
             child.kill()  # code is kept whole or not at all
 
 
-def in_turn(shares: Sequence[Sequence[str]]) -> list[str]:
-    """First kernel of each share, then the second of each, and so on."""
-    rows = zip_longest(*shares)
-    return [name for row in rows for name in row if name is not None]
-
-
 def _compile(share: int, shares: int, tell: Tell) -> int:
     """Compile here, or load what is compiled; kernels that were compiled and not loaded [count]."""
     compiled, listed = 0, signatures()
     # Those that call few others first: each step is short then, and what is told moves evenly.
-    parts = [part[::-1] for part in divided(listed, shares)]
-    names = in_turn(parts) if share == EVERY else parts[share]
+    names = divided(listed, shares)[share][::-1]
     needed = [set(_called(find(name))) for name in names]
     ready: set[str] = set()
     whole = len(ready.union(*needed))

@@ -64,6 +64,6 @@ def quickstart(
     if not workflow.exists():
         preset = resources.files("spl_batch.airborne.simulate").joinpath("presets/quickstart.yaml")
         # The simulation takes one processor.
-        with resources.as_file(preset) as scene, compiling_beside(workers):
+        with resources.as_file(preset) as scene, compiling_beside():
             simulate(scene, folder, progress=progress)
     return run(workflow, workers=workers, memory=memory, listener=listener)

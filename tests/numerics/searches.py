@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, spacing_at, spacing_scratch
+from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, measure, spacing_scratch
 from spl_batch.numerics.neighbours.kdtree import (
     LEAF,
     ROW_MASK,
@@ -120,12 +120,8 @@ def _by_leaves(points, boxes, depth, query, cap, rows, found):  # type: ignore[n
 @njit(nogil=True, cache=True)
 def _spacings(points, boxes, depth, rule, asked, out):  # type: ignore[no-untyped-def]
     """Points in tree order, so that the cache stays warm."""
-    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    keys, distance, fresh, stack, bound = spacing_scratch(rule)
-    for leaf in range(U1 << depth, U1 << (depth + U1)):
-        low, high = leaf_slots(leaf, depth, n)
-        for slot in range(low, high):
-            if asked[points[U3, slot]]:
-                out[points[U3, slot]] = spacing_at(
-                    points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
-                )
+    depth, scratch, space = np.uint64(depth), spacing_scratch(rule), np.empty(points.shape[1])
+    for slot in range(np.uint64(points.shape[1])):
+        if asked[points[U3, slot]]:
+            measure(points, boxes, depth, slot, space, rule, scratch)
+            out[points[U3, slot]] = space[slot]

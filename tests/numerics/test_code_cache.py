@@ -16,7 +16,7 @@ from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
 import spl_batch
-from spl_batch.airborne.filter.ellipsoid.ellipsoid_walk import walk
+from spl_batch.airborne.filter.ellipsoid.spacing import walk
 from spl_batch.imports import content_hash, imported
 from spl_batch.numerics import compiled
 from spl_batch.numerics.compiled import KeptCode, source_stamp
@@ -115,7 +115,7 @@ def test_every_kernel_is_kept_so() -> None:
 
 def test_the_stamp_follows_what_is_called() -> None:
     files = imported(Path(walk.py_func.__code__.co_filename))
-    assert {"ellipsoid_walk.py", "kdtree.py", "compiled.py"} <= {file.name for file in files}
+    assert {"spacing.py", "kdtree.py", "compiled.py"} <= {file.name for file in files}
     assert source_stamp(Path(walk.py_func.__code__.co_filename)) == content_hash(files)
 
 

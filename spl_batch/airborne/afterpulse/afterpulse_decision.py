@@ -36,12 +36,13 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import foliage
 from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane
-from spl_batch.airborne.afterpulse.weighted_counts import UNIT, columns, weigh_around
+from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
 from spl_batch.airborne.beams.dependent_returns import LAG_M, dependents
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import quanta
+from spl_batch.numerics.neighbours.lattice_columns import columns
 
 DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = (
@@ -177,11 +178,6 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
     if "afterpulse_rate" not in table or not len(table):
         none = np.empty(0, np.bool_)
         return Chances(np.empty(0, np.intp), np.empty(0), none, np.empty(0), none)
-    return _within(table, density)
-
-
-def _within(table: PointTable, density: NDArray[np.float64]) -> Chances:
-    """Chances of a table that is not empty."""
     usable = ~table.has(EXCLUDED)
     known = (table["afterpulse_rate"] > 0) & usable & (density > 0) & (table["line_density"] > 0)
     places = _Places(table)
@@ -250,36 +246,30 @@ def _weights(true: NDArray[np.float64]) -> NDArray[np.int16]:
     return np.rint(true * UNIT).astype(np.int16)
 
 
-def _order(numbers: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
-    """Indices that put numbers in order; quicker for millions than comparing them."""
-    return lexicographic_order([numbers])
-
-
 class _Places:
     """Points of a table, listed so that weighted counts around them are quick."""
 
     def __init__(self, table: PointTable) -> None:
         self._table = table
-        xyz = np.empty((3, len(table)), dtype=np.int32)
+        xyz = np.empty((len(table), 3), dtype=np.int32)
         for axis, name in enumerate("xyz"):
-            xyz[axis] = table[name] - table[name].min()
-        self._listed = columns(xyz, quanta(WIDE_M), _order)
-        order = self._listed.order
-        self._xyz, self._time, self._channel = (
-            xyz.take(order, axis=1), table["gps_time"][order], table["channel"][order],
-        )  # fmt: skip
-        self._place = np.empty(len(order), np.int32)
-        self._place[order] = np.arange(len(order), dtype=np.int32)
+            xyz[:, axis] = table[name] - table[name].min()
+        self._made = columns(xyz, np.arange(len(table)), (0, 0, 0), quanta(WIDE_M))
+        self._order = self._made.points[3]
+        self._time, self._channel = table["gps_time"][self._order], table["channel"][self._order]
+        self._place = np.empty(len(table), np.int32)
+        self._place[self._order] = np.arange(len(table), dtype=np.int32)
 
     def in_turn(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
         """Rows in the order of their places, so that neighbours share memory; and the places."""
         place = self._place[rows]
-        turn = _order(place)
+        turn = lexicographic_order([place])
         return rows[turn], place[turn]
 
     def listed(self, values: NDArray[Any]) -> NDArray[Any]:
         """A column of the table by place."""
-        return values[self._listed.order]
+        found: NDArray[Any] = values[self._order]
+        return found
 
     def around(
         self,
@@ -294,11 +284,9 @@ class _Places:
         ``true``: weights by place. A return of the same beamlet counts for ``own`` above the place,
         and not at all below.
         """
-        listed = self._listed
         sums = np.empty((len(places), len(radii_m)), dtype=np.int64)
         weigh_around(
-            self._xyz, self._time, self._channel,
-            true, listed.starts, listed.shape, listed.edge, places,
+            self._made, self._time, self._channel, true, places,
             np.array([[quanta(r) for r in pair] for pair in radii_m], dtype=np.int64),
             np.zeros((len(places), 2)) if tilt is None else tilt, round(own * UNIT), sums,
         )  # fmt: skip
@@ -311,7 +299,7 @@ class _Places:
         parents = np.sort(parents)
         counts = self.around(parents, true, foliage.KERNELS_M)
         x, y = self._table["x"], self._table["y"]
-        named = self._listed.order[parents].astype(np.intp)
+        named = self._order[parents].astype(np.intp)
         return foliage.clumping(x, y, named, true[parents], counts, rows)
 
     def behind_plane(
@@ -326,7 +314,6 @@ class _Places:
         (m,) bool, (m, 2) float64, (m,) int32
             Behind or not; slopes, 0 without a surface; places of the parents, -1 for none.
         """
-        listed = self._listed
         out, tilt = np.empty(len(places), dtype=np.bool_), np.empty((len(places), 2))
         parents = np.empty(len(places), dtype=np.int32)
         for spread, own in _alike(sigma, np.ones(len(places), np.bool_)):
@@ -337,9 +324,8 @@ class _Places:
             )
             found, slopes, above = out[own], tilt[own], parents[own]
             behind_plane(
-                self._xyz, self._time, self._channel, alone, listed.starts, listed.shape,
-                listed.edge, places[own], quanta(LAG_M), wide, high, thick, PLANE_SHARE,
-                PLANE_LEAST, found, slopes, above,
+                self._made, self._time, self._channel, alone, places[own], quanta(LAG_M), wide,
+                high, thick, PLANE_SHARE, PLANE_LEAST, found, slopes, above,
             )  # fmt: skip
             out[own], tilt[own], parents[own] = found, slopes, above
         return out, tilt, parents

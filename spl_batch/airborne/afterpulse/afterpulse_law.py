@@ -3,7 +3,7 @@ r"""Law of a flightline's afterpulses: how many follow a detection, and how far 
 Domain: time. [W17] 7.5 finds 10-20 afterpulses for 80-100 signal returns of a shot, in a band of
 2-3 m, and gives no law. Here it is a table, :math:`p f(l)`: afterpulses per detection and metre at
 lag l. It counts what follows returns of hard planes that are alone in their shot, less the
-background, in one shot of :data:`EVERY`.
+background (:func:`~spl_batch.airborne.afterpulse.candidates.observe`).
 
 A lag is that of the *next* return of the beamlet, so the counts give a hazard: of :math:`A` returns
 without a follower before a bin of width w, n have one in it, and b A w of those are background:
@@ -12,8 +12,8 @@ without a follower before a bin of width w, n have one in it, and b A w of those
 
 The sensor's own law, an exponential from the dead time to its longest lag, counts as :data:`PRIOR`
 afterpulses. The table goes on beyond the longest lag where more follow than chance and background
-explain, beginning right behind that lag, and enough in all. The same planes tell the ranging spread
-(:mod:`~spl_batch.airborne.afterpulse.ranging_spread`).
+explain, beginning right behind that lag, and enough in all. The same planes tell the ranging
+spread.
 """
 
 import math
@@ -23,33 +23,28 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse.hard_surfaces import SHARP, STEP_M, Rules
+from spl_batch.airborne.afterpulse.hard_surfaces import SHARP, STEP_M
 from spl_batch.airborne.afterpulse.lag_counts import (
     LAG_EDGES_M,
     SPREAD_STEP_M,
     SPREADS,
     Counts,
     no_counts,
-    observe_lags,
+    ranging_spread,
     rate_behind,
 )
-from spl_batch.airborne.afterpulse.law_bins import coarse_bins, stated_edge
-from spl_batch.airborne.afterpulse.ranging_spread import ranging_spread
-from spl_batch.airborne.beams.shot_runs import lag_behind, offsets, run_starts
+from spl_batch.airborne.beams.shot_runs import offsets, run_starts
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
 
 DOMAIN: Final = "time"
 
-EVERY: Final = 4
-"""One shot in so many is observed, by shot number: no cut matters."""
-
 PRIOR: Final = 100.0
 """Afterpulses that the sensor's own figures are worth [count]."""
 
-SCALE_M: Final = (0.05, 5.0)
-"""Shortest and longest scale that is believed [m]."""
+COARSE: Final = (0.1, 0.15)
+"""Least width of a bin of the fit [m], and least share of the lag behind the dead time."""
 
 SURE: Final = 4.0
 """Standard deviations by which followers exceed background where a tail shows itself."""
@@ -80,14 +75,10 @@ class AfterpulseLaw(NamedTuple):
     """Afterpulses of a flightline."""
 
     probability: float
-    scale_m: float  #: Scale of the exponential lag behind the dead time that has the same mean [m].
     #: dead_m, longest_m: dead time as range, and the longest lag [m].
     dead_m: float
     longest_m: float
     sigma_m: float
-    #: Returns that were observed, and the afterpulses among what followed them [count].
-    parents: float
-    seen: float
     #: (k,): afterpulses per detection and metre, from the dead time on, every
     #: :data:`~spl_batch.airborne.afterpulse.hard_surfaces.STEP_M` [1/m].
     density: NDArray[np.float64]
@@ -124,7 +115,7 @@ def sensor_law(sensor: Sensor) -> AfterpulseLaw:
     behind = _nodes(dead, longest) - dead
     density = np.exp(-behind / scale) / scale / -np.expm1(-(longest - dead) / scale)
     return AfterpulseLaw(
-        sensor.afterpulse_probability, scale, dead, longest, sensor.range_sigma_m, 0.0, 0.0,
+        sensor.afterpulse_probability, dead, longest, sensor.range_sigma_m,
         sensor.afterpulse_probability * density,
     )  # fmt: skip
 
@@ -135,39 +126,6 @@ def _nodes(dead_m: float, longest_m: float) -> NDArray[np.float64]:
     return dead_m + STEP_M * np.arange(steps + 1, dtype=np.float64)
 
 
-def observe(
-    table: PointTable, beams: BeamTable, rules: Rules, least_m: float
-) -> dict[str, NDArray[np.int64]]:
-    """Lags behind hard surfaces in one stretch; parts of a flightline add up.
-
-    Parameters
-    ----------
-    table : PointTable
-        Rows of one stretch, sorted by (gps_time, channel, ...), with ``shot``.
-    beams : BeamTable
-        Their beams; rows without a known one take no part.
-
-    Returns
-    -------
-    dict
-        The arrays of :class:`~spl_batch.airborne.afterpulse.lag_counts.Counts`, their names
-        beginning with ``afterpulse_``.
-    """
-    counts = no_counts()
-    rows = np.flatnonzero(beams.known & (table["shot"] % EVERY == 0))
-    if len(rows):
-        time, channel = table["gps_time"][rows], table["channel"][rows]
-        range_m = beams.range_m[rows]
-        shots = run_starts(time)
-        lag = np.empty(len(rows), dtype=np.float32)
-        lag_behind(run_starts(time, channel), range_m, least_m, float(LAG_EDGES_M[-1]), lag)
-        observe_lags(
-            shots, np.flatnonzero(_several(channel, shots)), shot_offsets(table.take(rows), shots),
-            beams.direction.take(rows, axis=0), range_m, channel, lag, rules, LAG_EDGES_M, counts,
-        )  # fmt: skip
-    return {f"afterpulse_{name}": value for name, value in counts._asdict().items()}
-
-
 def shot_offsets(table: PointTable, shots: NDArray[np.int64]) -> NDArray[np.float64]:
     """Points relative to the first one of their shot: (n, 3) float64 [m]."""
     offset = np.empty((len(table), 3))
@@ -175,7 +133,7 @@ def shot_offsets(table: PointTable, shots: NDArray[np.int64]) -> NDArray[np.floa
     return offset
 
 
-def _several(channel: NDArray[np.uint8], shots: NDArray[np.int64]) -> NDArray[np.bool_]:
+def several(channel: NDArray[np.uint8], shots: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Shots that know channels: without them, who follows whom is not known."""
     low = np.minimum.reduceat(channel, shots[:-1])
     several: NDArray[np.bool_] = np.maximum.reduceat(channel, shots[:-1]) > low
@@ -190,7 +148,7 @@ def fit(
     Parameters
     ----------
     parts : sequence of dict
-        Results of :func:`observe`, in any order.
+        Results of :func:`~spl_batch.airborne.afterpulse.candidates.observe`, in any order.
     noise_per_m : float
         Background per metre of beamlet, which follows a return as well [1/m].
     sensor : Sensor
@@ -200,20 +158,20 @@ def fit(
     sigma_m = ranging_spread(counts.planes, sensor)
     entries, followers, left = of_hard_planes(counts, sigma_m)
     prior = sensor_law(sensor)
-    edges, bins = coarse_bins(prior.dead_m, prior.longest_m)
+    edges, bins = _coarse_bins(prior.dead_m, prior.longest_m)
     width = np.diff(edges)
     n = np.add.reduceat(followers[bins[0] : bins[-1]], bins[:-1] - bins[0]).astype(np.float64)
     fine = np.diff(np.maximum(LAG_EDGES_M[bins[0] : bins[-1] + 1], prior.dead_m))
     looked = np.add.reduceat(left[bins[0] : bins[-1]] * fine, bins[:-1] - bins[0])
     background = looked * _background(n, looked, edges, noise_per_m)
-    stated_end = float(LAG_EDGES_M[stated_edge(prior.dead_m, prior.longest_m)])
+    stated_end = float(LAG_EDGES_M[_stated_edge(prior.dead_m, prior.longest_m)])
     planes = int(counts.planes[spread_as_hard(sigma_m)].sum())
     least = TAIL_LEAST * float(entries.sum()) if planes >= PLANES_LEAST else math.inf
     reach = _reach(n, background, edges, stated_end, least)
     longest = reach if reach > stated_end else prior.longest_m
     within = edges[1:] <= reach
     excess = np.where(within, np.maximum(n - background, 0.0), 0.0)
-    stated = prior.probability * _share_before(edges, prior)
+    stated = prior.probability * _share_before(edges, sensor)
     lent = PRIOR / max(prior.probability, 1e-6)
     # Exactly the hazard that gives the stated share where nothing is seen.
     due = lent * -np.diff(np.log1p(-stated))
@@ -221,7 +179,7 @@ def fit(
     passed = np.exp(-np.insert(np.cumsum(hazard * width), 0, 0.0))
     return _tabled(
         edges[: within.sum() + 1], np.minimum(-np.diff(passed), 0.95)[within], longest,
-        prior._replace(sigma_m=sigma_m, parents=float(entries.sum()), seen=float(excess.sum())),
+        prior._replace(sigma_m=sigma_m),
     )  # fmt: skip
 
 
@@ -247,6 +205,32 @@ def spread_as_hard(sigma_m: float) -> NDArray[np.bool_]:
     """Which steps of spread are those of hard planes."""
     hard: NDArray[np.bool_] = np.arange(SPREADS) * SPREAD_STEP_M < SHARP * sigma_m
     return hard
+
+
+def _coarse_bins(dead_m: float, stated_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Edges of the bins of a law [m], all of them fine edges; the first is at the dead time.
+
+    One is the stated longest lag, or the next fine edge behind it.
+    """
+    stated = _stated_edge(dead_m, stated_m)
+    at = int(np.searchsorted(LAG_EDGES_M, dead_m, side="right")) - 1
+    chosen, last = [at], len(LAG_EDGES_M) - 1
+    while at < last:
+        low = max(float(LAG_EDGES_M[at]), dead_m)
+        wide = low + max(COARSE[0], COARSE[1] * (low - dead_m)) - 1e-9
+        end = stated if at < stated else last
+        at = min(int(np.searchsorted(LAG_EDGES_M, wide)), end)
+        chosen.append(at)
+    edges = LAG_EDGES_M[chosen].copy()
+    edges[0] = dead_m
+    return edges, np.array(chosen, dtype=np.int64)
+
+
+def _stated_edge(dead_m: float, stated_m: float) -> int:
+    """Fine edge at the stated longest lag or next behind it, with a bin before it at least."""
+    at = int(np.searchsorted(LAG_EDGES_M, dead_m, side="right"))
+    last = len(LAG_EDGES_M) - 1
+    return min(max(int(np.searchsorted(LAG_EDGES_M, stated_m - 1e-9)), at), last)
 
 
 def _background(
@@ -286,11 +270,11 @@ def _reach(
     return max(stated_m, float(edges[last[-1] + 1]))
 
 
-def _share_before(edges: NDArray[np.float64], law: AfterpulseLaw) -> NDArray[np.float64]:
+def _share_before(edges: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]:
     """Share of the sensor's afterpulses before some lags, 0..1."""
-    window, behind = law.longest_m - law.dead_m, np.maximum(edges - law.dead_m, 0.0)
-    share: NDArray[np.float64] = np.expm1(-np.minimum(behind, window) / law.scale_m)
-    share /= np.expm1(-window / law.scale_m)
+    scale, window = sensor.afterpulse_scale_m, sensor.afterpulse_lag_max_m - sensor.dead_m
+    behind = np.clip(edges - sensor.dead_m, 0.0, window)
+    share: NDArray[np.float64] = np.expm1(-behind / scale) / np.expm1(-window / scale)
     return share
 
 
@@ -309,28 +293,7 @@ def _tabled(
     density = np.exp(found)
     probability = float(share.sum())
     density *= probability / max(float(np.trapezoid(density, nodes)), 1e-12)
-    mean_m = float(np.dot(share, middle)) / max(probability, 1e-12) - law.dead_m
-    return law._replace(
-        probability=probability, scale_m=scale_of_mean(mean_m, longest_m - law.dead_m),
-        longest_m=longest_m, density=density,
-    )  # fmt: skip
-
-
-def truncated_mean(scale_m: float, window_m: float) -> float:
-    """Mean of an exponential lag that does not pass a window [m]."""
-    return float(scale_m - window_m / np.expm1(min(window_m / scale_m, 700.0)))
-
-
-def scale_of_mean(mean_m: float, window_m: float) -> float:
-    """Scale whose :func:`truncated_mean` this is, by bisection [m]."""
-    low, high = SCALE_M
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if truncated_mean(middle, window_m) < mean_m:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
+    return law._replace(probability=probability, longest_m=longest_m, density=density)
 
 
 def rate(table: PointTable, beams: BeamTable, law: AfterpulseLaw) -> NDArray[np.float32]:
@@ -359,6 +322,6 @@ def rate(table: PointTable, beams: BeamTable, law: AfterpulseLaw) -> NDArray[np.
         law.density, found,
     )  # fmt: skip
     shots = run_starts(time)
-    found[~np.repeat(_several(channel, shots), np.diff(shots))] = 0.0
+    found[~np.repeat(several(channel, shots), np.diff(shots))] = 0.0
     out[rows] = found
     return out

@@ -19,10 +19,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse import afterpulse_law
-from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw, sensor_law, shot_offsets
+from spl_batch.airborne.afterpulse.afterpulse_law import (
+    AfterpulseLaw,
+    sensor_law,
+    several,
+    shot_offsets,
+)
 from spl_batch.airborne.afterpulse.hard_surfaces import Rules, below_planes
-from spl_batch.airborne.afterpulse.lag_counts import across_beams
+from spl_batch.airborne.afterpulse.lag_counts import (
+    LAG_EDGES_M,
+    across_beams,
+    no_counts,
+    observe_lags,
+)
 from spl_batch.airborne.afterpulse.shot_evidence import shot_probabilities
 from spl_batch.airborne.beams.shot_runs import lag_behind, run_starts
 from spl_batch.airborne.noise.gate import GATE_ASSUMED_M
@@ -35,6 +44,9 @@ DOMAIN: Final = "time"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel")
 COLUMNS_ADDED: Final = ("afterpulse",)
 
+
+EVERY: Final = 4
+"""One shot in so many tells the law, by shot number: no cut matters."""
 
 CHAIN: Final = 5.0 / 3.0
 """How far chains of afterpulses go behind a hard surface where the data show longer lags than the
@@ -101,15 +113,35 @@ def probability(
 
 
 def observe(table: PointTable, beams: BeamTable, sensor: Sensor) -> dict[str, NDArray[np.int64]]:
-    """What a flightline's law is fitted to, with the default numbers for a hard surface.
+    """Lags behind hard surfaces in one stretch; parts of a flightline add up.
 
-    See :func:`spl_batch.airborne.afterpulse.afterpulse_law.observe`.
+    Parameters
+    ----------
+    table : PointTable
+        Rows of one stretch, sorted by (gps_time, channel, ...), with ``shot``.
+    beams : BeamTable
+        Their beams; rows without a known one take no part.
+
+    Returns
+    -------
+    dict
+        The arrays of :class:`~spl_batch.airborne.afterpulse.lag_counts.Counts`, their names
+        beginning with ``afterpulse_``.
     """
-    rows = rows_of(beams.known)
-    table, beams = table.take(rows), beams.take(rows)
-    law = sensor_law(sensor)
-    rules = hard_rules(AfterpulseSettings(), sensor, law)
-    return afterpulse_law.observe(table, beams, rules, law.least_m)
+    counts, law = no_counts(), sensor_law(sensor)
+    rows = np.flatnonzero(beams.known & (table["shot"] % EVERY == 0))
+    if len(rows):
+        time, channel = table["gps_time"][rows], table["channel"][rows]
+        range_m = beams.range_m[rows]
+        shots = run_starts(time)
+        lag = np.empty(len(rows), dtype=np.float32)
+        lag_behind(run_starts(time, channel), range_m, law.least_m, float(LAG_EDGES_M[-1]), lag)
+        observe_lags(
+            shots, np.flatnonzero(several(channel, shots)), shot_offsets(table.take(rows), shots),
+            beams.direction.take(rows, axis=0), range_m, channel, lag,
+            hard_rules(AfterpulseSettings(), sensor, law), LAG_EDGES_M, counts,
+        )  # fmt: skip
+    return {f"afterpulse_{name}": value for name, value in counts._asdict().items()}
 
 
 def hard_rules(

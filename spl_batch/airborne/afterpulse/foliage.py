@@ -73,14 +73,9 @@ REACH_M: Final = (CELLS + 1) * CELL_M + KERNELS_M[0][0]
 
 
 def density(counts: NDArray[np.float64], clumping: NDArray[np.float64]) -> NDArray[np.float64]:
-    """True returns per m3 where a beamlet has returned something in front: (m,) float64 [1/m3].
+    """True returns where a beamlet has returned something in front: (m,) float64 [1/m3].
 
-    Parameters
-    ----------
-    counts : (m, k) float64
-        Kernel sums of the true returns in :data:`KERNELS_M` [count].
-    clumping : (m, k - 1) float64
-        From :func:`clumping`.
+    ``counts`` (m, k): kernel sums in :data:`KERNELS_M`; ``clumping`` (m, k - 1).
     """
     found = (counts[:, 0] + LEAST) / volume_m3(*KERNELS_M[0])
     near = _against(clumping)
@@ -114,25 +109,11 @@ def clumping(
     counts: NDArray[np.int64],
     rows: NDArray[np.intp],
 ) -> NDArray[np.float64]:
-    """Density in each kernel around parents near by, over that in the widest.
+    """Density in each kernel around parents near by, over that in the widest: (m, k - 1) float64.
 
-    Parameters
-    ----------
-    x, y : (n,) int64
-        Points [quanta], n >= 1; the columns are anchored at 0.
-    parents : (p,) intp
-        Returns in front of others; one counts as often as it is named.
-    weight : (p,) int16
-        Their weights, ``UNIT`` at most.
-    counts : (p, k) int64
-        Kernel sums around them [count / ``UNIT`` ** 2].
-    rows : (m,) intp
-        Points to answer for.
-
-    Returns
-    -------
-    (m, k - 1) float64
-        1 where there are no parents.
+    ``parents`` (p,) are rows of points, one counts as often as it is named; ``weight`` and
+    ``counts`` (p, k) their weights and kernel sums [count / ``UNIT`` ** 2]; ``rows`` (m,) are the
+    points to answer for. 1 where there are no parents.
     """
     edge = quanta(CELL_M)
     first = [int(axis.min()) // edge for axis in (x, y)]

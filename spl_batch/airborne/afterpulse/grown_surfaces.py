@@ -68,16 +68,9 @@ def _added(count, end, shot, sets):  # type: ignore[no-untyped-def]
 
 @njit()
 def seed(shot: int, begin: int, left: Left, rules: Rules, count: int, sets: Sets) -> int:
-    """Sets of candidates to start surfaces from: at the corners of the shot, and at one depth.
+    """Sets of candidates to start surfaces from: four corners at most, then the fullest window.
 
-    Parameters
-    ----------
-    shot, begin : int
-        The shot and its first row; it has at least one candidate.
-    left, rules
-        Candidates that no surface holds yet, and the numbers of the method.
-    sets : Sets
-        Added to: at most four corners, then the fullest range window.
+    The shot, from row ``begin`` on, has at least one candidate. Returns the number of sets.
     """
     low, high = np.uint64(begin), np.uint64(begin + left.size[shot])
     rows, u, v, w = left.row, left.u, left.v, left.w
@@ -159,23 +152,9 @@ def find_surfaces(
     an even spread of the candidates, then the next. Shots do not affect each other; they come
     together because their planes are fitted together.
 
-    Parameters
-    ----------
-    shots : (s + 1,) int64
-        First row of each shot, then n.
-    u, v, w : (n,) float64
-        Returns of the shots across and along the beam [m].
-    candidate : (n,) bool
-        Returns that may be of a surface.
-    spread_max : (s,) float64
-        Largest spread of a surface's residuals [m], which keeps crowns out; infinite as published,
-        where the 68th percentile alone decides.
-    planes : (s, SURFACES_MAX, 3) float64
-        Filled.
-    spreads : (s, SURFACES_MAX) float64
-        Filled with the scale of the residuals [m].
-    found : (s,) int64
-        Filled with the number of surfaces.
+    ``spread_max`` (s,) bounds the spread of a surface's residuals [m], which keeps crowns out; it
+    is infinite as published, where the 68th percentile alone decides. ``planes`` (s, SURFACES_MAX,
+    3), ``spreads`` [m] and ``found`` (s,), their number, are filled.
     """
     left = _candidates(shots, u, v, w, candidate)
     sets = room_for(5 * len(found), 5 * len(u))

@@ -78,16 +78,10 @@ def fit_surfaces(
 ) -> None:  # fmt: skip
     """Robust planes of sets of candidates, and whether they are to be trusted [W17 ch. 7].
 
-    Parameters
-    ----------
-    sets, first, member, u, v, w, plane
-        As :func:`~spl_batch.numerics.planes.robust_planes_simd.fit_planes` takes them; each set
-        holds at least
-        :data:`RETURNS_MIN`.
-    trusted : (sets or more,) bool
-        Filled: 68th percentile of the distances small, and hard returns enough.
-    spreads : (sets or more,) float64
-        Filled with the scale of the residuals of the hard returns, where trusted [m].
+    Sets, of :data:`RETURNS_MIN` at least, are as
+    :func:`~spl_batch.numerics.planes.robust_planes_simd.fit_planes` takes them. A plane is trusted
+    where the 68th percentile of the distances is small, and hard returns are enough; ``spreads`` is
+    then filled with the scale of their residuals [m].
     """
     weight = np.empty(first[sets])
     fit_planes(sets, first, member, u, v, w, rules.sigma_m, plane, weight, trusted)
@@ -120,14 +114,7 @@ def below_planes(
 ) -> None:  # fmt: skip
     """The rule as published: one plane for each shot, and all that lies below it [W17 ch. 7].
 
-    Parameters
-    ----------
-    shots : (s + 1,) int64
-        First row of each shot, then n.
-    u, v, w : (n + 8,) float64
-        Returns across and along the beam [m].
-    out : (n,) float32
-        Filled: 1 for afterpulses, else 0; shots whose plane is not trusted have none.
+    ``out`` (n,): 1 for afterpulses, else 0; shots whose plane is not trusted have none.
     """
     n, sets = len(out), 0
     candidate, member = np.zeros(n, np.bool_), np.empty(n + LANES, np.uint64)
@@ -152,30 +139,10 @@ def below_planes(
 
 
 @njit()
-def is_behind(distance: float, rules: Rules) -> bool:
-    """Whether a later return of a beamlet that hit a surface counts as one behind it."""
-    return 0.5 * rules.dead_m < distance <= rules.lag_max_m
-
-
-@njit()
-def too_many(followers: int, on: int, rules: Rules) -> bool:
-    """Whether more returns follow those on a surface than afterpulses, and theirs, can be."""
-    started = min(np.sum(rules.law) * STEP_M, 0.8)
-    return followers > PASSED_MIN + FOLLOWED * on * started / (1.0 - started)
-
-
-@njit()
 def densest(w, low, high, width):  # type: ignore[no-untyped-def]
     """Start of the fullest range window [m], and its count; the nearest of equals.
 
-    Parameters
-    ----------
-    w : (n + 8 or more,) float64
-        Ranges [m].
-    low, high : int
-        First row to look at, and the one after the last; at least one.
-    width : float
-        Width of the window [m].
+    ``w``: ranges, with room for eight more; looked at from row ``low`` on, up to ``high``.
     """
     counts, none, unit = np.empty(LANES), everywhere(0.0), everywhere(1.0)
     first, end, reach = np.uint64(low), np.uint64(high), everywhere(width)
@@ -197,26 +164,18 @@ def returns_behind(
     s: int, rows: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
     first: NDArray[np.bool_], rules: Rules,
 ) -> tuple[bool, float]:  # fmt: skip
-    """What lies behind a surface.
+    """Whether a surface is hard, and start of the depths, ``2 below_m`` wide, that most share.
 
     Of beamlets that miss it few and scattered returns are background; many at one depth are the
-    ground beside a roof. Many and scattered ones mean that the surface is penetrable: a crown,
-    water. So do later returns of beamlets, where they are many more than afterpulses: all channels
-    see the top of a crown in strong light. ``rows``: first row of the shot, and the one after its
-    last.
-
-    Returns
-    -------
-    hard : bool
-        Whether the surface is not penetrable.
-    depth : float
-        Start of the depths, ``2 below_m`` wide, that most of them share; inf for none [m].
+    ground beside a roof; the start is infinite for none. Many and scattered ones mean that the
+    surface is penetrable: a crown, water. So do later returns of beamlets, where they are many more
+    than afterpulses: all channels see the top of a crown in strong light.
     """
     on, passed, followers, follows = 0, 0, 0, False
     depths = np.empty(rows[1] - rows[0] + LANES)
     for i in range(rows[0], rows[1]):
         if not first[i]:
-            followers += follows and is_behind(behind[s, i], rules)
+            followers += follows and 0.5 * rules.dead_m < behind[s, i] <= rules.lag_max_m
             continue
         follows = on_surface(behind[s, i], spreads[s], rules)
         if follows:
@@ -228,7 +187,9 @@ def returns_behind(
             if not other:
                 depths[passed] = behind[s, i]
                 passed += 1
-    if too_many(followers, on, rules):
+    # More than afterpulses, and theirs, can be.
+    started = min(np.sum(rules.law) * STEP_M, 0.8)
+    if followers > PASSED_MIN + FOLLOWED * on * started / (1.0 - started):
         return False, np.inf
     if passed == 0:
         return True, np.inf

@@ -29,7 +29,7 @@ def expected_and_seen(
     Parameters
     ----------
     part : dict
-        Result of :func:`~spl_batch.airborne.afterpulse.afterpulse_law.observe`.
+        Result of :func:`~spl_batch.airborne.afterpulse.candidates.observe`.
     law, noise_per_m
         Of the flightline; background per metre of beamlet [1/m].
     """
@@ -60,7 +60,7 @@ def uneven(
     Parameters
     ----------
     parts : sequence of dict
-        Results of :func:`~spl_batch.airborne.afterpulse.afterpulse_law.observe`.
+        Results of :func:`~spl_batch.airborne.afterpulse.candidates.observe`.
     spans_s : sequence of (float, float)
         First and last time of each [s].
     law, noise_per_m

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse.weighted_counts import most_around, spare_rows
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
-from spl_batch.numerics.neighbours.lattice_columns import first_above
+from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above
 from spl_batch.numerics.planes.robust_plane import plane_of_moments
 from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, spread
 
@@ -160,36 +160,20 @@ def _plane_of(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:
 
 @njit()
 def behind_plane(
-    xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
-    true: NDArray[np.bool_], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
+    made: Columns, time: NDArray[np.float64], channel: NDArray[np.uint8], true: NDArray[np.bool_],
     rows: NDArray[np.int32], lag: int, wide: int, high: int, thick: int, share: float,
     least: int, out: NDArray[np.bool_], tilt: NDArray[np.float64], parents: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Whether points lie behind a plane that the true returns around their parent make.
 
-    Parameters
-    ----------
-    xyz, time, channel, starts, shape, edge, rows
-        As in :func:`~spl_batch.airborne.afterpulse.weighted_counts.weigh_around`.
-    true : (n,) bool
-        Returns that count.
-    lag : int
-        Longest way down from a parent, which is at most ``edge`` aside [quanta].
-    wide, high : int
-        Radius and half-height of the cylinder around the parent [quanta], ``wide <= edge``.
-    thick : int
-        Half-thickness of a plane [quanta].
-    share : float
-        Least share of the returns in the cylinder that lie on the plane.
-    out : (m,) bool
-        Filled. The parent lies on the plane, the point behind it by more than ``thick``, and
-        of the cylinder's returns at most one in twenty lies at its depth.
-    tilt : (m, 2) float64
-        Filled with the plane's slopes towards x and y, whatever lies at the point's depth;
-        0 where there is no plane.
-    parents : (m,) int32
-        Filled with the points' parents, -1 for none.
+    A parent is at most ``lag`` above and an edge of a column aside, ``wide`` and ``high`` are
+    radius and half-height of the cylinder around it, ``thick`` the plane's half-thickness [quanta].
+    At least ``share`` of the returns in the cylinder lie on the plane. ``out`` (m,): the parent
+    lies on it, the point behind it by more than ``thick``, and of the cylinder's returns at most
+    one in twenty lies at its depth. ``tilt`` (m, 2): the plane's slopes, whatever lies there, 0
+    where there is no plane. ``parents`` (m,): -1 for none.
     """
+    xyz, starts, shape, edge = made.points, made.start, made.shape, made.edge
     sums, plane = np.empty(9), np.zeros(3)
     offsets = np.empty((3, most_around(starts, shape) + LANES))
     spare = spare_rows(xyz.shape[1])

@@ -1,20 +1,18 @@
 """Weighted counts of other beamlets' returns around a point, in integers.
 
-Points are listed by square columns, from the lowest up: a count looks at nine columns, and in each
-at a slice of heights. Weights and kernels are integers, so sums do not depend on the order of
-points, and hence neither on tiles nor on blocks.
+A count looks at nine columns of points, and in each at a slice of heights. Weights and kernels are
+integers, so sums do not depend on the order of points, and hence neither on tiles nor on blocks.
 """
 
 import math
-from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
-from spl_batch.numerics.neighbours.lattice_columns import first_above
+from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above
 from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, spread
 
 UNIT: Final = 1024
@@ -25,43 +23,6 @@ WHOLE: Final = 32
 
 MASS: Final = 8.0 / 35.0
 """Mean of the kernel (1 - d^2)^2 over the ball d < 1."""
-
-
-class Columns(NamedTuple):
-    """Points sorted by column, then height."""
-
-    order: NDArray[np.int32]  #: (n,): rows in that order.
-    starts: NDArray[np.int64]  #: (nx * ny + 1,): where columns start in ``order``, then n.
-    shape: tuple[int, int]  #: nx, ny.
-    edge: int  #: Edge of a column [quanta].
-
-
-def columns(
-    xyz: NDArray[np.int32],
-    edge: int,
-    sort: Callable[[NDArray[np.int64]], NDArray[np.intp]] = np.argsort,
-) -> Columns:
-    """List points by column.
-
-    Parameters
-    ----------
-    xyz : (3, n) int32
-        Coordinates >= 0 [quanta], 1 <= n < 2**31.
-    edge : int
-        Edge of a column [quanta].
-    sort : callable
-        Indices that put numbers in order.
-    """
-    i, j = xyz[0] // edge, xyz[1] // edge
-    nx, ny = int(i.max()) + 1, int(j.max()) + 1
-    column = i.astype(np.int64) * ny + j
-    count = np.bincount(column, minlength=nx * ny)
-    height = int(xyz[2].max()) + 1
-    column *= height
-    column += xyz[2]
-    order = sort(column).astype(np.int32)
-    starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    return Columns(order, starts, (nx, ny), edge)
 
 
 @njit()
@@ -80,13 +41,10 @@ def most_around(starts: NDArray[np.int64], shape: tuple[int, int]) -> int:
 
 @njit()
 def weigh_around(
-    xyz: NDArray[np.int32],
+    made: Columns,
     time: NDArray[np.float64],
     channel: NDArray[np.uint8],
     weight: NDArray[np.int16],
-    starts: NDArray[np.int64],
-    shape: tuple[int, int],
-    edge: int,
     rows: NDArray[np.int32],
     radii: NDArray[np.int64],
     tilt: NDArray[np.float64],
@@ -97,27 +55,21 @@ def weigh_around(
 
     Parameters
     ----------
-    xyz : (3, n) int32
-        Points in the order of :class:`Columns` [quanta].
-    time, channel : (n,) float64, uint8
-        Their beamlets.
-    weight : (n,) int16
-        0 to :data:`UNIT`.
-    starts, shape, edge
-        As in :class:`Columns`.
+    made : Columns
+        The points, coordinates from 0 on; other arrays have their order, weights up to
+        :data:`UNIT`.
     rows : (m,) int32
         Points to count around; quickest in ascending order.
-    radii : (k, 2) int64
-        Horizontal and vertical radius of each kernel [quanta]; the first one contains the
-        others, and its horizontal radius is at most ``edge``.
-    tilt : (m, 2) float64
-        Slopes of the kernels towards x and y.
+    radii, tilt : (k, 2) int64, (m, 2) float64
+        Horizontal and vertical radius of each kernel [quanta], and its slopes towards x and y; the
+        first contains the others, and is at most as wide as a column's edge.
     own : int
         What a return of the same beamlet above the point counts for [returns / UNIT]; those
         below it do not count.
     out : (m, k) int64
         Filled with the sums of weight x (1 - d^2)^2 x :data:`UNIT`, d the distance in radii.
     """
+    xyz, starts, shape, edge = made.points, made.start, made.shape, made.edge
     wide, high = radii[0, 0], radii[0, 1]
     across, up = 1.0 / radii[:, 0].astype(np.float64) ** 2, 1.0 / radii[:, 1] ** 2.0
     room = most_around(starts, shape) + 2 * WHOLE

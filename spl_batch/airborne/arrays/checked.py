@@ -42,20 +42,9 @@ Numbers = NDArray[Any]
 
 
 def settings_of(sections: Mapping[str, Any] | None, sensor: Any = "spl100") -> Workflow:
-    """Settings by the sections of a workflow file that arrays have a use for.
+    """Settings by the sections of a workflow file that arrays have a use for, and the instrument.
 
-    Parameters
-    ----------
-    sections : mapping or None
-        ``filter``, ``noise``, ``afterpulse``, ``acquisition``, ``ground``, ``products``, with the
-        keys of a workflow file.
-    sensor : str, mapping or Sensor
-        The instrument: a preset's name or its facts.
-
-    Raises
-    ------
-    WorkflowError
-        If a section or key is unknown, or a value is wrong.
+    Raises WorkflowError if a section or key is unknown, or a value is wrong.
     """
     given = dict(sections or {})
     known = {"filter", "noise", "afterpulse", "acquisition", "ground", "products"}
@@ -72,21 +61,9 @@ def settings_of(sections: Mapping[str, Any] | None, sensor: Any = "spl100") -> W
 def points_of(
     xyz: ArrayLike, *, water: ArrayLike | None = None, **columns: ArrayLike | None
 ) -> PointTable:
-    """Points as a table in the caller's order.
+    """Points [m] as a table in the caller's order; None leaves a column out, one value is for all.
 
-    Parameters
-    ----------
-    xyz : (n, 3) array_like
-        Easting, northing, height [m].
-    water : (n,) array_like of bool, optional
-        Points over water.
-    **columns : array_like or None
-        Further columns by name, as (n,) or one value for all; None leaves a column out.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong, or a coordinate is no place.
+    Raises InputError if a shape is wrong, or a coordinate is no place.
     """
     if hasattr(xyz, "xyz"):
         raise InputError("xyz", f"a {type(xyz).__name__}, and no array; give its attribute xyz")
@@ -141,13 +118,7 @@ def _misplaced(place: Numbers) -> list[str]:
 
 
 def require_metres(table: PointTable) -> None:
-    """Refuse longitudes and latitudes, which a run refuses in files that name no CRS.
-
-    Raises
-    ------
-    InputError
-        If the coordinates look like degrees.
-    """
+    """Refuse longitudes and latitudes, which a run refuses in files that name no CRS."""
     if len(table) < FEWEST:
         return
     low, high = ([float(f(table[axis])) * QUANTUM_M for axis in "xy"] for f in (np.min, np.max))
@@ -160,13 +131,7 @@ def require_metres(table: PointTable) -> None:
 
 
 def require_shots(gps_time: NDArray[np.float64]) -> None:
-    """Refuse times that tell no shots: a run refuses files of such.
-
-    Raises
-    ------
-    InputError
-        If no time is finite, or one time holds more returns than a shot can have.
-    """
+    """Refuse times none of which is finite, or one of which holds more returns than a shot can."""
     times, counts = np.unique(gps_time[usable_times(gps_time)], return_counts=True)
     remedy = "leave it out, and the noise is measured where the cloud is empty"
     if len(gps_time) and not len(times):
@@ -180,15 +145,7 @@ def require_shots(gps_time: NDArray[np.float64]) -> None:
 
 
 def refuse_large(name: str, what: str, needed: int, remedy: str) -> None:
-    """Refuse what this machine cannot hold, as a run refuses tasks.
-
-    ``needed``: beside the process itself [byte].
-
-    Raises
-    ------
-    InputError
-        It names the array or argument, the memory and the remedy.
-    """
+    """Refuse what needs more memory, beside the process itself [byte], than this machine has."""
     # To ask for the limit takes half a second.
     if needed < LOADED_BASE_BYTES or LOADED_BASE_BYTES + needed < usable_bytes(machine_memory()):
         return
@@ -217,13 +174,7 @@ def coarse(xyz: ArrayLike) -> tuple[str, ...]:
 
 
 def densities(given: ArrayLike, count: int) -> NDArray[np.float64]:
-    """Noise densities of a caller as (n,) float64 [1/m3].
-
-    Raises
-    ------
-    InputError
-        If one is negative, not finite or no density of noise, or they are not one for each point.
-    """
+    """Noise densities of a caller, one or one for each point, as (n,) float64 [1/m3]."""
     density = np.asarray(given, dtype=np.float64)
     if density.shape not in {(), (count,)}:
         raise InputError(

@@ -61,45 +61,21 @@ RIM: Final = 1 + math.ceil(BESIDE_M / SQUARE_M)
 
 
 class EmptySpace(NamedTuple):
-    """Noise density by place.
+    """Noise density by place."""
 
-    Parameters
-    ----------
-    density : (n,) float64
-        At each point [1/m3]; 0 where nothing is known.
-    volume_m3 : float
-        Empty space in which it was counted [m3]; 0 where there is none.
-    share : float
-        Share of the points whose square tells its own [0..1].
-    """
-
-    density: NDArray[np.float64]
-    volume_m3: float
-    share: float
+    density: NDArray[np.float64]  #: (n,): at each point [1/m3]; 0 where nothing is known.
+    volume_m3: float  #: Empty space in which it was counted [m3]; 0 where there is none.
+    share: float  #: Share of the points whose square has a density of its own [0..1].
 
 
 class _Layers(NamedTuple):
-    """Layers of squares that hold returns, square by square, upwards: (k,) each.
+    """Layers of squares that hold returns, square by square, upwards, empty ones among them."""
 
-    Empty ones in between are among them.
-
-    Parameters
-    ----------
-    square : int64
-        Number of the square.
-    returns, squared : int64, float64
-        Returns in the layer, and the sum of the squares of those in each cube.
-    cubes : int64
-        Cubes that were flown over.
-    inner : bool
-        Whether layers with returns lie above and below.
-    """
-
-    square: NDArray[np.int64]
-    returns: NDArray[np.int64]
-    squared: NDArray[np.float64]
-    cubes: NDArray[np.int64]
-    inner: NDArray[np.bool_]
+    square: NDArray[np.int64]  #: (k,): number of the square.
+    returns: NDArray[np.int64]  #: (k,): returns in the layer [count].
+    squared: NDArray[np.float64]  #: (k,): sum of the squares of those in each cube.
+    cubes: NDArray[np.int64]  #: (k,): cubes that were flown over [count].
+    inner: NDArray[np.bool_]  #: (k,): whether layers with returns lie above and below.
 
 
 def empty_space(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.integer]) -> EmptySpace:
@@ -158,16 +134,16 @@ def _layers(
 ) -> _Layers:
     """Counts by layer of each square, from the lowest that holds returns to the highest."""
     most = int(layer.max()) + 1
-    flown, low, high = _extents(square, layer)
-    held = np.unique(square * columns + inside)
-    cubes = np.bincount(held // columns, minlength=int(flown[-1]) + 1)[flown]
+    flown, mine = np.unique(square, return_inverse=True)
+    low, high = np.full(len(flown), most), np.zeros(len(flown), np.int64)
+    np.minimum.at(low, mine, layer)
+    np.maximum.at(high, mine, layer)
+    held = np.unique(mine * columns + inside)
+    cubes = np.bincount(held // columns)
     start = np.concatenate([[0], np.cumsum(high - low + 1)])
     of = np.repeat(np.arange(len(flown)), high - low + 1)
-    place = np.full(int(flown[-1]) + 1, -1)
-    place[flown] = np.arange(len(flown))
-    mine = place[square]
     slot = start[mine] + layer - low[mine]
-    cube = (square * most + layer) * columns + inside
+    cube = (mine * most + layer) * columns + inside
     _, first, held_by = np.unique(cube, return_index=True, return_counts=True)
     total = np.bincount(slot, minlength=start[-1])
     squared = np.bincount(slot[first], held_by.astype(np.float64) ** 2, minlength=start[-1]).astype(
@@ -176,16 +152,6 @@ def _layers(
     level = np.arange(start[-1]) - start[of]
     inner = (level > 0) & (level < (high - low)[of])
     return _Layers(flown[of], total, squared, cubes[of], inner)
-
-
-def _extents(
-    square: NDArray[np.int64], layer: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Squares with returns, and the lowest and highest layer of each."""
-    order = np.lexsort((layer, square))
-    starts = np.flatnonzero(np.diff(square[order], prepend=-1))
-    ends = np.append(starts[1:], len(order)) - 1
-    return square[order[starts]], layer[order[starts]], layer[order[ends]]
 
 
 def _pooled(
@@ -203,7 +169,9 @@ def _pooled(
     rows = np.flatnonzero(even)
     if not len(rows):
         return np.zeros(squares), np.zeros(squares)
-    middle = _medians(layers.square[rows], mean[rows], squares)
+    told, group = np.unique(layers.square[rows], return_inverse=True)
+    middle = np.zeros(squares)
+    middle[told] = ndimage.median(mean[rows], group, np.arange(len(told)))
     expected = middle[layers.square] * layers.cubes
     even &= layers.returns <= expected + SIGMA * np.sqrt(expected + 1.0)
     enough = np.bincount(layers.square[even], minlength=squares) * LAYER_M >= LEAST_M
@@ -211,16 +179,3 @@ def _pooled(
     count = np.bincount(layers.square[even], layers.returns[even], minlength=squares)
     cubes = np.bincount(layers.square[even], layers.cubes[even], minlength=squares)
     return count.astype(np.float64), (cubes * cube_m3).astype(np.float64)
-
-
-def _medians(
-    group: NDArray[np.int64], values: NDArray[np.float64], groups: int
-) -> NDArray[np.float64]:
-    """Median of the values of each group; 0 without any: (groups,) float64."""
-    order = np.lexsort((values, group))
-    starts = np.flatnonzero(np.diff(group[order], prepend=-1))
-    size = np.diff(np.append(starts, len(order)))
-    low, high = values[order[starts + (size - 1) // 2]], values[order[starts + size // 2]]
-    out = np.zeros(groups)
-    out[group[order[starts]]] = 0.5 * (low + high)
-    return out

@@ -272,9 +272,9 @@ def _filtered(
         found = empty_space(*(ordered[axis] for axis in "xyz"))
         tested = told = mean = found.density
         basis, warnings = "cloud", _doubts(found, n)
-    echoes = denoise.resolve(ordered, told, settings.filter, settings.afterpulse)
-    chosen = denoise.independent(ordered, tested, everything, echoes, settings.filter)
-    columns = denoise.judge(ordered, chosen, everything, echoes, settings.filter)
+    columns = denoise.denoise(
+        ordered, told, everything, settings.filter, settings.afterpulse, tested=tested
+    )
     no_beam = int(np.count_nonzero(table.has(PointFlag.NO_BEAM)))
     if no_beam:
         text = f"{grouped(no_beam)} of {grouped(n)} points have no usable time or no beam_origin"

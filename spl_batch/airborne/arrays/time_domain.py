@@ -13,7 +13,7 @@ from spl_batch.airborne import shots
 from spl_batch.airborne.beams import geometry, sensor_path
 from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.airborne.filter.expected_noise import HeldVoxels, NoiseModel, model_of_lines
+from spl_batch.airborne.filter.expected_noise import HeldVoxels, NoiseModel, noise_model
 from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.settings.workflow import Workflow
@@ -26,47 +26,27 @@ from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable, ShotClock
 
 
 class Assessed(NamedTuple):
-    """A cloud with what the time domain knows of it.
+    """A cloud with what the time domain knows of it."""
 
-    Parameters
-    ----------
-    table : PointTable
-        The points, in the caller's order, with the columns that it adds; ``NO_BEAM`` is flagged.
-    lines : list of list of VoxelPart
-        Shares of the expected noise, for each flightline.
-    beamlets : int
-        Beamlets of a shot.
-    basis : str
-        What beams are from: ``beams``, ``intersection`` or ``vertical``.
-    warnings : tuple of str
-        What a user should know.
-    """
-
+    #: Points in the caller's order, with the columns that it adds; ``NO_BEAM`` is flagged.
     table: PointTable
-    lines: list[list[VoxelPart]]
-    beamlets: int
-    basis: str
-    warnings: tuple[str, ...]
+    lines: list[list[VoxelPart]]  #: Shares of the expected noise, for each flightline.
+    beamlets: int  #: Beamlets of a shot.
+    basis: str  #: What beams are from: ``beams``, ``intersection`` or ``vertical``.
+    warnings: tuple[str, ...]  #: What a user should know.
 
     def model(self, xyz: list[NDArray[np.int64]], settings: Workflow) -> NoiseModel | None:
         """Noise of the voxels around places [quanta]; None without any."""
         shares = [[HeldVoxels(part) for part in line] for line in self.lines]
-        return model_of_lines(xyz, shares, self.beamlets, settings.noise)
+        return noise_model(xyz, shares, self.beamlets, settings.noise)
 
 
 def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Workflow) -> Assessed:
     """What the shots of a cloud tell of its noise and its afterpulses.
 
-    Parameters
-    ----------
-    table : PointTable
-        ``x, y, z, flags, gps_time, channel, point_source_id, return_number, source, index``.
-        Without channels (all the same) each shot is one beamlet.
-    origin_m : (n, 3) float64 or None
-        Position of the sensor at each point's shot [m]; NaN where it is not known. None finds the
-        sensor's path where lines of sight meet, or takes beams as vertical.
-    settings : Workflow
-        The settings.
+    Without channels (all the same) each shot is one beamlet. ``origin_m`` (n, 3) is the position of
+    the sensor at each point's shot [m], NaN where it is not known; None finds its path where lines
+    of sight meet, or takes beams as vertical.
     """
     known = usable_times(table["gps_time"])
     channels = table["channel"]

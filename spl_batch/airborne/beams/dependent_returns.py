@@ -6,8 +6,6 @@ afterpulse with a probability of :data:`DEPENDENT_MIN` or more does not count as
 shares the label of the return in front of it in its beamlet.
 
 Deviation: the sources count every return.
-
-Labels that a return takes over from the one in front of it in its own beamlet.
 """
 
 from typing import Final
@@ -19,6 +17,43 @@ from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_AS
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.compiled import njit
+
+DOMAIN: Final = "space"
+
+DEPENDENT_MIN: Final = 0.3
+"""Afterpulse probability from which a return is no evidence of its own."""
+
+LAG_M: Final = 5.0
+"""Farthest parent [m]; [W17] 7.2 finds afterpulses within 2-3 m of it."""
+
+
+def dependents(table: PointTable) -> NDArray[np.bool_]:
+    """Returns that are no evidence of their own: (n,) bool."""
+    if "afterpulse" not in table:
+        return np.zeros(len(table), np.bool_)
+    found: NDArray[np.bool_] = table["afterpulse"] >= DEPENDENT_MIN
+    return found
+
+
+def families(table: PointTable, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Returns of the beamlets that some points lie on: (n,) bool.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points with ``gps_time, channel``.
+    chosen : (n,) bool
+        The points.
+    """
+    time = table["gps_time"]
+    times = np.unique(time[chosen])
+    if not len(times):
+        return np.zeros(len(table), np.bool_)
+    shot = np.minimum(np.searchsorted(times, time), len(times) - 1)
+    out: NDArray[np.bool_] = times[shot] == time
+    beamlet = shot * 256 + table["channel"]
+    out[out] = np.isin(beamlet[out], beamlet[chosen])
+    return out
 
 
 @njit()
@@ -54,75 +89,6 @@ def inherit(
         row, front = order[i], order[i - 1]
         if dependent[row] and same[i] and z[front] - z[row] <= lag and label[front] != unknown:
             label[row] = label[front]
-
-
-MIXER = np.uint64(0x9E37_79B9_7F4A_7C15)
-"""Odd number whose products spread over all bits: 2**64 over the golden ratio."""
-
-
-def may_share(
-    first: NDArray[np.uint64], second: NDArray[np.uint8], chosen: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Rows that may share both keys with a chosen one: all that do, and a few others.
-
-    Parameters
-    ----------
-    first : (n,) uint64
-    second : (n,) uint8
-        The keys.
-    chosen : (n,) bool
-        Rows looked for.
-
-    Returns
-    -------
-    (n,) bool
-        True wherever both keys equal those of a chosen row; of other rows 1 in 32 or fewer.
-    """
-    bits = max(int(np.count_nonzero(chosen)) * 64, 64).bit_length()
-    seen = np.zeros(1 << bits, np.bool_)
-    out = np.empty(len(first), np.bool_)
-    _share(first, second, chosen, np.uint64(64 - bits), seen, out)
-    return out
-
-
-@njit()
-def _share(first, second, chosen, shift, seen, out):  # type: ignore[no-untyped-def]
-    for i in range(len(first)):
-        if chosen[i]:
-            seen[((first[i] * MIXER + np.uint64(second[i])) * MIXER) >> shift] = True
-    for i in range(len(first)):
-        out[i] = seen[((first[i] * MIXER + np.uint64(second[i])) * MIXER) >> shift]
-
-
-DOMAIN: Final = "space"
-
-DEPENDENT_MIN: Final = 0.3
-"""Afterpulse probability from which a return is no evidence of its own."""
-
-LAG_M: Final = 5.0
-"""Farthest parent [m]; [W17] 7.2 finds afterpulses within 2-3 m of it."""
-
-
-def dependents(table: PointTable) -> NDArray[np.bool_]:
-    """Returns that are no evidence of their own: (n,) bool."""
-    if "afterpulse" not in table:
-        return np.zeros(len(table), np.bool_)
-    found: NDArray[np.bool_] = table["afterpulse"] >= DEPENDENT_MIN
-    return found
-
-
-def families(table: PointTable, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Returns of the beamlets that some points lie on, and a few others: (n,) bool.
-
-    Parameters
-    ----------
-    table : PointTable
-        Points with ``gps_time, channel``.
-    chosen : (n,) bool
-        The points; their own beamlets are among those found.
-    """
-    # 0.0 for -0.0: equal times have equal bits.
-    return may_share((table["gps_time"] + 0.0).view(np.uint64), table["channel"], chosen)
 
 
 def follow(

@@ -1,12 +1,14 @@
 """Lines of sight from where the sensor was to what it saw, and what they pass through."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.sorting import select
+from spl_batch.numerics.planes.robust_plane import median
 
 
 @njit()
@@ -47,9 +49,8 @@ def look(
             range_m[i] = length
 
 
-@njit()
 def reach(
-    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
+    place: Sequence[NDArray[np.integer[Any]]],
     step_m: float,
     direction: NDArray[np.float64],
     near: NDArray[np.float64],
@@ -67,18 +68,16 @@ def reach(
         Ends of each piece, along the line from the point [m].
     """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    x, y, z = place
-    for i in range(len(near)):
-        for axis, at in enumerate((x[i] * step_m, y[i] * step_m, z[i] * step_m)):
-            one, other = at + near[i] * direction[i, axis], at + far[i] * direction[i, axis]
-            low[axis] = min(low[axis], one, other)
-            high[axis] = max(high[axis], one, other)
+    for axis, steps in enumerate(place):
+        for along in (near, far):
+            end = steps * step_m + along * direction[:, axis]
+            low[axis] = min(low[axis], end.min(initial=np.inf))
+            high[axis] = max(high[axis], end.max(initial=-np.inf))
     return low, high
 
 
-@njit()
 def in_voxels(
-    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
+    place: Sequence[NDArray[np.integer[Any]]],
     edge: int,
     corner: NDArray[np.int64],
     half_step_m: float,
@@ -100,12 +99,10 @@ def in_voxels(
     point : (n, 3) float64
         Filled with the place relative to the voxel's centre [m].
     """
-    x, y, z = place
-    for i in range(len(voxel)):
-        for axis, at in enumerate((x[i], y[i], np.int64(z[i]))):
-            inside = at // edge
-            voxel[i, axis] = inside - corner[axis]
-            point[i, axis] = (2 * (at - inside * edge) - edge) * half_step_m
+    for axis, at in enumerate(place):
+        inside = at.astype(np.int64, copy=False) // edge
+        voxel[:, axis] = inside - corner[axis]
+        point[:, axis] = (2 * (at - inside * edge) - edge) * half_step_m
 
 
 @njit()
@@ -134,7 +131,10 @@ def meet_planes(
         Filled with the place of the block's first beam in whole metres, and of the plane [m].
     """
     for b in range(len(start) - 1):
-        level = _middle(z[start[b] : start[b + 1]], step_m)
+        heights = np.empty(start[b + 1] - start[b])
+        for k in range(len(heights)):
+            heights[k] = z[start[b] + k] * step_m
+        level = median(heights)
         anchor[b, 2] = level
         for row in range(start[b], start[b + 1]):
             away = (level - origin[row, 2]) / direction[row, 2]
@@ -143,18 +143,3 @@ def meet_planes(
                 if row == start[b]:
                     anchor[b, axis] = np.rint(met)
                 place[row, axis] = met - anchor[b, axis]
-
-
-@njit()
-def _middle(z: NDArray[np.int32], step_m: float) -> float:
-    """Median of heights [m]; ``z``: at least one."""
-    heights, half = np.empty(len(z), np.float64), len(z) // 2
-    for k in range(len(z)):
-        heights[k] = z[k] * step_m
-    upper: float = select(heights, half)
-    if len(z) % 2:
-        return upper
-    lower: float = heights[0]
-    for k in range(1, half):
-        lower = max(lower, heights[k])
-    return (lower + upper) / 2

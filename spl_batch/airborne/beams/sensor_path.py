@@ -288,20 +288,14 @@ def _solve(
                     for q, v in row:
                         offset = 3 * (j - i) + q - p
                         if offset >= 0:
+                            # Lower bands of a symmetric matrix: elements (at + offset, at).
                             product = weight * hat * u * other * v
-                            _add(band, at, offset, product)
+                            band[offset] += np.bincount(at, product, 3 * knots)
     for i, hat in enumerate(hats):
         right += np.bincount(3 * (knot + i) + 2, hat * lift, 3 * knots)
     _prior(band, right, knots)
     solved: NDArray[np.float64] = solveh_banded(band, right, lower=True).reshape(knots, 3)
     return solved
-
-
-def _add(
-    band: NDArray[np.float64], at: NDArray[np.int64], offset: int, amount: NDArray[np.float64]
-) -> None:
-    """Add to elements (at + offset, at) of a symmetric matrix, kept as its lower bands."""
-    band[offset] += np.bincount(at, amount, band.shape[1])
 
 
 def _prior(band: NDArray[np.float64], right: NDArray[np.float64], knots: int) -> None:

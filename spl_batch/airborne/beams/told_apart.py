@@ -3,10 +3,6 @@
 Domain: time. Returns of one beamlet lie on one line of sight; the next line is a pitch away. So
 returns whose directions differ by less than a part of the pitch are of one beamlet. A number is
 another beamlet in the next shot, so neither gains nor dead channels can be told.
-
-Numbers of beamlets by their directions, shot by shot.
-
-See :mod:`spl_batch.airborne.beams.told_apart`.
 """
 
 from typing import Final

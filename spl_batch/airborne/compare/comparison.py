@@ -1,11 +1,10 @@
 """Several filters, or ground methods, on one survey; ``engine.verbs.comparing`` runs them.
 
-What they have in common, up to the point tiles, is done once.
-
-Several methods on one survey: a table and profiles side by side, as JSON and as a page.
+What they have in common, up to the point tiles, is done once. A table and profiles side by side
+come as JSON and as a page.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Final, get_args
 
@@ -18,10 +17,10 @@ from spl_batch.airborne.compare.contrast import (
     contrast,
 )
 from spl_batch.airborne.filter.denoise import METHODS as FILTERS
-from spl_batch.airborne.filter.shot_filters import OF_SHOTS
+from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.ground.ground_methods import METHODS as GROUND
 from spl_batch.airborne.report.model import Report
-from spl_batch.airborne.report.plots import Profile, draw_methods
+from spl_batch.airborne.report.plots import draw_methods
 from spl_batch.airborne.report.profile_strips import read_strip, tallest_strip
 from spl_batch.airborne.report.verdicts import noise_removed, photon_counting
 from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings
@@ -80,29 +79,6 @@ class ComparisonReport(Compared):
     far_recorded_per_m3: Number = Field(None, description="Recorded there, kept or not [1/m3].")
     methods: tuple[MethodResult, ...] = Field(description="In the order asked for.")
     left_out: tuple[str, ...] = Field((), description="Tiles that not all methods finished.")
-
-
-def write(
-    out: Path,
-    report: ComparisonReport,
-    profiles: Sequence[tuple[str, str, Mapping[str, Profile]]],
-) -> None:
-    """Write ``compare.json`` and ``compare.html`` into a folder.
-
-    Parameters
-    ----------
-    profiles : sequence of (str, str, mapping of str to Profile)
-        Title, caption and strips by method, of each picture.
-    """
-    pictures = [_picture(*shown) for shown in profiles]
-    write_comparison(out, report, "compare.html.j2", __package__, pictures)
-
-
-def _picture(title: str, caption: str, profiles: Mapping[str, Profile]) -> Picture:
-    if not profiles:
-        return Picture(title, "No strip of the survey holds points to show.")
-    png, width, height = style.to_png(draw_methods(profiles))
-    return Picture(title, caption, f"{title}. {caption}", png, width, height)
 
 
 TESTS: Final = tuple(get_args(FilterSettings.model_fields["test"].annotation))
@@ -205,7 +181,8 @@ def _write(output: Path, reports: Mapping[str, Report]) -> ComparisonReport:
         methods=results,
         left_out=tuple(found.left_out),
     )
-    write(output, report, list(_profiles(runs, found)))
+    pictures = list(_pictures(runs, found))
+    write_comparison(output, report, "compare.html.j2", __package__, pictures)
     return report
 
 
@@ -239,28 +216,31 @@ def _result(name: str, report: Report, found: Contrast, k: int) -> MethodResult:
     )
 
 
-def _profiles(
-    runs: Mapping[str, Outcome], found: Contrast
-) -> Iterator[tuple[str, str, dict[str, Profile]]]:
+def _pictures(runs: Mapping[str, Outcome], found: Contrast) -> Iterator[Picture]:
     """The strip where most stands on the ground, and the one that is most disputed."""
     path = next(iter(runs.values())).context.output / "chm.tif"
     if path.exists():
-        yield (
+        yield _picture(
             "Where most stands on the ground",
             "Look for wires, roof edges and crowns as signal, and for noise left between them.",
-            _strips(runs, tallest_strip(read_overview(path))),
-        )
+            runs, tallest_strip(read_overview(path)),
+        )  # fmt: skip
     if found.disputed is not None:
-        yield (
+        yield _picture(
             "Where the filters disagree most",
             "Look for what is signal to one filter and noise to another near the surface.",
-            _strips(runs, found.disputed),
-        )
+            runs, found.disputed,
+        )  # fmt: skip
 
 
-def _strips(runs: Mapping[str, Outcome], strip: Bounds) -> dict[str, Profile]:
+def _picture(title: str, caption: str, runs: Mapping[str, Outcome], strip: Bounds) -> Picture:
+    """Profiles of a strip by method."""
     cut = {name: read_strip(strip, run.done, run.context) for name, run in runs.items()}
-    return {name: profile for name, profile in cut.items() if profile is not None}
+    profiles = {name: profile for name, profile in cut.items() if profile is not None}
+    if not profiles:
+        return Picture(title, "No strip of the survey holds points to show.")
+    png, width, height = style.to_png(draw_methods(profiles))
+    return Picture(title, caption, f"{title}. {caption}", png, width, height)
 
 
 METHODS: Final = Methods(

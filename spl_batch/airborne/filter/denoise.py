@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_decision
 from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow
-from spl_batch.airborne.filter import published, shot_filters
+from spl_batch.airborne.filter import published
 from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
 from spl_batch.airborne.filter.wires import wire_null, wire_scan
@@ -52,8 +52,8 @@ METHODS: Final = MappingProxyType(
     {
         "vsaes": Method(ellipsoid_test.judge, ellipsoid_test.reach_m),
         "aes": Method(published.aes, published.aes_reach_m, by_voxel=True),
-        "dcc": Method(shot_filters.judge, shot_filters.reach_m),
-        "pixels": Method(shot_filters.judge, shot_filters.reach_m),
+        "dcc": Method(published.of_shots, lambda _: 0.0),
+        "pixels": Method(published.of_shots, lambda _: 0.0),
         "voxel": Method(published.voxel, published.voxel_reach_m),
         "multilevel": Method(published.multilevel, published.multilevel_reach_m),
         "cylinder": Method(published.cylinder, published.cylinder_reach_m),
@@ -107,7 +107,7 @@ def denoise(
     settings: FilterSettings,
     afterpulse: AfterpulseSettings = AfterpulseSettings(),  # noqa: B008 - frozen
     *,
-    exact: bool = False,
+    tested: NDArray[np.float64] | None = None,
 ) -> NoiseColumns:
     """Decide which points are noise.
 
@@ -122,9 +122,8 @@ def denoise(
         Points to decide.
     afterpulse : AfterpulseSettings
         From which probability on an afterpulse is believed.
-    exact : bool
-        Whether p is wanted where it is far smaller than the decision needs
-        (:func:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_test.judge`); labels stay the same.
+    tested : (n,) float64, optional
+        The density that points are tested with where that is another one (:func:`asks_for_means`).
 
     Returns
     -------
@@ -133,8 +132,9 @@ def denoise(
         evidence | noise), NaN where not assessed; ``wire`` (m,) uint8, 1 for a sure conductor.
     """
     found = resolve(table, density, settings, afterpulse)
-    chosen = independent(table, density, query, found, settings)
-    return judge(table, chosen, query, found, settings, exact=exact)
+    tested = density if tested is None else tested
+    chosen = independent(table, tested, query, found, settings)
+    return judge(table, chosen, query, found, settings)
 
 
 def independent(
@@ -170,8 +170,6 @@ def judge(
     query: NDArray[np.bool_],
     found: afterpulse_decision.Echoes,
     settings: FilterSettings,
-    *,
-    exact: bool = False,
 ) -> NoiseColumns:
     """Decide which points are noise, where it is known which are afterpulses.
 
@@ -181,7 +179,7 @@ def judge(
         As for :func:`denoise`, :data:`COLUMNS_JUDGED` at least.
     chosen : Independent
         From :func:`independent`.
-    query, settings, exact
+    query, settings
         As for :func:`denoise`.
     found : Echoes
         From :func:`resolve`.
@@ -200,7 +198,7 @@ def judge(
         noise_class[~table.has(_GIVEN)] = NOISE_SIGNAL
     else:
         cloud = chosen.cloud
-        verdict, conductor = verdict_on(cloud, settings, exact=exact)
+        verdict, conductor = verdict_on(cloud, settings)
         rows = chosen.rows[cloud.asked]
         wire[rows] = conductor
         noise_class[rows] = np.where(verdict.signal, NOISE_SIGNAL, NOISE_BACKGROUND)
@@ -220,37 +218,22 @@ def judge(
     return {"noise_class": noise_class[query], "p_value": p_value[query], "wire": wire[query]}
 
 
-def verdict_on(
-    cloud: Cloud, settings: FilterSettings, *, exact: bool = False
-) -> tuple[Verdict, NDArray[np.bool_]]:
-    """Verdict of the method, with what the scan for conductors keeps; the sure ones among that.
+def verdict_on(cloud: Cloud, settings: FilterSettings) -> tuple[Verdict, NDArray[np.bool_]]:
+    """Verdict of the method, with what the scan for conductors keeps; (m,) bool, its sure ones.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        Independent returns of a block and its halo.
-    settings, exact
-        As for :func:`denoise`.
-
-    Returns
-    -------
-    Verdict
-        Of the points asked for. Test and scan share alpha, and p: a share x of pure noise has
-        p <= x by either. So what the scan keeps of it is added to the p of the test, from the
-        scan's own alpha on.
-    (m,) bool
-        Points that are surely of a conductor.
+    Test and scan share alpha, and p: a share x of pure noise has p <= x by either. So what the scan
+    keeps of it is added to the p of the test, from the scan's own alpha on.
     """
     nothing = np.zeros(int(np.count_nonzero(cloud.asked)), np.bool_)
     if settings.method != "vsaes":
         return METHODS[settings.method].judge(cloud, settings), nothing
     if not (settings.wires.enabled and _independent(settings)):
-        return ellipsoid_test.judge(cloud, settings, exact=exact), nothing
+        return ellipsoid_test.judge(cloud, settings), nothing
 
     def spent(density: NDArray[np.float64]) -> NDArray[np.float64]:
         return wire_null.spent(density, settings)
 
-    verdict = ellipsoid_test.judge(cloud, settings, exact=exact, spent=spent)
+    verdict = ellipsoid_test.judge(cloud, settings, spent=spent)
     wires = wire_null.fitted(settings)
     found = wire_scan.scan(cloud, wires)
     both = (verdict.p_value + spent(cloud.density[cloud.asked])).astype(np.float32)

@@ -58,22 +58,14 @@ Marks = NDArray[np.bool_]
 
 
 def unfilled(kept: Cells, gone: Cells) -> Marks:
-    """Cells in dense noise around which no surface fills the place.
+    """Cells in dense noise around which no surface fills the place: signals are no ground.
 
-    Parameters
-    ----------
-    kept, gone : (a, b, c) int64
-        Returns of each 5 m cell that the filter kept, and refused [count].
-
-    Returns
-    -------
-    (a, b, c) bool
-        True where signals are no ground.
+    ``kept, gone``: returns of each 5 m cell that the filter kept, and refused [count].
     """
     least, share = RICH
     rich = (kept >= least) & (kept >= share * gone)
     known = _of_columns(kept + gone > 0)
-    lost: Marks = _summed(_of_columns(rich), 0) < FULL * _summed(known, 0)
+    lost: Marks = _squared(_of_columns(rich)) < FULL * _squared(known)
     return lost & (dense_noise(kept, gone) > 0)
 
 
@@ -82,7 +74,7 @@ def dense_noise(kept: Cells, gone: Cells) -> NDArray[np.float32]:
 
     The largest mean over a square among the layers around: in its own layer a surface hides noise.
     """
-    mean = _summed(gone, 0) / np.maximum(_summed(kept + gone > 0, 0), 1)
+    mean = _squared(gone) / np.maximum(_squared(kept + gone > 0), 1)
     most = ndimage.maximum_filter1d(mean, 2 * LAYERS + 1, axis=2, mode="constant")
     return np.where(most >= CROWDED, most / CELL_M3, 0.0).astype(np.float32)
 
@@ -137,11 +129,14 @@ def _of_columns(cells: Marks) -> Marks:
     return held
 
 
-def _summed(cells: NDArray[Any], layers: int) -> Cells:
-    """Sum over the square around each cell, and ``layers`` above and below it."""
-    total = cells.astype(np.int64)
-    for axis, reach in enumerate((SQUARE, SQUARE, layers)):
-        if reach:
-            ones = np.ones(2 * reach + 1, np.int64)
-            total = ndimage.convolve1d(total, ones, axis=axis, mode="constant")
-    return total
+def _squared(cells: NDArray[Any]) -> Cells:
+    """Sum over the square around each cell."""
+    return around(cells.astype(np.int64), SQUARE, (0, 1))
+
+
+def around(count: Cells, reach: int, axes: tuple[int, ...]) -> Cells:
+    """Sum of each cell and of those within ``reach`` on both sides of it along some axes."""
+    ones = np.ones(2 * reach + 1, np.int64)
+    for axis in axes:
+        count = ndimage.convolve1d(count, ones, axis=axis, mode="constant")
+    return count

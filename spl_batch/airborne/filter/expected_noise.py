@@ -16,8 +16,6 @@ from spl_batch.airborne.noise.local_noise import (
     put_places,
 )
 from spl_batch.airborne.settings import NoiseSettings
-from spl_batch.airborne.store.voxel_parts import StoredVoxels
-from spl_batch.engine.store.working_store import Store
 from spl_batch.lattice.tables import VoxelPart
 from spl_batch.lattice.tiles import cell_index, quanta, shared_box
 
@@ -62,24 +60,6 @@ class _Box(NamedTuple):
         )
         return i, j, np.clip(k, 0, self.shape[2] - 1)
 
-    def places(
-        self, xyz: Sequence[NDArray[np.integer[Any]]]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-        """Indices of some points' voxels and squares, and how far they lie off their middles.
-
-        As :func:`~spl_batch.airborne.noise.local_noise.around` wants them.
-        """
-        n = len(xyz[0])
-        voxel, square, offset = (
-            np.empty((3, n), np.int64),
-            np.empty((2, n), np.int64),
-            np.empty((3, n)),
-        )
-        top = self.shape[2] - 1
-        x, y, z = xyz
-        put_places(x, y, z, self.edge, SQUARES, self.corner, top, voxel, square, offset)
-        return voxel, square, offset
-
 
 class NoiseModel(NamedTuple):
     """Noise of a region's voxels, ready to be asked at places in it."""
@@ -103,7 +83,10 @@ class NoiseModel(NamedTuple):
 
     def listened(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
         """The same, 0 where no flightline is known to listen, as beyond a gate: (n,) [1/m3]."""
-        voxel, square, offset = self.box.places(xyz)
+        x, y, z = xyz
+        voxel, square = np.empty((3, len(x)), np.int64), np.empty((2, len(x)), np.int64)
+        offset, top = np.empty((3, len(x))), self.box.shape[2] - 1
+        put_places(x, y, z, self.box.edge, SQUARES, self.box.corner, top, voxel, square, offset)
         return around(self.heard, tuple(voxel), tuple(square), tuple(offset))
 
     def mean(
@@ -120,39 +103,20 @@ class NoiseModel(NamedTuple):
 
 def noise_model(
     xyz: Sequence[NDArray[np.integer[Any]]],
-    parts: Sequence[str],
-    beamlets: int,
-    store: Store,
-    settings: NoiseSettings,
-) -> NoiseModel | None:
-    """Noise of the voxels around points; None without points or parts.
-
-    Parameters
-    ----------
-    xyz, parts, beamlets, store, settings
-        As for :func:`expected_noise`.
-    """
-    lines = [
-        [StoredVoxels(store.path("voxels", f"{part}.zarr")) for part in line]
-        for line in _by_line(parts)
-    ]
-    return model_of_lines(xyz, lines, beamlets, settings)
-
-
-def model_of_lines(
-    xyz: Sequence[NDArray[np.integer[Any]]],
     lines: Sequence[Sequence[Share]],
     beamlets: int,
     settings: NoiseSettings,
 ) -> NoiseModel | None:
-    """The same from parts that lie anywhere.
+    """Noise of the voxels around points; None without points or shares.
 
     Parameters
     ----------
-    xyz, beamlets, settings
-        As for :func:`expected_noise`.
+    xyz : three of (n,) integer
+        Absolute coordinates [quanta].
     lines : sequence of sequences of Share
-        Shares of each flightline's stretches.
+        Shares of each flightline's stretches with voxels within two voxels of the points'.
+    beamlets : int
+        Beamlets of a shot, for the published correction.
     """
     if not len(xyz[0]) or not lines:
         return None
@@ -183,33 +147,6 @@ def model_of_lines(
     return NoiseModel(box, density, voxel_noise.within_gate(density), tuple(heard))
 
 
-def expected_noise(
-    xyz: Sequence[NDArray[np.integer[Any]]],
-    told: NDArray[np.bool_],
-    parts: Sequence[str],
-    beamlets: int,
-    store: Store,
-    settings: NoiseSettings,
-) -> Expected:
-    """Noise expected at points.
-
-    Parameters
-    ----------
-    xyz : three of (n,) integer
-        Absolute coordinates [quanta].
-    told : (n,) bool
-        Points whose voxels' mean is wanted.
-    parts : sequence of str
-        ``LINE/K`` of every stretch with voxels within two voxels of the points'.
-    beamlets : int
-        Beamlets of a shot, for the published correction.
-    """
-    model = noise_model(xyz, parts, beamlets, store, settings)
-    if model is None:
-        return Expected(np.zeros(np.count_nonzero(told)), np.zeros(len(xyz[0])))
-    return Expected(model.mean(xyz, told), model.local(xyz))
-
-
 def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int, layers: Sequence[range]) -> _Box:
     """Box around points, no higher and no lower than layers that hold noise."""
     ends = [np.array([axis.min(), axis.max()], dtype=np.int64) for axis in xyz]
@@ -223,14 +160,6 @@ def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int, layers: Sequence[ra
 
 def _batches(n: int) -> Iterator[slice]:
     return (slice(first, first + AT_ONCE) for first in range(0, n, AT_ONCE))
-
-
-def _by_line(parts: Sequence[str]) -> list[list[str]]:
-    """Names of stretches, a list for each flightline, in the order of names."""
-    lines: dict[str, list[str]] = {}
-    for part in sorted(parts):
-        lines.setdefault(part.rpartition("/")[0], []).append(part)
-    return list(lines.values())
 
 
 class HeldVoxels(NamedTuple):

@@ -1,8 +1,7 @@
 """Filters of the sources, beside our own: numpy and scipy on a cloud and its halo.
 
 Each has a reach and a verdict on the points asked for; none has a p-value. All lattices lie on
-absolute grids, so that a label does not depend on what lies far away. Filters of single shots are
-in :mod:`~spl_batch.airborne.filter.shot_filters`.
+absolute grids, so that a label does not depend on what lies far away.
 
 - :func:`aes`: adaptive ellipsoid searching, the first form [W17 5.2; Eq. 5.4-5.6]. First the N_tot
   points with the least quotient of neighbours in a sphere and expected noise density are noise,
@@ -25,26 +24,44 @@ in :mod:`~spl_batch.airborne.filter.shot_filters`.
   Tang et al. 2016]. The source says that "the threshold for noise removal was the mean point
   density" and not over which voxels. Here it is the mean count of the *occupied* voxels in the same
   square: over all of them it would be below one point and remove nothing.
+
+Filters of single shots work in the time domain; their flag travels with the point:
+
+- ``dcc``: differential cell count [W17 3.2.3; Eq. 3.3 with the correction of
+  :mod:`~spl_batch.airborne.beams.differential_cell_count`]. Ranges replace the source's elevations,
+  so a bin is as long in a slanting beam as in an upright one.
+- ``pixels``: neighbours in the detector [W17 3.2.1, after Zhang et al.]. A return stays if enough
+  of the 3 x 3 pixels around its own returned from about its range. The source finds the number, 1
+  to 9, numerically for a brightness and a noise, and gives neither it nor the range: both are
+  settings.
 """
 
 import math
 from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spl_batch.airborne.filter.ellipsoid.ellipsoid_ratio import passes_ratio
-from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
+from spl_batch.airborne.beams.differential_cell_count import dcc_keep
+from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.airborne.filter.cube_counts import cube_counts
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import count_inside
+from spl_batch.airborne.filter.ellipsoid.evidence import shape_of
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict, without_p
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import QUANTA_PER_M
+from spl_batch.lattice.tables import BeamTable, PointTable
 from spl_batch.lattice.tiles import quanta
+from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import build
 
 BATCH: Final = 1 << 14
 """Points whose neighbours are listed at once [count]."""
+
+OF_SHOTS: Final = ("dcc", "pixels")
+"""Names of the filters of single shots."""
 
 
 def aes_reach_m(settings: FilterSettings) -> float:
@@ -61,17 +78,17 @@ def aes(cloud: Cloud, settings: FilterSettings) -> Verdict:
     """Decide about the points asked for."""
     own = settings.aes
     crowded = np.flatnonzero(~_least_crowded(cloud, settings))
-    xyz = np.ascontiguousarray(cloud.xyz[crowded])
-    shape = Shape(
-        neighbours=own.neighbours,
-        radius=float(quanta(own.radius_m)),
-        floor=float(quanta(settings.eigen_floor_m)),
-        axis_cap=float(quanta(settings.axis_cap_m)),
-        neighbour_cap=quanta(settings.neighbour_cap_m),
-        power=1.0 if settings.axis_power == "eigenvalue" else 0.5,
-    )
+    xyz, asked = np.ascontiguousarray(cloud.xyz[crowded]), cloud.asked[crowded]
     signal = np.zeros(len(cloud.xyz), dtype=np.bool_)
-    signal[crowded] = passes_ratio(xyz, build(xyz), cloud.asked[crowded], shape, own.ratio_min)
+    if asked.any():
+        sphere = np.zeros(len(xyz))
+        sphere[asked] = in_spheres(cKDTree(xyz), xyz[asked], quanta(own.radius_m)) - 1
+        least = np.ceil(own.ratio_min * sphere)
+        inside, _, _ = count_inside(
+            xyz, build(xyz), asked & (sphere > 0), np.zeros(len(xyz)),
+            shape_of(settings, own.neighbours, own.radius_m), alpha=np.maximum(least, 1.0),
+        )  # fmt: skip
+        signal[crowded] = (sphere > 0) & (inside >= least)
     return without_p(signal[cloud.asked])
 
 
@@ -102,11 +119,11 @@ def _expected(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Square of each point (n,), and the noise expected in each square [count], rounded."""
     edge = quanta(settings.aes.voxel_m)
-    square = squares(cloud.xyz, cloud.anchor, settings.aes.square * edge)
-    voxels = voxelise(cloud.xyz, cloud.anchor, (edge, edge, edge))
-    mean = np.bincount(voxels.of_point, weights=cloud.density) / voxels.points
+    square, _ = numbered(cloud, (settings.aes.square * edge,) * 2)
+    voxel, points = numbered(cloud, (edge,) * 3)
+    mean = np.bincount(voxel, weights=cloud.density) / points
     owner = np.zeros(len(mean), dtype=np.int64)
-    owner[voxels.of_point] = square
+    owner[voxel] = square
     total = np.bincount(owner, weights=mean) * (edge / QUANTA_PER_M) ** 3
     wanted: NDArray[np.int64] = np.rint(total).astype(np.int64)
     return square, wanted
@@ -122,8 +139,7 @@ def cylinder(cloud: Cloud, settings: FilterSettings) -> Verdict:
     own = settings.cylinder
     rows = np.flatnonzero(cloud.asked)
     radius, height = quanta(own.radius_m), quanta(own.height_m)
-    enough = in_cylinders(cloud.xyz, rows, radius, height, own.count + 1)
-    return without_p(enough)
+    return without_p(in_cylinders(cloud.xyz, rows, radius, height, own.count + 1))
 
 
 def multilevel_reach_m(settings: FilterSettings) -> float:
@@ -136,8 +152,11 @@ def multilevel(cloud: Cloud, settings: FilterSettings) -> Verdict:
     """Decide about the points asked for."""
     levels = settings.multilevel
     left = _near_fullest_bin(cloud, quanta(levels.column_m), quanta(levels.bin_m))
-    left = _in_company(cloud, left, levels.coarse_voxel_m, levels.coarse_count)
-    left = _in_company(cloud, left, levels.fine_voxel_m, levels.fine_count)
+    for edge_m, least in (
+        (levels.coarse_voxel_m, levels.coarse_count),
+        (levels.fine_voxel_m, levels.fine_count),
+    ):
+        left = left[cube_counts(cloud.xyz[left], cloud.anchor, quanta(edge_m)) >= least]
     signal = np.zeros(len(cloud.xyz), dtype=np.bool_)
     signal[left] = True
     return without_p(signal[cloud.asked])
@@ -147,23 +166,12 @@ def _near_fullest_bin(cloud: Cloud, side: int, height: int) -> NDArray[np.intp]:
     """Rows in the fullest height bin of their square, or beside it."""
     if not len(cloud.xyz):
         return np.zeros(0, dtype=np.intp)
-    square = squares(cloud.xyz, cloud.anchor, side)
-    level = lattice_index(cloud.xyz[:, 2], cloud.anchor[2], height)
+    square, _ = numbered(cloud, (side, side))
+    level = _index(cloud, 2, height)
     levels = int(level.max()) + 1
     count = np.bincount(square * levels + level, minlength=(int(square.max()) + 1) * levels)
     fullest = np.argmax(count.reshape(-1, levels), axis=1)
     return np.flatnonzero(np.abs(level - fullest[square]) <= 1)
-
-
-def _in_company(
-    cloud: Cloud, rows: NDArray[np.intp], edge_m: float, least: int
-) -> NDArray[np.intp]:
-    """Those rows whose 27 voxels hold enough of them."""
-    if not len(rows):
-        return rows
-    edge = quanta(edge_m)
-    voxels = voxelise(cloud.xyz[rows], cloud.anchor, (edge, edge, edge))
-    return rows[window_counts(voxels)[voxels.of_point] >= least]
 
 
 def voxel_reach_m(settings: FilterSettings) -> float:
@@ -175,111 +183,53 @@ def voxel(cloud: Cloud, settings: FilterSettings) -> Verdict:
     """Decide about the points asked for."""
     if not len(cloud.xyz):
         return without_p(np.zeros(0, dtype=np.bool_))
-    own = settings.voxel
-    edges = (quanta(own.edge_m), quanta(own.edge_m), quanta(own.height_m))
-    voxels = voxelise(cloud.xyz, cloud.anchor, edges)
-    square = _square(cloud, edges, quanta(own.column_m), voxels.of_point)
+    own, side = settings.voxel, quanta(settings.voxel.column_m)
+    edge = quanta(own.edge_m)
+    of_point, points = numbered(cloud, (edge, edge, quanta(own.height_m)))
+    # The square that holds the voxel's lower corner.
+    corner = [(cloud.xyz[:, k] + np.int64(cloud.anchor[k])) // edge * edge // side for k in (0, 1)]
+    square = np.empty(len(points), np.int64)
+    square[of_point], _ = _numbers(corner)
     occupied = np.bincount(square)
-    points = np.bincount(square, weights=voxels.points).astype(np.int64)
-    full = voxels.points * occupied[square] >= points[square]
-    return without_p(full[voxels.of_point[cloud.asked]])
+    held = np.bincount(square, weights=points).astype(np.int64)
+    full = points * occupied[square] >= held[square]
+    return without_p(full[of_point[cloud.asked]])
 
 
-def _square(
-    cloud: Cloud, edges: tuple[int, int, int], side: int, of_point: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Square that holds each voxel's lower corner: (m,) int64."""
-    corner = np.zeros((int(of_point.max()) + 1, 3), dtype=np.int64)
-    for axis in range(2):
-        at = cloud.xyz[:, axis] + np.int64(cloud.anchor[axis])
-        corner[of_point, axis] = at // edges[axis] * edges[axis]
-    low = corner.min(axis=0)
-    return squares((corner - low).astype(np.int32), (int(low[0]), int(low[1]), 0), side)
-
-
-class Voxels(NamedTuple):
-    """Occupied voxels of a lattice, m of them."""
-
-    key: NDArray[np.int64]  #: (m,): increasing; x, y and z index in one number.
-    points: NDArray[np.int64]  #: (m,): points in each.
-    of_point: NDArray[np.int64]  #: (n,): voxel of each point.
-    stride: tuple[int, int]  #: Key steps along x and along y; along z it is one.
-
-
-def lattice_index(
-    values: NDArray[np.int32] | NDArray[np.int64], anchor: int, edge: int
-) -> NDArray[np.int64]:
-    """Index on a lattice that starts at absolute zero.
-
-    Parameters
-    ----------
-    values : (n,) int
-        Coordinates relative to ``anchor`` [quanta].
-    anchor : int
-        Their absolute origin [quanta].
-    edge : int
-        Edge of a cell [quanta], > 0.
-
-    Returns
-    -------
-    (n,) int64
-        Relative to the anchor's own cell, so >= 0 for values >= 0.
-    """
-    index: NDArray[np.int64] = (values.astype(np.int64) + anchor % edge) // edge
+def _index(cloud: Cloud, axis: int, edge: int) -> NDArray[np.int64]:
+    """Cell of each point along an axis, on the lattice from absolute zero: (n,), from 0 on."""
+    index: NDArray[np.int64] = (
+        cloud.xyz[:, axis].astype(np.int64) + cloud.anchor[axis] % edge
+    ) // edge
     return index
 
 
-def voxelise(
-    xyz: NDArray[np.int32], anchor: tuple[int, int, int], edges: tuple[int, int, int]
-) -> Voxels:
-    """Sort points into the voxels of an absolute lattice.
+def numbered(cloud: Cloud, edges: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Number of each point's cell of an absolute lattice, and the points in each: (n,), (m,).
 
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates relative to ``anchor`` [quanta]; >= 0.
-    anchor : tuple of int
-        Their absolute origin [quanta].
-    edges : tuple of int
-        Edges of a voxel along x, y, z [quanta], > 0.
+    ``edges``: of a cell along x, y and perhaps z [quanta], > 0.
+    """
+    return _numbers([_index(cloud, axis, edge) for axis, edge in enumerate(edges)])
+
+
+def _numbers(index: list[NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Different combinations of indices numbered from 0 on: of each point, and how often each is.
 
     Raises
     ------
     ValueError
-        If the region has more voxels than keys.
+        If there are more of them than keys.
     """
-    index = [lattice_index(xyz[:, a], anchor[a], edges[a]) for a in range(3)]
-    # One empty voxel between two columns, so that a stretch of three never runs into the next.
-    size = [int(i.max()) + 2 if len(i) else 2 for i in index]
-    if size[0] * size[1] * size[2] >= 2**62:
-        raise ValueError(f"voxels of {edges} quanta are too small for this region")
-    key = (index[0] * size[1] + index[1]) * size[2] + index[2]
-    del index  # of a block of millions each array counts
-    keys, of_point, count = np.unique(key, return_inverse=True, return_counts=True)
-    return Voxels(keys, count, of_point.astype(np.int64), (size[1] * size[2], size[2]))
-
-
-def squares(xyz: NDArray[np.int32], anchor: tuple[int, int, int], edge: int) -> NDArray[np.int64]:
-    """Square of an absolute grid that each point lies in, numbered from zero: (n,) int64."""
-    i = lattice_index(xyz[:, 0], anchor[0], edge)
-    j = lattice_index(xyz[:, 1], anchor[1], edge)
-    _, number = np.unique(i * (int(j.max(initial=0)) + 1) + j, return_inverse=True)
-    square: NDArray[np.int64] = number.astype(np.int64)
-    return square
-
-
-def window_counts(voxels: Voxels) -> NDArray[np.int64]:
-    """Points in each voxel and the 26 around it: (m,) int64."""
-    key = voxels.key
-    before = np.concatenate([[0], np.cumsum(voxels.points)])
-    total = np.zeros(len(key), dtype=np.int64)
-    for i in (-1, 0, 1):
-        for j in (-1, 0, 1):
-            middle = key + i * voxels.stride[0] + j * voxels.stride[1]
-            first = np.searchsorted(key, middle - 1, side="left")
-            last = np.searchsorted(key, middle + 1, side="right")
-            total += before[last] - before[first]
-    return total
+    low = [int(along.min(initial=0)) for along in index]
+    size = [int(along.max(initial=0)) + 1 - first for along, first in zip(index, low, strict=True)]
+    if math.prod(size) >= 2**62:
+        raise ValueError(f"{size} voxels are too many for a region; choose larger ones")
+    key = np.zeros(len(index[0]), np.int64)
+    for along, first, cells in zip(index, low, size, strict=True):
+        key *= cells
+        key += along - first
+    _, number, count = np.unique(key, return_inverse=True, return_counts=True)
+    return number.astype(np.int64), count
 
 
 def in_spheres(tree: cKDTree, places: NDArray[np.int32], radius: int) -> NDArray[np.int64]:
@@ -316,3 +266,66 @@ def in_cylinders(
         inside &= 2 * np.abs(away[:, 2]) < height
         out[some] = np.bincount(place, inside, len(some)) >= least
     return out
+
+
+def shot_noise(
+    table: PointTable, beams: BeamTable, settings: FilterSettings, gate_m: float, columns: int
+) -> NDArray[np.bool_]:
+    """Returns that a filter of single shots calls noise: (n,) bool.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows of one stretch, sorted by gps_time.
+    beams : BeamTable
+        Their beams; rows without a known one are not called noise.
+    settings : FilterSettings
+        Filter, one of :data:`OF_SHOTS`.
+    columns : int
+        Beamlets along a side of the array [count].
+    """
+    noise = np.zeros(len(table), dtype=np.bool_)
+    rows = np.flatnonzero(beams.known)
+    keep = np.empty(len(rows), dtype=np.bool_)
+    starts = run_starts(table["gps_time"][rows])
+    if settings.method == "dcc":
+        bins = settings.dcc.coarse_bin_m, settings.dcc.fine_bin_m
+        _keep_by_bins(starts, beams.range_m[rows], gate_m, *bins, keep)
+    else:
+        pixel = table["channel"][rows].astype(np.int64) - 1
+        own = settings.pixels
+        _keep_by_pixels(starts, beams.range_m[rows], pixel, columns, own.range_m, own.count, keep)
+    noise[rows] = ~keep
+    return noise
+
+
+@njit()
+def _keep_by_bins(starts, range_m, gate_m, coarse_m, fine_m, keep):  # type: ignore[no-untyped-def]
+    """Which returns lie in a bin of their shot that holds signal: fills (n,) bool."""
+    for m in range(len(starts) - 1):
+        rows = slice(starts[m], starts[m + 1])
+        dcc_keep(range_m[rows], gate_m, coarse_m, fine_m, keep[rows])
+
+
+@njit()
+def _keep_by_pixels(starts, range_m, pixel, columns, reach_m, least, keep):  # type: ignore[no-untyped-def]
+    """Which returns enough of the 3 x 3 pixels around share: fills (n,) bool.
+
+    ``pixel``: by rows of the array; without a known one, below 0, a return stays.
+    """
+    for m in range(len(starts) - 1):
+        for i in range(starts[m], starts[m + 1]):
+            seen = np.zeros(9, dtype=np.bool_)
+            for j in range(starts[m], starts[m + 1]):
+                if pixel[j] < 0 or abs(range_m[j] - range_m[i]) > reach_m:
+                    continue
+                row = pixel[j] // columns - pixel[i] // columns + 1
+                column = pixel[j] % columns - pixel[i] % columns + 1
+                if 0 <= row < 3 and 0 <= column < 3:
+                    seen[3 * row + column] = True
+            keep[i] = pixel[i] < 0 or seen.sum() >= least
+
+
+def of_shots(cloud: Cloud, settings: FilterSettings) -> Verdict:  # noqa: ARG001
+    """What the shots gave the points asked for; nothing is looked at around them."""
+    return without_p(~cloud.shot_noise[cloud.asked])

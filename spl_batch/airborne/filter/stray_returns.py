@@ -19,6 +19,7 @@ In clean clouds few returns make a surface. As the filter may be any, the cloud 
 share of pure noise that is kept: by the boxes of which least was kept, which hold noise alone.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -26,18 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.filter.box_counts import (
-    cells_held,
-    count_in_cells,
-    count_values,
-    in_marked_cells,
-    lowest_and_highest,
-)
-from spl_batch.airborne.filter.drowned_surfaces import (
-    below_surfaces,
-    dense_noise,
-    unfilled,
-)
+from spl_batch.airborne.filter.drowned_surfaces import around, below_surfaces, dense_noise, unfilled
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
@@ -85,54 +75,41 @@ BOXES: Final = (Box(1, 30, 0.2), Box(3, 60, 0.06))
 
 Count = NDArray[np.int64]
 
-_KINDS: Final = (NOISE_SIGNAL, NOISE_BACKGROUND)
-
-BOTH_KINDS: Final = 3
-"""What :func:`~spl_batch.airborne.filter.box_counts.lowest_and_highest` returns of both."""
-
 _BESIDE: Final = round(BESIDE_M / CELL_M)
 """The same in cells on each side; no box reaches farther [count]."""
 
 
 class Bare(NamedTuple):
-    """Cells in which kept returns are too few beside the refused ones around them."""
+    """Cells in which kept returns of a table are too few beside the refused ones around them."""
 
-    corner: Count  #: (3,) int64: lower corner of the lattice [quanta].
-    place: tuple[Count, Count, Count]  #: Number of a cell along each axis, gaps closed.
+    corner: tuple[int, ...]  #: Lower corner of the lattice [quanta].
+    place: tuple[Count, ...]  #: Number of a cell along each axis, gaps closed.
     marked: NDArray[np.bool_]  #: (a, b, c): the cells.
     dense: NDArray[np.float32]  #: (a, b, c): noise where it is dense, 0 elsewhere [1/m3].
     lowest: NDArray[np.bool_]  #: (a, b, c): cells below all surfaces of their columns.
     kept: Count  #: (a, b, c): signals [count].
+    rows: NDArray[np.int32]  #: (m,): points of the table that were kept or refused.
+    cell: NDArray[np.int32]  #: (m,): cell of each of them in ``marked.ravel()``.
 
-    def columns(self, region: Bounds) -> tuple[Count, Count]:
-        """Numbers along x and y of the columns whose corner lies in a region, and holds points."""
-        x, y = self._within(region)
-        return self.place[0][x], self.place[1][y]
+    def columns(self, region: Bounds) -> tuple[tuple[Count, Count], tuple[Count, Count]]:
+        """Columns that hold points and whose corner lies in a region.
 
-    def _within(self, region: Bounds) -> tuple[Count, Count]:
-        """Indices of these columns on the lattice."""
-        edge, found = quanta(CELL_M), []
-        for axis, (low, high) in enumerate(
-            ((region.xmin, region.xmax), (region.ymin, region.ymax))
-        ):
-            index = np.arange(len(self.place[axis]))
-            at = self.corner[axis] + index * edge
+        Their numbers along x and y, and where their corners lie along both [quanta].
+        """
+        ends = ((region.xmin, region.xmax), (region.ymin, region.ymax))
+        numbers, corners = [], []
+        for (low, high), corner, place in zip(ends, self.corner, self.place, strict=False):
+            index = np.arange(len(place))
+            at = corner + index * quanta(CELL_M)
             # Cells without points have the number of the first one.
-            known = (self.place[axis] > 0) | (index == 0)
-            found.append(np.flatnonzero(known & (low <= at) & (at < high)))
-        return found[0], found[1]
-
-    def corners(self, region: Bounds) -> tuple[Count, Count]:
-        """Where the corners of these columns lie along x and y [quanta]."""
-        x, y = (
-            self.corner[axis] + index * quanta(CELL_M)
-            for axis, index in enumerate(self._within(region))
-        )
-        return x, y
+            chosen = ((place > 0) | (index == 0)) & (low <= at) & (at < high)
+            numbers.append(place[chosen])
+            corners.append(at[chosen])
+        return (numbers[0], numbers[1]), (corners[0], corners[1])
 
     def count_chances(
         self,
-        table: PointTable,
+        p_value: NDArray[np.float32],
         owned: NDArray[np.bool_],
         values: Sequence[float],
         counts: NDArray[np.int64],
@@ -141,37 +118,32 @@ class Bare(NamedTuple):
 
         Parameters
         ----------
-        table : PointTable
-            Points with ``x, y, z, noise_class, p_value``.
+        p_value : (n,) float32
+            Of the table; NaN counts nowhere.
         owned : (n,) bool
-            Those that count.
+            Points that count.
         values : sequence of m floats
-            Values up to which p-values are counted.
+            Values up to which p-values are counted, ascending.
         counts : (m + 1,) int64, added to
             Returns up to each value and not up to the one before, and beyond.
         """
-        count_values(
-            _xyz(table), (table["noise_class"], owned), _KINDS, table["p_value"], self.corner,
-            float(quanta(CELL_M)), self.place, self.lowest, np.array(values), counts,
-        )  # fmt: skip
+        chosen = p_value[self.rows[self.lowest.ravel()[self.cell] & owned[self.rows]]]
+        at = np.searchsorted(values, chosen[~np.isnan(chosen)].astype(np.float64))
+        counts += np.bincount(at, minlength=len(counts))
 
-    def noise(self, table: PointTable) -> NDArray[np.float32]:
-        """Noise around points where it is dense, 0 elsewhere: (n,) [1/m3]."""
-        if not self.dense.any():
-            return np.zeros(len(table), np.float32)
-        number = self._cells(table)
-        return np.where(number >= 0, self.dense.ravel()[number], np.float32(0.0))
-
-    def holds(self, table: PointTable) -> NDArray[np.bool_]:
-        """Which signals lie in such a cell: (n,) bool."""
-        out = np.zeros(len(table), np.bool_)
-        in_marked_cells(self._cells(table), self.marked.ravel(), out)
+    def noise(self, count: int) -> NDArray[np.float32]:
+        """Noise around the table's points where it is dense, 0 elsewhere: (n,) [1/m3]."""
+        out = np.zeros(count, np.float32)
+        if self.dense.any():
+            out[self.rows] = self.dense.ravel()[self.cell]
         return out
 
-    def _cells(self, table: PointTable) -> NDArray[np.int32]:
-        """Number of the cell of each signal, -1 for other points."""
-        nothing = np.zeros((2, *self.marked.shape), np.int64)
-        return _count(self.corner, self.place, (nothing[0], nothing[1]), table)
+    def holds(self, noise_class: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Which signals of the table lie in a marked cell: (n,) bool."""
+        out = np.zeros(len(noise_class), np.bool_)
+        out[self.rows[self.marked.ravel()[self.cell]]] = True
+        out &= noise_class == NOISE_SIGNAL
+        return out
 
 
 def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
@@ -180,7 +152,7 @@ def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
     Parameters
     ----------
     table : PointTable
-        Points of a place, in any order, with ``x, y, z, noise_class``.
+        Points of a region, in any order, with ``x, y, z, noise_class``.
     spare_above : bool
         Leave alone what lies above a surface, such as a wire of few returns: it is no ground,
         but it is a top.
@@ -191,7 +163,9 @@ def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
         True for signals in a column or a box with fewer of them than noise explains.
     """
     bare = bare_cells(table, spare_above=spare_above)
-    return np.zeros(len(table), np.bool_) if bare is None else bare.holds(table)
+    if bare is None:
+        return np.zeros(len(table), np.bool_)
+    return bare.holds(table["noise_class"])
 
 
 def bare_cells(table: PointTable, *, spare_above: bool = False) -> Bare | None:
@@ -202,16 +176,23 @@ def bare_cells(table: PointTable, *, spare_above: bool = False) -> Bare | None:
     table, spare_above
         As in :func:`stray`.
     """
-    edge, ends = quanta(CELL_M), np.zeros((3, 2), np.int64)
-    if lowest_and_highest(_xyz(table), table["noise_class"], _KINDS, ends) != BOTH_KINDS:
+    kind, edge = table["noise_class"], quanta(CELL_M)
+    rows = np.flatnonzero((kind == NOISE_SIGNAL) | (kind == NOISE_BACKGROUND))
+    signal = kind[rows] == NOISE_SIGNAL
+    if signal.all() or not signal.any():
         return None
-    first, last = ends[:, 0] // edge, ends[:, 1] // edge
-    corner = first * edge
-    x, y, z = (np.zeros(count, np.bool_) for count in last - first + 1)
-    cells_held(_xyz(table), table["noise_class"], _KINDS, corner, float(edge), (x, y, z))
-    place = _close_gaps(x, _BESIDE), _close_gaps(y, _BESIDE), _close_gaps(z, DEEP - 1)
-    kept, gone = (np.zeros([int(along[-1]) + 1 for along in place], np.int64) for _ in _KINDS)
-    _count(corner, place, (kept, gone), table)
+    first, place, index = [], [], []
+    for axis, reach in zip("xyz", (_BESIDE, _BESIDE, DEEP - 1), strict=True):
+        at = table[axis][rows] // edge
+        first.append(int(at.min()))
+        at = at - first[-1]
+        place.append(_close_gaps(np.bincount(at) > 0, reach))
+        index.append(place[-1][at])
+    shape = tuple(int(along[-1]) + 1 for along in place)
+    cell = np.ravel_multi_index(index, shape)
+    kept, gone = (
+        np.bincount(cell[of], minlength=math.prod(shape)).reshape(shape) for of in (signal, ~signal)
+    )
     held = [_in_boxes(kept, gone, box) for box in BOXES]
     occupied = kept + gone > 0
     odds = _kept_of_noise(*(count[occupied] for count in held[-1]))
@@ -225,21 +206,10 @@ def bare_cells(table: PointTable, *, spare_above: bool = False) -> Bare | None:
         bare |= unfilled(kept, gone)
     bare |= _bare_columns(kept, gone, odds)[:, :, None]
     lowest = below_surfaces((kept > 0) & ~bare)
-    return Bare(corner, place, bare, dense_noise(kept, gone), lowest, kept)
-
-
-def _xyz(table: PointTable) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
-    return table["x"], table["y"], table["z"]
-
-
-def _count(
-    corner: Count, place: tuple[Count, Count, Count], counts: tuple[Count, Count], table: PointTable
-) -> NDArray[np.int32]:
-    """Add up the points of both kinds by cell; the cell of each kept one, -1 for others."""
-    edge, number = float(quanta(CELL_M)), np.empty(len(table), np.int32)
-    kind, (kept, gone) = table["noise_class"], counts
-    count_in_cells(_xyz(table), kind, _KINDS, corner, edge, place, kept, gone, number)
-    return number
+    return Bare(
+        tuple(edge * low for low in first), tuple(place), bare, dense_noise(kept, gone), lowest,
+        kept, rows.astype(np.int32), cell.astype(np.int32),
+    )  # fmt: skip
 
 
 def _close_gaps(occupied: NDArray[np.bool_], reach: int) -> NDArray[np.int64]:
@@ -286,7 +256,7 @@ def _deep_below(standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _bare_columns(kept: Count, gone: Count, odds: float) -> NDArray[np.bool_]:
     """Columns that, with those around them, hold no more than noise explains."""
-    near, refused = (_around(count.sum(axis=2), COLUMN.reach, (0, 1)) for count in (kept, gone))
+    near, refused = (around(count.sum(axis=2), COLUMN.reach, (0, 1)) for count in (kept, gone))
     bare: NDArray[np.bool_] = near < _explained(refused, COLUMN, odds)
     return bare
 
@@ -299,14 +269,5 @@ def _explained(refused: Count, box: Box, odds: float) -> NDArray[np.float64]:
 
 def _in_boxes(kept: Count, gone: Count, box: Box) -> tuple[Count, Count]:
     """Kept and refused returns of the box around each cell."""
-    near, refused = (_around(_around(c, 1, (2,)), box.reach, (0, 1)) for c in (kept, gone))
+    near, refused = (around(around(c, 1, (2,)), box.reach, (0, 1)) for c in (kept, gone))
     return near, refused
-
-
-def _around(count: Count, reach: int, axes: tuple[int, ...]) -> Count:
-    """Points in each cell and those on both sides of it along some axes."""
-    for axis in axes:
-        count = ndimage.convolve1d(
-            count, np.ones(2 * reach + 1, np.int64), axis=axis, mode="constant"
-        )
-    return count

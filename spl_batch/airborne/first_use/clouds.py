@@ -57,13 +57,7 @@ class CloudLook:
 
 
 def look_at(path: Path) -> CloudLook:
-    """Look at a file, which takes a tenth of a second whatever its size.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
+    """Look at a file, which takes a tenth of a second whatever its size."""
     return CloudLook(inspect(path), read_ends(path, None, SAMPLE_POINTS))
 
 

@@ -9,7 +9,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Final
 
-from spl_batch.airborne.filter.shot_filters import OF_SHOTS
+from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.plan.flightlines import Flightline
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
 from spl_batch.airborne.plan.survey_ledger import Survey

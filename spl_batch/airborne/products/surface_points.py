@@ -28,8 +28,8 @@ def stands(table: PointTable, bare: Bare | None) -> NDArray[np.bool_]:
     usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
     usable = usable & ~table.has(PointFlag.OUTSIDE_AOI)
     if bare is not None:
-        usable &= ~bare.holds(table)
-        usable &= ~lonely(table, usable, bare.noise(table))
+        usable &= ~bare.holds(table["noise_class"])
+        usable &= ~lonely(table, usable, bare.noise(len(table)))
     return usable
 
 

@@ -1,12 +1,13 @@
 """Shares of the expected noise: what each stretch adds to the voxels, as Zarr groups."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import zarr
 from numpy.typing import NDArray
 
+from spl_batch.engine.store.working_store import Store
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.verified.zarr_chunks import Metadata, pack, read_box, read_metadata
 from spl_batch.lattice.tables import VoxelPart
@@ -76,3 +77,12 @@ class StoredVoxels:
         if name not in self._known:
             self._known[name] = read_metadata(self.path / name)
         return self._known[name]
+
+
+def stored_by_line(store: Store, parts: Iterable[str]) -> list[list[StoredVoxels]]:
+    """Shares of stretches by ``LINE/K``, a list for each flightline in the order of names."""
+    lines: dict[str, list[StoredVoxels]] = {}
+    for part in sorted(parts):
+        stored = StoredVoxels(store.path("voxels", f"{part}.zarr"))
+        lines.setdefault(part.rpartition("/")[0], []).append(stored)
+    return list(lines.values())

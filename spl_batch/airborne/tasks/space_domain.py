@@ -18,6 +18,7 @@ from spl_batch.airborne.ground import ground_methods as grounding
 from spl_batch.airborne.products import surface_points
 from spl_batch.airborne.store.cells import Cell
 from spl_batch.airborne.store.label_tables import write_labels
+from spl_batch.airborne.store.voxel_parts import stored_by_line
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.lattice.tiles import grow, inside, quanta
@@ -32,10 +33,8 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     core = cell.core
     # Air is looked for farther around than the filter looks, and in fewer columns.
     seen = cell.read(grow(core, args["halo"]), AIR_COLUMNS)[0]
-    model = noise_model(
-        [seen[axis] for axis in "xyz"], args["voxels"], args["beamlets"], context.store,
-        workflow.noise,
-    )  # fmt: skip
+    shares = stored_by_line(context.store, args["voxels"])
+    model = noise_model([seen[axis] for axis in "xyz"], shares, args["beamlets"], workflow.noise)
     look = look_at_air(seen, model, workflow, core)
     del seen
     near = grow(core, min(args["halo"], quanta(denoising.reach_m(workflow.filter))))
@@ -89,7 +88,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         facts |= float_facts(bare, cell.core)
     if bare is not None and chances:
         counts = np.zeros(len(P_VALUES) + 1, np.int64)
-        bare.count_chances(table, owned, P_VALUES, counts)
+        bare.count_chances(table["p_value"], owned, P_VALUES, counts)
         facts |= {"p_values": counts.tolist()} if counts.any() else {}
     table = table.select(_GROUND_COLUMNS)
     mask = grounding.ground_mask(table, usable, context.workflow.ground, owned)[owned]

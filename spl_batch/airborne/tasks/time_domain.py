@@ -16,7 +16,7 @@ from spl_batch.airborne.afterpulse import afterpulse_law
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.filter.shot_filters import shot_noise
+from spl_batch.airborne.filter.published import shot_noise
 from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.store.flown_lines import Pass, line_of
@@ -106,13 +106,6 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
-        "afterpulses": {
-            "probability": law.probability,
-            "scale_m": law.scale_m,
-            "longest_m": law.longest_m,
-            "sigma_m": law.sigma_m,
-            "seen": law.seen,
-        },
         "findings": [*model.findings, *found],
     }
     return Produced([path], facts, args["points"])

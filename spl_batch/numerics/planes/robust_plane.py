@@ -61,7 +61,7 @@ def residual(
 
 
 @njit()
-def _median(values: NDArray[np.float64]) -> float:
+def median(values: NDArray[np.float64]) -> float:
     """Median of at least one value, whose order is changed."""
     half = len(values) // 2
     upper = select(values, half)
@@ -91,7 +91,7 @@ def spread(distance: NDArray[np.float64], least: float) -> float:
         below += distance[i] < sure
     if below > len(distance) // 2:
         return least
-    return max(_median(distance) / GAUSSIAN, least)
+    return max(median(distance) / GAUSSIAN, least)
 
 
 @njit()

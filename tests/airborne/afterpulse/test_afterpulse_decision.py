@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_decision, foliage
 from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane
-from spl_batch.airborne.afterpulse.weighted_counts import UNIT, columns, weigh_around
+from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.airborne.steps import STEPS
 from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
+from spl_batch.numerics.neighbours.lattice_columns import columns
 from tests.airborne.filter.test_denoise import as_table
 
 DEFAULT = AfterpulseSettings()
@@ -85,14 +86,13 @@ def test_weights_around_are_those_of_a_plain_loop(seed: int, n: int) -> None:
     time, channel = rng.integers(0, 4, n).astype(np.float64), rng.integers(0, 3, n).astype(np.uint8)
     weight = rng.integers(0, UNIT + 1, n)
     radii = np.array([[1500, 1000], [700, 300]])
-    listed = columns(xyz.T, 1500)
-    o = listed.order
+    made = columns((xyz - xyz.min(axis=0)).astype(np.int32), np.arange(n), (0, 0, 0), 1500)
+    o = made.points[3]
     out = np.empty((n, 2), np.int64)
     tilt = np.where(rng.random((n, 1)) < 0.5, rng.uniform(-1.5, 1.5, (n, 2)), 0.0)
     own = int(rng.choice([0, UNIT, 1741]))
     weigh_around(
-        xyz.T.take(o, axis=1).astype(np.int32), time[o], channel[o], weight[o], listed.starts,
-        listed.shape, listed.edge, np.arange(n), radii, tilt, own, out,
+        made, time[o], channel[o], weight[o], np.arange(n), radii, tilt, own, out,
     )  # fmt: skip
     for q, row in enumerate(o):
         d = (xyz - xyz[row]).astype(np.float64)
@@ -118,13 +118,13 @@ def test_what_lies_behind_a_plane_is_that_of_a_plain_loop(seed: int, n: int, slo
     true = rng.random(n) < 0.9
     lag, wide, high, thick, share, least = 5000, 800, 1000, 150, 0.6, 8
     xyz[:, 2] -= xyz[:, 2].min()
-    listed = columns(xyz.astype(np.int32).T, 1500)
-    o = listed.order
+    made = columns((xyz - xyz.min(axis=0)).astype(np.int32), np.arange(n), (0, 0, 0), 1500)
+    o = made.points[3]
     xyz, time, channel, true = xyz[o], time[o], channel[o], true[o]
     out, tilt, parents = np.empty(n, np.bool_), np.empty((n, 2)), np.empty(n, np.int32)
     behind_plane(
-        xyz.T.astype(np.int32, order="C"), time, channel, true, listed.starts, listed.shape, 1500,
-        np.arange(n, dtype=np.int32), lag, wide, high, thick, share, least, out, tilt, parents,
+        made, time, channel, true, np.arange(n, dtype=np.int32), lag, wide, high, thick, share,
+        least, out, tilt, parents,
     )  # fmt: skip
     for q in range(n):
         d = xyz - xyz[q]
@@ -309,16 +309,14 @@ def test_of_two_parents_as_high_the_table_does_not_decide() -> None:
     def parent(edge: int, beyond: int) -> int:
         """Of a return below two of its beamlet; another one says where columns begin."""
         at = [[5000, 5000, 0], [4400, 5000, 300], [5600, 5000, 300], [beyond, 0, 900]]
-        xyz = np.array(at, np.int32).T
-        xyz = np.ascontiguousarray(xyz - xyz.min(axis=1, keepdims=True))
-        listed = columns(xyz, edge, lambda key: np.argsort(key, kind="stable"))
-        order = listed.order
+        xyz = np.array(at, np.int32)
+        made = columns(xyz - xyz.min(axis=0), np.arange(4), (0, 0, 0), edge)
+        order = made.points[3]
         out, tilt, parents = np.zeros(1, np.bool_), np.zeros((1, 2)), np.zeros(1, np.int32)
         behind_plane(
-            np.ascontiguousarray(xyz[:, order]), np.array([1.0, 1.0, 1.0, 9.0])[order],
-            np.zeros(4, np.uint8), np.ones(4, np.bool_), listed.starts, listed.shape, edge,
-            np.flatnonzero(order == 0).astype(np.int32), 2000, 900, 800, 150, 0.6, 3, out, tilt,
-            parents,
+            made, np.array([1.0, 1.0, 1.0, 9.0])[order], np.zeros(4, np.uint8),
+            np.ones(4, np.bool_), np.flatnonzero(order == 0).astype(np.int32), 2000, 900, 800, 150,
+            0.6, 3, out, tilt, parents,
         )  # fmt: skip
         return int(order[parents[0]])
 

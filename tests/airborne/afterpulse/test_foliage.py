@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import foliage
-from spl_batch.airborne.afterpulse.weighted_counts import UNIT, columns, weigh_around
+from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
+from spl_batch.numerics.neighbours.lattice_columns import columns
 
 KERNELS = len(foliage.KERNELS_M)
 VOLUME_M3 = [8 / 35 * 4 / 3 * math.pi * across**2 * up for across, up in foliage.KERNELS_M]
@@ -18,15 +19,13 @@ VOLUME_M3 = [8 / 35 * 4 / 3 * math.pi * across**2 * up for across, up in foliage
 def counts_around(xyz: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.int64]:
     """Kernel sums around some points, each of its own beamlet."""
     n = len(xyz)
-    places = np.ascontiguousarray((xyz - xyz.min(axis=0)).astype(np.int32).T)
-    listed = columns(places, 1500)
-    order, place = listed.order, np.empty(n, np.int32)
+    made = columns((xyz - xyz.min(axis=0)).astype(np.int32), np.arange(n), (0, 0, 0), 1500)
+    order, place = made.points[3], np.empty(n, np.int32)
     place[order] = np.arange(n)
     radii = np.array([[round(1000 * r) for r in pair] for pair in foliage.KERNELS_M])
     out = np.empty((len(rows), KERNELS), np.int64)
     weigh_around(
-        places.take(order, axis=1), np.arange(float(n))[order],
-        np.zeros(n, np.uint8), np.full(n, UNIT, np.int16), listed.starts, listed.shape, listed.edge,
+        made, np.arange(float(n))[order], np.zeros(n, np.uint8), np.full(n, UNIT, np.int16),
         place[rows], radii, np.zeros((len(rows), 2)), 0, out,
     )  # fmt: skip
     return out

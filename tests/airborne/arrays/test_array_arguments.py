@@ -129,20 +129,17 @@ def test_each_fault_names_the_array_and_the_remedy(arguments: dict[str, Any], sa
         spl_batch.filter_points(**{"xyz": CLOUD, **arguments})
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
+def test_each_wrong_setting_is_named() -> None:
+    for arguments, said in (
         ({"settings": {"tiling": {}}}, "settings: tiling"),
         ({"settings": {"filter": {"alhpa": 1}}}, "alpha"),
         ({"alpha": 2.0}, "alpha"),
         ({"alpha": 0}, "alpha"),
         ({"method": "best"}, "method"),
         ({"sensor": "spl1"}, "spl100"),
-    ],
-)
-def test_each_wrong_setting_is_named(arguments: dict[str, Any], said: str) -> None:
-    with pytest.raises(WorkflowError, match=said):
-        spl_batch.filter_points(CLOUD, **arguments)
+    ):
+        with pytest.raises(WorkflowError, match=said):
+            spl_batch.filter_points(CLOUD, **arguments)  # type: ignore[arg-type]
 
 
 def test_terrain_of_degrees_is_refused() -> None:

@@ -16,76 +16,58 @@ from spl_batch.lattice.tables import BeamTable
 from tests import surveys
 
 
-def told(folder: Path, shift_m: float) -> list[str]:
-    """Warnings of a run whose sensor is off by so much along the flight."""
+def notes(workflow: Path) -> list[str]:
+    """What a run up to its shots says."""
+    events: list[Event] = []
+    surveys.run(workflow, until="shots", listener=events.append)
+    return [event.text for event in events if isinstance(event, Note)]
+
+
+def two_lines(folder: Path) -> Path:
+    """A survey of two flightlines; its trajectory is still to be written."""
     for k in (1, 2):
         line = surveys.flightline(shots=1500, psid=k, seed=k)
         surveys.write_cloud(folder / "lines" / f"line_{k}.laz", line)
-    surveys.write_trajectory(folder / "trajectory.csv", shift_m=shift_m)
-    events: list[Event] = []
-    surveys.run(surveys.write_workflow(folder), until="shots", listener=events.append)
-    texts = [e.text for e in events if isinstance(e, Note)]
-    return [text for text in texts if "trajectory's times" in text]
+    return folder / "trajectory.csv"
 
 
-@pytest.mark.parametrize(
-    ("shift_m", "side", "late"),
-    [(-90.0, "ahead of", "1.5 s late")],
-)
-def test_times_that_are_off_are_told_once_for_all_lines(
-    tmp_path: Path, shift_m: float, side: str, late: str
-) -> None:
-    (text,) = told(tmp_path, shift_m)
-    assert "00001_371000000" in text
-    assert "00002_371000000" in text
-    assert side in text
-    assert late in text
+def test_times_that_are_off_are_reported_once_for_all_lines(tmp_path: Path) -> None:
+    surveys.write_trajectory(two_lines(tmp_path), shift_m=-90.0)
+    texts = notes(surveys.write_workflow(tmp_path))
+    (text,) = [text for text in texts if "trajectory's times" in text]
+    for part in ("00001_371000000", "00002_371000000", "ahead of", "1.5 s late"):
+        assert part in text
 
 
 @pytest.mark.parametrize(
     ("leap_s", "late", "margin_s"), [(18, "18 s early, as UTC is", 40.0), (-18, "18 s late", 1.0)]
 )
-def test_leap_seconds_are_told_as_such(
+def test_leap_seconds_are_reported_as_such(
     tmp_path: Path, leap_s: int, late: str, margin_s: float
 ) -> None:
-    for k in (1, 2):
-        line = surveys.flightline(shots=1500, psid=k, seed=k)
-        surveys.write_cloud(tmp_path / "lines" / f"line_{k}.laz", line)
-    start = surveys.START_S - leap_s
+    path, start = two_lines(tmp_path), surveys.START_S - leap_s
     surveys.write_trajectory(
-        tmp_path / "trajectory.csv",
-        start_s=start - margin_s,
-        stop_s=start + 1.5 + margin_s,
+        path, start_s=start - margin_s, stop_s=start + 1.5 + margin_s,
         shift_m=leap_s * surveys.SPEED_M_S,
-    )
+    )  # fmt: skip
     # Further on in the day the trajectory goes on, over another line: it is not refused whole.
-    path = tmp_path / "trajectory.csv"
     place = f"{surveys.ORIGIN_M[0]},{surveys.ORIGIN_M[1]},{surveys.HEIGHT_M}"
     head, *rows = path.read_text().splitlines()
     before, after = (f"{surveys.START_S + far},{place}" for far in (-500, 500))
     path.write_text("\n".join([head, before, *rows, after, ""]))
-    events: list[Event] = []
-    surveys.run(surveys.write_workflow(tmp_path), until="shots", listener=events.append)
-    texts = [e.text for e in events if isinstance(e, Note)]
+    texts = notes(surveys.write_workflow(tmp_path))
     (text,) = [text for text in texts if "trajectory's times" in text]
     assert "00001_371000000, 00002_371000000: the trajectory's times are " in text
     assert late in text
     assert not [other for other in texts if "N01" in other], "what follows from it"
 
 
-@pytest.mark.parametrize(
-    ("time_s", "leap_s"),
-    [
-        (371_000_000.0, 18),
-        (1_167_264_017.0 - 1e9, 17),
-        (1_167_264_018.0 - 1e9, 18),
-        (1_371_000_000.0, 18),
-        (1_100_000_000.0 - 1e9, 16),
-        (90_000.0, 18),
-    ],
-)
-def test_leap_seconds(time_s: float, leap_s: int) -> None:
-    assert leap_seconds(time_s) == leap_s
+def test_leap_seconds() -> None:
+    for time_s, leap_s in (
+        (371_000_000.0, 18), (1_167_264_017.0 - 1e9, 17), (1_167_264_018.0 - 1e9, 18),
+        (1_371_000_000.0, 18), (1_100_000_000.0 - 1e9, 16), (90_000.0, 18),
+    ):  # fmt: skip
+        assert leap_seconds(time_s) == leap_s
 
 
 @pytest.mark.parametrize(
@@ -111,10 +93,7 @@ def test_heights_of_a_trajectory_in_another_unit_are_named(
         tmp_path / "trajectory.csv", rows, "%.6f", delimiter=",", header="gps_time,x,y,z",
         comments="",
     )  # fmt: skip
-    events: list[Event] = []
-    workflow = surveys.write_workflow(tmp_path, survey={"trajectory_crs": crs})
-    surveys.run(workflow, until="shots", listener=events.append)
-    texts = [e.text for e in events if isinstance(e, Note)]
+    texts = notes(surveys.write_workflow(tmp_path, survey={"trajectory_crs": crs}))
     texts = [text for text in texts if text.startswith("T02 trajectory.csv: puts the sensor")]
     assert len(texts) == (seem is not None)
     assert all(f"seem to be in {seem};" in text for text in texts)
@@ -164,8 +143,5 @@ def test_shots_that_share_one_time_are_told(small: Path) -> None:
         line = surveys.flightline(shots=120, psid=k, start_s=surveys.START_S + 3 * (k - 1), seed=k)
         line["gps_time"] = np.round(line["gps_time"] / step_s) * step_s
         surveys.write_cloud(small.parent / "lines" / f"line_{k}.laz", line)
-    events: list[Event] = []
-    surveys.run(small, until="shots", listener=events.append)
-    said = [e.text for e in events if isinstance(e, Note) and "not lie on one beam" in e.text]
-    assert len(said) == 1
-    assert all("rounded to more than the time between shots" in text for text in said)
+    (text,) = [text for text in notes(small) if "not lie on one beam" in text]
+    assert "rounded to more than the time between shots" in text

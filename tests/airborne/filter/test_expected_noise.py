@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.expected_noise import HeldVoxels, model_of_lines
+from spl_batch.airborne.filter.expected_noise import HeldVoxels, noise_model
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.lattice.tables import VOXEL_FIXED_POINT, VoxelPart
 from spl_batch.lattice.tiles import quanta
@@ -41,7 +41,7 @@ def points(low: int, high: int) -> list[NDArray[np.int64]]:
 
 def asked(share: Any, xyz: list[NDArray[np.int64]]) -> tuple[tuple[int, ...], NDArray[np.float64]]:
     """Shape of the voxels that are held, and both densities at places."""
-    model = model_of_lines(xyz, [[share]], 25, SETTINGS)
+    model = noise_model(xyz, [[share]], 25, SETTINGS)
     assert model is not None
     told = np.ones(len(xyz[0]), np.bool_)
     return model.density.shape, np.array([model.local(xyz), model.mean(xyz, told)])

@@ -1,5 +1,7 @@
 """The null distribution of the noise test: its table, look-ups in it, and its drawing."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,9 +15,12 @@ from spl_batch.airborne.filter.ellipsoid.null_distribution import (
     draw_table,
     null_table,
     periodic_noise,
+    settings_key,
 )
-from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, place_of, value_of
-from spl_batch.airborne.settings import FilterSettings
+from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, value_of
+from spl_batch.airborne.filter.wires import wire_null
+from spl_batch.airborne.settings import FilterSettings, WireSettings
+from spl_batch.engine.settings.base import Section
 
 DEFAULT = FilterSettings()
 
@@ -39,15 +44,10 @@ def test_look_ups_are_bilinear_and_each_others_inverse(seed: int, rows: int, col
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 50), st.integers(2, 12))
 @settings(max_examples=40, deadline=None)
-def test_look_ups_are_those_of_numpy_and_scipy_to_the_bit(
-    seed: int, rows: int, columns: int
-) -> None:
+def test_values_between_are_those_of_scipy_to_the_bit(seed: int, rows: int, columns: int) -> None:
     rng = np.random.default_rng(seed)
-    grid = np.sort(rng.normal(size=rows))
-    values = np.concatenate([grid, rng.normal(size=60) * 1.5, [-np.inf, np.inf]])
-    row = place_of(values, grid)
-    np.testing.assert_array_equal(row, np.interp(values, grid, np.arange(rows)))
-    column = rng.choice([0.0, 1.0, columns - 1.0, *rng.uniform(0, columns - 1, 30)], len(row))
+    row = rng.choice([0.0, 1.0, rows - 1.0, *rng.uniform(0, rows - 1, 30)], 60)
+    column = rng.choice([0.0, 1.0, columns - 1.0, *rng.uniform(0, columns - 1, 30)], 60)
     table = rng.normal(size=(rows, columns))
     expected = map_coordinates(table, [row, column], order=1, mode="nearest")
     np.testing.assert_array_equal(between(row, column, table), expected)
@@ -83,7 +83,9 @@ def test_other_settings_are_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_axes_are_eigenvalues_or_their_roots() -> None:
-    powers = [shape_of(FilterSettings(axis_power=axes)).power for axes in ("eigenvalue", "root")]
+    powers = [
+        shape_of(FilterSettings(axis_power=axes), 15, 1.5).power for axes in ("eigenvalue", "root")
+    ]
     assert powers == [1.0, 0.5]
 
 
@@ -139,3 +141,46 @@ def test_a_box_that_repeats_itself_has_no_border(density: float) -> None:
     assert inner.mean() == pytest.approx(outer.mean(), rel=0.05)
     within = (found.inside[core] >= 1)[middle].mean(), (found.inside[core] >= 1)[~middle].mean()
     assert within[0] == pytest.approx(within[1], abs=0.06)
+
+
+FILTERS: dict[str, Any] = {
+    "method": "aes",
+    "test": "published",
+    "alpha": 0.02,
+    **{
+        k: getattr(DEFAULT, k)
+        for k in ("wires", "aes", "dcc", "pixels", "voxel", "multilevel", "cylinder")
+    },
+}
+"""Another value of each setting that the null distribution is said not to depend on."""
+
+TABLES = [
+    pytest.param(DEFAULT, null_distribution.IRRELEVANT, id="null_table"),
+    pytest.param(DEFAULT.wires, wire_null.IRRELEVANT, id="wire_null"),
+]
+
+
+@pytest.mark.parametrize(("section", "irrelevant"), TABLES)
+def test_a_setting_is_part_of_the_key_unless_it_is_named(
+    section: Section, irrelevant: frozenset[str]
+) -> None:
+    fields = set(type(section).model_fields)
+    assert irrelevant < fields, "a setting that there is no more"
+    assert set(settings_key(section, irrelevant)) == fields - irrelevant
+
+
+def test_what_is_named_changes_nothing_that_is_drawn() -> None:
+    density = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
+    given = draw_table(DEFAULT, 1500, density)
+    assert set(FILTERS) == null_distribution.IRRELEVANT
+    other = DEFAULT.model_copy(
+        update={**FILTERS, "wires": WireSettings(enabled=False, half_length_m=7.0)}
+    )
+    found = draw_table(other, 1500, density)
+    for name in ("score", "own", "link_m"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(given, name))
+    lax = DEFAULT.wires.model_copy(update={"alpha": 0.05})
+    share = wire_null.draw_shares(lax, 20_000, density[2:3])
+    switched = lax.model_copy(update={"enabled": False, "classify": True})
+    np.testing.assert_array_equal(wire_null.draw_shares(switched, 20_000, density[2:3]), share)
+    assert share > 0

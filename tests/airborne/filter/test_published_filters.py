@@ -10,14 +10,11 @@ from numpy.typing import NDArray
 from spl_batch.airborne.filter.denoise import METHODS, denoise, reach_m
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
 from spl_batch.airborne.filter.filter_interface import Cloud
-from spl_batch.airborne.filter.published import (
-    voxelise,
-    window_counts,
-)
-from spl_batch.airborne.filter.shot_filters import shot_noise
+from spl_batch.airborne.filter.published import shot_noise
 from spl_batch.airborne.settings import FilterSettings
-from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable, canonical_order
+from spl_batch.lattice.tables import BeamTable, PointFlag, canonical_order
 from tests.airborne.beams.test_differential_cell_count import slow_dcc
+from tests.airborne.filter.test_denoise import as_table
 from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
 
 SOURCES = ["aes", "voxel", "multilevel", "cylinder"]
@@ -142,23 +139,6 @@ def test_each_filter_is_its_slow_twin(step: int, shift: int) -> None:
     assert (may == must).mean() > 0.8
     for signal in (voxel, levels, cylinder, ellipsoid):
         assert 0.1 < signal.mean() < 0.9
-
-
-def test_windows_do_not_wrap_around_the_lattice() -> None:
-    # Two voxels that are neighbours in key order alone: top of one column, foot of the next.
-    xyz = np.array([[0, 0, 0], [0, 0, 9000], [0, 1000, 0], [0, 9000, 9000], [1000, 0, 0]])
-    voxels = voxelise(xyz.astype(np.int32), (0, 0, 0), (1000, 1000, 1000))
-    np.testing.assert_array_equal(window_counts(voxels)[voxels.of_point], slow_window(xyz, 1000))
-
-
-def as_table(xyz: NDArray[Any], **columns: NDArray[Any]) -> PointTable:
-    n = len(xyz)
-    zeros = np.zeros(n)
-    names = ("gps_time", "channel", "return_number", "flags", "source")
-    table = PointTable({}).with_columns(
-        x=xyz[:, 0], y=xyz[:, 1], z=xyz[:, 2], index=np.arange(n), **dict.fromkeys(names, zeros)
-    )
-    return table.with_columns(**columns)
 
 
 @pytest.mark.parametrize("method", SOURCES)

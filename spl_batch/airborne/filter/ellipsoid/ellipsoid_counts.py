@@ -31,8 +31,7 @@ from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import (
     no_bodies,
     offsets,
 )
-from spl_batch.airborne.filter.ellipsoid.ellipsoid_walk import measure, walk
-from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, spacing_scratch
+from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, measure, spacing_scratch, walk
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import (
     LEAF,
@@ -77,7 +76,7 @@ def count_inside(
     shape: Shape,
     *,
     alpha: float | NDArray[np.float64],
-    at_most: float = 1.0,
+    at_most: float = math.inf,
     unit: int = 1,
     spacing: NDArray[np.float64] | None = None,
     rule: Spacing = Spacing(1, 1),  # noqa: B008 - a tuple
@@ -89,37 +88,20 @@ def count_inside(
 
     Parameters
     ----------
-    xyz : (n, 3) int32
-        Coordinates relative to any anchor [quanta], rows in canonical order.
-    query : (n,) bool
-        Points to count for.
-    density : (n,) float64
-        Expected noise at each point [1/unit3].
-    alpha : float or (n,) float64
-        Counting stops at the smallest k with P(K >= k | lambda) <= alpha of the point.
-    at_most : float
-        Counts on to there where alpha is larger.
-    unit : int
-        Of the density [quanta].
+    xyz, tree, query, density
+        Points (n, 3) in canonical order [quanta], those to count for, and the noise [1/unit3].
+    alpha, at_most : float or (n,) float64, float
+        Counting stops at the smallest k >= 1 with P(K >= k | lambda) <= alpha of the point, or
+        ``at_most`` if that is less; an alpha above 1 is that k itself.
     spacing : (n,) float64, optional
         Squared spacing at each slot of the tree [quanta2]; without it every neighbour is a peer.
         Unknown ones are negative, and filled in where needed, at query points at least.
-    rule : Spacing
-        What an unknown spacing is.
-    peer_ratio : float
-        A peer's spacing is at least the point's divided by this; >= 1.
-    scores_only : bool
-        Leave the first two of what follows empty.
 
     Returns
     -------
-    count : (n,) int32
-        min(k, critical count) of query points, 0 for others [count].
-    expected : (n,) float64
-        Noise points expected inside [count].
-    tail : (n,) float64
-        P(K >= count | expected) of query points, 1 for others; with ``tie`` the score s
-        where the count is below the critical one.
+    count, expected, tail : (n,) int32, float64, float64
+        min(k, critical count); lambda; P(K >= count | lambda), 1 for others, or with ``tie`` the
+        score s below the critical count. The first two are empty with ``scores_only``.
     """
     check_cap(shape.neighbour_cap)
     check_cap(rule.cap)
@@ -311,7 +293,10 @@ def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
             if mean != known or alpha[at] != level:
                 known, level = mean, alpha[at]
                 log_mean = math.log(mean) if mean > 0.0 else 0.0
-                stop, least = critical_by_logs(mean, level, stop, log_mean, logs)
+                if level <= 1.0:
+                    stop, least = critical_by_logs(mean, level, stop, log_mean, logs)
+                else:
+                    stop, least = int(level), 1.0
             _flags(near, member, found[at], bodies.quadrics)
             if _spacings(near, member, found[at], others, at, space):
                 _learn(

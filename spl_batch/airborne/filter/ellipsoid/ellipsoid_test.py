@@ -21,15 +21,15 @@ is background, unless fewer than :data:`HARDLY_EXPECTED` noise points are expect
 clouds without noise keep their lone returns. Coincident points are neighbours like any other.
 """
 
-from collections.abc import Callable
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid.evidence import Evidence, evidence
-from spl_batch.airborne.filter.ellipsoid.null_distribution import EXACT_TO, null_table
-from spl_batch.airborne.filter.ellipsoid.spacing import enough_peers
+from spl_batch.airborne.filter.ellipsoid.null_distribution import null_table
+from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.lattice.tiles import quanta
@@ -66,60 +66,42 @@ def reach_m(settings: FilterSettings) -> float:
     return reach + (settings.link_m if settings.link_count > 0 else 0.0)
 
 
-def judge(
-    cloud: Cloud,
-    settings: FilterSettings,
-    *,
-    exact: bool = False,
-    spent: Spent | None = None,
-) -> Verdict:
+def judge(cloud: Cloud, settings: FilterSettings, *, spent: Spent | None = None) -> Verdict:
     """Test the points asked for.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        Independent returns of a block and its halo.
-    exact : bool
-        Count on until the score is below 1e-12: p is exact down to there. Otherwise counting stops
-        once the decision stands and, calibrated, the score is below :data:`TOLD_TO`: p farther down
-        is that of the count where counting stopped, an upper bound, the same whatever the tiling.
-    spent : callable, optional
-        Share of pure noise that another test keeps, by noise density. The rest of alpha is spent
-        here, at least half of it.
+    Counting stops once the decision stands and, calibrated, the score is below :data:`TOLD_TO`: p
+    farther down is that of the count where it stopped: an upper bound, the same in any tiling.
 
-    Returns
-    -------
-    Verdict
-        Of the points asked for, in their order. ``p_value`` is the share of pure noise
-        that scores no more for the calibrated test, P(K >= k) for the published one; a linked
-        point has that of its own neighbourhood.
+    ``spent``: share of pure noise that another test keeps, by noise density. The rest of alpha is
+    spent here, at least half of it. ``p_value`` is the share of pure noise that scores no more for
+    the calibrated test, P(K >= k) for the published one; a linked point has that of its own
+    neighbourhood.
     """
     asked = cloud.asked
     if settings.test == "published":
-        stop = min(PUBLISHED_ALPHA, _at_most(settings, exact=exact))
-        found = evidence(cloud.xyz, cloud.density, asked, settings, stop)
+        found = evidence(cloud.xyz, cloud.density, asked, settings, PUBLISHED_ALPHA)
         signal = noise_tail_probability(found.inside + 1, found.expected) <= PUBLISHED_ALPHA
         return Verdict(signal[asked], found.score[asked].astype(np.float32))
     linked = settings.link_count > 0
     assessed = cloud.around(quanta(settings.link_m), (0, 1, 2)) if linked else asked
-    most = _at_most(settings, exact=exact)
     # Of a block of millions each array counts, above all while the tree is built.
     tree = build(cloud.xyz)
     limit = _limits(cloud.density, assessed, settings, spent)
     found = evidence(
         cloud.xyz, cloud.density, assessed, settings, limit,
-        at_most=most, scores_only=True, tree=tree,
+        at_most=TOLD_TO, scores_only=True, tree=tree,
     )  # fmt: skip
     signal = assessed & (found.score <= limit)
     del limit
     if linked:
         weak, link = _weak(cloud.density, found.score, asked & ~signal, settings, spent)
         _pass_with_peers(signal, weak, link, cloud.xyz, found, settings)
-    p_value = found.score[asked]
+    p_value, table = found.score, null_table(settings)
     del found, tree
-    p_value = _batched(null_table(settings).p_value, cloud.density[asked], p_value)
+    for rows in _batches(asked):
+        p_value[rows] = table.p_value(cloud.density[rows], p_value[rows])
     kept = signal[asked] | _hardly_expected(cloud.density[asked], settings)
-    return Verdict(kept, p_value.astype(np.float32))
+    return Verdict(kept, p_value[asked].astype(np.float32))
 
 
 def _pass_with_peers(
@@ -139,27 +121,18 @@ def _pass_with_peers(
     rows, own = row[slot], found.spacing[slot]
     # A point that does not pass alone is nobody's peer.
     found.spacing[~signal[row]] = -1.0
-    signal[rows] = enough_peers(
-        found.tree, found.spacing, xyz[rows], own, link[np.searchsorted(weak, rows)],
-        settings.link_count, settings.peer_ratio,
+    signal[rows] = np.isfinite(
+        peer_distances(
+            found.tree, found.spacing, xyz[rows], own, link[np.searchsorted(weak, rows)],
+            settings.link_count, settings.peer_ratio,
+        )
     )  # fmt: skip
 
 
-def _limits(
-    density: NDArray[np.float64],
-    assessed: NDArray[np.bool_],
-    settings: FilterSettings,
-    spent: Spent | None,
-) -> NDArray[np.float64]:
-    """Score that passes alone: (n,) float64, 0 for what is not assessed.
-
-    In batches of points: the look-up in a table takes many arrays.
-    """
-    limit = np.zeros(len(density))
-    for first in range(0, len(density), BATCH):
-        rows = first + np.flatnonzero(assessed[first : first + BATCH])
-        limit[rows] = _limit(density[rows], settings, _left(spent, settings, density[rows]))
-    return limit
+def _batches(chosen: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
+    """Chosen rows, some at a time, as a look-up in a table takes many arrays; at least once."""
+    for first in range(0, max(len(chosen), 1), BATCH):
+        yield first + np.flatnonzero(chosen[first : first + BATCH])
 
 
 def _left(
@@ -170,27 +143,20 @@ def _left(
     return settings.alpha - np.minimum(taken, LEAST * settings.alpha)
 
 
-def _limit(
-    density: NDArray[np.float64], settings: FilterSettings, alpha: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Score that passes alone, where a share ``alpha`` of noise is to be kept: (m,) float64."""
-    table = null_table(settings)
-    return table.critical(
-        density, table.alone(density, alpha) if settings.link_count > 0 else alpha
-    )
-
-
-def _batched(
-    compute: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
+def _limits(
     density: NDArray[np.float64],
-    values: NDArray[np.float64],
+    assessed: NDArray[np.bool_],
+    settings: FilterSettings,
+    spent: Spent | None,
 ) -> NDArray[np.float64]:
-    """The same in batches of points: the look-up in a table takes many arrays."""
-    out = np.empty(len(density))
-    for first in range(0, len(out), BATCH):
-        some = slice(first, first + BATCH)
-        out[some] = compute(density[some], values[some])
-    return out
+    """Score that passes alone: (n,) float64, 0 for what is not assessed."""
+    limit, table = np.zeros(len(density)), null_table(settings)
+    for rows in _batches(assessed):
+        own = _left(spent, settings, density[rows])
+        if settings.link_count > 0:
+            own = table.alone(density[rows], own)
+        limit[rows] = table.critical(density[rows], own)
+    return limit
 
 
 def _weak(
@@ -200,38 +166,15 @@ def _weak(
     settings: FilterSettings,
     spent: Spent | None,
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Chosen points that pass with links, and their longest links [quanta]; in batches."""
-    rows, links = [], []
-    for first in range(0, max(len(density), 1), BATCH):
-        some = first + np.flatnonzero(chosen[first : first + BATCH])
-        rule = _links(density[some], settings, _left(spent, settings, density[some]))
-        enough = score[some] <= rule.weak
-        rows.append(some[enough])
-        links.append(rule.link[enough])
-    return np.concatenate(rows), np.concatenate(links)
-
-
-class _Links(NamedTuple):
-    """Limits at each point: score that passes with links, longest link [quanta]."""
-
-    weak: NDArray[np.float64]
-    link: NDArray[np.float64]
-
-
-def _links(
-    density: NDArray[np.float64], settings: FilterSettings, alpha: NDArray[np.float64]
-) -> _Links:
-    """Score that passes with links, and longest link [quanta]."""
-    table = null_table(settings)
-    # no longer than the halo was made for
-    link = np.minimum(table.link(density, alpha), settings.link_m) * quanta(1.0)
-    return _Links(table.critical(density, settings.weak_alpha), link)
-
-
-def _at_most(settings: FilterSettings, *, exact: bool) -> float:
-    """Score down to which counting goes on beyond the decision."""
-    told = TOLD_TO if settings.test == "calibrated" else 1.0
-    return min(told, EXACT_TO) if exact else told
+    """Chosen points that pass with links, and their longest links [quanta]."""
+    found, links, table = [], [], null_table(settings)
+    for rows in _batches(chosen):
+        weak = rows[score[rows] <= table.critical(density[rows], settings.weak_alpha)]
+        link = table.link(density[weak], _left(spent, settings, density[weak]))
+        found.append(weak)
+        # no longer than the halo was made for
+        links.append(np.minimum(link, settings.link_m) * quanta(1.0))
+    return np.concatenate(found), np.concatenate(links)
 
 
 def _hardly_expected(density: NDArray[np.float64], settings: FilterSettings) -> NDArray[np.bool_]:

@@ -36,11 +36,11 @@ class Evidence(NamedTuple):
     tree: KdTree
 
 
-def shape_of(settings: FilterSettings) -> Shape:
+def shape_of(settings: FilterSettings, neighbours: int, radius_m: float) -> Shape:
     """How neighbours become an ellipsoid, in quanta."""
     return Shape(
-        neighbours=settings.neighbours,
-        radius=float(quanta(settings.radius_m)),
+        neighbours=neighbours,
+        radius=float(quanta(radius_m)),
         floor=float(quanta(settings.eigen_floor_m)),
         axis_cap=float(quanta(settings.axis_cap_m)),
         neighbour_cap=quanta(settings.neighbour_cap_m),
@@ -59,27 +59,10 @@ def evidence(
     scores_only: bool = False,
     tree: KdTree | None = None,
 ) -> Evidence:
-    """Scores of the points asked for.
+    """Scores of the points asked for, in canonical order [quanta; noise 1/m3].
 
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates in canonical order [quanta].
-    density : (n,) float64
-        Expected noise [1/m3].
-    asked : (n,) bool
-        Points to score.
-    settings : FilterSettings
-        The test: the published one counts every neighbour, the others peers only;
-        the calibrated one breaks the ties of counts.
-    stop : float or (n,) float64
-        Counting stops once the score is no larger.
-    at_most : float
-        Counts on to there where ``stop`` is larger.
-    scores_only : bool
-        Whether counts, found and expected, are not wanted.
-    tree : KdTree, optional
-        Of ``xyz``, where there is one already.
+    The published test counts every neighbour, the calibrated one peers only, and breaks the ties of
+    counts. Counting stops once the score is no larger than ``stop``, or ``at_most`` if less.
     """
     spacing = np.full(len(xyz), 0.0 if settings.test == "published" else -1.0)
     tree = build(xyz) if tree is None else tree
@@ -88,7 +71,7 @@ def evidence(
         tree,
         asked,
         density,
-        shape_of(settings),
+        shape_of(settings, settings.neighbours, settings.radius_m),
         alpha=stop,
         at_most=at_most,
         unit=QUANTA_PER_M,

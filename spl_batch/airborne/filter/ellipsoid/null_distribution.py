@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid.evidence import evidence
-from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, place_of, value_of
+from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, value_of
 from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.engine.settings.base import Section
@@ -135,14 +135,14 @@ class NullTable:
         """Exponential of a table's value, linear between its rows and columns: (n,)."""
         row = self._row(density)
         wanted = -np.log(np.broadcast_to(alpha, density.shape))
-        column = place_of(wanted, -self.alpha)
+        column = np.interp(wanted, -self.alpha, np.arange(len(self.alpha)))
         found: NDArray[np.float64] = np.exp(between(row, column, table))
         return found
 
     def _row(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
         """Row of the table, with its fraction; its ends beyond them."""
         log_density = np.log(np.maximum(density, np.finfo(np.float64).tiny))
-        return place_of(log_density, self.density)
+        return np.interp(log_density, self.density, np.arange(len(self.density)))
 
     def _slope(self) -> float:
         """Change of log p with log score over the last decade of the table, mean over densities."""
@@ -152,15 +152,7 @@ class NullTable:
 
 
 def settings_key(settings: Section, irrelevant: frozenset[str]) -> dict[str, Any]:
-    """Settings that a drawn table belongs to: all but those that do not matter to it.
-
-    Parameters
-    ----------
-    settings : Section
-        Of the filter, or of a part of it.
-    irrelevant : frozenset of str
-        Names of the settings that do not matter.
-    """
+    """Settings, of the filter or a part of it, that a drawn table belongs to: all that matter."""
     return settings.model_dump(mode="json", exclude=set(irrelevant))
 
 
@@ -173,15 +165,16 @@ def null_table(settings: FilterSettings) -> NullTable:
 
 @lru_cache(maxsize=8)
 def _table(key: str) -> NullTable:
-    text = (
-        resources.files("spl_batch.airborne.filter.ellipsoid")
-        .joinpath(FILE)
-        .read_text(encoding="utf-8")
-    )
-    shipped = json.loads(text)
-    if shipped["settings"] == json.loads(key):
-        return parse_table(shipped)
+    content = shipped(__package__, FILE)
+    if content["settings"] == json.loads(key):
+        return parse_table(content)
     return draw_table(FilterSettings(test="calibrated", **json.loads(key)), POINTS, DENSITIES[::2])
+
+
+def shipped(package: str, file: str) -> dict[str, Any]:
+    """Content of a table that ships with a package."""
+    content: dict[str, Any] = json.loads((resources.files(package) / file).read_text("utf-8"))
+    return content
 
 
 def parse_table(content: Mapping[str, Any]) -> NullTable:
@@ -259,23 +252,9 @@ def _smooth(drawn: NDArray[np.float64]) -> NDArray[np.float64]:
 def periodic_noise(
     rng: np.random.Generator, density: float, points: int, settings: FilterSettings
 ) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.bool_]]:
-    """Uniform noise in a box that repeats itself, as far as the test looks.
+    """Uniform noise in a box that repeats itself, as far as the test looks; see :func:`repeated`.
 
-    Parameters
-    ----------
-    density : float
-        [1/m3].
-    points : int
-        Points wanted in the box [count]; it is no narrower than the test's reach.
-
-    Returns
-    -------
-    xyz : (n, 3) int32
-        Points of the box, then their images around it [quanta].
-    source : (n,) intp
-        Row of the point in the box.
-    core : (n,) bool
-        Points of the box.
+    The box holds ``points`` on average and is no narrower than the test's reach.
     """
     around = max(settings.neighbour_cap_m, settings.axis_cap_m + settings.spacing_cap_m)
     around = quanta(max(around, settings.link_m))
@@ -289,14 +268,9 @@ def repeated(
     size: NDArray[np.int64],
     around: NDArray[np.int64],
 ) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.bool_]]:
-    """Uniform noise in a box of any size, and its images around it.
+    """Uniform noise [1/m3] in a box of any size, and its images ``around`` it [quanta].
 
-    Parameters
-    ----------
-    rng, density
-        As for :func:`periodic_noise`, which says what is returned.
-    size, around : (3,) int64
-        Edges of the box; width of the images around it, at most the same [quanta].
+    Points (n, 3) of the box, then the images; the row of each in the box; which are no images.
     """
     number = rng.poisson(density * float(np.prod(size / quanta(1.0))))
     xyz = rng.integers(0, size, (number, 3))

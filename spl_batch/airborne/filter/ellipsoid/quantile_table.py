@@ -4,60 +4,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.sorting import first_above
-
-
-def place_of(values: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places of values in a grid, with their fractions: what ``numpy.interp`` gives, sooner.
-
-    Parameters
-    ----------
-    values : (n,) float64
-        What is looked up; neighbours are looked for beside each other.
-    grid : (k,) float64
-        Ascending, k >= 2.
-
-    Returns
-    -------
-    (n,) float64
-        0 and k - 1 beyond the ends.
-    """
-    out = np.empty(len(values), dtype=np.float64)
-    _places(values, grid, out)
-    return out
-
-
-@njit()
-def _places(values, grid, out):  # type: ignore[no-untyped-def]
-    last, at = len(grid) - 1, 0
-    for i in range(len(values)):
-        value = values[i]
-        if not grid[0] <= value < grid[last]:
-            out[i] = (
-                0.0 if value < grid[0] else (np.float64(last) if value >= grid[last] else value)
-            )
-            continue
-        if not grid[at] <= value < grid[at + 1]:
-            at = first_above(grid, value) - 1
-        out[i] = 1.0 / (grid[at + 1] - grid[at]) * (value - grid[at]) + at
 
 
 def between(
     row: NDArray[np.float64], column: NDArray[np.float64], table: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Values of a table linear between its rows and columns.
+    """Values of a table (d, k) linear between its rows and columns, at fractional places: (n,).
 
-    Parameters
-    ----------
-    row, column : (n,) float64
-        Places of :func:`place_of`.
-    table : (d, k) float64
-        Values, d and k >= 2.
-
-    Returns
-    -------
-    (n,) float64
-        What ``scipy.ndimage.map_coordinates`` of order 1 gives, sooner.
+    What ``scipy.ndimage.map_coordinates`` of order 1 gives, sooner.
     """
     out = np.empty(len(row), dtype=np.float64)
     _between(row, column, table, out)
@@ -86,30 +40,10 @@ def value_of(
     slope: float,
 ) -> NDArray[np.float64]:
     """Quantiles at levels; arguments as for :func:`level_of`, its inverse."""
-    out = np.empty(len(at), dtype=np.float64)
-    _values(at, level, quantile, levels, slope, out)
-    return out
-
-
-@njit()
-def _mixed(quantile, row, part, column):  # type: ignore[no-untyped-def]
-    return quantile[row, column] * (1.0 - part) + quantile[row + 1, column] * part
-
-
-@njit()
-def _values(at, level, quantile, levels, slope, out):  # type: ignore[no-untyped-def]
-    rows, last = quantile.shape[0], quantile.shape[1] - 1
-    rising = -levels
-    for i in range(len(at)):
-        row = min(int(at[i]), rows - 2)
-        part = at[i] - row
-        if level[i] < levels[last]:
-            out[i] = _mixed(quantile, row, part, last) + (level[i] - levels[last]) / slope
-            continue
-        column = min(first_above(rising, -level[i]) - 1, last - 1)
-        share = (level[i] - levels[column]) / (levels[column + 1] - levels[column])
-        first = _mixed(quantile, row, part, column)
-        out[i] = first + share * (_mixed(quantile, row, part, column + 1) - first)
+    beyond = np.minimum(level - levels[-1], 0.0) / slope
+    column = np.interp(-level, -levels, np.arange(len(levels)))
+    found: NDArray[np.float64] = between(at, column, quantile) + beyond
+    return found
 
 
 def level_of(
@@ -119,29 +53,19 @@ def level_of(
     level: NDArray[np.float64],
     slope: float,
 ) -> NDArray[np.float64]:
-    """Level at which the quantile of an interpolated row equals a value.
+    """Level at which the quantile of an interpolated row of a table (d, p) equals a value: (n,).
 
-    Parameters
-    ----------
-    at : (n,) float64
-        Row of the table, with its fraction.
-    value : (n,) float64
-        What is looked up.
-    quantile : (d, p) float64
-        Quantiles, descending along each row.
-    level : (p,) float64
-        Level of each column, descending.
-    slope : float
-        Level per value beyond the last column.
-
-    Returns
-    -------
-    (n,) float64
-        The largest such level; the first where the value lies above the row's first quantile.
+    Quantiles and levels descend; beyond the last column there are ``slope`` levels per value. The
+    largest such level; the first where the value lies above the row's first quantile.
     """
     out = np.empty(len(value), dtype=np.float64)
     _levels(at, value, quantile, level, slope, out)
     return out
+
+
+@njit()
+def _mixed(quantile, row, part, column):  # type: ignore[no-untyped-def]
+    return quantile[row, column] * (1.0 - part) + quantile[row + 1, column] * part
 
 
 @njit()

@@ -24,13 +24,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import flag
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import (
     LEAF,
     U0,
     U1,
+    U2,
+    U3,
+    U4,
+    U5,
     KdTree,
     box_distance,
+    leaf_of,
     leaf_slots,
     nearest_keys,
 )
@@ -44,57 +50,93 @@ class Spacing(NamedTuple):
 
 
 @njit()
-def spacing_at(points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound):  # type: ignore[no-untyped-def]
-    """Squared spacing of one slot; arguments as for :func:`nearest_keys` [quanta2]."""
-    found = nearest_keys(
-        points, boxes, depth, leaf, slot, rule.cap, keys, distance, fresh, stack, bound
-    )
-    if found == rule.neighbours:
-        return np.float64(keys[found - 1] >> 32)
-    return np.float64(rule.cap) * np.float64(rule.cap)
-
-
-@njit()
 def spacing_scratch(rule):  # type: ignore[no-untyped-def]
-    """Arrays for :func:`spacing_at`: ``keys, distance, fresh, stack, bound``."""
+    """Arrays for :func:`measure`: ``keys, distance, fresh, stack, bound``."""
     return (
         np.empty(rule.neighbours, np.int64), np.empty(LEAF), np.empty(LEAF, np.int64),
         np.empty(64, np.uint64), np.empty(64),
     )  # fmt: skip
 
 
-def enough_peers(
-    tree: KdTree,
-    spacing: NDArray[np.float64],
-    places: NDArray[np.int32],
-    own: NDArray[np.float64],
-    radius: float | NDArray[np.float64],
-    wanted: int,
-    peer_ratio: float,
-) -> NDArray[np.bool_]:
-    """Which places have enough peers around them: (m,) bool.
+@njit()
+def measure(points, boxes, depth, slot, space, rule, scratch):  # type: ignore[no-untyped-def]
+    """Find out a slot's squared spacing [quanta2]."""
+    keys, distance, fresh, stack, bound = scratch
+    leaf = leaf_of(slot, depth, np.uint64(points.shape[1]))
+    found = nearest_keys(
+        points, boxes, depth, leaf, slot, rule.cap, keys, distance, fresh, stack, bound
+    )
+    space[slot] = np.float64(rule.cap) * np.float64(rule.cap)
+    if found == rule.neighbours:
+        space[slot] = np.float64(keys[found - 1] >> 32)
 
-    Parameters
-    ----------
-    spacing : (n,) float64
-        Squared spacings of the points, by slot [quanta2]; negative for those that do not count.
-    places : (m, 3) int32
-        Coordinates relative to the tree's anchor [quanta].
-    own : (m,) float64
-        Squared spacings of the places, >= 0 [quanta2].
-    radius : float or (m,) float64
-        Farthest point that counts, inclusive [quanta].
-    wanted : int
-        Points needed [count], >= 1.
-    peer_ratio : float
-        A peer's spacing is at least the place's divided by this.
-    """
-    out = np.zeros(len(places), dtype=np.bool_)
-    if tree.points.size:
-        wide = spacing * (peer_ratio * peer_ratio)
-        limit = np.ascontiguousarray(np.broadcast_to(np.square(np.float64(radius)), (len(places),)))
-        _enough_all(tree.points, tree.boxes, tree.depth, wide, places, own, limit, wanted, out)
-    return out
+
+@njit()
+def _misses(boxes, node, x, y, z, vectors, axes, half):  # type: ignore[no-untyped-def]
+    """Whether a node's box lies beyond the ellipsoid's box, or its slab along an own axis."""
+    cx = 0.5 * (np.float64(boxes[node, U0]) + np.float64(boxes[node, U3])) - x
+    cy = 0.5 * (np.float64(boxes[node, U1]) + np.float64(boxes[node, U4])) - y
+    cz = 0.5 * (np.float64(boxes[node, U2]) + np.float64(boxes[node, U5])) - z
+    hx = 0.5 * (np.float64(boxes[node, U3]) - np.float64(boxes[node, U0]))
+    hy = 0.5 * (np.float64(boxes[node, U4]) - np.float64(boxes[node, U1]))
+    hz = 0.5 * (np.float64(boxes[node, U5]) - np.float64(boxes[node, U2]))
+    if abs(cx) > half[0] + hx or abs(cy) > half[1] + hy or abs(cz) > half[2] + hz:
+        return True
+    for i in range(3):
+        vx, vy, vz = vectors[i, 0], vectors[i, 1], vectors[i, 2]
+        reach = axes[i] + abs(vx) * hx + abs(vy) * hy + abs(vz) * hz + 1.0
+        if abs(vx * cx + vy * cy + vz * cz) > reach:
+            return True
+    return False
+
+
+@njit()
+def walk(  # type: ignore[no-untyped-def]  # noqa: C901
+    points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack,
+    space, rule, ratio2, scratch, outer,
+):  # fmt: skip
+    """Peers inside the ellipsoid around a slot, up to ``stop``, from its leaf upwards."""
+    n = np.uint64(points.shape[1])
+    first = U1 << depth
+    x = np.float64(points[U0, slot])
+    y = np.float64(points[U1, slot])
+    z = np.float64(points[U2, slot])
+    least = space[slot]
+    count = -1
+    outer[0] = 0.0
+    climb = leaf
+    stack[0] = leaf
+    while True:
+        top = U1
+        while top > U0:
+            top -= U1
+            node = stack[top]
+            if _misses(boxes, node, x, y, z, vectors, axes, half):
+                continue
+            if node < first:
+                stack[top] = node + node
+                stack[top + U1] = node + node + U1
+                top += U1 + U1
+                continue
+            low, high = leaf_slots(node, depth, n)
+            for i in range(low, high):
+                dx = np.float64(points[U0, i]) - x
+                dy = np.float64(points[U1, i]) - y
+                dz = np.float64(points[U2, i]) - z
+                outside = flag(quadric, dx, dy, dz)
+                if outside >= 1.0:
+                    continue
+                if space[i] < 0.0:
+                    measure(points, boxes, depth, i, space, rule, scratch)
+                if space[i] * ratio2 >= least:
+                    count += 1
+                    outer[0] = max(outer[0], outside)
+            if count >= stop:
+                return stop
+        if climb <= U1:
+            return count
+        stack[0] = climb ^ U1
+        climb >>= U1
 
 
 def peer_distances(
@@ -102,92 +144,22 @@ def peer_distances(
     spacing: NDArray[np.float64],
     places: NDArray[np.int32],
     own: NDArray[np.float64],
-    radius: float,
+    radius: float | NDArray[np.float64],
     wanted: int,
     peer_ratio: float,
 ) -> NDArray[np.float64]:
-    """Distance from places to their n-th nearest peer.
+    """Distance from places to their n-th nearest peer, infinite if there are fewer: (m,) [quanta].
 
-    Parameters
-    ----------
-    tree, spacing, places, own, wanted, peer_ratio
-        As for :func:`enough_peers`.
-    radius : float
-        Farthest point looked at, inclusive [quanta].
-
-    Returns
-    -------
-    (m,) float64
-        Distance to peer number ``wanted`` [quanta]; infinite where there are fewer.
+    ``spacing``: of the points, squared, by slot; negative for those that do not count. ``own``: of
+    the places (m, 3), squared. ``radius``: of each or all, inclusive. A point at a place counts.
     """
     squared = np.full(len(places), np.inf)
     if tree.points.size:
         wide = spacing * (peer_ratio * peer_ratio)
-        limit = float(radius) ** 2
+        limit = np.ascontiguousarray(np.broadcast_to(np.square(np.float64(radius)), len(places)))
         _distances(tree.points, tree.boxes, tree.depth, wide, places, own, limit, wanted, squared)
     distance: NDArray[np.float64] = np.sqrt(squared)
     return distance
-
-
-@njit()
-def peers_within(points, boxes, depth, wide, x, y, z, own, limit, wanted, stack):  # type: ignore[no-untyped-def]
-    """Peers within a distance of a place, nearer branch first; stops at ``wanted``.
-
-    Parameters
-    ----------
-    points, boxes, depth
-        The tree; the depth as uint64.
-    wide : (n,) float64
-        Squared spacing by slot, times the squared ratio [quanta2].
-    x, y, z : float
-        The place.
-    own : float
-        Its squared spacing [quanta2].
-    limit : float
-        Squared distance, inclusive [quanta2].
-    stack : (64,) uint64
-        Scratch.
-
-    Returns
-    -------
-    int
-        Peers, a point at the place itself included; at most one leaf more than ``wanted``.
-    """
-    n = np.uint64(points.shape[1])
-    first = U1 << depth
-    count = 0
-    stack[0] = U1
-    top = U1
-    while top > U0 and count < wanted:
-        top -= U1
-        node = stack[top]
-        if box_distance(boxes, node, x, y, z) > limit:
-            continue
-        if node >= first:
-            low, high = leaf_slots(node, depth, n)
-            for slot in range(low, high):
-                dx, dy, dz = points[U0, slot] - x, points[1, slot] - y, points[2, slot] - z
-                near = dx * dx + dy * dy + dz * dz <= limit
-                count += near & (wide[slot] >= own)
-            continue
-        near_node, far = node + node, node + node + U1
-        if box_distance(boxes, far, x, y, z) < box_distance(boxes, near_node, x, y, z):
-            near_node, far = far, near_node
-        stack[top] = far
-        stack[top + U1] = near_node
-        top += U1 + U1
-    return count
-
-
-@njit()
-def _enough_all(points, boxes, depth, wide, places, own, limit, wanted, out):  # type: ignore[no-untyped-def]
-    stack = np.empty(64, dtype=np.uint64)
-    depth = np.uint64(depth)
-    for i in range(len(places)):
-        x, y, z = np.float64(places[i, 0]), np.float64(places[i, 1]), np.float64(places[i, 2])
-        out[i] = wanted <= peers_within(
-            points, boxes, depth, wide, x, y, z, own[i], limit[i], wanted, stack
-        )
 
 
 @njit()
@@ -204,7 +176,7 @@ def _distances(points, boxes, depth, wide, places, own, limit, wanted, out):  # 
         while top > U0:
             top -= U1
             node = stack[top]
-            if box_distance(boxes, node, x, y, z) > min(limit, best[wanted - 1]):
+            if box_distance(boxes, node, x, y, z) > min(limit[i], best[wanted - 1]):
                 continue
             if node < first:
                 stack[top] = node + node
@@ -215,7 +187,7 @@ def _distances(points, boxes, depth, wide, places, own, limit, wanted, out):  # 
             for slot in range(low, high):
                 dx, dy, dz = points[U0, slot] - x, points[1, slot] - y, points[2, slot] - z
                 d2 = dx * dx + dy * dy + dz * dz
-                if d2 > limit or d2 >= best[wanted - 1] or wide[slot] < own[i]:
+                if d2 > limit[i] or d2 >= best[wanted - 1] or wide[slot] < own[i]:
                     continue
                 j = wanted - 1
                 while j > 0 and best[j - 1] > d2:

@@ -73,13 +73,6 @@ def grid(reach, radius, slope_max):  # type: ignore[no-untyped-def]
     return step, turns, np.int64(2.0 * slope_max / step) + 1
 
 
-@njit(inline="always")
-def window(flat, reach):  # type: ignore[no-untyped-def]
-    """Half-width of a neighbour's window [cells], by its squared distance."""
-    share = flat / (reach * reach)
-    return 1 if share >= 0.25 else (3 if share >= 0.0625 else 7)
-
-
 @njit()
 def tube_volume(reach, least, step):  # type: ignore[no-untyped-def]
     """Volume of all windows along one direction [quanta3]."""
@@ -226,29 +219,18 @@ def _cone(  # type: ignore[no-untyped-def]
 
 @njit()
 def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
-    points, start, nx, ny, edge, corner, seed, length, density, largest,
-    radius, least, slope_max, bend, count, azimuth, slope, expected,
+    made, seed, length, density, largest, radius, least, slope_max, bend, count, azimuth, slope,
+    expected,
 ):  # fmt: skip
     """Fullest tube of every seed, column by column, each column from below.
 
-    Parameters
-    ----------
-    points, start, nx, ny, edge, corner
-        The columns.
-    seed : (n,) int32
-        Number of the seed, from 0, by row; negative for points that are none.
-    length, density : (m,) float64
-        Half-length [quanta] and background [1/quanta3] of each seed.
-    largest : (k,) float64
-        Largest lambda at which so many returns make a tube worth keeping.
-    radius, least : float
-        Half-width of a tube; nearest neighbour that tells a direction [quanta].
-    slope_max, bend : float
-        Steepest tube [rise/run]; parabola z = bend h^2 [1/quanta].
-    count, azimuth, slope, expected
-        (m,) of each seed, out: K, or 0 where the tube is not worth keeping; direction
-        [rad, rise/run]; lambda.
+    ``seed`` (n,) has the number of the seed by row, negative for points that are none; ``length``
+    and ``density`` its half-length [quanta] and background [1/quanta3]; ``largest`` the largest
+    lambda at which so many returns make a tube worth keeping. ``count``, 0 where it is not,
+    ``azimuth``, ``slope`` and ``expected`` are filled, (m,) by seed.
     """
+    points, start, edge, corner = made.points, made.start, made.edge, made.corner
+    nx, ny = made.shape
     longest = 0.0
     for i in range(len(length)):
         longest = max(longest, length[i])

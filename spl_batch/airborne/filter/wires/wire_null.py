@@ -16,13 +16,12 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.ellipsoid.null_distribution import repeated, settings_key
+from spl_batch.airborne.filter.ellipsoid.null_distribution import repeated, settings_key, shipped
 from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.filter.wires.wire_scan import scan
 from spl_batch.airborne.settings import FilterSettings, WireSettings
@@ -107,14 +106,9 @@ def wire_null(wires: WireSettings) -> WireNull:
 
 @lru_cache(maxsize=8)
 def _table(key: str) -> WireNull:
-    text = (
-        resources.files("spl_batch.airborne.filter.wires")
-        .joinpath(FILE)
-        .read_text(encoding="utf-8")
-    )
-    shipped = json.loads(text)
-    table = parse_table(shipped)
-    if shipped["settings"] == json.loads(key):
+    content = shipped(__package__, FILE)
+    table = parse_table(content)
+    if content["settings"] == json.loads(key):
         return table
     share = draw_shares(WireSettings(**json.loads(key)), POINTS, COARSE)
     return WireNull(np.log(COARSE), smoothed(share), table.power)
@@ -144,20 +138,7 @@ def draw_shares(
     tell: Callable[[float], None] = lambda _: None,
     workers: int = 1,
 ) -> NDArray[np.float64]:
-    """Share of uniform noise that the scan keeps.
-
-    Parameters
-    ----------
-    densities : (d,) float64
-        [1/m3].
-    tell : callable
-        Called with each density before it is drawn.
-
-    Returns
-    -------
-    (d,) float64
-        The same for the same settings, points and densities.
-    """
+    """Share of uniform noise of some densities [1/m3] that the scan keeps: (d,)."""
     wires = wires.model_copy(update={"enabled": True})
 
     def one(i: int) -> float:
@@ -173,13 +154,11 @@ def _share(rng: np.random.Generator, density: float, points: int, wires: WireSet
     # A tube through a point, and what lies in one that agrees with it.
     around = min(2.0 * wires.half_length_m + SLACK_M, side)
     up = min(wires.slope_max * around + SLACK_M, HEIGHT_M)
-    size, margin = np.array([side, side, HEIGHT_M]), np.array([around, around, up])
-    xyz, _, core = repeated(rng, density, quanta_of(size), quanta_of(margin))
+    size, margin = (
+        np.array([quanta(float(length)) for length in box])
+        for box in ((side, side, HEIGHT_M), (around, around, up))
+    )
+    xyz, _, core = repeated(rng, density, size, margin)
     nothing = np.zeros(len(xyz), np.bool_)
     cloud = Cloud(xyz, (0, 0, 0), np.full(len(xyz), density), core, nothing)
     return float(scan(cloud, wires).signal.mean())
-
-
-def quanta_of(metres: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Lengths in quanta."""
-    return np.array([quanta(float(length)) for length in metres])

@@ -9,7 +9,7 @@ flightline are noise. What it has is length. The scan
    (:mod:`~spl_batch.airborne.filter.wires.line_hough`), and half as long again where enough was
    found: p = directions tried x P(K >= k | lambda of the tube);
 3. counts the tubes that agree: those that prolong it over ``stretch`` times its half-length and
-   those of conductors beside it (:mod:`~spl_batch.airborne.filter.wires.tube_agreement`). Each is
+   those of conductors beside it (:mod:`~spl_batch.airborne.filter.wires.tubes`). Each is
    worth :data:`INLINE` or :data:`ABREAST` powers of ten;
 4. drops tubes that cross others on their line, or lie in a sheet of returns;
 5. keeps points in at least ``votes`` tubes that are significant with all of this. A chance tube
@@ -22,15 +22,6 @@ Tubes shrink where more than :data:`CROWD` noise points would be met. A hash of 
 draws the points to start from; all others are counted and voted for.
 
 Nothing here needs the verdict of the ellipsoid test, so the reaches of the two do not add.
-
-Clearance of a tube: what is around it, whether its line hangs free and goes from end to end.
-
-====== ==========================================================================
-symbol name
-====== ==========================================================================
-x, y, v offset of a return from a tube's line: along, across, upwards [quanta]
-d       max(|y|, |v|): how far it is off the line, in square rings [quanta]
-====== ==========================================================================
 """
 
 import math
@@ -40,74 +31,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from spl_batch.airborne.filter.cube_counts import cube_counts
 from spl_batch.airborne.filter.filter_interface import Cloud
-from spl_batch.airborne.filter.wires.cube_counts import cube_counts
 from spl_batch.airborne.filter.wires.line_hough import fullest
-from spl_batch.airborne.filter.wires.tube_agreement import agreeing, refine, vote
+from spl_batch.airborne.filter.wires.tubes import (
+    PARTS,
+    Tubes,
+    agreeing,
+    refine,
+    surroundings,
+    vote,
+)
 from spl_batch.airborne.settings import WireSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
-from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.neighbours.lattice_columns import Columns, columns, first_above, stretch_of
+from spl_batch.numerics.neighbours.lattice_columns import Columns, columns
 from spl_batch.numerics.poisson import noise_tail_probability
-
-PARTS: Final = 8
-"""Equal parts of a tube that are told apart [count]."""
-
-
-@njit()
-def around_tubes(  # type: ignore[no-untyped-def]
-    points, start, nx, ny, edge, corner, middle, azimuth, slope, length, rings, bend, count, held
-):  # fmt: skip
-    """Count the returns within some distances of each tube's line.
-
-    Parameters
-    ----------
-    points, start, nx, ny, edge, corner
-        The columns.
-    middle, azimuth, slope, length
-        The tubes: (m, 3) [quanta], (m,) [rad, rise/run, quanta].
-    rings : (k,) float64
-        Distances d, ascending [quanta].
-    bend : float
-        Parabola of a hanging line [1/quanta].
-    count : (m, k) int32
-        Receives the returns of ``|x| <= length`` no farther off than each distance.
-    held : (m, PARTS) bool
-        Receives which parts of the tube hold returns within the first distance; must be False.
-    """
-    wide = rings[-1]
-    for s in range(len(middle)):
-        along_x, along_y = math.cos(azimuth[s]), math.sin(azimuth[s])
-        reach = length[s]
-        far = reach + wide
-        i0, i1 = stretch_of(middle[s, 0] - corner[0], far, edge, nx)
-        j0, j1 = stretch_of(middle[s, 1] - corner[1], far, edge, ny)
-        for i in range(i0, i1):
-            for j in range(j0, j1):
-                cx = corner[0] + (i + 0.5) * edge - middle[s, 0]
-                cy = corner[1] + (j + 0.5) * edge - middle[s, 1]
-                if abs(cy * along_x - cx * along_y) > wide + 0.71 * edge:
-                    continue
-                x = cx * along_x + cy * along_y
-                low = middle[s, 2] + slope[s] * x - abs(slope[s]) * edge - wide
-                high = low + 2.0 * (abs(slope[s]) * edge + wide) + bend * (abs(x) + edge) ** 2
-                end = start[i * ny + j + 1]
-                for slot in range(first_above(points, start[i * ny + j], end, low), end):
-                    if points[2, slot] > high:
-                        break
-                    dx, dy = points[0, slot] - middle[s, 0], points[1, slot] - middle[s, 1]
-                    x = dx * along_x + dy * along_y
-                    if abs(x) > reach:
-                        continue
-                    up = points[2, slot] - middle[s, 2] - slope[s] * x - bend * x * x
-                    off = max(abs(dy * along_x - dx * along_y), abs(up))
-                    for ring in range(len(rings)):
-                        count[s, ring] += off <= rings[ring]
-                    if off <= rings[0]:
-                        part = np.int64((x + reach) / (2.0 * reach) * PARTS)
-                        held[s, min(part, PARTS - 1)] = True
-
 
 DOMAIN: Final = "space"
 
@@ -181,18 +120,6 @@ class Found(NamedTuple):
     p_value: NDArray[np.float32]
 
 
-class Tubes(NamedTuple):
-    """Tubes worth keeping: m of them."""
-
-    row: NDArray[np.intp]  #: (m,): point that each goes through.
-    middle: NDArray[np.float64]  #: (m, 3): point of its line beside that one [quanta].
-    #: (m,): direction [rad, rise/run] and half-length [quanta].
-    azimuth: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    length: NDArray[np.float64]
-    p: NDArray[np.float64]  #: (m,): directions tried x P(K >= k), at most 1.
-
-
 def reach_m(settings: WireSettings) -> float:
     """How far the scan of a point looks [m]."""
     if not settings.enabled:
@@ -205,18 +132,9 @@ def reach_m(settings: WireSettings) -> float:
 
 
 def scan(cloud: Cloud, settings: WireSettings) -> Found:
-    """Look for conductors among the points that no surface explains.
+    """Look for conductors among the points that no surface explains, for those asked for.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        Independent returns of a block and its halo; right in the halo as far as
-        :func:`reach_m`.
-
-    Returns
-    -------
-    Found
-        Of the points asked for, in their order.
+    The cloud is right in its halo as far as :func:`reach_m`.
     """
     n = len(cloud.xyz)
     signal, wire = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
@@ -267,7 +185,7 @@ def _tubes(cloud: Cloud, made: Columns, free: NDArray[np.intp], settings: WireSe
         count = np.zeros(len(row), np.int32)
         azimuth, slope, expected = (np.zeros(len(row)) for _ in range(3))
         fullest(
-            made.points, made.start, *made.shape, made.edge, made.corner, seed, length,
+            made, seed, length,
             density / QUANTA_PER_M**3, _largest_expected(tried, screen),
             settings.radius_m * QUANTA_PER_M, LEAST_M * QUANTA_PER_M, settings.slope_max,
             _bend(settings), count, azimuth, slope, expected,
@@ -286,11 +204,7 @@ def _refined(cloud: Cloud, made: Columns, tubes: Tubes, settings: WireSettings) 
     tubes.middle[:] = cloud.xyz[tubes.row]
     flank = np.zeros(len(tubes.row), np.int32)
     for _ in range(REFINEMENTS):
-        refine(
-            made.points, made.start, *made.shape, made.edge, made.corner, tubes.length,
-            settings.radius_m * QUANTA_PER_M, _bend(settings), tubes.azimuth, tubes.slope,
-            tubes.middle, flank,
-        )  # fmt: skip
+        refine(made, tubes, settings.radius_m * QUANTA_PER_M, _bend(settings), flank)
     return tubes._replace(p=np.where(flank > 0, 1.0, tubes.p))
 
 
@@ -303,11 +217,9 @@ def _score(
         places = np.rint(tubes.middle).astype(np.int32)
         made = columns(places, np.arange(len(places)), anchor, quanta(COLUMN_M))
         agreeing(
-            made.points, made.start, *made.shape, made.edge, made.corner, tubes.middle,
-            tubes.azimuth, tubes.slope, tubes.length, settings.stretch * tubes.length,
-            settings.radius_m * QUANTA_PER_M, SPREAD, BESIDE_M * QUANTA_PER_M,
-            ABOVE_M * QUANTA_PER_M, TURN_MAX, TURN_MAX, _bend(settings), inline, abreast,
-            against,
+            made, tubes, settings.stretch, settings.radius_m * QUANTA_PER_M, SPREAD,
+            BESIDE_M * QUANTA_PER_M, ABOVE_M * QUANTA_PER_M, TURN_MAX, _bend(settings),
+            inline, abreast, against,
         )  # fmt: skip
     score = tubes.p * 10.0 ** (-INLINE * inline - ABREAST * abreast)
     return np.where(against > 0, 1.0, score)
@@ -322,11 +234,8 @@ def _free(
     length = tubes.length[chosen]
     if m:
         made = columns(cloud.xyz, np.arange(len(cloud.xyz)), cloud.anchor, quanta(COLUMN_M))
-        around_tubes(
-            made.points, made.start, *made.shape, made.edge, made.corner, tubes.middle[chosen],
-            tubes.azimuth[chosen], tubes.slope[chosen], length,
-            np.array(RINGS_M) * QUANTA_PER_M, _bend(settings), count, held,
-        )  # fmt: skip
+        rings = np.array(RINGS_M) * QUANTA_PER_M
+        surroundings(made, tubes.take(chosen), rings, _bend(settings), count, held)
     area = (2.0 * np.array(RINGS_M)) ** 2
     along = 2.0 * length / QUANTA_PER_M * cloud.density[tubes.row[chosen]]
     noise = along[:, None] * area
@@ -349,11 +258,8 @@ def _votes(
 ) -> NDArray[np.int32]:
     """Chosen tubes that hold each point within a part of their half-width: (n,) int32."""
     votes = np.zeros(n, np.int32)
-    vote(
-        made.points, made.start, *made.shape, made.edge, made.corner, tubes.middle[chosen],
-        tubes.azimuth[chosen], tubes.slope[chosen], tubes.length[chosen],
-        part * settings.radius_m * QUANTA_PER_M, SPREAD, _bend(settings), votes,
-    )  # fmt: skip
+    radius = part * settings.radius_m * QUANTA_PER_M
+    vote(made, tubes.take(chosen), radius, SPREAD, _bend(settings), votes)
     return votes
 
 

@@ -2,44 +2,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.wires.wire_scan import PARTS, around_tubes, scan
+from spl_batch.airborne.filter.wires.wire_scan import scan
 from spl_batch.airborne.settings import WireSettings
-from spl_batch.numerics.neighbours.lattice_columns import columns
 from tests.airborne.filter.wires.test_wire_scan import conductor, made_cloud, noise
 
 Metres = NDArray[np.float64]
 SETTINGS = WireSettings(classify=True)
 DENSITY = 0.1
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 150), st.integers(1, 6))
-def test_surroundings_are_those_of_a_plain_loop(seed: int, n: int, m: int) -> None:
-    rng = np.random.default_rng(seed)
-    xyz = rng.integers(0, (30_000, 20_000, 6000), (n, 3)).astype(np.int32)
-    made = columns(xyz, np.arange(n), (-700, 300, 0), 8000)
-    middle = rng.uniform(0, (30_000, 20_000, 6000), (m, 3))
-    azimuth, slope = rng.uniform(0, np.pi, m), rng.uniform(-0.3, 0.3, m)
-    length, rings, bend = rng.uniform(4000, 12_000, m), np.array([400.0, 900.0, 2500.0]), 1e-6
-    count, held = np.zeros((m, 3), np.int32), np.zeros((m, PARTS), np.bool_)
-    around_tubes(
-        made.points, made.start, *made.shape, made.edge, made.corner, middle, azimuth, slope,
-        length, rings, bend, count, held,
-    )  # fmt: skip
-    for s in range(m):
-        dx, dy, dz = (xyz - middle[s]).T
-        along = dx * np.cos(azimuth[s]) + dy * np.sin(azimuth[s])
-        across = dy * np.cos(azimuth[s]) - dx * np.sin(azimuth[s])
-        off = np.maximum(abs(across), abs(dz - slope[s] * along - bend * along**2))
-        within = abs(along) <= length[s]
-        assert count[s].tolist() == [int((within & (off <= ring)).sum()) for ring in rings]
-        own = along[within & (off <= rings[0])]
-        parts = np.unique(np.floor((own + length[s]) / (2 * length[s]) * PARTS).astype(int))
-        assert np.flatnonzero(held[s]).tolist() == parts.clip(max=PARTS - 1).tolist()
 
 
 def roof(

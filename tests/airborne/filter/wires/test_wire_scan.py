@@ -11,19 +11,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.airborne.classes.point_classes import classify
+from spl_batch.airborne.filter.cube_counts import cube_counts
 from spl_batch.airborne.filter.denoise import denoise
 from spl_batch.airborne.filter.denoise import reach_m as filter_reach_m
 from spl_batch.airborne.filter.filter_interface import Cloud
-from spl_batch.airborne.filter.wires.cube_counts import cube_counts
 from spl_batch.airborne.filter.wires.line_hough import (
     PAD,
     fullest,
     grid,
     half_turn,
     tube_volume,
-    window,
 )
-from spl_batch.airborne.filter.wires.tube_agreement import agreeing, refine, vote
+from spl_batch.airborne.filter.wires.tubes import PARTS, Tubes, agreeing, refine, surroundings, vote
 from spl_batch.airborne.filter.wires.wire_scan import reach_m, scan
 from spl_batch.airborne.settings import FilterSettings, WireSettings
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_WIRE, NOISE_SIGNAL
@@ -104,7 +103,8 @@ def slow_fullest(
             continue
         near += 1
         rise = dz / math.sqrt(flat) * (-1 if d[1] < 0 else 1)
-        half = window(flat, reach)
+        share = flat / reach**2
+        half = 1 if share >= 0.25 else (3 if share >= 0.0625 else 7)
         a = min(int(half_turn(float(d[0]), float(d[1])) * (1 / step)), turns - 1)
         b = min(int((rise + steep) * (1 / step)), levels - 1)
         for turn in range(a - half, a + half + 1):
@@ -126,8 +126,7 @@ def test_fullest_tubes_are_the_slow_twins(seed: int, n: int, edge: int) -> None:
     length, density = rng.uniform(4000, 9000, m), np.full(m, 1e-11)
     count, found = np.zeros(m, np.int32), [np.zeros(m) for _ in range(3)]
     fullest(
-        made.points, made.start, *made.shape, edge, made.corner, seed_of, length, density,
-        np.full(99, np.inf), 250.0, 1500.0, 0.3, BEND, count, *found,
+        made, seed_of, length, density, np.full(99, np.inf), 250.0, 1500.0, 0.3, BEND, count, *found
     )  # fmt: skip
     azimuth, slope, expected = found
     for i, row in enumerate(rows):
@@ -157,52 +156,45 @@ def test_a_tube_holds_the_noise_that_is_expected() -> None:
     assert tube_volume(9000.0, 1500.0, step) == pytest.approx(volume, rel=0.02)
 
 
-def drawn_tubes(
-    seed: int, n: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def drawn_tubes(seed: int, n: int) -> Tubes:
     rng = np.random.default_rng(seed)
     middle = rng.uniform(0, 1, (n, 3)) * [40e3, 40e3, 4e3]
     half = n // 2
     middle[:half, 1:] = rng.normal([20e3, 2e3], 400, (half, 2))
     azimuth, slope = rng.uniform(0, np.pi, n), rng.uniform(-0.3, 0.3, n)
     azimuth[:half], slope[:half] = rng.normal(0, 0.03, half) % np.pi, rng.normal(0, 0.02, half)
-    return middle, azimuth, slope, rng.uniform(5e3, 12e3, n)
+    return Tubes(np.arange(n), middle, azimuth, slope, rng.uniform(5e3, 12e3, n), np.ones(n))
 
 
-def laid(middle: NDArray[np.float64], edge: int) -> tuple[Columns, tuple[Any, ...]]:
-    places = np.rint(middle).astype(np.int32)
-    made = columns(places, np.arange(len(places)), (0, 0, 0), edge)
-    return made, (made.points, made.start, *made.shape, made.edge, made.corner)
+def laid(xyz: NDArray[Any], edge: int) -> Columns:
+    return columns(np.rint(xyz).astype(np.int32), np.arange(len(xyz)), (-700, 300, 0), edge)
 
 
-def along(
-    middle: NDArray[np.float64], azimuth: float, slope: float, start: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    d = middle - start
-    x = d[:, 0] * math.cos(azimuth) + d[:, 1] * math.sin(azimuth)
-    y = d[:, 1] * math.cos(azimuth) - d[:, 0] * math.sin(azimuth)
-    return x, y, d[:, 2] - slope * x - BEND * x * x
+def along(xyz: NDArray[Any], tubes: Tubes, s: int) -> tuple[NDArray[np.float64], ...]:
+    d = xyz - tubes.middle[s]
+    cosine, sine = math.cos(tubes.azimuth[s]), math.sin(tubes.azimuth[s])
+    x = d[:, 0] * cosine + d[:, 1] * sine
+    return x, d[:, 1] * cosine - d[:, 0] * sine, d[:, 2] - tubes.slope[s] * x - BEND * x * x
 
 
 @FAST
 @given(st.integers(0, 2**32 - 1), st.integers(2, 80))
-def test_agreement_and_votes_are_the_slow_twins(seed: int, n: int) -> None:
-    middle, azimuth, slope, length = drawn_tubes(seed, n)
-    _, where = laid(middle, 8000)
+def test_agreement_votes_and_surroundings_are_the_slow_twins(seed: int, n: int) -> None:
+    tubes, rings = drawn_tubes(seed, n), np.array([400.0, 900.0, 2500.0])
+    azimuth, slope, length = tubes.azimuth, tubes.slope, tubes.length
+    made, places = laid(tubes.middle, 8000), np.rint(tubes.middle)
     inline, abreast, against, votes = (np.zeros(n, np.int32) for _ in range(4))
     agreeing(
-        *where, middle, azimuth, slope, length, 2 * length, 250.0, 0.01, 6000.0, 2000.0,
-        0.05, 0.05, BEND, inline, abreast, against,
+        made, tubes, 2.0, 250.0, 0.01, 6000.0, 2000.0, 0.05, BEND, inline, abreast, against
     )  # fmt: skip
-    vote(*where, middle, azimuth, slope, length, 250.0, 0.01, BEND, votes)
+    vote(made, tubes, 250.0, 0.01, BEND, votes)
+    count, held = np.zeros((n, 3), np.int32), np.zeros((n, PARTS), np.bool_)
+    surroundings(made, tubes, rings, BEND, count, held)
     expected_votes = np.zeros(n, np.int64)
     for s in range(n):
-        x, y, v = along(middle, azimuth[s], slope[s], middle[s])
+        x, y, v = along(tubes.middle, tubes, s)
         width = 250.0 + 0.01 * np.abs(x)
         on = (np.abs(y) <= width) & (np.abs(v) <= width)
-        rx, ry, rv = along(np.rint(middle), azimuth[s], slope[s], middle[s])
-        width = 250.0 + 0.01 * np.abs(rx)
-        expected_votes += (np.abs(ry) <= width) & (np.abs(rv) <= width) & (np.abs(rx) <= length[s])
         near = (np.abs(x) <= 2 * length[s]) & (np.abs(y) <= 6000) & (np.abs(v) <= 2000)
         near[s] = False
         turn = np.abs(azimuth - azimuth[s]) % np.pi
@@ -213,6 +205,13 @@ def test_agreement_and_votes_are_the_slow_twins(seed: int, n: int) -> None:
         assert inline[s] == (near & same & on & ~short).sum()
         assert abreast[s] == (near & same & ~on).sum()
         assert against[s] == (near & on & short & ~same).sum() - (near & on & short & same).sum()
+        x, y, v = along(places, tubes, s)
+        off, within = np.maximum(np.abs(y), np.abs(v)), np.abs(x) <= length[s]
+        expected_votes += within & (off <= 250.0 + 0.01 * np.abs(x))
+        assert count[s].tolist() == [int((within & (off <= ring)).sum()) for ring in rings]
+        own = x[within & (off <= rings[0])] + length[s]
+        parts = np.unique(np.floor(own / (2 * length[s]) * PARTS).astype(int))
+        assert np.flatnonzero(held[s]).tolist() == parts.clip(max=PARTS - 1).tolist()
     np.testing.assert_array_equal(votes, expected_votes)
 
 
@@ -220,14 +219,16 @@ def test_a_line_is_laid_through_the_returns() -> None:
     x = np.linspace(-11e3, 11e3, 23)
     wire = np.stack([1000 + x, 2000 + 0.02 * x + 100, 3000 - 0.03 * x + BEND * x * x - 80], axis=1)
     beside = wire[::2] + np.array([0, 600, 0])
-    _, where = laid(np.concatenate([wire, beside]), 4000)
-    azimuth, slope = np.array([0.01]), np.array([-0.02])
-    middle, flank = np.array([[1000.0, 2000.0, 3000.0]]), np.zeros(1, np.int32)
+    made, flank = laid(np.concatenate([wire, beside]), 4000), np.zeros(1, np.int32)
+    tube = Tubes(
+        np.zeros(1, np.int64), np.array([[1000.0, 2000.0, 3000.0]]), np.array([0.01]),
+        np.array([-0.02]), np.array([12e3]), np.ones(1),
+    )  # fmt: skip
     for _ in range(2):
-        refine(*where, np.array([12e3]), 250.0, BEND, azimuth, slope, middle, flank)
-    assert azimuth[0] == pytest.approx(math.atan(0.02), abs=2e-4)
-    assert slope[0] == pytest.approx(-0.03, abs=2e-4)
-    np.testing.assert_allclose(middle[0], [998.0, 2100.0, 2920.0], atol=3)
+        refine(made, tube, 250.0, BEND, flank)
+    assert tube.azimuth[0] == pytest.approx(math.atan(0.02), abs=2e-4)
+    assert tube.slope[0] == pytest.approx(-0.03, abs=2e-4)
+    np.testing.assert_allclose(tube.middle[0], [998.0, 2100.0, 2920.0], atol=3)
     assert flank[0] == 12 - 23
 
 

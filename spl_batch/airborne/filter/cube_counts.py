@@ -18,21 +18,9 @@ from spl_batch.numerics.neighbours.kdtree import U1
 def cube_counts(
     xyz: NDArray[np.int32], anchor: tuple[int, int, int], edge: int
 ) -> NDArray[np.int32]:
-    """Points in the 3 x 3 x 3 cells around each point's own cell.
+    """Points in the 3 x 3 x 3 cells around each point's own cell, itself included: (n,) int32.
 
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates relative to the anchor [quanta]; quickest in ascending order of x.
-    anchor : tuple of int
-        Where they count from, on the absolute lattice [quanta].
-    edge : int
-        Edge of a cell [quanta].
-
-    Returns
-    -------
-    (n,) int32
-        Points [count], each one itself included.
+    ``xyz``: (n, 3), from ``anchor`` on the absolute lattice on; quickest in ascending order of x.
     """
     out = np.zeros(len(xyz), dtype=np.int32)
     if not len(xyz):

@@ -1,0 +1,210 @@
+r"""Tubes along lines of returns: what they hold, how they agree, and what is around them.
+
+A conductor is longer than a tube, and seldom alone: tubes along it point along one another, those
+of its neighbours lie side by side. Chance tubes point anywhere.
+
+====== ==========================================================================
+symbol name
+====== ==========================================================================
+x, y, v offset from a tube's hanging line: along, across, upwards [quanta]
+w       r + ``spread`` |x|: half-width of a line drawn out [quanta]
+d       max(|y|, |v|): distance off the line, in square rings [quanta]
+====== ==========================================================================
+"""
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above, stretch_of
+
+PARTS: Final = 8
+"""Equal parts of a tube that are distinguished [count]."""
+
+ROUNDED: Final = 2.0
+"""Farthest that middles of tubes move when they are rounded, off any line of theirs [quanta]."""
+
+
+class Tubes(NamedTuple):
+    """Tubes through points: m of them."""
+
+    row: NDArray[np.intp]  #: (m,): point that each goes through.
+    middle: NDArray[np.float64]  #: (m, 3): point of its line beside that one [quanta].
+    #: (m,): direction [rad, rise/run] and half-length [quanta].
+    azimuth: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    length: NDArray[np.float64]
+    p: NDArray[np.float64]  #: (m,): directions tried x P(K >= k), at most 1.
+
+    def take(self, rows: NDArray[Any]) -> "Tubes":
+        """Some of the tubes."""
+        return Tubes(*(values[rows] for values in self))
+
+
+@njit()
+def _along(tubes: Tubes, s: int, dx, dy, dz, bend):  # type: ignore[no-untyped-def]
+    """Offset along, across and upwards of a tube's hanging line."""
+    east, north = math.cos(tubes.azimuth[s]), math.sin(tubes.azimuth[s])
+    x = dx * east + dy * north
+    return x, dy * east - dx * north, dz - tubes.slope[s] * x - bend * x * x
+
+
+@njit()
+def _in_tube(made: Columns, tubes: Tubes, s: int, reach, aside, above, spread, bend, found):  # type: ignore[no-untyped-def]
+    """List the points of a tube drawn out to ``reach`` along its line; how many they are.
+
+    ``aside, above``: its half-widths at its middle. ``found``: (4, n) float64, receives slots and
+    x, y, v.
+    """
+    east, north = math.cos(tubes.azimuth[s]), math.sin(tubes.azimuth[s])
+    x0, y0, z0 = tubes.middle[s, 0], tubes.middle[s, 1], tubes.middle[s, 2]
+    slope, edge, points = tubes.slope[s], made.edge, made.points
+    nx, ny = made.shape
+    wide = aside + spread * reach
+    long, deep = abs(east) * reach + abs(north) * wide, abs(north) * reach + abs(east) * wide
+    i0, i1 = stretch_of(x0 - made.corner[0], long, edge, nx)
+    j0, j1 = stretch_of(y0 - made.corner[1], deep, edge, ny)
+    size = 0
+    for i in range(i0, i1):
+        for j in range(j0, j1):
+            # A column whose axis is farther off than its half diagonal holds nothing.
+            cx = made.corner[0] + (i + 0.5) * edge - x0
+            cy = made.corner[1] + (j + 0.5) * edge - y0
+            if abs(cy * east - cx * north) > wide + 0.71 * edge:
+                continue
+            x = cx * east + cy * north
+            far = abs(x) + edge
+            rise = abs(slope) * edge + above + spread * far
+            low, high = z0 + slope * x - rise, z0 + slope * x + rise + bend * far * far
+            end = made.start[i * ny + j + 1]
+            for slot in range(first_above(points, made.start[i * ny + j], end, low), end):
+                if points[2, slot] > high:
+                    break
+                dx = np.float64(points[0, slot] - x0)
+                dy = np.float64(points[1, slot] - y0)
+                dz = np.float64(points[2, slot] - z0)
+                x, y, v = _along(tubes, s, dx, dy, dz, bend)
+                more = spread * abs(x)
+                if abs(x) <= reach and abs(y) <= aside + more and abs(v) <= above + more:
+                    found[0, size], found[1, size] = slot, x
+                    found[2, size], found[3, size] = y, v
+                    size += 1
+    return size
+
+
+@njit()
+def refine(
+    made: Columns, tubes: Tubes, radius: float, bend: float, flank: NDArray[np.int32]
+) -> None:
+    """Lay a line through the returns of each tube, by least squares: replaces line and middle.
+
+    ``flank`` (m,) receives the returns beside or above and below the tube, whichever are more, out
+    to three times its half-width, less those inside. A plane has twice as many.
+    """
+    found = np.empty((4, made.points.shape[1]))
+    for s in range(len(tubes.length)):
+        wide = 3.0 * radius
+        size = _in_tube(made, tubes, s, tubes.length[s], wide, wide, 0.0, bend, found)
+        n, beside, above = 0, 0, 0
+        sx = sy = sv = sxx = sxy = sxv = 0.0
+        for k in range(size):
+            x, y, v = found[1, k], found[2, k], found[3, k]
+            if abs(y) > radius:
+                beside += abs(v) <= radius
+            elif abs(v) > radius:
+                above += 1
+            else:
+                n += 1
+                sx, sy, sv = sx + x, sy + y, sv + v
+                sxx, sxy, sxv = sxx + x * x, sxy + x * y, sxv + x * v
+        flank[s] = max(beside, above) - n
+        if n < 2:
+            continue
+        spread = n * sxx - sx * sx
+        turn = rise = 0.0
+        if spread > 0.0:
+            turn, rise = (n * sxy - sx * sy) / spread, (n * sxv - sx * sv) / spread
+        aside = (sy - turn * sx) / n
+        tubes.middle[s, 0] -= math.sin(tubes.azimuth[s]) * aside
+        tubes.middle[s, 1] += math.cos(tubes.azimuth[s]) * aside
+        tubes.middle[s, 2] += (sv - rise * sx) / n
+        tubes.azimuth[s] += math.atan(turn)
+        tubes.slope[s] += rise
+
+
+@njit()
+def agreeing(  # type: ignore[no-untyped-def]
+    made, tubes, stretch, radius, spread, beside, above, turn_max, bend, inline, abreast, against
+):
+    """Count the tubes that prolong each one, and those beside it that point the same way.
+
+    ``made`` lists the tubes' middles, rounded. Tubes count as far as ``stretch`` half-lengths
+    along, ``beside`` and ``above`` off the line, and turned by ``turn_max`` [rad; rise/run].
+    ``inline`` (m,) receives agreeing tubes beyond the own half-length, which share no return with
+    it, ``abreast`` those off its line, ``against`` the tubes on its line that point elsewhere, less
+    those that agree.
+    """
+    found = np.empty((4, len(tubes.length)))
+    for s in range(len(tubes.length)):
+        reach = stretch * tubes.length[s]
+        size = _in_tube(
+            made, tubes, s, reach + ROUNDED, beside + ROUNDED, above + ROUNDED, 0.0, bend, found
+        )
+        for k in range(size):
+            t = made.points[3, np.int64(found[0, k])]
+            dx, dy = (
+                tubes.middle[t, 0] - tubes.middle[s, 0],
+                tubes.middle[t, 1] - tubes.middle[s, 1],
+            )
+            x, y, v = _along(tubes, s, dx, dy, tubes.middle[t, 2] - tubes.middle[s, 2], bend)
+            if t == s or abs(x) > reach or abs(y) > beside or abs(v) > above:
+                continue
+            width = radius + spread * abs(x)
+            on_line = abs(y) <= width and abs(v) <= width
+            apart = tubes.azimuth[t] - tubes.azimuth[s]
+            turn = abs(apart) % math.pi
+            rise = tubes.slope[t] if math.cos(apart) >= 0.0 else -tubes.slope[t]
+            rise -= tubes.slope[s] + 2.0 * bend * x
+            if min(turn, math.pi - turn) > turn_max or abs(rise) > turn_max:
+                against[s] += on_line and abs(x) <= tubes.length[s]
+            elif not on_line:
+                abreast[s] += 1
+            elif abs(x) > tubes.length[s]:
+                inline[s] += 1
+            else:
+                against[s] -= 1
+
+
+@njit()
+def vote(  # type: ignore[no-untyped-def]
+    made: Columns, tubes: Tubes, radius: float, spread: float, bend: float, votes
+) -> None:
+    """Count for every point the tubes that hold it: ``votes`` (n,) int32 by row."""
+    found = np.empty((4, made.points.shape[1]))
+    for s in range(len(tubes.length)):
+        size = _in_tube(made, tubes, s, tubes.length[s], radius, radius, spread, bend, found)
+        for k in range(size):
+            votes[made.points[3, np.int64(found[0, k])]] += 1
+
+
+@njit()
+def surroundings(made, tubes, rings, bend, count, held):  # type: ignore[no-untyped-def]
+    """Count the returns within some distances d of each tube's line, ascending [quanta].
+
+    ``count`` (m, k) receives those of ``|x| <= length`` by distance, ``held`` (m, PARTS), all
+    False, which parts of the tube hold returns within the first.
+    """
+    found = np.empty((4, made.points.shape[1]))
+    for s in range(len(tubes.length)):
+        reach = tubes.length[s]
+        size = _in_tube(made, tubes, s, reach, rings[-1], rings[-1], 0.0, bend, found)
+        for k in range(size):
+            off = max(abs(found[2, k]), abs(found[3, k]))
+            for ring in range(len(rings)):
+                count[s, ring] += off <= rings[ring]
+            if off <= rings[0]:
+                part = np.int64((found[1, k] + reach) / (2.0 * reach) * PARTS)
+                held[s, min(part, PARTS - 1)] = True
