@@ -157,22 +157,9 @@ def fill_facts(filled: Marks, core: Bounds) -> dict[str, list[float]]:
 
 
 def float_facts(bare: Bare, region: Bounds) -> dict[str, list[float]]:
-<<<<<<< HEAD
     """Signal of a region that floats, for the report; ``bare`` reaches around the region too."""
-    at = np.ix_(*bare.columns(region))
-=======
-    """Signal of a region that floats, for the report.
-
-    Parameters
-    ----------
-    bare : Bare
-        Signals by cell of 5 m, around the region too.
-    region : Bounds
-        The ground cell [quanta].
-    """
     numbers, (x, y) = bare.columns(region)
     at = np.ix_(*numbers)
->>>>>>> work-p
     found = floating(bare.kept, bare.marked)[at]
     facts = [float(found.sum()), float(bare.kept.sum(axis=2)[at].sum())]
     if found.any():
