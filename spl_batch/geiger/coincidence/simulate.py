@@ -201,7 +201,7 @@ def simulate_file(
 
     ``progress`` receives the share of the passes that is flown, 0..1.
     """
-    scene, tell = scene_of(SceneSettings, path), progress or (lambda _: None)
+    scene, notify = scene_of(SceneSettings, path), progress or (lambda _: None)
     targets, passes = build(scene), len(scene.flight.headings_deg)
     counts = Counter[str]()
     for k, seen in enumerate(flights(scene), start=1):
@@ -209,7 +209,7 @@ def simulate_file(
         for name, table in (("frames", seen), ("detections", found)):
             files.write(out / "l1" / f"pass_{k}_{name}.parquet", table)
             counts[name] += len(table)
-        tell(k / passes)
+        notify(k / passes)
     workflow = {
         "kind": "coincidence",
         "survey": {

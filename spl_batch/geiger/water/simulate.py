@@ -262,7 +262,7 @@ def simulate_file(
 
     ``progress`` receives the share of the files that is written, 0..1.
     """
-    scene, tell = scene_of(WaterScene, path), progress or (lambda _: None)
+    scene, notify = scene_of(WaterScene, path), progress or (lambda _: None)
     view, per = view_of(scene.camera, scene.mount), scene.frames_per_acquisition
     what = scene.target, scene.instrument, scene.camera, view, scene.acquisitions, per
     described = {"bin_ns": scene.camera.bin_ns, "prf_hz": scene.camera.prf_hz}
@@ -272,12 +272,12 @@ def simulate_file(
         name = f"frames/{scene.name}_{k:02d}.{scene.format}"
         frames = np.concatenate([a.frames for a in made])
         write_frames(out / name, frames, described, FrameTruth(down, np.stack(normals)), per)
-        tell((k + 1) / (scene.files + (scene.calibration is not None)))
+        notify((k + 1) / (scene.files + (scene.calibration is not None)))
     listed = []
     for target, seen in _targets(scene, scene.calibration) if scene.calibration else ():
         write_frames(out / target["frames"], seen, described)
         listed.append(target)
-    tell(1.0)
+    notify(1.0)
     camera, mount = (
         section.model_dump(mode="json", exclude_defaults=True)
         for section in (scene.camera, scene.mount)

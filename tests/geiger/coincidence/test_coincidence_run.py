@@ -221,6 +221,8 @@ def test_stretches_are_in_order_and_their_faults_add_up(tmp_path: Path) -> None:
     found = Detections.joined(parts).distinct()
     for name in Detections.__slots__:
         assert np.array_equal(getattr(found, name), getattr(detections, name))
+    lower = Detections(found.frame, found.detector, found.xyz - [0, 0, 5])
+    assert np.array_equal(Detections.joined([found, lower]).distinct().xyz, lower.xyz)
     table = pq.read_table(path)
     x = table["x"].to_numpy().copy()
     x[[5, -5]] = np.inf

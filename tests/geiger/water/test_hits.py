@@ -62,6 +62,8 @@ def test_the_gate_lies_around_the_peak_and_inside_the_frame() -> None:
     assert find_gate(counts, GateSettings(centre_bin=5)) == Gate(1, 48)
     assert find_gate(counts, GateSettings(centre_bin=999)) == Gate(976, 1001)
     assert find_gate(np.zeros(100, dtype=np.int64), GateSettings()) is None
+    flat = np.where((np.arange(1001) >= 400) & (np.arange(1001) < 420), 5, 0)
+    assert find_gate(flat, GateSettings()) == Gate(386, 433), "the middle of a flat top"
 
 
 def test_dead_and_hot_pixels_are_found() -> None:

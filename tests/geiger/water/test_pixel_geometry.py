@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from spl_batch.geiger.water.pixel_geometry import floor_points, refracted, view_of
+from spl_batch.geiger.water.pixel_geometry import floor_points, refracted, rotation, view_of
 from spl_batch.geiger.water.settings import CameraSettings, MountSettings
 
 vectors = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.3, 1))
@@ -21,6 +21,15 @@ def test_the_source_s_arrangement() -> None:
     assert places[15, 15, 2] == pytest.approx(-2.3 + 3.3 * np.cos(np.radians(19.5)), abs=2e-3)
     assert places[0, 15, 0] > places[31, 15, 0], "the first row looks farthest forward"
     assert places[15, 31, 1] > places[15, 0, 1]
+
+
+def test_a_body_rolls_then_pitches_then_turns() -> None:
+    forward, starboard = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    np.testing.assert_allclose(rotation(0, 0, 90) @ forward, starboard, atol=1e-12)
+    np.testing.assert_allclose(rotation(0, 90, 0) @ forward, [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(rotation(90, 0, 0) @ starboard, [0, 0, 1], atol=1e-12)
+    apart = rotation(0, 0, 50) @ rotation(0, 20, 0) @ rotation(-30, 0, 0)
+    np.testing.assert_allclose(rotation(-30, 20, 50), apart, atol=1e-12)
 
 
 def test_lever_arm_boresight_and_heading_turn_with_the_body() -> None:

@@ -181,8 +181,10 @@ def test_a_pixel_far_off_takes_no_part() -> None:
     made = make_surface(hits, dead, EXACT, VIEW, CAMERA, PixelSettings(), SurfaceSettings())
     assert angles_deg(made.normals, np.broadcast_to(n, (32, 32, 3))).max() < 0.01
     loose = SurfaceSettings(adaptive=AdaptiveSettings(outlier=1e9))
-    made = make_surface(hits, dead, EXACT, VIEW, CAMERA, PixelSettings(), loose)
-    assert angles_deg(made.normals, np.broadcast_to(n, (32, 32, 3))).max() > 0.1
+    unsure = Calibration(EXACT.settings, EXACT.pixel_ns, residual_ns=10.0)
+    for calibration, way in ((EXACT, loose), (unsure, SurfaceSettings())):
+        made = make_surface(hits, dead, calibration, VIEW, CAMERA, PixelSettings(), way)
+        assert angles_deg(made.normals, np.broadcast_to(n, (32, 32, 3))).max() > 0.1
 
 
 @pytest.mark.parametrize("way", [SurfaceSettings(), WINDOWED])
@@ -253,6 +255,8 @@ def test_floor_errors_vanish_for_the_true_surface() -> None:
     made = floor_error(VIEW.look, true, true, 6.0, 1.33)
     assert made.refracted_m == pytest.approx(0)
     assert made.refracted_beam_m == pytest.approx(0)
+    deep = floor_error(VIEW.look, (true[0] + [0.0, 0.0, 0.1], normals), true, 6.0, 1.33)
+    assert deep.refracted_m == pytest.approx(0.1)
     level = refracted(VIEW.look, np.array([0.0, 0.0, -1.0]), 1.33)
     ends = 6.0 * (level - refracted(VIEW.look, normals, 1.33))
     assert made.level_m == pytest.approx(np.linalg.norm(ends, axis=-1).mean())

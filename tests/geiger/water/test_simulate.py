@@ -63,6 +63,9 @@ def test_dead_pixels_are_those_of_the_instrument() -> None:
     assert array.dead.sum() == 60
     assert array.dead[-3:].sum() == 54
     np.testing.assert_array_equal(again.dead, array.dead)
+    smooth = build_array(Instrument(delay_ns=0.0), camera).delay_ns
+    assert smooth.std() == pytest.approx(instrument.pattern_ns)
+    assert np.abs(np.diff(smooth, axis=0)).max() < smooth.std()
     np.testing.assert_allclose(again.photoelectrons, 0.1 * array.photoelectrons)
 
 
