@@ -29,11 +29,6 @@ def hills(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]
     return 2.0 * np.sin(x / 14) + 2.0 * np.cos(y / 17) + 0.02 * x
 
 
-def flat(x: NDArray[np.float64], _: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ground without a slope."""
-    return np.zeros(len(x))
-
-
 class Returns(NamedTuple):
     """Returns of a flightline [m]."""
 

@@ -13,6 +13,7 @@ from spl_batch.airborne.store.label_tables import (
     OPEN_FILES,
     LabelFiles,
     Origin,
+    label_units,
     read_labelled_tile,
     read_region,
     write_labels,
@@ -183,3 +184,10 @@ def test_more_units_than_files_that_may_be_open(tmp_path: Path) -> None:
 def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:
     table, origin = read_region(Store(tmp_path), [], Bounds(0, 0, 9, 9), CANONICAL_ORDER, {})
     assert len(table) == len(origin.row) == len(origin.owner) == 0
+
+
+def test_units_of_a_task_are_those_of_one_kind() -> None:
+    args = {"labels": {"noise": {"0_1": ["a", "b"]}, "ground": {"0_1": ["c"]}}}
+    assert label_units(args, "noise") == {CellId(0, 1): [("noise", "a"), ("noise", "b")]}
+    assert label_units(args, "ground") == {CellId(0, 1): [("ground", "c")]}
+    assert label_units({}, "noise") == {}
