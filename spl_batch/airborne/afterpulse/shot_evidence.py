@@ -120,24 +120,11 @@ def shot_probabilities(
     rules: Rules,
     out: NDArray[np.float32],
 ) -> None:
-    """Probability of being an afterpulse, for each return of each shot.
+    """Probability of being an afterpulse, for each return of each shot: fills ``out`` (n,).
 
-    Parameters
-    ----------
-    starts : (m + 1,) int64
-        Rows where shots start, then n.
-    offset : (n, 3) float64
-        Points relative to the first one of their shot [m].
-    direction : (n, 3) float64
-        Unit vectors along the beams; that of the first return frames its shot.
-    range_m : (n,) float64
-        Slant ranges [m].
-    channel : (n,) uint8
-        Beamlet of each return; those of one beamlet follow each other.
-    lag : (n,) float32
-        Distance behind the nearest earlier return of the beamlet [m]; 0 for none.
-    out : (n,) float32
-        Filled.
+    ``starts`` (m + 1,): rows where shots start, then n. ``offset``: points relative to the first of
+    their shot [m]; the direction of its beam frames the shot. Returns of one beamlet follow each
+    other; ``lag`` is the distance behind the nearest earlier one [m], 0 for none.
     """
     for begin in range(0, len(starts) - 1, TOGETHER):
         shots = starts[begin : begin + TOGETHER + 1]

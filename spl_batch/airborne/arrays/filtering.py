@@ -293,16 +293,13 @@ def _expected(
     places: PointTable, known: Assessed, settings: Workflow, *, air: bool = False
 ) -> Expected:
     """Noise expected at places by beams; with the air's that holds more, where they are points."""
-    xyz = [places[axis] for axis in "xyz"]
+    xyz, found = [places[axis] for axis in "xyz"], None
     model = known.model(xyz, settings)
-    everywhere = np.ones(len(places), np.bool_)
-    if model is None:
-        return Expected(np.zeros(len(places)), np.zeros(len(places)))
-    if not air:
-        return Expected(model.mean(xyz, everywhere), model.local(xyz))
-    ends = [int(end) for k in (0, 1) for end in (xyz[k].min(), xyz[k].max() + 1)]
-    look = look_at_air(places, model, settings, Bounds(ends[0], ends[2], ends[1], ends[3]))
-    return noise_in_air(places, everywhere, model, look.air)
+    if air:
+        ends = [int(end) for k in (0, 1) for end in (xyz[k].min(), xyz[k].max() + 1)]
+        region = Bounds(ends[0], ends[2], ends[1], ends[3])
+        found = look_at_air(places, model, settings, region).air
+    return noise_in_air(places, np.ones(len(places), np.bool_), model, found)
 
 
 def _basis(known: Assessed) -> Basis:

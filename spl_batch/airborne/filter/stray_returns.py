@@ -7,10 +7,7 @@ refused ones. Our own rule asks twice:
 - of columns of the whole height: does anything stand in this place?
 - of boxes around the return: does anything stand at this height? A cluster a hundred metres below a
   surface rests on nothing. A floor of a quarry or canyon fills its own box; ground that is seen
-  through gaps of a canopy continues, and fills a wider one. At the rim of a swath little was
-  refused, so deep below a surface a box must hold :data:`FEW` returns beside its fullest cell in
-  any case: one cluster is no surface. As the gate widens downwards, that rim may lie
-  :data:`BESIDE_M` outside of all ground.
+  through gaps of a canopy continues, and fills a wider one.
 
 Where clusters of dense noise reach any such number, the ground has to fill the place too
 (:mod:`~spl_batch.airborne.filter.drowned_surfaces`).
@@ -25,7 +22,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from spl_batch.airborne.filter.drowned_surfaces import around, below_surfaces, dense_noise, unfilled
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
@@ -39,15 +35,6 @@ CELL_M: Final = 5.0
 
 KEPT_SHARE: Final = 0.002
 """Twice the share of pure noise that the filter keeps by default: the least that is allowed for."""
-
-FEW: Final = 10
-DEEP: Final = 4
-"""So few returns of the widest box, its fullest cell left out, are no surface, where one is near
-and so many layers higher: two returns of noise and their afterpulses are [count, cells]."""
-
-BESIDE_M: Final = 55.0
-"""How far beside it that surface may stand, in whole cells: a beam 20 degrees off nadir goes so far
-aside on 150 m below the ground. What a ground cell reads around itself holds it [m]."""
 
 NOISE_QUANTILE: Final = 0.1
 NOISE_RETURNS: Final = 100
@@ -75,8 +62,9 @@ BOXES: Final = (Box(1, 30, 0.2), Box(3, 60, 0.06))
 
 Count = NDArray[np.int64]
 
-_BESIDE: Final = round(BESIDE_M / CELL_M)
-"""The same in cells on each side; no box reaches farther [count]."""
+GAP: Final = 3
+"""Empty cells along an axis that are kept of a wider gap: no box, no square of drowned surfaces and
+nothing that floats reaches farther [count]."""
 
 
 class Bare(NamedTuple):
@@ -182,11 +170,11 @@ def bare_cells(table: PointTable, *, spare_above: bool = False) -> Bare | None:
     if signal.all() or not signal.any():
         return None
     first, place, index = [], [], []
-    for axis, reach in zip("xyz", (_BESIDE, _BESIDE, DEEP - 1), strict=True):
+    for axis in "xyz":
         at = table[axis][rows] // edge
         first.append(int(at.min()))
         at = at - first[-1]
-        place.append(_close_gaps(np.bincount(at) > 0, reach))
+        place.append(_close_gaps(np.bincount(at) > 0))
         index.append(place[-1][at])
     shape = tuple(int(along[-1]) + 1 for along in place)
     cell = np.ravel_multi_index(index, shape)
@@ -197,9 +185,6 @@ def bare_cells(table: PointTable, *, spare_above: bool = False) -> Bare | None:
     occupied = kept + gone > 0
     odds = _kept_of_noise(*(count[occupied] for count in held[-1]))
     bare = _bare_boxes(held, odds)
-    width = 2 * BOXES[-1].reach + 1
-    beside = held[-1][0] - ndimage.maximum_filter(kept, (width, width, 3), mode="constant")
-    bare |= (beside < FEW) & _deep_below((kept > 0) & ~bare)
     if spare_above:
         bare &= ~np.logical_or.accumulate((kept > 0) & ~bare, axis=2)
     else:
@@ -212,12 +197,11 @@ def bare_cells(table: PointTable, *, spare_above: bool = False) -> Bare | None:
     )  # fmt: skip
 
 
-def _close_gaps(occupied: NDArray[np.bool_], reach: int) -> NDArray[np.int64]:
-    """Number of each cell along one axis; wider gaps are shortened to what lies beyond reach."""
+def _close_gaps(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Number of each cell along one axis; wider gaps are shortened to :data:`GAP`."""
     held = np.flatnonzero(occupied)
-    step = np.minimum(np.diff(held, prepend=held[0]), reach + 1)
     place = np.zeros(len(occupied), np.int64)
-    place[held] = np.cumsum(step)
+    place[held] = np.cumsum(np.minimum(np.diff(held, prepend=held[0]), GAP + 1))
     return place
 
 
@@ -241,17 +225,6 @@ def _bare_boxes(held: Sequence[tuple[Count, Count]], odds: float) -> NDArray[np.
     for box, (near, refused) in zip(BOXES, held, strict=True):
         bare &= near < _explained(refused, box, odds)
     return bare
-
-
-def _deep_below(standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells deep below something that stands near, by the number of layers that hold points."""
-    width = 2 * _BESIDE + 1
-    wide: NDArray[np.bool_] = ndimage.maximum_filter(standing, (width, width, 1), mode="constant")
-    below = np.zeros(standing.shape, np.bool_)
-    if standing.shape[2] > DEEP:
-        higher = np.logical_or.accumulate(wide[:, :, ::-1], axis=2)[:, :, ::-1]
-        below[:, :, :-DEEP] = higher[:, :, DEEP:]
-    return below
 
 
 def _bare_columns(kept: Count, gone: Count, odds: float) -> NDArray[np.bool_]:

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.denoise import METHODS, denoise, reach_m
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
-from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.filter.published import shot_noise
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.lattice.tables import BeamTable, PointFlag, canonical_order
 from tests.airborne.beams.test_differential_cell_count import slow_dcc
 from tests.airborne.filter.test_denoise import as_table
 from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
+from tests.airborne.filter.wires.test_wire_scan import made_cloud
 
 SOURCES = ["aes", "voxel", "multilevel", "cylinder"]
 
@@ -35,19 +35,6 @@ SMALL = FilterSettings(
 
 def chosen(method: str) -> FilterSettings:
     return SMALL.model_copy(update={"method": method})
-
-
-def as_cloud(xyz: NDArray[Any], density: float | NDArray[Any] = 0.3) -> Cloud:
-    """Points on the absolute lattice, in the order given."""
-    low = xyz.min(axis=0) if len(xyz) else np.zeros(3, np.int64)
-    n = len(xyz)
-    return Cloud(
-        (xyz - low).astype(np.int32),
-        (int(low[0]), int(low[1]), int(low[2])),
-        np.broadcast_to(np.asarray(density, dtype=np.float64), n).copy(),
-        np.ones(n, dtype=np.bool_),
-        np.zeros(n, dtype=np.bool_),
-    )
 
 
 def cells(xyz: NDArray[Any], *edges: int) -> list[tuple[int, ...]]:
@@ -124,7 +111,7 @@ def slow_aes(xyz: NDArray[Any], density: NDArray[Any]) -> tuple[list[bool], list
 @pytest.mark.parametrize(("step", "shift"), [(1, 0), (250, -7_654_321)])
 def test_each_filter_is_its_slow_twin(step: int, shift: int) -> None:
     xyz = mixed_cloud(3, 500, step=step).astype(np.int64) + shift
-    cloud = as_cloud(xyz)
+    cloud = made_cloud(xyz, 0.3)
     voxel = METHODS["voxel"].judge(cloud, SMALL).signal
     np.testing.assert_array_equal(voxel, slow_voxel(xyz, 750, 300, 2000))
     levels = METHODS["multilevel"].judge(cloud, SMALL).signal
@@ -132,7 +119,7 @@ def test_each_filter_is_its_slow_twin(step: int, shift: int) -> None:
     cylinder = METHODS["cylinder"].judge(cloud, SMALL).signal
     np.testing.assert_array_equal(cylinder, slow_cylinder(xyz, 700, 600, 4))
     density = np.random.default_rng(1).choice([0.1, 0.5], len(xyz))
-    ellipsoid = METHODS["aes"].judge(as_cloud(xyz, density), SMALL).signal
+    ellipsoid = METHODS["aes"].judge(made_cloud(xyz, density), SMALL).signal
     may, must = (np.array(x) for x in slow_aes(xyz, density))
     assert (ellipsoid <= may).all()
     assert (ellipsoid >= must).all()
@@ -166,7 +153,9 @@ def test_tiles_with_halo_give_the_whole(method: str) -> None:
 def test_odd_clouds(method: str, n: int) -> None:
     """No points, a lone one, and all in one place; and where no noise is expected."""
     for density in (0.0, 0.1):
-        signal = METHODS[method].judge(as_cloud(np.zeros((n, 3), np.int64), density), SMALL).signal
+        signal = (
+            METHODS[method].judge(made_cloud(np.zeros((n, 3), np.int64), density), SMALL).signal
+        )
         assert signal.shape == (n,)
         if n == 40:
             assert signal.all()

@@ -25,7 +25,7 @@ import numpy as np
 
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2, U3
-from spl_batch.numerics.neighbours.lattice_columns import columns_around, first_above
+from spl_batch.numerics.neighbours.lattice_columns import Columns, columns_around, first_above
 from spl_batch.numerics.simd import UL, ascending, load, number, pack, spread
 
 CELL: Final = 0.83
@@ -219,8 +219,8 @@ def _cone(  # type: ignore[no-untyped-def]
 
 @njit()
 def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
-    made, seed, length, density, largest, radius, least, slope_max, bend, count, azimuth, slope,
-    expected,
+    made: Columns, seed, length, density, largest, radius, least, slope_max, bend, count, azimuth,
+    slope, expected,
 ):  # fmt: skip
     """Fullest tube of every seed, column by column, each column from below.
 

@@ -1,6 +1,5 @@
 """The scan along lines: its kernels against slow twins, planted wires, pure noise, tilings."""
 
-import inspect
 import math
 from typing import Any
 
@@ -29,6 +28,7 @@ from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_WIRE, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 from spl_batch.numerics.neighbours.lattice_columns import Columns, columns
+from tests.airborne.filter.test_denoise import as_table
 
 FAST = settings(max_examples=15, deadline=None)
 BEND = 0.5 / 700e3
@@ -36,19 +36,15 @@ SETTINGS = WireSettings(classify=True)
 
 
 def made_cloud(
-    xyz: NDArray[np.int64], density: float, asked: NDArray[np.bool_] | None = None
+    xyz: NDArray[np.int64], density: float | NDArray[Any], asked: NDArray[np.bool_] | None = None
 ) -> Cloud:
-    anchor = tuple(int(v) for v in xyz.min(axis=0))
-    n = len(xyz)
-    given: dict[str, Any] = {
-        "xyz": (xyz - xyz.min(axis=0)).astype(np.int32),
-        "anchor": anchor,
-        "density": np.full(n, density),
-        "asked": np.ones(n, np.bool_) if asked is None else asked,
-        "shot_noise": np.zeros(n, np.bool_),
-    }
-    assert set(given) == set(inspect.signature(Cloud).parameters)
-    return Cloud(**given)
+    """Points on the absolute lattice, in the order given."""
+    low, n = xyz.min(axis=0, initial=2**40), len(xyz)
+    return Cloud(
+        xyz=(xyz - low).astype(np.int32), anchor=(int(low[0]), int(low[1]), int(low[2])),
+        density=np.full(n, density), asked=np.ones(n, np.bool_) if asked is None else asked,
+        shot_noise=np.zeros(n, np.bool_),
+    )  # fmt: skip
 
 
 def noise(rng: np.random.Generator, density: float, *size_m: float) -> NDArray[np.int64]:
@@ -295,18 +291,7 @@ def test_the_filter_keeps_what_the_scan_finds() -> None:
     rng = np.random.default_rng(9)
     wire = conductor(rng, 0.6, 120.0, 15.0, 20.0)
     xyz = np.concatenate([wire, noise(rng, 0.12, 120.0, 30.0, 40.0)])
-    columns_of: dict[str, NDArray[Any]] = {
-        "x": xyz[:, 0],
-        "y": xyz[:, 1],
-        "z": xyz[:, 2].astype(np.int32),
-        "flags": np.zeros(len(xyz), dtype=np.uint8),
-        "gps_time": np.arange(len(xyz), dtype=np.float64),
-        "channel": np.zeros(len(xyz), dtype=np.uint8),
-        "return_number": np.zeros(len(xyz), dtype=np.uint8),
-        "source": np.zeros(len(xyz), dtype=np.uint64),
-        "index": np.arange(len(xyz), dtype=np.uint32),
-    }
-    table, every = PointTable(columns_of), np.ones(len(xyz), np.bool_)
+    table, every = as_table(xyz), np.ones(len(xyz), np.bool_)
     density = np.full(len(xyz), 0.12)
     alone = denoise(table, density, every, FilterSettings(wires=WireSettings(enabled=False)))
     both = denoise(table, density, every, FilterSettings(wires=SETTINGS))
