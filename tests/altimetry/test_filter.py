@@ -12,7 +12,7 @@ from spl_batch.altimetry.filter.track import COLUMNS, label, mdbscan, window_qua
 from spl_batch.altimetry.filter.window import _threshold, assess
 from spl_batch.altimetry.simulate import Track, simulate_track
 from spl_batch.altimetry.water.surface import NO_WATER
-from tests.altimetry.tracks import photons_of, small_track
+from tests.altimetry.tracks import f1, photons_of, small_track
 
 WORKFLOW = workflow()
 
@@ -22,10 +22,6 @@ def in_order(track: Track) -> tuple[np.ndarray, np.ndarray]:
     along, height = photons_of(track)
     order = np.lexsort((height, along))
     return along[order], height[order]
-
-
-def f1(kept: np.ndarray, signal: np.ndarray) -> float:
-    return 2 * np.count_nonzero(kept & signal) / (kept.sum() + signal.sum())
 
 
 @settings(max_examples=30, deadline=None)
@@ -147,16 +143,11 @@ def test_the_threshold_is_that_of_the_largest_f1() -> None:
     rng = np.random.default_rng(2)
     photons = np.r_[rng.normal(2.0, 0.7, 400), rng.normal(-2.0, 1.0, 1600)]
     places, each = rng.normal(-2.0, 1.0, 800), np.full(800, 2.0)
-    f1, least, ground = _threshold(photons, places, each, 1.5)
+    expected, least, ground = _threshold(photons, places, each, 1.5)
     signal = np.arange(2000) < 400
-
-    def true_f1(limit: float) -> float:
-        kept = photons >= limit
-        return 2 * np.count_nonzero(kept & signal) / (kept.sum() + 400)
-
-    best = max(true_f1(limit) for limit in np.linspace(-3.0, 3.0, 200))
-    assert true_f1(least) > best - 0.01
-    assert f1 == pytest.approx(best, abs=0.03)
+    best = max(f1(photons >= limit, signal) for limit in np.linspace(-3.0, 3.0, 200))
+    assert f1(photons >= least, signal) > best - 0.01
+    assert expected == pytest.approx(best, abs=0.03)
     assert ground <= least
     assert np.count_nonzero(photons >= ground) <= 1.5 * np.count_nonzero(photons >= least)
 
