@@ -80,6 +80,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "rasters too large for a file leave them out",
                 "far": "{km:.0f} km from the rest of the survey ({main}), farther than its files "
                 "are long ({length_m:.0f} m); rasters too large for a file leave them out",
+                "astray": "{count:points|lie} up to {km:.1f} km outside the rest, alone in their "
+                "tiles; rasters that reach there are {times:.0f} times as large",
                 "shapes": "{key}: none of its polygons meets the survey: they lie within {shapes}, "
                 "its points within {points}",
                 "geoid": "{count:cells|lie} beyond the grid {grid}: void",
@@ -191,8 +193,12 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
         ),
         "N07": Code(
             "Signal floats",
-            "{share:.1%} of the signal has nothing in the 15 m below it, though something lies "
-            "farther down, over {area_m2:.0f} m2",
+            {
+                "thick": "{share:.1%} of the signal has nothing in the 15 m below it, though "
+                "something lies farther down, over {area_m2:.0f} m2",
+                "alone": "{count:cells|rise} more than {least_m} m above all but one cell of the "
+                "DSM beside them, up to {highest_m:.0f} m above the terrain",
+            },
             "haze, a cloud, stray light or noise in clusters, if no many wires or cranes are "
             "there: it stays signal, and the DSM may lie on it",
             "look at the profile there, and classify by hand what is no surface",

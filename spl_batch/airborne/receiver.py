@@ -17,6 +17,7 @@ from spl_batch.airborne.plan.inputs.findings import (
     judge_index,
     looks_ahead,
     merged_shots,
+    points_astray,
     refuse_empty_area,
 )
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
@@ -137,6 +138,7 @@ class Imaging(Receiver[Survey, Context]):
         if step.name == "build_tile":
             refuse_empty_area(survey)
             yield from copies(survey)
+            yield from points_astray(survey)
         if step.name in {"trajectory_file", "trajectory"} and not survey.of(step.name):
             failures = [r.reason for r in failed if r.kind == step.name]
             if failures:  # nothing tells where the sensor was

@@ -180,6 +180,15 @@ def test_a_refusal_begins_where_the_limit_ends(kind: str) -> None:
     assert "needs about" in refusal(kind, fits + 10_000, 2**32)
 
 
+def test_a_surface_cell_of_many_raster_cells_asks_for_larger_ones() -> None:
+    pieces = list(from_counts({CellId(3, 5): 10**4}, 100_000))
+    given = {"survey": {"flightlines": "a"}, "output": "o", "products": {"cell_m": 0.01}}
+    fine = parse_workflow(given, "w")
+    for workflow, remedy in ((WORKFLOW, STEPS["surface"].remedy), (fine, "raise products.cell_m")):
+        (surface,) = (n for n in needs(pieces, workflow, [10**4], 1) if "surface" in n.task)
+        assert surface.remedy == remedy
+
+
 def test_a_trajectory_of_any_length_fits_and_a_tile_needs_what_its_task_is_given(
     tmp_path: Path,
 ) -> None:

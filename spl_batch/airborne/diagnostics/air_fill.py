@@ -13,7 +13,8 @@ is seen below them. Single places are even by chance, so several must lie togeth
 A signal *floats* if nothing was kept in the :data:`GAP` layers of cells of 5 m below it, in its
 column and the eight around, while a surface lies farther down in its own column. Roofs and decks
 hang so beside their edges: what is thinner than :data:`THICK` layers, and not far thinner spread
-than what lies below, is a surface itself.
+than what lies below, is a surface itself. Where noise is not removed, single returns high up that
+the DSM lies on are named, too.
 """
 
 from collections.abc import Iterator
@@ -84,6 +85,10 @@ north of its largest patch [m], if there is one."""
 FLOATS: Final = "floats"
 """Fact of a ground cell: floating signals, all signals [count], area [m2], and west, south, east
 and north of its largest place [m] where there is one."""
+
+ALONE: Final = "alone"
+"""Fact of a ground cell: cells of its DSM that rise alone [count], and the most above terrain [m],
+if there are such."""
 
 _EDGE, _COLUMN = quanta(PLACE_M), quanta(COLUMN_M)
 _SIDE: Final = _EDGE // _COLUMN
@@ -232,6 +237,20 @@ def floating(kept: Counts, stray: Marks) -> Counts:
     return found
 
 
+def alone_facts(dsm: NDArray[np.float32], dtm: NDArray[np.float32]) -> dict[str, list[float]]:
+    """Cells that rise by more than :data:`LAYERS` metres above all but one cell beside them.
+
+    Parameters
+    ----------
+    dsm, dtm : (rows, columns) float32
+        Rasters of a ground cell [m].
+    """
+    beside = ndimage.rank_filter(dsm, -3, 3, mode="constant", cval=NODATA)
+    alone = (dsm - beside > LAYERS) & (beside > NODATA) & (dtm > NODATA)
+    above = (dsm - dtm)[alone]
+    return {ALONE: [float(above.size), float(above.max())]} if above.size else {}
+
+
 def air_findings(done: Receipts, settings: FilterSettings) -> Iterator[Finding]:
     """Air that signals fill, and signals that float."""
     for name, receipt in done.get("surface", {}).items():
@@ -239,6 +258,12 @@ def air_findings(done: Receipts, settings: FilterSettings) -> Iterator[Finding]:
             area_m2, low_m, high_m, *box = fact
             values = {"area_m2": area_m2, "low_m": low_m, "high_m": high_m}
             yield Finding("N04", values, name, box, area_m2)
+        if fact := receipt.facts.get(ALONE):
+            count, highest_m = fact
+            values = {
+                "kind": "alone", "count": int(count), "least_m": LAYERS, "highest_m": highest_m,
+            }  # fmt: skip
+            yield Finding("N07", values, name, badness=highest_m)
     alpha = settings.alpha if settings.method == "vsaes" else 0.0
     least = max(FLOAT_SHARE, FLOAT_TIMES * alpha)
     cells = [(name, r.facts.get(FLOATS, ())) for name, r in done.get("ground", {}).items()]
@@ -246,7 +271,7 @@ def air_findings(done: Receipts, settings: FilterSettings) -> Iterator[Finding]:
     if sum(fact[2] for _, fact in off) < FLOAT_M2:
         return
     for name, (count, kept, area_m2, *box) in off:
-        values = {"share": count / kept, "area_m2": area_m2}
+        values = {"kind": "thick", "share": count / kept, "area_m2": area_m2}
         yield Finding("N07", values, name, box, area_m2)
 
 

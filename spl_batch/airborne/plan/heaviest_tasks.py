@@ -11,6 +11,7 @@ from spl_batch.airborne.plan.task_memory import (
     STRETCH_POINTS,
     UNEVEN,
     cell_bytes,
+    remedy,
     task_bytes,
 )
 from spl_batch.airborne.settings.workflow import Workflow
@@ -113,7 +114,7 @@ def _cells(pieces: Sequence[Piece], workflow: Workflow, side: int) -> Iterator[N
         x, y = (sum(ends) / 2 * QUANTUM_M for ends in (peak.core[::2], peak.core[1::2]))
         place = f"around x {x:.0f}, y {y:.0f} with {grouped(peak.points)} points in reach"
         needed = cell_bytes(kind, peak.core, peak.points, workflow)
-        yield Need(f"{NAMES[kind]} {place}", needed, STEPS[kind].remedy)
+        yield Need(f"{NAMES[kind]} {place}", needed, remedy(kind, peak.points, needed))
 
 
 def _records(path: Path) -> int:

@@ -45,6 +45,11 @@ def cell_bytes(kind: str, core: Bounds, points: float, workflow: Workflow) -> in
     return max(needed, LOADED_BASE_BYTES + int(cells * RASTER_BYTES))
 
 
+def remedy(kind: str, points: float, needed: int) -> str:
+    """How to make a task lighter: by its points, or by its raster cells where these are more."""
+    return STEPS[kind].remedy if needed <= task_bytes(kind, points) else "raise products.cell_m"
+
+
 def points_within(kind: str, limit: int) -> int:
     """Points that a task can hold within a worker's memory limit [count]."""
     return max(usable_bytes(limit) - LOADED_BASE_BYTES, 0) // STEPS[kind].bytes_per_point
@@ -81,5 +86,6 @@ def refusal(kind: str, points: float, limit: int, needed: int | None = None) -> 
     return (
         f"{NAMES[kind]} with {grouped(points)} points in reach needs about "
         f"{grouped(needed / 2**20)} MiB, more than {100 * USABLE_SHARE:.0f} % of --memory "
-        f"{grouped(limit / 2**20)} MiB; raise it to {enough_mib(needed)}MiB or {STEPS[kind].remedy}"
+        f"{grouped(limit / 2**20)} MiB; raise it to {enough_mib(needed)}MiB or "
+        f"{remedy(kind, points, needed)}"
     )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.diagnostics.air_fill import alone_facts
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_facts
 from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import surface_points
@@ -50,6 +51,8 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
         _mask_outside(arrays, core, context)
     counted = pulses.covered(arrays, workflow.products)
     counted |= terrain_facts(arrays["dtm_quality"], arrays["dtm"], core)
+    if workflow.filter.method == "none":
+        counted |= alone_facts(arrays["dsm"], arrays["dtm"])
     give_back()
     of_pulses, swaths = pulses.pulse_facts(_first(cell), arrays["density"], core, context)
     counted |= of_pulses

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from spl_batch.airborne.diagnostics.air_fill import (
+    ALONE,
     FILLED,
     FLOATS,
     air_findings,
+    alone_facts,
     fill_facts,
     filled_blocks,
     float_facts,
@@ -17,7 +19,7 @@ from spl_batch.airborne.diagnostics.air_fill import (
 )
 from spl_batch.airborne.filter.stray_returns import bare_cells
 from spl_batch.airborne.settings import FilterSettings
-from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
+from spl_batch.constants import NODATA, NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 
@@ -125,6 +127,20 @@ def test_floating_signal_is_a_fact_with_area_and_place():
     assert kept == pytest.approx(len(cloud) + len(lower), abs=5)
     assert area_m2 == pytest.approx(2400, rel=0.1)
     assert (west, south, east, north) == (640.0, 4000.0, 680.0, 4060.0)
+
+
+def test_returns_that_the_surface_model_rises_to_alone_are_named():
+    dtm = np.full((20, 20), 10.0, np.float32)
+    dsm = dtm + 2.0
+    dsm[4:8, 4:8] = 400.0  # a tower: each of its cells has others beside it
+    dsm[0, 0] = dsm[12, 12] = 131.0
+    assert alone_facts(dsm, dtm) == {}
+    dsm[15, 3], dsm[19, 19], dsm[1, 15:17] = 900.0, 1010.0, 140.0
+    assert alone_facts(dsm, dtm) == {ALONE: [4.0, 1000.0]}
+    dtm[19, 19] = NODATA
+    dsm[4, 15] = NODATA
+    (one,) = air_findings(receipts([alone_facts(dsm, dtm)]), FilterSettings())
+    assert (one.code, one.values["count"], one.values["highest_m"]) == ("N07", 3, 890.0)
 
 
 def receipts(surface=(), grounds=()):

@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 
 from spl_batch import api
 from spl_batch.airborne.plan.inputs.file_positions import far_positions, saved_again
+from spl_batch.airborne.plan.inputs.findings import points_astray
 from spl_batch.constants import NODATA
 from spl_batch.engine.findings import Finding
 from spl_batch.formats.crs import look_like_degrees
@@ -196,3 +199,21 @@ def test_small_tiles_of_a_large_scene_in_local_metres_are_no_degrees() -> None:
     assert not look_like_degrees((0.0, 0.0), (5.0, 3.0)), "an extent of five"
     assert not look_like_degrees((500.0, 20.0), (501.0, 21.0))
     assert not look_like_degrees((100.0, 91.0), (101.0, 92.0))
+
+
+@pytest.mark.parametrize(
+    ("counts", "found"),
+    [
+        ({(0, 0): 9_000, (0, 1): 8_000, (70, 3): 1, (3, 70): 2}, [(3, 7.0)]),
+        ({(0, 0): 9_000, (0, 1): 8_000, (70, 3): 900}, []),  # another plot
+        ({(0, 0): 9_000, (9, 9): 8_000, (4, 5): 1, (10, 9): 2}, []),  # the rim of a swath
+        ({(0, 0): 5}, []),
+    ],
+)
+def test_points_astray_are_few_and_make_rasters_much_larger(
+    counts: dict[tuple[int, int], int], found: list[tuple[int, float]]
+) -> None:
+    workflow = SimpleNamespace(tiling=SimpleNamespace(tile_m=100.0))
+    survey: Any = SimpleNamespace(counts=counts, workflow=workflow)
+    values = [one.values for one in points_astray(survey)]
+    assert [(one["count"], one["km"]) for one in values] == found

@@ -23,7 +23,8 @@ FEWEST_PER_M: Final = 1.0
 """Points per metre of a long file below which some of them lie astray [1/m]."""
 
 THINNEST: Final = 1e-3
-"""The same for points over the bounding box, as a share of the other files' median."""
+"""The same for points over the bounding box, as a share of the other files' median; and for points
+of a tile, as a share of the tile of most points."""
 
 
 def without_degrees(

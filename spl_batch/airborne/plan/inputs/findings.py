@@ -10,6 +10,7 @@ from spl_batch.airborne.beams.geometry import ELSEWHERE_M, Ahead
 from spl_batch.airborne.findings import CODES
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.plan.inputs.channel_dimension import holds_few, unnamed_channels
+from spl_batch.airborne.plan.inputs.file_positions import THINNEST
 from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.task import Receipt
@@ -113,6 +114,25 @@ def copies(survey: Survey) -> Iterator[Finding]:
         else:
             values = {"kind": "files", "count": count}
             yield Finding("I03", values, f"{copy.name} and {kept.name}", badness=count)
+
+
+def points_astray(survey: Survey) -> Iterator[Finding]:
+    """Few points outside the rest of the survey that make its rasters more than twice as large."""
+    tiles, counts = np.array([*survey.counts]), np.array([*survey.counts.values()])
+    if not counts.any():
+        return
+    typical = float((counts**2).sum() / counts.sum())
+    dense = tiles[counts >= THINNEST * typical]
+    low, high = dense.min(axis=0), dense.max(axis=0)
+    beyond = np.maximum(low - tiles, tiles - high).max(axis=1)
+    area = [np.prod(np.ptp(some, axis=0) + 1) for some in (tiles, dense)]
+    if area[0] > 2 * area[1]:
+        values = {
+            "kind": "astray", "count": int(counts[beyond > 0].sum()),
+            "km": float(beyond.max() * survey.workflow.tiling.tile_m / 1000),
+            "times": float(area[0] / area[1]),
+        }  # fmt: skip
+        yield Finding("I05", values)
 
 
 def times_off(survey: Survey) -> tuple[dict[str, int], dict[str, float]]:
