@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from benchmarks.altimetry.photon_beams import Kind, labelled, lattice, scene, workflow
 from spl_batch.altimetry.filter.neighbours import LAYER_M, SLOPES, columns, leaning, log_areas
 from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, gate
-from spl_batch.altimetry.filter.track import COLUMNS, label, mdbscan, window_quanta
+from spl_batch.altimetry.filter.track import COLUMNS, label, mdbscan
 from spl_batch.altimetry.filter.window import _threshold, assess
 from spl_batch.altimetry.simulate import Track, simulate_track
 from spl_batch.altimetry.water.surface import NO_WATER
@@ -129,7 +129,9 @@ def test_labels_are_the_same_however_the_track_is_cut() -> None:
         np.testing.assert_array_equal(whole[name], joined, err_msg=name)
     for name, values in cells.items():
         np.testing.assert_array_equal(values, np.concatenate([c[name] for _, c in parts]))
-    assert window_quanta(settings) == 1_000_000
+    own = along >= 1_000_000
+    alone, _ = label(along[own], height[own], (1_000_000, 3_000_000), settings)
+    assert (alone["score"] != whole["score"][own]).any(), "the margin decides with it"
 
 
 def test_a_window_of_one_photon_and_one_of_none() -> None:
