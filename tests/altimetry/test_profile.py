@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 from benchmarks.altimetry.photon_beams import Kind, lattice, scene
 from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers, with_bends
-from spl_batch.altimetry.ground.profile import Layers, agree, held, layers_of, not_beside, profile
+from spl_batch.altimetry.ground.profile import (
+    Layers,
+    agree,
+    layers_of,
+    not_beside,
+    photons_in_layers,
+    profile,
+)
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.simulate import Track, simulate_track
 from spl_batch.altimetry.tasks.heights import REFERENCE_GAP_M, between
@@ -110,7 +117,7 @@ def test_photons_in_a_layer_are_counted_as_by_hand(seed: int, n: int) -> None:
     index, layers = np.array([0, 1, 3]), rng.uniform(-1.0, 1.0, (3, 2))
     layers[1] = np.nan
     for beside in (-1, 0, 1):
-        found = held(along, z, (index, 20_000), layers, np.full(3, 0.7), beside)
+        found = photons_in_layers(along, z, (index, 20_000), layers, np.full(3, 0.7), beside)
         expected = []
         for cell, (level, slope) in zip(index, layers, strict=True):
             off = np.abs(z - level - slope * (x - 20.0 * cell - 10.0))
