@@ -134,9 +134,11 @@ def test_labels_are_the_same_however_the_track_is_cut() -> None:
     assert (alone["score"] != whole["score"][own]).any(), "the margin decides with it"
 
 
-def test_a_window_of_one_photon_and_one_of_none() -> None:
-    one = label(np.array([5]), np.array([7], np.int32), (0, 4_000_000), WORKFLOW)[0]
-    assert len(one["signal"]) == 1
+def test_a_window_of_two_photons_and_one_of_none() -> None:
+    far = np.array([5, 1_000_005]), np.array([7, 7], np.int32)
+    two, cells = label(*far, (0, 4_000_000), WORKFLOW)
+    assert len(two["signal"]) == 2
+    assert cells["index"].tolist() == [0, 50], "those that hold photons"
     none = label(np.empty(0, np.int64), np.empty(0, np.int32), (0, 4_000_000), WORKFLOW)
     assert not any(len(values) for part in none for values in part.values())
 
