@@ -236,9 +236,11 @@ def test_ground_is_compared_with_a_terrain_raster(tmp_path: Path) -> None:
         transform=rasterio.Affine(step, 0, 10.0 - 1.5 * step, 0, -step, 620.0 / 111_000.0),
     ) as raster:  # fmt: skip
         raster.write(heights.astype(np.float32), 1)
-    workflow = write_workflow(tmp_path, "photons.csv", reference={"dtm": "dtm.tif"})
+    reference = {"dtm": "dtm.tif", "remove_bias": True}
+    workflow = write_workflow(tmp_path, "photons.csv", reference=reference)
     assert run(workflow).status == 0
     (beam,) = report(workflow)["beams"]
+    assert beam["ground"]["median"] == pytest.approx(0.0, abs=1e-12)
     assert beam["ground"]["n"] >= 28
     assert beam["ground"]["rmse"] < 0.3
     with rasterio.open(tmp_path / "dtm.tif", "r+") as raster:
