@@ -112,11 +112,11 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
         return Source(path, name, key, file, beams)
 
     sources, bad = usable(paths, base, look)
-    labels, said = _atl08(found.get("labels", ()), base, sources)
+    labels, warnings = _atl08(found.get("labels", ()), base, sources)
     return Inputs(
         sources,
         tuple(bad),
-        said,
+        warnings,
         tuple(path for paths in found.values() for path in paths),
         labels,
     )
@@ -126,17 +126,17 @@ def _atl08(
     files: Sequence[Path], base: Path, sources: Sequence[Source]
 ) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
     """Files that are of ATL08, and what to say of the others."""
-    good, said = [], []
+    good, warnings = [], []
     for path in files:
         why = no_atl08(path)
         if why:
             name = f"reference.labels {name_below(path, base)}"
-            said.append(Finding("P01", {"kind": why}, name))
+            warnings.append(Finding("P01", {"kind": why}, name))
         else:
             good.append(path)
     if good and sources and not any(s.file.layout == "atl03" for s in sources):
-        said.append(Finding("P01", {"kind": "no atl03"}, "reference.labels"))
-    return tuple(good), tuple(said)
+        warnings.append(Finding("P01", {"kind": "no atl03"}, "reference.labels"))
+    return tuple(good), tuple(warnings)
 
 
 def index_file(tracks: Tracks) -> Iterator[Task]:

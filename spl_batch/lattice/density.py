@@ -6,7 +6,7 @@ are a few arrays.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -115,8 +115,11 @@ def from_boxes(boxes: Iterable[Box], edge: int) -> Iterator[Piece]:
     edge : int
         Edge of a tile [quanta].
     """
-    for part in _apart([box for box in boxes if box.points]):
-        hull = _hull(part)
+    known = [box for box in boxes if box.points]
+    corners = np.array([box.bounds for box in known], np.int64).reshape(-1, 4)
+    for group in map(np.sort, far_apart(corners[:, :2], FAR_Q, corners[:, 2:])):
+        part, ends = [known[row] for row in group], corners[group]
+        hull = Bounds(*ends[:, :2].min(axis=0).tolist(), *ends[:, 2:].max(axis=0).tolist())
         sides = hull.xmax - hull.xmin, hull.ymax - hull.ymin
         size = _coarse(*sides, edge, math.fsum(box.points for box in part))
         first = CellId(hull.xmin // size, hull.ymin // size)
@@ -190,38 +193,3 @@ def _coarse(width: int, height: int, edge: int, points: float) -> int:
     while width / size * (height / size) > most:
         size *= 2
     return size
-
-
-def _hull(boxes: Sequence[Box]) -> Bounds:
-    return Bounds(
-        min(b.bounds.xmin for b in boxes),
-        min(b.bounds.ymin for b in boxes),
-        max(b.bounds.xmax for b in boxes),
-        max(b.bounds.ymax for b in boxes),
-    )
-
-
-def _apart(boxes: list[Box]) -> Iterator[list[Box]]:
-    """Boxes in groups that a wide straight gap keeps apart, again and again."""
-    waiting = [boxes] if boxes else []
-    while waiting:
-        group = waiting.pop()
-        for axis in (0, 1):
-            parts = _split(group, axis)
-            if len(parts) > 1:
-                waiting.extend(reversed(parts))
-                break
-        else:
-            yield group
-
-
-def _split(boxes: Sequence[Box], axis: int) -> list[list[Box]]:
-    """Boxes in groups that no box bridges along an axis."""
-    parts: list[list[Box]] = []
-    end = -math.inf
-    for box in sorted(boxes, key=lambda b: b.bounds[axis]):
-        if box.bounds[axis] > end + FAR_Q:
-            parts.append([])
-        parts[-1].append(box)
-        end = max(end, box.bounds[axis + 2])
-    return parts

@@ -154,15 +154,10 @@ def rows_of(chosen: NDArray[np.bool_]) -> NDArray[np.intp] | slice:
     return rows
 
 
-def empty_table(names: Sequence[str]) -> PointTable:
-    """Table of no points with these columns."""
-    return PointTable({k: np.empty(0, dtype=COLUMNS[k].dtype) for k in names})
-
-
 def concat(tables: Sequence[PointTable], names: Sequence[str]) -> PointTable:
     """Tables one below the other, with these columns; none gives an empty table."""
     if not tables:
-        return empty_table(names)
+        return PointTable({k: np.empty(0, dtype=COLUMNS[k].dtype) for k in names})
     if len(tables) == 1:
         return tables[0].select(names)
     return PointTable({k: np.concatenate([t[k] for t in tables]) for k in names})

@@ -122,7 +122,9 @@ def cell_index(coordinate: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     return index
 
 
-def far_apart(places: NDArray[np.int64], gap: int) -> Iterator[NDArray[np.intp]]:
+def far_apart(
+    places: NDArray[np.int64], gap: int, ends: NDArray[np.int64] | None = None
+) -> Iterator[NDArray[np.intp]]:
     """Rows of places in groups that wide empty columns or rows keep apart, again and again.
 
     Parameters
@@ -131,18 +133,22 @@ def far_apart(places: NDArray[np.int64], gap: int) -> Iterator[NDArray[np.intp]]
         Easting and northing, or column and row.
     gap : int
         Places along an axis that differ by more than this, with none between, are apart.
+    ends : (n, 2) int64, optional
+        The same of the other corners, where the places are rectangles.
 
     Yields
     ------
     (k,) intp
         Rows of a group, in any order; each row is in one group.
     """
+    ends = places if ends is None else ends
     waiting = [np.arange(len(places))] if len(places) else []
     while waiting:
         rows = waiting.pop()
         for axis in (0, 1):
             rows = rows[np.argsort(places[rows, axis], kind="stable")]
-            cuts = np.flatnonzero(np.diff(places[rows, axis]) > gap) + 1
+            reached = np.maximum.accumulate(ends[rows, axis])[:-1]
+            cuts = np.flatnonzero(places[rows[1:], axis] - reached > gap) + 1
             if len(cuts):
                 waiting.extend(reversed(np.split(rows, cuts)))
                 break

@@ -11,7 +11,14 @@ from spl_batch import api
 from spl_batch.altimetry.compare.comparison import METHODS
 from spl_batch.engine.watch.events import TaskEnded
 from tests import surveys
-from tests.altimetry.tracks import labels, small_track, write_atl03, write_atl08, write_workflow
+from tests.altimetry.tracks import (
+    f1,
+    labels,
+    small_track,
+    write_atl03,
+    write_atl08,
+    write_workflow,
+)
 
 CHOSEN = ("likelihood", "published")
 
@@ -38,8 +45,7 @@ def test_counts_are_those_of_the_delivered_tables(compared: Path) -> None:
         assert method["signal"] == np.count_nonzero(mine) > 0
         assert method["kept_only"] == np.count_nonzero(mine & ~kept[0])
         assert method["removed_only"] == np.count_nonzero(kept[0] & ~mine)
-        f1 = 2 * np.count_nonzero(mine & truth) / (mine.sum() + truth.sum())
-        assert method["labels"]["f1"] == pytest.approx(f1)
+        assert method["labels"]["f1"] == pytest.approx(f1(mine, truth))
     assert methods[1]["kept_only"] + methods[1]["removed_only"] > 0
     assert [m["false_signal"] is None for m in methods] == [False, True]
     page = (compared / "compare.html").read_text()

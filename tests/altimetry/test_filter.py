@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from benchmarks.altimetry.photon_beams import Kind, labelled, lattice, scene, workflow
 from spl_batch.altimetry.filter.neighbours import LAYER_M, SLOPES, columns, leaning, log_areas
 from spl_batch.altimetry.filter.noise_field import Boxes, below_water, density, gate
-from spl_batch.altimetry.filter.track import COLUMNS, label, mdbscan, window_quanta
+from spl_batch.altimetry.filter.track import COLUMNS, label, mdbscan
 from spl_batch.altimetry.filter.window import _threshold, assess
 from spl_batch.altimetry.simulate import Track, simulate_track
 from spl_batch.altimetry.water.surface import NO_WATER
-from tests.altimetry.tracks import photons_of, small_track
+from tests.altimetry.tracks import f1, photons_of, small_track
 
 WORKFLOW = workflow()
 
@@ -22,10 +22,6 @@ def in_order(track: Track) -> tuple[np.ndarray, np.ndarray]:
     along, height = photons_of(track)
     order = np.lexsort((height, along))
     return along[order], height[order]
-
-
-def f1(kept: np.ndarray, signal: np.ndarray) -> float:
-    return 2 * np.count_nonzero(kept & signal) / (kept.sum() + signal.sum())
 
 
 @settings(max_examples=30, deadline=None)
@@ -133,12 +129,16 @@ def test_labels_are_the_same_however_the_track_is_cut() -> None:
         np.testing.assert_array_equal(whole[name], joined, err_msg=name)
     for name, values in cells.items():
         np.testing.assert_array_equal(values, np.concatenate([c[name] for _, c in parts]))
-    assert window_quanta(settings) == 1_000_000
+    own = along >= 1_000_000
+    alone, _ = label(along[own], height[own], (1_000_000, 3_000_000), settings)
+    assert (alone["score"] != whole["score"][own]).any(), "the margin decides with it"
 
 
-def test_a_window_of_one_photon_and_one_of_none() -> None:
-    one = label(np.array([5]), np.array([7], np.int32), (0, 4_000_000), WORKFLOW)[0]
-    assert len(one["signal"]) == 1
+def test_a_window_of_two_photons_and_one_of_none() -> None:
+    far = np.array([5, 1_000_005]), np.array([7, 7], np.int32)
+    two, cells = label(*far, (0, 4_000_000), WORKFLOW)
+    assert len(two["signal"]) == 2
+    assert cells["index"].tolist() == [0, 50], "those that hold photons"
     none = label(np.empty(0, np.int64), np.empty(0, np.int32), (0, 4_000_000), WORKFLOW)
     assert not any(len(values) for part in none for values in part.values())
 
@@ -147,16 +147,11 @@ def test_the_threshold_is_that_of_the_largest_f1() -> None:
     rng = np.random.default_rng(2)
     photons = np.r_[rng.normal(2.0, 0.7, 400), rng.normal(-2.0, 1.0, 1600)]
     places, each = rng.normal(-2.0, 1.0, 800), np.full(800, 2.0)
-    f1, least, ground = _threshold(photons, places, each, 1.5)
+    expected, least, ground = _threshold(photons, places, each, 1.5)
     signal = np.arange(2000) < 400
-
-    def true_f1(limit: float) -> float:
-        kept = photons >= limit
-        return 2 * np.count_nonzero(kept & signal) / (kept.sum() + 400)
-
-    best = max(true_f1(limit) for limit in np.linspace(-3.0, 3.0, 200))
-    assert true_f1(least) > best - 0.01
-    assert f1 == pytest.approx(best, abs=0.03)
+    best = max(f1(photons >= limit, signal) for limit in np.linspace(-3.0, 3.0, 200))
+    assert f1(photons >= least, signal) > best - 0.01
+    assert expected == pytest.approx(best, abs=0.03)
     assert ground <= least
     assert np.count_nonzero(photons >= ground) <= 1.5 * np.count_nonzero(photons >= least)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -14,7 +15,7 @@ from spl_batch.altimetry.formats.atl08 import find_labels, terrain_heights
 from spl_batch.altimetry.formats.photons import Photons, inspect, iter_photons
 from spl_batch.altimetry.formats.terrain import sample_terrain
 from spl_batch.altimetry.formats.track_csv import check_unit, read_profile
-from spl_batch.altimetry.simulate import SceneFile, TrackScene, simulate
+from spl_batch.altimetry.simulate import SceneFile, Track, TrackScene, simulate
 from spl_batch.altimetry.tasks.index import _Cells
 from spl_batch.errors import InputError
 from tests.altimetry.tracks import (
@@ -51,16 +52,6 @@ def test_atl03_photons_lie_where_their_segments_are(tmp_path: Path) -> None:
     assert np.abs(photons.height - height).max() <= 1
 
 
-def test_photons_without_height_or_place_are_left_out(tmp_path: Path) -> None:
-    path = write_atl03(tmp_path / "atl03.h5", {"gt1r": small_track()})
-    with h5py.File(path, "r+") as file:
-        file["gt1r/heights/h_ph"][5] = np.finfo(np.float32).max
-        file["gt1r/heights/dist_ph_along"][7] = np.nan
-    photons = whole(path, "atl03", "gt1r")
-    assert photons.read == len(photons.row) + 2
-    assert not {5, 7} & set(photons.row.tolist())
-
-
 def test_mabel_photons_lie_where_their_times_are(tmp_path: Path) -> None:
     scene = SceneFile(kind="altimetry", track=TrackScene(length_m=500.0, noise_per_m2=0.005))
     made = simulate(scene, tmp_path)
@@ -84,13 +75,31 @@ def test_csv_columns_are_found_by_name(tmp_path: Path) -> None:
     assert inspect(path).beams[0].photons == pytest.approx(len(along), rel=0.2)
 
 
-def test_heights_of_atl08_stand_where_their_segments_are(tmp_path: Path) -> None:
+class Granule(NamedTuple):
+    """A track in ATL03, what ATL08 has of it, and ATL08 of another day."""
+
+    track: Track
+    atl03: Path
+    atl08: Path
+    other: Path
+
+
+@pytest.fixture
+def granule(tmp_path: Path) -> Granule:
     track = small_track()
     atl03 = write_atl03(tmp_path / "atl03.h5", {"gt1r": track})
-    atl08 = write_atl08(tmp_path / "atl08.h5", atl03, {"gt1r": track})
-    other = write_atl08(tmp_path / "other_day.h5", atl03, {"gt1r": track})
+    atl08, other = (
+        write_atl08(tmp_path / f"{name}.h5", atl03, {"gt1r": track}) for name in ("atl08", "other")
+    )
     with h5py.File(other, "r+") as file:
-        file["gt1r/land_segments/delta_time"][:] += 86_400.0
+        for group in ("land_segments", "signal_photons"):
+            file[f"gt1r/{group}/delta_time"][:] += 86_400.0
+        file["gt1r/signal_photons/classed_pc_flag"][:] = 0
+    return Granule(track, atl03, atl08, other)
+
+
+def test_heights_of_atl08_stand_where_their_segments_are(granule: Granule) -> None:
+    track, atl03, atl08, other = granule
     assert len(terrain_heights(atl03, [other], "gt1r")) == 0
     assert len(terrain_heights(atl03, [], "gt1r")) == 0
     found = terrain_heights(atl03, [other, atl08], "gt1r")
@@ -109,12 +118,10 @@ def test_heights_of_atl08_stand_where_their_segments_are(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("order", ["as it is", "mixed"])
 def test_atl08_says_what_is_signal(
-    tmp_path: Path, order: str, monkeypatch: pytest.MonkeyPatch
+    granule: Granule, order: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(atl08_io, "SLICE_PHOTONS", 97)
-    track = small_track()
-    atl03 = write_atl03(tmp_path / "atl03.h5", {"gt1r": track})
-    atl08 = write_atl08(tmp_path / "atl08.h5", atl03, {"gt1r": track})
+    track, atl03, atl08, other = granule
     with h5py.File(atl08, "r+") as file:
         for column in file["gt1r/signal_photons"].values() if order == "mixed" else ():
             column[:] = np.random.default_rng(5).permutation(column[()])
@@ -124,10 +131,6 @@ def test_atl08_says_what_is_signal(
     assert stop - found.first > 0.9 * len(track.truth)
     np.testing.assert_array_equal(found.signal, track.truth[found.first : stop] > 0)
     assert find_labels(atl03, [], "gt1r") is None
-    other = write_atl08(tmp_path / "other_day.h5", atl03, {"gt1r": track})
-    with h5py.File(other, "r+") as file:
-        file["gt1r/signal_photons/delta_time"][:] += 86_400.0
-        file["gt1r/signal_photons/classed_pc_flag"][:] = 0
     assert find_labels(atl03, [other], "gt1r") is None
     again = find_labels(atl03, [other, atl08], "gt1r")
     assert again is not None

@@ -1,13 +1,10 @@
 """How far the k-th neighbour is: the source's law, ours for signal, and the kernel of both."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate
-from scipy.spatial import cKDTree
 from scipy.special import gammaincc, gammaln
 
 from spl_batch.altimetry.filter.posterior import noise_posterior, ratios, with_prior
@@ -24,24 +21,6 @@ def signal_pdf(k: int, x: np.ndarray, contrast: float) -> np.ndarray:
     columns = np.arange(table.within.shape[1])
     row = np.interp((np.log(x) - table.first) * table.step, columns, table.within[k - 1])
     return np.exp(row) * noise_pdf(k, x)
-
-
-@pytest.mark.parametrize("k", [1, 2])
-def test_neighbours_of_uniform_points_follow_eq_4_4(k: int) -> None:
-    """W17 Fig. 4-2: 10 000 points in a square of 10 m."""
-    rng = np.random.default_rng(3)
-    points = rng.uniform(0.0, 10.0, (10_000, 2))
-    inner = points[(np.abs(points - 5.0) < 4.5).all(axis=1)]
-    distance = cKDTree(points).query(inner, k=k + 1)[0][:, k]
-    edges = np.quantile(distance, np.linspace(0.0, 1.0, 21))
-    alpha = 100.0
-    expected = []
-    for low, high in pairwise(edges):
-        r = np.linspace(low, high, 50)
-        # f(r) dr = f(x) dx with x = alpha pi r^2
-        density = noise_pdf(k, np.maximum(alpha * np.pi * r**2, 1e-12)) * 2 * alpha * np.pi * r
-        expected.append(integrate.trapezoid(density, r))
-    assert np.abs(np.array(expected) - 0.05).max() < 0.008
 
 
 @pytest.mark.parametrize("k", [1, 3, 20])

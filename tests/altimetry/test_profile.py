@@ -1,18 +1,30 @@
 """Ground and canopy top of simple and of simulated tracks."""
 
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.altimetry.photon_beams import Kind, lattice, scene
+from benchmarks.altimetry.photon_beams import Kind, lattice, scene, workflow
 from spl_batch.altimetry.ground import over_water
 from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers, with_bends
-from spl_batch.altimetry.ground.profile import Layers, agree, held, layers_of, not_beside, profile
+from spl_batch.altimetry.ground.profile import (
+    Layers,
+    agree,
+    layers_of,
+    not_beside,
+    photons_in_layers,
+    profile,
+)
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.simulate import Track, simulate_track
-from spl_batch.altimetry.tasks.heights import REFERENCE_GAP_M, between
+from spl_batch.altimetry.tasks.heights import REFERENCE_GAP_M, _where, between
 from spl_batch.altimetry.water.surface import AIR, NO_WATER, WATER
+from spl_batch.formats.verified.parquet_npz import write_arrays
 
 SETTINGS = ProfileSettings()
 LAYERS = Layers(SETTINGS)
@@ -57,12 +69,15 @@ def test_a_slope_under_trees_is_found(slope: float, cover: float, seed: int) -> 
         assert not columns["canopy_photons"].any()
 
 
-def test_stray_photons_below_the_ground_do_not_pull_it_down() -> None:
+def test_stray_photons_do_not_pull_the_ground_down_and_are_no_canopy() -> None:
     rng = np.random.default_rng(4)
-    x = rng.uniform(0.0, 400.0, 840)
-    z = np.concatenate([rng.normal(50.0, 0.1, 800), rng.uniform(20.0, 49.0, 40)])
-    columns = profile(*photons_of(x, z), EVERYTHING, LAYERS)
-    assert np.abs(columns["ground"] - 50.0).max() < 0.15
+    below, above = rng.uniform(20.0, 49.0, 40), rng.uniform(55.0, 60.0, 400)
+    z = np.concatenate([rng.normal(50.0, 0.1, 800), below, above])
+    along, height, sure = photons_of(rng.uniform(0.0, 400.0, len(z)), z)
+    for signal, wooded in ((sure, True), (height < 52_000, False)):
+        columns = profile(along, height, signal, EVERYTHING, LAYERS)
+        assert np.abs(columns["ground"] - 50.0).max() < 0.15
+        assert columns["canopy_photons"].any() == wooded
 
 
 def test_a_cell_that_its_neighbours_contradict_is_put_right() -> None:
@@ -110,7 +125,7 @@ def test_photons_in_a_layer_are_counted_as_by_hand(seed: int, n: int) -> None:
     index, layers = np.array([0, 1, 3]), rng.uniform(-1.0, 1.0, (3, 2))
     layers[1] = np.nan
     for beside in (-1, 0, 1):
-        found = held(along, z, (index, 20_000), layers, np.full(3, 0.7), beside)
+        found = photons_in_layers(along, z, (index, 20_000), layers, np.full(3, 0.7), beside)
         expected = []
         for cell, (level, slope) in zip(index, layers, strict=True):
             off = np.abs(z - level - slope * (x - 20.0 * cell - 10.0))
@@ -263,6 +278,16 @@ def test_a_reference_says_nothing_of_its_wide_gaps() -> None:
     np.testing.assert_equal(between(at, known), [np.nan, 1.0, 2.0, 3.0, np.nan, 9.0, np.nan])
     np.testing.assert_equal(between(at[1:3], known[:1]), [1.0, np.nan])
     assert np.isnan(between(at, known[:0])).all()
+
+
+def test_cells_are_placed_across_the_date_line(tmp_path: Path) -> None:
+    where = {"latitude": np.arange(3.0), "longitude": np.array([179.9, -179.9, -179.7])}
+    write_arrays(tmp_path / "places.npz", {"index": np.arange(3), **where})
+    store: Any = SimpleNamespace(path=lambda *_: tmp_path / "places.npz")
+    context: Any = SimpleNamespace(store=store, workflow=workflow())
+    found = _where("beam", np.array([10.0, 30.0]), context)
+    np.testing.assert_allclose(found["longitude"], [-180.0, -179.8])
+    np.testing.assert_allclose(found["latitude"], [0.5, 1.5])
 
 
 def test_a_profile_across_a_shore_has_one_line_and_the_floor_apart() -> None:

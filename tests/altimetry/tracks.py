@@ -110,3 +110,8 @@ def labels(output: Path, name: str) -> dict[str, NDArray[Any]]:
     """Columns of a delivered photon table."""
     table = pq.read_table(output / "photons" / f"{name}.parquet")
     return {column: table.column(column).to_numpy() for column in table.column_names}
+
+
+def f1(kept: NDArray[np.bool_], signal: NDArray[np.bool_]) -> float:
+    """Harmonic mean of precision and recall."""
+    return float(2 * np.count_nonzero(kept & signal) / (kept.sum() + signal.sum()))

@@ -162,7 +162,7 @@ def _fit(x, z, level, slope, degree, out):  # type: ignore[no-untyped-def]
             sxx += weight[i] * (x[i] - mx) ** 2
             sxz += weight[i] * (x[i] - mx) * (z[i] - mz)
             sxq += weight[i] * (x[i] - mx) * (x[i] ** 2 - mq)
-        # Photons within about a metre of each other tell no slope.
+        # Photons within about a metre of each other give no slope.
         known = sxx > total
         slope = sxz / sxx if known else slope
         lever = mx * mx / sxx if known else 0.0

@@ -34,7 +34,7 @@ _DENSE_THIN: Final = 0.23
 bends fills several thin layers, and each holds less of it."""
 
 _UNSURE: Final = 1.5
-"""Standard errors by which what a line leaves of the ground's shape is told too large."""
+"""Standard errors by which what a line leaves of the ground's shape is estimated too large."""
 
 _ALONE: Final = 3
 """How many times the least photons a layer needs that no two neighbours confirm."""
@@ -132,7 +132,8 @@ def profile(
     # A clump of noise reaches into the cells beside it, which then confirm it: photons that are
     # labelled signal have to vouch for a layer, more of them where no neighbour does.
     vouch = sum(
-        held(along[sure], z[sure], (index, size), agreed, thick, beside) for beside in (-1, 0, 1)
+        photons_in_layers(along[sure], z[sure], (index, size), agreed, thick, beside)
+        for beside in (-1, 0, 1)
     )
     agreed[vouch < np.where(asked >= 2, 1, _ALONE * settings.photons_min)] = np.nan
     half_m, least = settings.cell_m / 4.0, settings.photons_min
@@ -182,7 +183,7 @@ def _lowest(
     return found
 
 
-def held(
+def photons_in_layers(
     along: NDArray[np.int64],
     z: NDArray[np.float64],
     cells: tuple[NDArray[np.int64], int],
@@ -214,7 +215,7 @@ def _settled(
     first, stop = (np.searchsorted(cells.along, (index + end) * size) for end in (0, 1))
     own = _lowest(cells._replace(first=first, stop=stop), thick, settings)
     in_found, in_own = (
-        held(cells.along, cells.height_m, (index, size), layers, thick / 2.0)
+        photons_in_layers(cells.along, cells.height_m, (index, size), layers, thick / 2.0)
         for layers in (found, own)
     )
     found = not_beside(found, own, in_found, in_own, settings.photons_min)
@@ -278,8 +279,8 @@ def _misfit2(
 ) -> NDArray[np.float64]:
     """Squared error that the ground's shape leaves, from the cells around each, (c,) float64 [m2].
 
-    In one cell what its photons tell is mostly chance; over several that averages out. What is left
-    of chance is added, so that the error is told too small nowhere by it.
+    In one cell what its photons show is mostly chance; over several that averages out. What is left
+    of chance is added, so that the error is estimated too small nowhere by it.
     """
     known = np.isfinite(off2)
     value = np.where(known, off2, 0.0)
