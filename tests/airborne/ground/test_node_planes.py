@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from spl_batch.airborne.ground.multiscale.node_planes import off_planes, without_plants
+from spl_batch.airborne.ground.multiscale.node_planes import (
+    REACH_M,
+    RINGS,
+    off_planes,
+    without_plants,
+)
 
 POINT_M = 0.4
 
@@ -17,13 +22,14 @@ def nodes(seed: int = 1, slope: float = 0.0, rough_m: float = 0.0, side_m: float
     return np.column_stack([x, y, slope * x + rng.normal(0, rough_m, x.size)])
 
 
-def slowly(xyz, rings, weight):
+def slowly(xyz, weight):
     """Heights above the plane of each node, whose neighbours count as often as paths lead there."""
     beside = np.eye(len(xyz))
     for a, b, c in Delaunay(xyz[:, :2]).simplices:
         for i, j in ((a, b), (b, c), (c, a)):
-            beside[i, j] = beside[j, i] = 1.0
-    paths = np.linalg.matrix_power(beside, rings) * weight
+            near = np.exp(-((np.linalg.norm((xyz[i] - xyz[j])[:2]) / REACH_M) ** 2))
+            beside[i, j] = beside[j, i] = near
+    paths = np.linalg.matrix_power(beside, RINGS) * weight
     off = np.empty(len(xyz))
     for i, w in enumerate(paths):
         mean = w @ xyz / w.sum()
@@ -42,8 +48,8 @@ def test_planes_are_those_of_the_slow_way():
     edges = np.unique(
         np.sort(np.concatenate([tin[:, k] for k in ([0, 1], [1, 2], [2, 0])])), axis=0
     )
-    found, slope = off_planes(xyz, edges.astype(np.int32), 2, weight := rng.uniform(0.1, 1.0, 80))
-    assert found == pytest.approx(slowly(xyz, 2, weight), abs=1e-9)
+    found, slope = off_planes(xyz, edges.astype(np.int32), weight := rng.uniform(0.1, 1.0, 80))
+    assert found == pytest.approx(slowly(xyz, weight), abs=1e-9)
     assert slope.min() > 0.0
 
 
@@ -53,14 +59,15 @@ def test_plants_go_and_the_ground_beside_them_stays(slope):
     planted = np.hypot(xyz[:, 0] - 14, xyz[:, 1] - 15) < 1.6
     assert planted.sum() >= 6
     high = xyz + planted[:, None] * [0.0, 0.0, 1.5 + slope]
-    kept, off = without_plants(high, POINT_M)
+    kept, off = without_plants(high, np.full(len(high), POINT_M))
     assert {*map(tuple, high[~planted])} == {*map(tuple, kept)}
     assert np.quantile(np.abs(off), 0.9) < 0.05
 
 
 @pytest.mark.parametrize("rough_m", [0.03, 0.15])
 def test_rough_soil_stays_and_its_scatter_is_that_of_the_soil(rough_m):
-    kept, off = without_plants(nodes(rough_m=rough_m, side_m=60.0), POINT_M)
+    xyz = nodes(rough_m=rough_m, side_m=60.0)
+    kept, off = without_plants(xyz, np.full(len(xyz), POINT_M))
     assert len(kept) > 0.99 * 3600
     assert np.median(np.abs(off)) / 0.6745 == pytest.approx(rough_m, rel=0.15)
 
@@ -68,6 +75,6 @@ def test_rough_soil_stays_and_its_scatter_is_that_of_the_soil(rough_m):
 def test_few_nodes_stay_as_they_are():
     for count in range(3):
         some = nodes()[:count]
-        kept, off = without_plants(some, POINT_M)
+        kept, off = without_plants(some, np.full(count, POINT_M))
         assert np.array_equal(kept, some)
         assert not off.any()

@@ -41,7 +41,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
 from spl_batch.airborne.ground.pits import nearly_empty, under_ground
-from spl_batch.airborne.ground.point_spacing import in_squares, spacing_m, spacings
+from spl_batch.airborne.ground.point_spacing import in_squares, spacing_around_m, spacings
 from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import group_by_cell
 
@@ -91,7 +91,8 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERY
     if surface is None:
         return found[: int(asked.sum())]
     depths = no_depths(*evidence[:2])
-    rough = depths_below(off, *surface.nodes[:, :2].T, no_depths(*evidence[:2]))
+    east, north = surface.nodes[:, :2].T
+    rough = depths_below(off, east, north, no_depths(*evidence[:2]))
     rough_m = spread_below(noise_below(rough), MOST)
     near = near_surface(surface, (x, y, z), needed(x, y, own, asked, depths))
     at = near.at[own[near.at]]
@@ -129,7 +130,8 @@ def _ground_surface(evidence: Place, sigma: Spread) -> tuple[Surface | None, Flo
     ground &= ~on_houses(xyz, ground)
     judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)
     ground &= ~under_ground(xyz, ground, judged)
-    nodes, off = without_plants(xyz[ground], spacing_m(*evidence[:2]))
+    x, y, _ = xyz[ground].T
+    nodes, off = without_plants(xyz[ground], spacing_around_m(*evidence[:2], x, y))
     return surface_of(nodes), off
 
 

@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.multiscale.near_surface import SLOPE_M
-from spl_batch.airborne.ground.point_spacing import spacing_m
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.triangulation.delaunay import triangles
 
-REACH_M: Final = 3.0
-MOST_RINGS: Final = 4
-"""A plane is fitted to the rings of neighbours within this distance, one at least, and to no more
-rings [m, count]."""
+REACH_M: Final = 6.0
+RINGS: Final = 2
+"""A plane is fitted to so many rings of neighbours, of which those beyond a distance count little
+[m, count]."""
 
 FITS: Final = 3
 """Fits of planes, each weighted by the last one [count]."""
@@ -44,14 +43,14 @@ across the line."""
 Float = NDArray[np.float64]
 
 
-def without_plants(nodes: Float, point_m: float) -> tuple[Float, Float]:
+def without_plants(nodes: Float, point_m: Float) -> tuple[Float, Float]:
     """Nodes of the ground without those that stand on plants.
 
     Parameters
     ----------
     nodes : (n, 3) float64
         Nodes [m].
-    point_m : float
+    point_m : (n,) float64
         Spacing of the points that they are the lowest of [m].
 
     Returns
@@ -64,18 +63,26 @@ def without_plants(nodes: Float, point_m: float) -> tuple[Float, Float]:
     edges = _edges(nodes)
     if not len(edges):
         return nodes, np.zeros(len(nodes))
-    spread_m, drift_m = max(SPREAD_M, SPREAD * point_m), min(point_m, SLOPE_M)
-    rings = min(max(round(REACH_M / spacing_m(*nodes[:, :2].T)), 1), MOST_RINGS)
+    spread_m, drift_m = np.maximum(SPREAD_M, SPREAD * point_m), np.minimum(point_m, SLOPE_M)
     weight = np.ones(len(nodes))
     for fit in range(FITS + 1):
-        off, slope = off_planes(nodes, edges, rings, weight)
-        off -= np.clip(off, -drift_m * slope, drift_m * slope)
+        off, slope = off_planes(nodes, edges, weight)
+        drift = drift_m * _steepest(edges, slope)
+        off -= np.clip(off, -drift, drift)
         if fit == FITS:
             break
         kept = off <= ABOVE * spread_m
         above = np.maximum(off / (HALF_WEIGHT * spread_m), 0.0)
         weight = 1.0 / (1.0 + above**4) if fit < FITS - 1 else kept.astype(np.float64)
     return nodes[kept], off[kept]
+
+
+def _steepest(edges: NDArray[np.int32], slope: Float) -> Float:
+    """Steepest of a node's slope and those of its neighbours: a crest itself is level."""
+    found = slope.copy()
+    for one, other in (edges.T, edges.T[::-1]):
+        np.maximum.at(found, one, slope[other])
+    return found
 
 
 def _edges(nodes: Float) -> NDArray[np.int32]:
@@ -87,9 +94,7 @@ def _edges(nodes: Float) -> NDArray[np.int32]:
     return edges
 
 
-def off_planes(
-    nodes: Float, edges: NDArray[np.int32], rings: int, weight: Float
-) -> tuple[Float, Float]:
+def off_planes(nodes: Float, edges: NDArray[np.int32], weight: Float) -> tuple[Float, Float]:
     """Heights above the weighted planes through rings of neighbours [m], and their slopes.
 
     Parameters
@@ -98,10 +103,8 @@ def off_planes(
         Nodes [m].
     edges : (e, 2) int32
         Which of them are neighbours.
-    rings : int
-        How many rings; a neighbour counts as often as paths of so many edges lead to it.
     weight : (n,) float64
-        Weights.
+        Weights; that of a neighbour is times those of the paths of :data:`RINGS` edges to it.
 
     Returns
     -------
@@ -110,9 +113,11 @@ def off_planes(
     """
     x, y, z = (nodes - nodes[:1]).T
     now = np.stack([v * weight for v in (x**0, x, y, z, x * x, x * y, y * y, x * z, y * z)], 1)
-    for _ in range(rings):
+    length_m = np.hypot(*(nodes[edges[:, 0], :2] - nodes[edges[:, 1], :2]).T)
+    near = np.exp(-((length_m / REACH_M) ** 2))
+    for _ in range(RINGS):
         then = now.copy()
-        _add_neighbours(edges, now, then)
+        _add_neighbours(edges, near, now, then)
         now = then
     w, mx, my, mz, xx, xy, yy, xz, yz = now.T
     w = np.maximum(w, 1e-12)
@@ -127,10 +132,10 @@ def off_planes(
 
 
 @njit()
-def _add_neighbours(edges: NDArray[np.int32], now: Float, out: Float) -> None:
-    """Add the sums of all neighbours."""
+def _add_neighbours(edges: NDArray[np.int32], near: Float, now: Float, out: Float) -> None:
+    """Add the sums of all neighbours, by how near they are."""
     for e in range(len(edges)):
         i, j = edges[e, 0], edges[e, 1]
         for k in range(now.shape[1]):
-            out[i, k] += now[j, k]
-            out[j, k] += now[i, k]
+            out[i, k] += near[e] * now[j, k]
+            out[j, k] += near[e] * now[i, k]
