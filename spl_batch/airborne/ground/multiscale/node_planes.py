@@ -41,6 +41,7 @@ RIDGE: Final = 0.02
 across the line."""
 
 Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def without_plants(nodes: Float, point_m: Float) -> tuple[Float, Float]:
@@ -66,22 +67,27 @@ def without_plants(nodes: Float, point_m: Float) -> tuple[Float, Float]:
     spread_m, drift_m = np.maximum(SPREAD_M, SPREAD * point_m), np.minimum(point_m, SLOPE_M)
     weight = np.ones(len(nodes))
     for fit in range(FITS + 1):
-        off, slope = off_planes(nodes, edges, weight)
-        drift = drift_m * _steepest(edges, slope)
+        off, planes = off_planes(nodes, edges, weight)
+        drift = drift_m * np.hypot(*planes.T)
         off -= np.clip(off, -drift, drift)
         if fit == FITS:
             break
-        kept = off <= ABOVE * spread_m
+        kept = _continued(nodes, edges, planes, off <= ABOVE * spread_m, spread_m)
         above = np.maximum(off / (HALF_WEIGHT * spread_m), 0.0)
         weight = 1.0 / (1.0 + above**4) if fit < FITS - 1 else kept.astype(np.float64)
     return nodes[kept], off[kept]
 
 
-def _steepest(edges: NDArray[np.int32], slope: Float) -> Float:
-    """Steepest of a node's slope and those of its neighbours: a crest itself is level."""
-    found = slope.copy()
+def _continued(
+    nodes: Float, edges: NDArray[np.int32], planes: Float, kept: Mask, spread_m: Float
+) -> Mask:
+    """Nodes no higher than the plane of a kept neighbour goes on to them: crests and edges."""
+    found = kept.copy()
     for one, other in (edges.T, edges.T[::-1]):
-        np.maximum.at(found, one, slope[other])
+        along = nodes[one] - nodes[other]
+        rise = planes[other, 0] * along[:, 0] + planes[other, 1] * along[:, 1]
+        goes_on = kept[other] & (along[:, 2] - rise <= spread_m[one])
+        np.logical_or.at(found, one, goes_on)
     return found
 
 
@@ -108,8 +114,10 @@ def off_planes(nodes: Float, edges: NDArray[np.int32], weight: Float) -> tuple[F
 
     Returns
     -------
-    off, slope : (n,) float64
-        Heights [m] and slopes [rise/run].
+    off : (n,) float64
+        Heights [m].
+    planes : (n, 2) float64
+        Their rise to east and north [rise/run].
     """
     x, y, z = (nodes - nodes[:1]).T
     now = np.stack([v * weight for v in (x**0, x, y, z, x * x, x * y, y * y, x * z, y * z)], 1)
@@ -128,7 +136,7 @@ def off_planes(nodes: Float, edges: NDArray[np.int32], weight: Float) -> tuple[F
     xx, yy = xx + ridge, yy + ridge
     scale = xx * yy - xy * xy
     east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
-    return z - mz - east * (x - mx) - north * (y - my), np.hypot(east, north)
+    return z - mz - east * (x - mx) - north * (y - my), np.column_stack([east, north])
 
 
 @njit()
