@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.noise import voxel_noise
-from spl_batch.airborne.noise.beamlet_counts import SQUARES
 from spl_batch.airborne.noise.local_noise import (
     MARGIN_VOXELS,
-    Listened,
+    SQUARES,
     around,
     listened,
     put_places,
@@ -64,21 +63,15 @@ class _Box(NamedTuple):
 
     def places(
         self, xyz: Sequence[NDArray[np.integer[Any]]]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-        """Indices of some points' voxels and squares, and how far they lie off their middles.
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Indices of some points' squares and layers, and how far they lie off their middles.
 
         As :func:`~spl_batch.airborne.noise.local_noise.around` wants them.
         """
-        n = len(xyz[0])
-        voxel, square, offset = (
-            np.empty((3, n), np.int64),
-            np.empty((2, n), np.int64),
-            np.empty((3, n)),
-        )
-        top = self.shape[2] - 1
+        square, offset = np.empty((3, len(xyz[0])), np.int64), np.empty((3, len(xyz[0])))
         x, y, z = xyz
-        put_places(x, y, z, self.edge, SQUARES, self.corner, top, voxel, square, offset)
-        return voxel, square, offset
+        put_places(x, y, z, self.edge, self.corner, self.shape[2] - 1, square, offset)
+        return square, offset
 
 
 class NoiseModel(NamedTuple):
@@ -87,7 +80,7 @@ class NoiseModel(NamedTuple):
     box: _Box
     density: NDArray[np.float64]  #: (i, j, k): mean of each voxel [1/m3].
     within: NDArray[np.float64]  #: (i, j, k): the same of the part within the gate, roughly.
-    heard: tuple[Listened, ...]  #: What each flightline listens to.
+    heard: tuple[NDArray[np.float32], ...]  #: Noise of each flightline over its squares [1/m3].
 
     def local(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
         """Noise at places, of the part of their voxels that is listened to: (n,) [1/m3]."""
@@ -103,8 +96,8 @@ class NoiseModel(NamedTuple):
 
     def listened(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
         """The same, 0 where no flightline is known to listen, as beyond a gate: (n,) [1/m3]."""
-        voxel, square, offset = self.box.places(xyz)
-        return around(self.heard, tuple(voxel), tuple(square), tuple(offset))
+        square, offset = self.box.places(xyz)
+        return around(self.heard, tuple(square), tuple(offset))
 
     def mean(
         self, xyz: Sequence[NDArray[np.integer[Any]]], told: NDArray[np.bool_]
@@ -161,7 +154,7 @@ def model_of_lines(
     published = settings.correction == "published"
     names = ("amount", "shots", "beamlets") if published else ("amount",)
     totals = {name: np.zeros(box.shape, dtype=np.int64) for name in names}
-    heard: list[Listened] = []
+    heard: list[NDArray[np.float32]] = []
     for line in lines:
         sums: dict[str, NDArray[Any]] = {k: np.zeros(box.shape, dtype=np.int64) for k in names}
         if not published:
