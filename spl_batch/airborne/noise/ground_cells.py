@@ -114,18 +114,8 @@ def number_looks(
 ) -> None:
     """Number the ground cells of each interval, and add up the shares of its returns.
 
-    Parameters
-    ----------
-    starts : (m + 1,) int64
-        Rows where intervals start, then n.
-    cell, share : (n,) int64
-        From :func:`cells`, and what each return adds to its cell.
-    row : (n,) int64
-        Filled with the number of each return's interval and cell.
-    looks : (m,) int64
-        Filled with the numbers of each interval [count].
-    looked, number : (n,) int64
-        Filled, as far as numbers go, with the cell of each and the sum of its shares.
+    Filled: ``row``, number of each return's interval and cell; ``looks``, (m,), numbers of each
+    interval; ``looked`` and ``number``, as far as numbers go, cell of each and sum of its shares.
     """
     count, last = 0, 0
     for m in range(len(starts) - 1):

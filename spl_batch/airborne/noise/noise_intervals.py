@@ -166,28 +166,14 @@ def count_noise(
     by_channel: NDArray[np.int64],
     profile: NDArray[np.int64],
 ) -> None:
-    """Noise counts of every interval of a stretch, by the ground that is looked at.
+    """Noise counts of every interval of a stretch, by the ground that is looked at; added to.
 
-    Parameters
-    ----------
-    starts, below, cosine
-        As in :func:`signal_depths`.
-    look : (n,) int64
-        Row of ``outside`` for each return.
-    counts : (n,) bool
-        Rows that count as noise; the others follow a return of their own beamlet.
-    blind_m : (n,) float64
-        Length behind each return in which no return would have counted [m].
-    buffers : (b,) float64
-        Heights around the signal that are left out, descending [m].
-    outside : (k, 2, b) int32
-        Filled with the returns that count, more than each buffer above and below the signal.
-    blinded : (m, 2, b) float64
-        Filled with what returns there, whether they count or not, have blinded [m].
-    by_channel : (2, b, 256) int64
-        Returns that count by channel; added to.
-    profile : (p,) int64
-        Histogram of the height below the signal in 1 m bins, zero in the middle; added to.
+    ``look``: row of ``outside`` for each return. ``counts``: rows that count as noise; the others
+    follow a return of their own beamlet. ``blind_m``: length behind each return in which none would
+    have counted. ``buffers``: (b,), heights around the signal that are left out, descending [m].
+    ``outside``: (k, 2, b), returns that count, more than each buffer above and below the signal;
+    ``blinded``: (m, 2, b), what returns there have blinded [m]; ``by_channel``: (2, b, 256).
+    ``profile``: histogram of the height below the signal in 1 m bins, zero in the middle.
     """
     half = len(profile) // 2
     for m in range(len(starts) - 1):
@@ -218,28 +204,11 @@ def far_beyond(
     rules: tuple[int, int, float, float],
     gone: NDArray[np.bool_],
 ) -> int:
-    """Mark the returns behind a gap at an end of their interval that noise does not leave.
+    """Mark returns behind a gap at an end of their interval that noise does not leave: (n,) bool.
 
-    Parameters
-    ----------
-    starts : (m + 1,) int64
-        Where intervals start, then n.
-    z : (n,) float64
-        Heights by interval, rising in each [m].
-    signal_z : (m,) float64
-        Height of the signal [m].
-    noise : (m, 2) int32
-        Returns more than ``half_m`` above and below it [count].
-    rules : (int, int, float, float)
-        Noise that tells its spacing; returns, or share of the noise, that may lie behind a gap;
-        spacings that are too wide.
-    gone : (n,) bool
-        Marked.
-
-    Returns
-    -------
-    int
-        Returns behind gaps that more of them lie behind than may be alone [count].
+    How many lie where more than ``lone`` do. ``z``: by interval, rising in each; ``noise``: (m, 2),
+    returns more than ``half_m`` above and below the signal. ``rules``: noise that shows its
+    spacing; returns, or share of the noise, that may lie behind a gap; spacings that are too wide.
     """
     support, lone, share, spacings = rules
     strays = 0

@@ -116,6 +116,8 @@ def test_bright_and_dark_parcels_have_the_noise_that_they_send_back() -> None:
         voxel_noise.deposit(flight.table, beams, model, SETTINGS, ground)[0]
         for ground in (gain, None)
     )
+    assert part.squares is not None
+    assert one_rate.squares is not None
     corner = np.array(part.corner)
     point = np.column_stack([flight.table[axis] * QUANTUM_M for axis in "xyz"])
     true = np.zeros(part.amount.shape)
@@ -131,3 +133,5 @@ def test_bright_and_dark_parcels_have_the_noise_that_they_send_back() -> None:
         )
         assert found == pytest.approx(1, abs=0.12)
         assert abs(without - 1) > 0.25
+        times = part.squares[here].sum() / one_rate.squares[here].sum()
+        assert times == pytest.approx(albedo, rel=0.25)
