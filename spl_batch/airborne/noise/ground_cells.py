@@ -72,8 +72,10 @@ def cells(table: PointTable, beams: BeamTable, below: NDArray[np.float64]) -> ND
         np.floor((table[axis] * QUANTUM_M + along * beams.direction[:, k]) / CELL_M)
         for k, axis in enumerate("xy")
     )
-    number: NDArray[np.int64] = i.astype(np.int64) * STRIDE + j.astype(np.int64)
-    return number
+    number = i.astype(np.int64) * STRIDE + j.astype(np.int64)
+    # A shot without channel numbers is one beamlet: its returns look where the first one does.
+    beamlet = run_starts(table["gps_time"], table["channel"])
+    return np.repeat(number[beamlet[:-1]], np.diff(beamlet))
 
 
 def look_through(

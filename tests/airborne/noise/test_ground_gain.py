@@ -50,7 +50,7 @@ def test_a_beamlet_looks_where_it_comes_to_the_signal() -> None:
     found = cells(table, beams, signal.below)
     assert np.median(np.abs(signal.below[~flight.noise])) < 2.0
     point = np.column_stack([table[axis] * QUANTUM_M for axis in "xyz"])
-    for row in range(0, len(table), 7):
+    for row in run_starts(table["gps_time"], table["channel"])[:-1:7].tolist():
         place = point[row] + beams.direction[row] * signal.below[row] / beams.direction[row, 2]
         assert place[2] == pytest.approx(point[row, 2] + signal.below[row])
         i, j = np.floor(place[:2] / CELL_M).astype(int).tolist()
