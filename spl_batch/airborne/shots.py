@@ -90,7 +90,7 @@ def assess(
     added: dict[str, NDArray[Any]] = {
         name: np.zeros(len(table), np.float32) for name in COLUMNS_ADDED
     }
-    ground = ground_gain.looked_at(known, lit, model, settings.noise)
+    ground = ground_gain.looked_at(known, lit, model)
     added["line_density"][rows] = line_noise.line_density(known, model) * ground
     added["ground"] = np.ones(len(table))
     added["ground"][rows] = ground

@@ -264,7 +264,7 @@ class VoxelPart:
     shots: NDArray[np.int64] | None = None
     beamlets: NDArray[np.int64] | None = None
     #: (nx, ny, nz, 16): seen beamlets that cross each square of a quarter of a voxel's edge
-    #: half-way up the voxel, at x * 4 + y, 16 for one of usual noise; they add up as well.
+    #: half-way up the voxel, at x * 4 + y, 16 for one over ground of gain 1; they add up as well.
     squares: NDArray[np.uint16] | None = None
 
     def box(self) -> list[int]:

@@ -24,6 +24,9 @@ class LineModel:
     near: NDArray[np.float64]
     far: NDArray[np.float64]
     gain: NDArray[np.float64]  #: (256,): rate of each channel over the mean; 0 for a dead one.
+    signal: NDArray[np.float64]  #: (g,): height of the signal in groups of shots [m].
+    first_group: NDArray[np.int64]  #: (m,): first group of each interval.
+    groups: NDArray[np.int64]  #: (m,): groups of each interval.
     cell: NDArray[np.int64]  #: (c,): cells of the ground that were looked at, ascending.
     ground: NDArray[np.float64]  #: (c,): rate over each of them, over the rate of the interval.
     seen_fraction: NDArray[np.float64]  #: (m,): beamlets with a return over beamlets fired.
@@ -52,6 +55,13 @@ class LineModel:
             return np.full(len(row), missing)
         taken: NDArray[np.float64] = values.take(row)
         return taken
+
+    def signal_at(self, shot: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Height of the signal of each shot, of a model that is not empty: (n,) float64 [m]."""
+        row = self.row(shot)
+        group = shot % self.interval_shots * self.groups.take(row) // self.interval_shots
+        height: NDArray[np.float64] = self.signal.take(self.first_group.take(row) + group)
+        return height
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays without Python objects, as npz files hold them."""

@@ -124,12 +124,8 @@ def test_a_gate_has_one_length_whatever_is_said_of_it(stated: float | None, nois
 
 
 @pytest.mark.parametrize("strays", [(-500.0, -430.0), (400.0,)])
-@pytest.mark.parametrize(("shots", "noise_per_m"), [(180, 1.3e-3)])
-def test_lone_returns_far_away_lengthen_no_gate(
-    strays: tuple[float, ...], shots: int, noise_per_m: float
-) -> None:
-    """Of many intervals with little noise, and of three with more."""
-    flight = fly(shots=shots, noise_per_m=noise_per_m)
+def test_lone_returns_far_away_lengthen_no_gate(strays: tuple[float, ...]) -> None:
+    flight = fly(shots=180)
     row = np.linspace(0.3, 0.7, len(strays)) * len(flight.table)
     z = flight.table["z"].copy()
     z[row.astype(int)] += np.array([1000 * away for away in strays], np.int32)
@@ -141,12 +137,11 @@ def test_lone_returns_far_away_lengthen_no_gate(
         np.testing.assert_allclose(found.far, sound.far, atol=1.5)
 
 
-@pytest.mark.parametrize("away_m", [-1000.0])
 @pytest.mark.parametrize("count", [50, 1000])
-def test_many_stray_returns_lengthen_no_gate(away_m: float, count: int) -> None:
+def test_many_stray_returns_lengthen_no_gate(count: int) -> None:
     flight = fly(shots=1500, gate_m=200)
     z = flight.table["z"].copy()
-    z[np.linspace(0, len(z) - 1, count).astype(int)] += np.int32(1000 * away_m)
+    z[np.linspace(0, len(z) - 1, count).astype(int)] += np.int32(-1_000_000)
     hurt = replace(flight, table=flight.table.with_columns(z=z))
     sound, found = model_of(flight), model_of(hurt)
     assert found.gate_m == pytest.approx(sound.gate_m, rel=0.01)
