@@ -179,7 +179,7 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
     tiles = [r.facts for r in done.get("build_tile", {}).values()]
     delivered = [r.facts for r in done.get("deliver_file", {}).values()]
     noise = {k: sum(f["noise_class"].get(k, 0) for f in delivered) for k in ("0", "1", "2", "255")}
-    classes = {k: sum(f["classes"].get(k, 0) for f in delivered) for k in ("2", "6", "9")}
+    classes = {k: sum(f["assessed"].get(k, 0) for f in delivered) for k in ("2", "6", "9")}
     if context.workflow.outputs.classes == "noise":  # class 2 is the input's there
         classes["2"] = sum(r.facts["ground"] for r in done.get("ground", {}).values())
     return Counts(
