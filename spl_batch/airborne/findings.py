@@ -13,6 +13,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             {
                 "header": "{what}",
                 "times": "the header says {stated}, gps_time holds {found}",
+                "clock": "gps_time is {found}, that of most points of the survey {main}: "
+                "flightlines are not put together, and copies count twice",
                 "withheld": "every point is withheld or of class 7 or 18, so none of them is used",
                 "left_out": "{what}; left out of the delivered copy",
                 "changed": "{what}; so in the delivered copy",

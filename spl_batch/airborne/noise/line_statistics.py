@@ -61,7 +61,7 @@ _BY_LOOK: Final = ("look_interval", "look_cell", "look_number", "look_outside")
 
 
 def observe(
-    table: PointTable, beams: BeamTable, settings: NoiseSettings
+    table: PointTable, beams: BeamTable, settings: NoiseSettings, gate_m: float | None = None
 ) -> dict[str, NDArray[Any]]:
     """Statistics of one stretch.
 
@@ -71,6 +71,8 @@ def observe(
         Rows of one stretch, sorted by (gps_time, channel, ...).
     beams : BeamTable
         Their beams; rows without a known beam take no part.
+    gate_m : float, optional
+        Slant length of the gate where it is stated [m].
 
     Returns
     -------
@@ -82,14 +84,19 @@ def observe(
         within the interval; ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and
         ``profile`` (:data:`PROFILE_BINS`,) and ``strays`` (1,) int64, left out as none of the gate.
     """
-    found, lone = _observed(table, beams, settings, beams.known)
+    found, lone = _observed(table, beams, settings, beams.known, gate_m)
     if not lone.any():
         return found
-    return {**_observed(table, beams, settings, beams.known & ~lone)[0], "strays": found["strays"]}
+    rest, _ = _observed(table, beams, settings, beams.known & ~lone, gate_m)
+    return {**rest, "strays": found["strays"]}
 
 
 def _observed(
-    table: PointTable, beams: BeamTable, settings: NoiseSettings, chosen: NDArray[np.bool_]
+    table: PointTable,
+    beams: BeamTable,
+    settings: NoiseSettings,
+    chosen: NDArray[np.bool_],
+    gate_m: float | None,
 ) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
     """Statistics of some rows, (n,) bool, and which of these are far beyond their interval."""
     rows, lone = rows_of(chosen), np.zeros(len(chosen), np.bool_)
@@ -140,7 +147,7 @@ def _observed(
     )  # fmt: skip
     stray = _behind_gaps(
         table["z"][order] * QUANTUM_M, starts, out["outside"][:, :, 3], out["summary"][:, 0],
-        settings.buffer_m * BUFFER_LADDER[3],
+        settings.buffer_m * BUFFER_LADDER[3], gate_m or np.inf,
     )  # fmt: skip
     out["strays"] = np.array([len(stray)])
     lone[np.flatnonzero(chosen)[order[np.append(far, stray)]]] = True
@@ -153,15 +160,19 @@ def _behind_gaps(
     noise: NDArray[np.int32],
     signal_z: NDArray[np.float64],
     half_m: float,
+    gate_m: float,
 ) -> NDArray[np.intp]:
     """Returns that noise within a gate does not reach, few of it: as of :func:`_far_beyond`.
 
     Those which are more than :data:`LONE_MOST`, up to :data:`STRAY_SHARE`, and behind the widest
-    gap of their interval, where this is one of more than :data:`LONE_SPACINGS`.
+    gap of their interval, where this is one of more than :data:`LONE_SPACINGS`. However many they
+    are where they lie farther from the signal than the gate that is stated is long.
     """
     n = len(z)
-    above = _above_gaps(z, starts, noise[:, 0], signal_z + half_m)
-    flipped = _above_gaps(-z[::-1], n - starts[::-1], noise[::-1, 1], half_m - signal_z[::-1])
+    above = _above_gaps(z, starts, noise[:, 0], signal_z + half_m, gate_m)
+    flipped = _above_gaps(
+        -z[::-1], n - starts[::-1], noise[::-1, 1], half_m - signal_z[::-1], gate_m
+    )
     return np.append(above, n - 1 - flipped)
 
 
@@ -170,6 +181,7 @@ def _above_gaps(
     starts: NDArray[np.int64],
     noise: NDArray[np.int32],
     from_m: NDArray[np.float64],
+    gate_m: float,
 ) -> NDArray[np.intp]:
     """Those of one side, whose ``noise`` lies above ``from_m``, (m,)."""
     if not len(noise):
@@ -187,7 +199,8 @@ def _above_gaps(
     # The widest of many gaps of uniform noise is wider than any one of them by their logarithm.
     chance = np.log(np.maximum(STRAY_SHARE * within, 1.0))
     stray = (widest > (LONE_SPACINGS + chance) * spacing) & (within >= SUPPORT) & (spacing > 0)
-    stray &= (beyond > LONE_MOST) & (beyond <= STRAY_SHARE * within)
+    few = (beyond <= STRAY_SHARE * within) | (z[at] - from_m > gate_m)
+    stray &= (beyond > LONE_MOST) & few
     found: NDArray[np.intp] = np.flatnonzero(
         np.arange(len(z)) >= np.repeat(np.where(stray, at, starts[1:]), size)
     )

@@ -97,8 +97,11 @@ class Counts(Part):
     vendor_flagged: Count = Field(
         0, description="Class 7 or 18 in the input, carried along [count]."
     )
-    no_beam: Count = Field(0, description="No valid time or no trajectory there [count].")
+    no_beam: Count = Field(
+        0, description="No valid time or no trajectory there; 0 where nothing is filtered [count]."
+    )
     outside_aoi: Count = Field(0, description="Outside the area of interest [count].")
+    copies: Count = Field(0, description="Returns that are there already, not assessed [count].")
     not_read: Count = Field(
         0, description="Points that the headers of unreadable files promise [count]."
     )

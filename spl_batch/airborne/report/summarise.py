@@ -194,8 +194,10 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
         water=classes["9"],
         withheld=sum(f["withheld"] for f in index),
         vendor_flagged=sum(f["vendor_noise"] for f in index),
-        no_beam=sum(f["no_beam"] for f in tiles) + sum(f["timeless"] for f in index),
+        no_beam=(sum(f["no_beam"] for f in tiles) + sum(f["timeless"] for f in index))
+        * _photons(context),
         outside_aoi=sum(f["outside_aoi"] for f in tiles),
+        copies=sum(n for f in tiles for *_, n in f["copies"]),
         not_read=facts.not_read,
         records_left_out=sum(f["records_left_out"] for f in delivered),
     )

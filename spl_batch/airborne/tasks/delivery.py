@@ -240,7 +240,10 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     }
     if context.workflow.classes.flags:
         labels["set_flags"] = [("classes", u) for u in units["classes"]]
-    columns = ("x", "y", "z", "gps_time", "channel", "return_number", "intensity", "input_class")
+    columns = (
+        *("x", "y", "z", "gps_time", "channel", "return_number", "number_of_returns"),
+        *("intensity", "input_class"),
+    )
     lines = read_shifts(args, context.store)
     table = read_labelled_tile(
         context.store, parse_cell(args["tile"]), columns, labels, shifts=lines

@@ -179,10 +179,9 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
         for stretch, group in args["pieces"]
     ]
     table = concat(pieces, TILE_COLUMNS)
-    alike, rest = (*ALIKE, "line"), ("intensity",)
-    if not args["by_line"]:
-        alike, rest = ALIKE, ("intensity", "line")
-    table = table.take(lexicographic_order([table[name] for name in (*alike, *rest)]))
+    alike: tuple[str, ...] = (*ALIKE, "line") if args["by_line"] else ALIKE
+    order = dict.fromkeys((*alike, "intensity", "line"))
+    table = table.take(lexicographic_order([table[name] for name in order]))
     timed = usable_times(table["gps_time"]) & (table["gps_time"] != 0.0)
     again = repeats(table, alike) & (timed | repeats(table, ("intensity",)))
     table, copies = without_copies(table, again)

@@ -99,8 +99,8 @@ def _rivals(header: LasHeader) -> tuple[CRS, CRS] | None:
 
 def _agree(a: CRS, b: CRS, header: LasHeader) -> bool:
     """Whether two CRS put the middle of a file at the same place."""
-    heights = vertical(a), vertical(b)
-    if heights[0] is not None and heights[1] is not None and not same_heights(*heights):
+    heights, other = vertical(a), vertical(b)
+    if heights is not None and other is not None and not same_heights(heights, other):
         return False
     flat = horizontal(a), horizontal(b)
     if same_crs(a, b) or not all(crs.is_projected or crs.is_geographic for crs in flat):

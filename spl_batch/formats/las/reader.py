@@ -287,6 +287,7 @@ def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArra
     return {
         "gps_time": records["gps_time"] if timed else np.full(len(records), np.nan),
         "return_number": dimension(records, layout, "return_number"),
+        "number_of_returns": dimension(records, layout, "number_of_returns"),
         "scan_angle": scan_angle_deg(records, layout),
         "point_source_id": records["point_source_id"],
         "intensity": records["intensity"],

@@ -299,8 +299,7 @@ def write_points(
 ) -> int:
     """Write a table as LAZ or COPC, point format 6, on the survey's lattice.
 
-    The table does not know how many returns a pulse had: ``number_of_returns`` is 0. The
-    beamlet number goes to ``user_data``.
+    The beamlet number goes to ``user_data``.
 
     Parameters
     ----------
@@ -382,6 +381,8 @@ def _fill(records: NDArray[Any], table: PointTable) -> None:
         records["user_data"] = table["channel"]
     if "return_number" in table:
         records["bit_fields"] = table["return_number"] & np.uint8(15)
+    if "number_of_returns" in table:
+        records["bit_fields"] |= table["number_of_returns"] << np.uint8(4)
     if "scan_angle" in table:
         records["scan_angle"] = np.rint(table["scan_angle"] / SCAN_ANGLE_STEP_DEG)
     if "flags" in table:
