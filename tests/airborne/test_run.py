@@ -167,7 +167,9 @@ def test_the_log_is_one_event_a_line(tiny_output: Path) -> None:
 
 
 def test_what_does_not_wait_for_each_other_is_done_at_once(small: Path) -> None:
-    _, watcher = watched(small, "outputs.tiles=laz", until="deliver")
+    result, watcher = watched(small, "outputs.tiles=laz", until="deliver")
+    tiles = [laspy.read(path) for path in (result.output / "tiles").glob("*.laz")]
+    assert all((tile.number_of_returns == tile.return_number).all() for tile in tiles)
     left: dict[str, int] = {}
     beside: set[str] = set()
     for event in watcher.events:

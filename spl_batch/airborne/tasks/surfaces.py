@@ -51,8 +51,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
         _mask_outside(arrays, core, context)
     counted = pulses.covered(arrays, workflow.products)
     counted |= terrain_facts(arrays["dtm_quality"], arrays["dtm"], core)
-    if workflow.filter.method == "none":
-        counted |= alone_facts(arrays["dsm"], arrays["dtm"])
+    counted |= alone_facts(arrays["dsm"], arrays["dtm"])
     give_back()
     of_pulses, swaths = pulses.pulse_facts(_first(cell), arrays["density"], core, context)
     counted |= of_pulses

@@ -141,7 +141,8 @@ def test_copies_in_linear_mode_count_once(tmp_path: Path, point_format: int) -> 
     once, again = (linear_mode(tmp_path / folder / "workflow.yaml") for folder in ("once", "again"))
     assert again["density"][0] == once["density"][0]
     assert again["report"].counts.ground == once["report"].counts.ground > 0
-    assert again["report"].counts.not_assessed == 3 * size
+    assert again["report"].counts.not_assessed == again["report"].counts.copies == 3 * size
+    assert again["report"].counts.no_beam == 0
     for name in ("lines/a.laz", "lines/b.laz"):
         got = again[name]["classification"].reshape(2, size)
         assert np.array_equal(got, np.tile(once["lines/a.laz"]["classification"], (2, 1)))
