@@ -83,7 +83,8 @@ class PointFlag(IntFlag):
     WATER = 16
     """Inside a water polygon."""
     SHOT_NOISE = 32
-    """The filter of single shots (differential cell count), where it ran, calls it noise."""
+    """The filter of single shots (differential cell count), where it ran, calls it noise, or it is
+    far beyond the range gate that is stated."""
 
 
 EXCLUDED: Final = PointFlag.WITHHELD | PointFlag.VENDOR_NOISE

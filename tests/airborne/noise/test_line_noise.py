@@ -155,6 +155,9 @@ def test_many_stray_returns_lengthen_no_gate(
     # What is moved is missing from the noise.
     left = 1 - count / len(z)
     assert found.mean_rate == pytest.approx(sound.mean_rate * left, rel=0.02)
+    beams = geometry.beams(hurt.table, hurt.trajectory)
+    beyond = found.beyond_gate(hurt.table["shot"], beams.range_m, z / 1000.0)
+    assert np.array_equal(beyond, (z != flight.table["z"]) & (gate_m is not None))
     # Of the fewer none has more than one other in its interval.
     assert ("strays" in kinds(found.findings)) == (count >= 1000)
     assert "strays" not in kinds(sound.findings)
