@@ -45,7 +45,7 @@ def observe(
     table: PointTable, beams: BeamTable, settings: NoiseSettings, beamlets: Beamlets
 ) -> dict[str, NDArray[Any]]:
     """Noise statistics of a stretch, at least one point, and those of its afterpulses."""
-    observed = line_noise.observe(table, beams, settings)
+    observed = line_noise.observe(table, beams, settings, beamlets.stated.gate_m)
     if beamlets.unnumbered:
         table, order = told_apart(table, beams, beamlets.stated)
         beams = beams.take(order)

@@ -63,6 +63,23 @@ class LineModel:
         height: NDArray[np.float64] = self.signal.take(self.first_group.take(row) + group)
         return height
 
+    def beyond_gate(
+        self,
+        shot: NDArray[np.int64],
+        range_m: NDArray[np.float64],
+        height_m: NDArray[np.float64],
+    ) -> NDArray[np.bool_]:
+        """Which returns lie farther outside the gate that is stated than this is long: (n,)."""
+        if self.gate_basis != "stated" or not len(self.interval):
+            return np.zeros(len(shot), np.bool_)
+        row = self.row(shot)
+        ends = np.stack([self.near[row], self.far[row]])
+        at = range_m if self.kind == "range" else height_m
+        found: NDArray[np.bool_] = (ends.min(axis=0) - at > self.gate_m) | (
+            at - ends.max(axis=0) > self.gate_m
+        )
+        return found
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays without Python objects, as npz files hold them."""
         kept = (f.name for f in fields(self) if f.name != "findings")

@@ -62,7 +62,7 @@ _WITHIN: Final = (
 
 
 def observe(
-    table: PointTable, beams: BeamTable, settings: NoiseSettings
+    table: PointTable, beams: BeamTable, settings: NoiseSettings, gate_m: float | None = None
 ) -> dict[str, NDArray[Any]]:
     """Statistics of one stretch.
 
@@ -72,6 +72,8 @@ def observe(
         Rows of one stretch, sorted by (gps_time, channel, ...).
     beams : BeamTable
         Their beams; rows without a known beam take no part.
+    gate_m : float, optional
+        Slant length of the gate where it is stated [m].
 
     Returns
     -------
@@ -85,14 +87,19 @@ def observe(
         ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and
         ``profile`` (:data:`PROFILE_BINS`,) and ``strays`` (1,) int64, left out as none of the gate.
     """
-    found, lone = _observed(table, beams, settings, beams.known)
+    found, lone = _observed(table, beams, settings, beams.known, gate_m)
     if not lone.any():
         return found
-    return {**_observed(table, beams, settings, beams.known & ~lone)[0], "strays": found["strays"]}
+    rest, _ = _observed(table, beams, settings, beams.known & ~lone, gate_m)
+    return {**rest, "strays": found["strays"]}
 
 
 def _observed(
-    table: PointTable, beams: BeamTable, settings: NoiseSettings, chosen: NDArray[np.bool_]
+    table: PointTable,
+    beams: BeamTable,
+    settings: NoiseSettings,
+    chosen: NDArray[np.bool_],
+    gate_m: float | None,
 ) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
     """Statistics of some rows, (n,) bool, and which of these are far beyond their interval."""
     rows, lone = rows_of(chosen), np.zeros(len(chosen), np.bool_)
@@ -139,7 +146,7 @@ def _observed(
     out["strays"][0] = far_beyond(
         starts, table["z"][seen.order] * QUANTUM_M, seen.summary[:, 0], out["outside"][:, :, 3],
         settings.buffer_m * BUFFER_LADDER[3], (SUPPORT, LONE_MOST, STRAY_SHARE, LONE_SPACINGS),
-        gone,
+        gate_m or np.inf, gone,
     )  # fmt: skip
     lone[np.flatnonzero(chosen)[seen.order[gone]]] = True
     return out, lone

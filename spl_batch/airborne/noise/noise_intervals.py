@@ -202,6 +202,7 @@ def far_beyond(
     noise: NDArray[np.int32],
     half_m: float,
     rules: tuple[int, int, float, float],
+    gate_m: float,
     gone: NDArray[np.bool_],
 ) -> int:
     """Mark returns behind a gap at an end of their interval that noise does not leave: (n,) bool.
@@ -209,6 +210,7 @@ def far_beyond(
     How many lie where more than ``lone`` do. ``z``: by interval, rising in each; ``noise``: (m, 2),
     returns more than ``half_m`` above and below the signal. ``rules``: noise that shows its
     spacing; returns, or share of the noise, that may lie behind a gap; spacings that are too wide.
+    However many lie farther from the signal than the gate that is stated is long.
     """
     support, lone, share, spacings = rules
     strays = 0
@@ -219,7 +221,10 @@ def far_beyond(
                 continue
             way, end = (1, starts[m + 1] - 1) if side == 0 else (-1, starts[m])
             widest, count = 0.0, 0
-            for k in range(1, max(lone, int(share * n)) + 1):
+            for k in range(1, n):
+                away = way * (z[end - way * (k - 1)] - signal_z[m]) - half_m
+                if k > max(lone, int(share * n)) and away <= gate_m:
+                    break
                 gap = way * (z[end - way * (k - 1)] - z[end - way * k])
                 if gap > widest:
                     widest, count = gap, k

@@ -30,7 +30,7 @@ from spl_batch.formats.las.frame import (
     wkt_vlr,
 )
 from spl_batch.formats.las.header import EVLR_HEAD, HEADER_SIZES, VLR_HEAD, Vlr, read_header
-from spl_batch.formats.las.reader import header_crs
+from spl_batch.formats.las.known_records import header_crs
 from spl_batch.formats.las.records import EXTRA_BYTES_KEY
 
 _USER: Final = b"copc"
