@@ -10,6 +10,7 @@ from scipy import ndimage
 from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
+from spl_batch.airborne.ground.multiscale import masks
 from spl_batch.airborne.ground.multiscale_surface import (
     agreeing_nodes,
     depths_below,
