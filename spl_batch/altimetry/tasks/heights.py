@@ -162,12 +162,11 @@ def _nothing_near(
     if reference.points is not None:
         known_km = read_profile(context.resolve(reference.points))[:, 0] / 1000
         found_km = where["along_track"] / 1000
-        values = {
+        yield Finding("P01", {
             "kind": "points", "name": name, "from_km": float(known_km[0]),
             "to_km": float(known_km[-1]), "first_km": float(found_km.min()),
             "last_km": float(found_km.max()),
-        }  # fmt: skip
-        yield Finding("P01", values)
+        })  # fmt: skip
     elif reference.dtm is not None:
         placed = [values[np.isfinite(values)] for values in (where["longitude"], where["latitude"])]
         if not all(len(values) for values in placed):
