@@ -98,12 +98,7 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     Parameters
     ----------
     directory, doubles, text : bytes
-        Records 34735, 34736, 34737; the last two may be empty.
-
-    Raises
-    ------
-    CRSError
-        If they cannot be read.
+        Records 34735, 34736, 34737; the last two may be empty. CRSError if they cannot be read.
     """
     tiff = _one_pixel_tiff(_with_heights_unit(directory), doubles, text)
     try:
