@@ -212,7 +212,17 @@ class Extent:
 
 
 def write_laz(path: Path, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
-    """Write records as LAS 1.4, atomically, compressed but for point formats 9 and 10."""
+    """Write a LAS 1.4 file atomically, compressed but for point formats 9 and 10; count of points.
+
+    Parameters
+    ----------
+    path : Path
+        Final name; its folder is made where missing.
+    frame : Frame
+        Everything but the points.
+    chunks : iterable of (n,) structured
+        Records of the frame's layout.
+    """
     laz = None if frame.layout.point_format in _UNCOMPRESSED else laz_record(frame.layout)
     with output_file(path) as file:
         extent = Extent()

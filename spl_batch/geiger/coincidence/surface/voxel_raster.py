@@ -90,8 +90,14 @@ def look_direction(
 ) -> None:
     """Unit vector of a line of sight: east, north, up into ``out``.
 
-    ``turn``: starboard, nose, up of the array as columns. ``across``, ``along``: tangents of the
-    detector's angles off the array's axis, to starboard and to the nose.
+    Parameters
+    ----------
+    turn : (3, 3) float64
+        Starboard, nose, up of the array as columns: east, north, up of each.
+    across, along : float
+        Tangents of the detector's angles off the array's axis, to starboard and to the nose.
+    out : (3,) float64
+        Filled.
     """
     scale = 1.0 / math.sqrt(1.0 + across * across + along * along)
     for axis in range(3):
