@@ -86,8 +86,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "tiles; rasters that reach there are {times:.0f} times as large",
                 "shapes": "{key}: none of its polygons meets the survey: they lie within {shapes}, "
                 "its points within {points}",
-                "scale": "{crs} draws areas {times:.3f} times as large as they are: areas, "
-                "densities and volumes are off by that",
+                "scale": "{crs} draws lengths {lengths:.3f} and areas {areas:.3f} times as large "
+                "as they are: distances, densities and volumes are off by that",
                 "geoid": "{count:cells|lie} beyond the grid {grid}: void",
             },
             remedy="check the CRS, the order of its axes and the coordinates",

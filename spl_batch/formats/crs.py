@@ -31,7 +31,7 @@ _LINEAR_UNIT_KEY: Final = 3076
 _METRE: Final = 9001
 """GeoTIFF keys of heights and of lengths, and the code of metres [OGC 19-008r4, B.4]."""
 
-_NAMELESS: Final = ("", "unknown")
+NAMELESS: Final = ("", "unknown")
 """Names that GDAL gives to a vertical CRS of which keys have the unit only."""
 
 _TIFF_SHORT, _TIFF_ASCII, _TIFF_DOUBLE = 3, 2, 12
@@ -39,9 +39,9 @@ _TIFF_SHORT, _TIFF_ASCII, _TIFF_DOUBLE = 3, 2, 12
 DEGREES_ACROSS: Final = 5.0
 """Extent from which on coordinates that could be degrees are taken as metres."""
 
-LENGTHS_APART: Final = 0.05
+LENGTHS_APART: Final = 0.15
 """Where lengths are off by a larger part, a projection is none of the region; those of countries
-and of polar seas are off by 0.03."""
+are off by up to 0.1 at their rims."""
 
 _TURNED: Final = ("west", "down")
 """Directions of axes that no other computation expects; south is one of each pole's as well."""
@@ -105,6 +105,8 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
         raise CRSError(str(error)) from None
     if found is not None and horizontal(found).is_engineering:
         found = _in_own_unit(found, _entries(directory))
+    if found is not None and _above_ellipsoid(_entries(directory)):
+        return horizontal(found).to_3d()
     heights = None if found is None else vertical(found)
     if found is None or _not_metres(found) or (heights is not None and heights.to_epsg()):
         return found
@@ -112,7 +114,7 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     if named is not None:  # GDAL leaves it out beside a local CRS
         return compound(found, named)
     # A unit of heights alone names no vertical CRS.
-    return horizontal(found) if heights is not None and heights.name in _NAMELESS else found
+    return horizontal(found) if heights is not None and heights.name in NAMELESS else found
 
 
 def _entries(directory: bytes) -> NDArray[np.uint16]:
@@ -128,6 +130,12 @@ def _in_own_unit(local: CRS, entries: NDArray[np.uint16]) -> CRS:
         if unit.code in codes - {str(_METRE)}:
             return CRS.from_wkt(f'LOCAL_CS["{local.name}",UNIT["{name}",{unit.conv_factor!r}]]')
     return local
+
+
+def _above_ellipsoid(entries: NDArray[np.uint16]) -> bool:
+    """Whether keys name heights above an ellipsoid by a code of GeoTIFF 1.0, 6.3.4.1."""
+    codes = entries[1:][entries[1:, 0] == _VERTICAL_CRS_KEY, 3]
+    return bool(((codes > 5000) & (codes < 5034)).any())
 
 
 def _named_heights(entries: NDArray[np.uint16]) -> CRS | None:
@@ -324,12 +332,12 @@ def scale_there(crs: CRS, places_m: Sequence[Sequence[float]]) -> tuple[float, f
     flat, found = horizontal(crs), []
     if not flat.is_projected:
         return 1.0, 1.0
-    projection = Proj(flat)
     for x, y in places_m:
         try:
+            projection = Proj(flat)
             there = projection.get_factors(*projection(x, y, inverse=True, errcheck=True))
-        except ProjError:
-            continue  # beyond its reach
+        except (ProjError, CRSError):
+            continue  # beyond its reach, or no projection that PROJ knows
         both = (there.tissot_semiminor, there.tissot_semimajor)
         found.append((max(both, key=lambda scale: abs(scale - 1.0)), there.areal_scale))
     known = [scales for scales in found if np.isfinite(scales).all()]

@@ -24,7 +24,6 @@ from spl_batch.airborne.store.voxel_parts import write_voxels
 from spl_batch.airborne.tasks import lines_of_sight
 from spl_batch.airborne.tasks.index import CHUNK_POINTS
 from spl_batch.airborne.tasks.stretches import read_stretch, repeats, without_copies
-from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
@@ -223,12 +222,9 @@ def _assess(
     subset = table.take(known)
     added = shots.assess(table, beams, (model, law), workflow, beamlets)
     ground = added.pop("ground")[known]
-    table = table.with_columns(**added)
+    flags |= added.pop("beyond") * np.uint8(PointFlag.SHOT_NOISE)
+    table = table.with_columns(**added, flags=flags)
     beams = beams.take(known)
-    heights_m = subset["z"] * QUANTUM_M
-    beyond = model.beyond_gate(subset["shot"], beams.range_m, heights_m)
-    flags[known] |= beyond * np.uint8(PointFlag.SHOT_NOISE)
-    table = table.with_columns(flags=flags)
     if args["of_shots"] is not None:
         array = beamlets.seen.array_columns
         noise = shot_noise(subset, beams, workflow.filter, model.gate_m, array)

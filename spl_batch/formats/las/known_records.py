@@ -16,6 +16,7 @@ from pyproj.exceptions import CRSError, ProjError
 from spl_batch.errors import brief, is_fault, one_line, plain
 from spl_batch.formats.crs import (
     GEO_KEYS,
+    NAMELESS,
     WKT_KEY,
     crs_from_geotiff,
     crs_from_wkt,
@@ -99,8 +100,7 @@ def _rivals(header: LasHeader) -> tuple[CRS, CRS] | None:
 
 def _agree(a: CRS, b: CRS, header: LasHeader) -> bool:
     """Whether two CRS put the middle of a file at the same place."""
-    heights, other = vertical(a), vertical(b)
-    if heights is not None and other is not None and not same_heights(heights, other):
+    if not _same_zero(a, b):
         return False
     flat = horizontal(a), horizontal(b)
     if same_crs(a, b) or not all(crs.is_projected or crs.is_geographic for crs in flat):
@@ -108,6 +108,15 @@ def _agree(a: CRS, b: CRS, header: LasHeader) -> bool:
     place = np.mean([header.mins_m[:2], header.maxs_m[:2]], axis=0)
     there = Transformer.from_crs(*flat, always_xy=True).transform(*place)
     return bool(np.hypot(*(there - place)) < _SAME_PLACE_M)
+
+
+def _same_zero(a: CRS, b: CRS) -> bool:
+    """Whether heights are above the same, as far as both name it: a datum, or the ellipsoid."""
+    one, other = vertical(a), vertical(b)
+    if one is not None and other is not None:
+        return bool({one.name, other.name} & {*NAMELESS}) or same_heights(one, other)
+    solid = [named is None and len(crs.axis_info) == 3 for named, crs in ((one, a), (other, b))]
+    return solid[0] == solid[1] or (one is None and other is None)
 
 
 def _keys_crs(header: LasHeader) -> CRS | None:

@@ -234,8 +234,31 @@ def test_keys_and_wkt_that_contradict_each_other(
     assert (copy.vlr("LASF_Projection", 34735) is None) == (wanted == 32616)
 
 
-def test_heights_above_an_ellipsoid_are_written_as_wkt2(tmp_path: Path) -> None:
-    keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4096, 0, 1, 5030]
+DATUMS = (
+    ([5703], "EPSG:32615+5703", True),
+    ([5703], "EPSG:32615+5773", False),
+    ([5019], "EPSG:32615+5703", False),
+    ([5703, 9001], "EPSG:32615", True),
+)
+
+
+@pytest.mark.parametrize(("heights", "other", "agree"), DATUMS)
+def test_heights_of_keys_and_wkt_are_above_the_same(
+    tmp_path: Path, heights: list[int], other: str, *, agree: bool
+) -> None:
+    named = zip((4096, 4099), heights, strict=False)
+    values = [1024, 0, 1, 1, 3072, 0, 1, 32615, *(v for k, c in named for v in (k, 0, 1, c))]
+    keys = np.array([1, 1, 0, len(values) // 4, *values], "<u2").tobytes()
+    records = [laspy.VLR("LASF_Projection", 34735, "", keys)]
+    wkt = CRS.from_user_input(other).to_wkt("WKT1_GDAL").encode() + b"\0"
+    records.append(laspy.VLR("LASF_Projection", 2112, "", wkt))
+    src = write_las(tmp_path / "a.las", version="1.4", point_format=6, vlrs=records)
+    assert (header_crs(read_header(src))[1] == ()) == agree
+
+
+@pytest.mark.parametrize("code", [5019, 5030])
+def test_heights_above_an_ellipsoid_are_written_as_wkt2(tmp_path: Path, code: int) -> None:
+    keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4096, 0, 1, code]
     record = laspy.VLR("LASF_Projection", 34735, "", np.array(keys, "<u2").tobytes())
     src = write_las(tmp_path / "a.las", version="1.2", point_format=1, vlrs=[record])
     classify(src, tmp_path / "b.laz")

@@ -124,10 +124,11 @@ def crs_findings(crs: CRS | None, files: Sequence[tuple[str, LasFacts]]) -> list
 
 
 def _areas_off(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> Iterator[Finding]:
-    """A projection that draws areas larger or smaller than they are."""
-    _, areas = scale_there(crs, _corners(facts for _, facts in files))
-    if abs(areas - 1.0) > AREAS_APART:
-        yield Finding("I05", {"kind": "scale", "crs": crs_name(crs), "times": areas})
+    """A projection that draws lengths or areas larger or smaller than they are."""
+    lengths, areas = scale_there(crs, _corners(facts for _, facts in files))
+    if max(abs(lengths - 1.0), abs(areas - 1.0)) > AREAS_APART:
+        values = {"kind": "scale", "crs": crs_name(crs), "lengths": lengths, "areas": areas}
+        yield Finding("I05", values)
 
 
 def _without_heights(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> list[Finding]:
