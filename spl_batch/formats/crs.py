@@ -92,13 +92,8 @@ def crs_from_wkt(data: bytes) -> CRS | None:
 def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | None:
     """CRS of GeoTIFF keys, user-defined ones too; none where they define none.
 
-    Only GDAL reads such keys completely. The records are TIFF tags byte for byte, so they are put
-    into a TIFF of one pixel.
-
-    Parameters
-    ----------
-    directory, doubles, text : bytes
-        Records 34735, 34736, 34737; the last two may be empty. CRSError if they cannot be read.
+    Only GDAL reads such keys completely. Records 34735 to 34737, of which the last two may be
+    empty, are TIFF tags byte for byte, so they are put into a TIFF of one pixel.
     """
     tiff = _one_pixel_tiff(_with_heights_unit(directory), doubles, text)
     try:
