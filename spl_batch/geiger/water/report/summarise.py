@@ -21,11 +21,10 @@ from spl_batch.formats.rasters.parts import read_overview
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water import accuracy
 from spl_batch.geiger.water.accuracy import pixel_maps
+from spl_batch.geiger.water.pixel_geometry import Floats
 from spl_batch.geiger.water.report import model
 from spl_batch.geiger.water.report.model import SurfaceError, WaterReport
 from spl_batch.geiger.water.tasks import WaterContext
-
-Floats = NDArray[np.float64]
 
 
 def render(report: WaterReport, pictures: Mapping[str, Picture]) -> str:
