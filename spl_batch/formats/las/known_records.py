@@ -115,8 +115,10 @@ def _same_zero(a: CRS, b: CRS) -> bool:
     one, other = vertical(a), vertical(b)
     if one is not None and other is not None:
         return bool({one.name, other.name} & {*NAMELESS}) or same_heights(one, other)
-    solid = [named is None and len(crs.axis_info) == 3 for named, crs in ((one, a), (other, b))]
-    return solid[0] == solid[1] or (one is None and other is None)
+    if one is None and other is None:
+        return True
+    without = a if one is None else b
+    return len(without.axis_info) < 3  # a third axis is the height above the ellipsoid
 
 
 def _keys_crs(header: LasHeader) -> CRS | None:

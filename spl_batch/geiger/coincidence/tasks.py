@@ -123,7 +123,7 @@ def _sight_findings(
     # Those of 32 frames on either side tell enough.
     frames = frames.take(np.abs(frames.number - number) <= 32)
     off = coincide.sight_error(frames, part, context.workflow.array)
-    if off >= 2.0:
+    if off >= 2.0:  # fields of view between a detection and its line of sight
         yield Finding("K02", {"fields": off}, badness=off)
 
 

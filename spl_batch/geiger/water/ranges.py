@@ -113,7 +113,7 @@ def find_gate(counts: NDArray[np.int64], settings: GateSettings) -> Gate | None:
     """Gate around the peak of a histogram, (bins + 1,) [G15 3.4.2]; None without a hit."""
     centre = settings.centre_bin
     if centre is None:
-        around = np.convolve(counts[1:], np.ones(5, dtype=np.int64), mode="same")
+        around = np.convolve(counts[1:], np.ones(5, dtype=np.int64), mode="same")  # smoothed
         if not around.any():
             return None
         # The middle of a flat top, so that the gate does not lean to one side.
@@ -276,7 +276,7 @@ def _fit_joint(observations: Sequence[Observation], settings: CalibrationSetting
     walks = settings.range_walk == "first_photon"
     made = Calibration(settings, np.zeros_like(observations[0].actual_ns))
     last: Floats = np.zeros(3)
-    for _ in range(50):
+    for _ in range(50):  # delays and law in turn, until nothing changes
         normal, right = np.zeros((3, 3)), np.zeros(3)
         for seen in observations:
             rows = _fitted(seen)
