@@ -13,6 +13,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
             {
                 "header": "{what}",
                 "times": "the header says {stated}, gps_time holds {found}",
+                "clock": "gps_time is {found}, that of most points of the survey {main}: "
+                "flightlines are not put together, and copies count twice",
                 "withheld": "every point is withheld or of class 7 or 18, so none of them is used",
                 "left_out": "{what}; left out of the delivered copy",
                 "changed": "{what}; so in the delivered copy",
@@ -84,6 +86,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "tiles; rasters that reach there are {times:.0f} times as large",
                 "shapes": "{key}: none of its polygons meets the survey: they lie within {shapes}, "
                 "its points within {points}",
+                "scale": "{crs} draws lengths {lengths:.3f} and areas {areas:.3f} times as large "
+                "as they are: distances, densities and volumes are off by that",
                 "geoid": "{count:cells|lie} beyond the grid {grid}: void",
             },
             remedy="check the CRS, the order of its axes and the coordinates",

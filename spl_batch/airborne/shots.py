@@ -18,6 +18,7 @@ from spl_batch.airborne.noise.line_noise import LineModel
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 DOMAIN: Final = "time"
@@ -45,7 +46,7 @@ def observe(
     table: PointTable, beams: BeamTable, settings: NoiseSettings, beamlets: Beamlets
 ) -> dict[str, NDArray[Any]]:
     """Noise statistics of a stretch, at least one point, and those of its afterpulses."""
-    observed = line_noise.observe(table, beams, settings)
+    observed = line_noise.observe(table, beams, settings, beamlets.stated.gate_m)
     if beamlets.unnumbered:
         table, order = told_apart(table, beams, beamlets.stated)
         beams = beams.take(order)
@@ -73,9 +74,10 @@ def assess(
     settings: Workflow,
     beamlets: Beamlets,
 ) -> dict[str, NDArray[Any]]:
-    """Columns that the time domain adds to a stretch, its ``channel``, and ``ground``.
+    """Columns that the time domain adds to a stretch, its ``channel``, ``ground`` and ``beyond``.
 
-    ``ground``, float64, is the gain of what each point's beamlet looks at.
+    ``ground``, float64, is the gain of what each point's beamlet looks at; ``beyond``, bool, marks
+    returns far beyond a stated gate, which are noise.
 
     Parameters
     ----------
@@ -90,10 +92,12 @@ def assess(
     added: dict[str, NDArray[Any]] = {
         name: np.zeros(len(table), np.float32) for name in COLUMNS_ADDED
     }
-    ground = ground_gain.looked_at(known, lit, model, settings.noise)
+    ground = ground_gain.looked_at(known, lit, model)
     added["line_density"][rows] = line_noise.line_density(known, model) * ground
     added["ground"] = np.ones(len(table))
     added["ground"][rows] = ground
+    added["beyond"] = np.zeros(len(table), np.bool_)
+    added["beyond"][rows] = model.beyond_gate(known["shot"], lit.range_m, known["z"] * QUANTUM_M)
     added["channel"] = table["channel"]
     if not settings.afterpulse.enabled:
         return added

@@ -116,7 +116,7 @@ def _csv_rows(path: Path) -> list[_Row]:
         names = {name: (name or "").strip("# ").lower() for name in reader.fieldnames or ()}
         _refuse_without(path, names.values())
         rows = [{names[key]: row[key] for key in row if key in names} for row in reader]
-    if reader.reader.dialect.delimiter == ";":  # as where the comma is the decimal sign
+    if reader.reader.dialect.delimiter != ",":  # it may be the decimal sign
         for row in rows:
             row |= {key: str(row[key]).replace(",", ".") for key in _NUMBERS & row.keys()}
     return rows

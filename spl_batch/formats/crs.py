@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
-from pyproj import CRS
+from pyproj import CRS, Proj
 from pyproj.crs import CompoundCRS
 from pyproj.database import get_units_map
-from pyproj.exceptions import CRSError
+from pyproj.exceptions import CRSError, ProjError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
 
@@ -31,13 +31,20 @@ _LINEAR_UNIT_KEY: Final = 3076
 _METRE: Final = 9001
 """GeoTIFF keys of heights and of lengths, and the code of metres [OGC 19-008r4, B.4]."""
 
-_NAMELESS: Final = ("", "unknown")
+NAMELESS: Final = ("", "unknown")
 """Names that GDAL gives to a vertical CRS of which keys have the unit only."""
 
 _TIFF_SHORT, _TIFF_ASCII, _TIFF_DOUBLE = 3, 2, 12
 
 DEGREES_ACROSS: Final = 5.0
 """Extent from which on coordinates that could be degrees are taken as metres."""
+
+LENGTHS_APART: Final = 0.15
+"""Where lengths are off by a larger part, a projection is none of the region; those of countries
+are off by up to 0.1 at their rims."""
+
+_TURNED: Final = ("west", "down")
+"""Directions of axes that no other computation expects; south is one of each pole's as well."""
 
 _UTM_LATITUDE: Final = 84.0
 """Latitude beyond which UTM has no zones [degrees]."""
@@ -98,6 +105,8 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
         raise CRSError(str(error)) from None
     if found is not None and horizontal(found).is_engineering:
         found = _in_own_unit(found, _entries(directory))
+    if found is not None and _above_ellipsoid(_entries(directory)):
+        return horizontal(found).to_3d()
     heights = None if found is None else vertical(found)
     if found is None or _not_metres(found) or (heights is not None and heights.to_epsg()):
         return found
@@ -105,7 +114,7 @@ def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | Non
     if named is not None:  # GDAL leaves it out beside a local CRS
         return compound(found, named)
     # A unit of heights alone names no vertical CRS.
-    return horizontal(found) if heights is not None and heights.name in _NAMELESS else found
+    return horizontal(found) if heights is not None and heights.name in NAMELESS else found
 
 
 def _entries(directory: bytes) -> NDArray[np.uint16]:
@@ -121,6 +130,12 @@ def _in_own_unit(local: CRS, entries: NDArray[np.uint16]) -> CRS:
         if unit.code in codes - {str(_METRE)}:
             return CRS.from_wkt(f'LOCAL_CS["{local.name}",UNIT["{name}",{unit.conv_factor!r}]]')
     return local
+
+
+def _above_ellipsoid(entries: NDArray[np.uint16]) -> bool:
+    """Whether keys name heights above an ellipsoid by a code of GeoTIFF 1.0, 6.3.4.1."""
+    codes = entries[1:][entries[1:, 0] == _VERTICAL_CRS_KEY, 3]
+    return bool(((codes > 5000) & (codes < 5034)).any())
 
 
 def _named_heights(entries: NDArray[np.uint16]) -> CRS | None:
@@ -209,6 +224,8 @@ def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
         raise WorkflowError(f"{key}: {crs_name(named)} is no vertical CRS; write e.g. EPSG:5703")
     if any(axis.unit_conversion_factor != 1.0 for axis in named.axis_info):
         raise WorkflowError(f"{key}: {crs_name(named)} is not in metres; write one that is")
+    if turned := _turned(named):
+        raise WorkflowError(f"{key}: {turned}")
     if crs is None:
         raise WorkflowError(f"{key}: the files have no CRS that it could complete: set survey.crs")
     found = vertical(crs)
@@ -276,11 +293,55 @@ def crs_problems(crs: CRS) -> list[str]:
         for unit, names in _not_metres(crs).items()
     ]
     if _is_world_mercator(flat):
-        faults.append(
-            f"CRS {crs_name(crs)} stretches lengths by 1/cos(latitude), so that areas"
-            " and densities would be wrong: reproject the files to one of the region, e.g. UTM"
-        )
+        faults.append(_stretches(crs, "1/cos(latitude)"))
+    if turned := _turned(crs):
+        faults.append(turned)
     return faults
+
+
+def _turned(crs: CRS) -> str:
+    """What is wrong with a CRS of depths, or one that counts to the west; empty for others."""
+    turned = [f"{a.name} {a.direction}" for a in crs.axis_info if a.direction in _TURNED]
+    if not turned:
+        return ""
+    return (
+        f"CRS {crs_name(crs)} counts {' and '.join(turned)}: reproject the files to a CRS that"
+        " counts east, north and up"
+    )
+
+
+def _stretches(crs: CRS, by: str) -> str:
+    return (
+        f"CRS {crs_name(crs)} stretches lengths by {by}, so that areas and densities would be"
+        " wrong: reproject the files to one of the region, e.g. UTM"
+    )
+
+
+def stretch_problem(crs: CRS, places_m: Sequence[Sequence[float]]) -> list[str]:
+    """Why a projection is not for these places, (n, 2) [m]; none where it is."""
+    lengths, _ = scale_there(crs, places_m)
+    return [_stretches(crs, f"{lengths:.2f}")] if abs(lengths - 1.0) > LENGTHS_APART else []
+
+
+def scale_there(crs: CRS, places_m: Sequence[Sequence[float]]) -> tuple[float, float]:
+    """Scale of lengths, which is farthest from 1, and of areas, at the truest of some places.
+
+    ``places_m``: (n, 2), corners of a survey, of which one may lie astray [m]. Both scales are 1
+    where no projection is known, and beyond its reach.
+    """
+    flat, found = horizontal(crs), []
+    if not flat.is_projected:
+        return 1.0, 1.0
+    for x, y in places_m:
+        try:
+            projection = Proj(flat)
+            there = projection.get_factors(*projection(x, y, inverse=True, errcheck=True))
+        except (ProjError, CRSError):
+            continue  # beyond its reach, or no projection that PROJ knows
+        both = (there.tissot_semiminor, there.tissot_semimajor)
+        found.append((max(both, key=lambda scale: abs(scale - 1.0)), there.areal_scale))
+    known = [scales for scales in found if np.isfinite(scales).all()]
+    return min(known, key=lambda scales: abs(scales[0] - 1.0), default=(1.0, 1.0))
 
 
 def _not_metres(crs: CRS) -> dict[str, list[str]]:

@@ -16,6 +16,13 @@ from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S, GPS_WEEK_S
 TimeStandard = Literal["none", "week", "adjusted", "unix_or_gps", "other"]
 """``none``: no value, or all zero; ``unix_or_gps``: seconds since 1970 or 1980."""
 
+CLOCKS: Final = {
+    "week": "seconds of the GPS week",
+    "adjusted": "adjusted standard time",
+    "unix_or_gps": "seconds since 1970 or 1980",
+}
+"""Those of :data:`TimeStandard` that are known, in words."""
+
 _WEEK_MAX_S: Final = GPS_WEEK_S + 86_400
 """Week seconds may run on past the end of the week for the length of a flight."""
 
@@ -74,9 +81,9 @@ def leap_seconds(time_s: float) -> int:
 def contradicted_bit(standard: TimeStandard, *, adjusted_bit: bool) -> tuple[str, str] | None:
     """What a header's bit states and what the values are; None where they agree."""
     if standard == "week" and adjusted_bit:
-        return "adjusted standard time", "seconds of the GPS week"
+        return CLOCKS["adjusted"], CLOCKS["week"]
     if standard == "adjusted" and not adjusted_bit:
-        return "GPS week time", "adjusted standard time"
+        return "GPS week time", CLOCKS["adjusted"]
     return None
 
 

@@ -32,6 +32,7 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
         "gps_time": Column(np.float64, "s", "time as the file has it; NaN where it has none"),
         "channel": Column(np.uint8, "", "beamlet number as the file has it; 0 where it has none"),
         "return_number": Column(np.uint8, "", "LAS return number"),
+        "number_of_returns": Column(np.uint8, "", "LAS number of returns of the pulse"),
         "scan_angle": Column(np.float32, "deg", "LAS scan angle, positive to starboard"),
         "point_source_id": Column(np.uint16, "", "LAS point source id"),
         "line": Column(np.uint16, "", "flightline, by its number in the survey"),
@@ -63,7 +64,7 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
 
 SOURCE_COLUMNS: Final = (
     *("x", "y", "z", "gps_time", "channel", "return_number", "scan_angle", "point_source_id"),
-    *("intensity", "input_class", "flags", "source", "index"),
+    *("number_of_returns", "intensity", "input_class", "flags", "source", "index"),
 )
 """Columns that reading an input file gives."""
 
@@ -82,7 +83,8 @@ class PointFlag(IntFlag):
     WATER = 16
     """Inside a water polygon."""
     SHOT_NOISE = 32
-    """The filter of single shots (differential cell count), where it ran, calls it noise."""
+    """The filter of single shots (differential cell count), where it ran, calls it noise, or it is
+    far beyond the range gate that is stated."""
 
 
 EXCLUDED: Final = PointFlag.WITHHELD | PointFlag.VENDOR_NOISE
@@ -264,7 +266,7 @@ class VoxelPart:
     shots: NDArray[np.int64] | None = None
     beamlets: NDArray[np.int64] | None = None
     #: (nx, ny, nz, 16): seen beamlets that cross each square of a quarter of a voxel's edge
-    #: half-way up the voxel, at x * 4 + y, 16 for one of usual noise; they add up as well.
+    #: half-way up the voxel, at x * 4 + y, 16 for one over ground of gain 1; they add up as well.
     squares: NDArray[np.uint16] | None = None
 
     def box(self) -> list[int]:
@@ -279,7 +281,7 @@ VOXEL_FIXED_POINT: Final = 2.0**32
 
 TILE_COLUMNS: Final = (
     *("x", "y", "z", "gps_time", "channel", "return_number", "line", "intensity", "input_class"),
-    *("flags", "source", "index"),
+    *("number_of_returns", "flags", "source", "index"),
     *("line_density", "afterpulse", "afterpulse_rate", "afterpulse_share", "range_sigma"),
 )
 """Columns of a point tile."""

@@ -167,7 +167,9 @@ def test_the_log_is_one_event_a_line(tiny_output: Path) -> None:
 
 
 def test_what_does_not_wait_for_each_other_is_done_at_once(small: Path) -> None:
-    _, watcher = watched(small, "outputs.tiles=laz", until="deliver")
+    result, watcher = watched(small, "outputs.tiles=laz", until="deliver")
+    tiles = [laspy.read(path) for path in (result.output / "tiles").glob("*.laz")]
+    assert all((tile.number_of_returns == tile.return_number).all() for tile in tiles)
     left: dict[str, int] = {}
     beside: set[str] = set()
     for event in watcher.events:
@@ -313,9 +315,13 @@ def test_an_area_of_interest_is_honoured(
     workflow = surveys.copy_of(tiny_survey, tmp_path)
     west, south, east, north = 272_010.0, 3_290_020.0, 272_040.0, 3_290_055.0
     write_polygons(tmp_path / "aoi.gpkg", [shapely.box(west, south, east, north)], "EPSG:32615")
+    for path in sorted((tmp_path / "flightlines").glob("*.laz")):
+        given = laspy.read(path)
+        given.classification = np.full(len(given), 2, np.uint8)
+        given.write(path)
     result = surveys.run(workflow, "aoi=aoi.gpkg", "outputs.diagnostics=true")
     assert result.exit_status == 0
-    outside_points = 0
+    outside_points = ground = 0
     for name, got in surveys.delivered(result.output).items():
         las = laspy.read(result.output / "laz" / name)
         x, y = np.asarray(las.x), np.asarray(las.y)
@@ -330,8 +336,10 @@ def test_an_area_of_interest_is_honoured(
         assert np.all(got["noise_class"][outside] == 255)
         assert np.array_equal(got["classification"][outside], got["input_classification"][outside])
         outside_points += int(np.count_nonzero(got["noise_class"] == 255))
+        ground += int(np.count_nonzero((got["classification"] == 2) & (got["noise_class"] != 255)))
     assert result.report is not None
     assert result.report.counts.outside_aoi == outside_points
+    assert result.report.counts.ground == ground > 0
     assert result.report.counts.points_out == result.report.counts.points_in
     with rasterio.open(result.output / "dtm.tif") as source:
         rows, columns = np.nonzero(source.read(1) != NODATA)

@@ -38,6 +38,7 @@ def test_a_csv_is_read_as_it_stands(tmp_path: Path) -> None:
     [
         "id;x;y;z\nA;272000,5;3290001.25;20,125\n",
         "ID\tX\tY\tZ\nA\t272000.5\t3290001.25\t20.125\n",
+        "ID\tX\tY\tZ\nA\t272000,5\t3290001,25\t20,125\n",
         "# id   x y  z\n  A 272000.5  3290001.25 20.125 \n",
         "id, x, y, z\nA, 272000.5, 3290001.25, 20.125\n",
     ],

@@ -12,6 +12,7 @@ from spl_batch.formats.crs import (
     crs_from_geotiff,
     crs_problems,
     same_crs,
+    stretch_problem,
     vertical,
     with_vertical,
 )
@@ -19,7 +20,7 @@ from spl_batch.formats.rasters.geotiff import write_cog
 
 
 @pytest.mark.parametrize(
-    "text", ["EPSG:32615", "EPSG:2154", "EPSG:32615+5773", "EPSG:25832", "EPSG:3994"]
+    "text", ["EPSG:32615", "EPSG:2154", "EPSG:32615+5773", "EPSG:25832", "EPSG:3994", "EPSG:3413"]
 )
 def test_metric_projected_crs_is_fine(text: str) -> None:
     assert crs_problems(CRS.from_user_input(text)) == []
@@ -36,12 +37,35 @@ def test_metric_projected_crs_is_fine(text: str) -> None:
         ("EPSG:3395", "1/cos(latitude)"),
         ("EPSG:3857+5703", "1/cos(latitude)"),
         ("EPSG:4978", "must be projected"),
+        ("EPSG:32615+5612", "counts Depth down"),
+        ("EPSG:2053", "counts Westing west"),
     ],
 )
 def test_refused(text: str, words: str) -> None:
     problems = crs_problems(CRS.from_user_input(text))
     assert words in problems[0]
     assert all("\n" not in p for p in problems)
+
+
+@pytest.mark.parametrize(
+    ("text", "place_m", "times"),
+    [
+        ("EPSG:32615+5703", (500_000, 5_000_000), None),
+        ("EPSG:3627", (300_000, 60_000), None),
+        ("EPSG:2154", (1_200_000, 7_100_000), None),
+        ("EPSG:3413", (1_000_000, -1_000_000), None),
+        ("EPSG:4087", (500_000, 5_000_000), "1.41"),
+        ("EPSG:6933", (500_000, 5_000_000), "1.18"),
+        ("EPSG:5880", (7_000_000, 9_150_000), None),
+        ("EPSG:22700", (500_000, 300_000), None),
+        ("EPSG:32615", (4_500_000, 5_000_000), "1.20"),
+    ],
+)
+def test_a_projection_that_stretches_lengths_there(
+    text: str, place_m: tuple[float, float], times: str | None
+) -> None:
+    found = stretch_problem(CRS.from_user_input(text), [place_m, (1e30, 1e30)])
+    assert [f"by {times}," in one for one in found] == [True] * (times is not None)
 
 
 def test_same_crs() -> None:
@@ -73,6 +97,7 @@ def test_a_named_vertical_crs_completes_that_of_the_files(tmp_path: Path) -> Non
     [
         ("EPSG:32615", "EPSG:32615", "is no vertical CRS"),
         ("EPSG:32615", "EPSG:6360", "is not in metres"),
+        ("EPSG:32615", "EPSG:5612", "counts Depth down"),
         ("EPSG:32615+5703", "EPSG:5773", "the files say 'NAVD88 height'"),
         (None, "EPSG:5703", "no CRS that it could complete"),
     ],

@@ -154,10 +154,13 @@ def test_making_the_store_again_keeps_it_and_other_sizes_are_refused(store):
         create_raster_store(store, ["dtm"], ground_cell=10_000, raster_cell=3000)
 
 
-def test_a_raster_knows_its_statistics(tmp_path):
+def test_a_raster_knows_its_statistics_whatever_the_order_of_its_pieces(tmp_path):
     values = np.random.default_rng(4).normal(300, 20, (40, 60)).astype(np.float32)
     values[3:9, 5:20] = NODATA
-    write_cog(tmp_path / "a.tif", values, shape=values.shape, crs=None, **PLACE)
+    pieces = [(0, 0, values[:, :25]), (0, 25, values[:, 25:])]
+    write_cog(tmp_path / "a.tif", pieces, shape=values.shape, crs=None, **PLACE)
+    write_cog(tmp_path / "b.tif", pieces[::-1], shape=values.shape, crs=None, **PLACE)
+    assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
     with rasterio.open(tmp_path / "a.tif") as source:
         tags = source.tags(1)
     known = values[values != NODATA].astype(np.float64)

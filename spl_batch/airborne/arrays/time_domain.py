@@ -73,6 +73,7 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
         found += [finding._replace(subject=name) for finding in model.findings]
         columns = shots.assess(mine, beams, (model, law), settings, beamlets)
         ground = columns.pop("ground")
+        flags[rows] |= columns.pop("beyond") * np.uint8(PointFlag.SHOT_NOISE)
         for key, values in columns.items():
             added[key][rows] = values
         flags[rows] |= ~beams.known * np.uint8(PointFlag.NO_BEAM)

@@ -159,7 +159,7 @@ def other_unit(lines: Lines, sensor_m: NDArray[np.float64]) -> tuple[float, floa
     Returns
     -------
     (float, float) or None
-        None where they agree better than metres with feet, or too few lines agree.
+        None where they differ by another factor than feet and metres do, or too few lines agree.
     """
     aside = np.sum((sensor_m[:, :2] - lines.across) * lines.slope, axis=1)
     square = np.sum(lines.slope**2, axis=1)
@@ -169,7 +169,8 @@ def other_unit(lines: Lines, sensor_m: NDArray[np.float64]) -> tuple[float, floa
     met = aside[seen] / square[seen]
     stated = (sensor_m[:, 2] - lines.height)[seen]
     low, high = np.quantile(stated / met, (0.25, 0.75))
-    if high > np.sqrt(FOOT_M) and low < 1.0 / np.sqrt(FOOT_M):
+    near = FOOT_M**-0.5
+    if not any(unit / near < low and high < unit * near for unit in (FOOT_M, 1.0 / FOOT_M)):
         return None
     return float(np.median(stated)), float(np.median(met))
 

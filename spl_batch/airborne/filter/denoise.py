@@ -201,7 +201,8 @@ def judge(
         verdict, conductor = verdict_on(cloud, settings)
         rows = chosen.rows[cloud.asked]
         wire[rows] = conductor
-        noise_class[rows] = np.where(verdict.signal, NOISE_SIGNAL, NOISE_BACKGROUND)
+        signal = verdict.signal & ~cloud.shot_noise[cloud.asked]
+        noise_class[rows] = np.where(signal, NOISE_SIGNAL, NOISE_BACKGROUND)
         p_value[rows] = verdict.p_value
         noise_class[echo] = NOISE_AFTERPULSE
         noise_class[dependent & ~table.has(EXCLUDED | PointFlag.NO_BEAM)] = NOISE_SIGNAL

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.noise import voxel_noise
-from spl_batch.airborne.noise.beamlet_counts import SQUARES
 from spl_batch.airborne.noise.local_noise import (
     MARGIN_VOXELS,
-    Listened,
+    SQUARES,
     around,
     listened,
     put_places,
@@ -67,7 +66,7 @@ class NoiseModel(NamedTuple):
     box: _Box
     density: NDArray[np.float64]  #: (i, j, k): mean of each voxel [1/m3].
     within: NDArray[np.float64]  #: (i, j, k): the same of the part within the gate, roughly.
-    heard: tuple[Listened, ...]  #: What each flightline listens to.
+    heard: tuple[NDArray[np.float32], ...]  #: Noise of each flightline over its squares [1/m3].
 
     def local(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
         """Noise at places, of the part of their voxels that is listened to: (n,) [1/m3]."""
@@ -84,10 +83,10 @@ class NoiseModel(NamedTuple):
     def listened(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
         """The same, 0 where no flightline is known to listen, as beyond a gate: (n,) [1/m3]."""
         x, y, z = xyz
-        voxel, square = np.empty((3, len(x)), np.int64), np.empty((2, len(x)), np.int64)
-        offset, top = np.empty((3, len(x))), self.box.shape[2] - 1
-        put_places(x, y, z, self.box.edge, SQUARES, self.box.corner, top, voxel, square, offset)
-        return around(self.heard, tuple(voxel), tuple(square), tuple(offset))
+        square, offset = np.empty((3, len(x)), np.int64), np.empty((3, len(x)))
+        top = self.box.shape[2] - 1
+        put_places(x, y, z, self.box.edge, self.box.corner, top, square, offset)
+        return around(self.heard, tuple(square), tuple(offset))
 
     def mean(
         self, xyz: Sequence[NDArray[np.integer[Any]]], told: NDArray[np.bool_]
@@ -125,7 +124,7 @@ def noise_model(
     published = settings.correction == "published"
     names = ("amount", "shots", "beamlets") if published else ("amount",)
     totals = {name: np.zeros(box.shape, dtype=np.int64) for name in names}
-    heard: list[Listened] = []
+    heard: list[NDArray[np.float32]] = []
     for line in lines:
         sums: dict[str, NDArray[Any]] = {k: np.zeros(box.shape, dtype=np.int64) for k in names}
         if not published:

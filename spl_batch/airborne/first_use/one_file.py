@@ -261,7 +261,7 @@ def _counts(delivered: Receipt, *, ground: bool) -> Iterator[tuple[str, str]]:
     names = {0: "signal", 1: "background noise", 2: "afterpulses", 255: "not assessed"}
     counts = [(name, kinds.get(kind, 0)) for kind, name in names.items()]
     if ground:
-        counts.append(("ground", delivered.facts["classes"].get("2", 0)))
+        counts.append(("ground", delivered.facts["assessed"].get("2", 0)))
     whole = grouped(delivered.points)
     yield "points", f"{whole} in, {whole} out"
     for name, n in counts:

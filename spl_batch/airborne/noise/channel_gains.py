@@ -18,22 +18,10 @@ DOMAIN: Final = "time"
 def active_channels(
     seen: NDArray[np.int64], beamlets: int
 ) -> tuple[int, NDArray[np.float64], tuple[Finding, ...]]:
-    """Beamlets per shot, and gains as far as live and dead channels decide them.
+    """Beamlets per shot, gains as far as live and dead channels decide them, and warnings.
 
-    Parameters
-    ----------
-    seen : (256,) int64
-        Beamlets seen of each channel [count].
-    beamlets : int
-        Beamlets per shot that the sensor has.
-
-    Returns
-    -------
-    beamlets : int
-        Beamlets per shot.
-    gain : (256,) float64
-        0 for dead channels, equal for all others; mean one over the beamlets.
-    warnings : tuple of Finding
+    ``seen``: (256,), beamlets seen of each channel; ``beamlets``: per shot, that the sensor has.
+    Gains, (256,), are 0 for dead channels, equal for all others; their mean is one.
     """
     live = seen > 0
     alive = int(live.sum())
@@ -64,15 +52,7 @@ def _dead(live: NDArray[np.int64], beamlets: int) -> str:
 def channel_gains(
     by_channel: NDArray[np.int64], active: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Gain of each channel: (256,) float64.
-
-    Parameters
-    ----------
-    by_channel : (256,) int64
-        Noise returns of each channel [count].
-    active : (256,) float64
-        Gains from :func:`active_channels`; their mean is kept.
-    """
+    """Gain of each channel, by its noise returns, with the mean of ``active``: (256,) float64."""
     # A live channel without noise returns was seen, not counted: it keeps its mean share.
     used = np.flatnonzero((active > 0) & (by_channel > 0))
     if len(used) == 0:
@@ -90,13 +70,7 @@ def channel_gains(
 
 
 def prior_weight(n: NDArray[Any], expected: NDArray[np.float64]) -> float:
-    """Counts that a gamma prior is worth: 1 / relative variance beyond Poisson.
-
-    Parameters
-    ----------
-    n, expected : (k,) integer or float64, and float64
-        Counts, and what was expected of each.
-    """
+    """Counts that a gamma prior is worth: 1 / relative variance beyond Poisson."""
     excess = float(np.sum((n - expected) ** 2 - expected))
     square = float(np.sum(expected**2))
     return square / excess if excess > 1e-9 * square > 0 else 1e9

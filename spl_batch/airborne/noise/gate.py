@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.noise.line_statistics import (
     BUFFER_LADDER,
-    LONE_GAPS,
     LONE_MOST,
+    LONE_SPACINGS,
     SUPPORT,
-    spacing_m,
-    without_lone,
 )
 from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.engine.findings import Finding
@@ -37,6 +35,9 @@ GATE_MIN_M: Final = 60.0
 
 GATE_ASSUMED_M: Final = 300.0
 """Gate where neither the workflow nor the points tell one [m]."""
+
+LONE_GAPS: Final = (3, 8)
+"""Gaps between the extremes that follow which tell their spacing, at least and at most [count]."""
 
 Kind = Literal["range", "height"]
 Basis = Literal["stated", "estimated", "assumed"]
@@ -77,35 +78,23 @@ def fit_gate(
     buffer_m: float,
     gate_m: float | None,
 ) -> Gate:
-    """Gate of each interval from the merged statistics of a flightline.
+    """Gate of each interval, (m,) ascending, from the merged statistics of a flightline.
 
-    Parameters
-    ----------
-    interval : (m,) int64
-        Interval numbers, ascending; m >= 1.
-    summary, outside
-        As in :func:`~spl_batch.airborne.noise.line_statistics.observe`.
-    gate_m : float or None
-        Slant length of the gate where it is known [m].
+    ``gate_m``: slant length of the gate where it is known [m].
     """
     starts = np.flatnonzero(np.diff(interval // WINDOW_INTERVALS, prepend=interval[0] - 10**6))
     column = dict(zip(SUMMARY, summary.T, strict=True))
     tilt = float(np.mean(column["cosine"]))
     half, most = buffer_m * BUFFER_LADDER[3], (gate_m or math.inf) * (1.0 + TOLERANCE)
     noise = np.add.reduceat(outside[:, :, 3], starts)
+    offered = (
+        ("range", 1.0, column["range_min"], column["range_max"]),
+        ("height", tilt, -column["z_max"], -column["z_min"]),
+        ("surface", 1.0, column["behind_min"], column["behind_max"]),
+    )
     candidates = [
-        _edges(
-            ("range", 1.0), starts, noise, half, most, (column["range_min"], column["range_max"])
-        ),
-        _edges(("height", tilt), starts, noise, half, most, (-column["z_max"], -column["z_min"])),
-        _edges(
-            ("surface", 1.0),
-            starts,
-            noise,
-            half,
-            most,
-            (column["behind_min"], column["behind_max"]),
-        ),
+        _edges((name, scale), starts, noise, half, most, (low, high))
+        for name, scale, low, high in offered
     ]
     # Of lengths equal within chance the physical one, slant range, wins.
     best = candidates[0]
@@ -150,16 +139,16 @@ def _edges(
     last, of_last = _outermost(-extremes[1], whole, starts)
     within = -last[:, LONE_MOST] - first[:, LONE_MOST]
     # Of one side alone: behind the surface there may be less of it.
-    above, below = (np.where(side >= SUPPORT, spacing_m(within, side, half_m), np.nan)
+    above, below = (np.where(side >= SUPPORT, _spacing_m(within, side, half_m), np.nan)
                     for side in noise.T)  # fmt: skip
-    low = without_lone(first, of_first - within[:, None], above)
-    high = -without_lone(last, of_last - within[:, None], below)
+    low = _without_lone(first, of_first - within[:, None], above)
+    high = -_without_lone(last, of_last - within[:, None], below)
     most = most_m * named[1]
     low = _within_stated(first, of_first > most, low, high - most)
     high = -_within_stated(last, of_last > most, -high, -low - most)
     extent = high - low
     total = noise.sum(axis=1)
-    shortfall = spacing_m(extent, total, half_m)
+    shortfall = _spacing_m(extent, total, half_m)
     supported = (total >= SUPPORT) & (shortfall < 0.1 * extent)
     if not supported.any():
         low, high = first[:, 0], -last[:, 0]
@@ -172,6 +161,40 @@ def _edges(
     return _Edges(*named, low, high, slant, supported=True)
 
 
+def _spacing_m(
+    extent: NDArray[np.float64], noise: NDArray[np.int64], half_m: float
+) -> NDArray[np.float64]:
+    """Mean spacing of the noise of each window, by the returns farther than half_m from the signal.
+
+    ``extent``: (w,) [m]; NaN where it is not known.
+    """
+    density = noise / np.maximum(extent - 2 * half_m, 0.2 * np.maximum(extent, 1.0))
+    return 1.0 / np.maximum(density, 1e-9)
+
+
+def _without_lone(
+    ends: NDArray[np.float64], longer: NDArray[np.float64], spacing: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Lowest value of each window that is not far below all others: (w,).
+
+    Where the gate of an interval lies elsewhere as a whole, the interval is no longer for that.
+
+    ``ends``: (w, k), lowest values of each window, rising; NaN where there are no more. ``longer``:
+    (w, k), by how much the intervals that they are of are longer than the window without them.
+    ``spacing``: (w,), of the noise; NaN where too little shows it. All in metres.
+    """
+    gap, out = np.diff(ends, axis=1), ends[:, 0]
+    least, most = LONE_GAPS
+    for lone in range(1, LONE_MOST + 1):
+        follow = gap[:, lone : lone + most]
+        known = np.count_nonzero(~np.isnan(follow), axis=1)
+        mean = np.nansum(follow, axis=1) / np.maximum(known, 1)
+        far = gap[:, lone - 1] > LONE_SPACINGS * np.maximum(spacing, mean)
+        far &= (longer[:, :lone] > 0.5 * gap[:, lone - 1 : lone]).all(axis=1)
+        out = np.where(far & (known >= least), ends[:, lone], out)
+    return out
+
+
 def _within_stated(
     ends: NDArray[np.float64],
     longer: NDArray[np.bool_],
@@ -180,16 +203,8 @@ def _within_stated(
 ) -> NDArray[np.float64]:
     """Lower ends of windows, without an extreme or two where the rest fits the gate that is stated.
 
-    Parameters
-    ----------
-    ends : (w, k) float64
-        Of :func:`_outermost` [m].
-    longer : (w, k) bool
-        Which of the intervals that they are of do not fit that gate.
-    low : (w,) float64
-        Ends found without it [m].
-    least : (w,) float64
-        The lowest that the gate may end [m].
+    ``ends``: (w, k), of :func:`_outermost`; ``longer``: which of their intervals do not fit that
+    gate; ``low``: ends found without it; ``least``: (w,), the lowest that it may end [m].
     """
     for lone in range(1, LONE_MOST + 1):
         alone = (low < least) & (ends[:, lone] >= least) & longer[:, :lone].all(axis=1)

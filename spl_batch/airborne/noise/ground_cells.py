@@ -1,8 +1,7 @@
 """Cells of the ground that beamlets look at, as the first pass counts by them.
 
 Domain: time. Background is sunlight that the patch under a beamlet sends back [W17 Eq. 2.4]. The
-patch is where the beam meets the surface: at the beamlet's return nearest to the signal of its
-shots, or, if none is near, where the beam comes to the height of that signal.
+patch is where the beam comes to the height of the signal of its shots.
 """
 
 from typing import Final, NamedTuple
@@ -11,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.airborne.noise.noise_intervals import SUMMARY, signal_depths
+from spl_batch.airborne.noise.noise_intervals import (
+    GROUP_RETURNS,
+    GROUPS_MAX,
+    SUMMARY,
+    signal_depths,
+)
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.row_order import lexicographic_order
@@ -24,9 +28,6 @@ CELL_M: Final = 5.0
 STRIDE: Final = 2**31
 """Cell (i, j) has the number i x stride + j."""
 
-SURFACE_M: Final = 25.0
-"""Height over or under the signal within which a return is of the surface itself [m]."""
-
 SHOT: Final = 2**20
 """What the beamlets that are seen of one shot share as looks, in whole numbers."""
 
@@ -36,17 +37,10 @@ class Signal(NamedTuple):
 
     starts: NDArray[np.int64]  #: (m + 1,): rows where intervals start, then n.
     order: NDArray[np.intp]  #: (n,): rows by interval and increasing height.
+    groups: NDArray[np.int64]  #: (m,): groups of shots of each interval.
+    height: NDArray[np.float64]  #: (g,): height of the signal in each group [m].
     summary: NDArray[np.float64]  #: (m, 10): see :data:`SUMMARY`.
     below: NDArray[np.float64]  #: (n,): height of the signal less that of the return [m].
-
-
-class Looks(NamedTuple):
-    """Which ground the beamlets of a stretch look at: l pairs of an interval and a cell."""
-
-    row: NDArray[np.int64]  #: (n,): pair of each return.
-    first: NDArray[np.int64]  #: (l,): first return of each pair, ascending.
-    cell: NDArray[np.int64]  #: (l,): number of the cell.
-    number: NDArray[np.int64]  #: (l,): looks, of which each shot has :data:`SHOT`.
 
 
 def signal_of(table: PointTable, beams: BeamTable, settings: NoiseSettings) -> Signal:
@@ -54,109 +48,88 @@ def signal_of(table: PointTable, beams: BeamTable, settings: NoiseSettings) -> S
     interval = np.floor_divide(table["shot"], settings.interval_shots)
     offset = table["shot"] - interval * settings.interval_shots
     starts = run_starts(interval)
-    m = len(starts) - 1
+    size = np.diff(starts)
     # Sorted all at once: numpy has vector instructions for it, a kernel has none.
-    order = lexicographic_order([np.repeat(np.arange(m), np.diff(starts)), table["z"]])
-    found = Signal(starts, order, np.zeros((m, len(SUMMARY))), np.empty(len(table)))
+    order = lexicographic_order([np.repeat(np.arange(len(size)), size), table["z"]])
+    groups = np.clip(size // GROUP_RETURNS, 1, min(GROUPS_MAX, settings.interval_shots))
+    first = np.append(0, np.cumsum(groups))
+    found = Signal(
+        starts, order, groups, np.empty(first[-1]), np.zeros((len(size), len(SUMMARY))),
+        np.empty(len(table)),
+    )  # fmt: skip
     signal_depths(
         starts, table["z"] * QUANTUM_M, order, beams.range_m,
-        np.maximum(-beams.direction[:, 2], 0.1), offset, settings.interval_shots,
-        settings.peak_m, found.summary, found.below,
+        np.maximum(-beams.direction[:, 2], 0.1), offset, first, settings.interval_shots,
+        settings.peak_m, found.height, found.summary, found.below,
     )  # fmt: skip
     return found
 
 
 def cells(table: PointTable, beams: BeamTable, below: NDArray[np.float64]) -> NDArray[np.int64]:
     """Number of the ground cell that each return's beamlet looks at: (n,) int64."""
-    out = np.empty(len(table), np.int64)
+    along = below / np.minimum(beams.direction[:, 2], -0.1)
+    i, j = (
+        np.floor((table[axis] * QUANTUM_M + along * beams.direction[:, k]) / CELL_M)
+        for k, axis in enumerate("xy")
+    )
+    number = i.astype(np.int64) * STRIDE + j.astype(np.int64)
+    # A shot without channel numbers is one beamlet: its returns look where the first one does.
     beamlet = run_starts(table["gps_time"], table["channel"])
-    look_at(beamlet, (table["x"], table["y"]), QUANTUM_M, beams.direction, below, CELL_M, out)
-    return out
+    return np.repeat(number[beamlet[:-1]], np.diff(beamlet))
 
 
-def look_through(table: PointTable, beams: BeamTable, signal: Signal) -> Looks:
-    """Ground that the beamlets of a stretch look at; rows as for :func:`signal_of`."""
+def look_through(
+    table: PointTable, beams: BeamTable, signal: Signal
+) -> tuple[NDArray[np.int64], dict[str, NDArray[np.int64]]]:
+    """Which ground the beamlets of a stretch look at: l pairs of an interval and a cell.
+
+    Returns
+    -------
+    row : (n,) int64
+        Pair of each return.
+    looks : dict
+        ``looks`` (m,), pairs of each interval; ``look_cell`` (l,), number of the cell;
+        ``look_number`` (l,), looks, of which each shot has :data:`SHOT`.
+    """
     cell = cells(table, beams, signal.below)
-    row, first = np.empty((2, len(table)), np.int64)
-    count = number_looks(signal.starts, cell, row, first)
     shot = run_starts(table["gps_time"])
     beamlet = run_starts(table["gps_time"], table["channel"])
     of_shot = np.diff(np.searchsorted(beamlet, shot))
-    number = np.zeros(count, np.int64)
-    np.add.at(number, row[beamlet[:-1]], np.repeat(SHOT // np.maximum(of_shot, 1), of_shot))
-    return Looks(row, first[:count], cell[first[:count]], number)
-
-
-@njit()
-def look_at(
-    beamlet: NDArray[np.int64],
-    place: tuple[NDArray[np.int64], NDArray[np.int64]],
-    step_m: float,
-    direction: NDArray[np.float64],
-    below: NDArray[np.float64],
-    cell_m: float,
-    cell: NDArray[np.int64],
-) -> None:
-    """Ground cell that each beamlet looks at, for all of its returns.
-
-    Parameters
-    ----------
-    beamlet : (b + 1,) int64
-        Rows where beamlets start, then n.
-    place : two of (n,) int64
-        Easting and northing [steps].
-    direction : (n, 3) float64
-        Unit vectors along the beams.
-    below : (n,) float64
-        Height of the signal less that of the return [m].
-    cell : (n,) int64
-        Filled.
-    """
-    for b in range(len(beamlet) - 1):
-        best = beamlet[b]
-        for i in range(beamlet[b], beamlet[b + 1]):
-            if abs(below[i]) < abs(below[best]):
-                best = i
-        along = 0.0
-        if abs(below[best]) > SURFACE_M:
-            along = -below[best] / max(-direction[best, 2], 0.1)
-        x = place[0][best] * step_m + along * direction[best, 0]
-        y = place[1][best] * step_m + along * direction[best, 1]
-        number = np.int64(np.floor(x / cell_m)) * STRIDE + np.int64(np.floor(y / cell_m))
-        for i in range(beamlet[b], beamlet[b + 1]):
-            cell[i] = number
+    share = np.zeros(len(table), np.int64)
+    share[beamlet[:-1]] = np.repeat(SHOT // np.maximum(of_shot, 1), of_shot)
+    row, looked, number = np.empty((3, len(table)), np.int64)
+    looks = np.empty(len(signal.groups), np.int64)
+    number_looks(signal.starts, cell, share, row, looks, looked, number)
+    count = int(looks.sum())
+    return row, {"looks": looks, "look_cell": looked[:count], "look_number": number[:count]}
 
 
 @njit()
 def number_looks(
     starts: NDArray[np.int64],
     cell: NDArray[np.int64],
-    look: NDArray[np.int64],
-    first: NDArray[np.int64],
-) -> int:
-    """Number the ground cells of each interval; how many there are in all.
+    share: NDArray[np.int64],
+    row: NDArray[np.int64],
+    looks: NDArray[np.int64],
+    looked: NDArray[np.int64],
+    number: NDArray[np.int64],
+) -> None:
+    """Number the ground cells of each interval, and add up the shares of its returns.
 
-    Parameters
-    ----------
-    starts : (m + 1,) int64
-        Rows where intervals start, then n.
-    cell : (n,) int64
-        From :func:`cells`.
-    look : (n,) int64
-        Filled with the number of each row's interval and cell.
-    first : (n,) int64
-        Filled, as far as numbers go, with a row of each.
+    Filled: ``row``, number of each return's interval and cell; ``looks``, (m,), numbers of each
+    interval; ``looked`` and ``number``, as far as numbers go, cell of each and sum of its shares.
     """
     count, last = 0, 0
     for m in range(len(starts) - 1):
         begin = count
         for i in range(starts[m], starts[m + 1]):
-            if begin == count or cell[first[last]] != cell[i]:
+            if begin == count or looked[last] != cell[i]:
                 last = begin
-                while last < count and cell[first[last]] != cell[i]:
+                while last < count and looked[last] != cell[i]:
                     last += 1
                 if last == count:
-                    first[count] = i
+                    looked[count], number[count] = cell[i], 0
                     count += 1
-            look[i] = last
-    return count
+            row[i] = last
+            number[last] += share[i]
+        looks[m] = count - begin

@@ -343,17 +343,14 @@ def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArr
 
 def _three(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Places that are marked, and both the ones above and below them."""
-    out = np.zeros(marked.shape, np.bool_)
-    out[:, :, 1:-1] = marked[:, :, 1:-1] & marked[:, :, :-2] & marked[:, :, 2:]
-    return out
+    found: NDArray[np.bool_] = ndimage.binary_erosion(marked, np.ones((1, 1, 3), np.bool_))
+    return found
 
 
 def _with_beside(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Marked places and all above and below them."""
-    out = marked.copy()
-    out[:, :, 1:] |= marked[:, :, :-1]
-    out[:, :, :-1] |= marked[:, :, 1:]
-    return out
+    found: NDArray[np.bool_] = ndimage.binary_dilation(marked, np.ones((1, 1, 3), np.bool_))
+    return found
 
 
 def _sum_of_square(values: NDArray[np.int64], *weights: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -24,6 +24,9 @@ class LineModel:
     near: NDArray[np.float64]
     far: NDArray[np.float64]
     gain: NDArray[np.float64]  #: (256,): rate of each channel over the mean; 0 for a dead one.
+    signal: NDArray[np.float64]  #: (g,): height of the signal in groups of shots [m].
+    first_group: NDArray[np.int64]  #: (m,): first group of each interval.
+    groups: NDArray[np.int64]  #: (m,): groups of each interval.
     cell: NDArray[np.int64]  #: (c,): cells of the ground that were looked at, ascending.
     ground: NDArray[np.float64]  #: (c,): rate over each of them, over the rate of the interval.
     seen_fraction: NDArray[np.float64]  #: (m,): beamlets with a return over beamlets fired.
@@ -52,6 +55,30 @@ class LineModel:
             return np.full(len(row), missing)
         taken: NDArray[np.float64] = values.take(row)
         return taken
+
+    def signal_at(self, shot: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Height of the signal of each shot, of a model that is not empty: (n,) float64 [m]."""
+        row = self.row(shot)
+        group = shot % self.interval_shots * self.groups.take(row) // self.interval_shots
+        height: NDArray[np.float64] = self.signal.take(self.first_group.take(row) + group)
+        return height
+
+    def beyond_gate(
+        self,
+        shot: NDArray[np.int64],
+        range_m: NDArray[np.float64],
+        height_m: NDArray[np.float64],
+    ) -> NDArray[np.bool_]:
+        """Which returns lie farther outside the gate that is stated than this is long: (n,)."""
+        if self.gate_basis != "stated" or not len(self.interval):
+            return np.zeros(len(shot), np.bool_)
+        row = self.row(shot)
+        ends = np.stack([self.near[row], self.far[row]])
+        at = range_m if self.kind == "range" else height_m
+        found: NDArray[np.bool_] = (ends.min(axis=0) - at > self.gate_m) | (
+            at - ends.max(axis=0) > self.gate_m
+        )
+        return found
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays without Python objects, as npz files hold them."""

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.noise.background_region import choose_region, offered_lengths, profile_rate
 from spl_batch.airborne.noise.channel_gains import active_channels, channel_gains, prior_weight
 from spl_batch.airborne.noise.gate import fit_gate
-from spl_batch.airborne.noise.ground_gain import Ground, ground
+from spl_batch.airborne.noise.ground_gain import ground
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, merge, observe
 from spl_batch.airborne.noise.noise_intervals import SUMMARY
@@ -57,9 +57,6 @@ some: a brighter sky or ground adds to both alike."""
 SPREAD: Final = 0.25
 """Standard deviation of an interval's signal height over the buffer, from which on there may be
 signal beyond it on both sides: a fifteenth of the interval is then a buffer higher."""
-
-GROUND_ROUNDS: Final = 3
-"""Times that rates of intervals and gains of the ground are found, each by the other."""
 
 CLIP_ROUNDS: Final = 5
 """Times that the neighbourhood is counted again without such intervals."""
@@ -94,7 +91,7 @@ def fit(
     if region.side == "none":
         flat = profile_rate(merged["profile"], gate, summary, fired)
         rate, gain = np.full(len(interval), flat), gain_active
-        cell, of_cell, bright = np.empty(0, np.int64), np.empty(0), np.ones(len(interval))
+        cell, of_cell = np.empty(0, np.int64), np.empty(0)
     else:
         sides = np.array(use[region.side])
         counted = (outside[:, :, region.buffer] @ sides).astype(np.int64)
@@ -107,9 +104,8 @@ def fit(
             torn = _torn(outside[:, :, region.buffer], sided, summary, buffer_m)
             quiet = _quiet(interval, counted, heard, settings.smooth_intervals, torn)
             counted, heard = counted * quiet, heard * quiet
-        patches = ground(merged, interval, region.buffer, sides).only(heard > 0.0)
-        rate, of_cell, bright = _rates(interval, counted, heard, patches, settings.smooth_intervals)
-        cell = patches.cell
+        rate = _smooth(interval, counted, heard, settings.smooth_intervals)
+        cell, of_cell = ground(merged, interval, rate * heard, region.buffer, sides)
         by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
         gain = channel_gains(by_channel, gain_active)
     seen = np.where(present, merged["beamlets"][rows], 0)
@@ -126,7 +122,10 @@ def fit(
         seen_fraction=np.minimum(seen / fired, 1.0),
         kind=gate.kind,
         gate_m=gate.length_m,
-        mean_rate=float(np.average(rate * bright, weights=fired)),
+        mean_rate=float(np.average(rate, weights=fired)),
+        signal=merged["signal"],
+        first_group=(np.cumsum(merged["groups"]) - merged["groups"])[rows],
+        groups=merged["groups"][rows],
         cell=cell,
         ground=of_cell,
         beamlets=beamlets,
@@ -135,22 +134,6 @@ def fit(
         gate_basis=gate.basis,
         findings=(*warnings, *gate.warnings, *region.warnings, *_few(merged), *_strays(merged)),
     )
-
-
-def _rates(
-    interval: NDArray[np.int64],
-    counted: NDArray[np.int64],
-    heard: NDArray[np.float64],
-    looks: Ground,
-    half: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Rate of each interval over ground of gain 1 [1/m], gains of cells, and their means."""
-    bright = np.ones(len(interval))
-    for _ in range(GROUND_ROUNDS):
-        rate = _smooth(interval, counted, heard * bright, half)
-        gain = looks.gains(rate * heard)
-        bright = looks.brightness(gain, len(interval))
-    return rate, gain, bright
 
 
 def _strays(merged: dict[str, NDArray[Any]]) -> Iterator[Finding]:
@@ -173,7 +156,8 @@ def _few(merged: dict[str, NDArray[Any]]) -> tuple[Finding, ...]:
 def _nothing(settings: NoiseSettings, sensor: Sensor) -> LineModel:
     none, empty = np.empty(0, dtype=np.int64), np.empty(0)
     return LineModel(
-        none, empty, none, none, empty, empty, np.ones(256), none, empty, empty, "range",
+        none, empty, none, none, empty, empty, np.ones(256), empty, none, none, none,
+        empty, empty, "range",
         sensor.gate_m or 0.0, 0.0, sensor.beamlets, settings.interval_shots, 1,
         "stated" if sensor.gate_m else "assumed",
         (Finding("N01", {"kind": "none"}),),
@@ -185,14 +169,9 @@ def _fired(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Which shots were fired: silent intervals are put in, edges of the data cut off.
 
-    Returns
-    -------
-    interval : (k,) int64
-        Intervals, with those that chance can have left empty.
-    rows : (k,) int64
-        Row of ``merged`` for each; a silent interval repeats the one before it.
-    first, last : (k,) int64
-        First and last shot fired within the interval.
+    ``interval``, ``rows``, ``first``, ``last``, each (k,): intervals, with those that chance can
+    have left empty; row of ``merged`` for each, where a silent one repeats the one before it; first
+    and last shot fired within it.
     """
     interval = merged["interval"]
     step = np.diff(interval)
@@ -264,20 +243,6 @@ def _quiet(
 
     A shrunk buffer is lower than towers are tall: where an interval sees roof and ground, one of
     them lies in its noise region. Signal only adds.
-
-    Parameters
-    ----------
-    interval : (m,) int64
-        Numbers of the intervals, increasing.
-    counted : (m,) int64
-        Noise returns of each.
-    exposure : (m,) float64
-        Length that was listened to, over all beamlets [m].
-    half : int
-        Intervals of the neighbourhood on each side [count].
-    torn : (m,) bool
-        From :func:`_torn`; others are quiet, however many they count: each is a piece of a scan's
-        turn, and what shines on it may change from one to the next.
     """
     quiet = np.ones(len(interval), dtype=np.bool_)
     for _ in range(CLIP_ROUNDS):
@@ -295,16 +260,8 @@ def _torn(
 ) -> NDArray[np.bool_]:
     """Intervals in which there may be signal beyond the buffer: (m,) bool.
 
-    Parameters
-    ----------
-    counted : (m, 2) integer
-        Noise returns above and below the signal.
-    exposure : (m, 2) float64
-        Length that was listened to there, over all beamlets [m].
-    summary : (m, 10) float64
-        As :func:`~spl_batch.airborne.noise.line_statistics.observe` has it.
-    buffer_m : float
-        Half-height around the signal that is left out [m].
+    ``counted``, ``exposure``: (m, 2), noise returns above and below the signal, and the length that
+    was listened to there, over all beamlets [m].
     """
     # One side may hear more all along, as where returns blind what is behind them.
     usual = counted.sum(axis=0) / np.maximum(exposure.sum(axis=0), 1.0)
@@ -326,13 +283,7 @@ def _seen_window(seen: NDArray[np.int64], fired: NDArray[np.int64], interval_sho
 
 
 def line_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
-    """Expected noise of each point's beamlet over ground of gain 1 [W17 Eq. 5.1].
-
-    Returns
-    -------
-    (n,) float64
-        Noise returns per metre of beamlet [1/m].
-    """
+    """Noise of each point's beamlet over ground of gain 1 [W17 Eq. 5.1]: (n,) float64 [1/m]."""
     density = model.at(model.row(table["shot"]), model.rate, model.mean_rate)
     density *= model.gain.take(table["channel"])
     return density
@@ -341,13 +292,7 @@ def line_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
 def gate_of(
     table: PointTable, beams: BeamTable, model: LineModel
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Slant ranges between which each point's beamlet was listened to.
-
-    Returns
-    -------
-    near_m, far_m : (n,) float64
-        Slant ranges [m].
-    """
+    """Slant ranges between which each point's beamlet was listened to: two (n,) float64 [m]."""
     row = model.row(table["shot"])
     near, far = model.at(row, model.near, 0.0), model.at(row, model.far, 0.0)
     if model.kind == "range":

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.shot_runs import blind_behind, lag_behind, run_starts
 from spl_batch.airborne.noise.ground_cells import look_through, signal_of
-from spl_batch.airborne.noise.noise_intervals import count_noise
+from spl_batch.airborne.noise.noise_intervals import count_noise, far_beyond
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
@@ -44,24 +44,25 @@ LONE_MOST: Final = 2
 """Returns of an interval, or intervals of a window, that may be no end of the gate [count]."""
 
 LONE_SPACINGS: Final = 12.0
-"""They lie farther beyond the next one than so many mean spacings, both of the noise on their side
-and of the extremes that follow: fewer than six of a million ends of uniform noise do [count]."""
+"""They lie farther beyond the next one than so many mean spacings of the noise on their side: fewer
+than six of a million ends of uniform noise do [count]."""
 
 STRAY_SHARE: Final = 0.1
 """Share of the noise on a side of the signal that may lie beyond the gate."""
 
-LONE_GAPS: Final = (3, 8)
-"""Gaps between the extremes that follow which tell their spacing, at least and at most [count]."""
-
 _BY_INTERVAL: Final = (
     "interval", "summary", "outside", "blinded", "returns", "beamlets", "shots", "first", "last",
+    "groups", "looks",
 )  # fmt: skip
 
-_BY_LOOK: Final = ("look_interval", "look_cell", "look_number", "look_outside")
+_WITHIN: Final = (
+    ("groups", ("signal",)), ("looks", ("look_cell", "look_number", "look_outside")),
+)  # fmt: skip
+"""What each interval has several of, by the column that has their number."""
 
 
 def observe(
-    table: PointTable, beams: BeamTable, settings: NoiseSettings
+    table: PointTable, beams: BeamTable, settings: NoiseSettings, gate_m: float | None = None
 ) -> dict[str, NDArray[Any]]:
     """Statistics of one stretch.
 
@@ -71,6 +72,8 @@ def observe(
         Rows of one stretch, sorted by (gps_time, channel, ...).
     beams : BeamTable
         Their beams; rows without a known beam take no part.
+    gate_m : float, optional
+        Slant length of the gate where it is stated [m].
 
     Returns
     -------
@@ -79,17 +82,24 @@ def observe(
         ``outside`` (m, 2, b) int32, noise returns above and below each buffer, and
         ``blinded`` (m, 2, b) float64 [m], the length in which none would have counted;
         ``returns``, ``beamlets``, ``shots`` (m,) int64 seen; ``first``, ``last`` (m,) int64, shots
-        within the interval; ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and
+        within the interval; ``signal``, heights of its ``groups`` (m,); ``look_cell``,
+        ``look_number`` and ``look_outside`` of its ``looks`` (m,) at cells of the ground;
+        ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and
         ``profile`` (:data:`PROFILE_BINS`,) and ``strays`` (1,) int64, left out as none of the gate.
     """
-    found, lone = _observed(table, beams, settings, beams.known)
+    found, lone = _observed(table, beams, settings, beams.known, gate_m)
     if not lone.any():
         return found
-    return {**_observed(table, beams, settings, beams.known & ~lone)[0], "strays": found["strays"]}
+    rest, _ = _observed(table, beams, settings, beams.known & ~lone, gate_m)
+    return {**rest, "strays": found["strays"]}
 
 
 def _observed(
-    table: PointTable, beams: BeamTable, settings: NoiseSettings, chosen: NDArray[np.bool_]
+    table: PointTable,
+    beams: BeamTable,
+    settings: NoiseSettings,
+    chosen: NDArray[np.bool_],
+    gate_m: float | None,
 ) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
     """Statistics of some rows, (n,) bool, and which of these are far beyond their interval."""
     rows, lone = rows_of(chosen), np.zeros(len(chosen), np.bool_)
@@ -106,7 +116,7 @@ def _observed(
     blind_behind(beamlet, beams.range_m, FOLLOWER_M, blind)
     crowded = _crowded(beamlet, starts, beams.range_m, blind)
     lag[crowded], blind[crowded] = 0.0, 0.0
-    looks = look_through(table, beams, seen)
+    look, looks = look_through(table, beams, seen)
     out: dict[str, NDArray[Any]] = {
         "interval": np.floor_divide(shot[starts[:-1]], settings.interval_shots),
         "summary": seen.summary,
@@ -119,147 +129,27 @@ def _observed(
         "shots": _runs_per_interval(run_starts(time), starts),
         "first": offset[starts[:-1]],
         "last": offset[starts[1:] - 1] if m else offset[:0],
-        "look_cell": looks.cell,
-        "look_number": looks.number,
-        "look_outside": np.zeros((len(looks.cell), 2, b), dtype=np.int32),
+        "groups": seen.groups,
+        "signal": seen.height,
+        **looks,
+        "look_outside": np.zeros((len(looks["look_cell"]), 2, b), dtype=np.int32),
+        "strays": np.zeros(1, dtype=np.int64),
     }
     count_noise(
-        starts, seen.below, np.maximum(-beams.direction[:, 2], 0.1), channel, looks.row,
+        starts, seen.below, np.maximum(-beams.direction[:, 2], 0.1), channel, look,
         lag == 0, blind, settings.buffer_m * np.array(BUFFER_LADDER), out["look_outside"],
         out["blinded"], out["by_channel"], out["profile"],
     )  # fmt: skip
-    look_starts = np.searchsorted(looks.first, starts[:-1])
-    out["look_interval"] = np.repeat(
-        out["interval"], np.diff(np.append(look_starts, len(looks.cell)))
-    )
-    out["outside"] = np.add.reduceat(out["look_outside"], look_starts) if m else out["look_outside"]
-    order = seen.order
-    far = _far_beyond(
-        table["z"][order] * QUANTUM_M, starts, out["outside"][:, :, 3],
-        settings.buffer_m * BUFFER_LADDER[3],
+    first = np.cumsum(looks["looks"]) - looks["looks"]
+    out["outside"] = np.add.reduceat(out["look_outside"], first) if m else out["look_outside"]
+    gone = np.zeros(len(table), np.bool_)
+    out["strays"][0] = far_beyond(
+        starts, table["z"][seen.order] * QUANTUM_M, seen.summary[:, 0], out["outside"][:, :, 3],
+        settings.buffer_m * BUFFER_LADDER[3], (SUPPORT, LONE_MOST, STRAY_SHARE, LONE_SPACINGS),
+        gate_m or np.inf, gone,
     )  # fmt: skip
-    stray = _behind_gaps(
-        table["z"][order] * QUANTUM_M, starts, out["outside"][:, :, 3], out["summary"][:, 0],
-        settings.buffer_m * BUFFER_LADDER[3],
-    )  # fmt: skip
-    out["strays"] = np.array([len(stray)])
-    lone[np.flatnonzero(chosen)[order[np.append(far, stray)]]] = True
+    lone[np.flatnonzero(chosen)[seen.order[gone]]] = True
     return out, lone
-
-
-def _behind_gaps(
-    z: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    noise: NDArray[np.int32],
-    signal_z: NDArray[np.float64],
-    half_m: float,
-) -> NDArray[np.intp]:
-    """Returns that noise within a gate does not reach, few of it: as of :func:`_far_beyond`.
-
-    Those which are more than :data:`LONE_MOST`, up to :data:`STRAY_SHARE`, and behind the widest
-    gap of their interval, where this is one of more than :data:`LONE_SPACINGS`.
-    """
-    n = len(z)
-    above = _above_gaps(z, starts, noise[:, 0], signal_z + half_m)
-    flipped = _above_gaps(-z[::-1], n - starts[::-1], noise[::-1, 1], half_m - signal_z[::-1])
-    return np.append(above, n - 1 - flipped)
-
-
-def _above_gaps(
-    z: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    noise: NDArray[np.int32],
-    from_m: NDArray[np.float64],
-) -> NDArray[np.intp]:
-    """Those of one side, whose ``noise`` lies above ``from_m``, (m,)."""
-    if not len(noise):
-        return np.zeros(0, np.intp)
-    size = np.diff(starts)
-    gap = np.diff(z, prepend=z[0])
-    gap[starts[:-1]] = 0.0
-    gap[z <= np.repeat(from_m, size)] = 0.0
-    widest = np.maximum.reduceat(gap, starts[:-1])
-    at = np.flatnonzero(gap == np.repeat(widest, size))
-    at = at[np.searchsorted(at, starts[:-1])]
-    beyond = starts[1:] - at
-    within = noise - beyond
-    spacing = (z[at - 1] - from_m) / np.maximum(within, 1)
-    # The widest of many gaps of uniform noise is wider than any one of them by their logarithm.
-    chance = np.log(np.maximum(STRAY_SHARE * within, 1.0))
-    stray = (widest > (LONE_SPACINGS + chance) * spacing) & (within >= SUPPORT) & (spacing > 0)
-    stray &= (beyond > LONE_MOST) & (beyond <= STRAY_SHARE * within)
-    found: NDArray[np.intp] = np.flatnonzero(
-        np.arange(len(z)) >= np.repeat(np.where(stray, at, starts[1:]), size)
-    )
-    return found
-
-
-def _far_beyond(
-    z: NDArray[np.float64], starts: NDArray[np.int64], noise: NDArray[np.int32], half_m: float
-) -> NDArray[np.intp]:
-    """Which returns lie alone, far above or below all others of their interval.
-
-    Parameters
-    ----------
-    z : (n,) float64
-        Heights by interval, rising in each [m].
-    starts : (m + 1,) int64
-        Where intervals start, then n.
-    noise : (m, 2) int32
-        Returns more than ``half_m`` above and below the signal [count].
-    """
-    rank = np.arange(1 + LONE_MOST + LONE_GAPS[1])
-    known = rank < np.diff(starts)[:, None]
-    from_below, from_above = starts[:-1, None] + rank, starts[1:, None] - 1 - rank
-    lowest = np.where(known, z[np.where(known, from_below, 0)], np.nan)
-    highest = np.where(known, z[np.where(known, from_above, 0)], np.nan)
-    within = highest[:, LONE_MOST] - lowest[:, LONE_MOST]
-    above, below = (np.where(side >= SUPPORT, spacing_m(within, side, half_m), np.nan)
-                    for side in noise.T)  # fmt: skip
-    longer = np.full(lowest.shape, np.inf)
-    low, high = without_lone(lowest, longer, below), -without_lone(-highest, longer, above)
-    # Those alone are among the outermost.
-    under, over = lowest < low[:, None], highest > high[:, None]
-    return np.concatenate([from_below[under], from_above[over]])
-
-
-def spacing_m(
-    extent: NDArray[np.float64], noise: NDArray[np.int64], half_m: float
-) -> NDArray[np.float64]:
-    """Mean spacing of the noise of each window, by the returns farther than half_m from the signal.
-
-    ``extent``: (w,) [m]; NaN where it is not known.
-    """
-    density = noise / np.maximum(extent - 2 * half_m, 0.2 * np.maximum(extent, 1.0))
-    return 1.0 / np.maximum(density, 1e-9)
-
-
-def without_lone(
-    ends: NDArray[np.float64], longer: NDArray[np.float64], spacing: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Lowest value of each window that is not far below all others: (w,).
-
-    Where the gate of an interval lies elsewhere as a whole, the interval is no longer for that.
-
-    Parameters
-    ----------
-    ends : (w, k) float64
-        Lowest values of each window, rising; NaN where there are no more [m].
-    longer : (w, k) float64
-        By how much the intervals that they are of are longer than the window without them [m].
-    spacing : (w,) float64
-        Mean spacing of the noise [m]; NaN where too little tells it.
-    """
-    gap, out = np.diff(ends, axis=1), ends[:, 0]
-    least, most = LONE_GAPS
-    for lone in range(1, LONE_MOST + 1):
-        follow = gap[:, lone : lone + most]
-        known = np.count_nonzero(~np.isnan(follow), axis=1)
-        mean = np.nansum(follow, axis=1) / np.maximum(known, 1)
-        far = gap[:, lone - 1] > LONE_SPACINGS * np.maximum(spacing, mean)
-        far &= (longer[:, :lone] > 0.5 * gap[:, lone - 1 : lone]).all(axis=1)
-        out = np.where(far & (known >= least), ends[:, lone], out)
-    return out
 
 
 def _crowded(
@@ -302,8 +192,10 @@ def merge(
     if np.any(np.diff(interval[order]) == 0):
         raise ValueError("stretches of a flightline share an interval of shots")
     merged = {k: np.concatenate([p[k] for p in parts])[order] for k in _BY_INTERVAL}
-    of_look = np.argsort(np.concatenate([p["look_interval"] for p in parts]), kind="stable")
-    merged |= {k: np.concatenate([p[k] for p in parts])[of_look] for k in _BY_LOOK}
+    for number, names in _WITHIN:
+        of = np.repeat(interval, np.concatenate([p[number] for p in parts]))
+        of = np.argsort(of, kind="stable")
+        merged |= {k: np.concatenate([p[k] for p in parts])[of] for k in names}
     for name in ("by_channel", "seen_channel", "profile", "strays"):
         merged[name] = np.sum([p[name] for p in parts], axis=0)
     return merged

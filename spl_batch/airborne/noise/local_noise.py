@@ -4,40 +4,34 @@ Domain: space. Deviation: [W18] Eq. 2 takes the mean of a whole voxel. Where a g
 edge of a flightline or delivery cuts a voxel, that is too small for its points. So each
 flightline's density is found on squares, 2.5 m wide in voxels of 10 m, and flightlines add up:
 
-- One beamlet of usual noise stands for the noise in a sphere over the beamlets that cross it; a
-  square has that times its beamlets, each by the noise that it stands for (``VoxelPart.squares``).
+- One beamlet stands for the noise in a sphere over the beamlets that cross it; a square has that
+  times its beamlets, each by the gain of its ground (``VoxelPart.squares``).
 - A count is believed as far as its Poisson error allows, against the squares around and then the
   mean of the voxel. Gaps of up to two squares are closed.
 - A beamlet stands for the same noise in each layer that it crosses, and for less where its gate
-  ends. Such a layer takes the noise per beamlet of the layer above or below, and counts up to the
-  end, whose height the share of the sphere that is listened to tells.
+  ends. Such a layer takes the noise per beamlet of the layer above or below.
 
-Between the centres of squares, and of layers without an end, the density is linear, along the lean
-of the beams. ``docs/evidence/noise.md`` has the share of noise kept along sharp edges.
+Between the centres of squares and of layers the density is linear, along the lean of the beams.
+``docs/evidence/noise.md`` has the share of noise kept along sharp edges.
 """
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from functools import cache
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from spl_batch.airborne.noise.beamlet_counts import (
-    SQUARES,
-    blurred,
-    joined,
-    nine,
-    of_spheres,
-    over_squares,
-    ratio,
-    unpack,
-)
 from spl_batch.airborne.noise.voxel_noise import BEAMLET, sphere_radius_m, tallest
 from spl_batch.lattice.tables import VOXEL_FIXED_POINT
 from spl_batch.numerics.compiled import njit
 
 DOMAIN: Final = "space"
+
+SQUARES: Final = 4
+"""Squares along the edge of a voxel; (4 nx, 4 ny, nz) in all, layer by layer."""
 
 MARGIN_VOXELS: Final = 2
 """Voxels on each side of a point's that its density depends on."""
@@ -54,11 +48,10 @@ SURE: Final = 4.0
 
 RIDGE: Final = 2.0
 """How often a ridge gets back what a blur takes off it: blur and linear interpolation flatten the
-ridges of turning scans along the edges of swaths."""
+ridges of turning scans along the edges of swaths, and those over the edges of bright ground."""
 
 LEAST: Final = 0.15
 """Share of the density that is left at the edge of a flightline, within a square of it."""
-
 
 CUT: Final = 2.0
 """Standard errors by which a beamlet stands for less than in the next layer at a gate's end."""
@@ -67,31 +60,17 @@ SLIVER: Final = 0.027
 """Share of a sphere that sticks out of its voxel on one side: a smaller loss is no end."""
 
 ENOUGH: Final = 0.5
-"""Share of the next layer's beamlets that suffices to tell what a beamlet stands for."""
-
-INSIDE: Final = 0.9
-"""Largest share of a sphere that is listened to where the end's height counts: an end in the last
-metre of a layer looks like a difference between layers."""
+"""Share of the next layer's beamlets that shows what a beamlet stands for."""
 
 HERE: Final = 12.0
 """Weight of a voxel against those on either side in what its beamlets stand for: the number of
 silent beamlets, which the seen ones stand for, differs between voxels."""
 
 
-class Listened(NamedTuple):
-    """What one flightline listens to, ready to be asked at points."""
-
-    #: (4 nx, 4 ny, nz): noise over each square, as if the gate ended in no voxel [1/m3].
-    density: NDArray[np.float32]
-    #: (nx, ny, nz): 1 in voxels that hold the gate's upper end, -1 the lower one, 0 others.
-    side: NDArray[np.int8]
-    end: NDArray[np.float32]  #: (nx, ny, nz): height of that end over the voxel's centre [voxels].
-
-
 def listened(
     amount: NDArray[np.int64], counts: NDArray[np.integer[Any]], voxel_m: float
-) -> Listened | None:
-    """What one flightline listens to; None where it does not come near.
+) -> NDArray[np.float32] | None:
+    """Noise over each square of one flightline, as if its gate ended in no voxel.
 
     Parameters
     ----------
@@ -100,20 +79,24 @@ def listened(
         side than the voxels that will be asked for.
     counts : (nx, ny, nz, 16) integer
         Sum of ``VoxelPart.squares``.
+
+    Returns
+    -------
+    (4 nx, 4 ny, nz) float32 or None
+        [1/m3]; None where the flightline does not come near.
     """
     if not counts.any():
         return None
     beamlets = unpack(counts) / np.float32(BEAMLET)
-    covered = joined(np.logical_and, joined(np.logical_or, beamlets > 0))
-    gate = without_ends(amount, beamlets, voxel_m)
+    covered = ndimage.minimum_filter(ndimage.maximum_filter(beamlets > 0, (3, 3, 1)), (3, 3, 1))
     density = _believed(beamlets, covered)
-    density *= over_squares(gate.each)
-    return Listened(density, gate.side, gate.end)
+    each = each_stands_for(amount, beamlets, voxel_m)
+    density *= over_squares(each)
+    return density
 
 
 def around(
-    lines: Sequence[Listened],
-    voxel: tuple[NDArray[np.int64], ...],
+    lines: Sequence[NDArray[np.float32]],
     square: tuple[NDArray[np.int64], ...],
     offset: tuple[NDArray[np.float64], ...],
 ) -> NDArray[np.float64]:
@@ -121,17 +104,16 @@ def around(
 
     Parameters
     ----------
-    voxel : three of (n,) int64
-        Index of each point's voxel.
-    square : two of (n,) int64
-        Index of its square: :data:`~spl_batch.airborne.noise.beamlet_counts.SQUARES` along each
-        edge of a voxel.
+    lines : sequence of (i, j, k) float32
+        From :func:`listened`.
+    square : three of (n,) int64
+        Index of each point's square and layer.
     offset : three of (n,) float64
-        From the centre of the square, in squares, and of the voxel, in voxels [-0.5..0.5].
+        From the centre of both, in squares and in layers [-0.5..0.5].
     """
     total = np.zeros(len(offset[0]))
-    for line in lines:
-        add_between(line.density, line.side, line.end, voxel, square, offset, LEAST, total)
+    for density in lines:
+        add_between(density, square, offset, LEAST, total)
     return total
 
 
@@ -153,132 +135,137 @@ def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDAr
     return mean
 
 
-class Gate(NamedTuple):
-    """What beamlets stand for as if the gate ended in no voxel, and its ends."""
+def each_stands_for(
+    amount: NDArray[np.int64], beamlets: NDArray[np.float32], voxel_m: float
+) -> NDArray[np.float64]:
+    """Noise that a beamlet over a square stands for, by voxel, as if its gate ended in none [1/m3].
 
-    each: NDArray[np.float64]  #: (nx, ny, nz): what one beamlet over a square stands for [1/m3].
-    #: (nx, ny, nz): 1 in voxels that hold the gate's upper end, -1 the lower one, 0 others.
-    side: NDArray[np.int8]
-    end: NDArray[np.float32]  #: (nx, ny, nz): height of that end over the voxel's centre [voxels].
-
-
-def without_ends(amount: NDArray[np.int64], beamlets: NDArray[np.float32], voxel_m: float) -> Gate:
-    """What beamlets stand for as if the gate ended in no voxel, and its ends.
-
-    Parameters
-    ----------
-    amount : (nx, ny, nz) int64
-        Sum of ``VoxelPart.amount``.
-    beamlets : (4 nx, 4 ny, nz) float32
-        Beamlets over each square [count].
+    ``amount``: (nx, ny, nz), sum of ``VoxelPart.amount``. ``beamlets``: (4 nx, 4 ny, nz), over each
+    square [count].
     """
     mean = amount / (VOXEL_FIXED_POINT * voxel_m**3)
     own = of_spheres(beamlets)
-    noise, number = nine(mean), nine(own)
-    part = ratio(noise, number)
+    number = blurred(own)
+    part = ratio(blurred(mean), number)
     # A layer that only beams reach which leave the others' tells nothing.
     tells = number >= ENOUGH * tallest(number)
     whole = tallest(np.where(tells, part, 0.0))
     # Beamlets cross all layers: only those that lean in and out differ, by chance.
     error = np.maximum(CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2)), SLIVER)
-    cut = part < (1.0 - error) * whole
-    here = np.where(tells, ratio(nine(mean, HERE), nine(own, HERE)), 0.0)
-    each = np.where(cut | ~tells, tallest(here), here)
-    above, below = np.zeros_like(noise), np.zeros_like(noise)
-    above[:, :, :-1], below[:, :, 1:] = noise[:, :, 1:], noise[:, :, :-1]
-    side = np.where(cut & (part < INSIDE * whole), np.sign(below - above), 0.0)
-    listened = 2.0 * np.minimum(ratio(part, whole), 1.0) - 1.0
-    end = side * sphere_radius_m(1.0) * 2.0 * np.sin(np.arcsin(listened) / 3.0)
-    return Gate(each, side.astype(np.int8), end.astype(np.float32))
+    here = np.where(tells, ratio(blurred(mean, HERE), blurred(own, HERE)), 0.0)
+    return np.where((part < (1.0 - error) * whole) | ~tells, tallest(here), here)
+
+
+def unpack(counts: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
+    """Squares of voxels: (4 nx, 4 ny, nz) float32 from (nx, ny, nz, 16)."""
+    nx, ny, nz = counts.shape[:3]
+    apart = counts.reshape(nx, ny, nz, SQUARES, SQUARES).transpose(0, 3, 1, 4, 2)
+    return apart.astype(np.float32).reshape(nx * SQUARES, ny * SQUARES, nz)
+
+
+def over_squares(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Value of its voxel for each square: (4 nx, 4 ny, nz) float32 from (nx, ny, nz)."""
+    return values.astype(np.float32).repeat(SQUARES, axis=0).repeat(SQUARES, axis=1)
+
+
+def blurred(values: NDArray[Any], own: float = 1.0) -> NDArray[Any]:
+    """Sum over each cell and the eight around it; along each axis its own weighs ``own``."""
+    for axis in (0, 1):
+        values = ndimage.convolve1d(values, [1.0, own, 1.0], axis=axis, mode="constant")
+    return values
+
+
+def of_spheres(values: NDArray[np.floating[Any]] | NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Mean of the squares of each voxel as far as its sphere lies over them."""
+    nx, ny, nz = (n // d for n, d in zip(values.shape, (SQUARES, SQUARES, 1), strict=True))
+    blocks = values.reshape(nx, SQUARES, ny, SQUARES, nz)
+    mean: NDArray[np.float64] = np.einsum("xiyjz,ij->xyz", blocks, square_shares())
+    return mean
+
+
+def ratio(total: NDArray[np.float64], number: NDArray[np.float64]) -> NDArray[np.float64]:
+    """One over the other, 0 where that is 0."""
+    some = number > 0.0
+    found: NDArray[np.float64] = np.where(some, total / np.where(some, number, 1.0), 0.0)
+    return found
+
+
+@cache
+def square_shares() -> NDArray[np.float64]:
+    """Share of a sphere over each square of its voxel: (4, 4) float64, sum 1.
+
+    What sticks out of the voxel belongs to the outer squares.
+    """
+    fine = 200
+    radius = sphere_radius_m(1.0)
+    at = (np.arange(2 * fine) + 0.5) / fine * radius - radius
+    height = np.sqrt(np.maximum(radius**2 - at[:, None] ** 2 - at**2, 0.0))
+    index = np.clip(np.floor((at + 0.5) * SQUARES).astype(int), 0, SQUARES - 1)
+    shares = np.zeros((SQUARES, SQUARES))
+    np.add.at(shares, (index[:, None], index[None]), height)
+    normal: NDArray[np.float64] = shares / shares.sum()
+    return normal
 
 
 @njit()
 def add_between(
     density: NDArray[np.float32],
-    side: NDArray[np.int8],
-    end: NDArray[np.float32],
-    voxel: tuple[NDArray[np.int64], ...],
     square: tuple[NDArray[np.int64], ...],
     offset: tuple[NDArray[np.float64], ...],
     least: float,
     out: NDArray[np.float64],
 ) -> None:
-    """Add the density at points, linear between squares and between layers without a gate's end.
+    """Add the density at points, linear between squares and between layers that both have some.
 
-    Up to a gate's end the density falls linearly over half the length of a square, to a half: some
-    beamlets may go on.
-
-    Parameters
-    ----------
-    density : (nx, ny, nz) float32
-        Of each square [1/m3]; 0 where nothing is listened to.
-    side : (vx, vy, nz) int8
-        Voxels in which the gate ends: 1 at the upper end, -1 at the lower one; 0 elsewhere.
-    end : (vx, vy, nz) float32
-        Height of that end over the voxel's centre [voxels].
-    voxel : three of (n,) int64
-        Index of each point's voxel.
-    square : two of (n,) int64
-        Index of its square.
-    offset : three of (n,) float64
-        From the centre of the square, in squares, and of the voxel, in voxels [-0.5..0.5].
-    least : float
-        Part of the largest of the four that is left at an edge [0..1].
-    out : (n,) float64
-        The density is added to these [1/m3].
+    ``square``, ``offset``: as for :func:`around`. ``least``: part of the largest of four squares
+    that is left at an edge [0..1].
     """
     nx, ny, layers = density.shape
-    per_voxel = nx // side.shape[0]
     for p in range(len(out)):
-        # Unsigned indices: a signed one costs numba a test for wrapping.
-        vx, vy, z = np.uint64(voxel[0][p]), np.uint64(voxel[1][p]), np.uint64(voxel[2][p])
         west, south, up = np.floor(offset[0][p]), np.floor(offset[1][p]), offset[2][p]
         right, ahead = offset[0][p] - west, offset[1][p] - south
+        # Unsigned indices: a signed one costs numba a test for wrapping.
+        z = np.uint64(square[2][p])
         i = np.uint64(_within(square[0][p] + west, nx))
         j = np.uint64(_within(square[1][p] + south, ny))
         e = np.uint64(_within(square[0][p] + west + 1.0, nx))
         n = np.uint64(_within(square[1][p] + south + 1.0, ny))
         found = _linear(density, i, e, j, n, z, right, ahead, least)
-        if side[vx, vy, z] != 0:
-            beyond = side[vx, vy, z] * (up - end[vx, vy, z]) * per_voxel
-            found *= min(max(0.5 - beyond, 0.5), 1.0)
-        else:
-            k = np.uint64(_within(voxel[2][p] + (1 if up > 0.0 else -1), layers))
-            beside = _linear(density, i, e, j, n, k, right, ahead, least)
-            if found > 0.0 and beside > 0.0 and side[vx, vy, k] == 0:
-                found += abs(up) * (beside - found)
+        k = np.uint64(_within(square[2][p] + (1 if up > 0.0 else -1), layers))
+        beside = _linear(density, i, e, j, n, k, right, ahead, least)
+        if found > 0.0 and beside > 0.0:
+            found += abs(up) * (beside - found)
         out[p] += found
 
 
 @njit()
-def put_places(x, y, z, edge, parts, corner, top, voxel, square, offset):  # type: ignore[no-untyped-def]
-    """Voxels and squares of points, and how far they lie off the middles of both.
+def put_places(x, y, z, edge, corner, top, square, offset):  # type: ignore[no-untyped-def]
+    """Squares and layers of points, and how far they lie off the middles of both.
 
     Parameters
     ----------
     x, y, z : (n,) integer
         Absolute coordinates [quanta].
-    edge, parts : int
-        Edge of a voxel [quanta], and squares along it [count].
+    edge : int
+        Edge of a voxel [quanta].
     corner : (int, int, int)
         Absolute index of the first voxel.
     top : int
         Highest layer: what lies above or below is as silent as the highest or lowest one.
-    voxel, square, offset
-        (3, n), (2, n), (3, n), out: as in :func:`add_between`.
+    square, offset : (3, n) int64 and float64
+        Filled: as in :func:`around`.
     """
     # In the middle of its quantum no quotient is near a whole number.
     voxels = 1.0 / edge
     for p in range(len(x)):
         for axis in range(2):
             v = np.int64(x[p] if axis == 0 else y[p])
-            at = np.int64(math.floor((v * parts + 0.5) * voxels))
-            own = np.int64(math.floor((v + 0.5) * voxels)) - corner[axis]
-            voxel[axis, p], square[axis, p] = own, at - corner[axis] * parts
-            offset[axis, p] = (v * parts - at * edge) / edge - 0.5
+            at = np.int64(math.floor((v * SQUARES + 0.5) * voxels))
+            square[axis, p] = at - corner[axis] * SQUARES
+            offset[axis, p] = (v * SQUARES - at * edge) / edge - 0.5
         v = np.int64(z[p])
         at = np.int64(math.floor((v + 0.5) * voxels))
-        voxel[2, p] = min(max(at - corner[2], 0), top)
+        square[2, p] = min(max(at - corner[2], 0), top)
         offset[2, p] = (v - at * edge) / edge - 0.5
 
 

@@ -27,20 +27,7 @@ that on a slope each has its own signal."""
 
 @njit()
 def densest_window(sorted_z: NDArray[np.float64], width: float) -> tuple[float, int]:
-    """Fullest window of a sorted sample; the lowest one of equals.
-
-    Parameters
-    ----------
-    sorted_z : (n,) float64
-        Ascending heights, n >= 1.
-
-    Returns
-    -------
-    centre : float
-        Middle between the first and the last value in the window.
-    count : int
-        Values in the window.
-    """
+    """Middle of the fullest window of a sorted sample, the lowest one of equals, and its count."""
     best, first, left = 0, 0, 0
     for right in range(len(sorted_z)):
         while sorted_z[right] - sorted_z[left] > width:
@@ -70,16 +57,7 @@ def signal_heights(
     The group's own peak where it is beyond chance, else the interval's, else the median: unlike a
     chance peak it does not select noise.
 
-    Parameters
-    ----------
-    z : (n,) float64
-        Heights of the interval's returns [m], n >= 1.
-    order : (n,) int64
-        The returns by increasing height.
-    group : (n,) int64
-        Group of each return, 0..n_groups - 1.
-    width : float
-        Width of the sliding height window [m].
+    ``order``: returns by increasing height; ``group``: of each return.
     """
     everything = z[order]
     extent = everything[-1] - everything[0]
@@ -111,59 +89,6 @@ def signal_heights(
 
 
 @njit()
-def observe_interval(
-    z: NDArray[np.float64],
-    order: NDArray[np.int64],
-    range_m: NDArray[np.float64],
-    cosine: NDArray[np.float64],
-    offset: NDArray[np.int64],
-    interval_shots: int,
-    width: float,
-    summary: NDArray[np.float64],
-    below: NDArray[np.float64],
-) -> None:
-    """Signal height, gate extremes and distance from the signal within one interval.
-
-    Parameters
-    ----------
-    z, range_m, cosine : (n,) float64
-        Height [m], slant range [m] and cosine of the off-nadir angle.
-    order : (n,) int64
-        The returns by increasing height.
-    offset : (n,) int64
-        Shot within the interval.
-    width : float
-        Width of the sliding height window [m].
-    summary : (10,) float64
-        Filled with means of signal height, slant range to it and cosine, the standard
-        deviation of the signal height, then minimum and maximum of range, height and
-        slant distance behind the signal [m].
-    below : (n,) float64
-        Filled with the height of the signal less that of the return [m].
-    """
-    n_groups = min(GROUPS_MAX, max(1, len(z) // GROUP_RETURNS), interval_shots)
-    group = offset * n_groups // interval_shots
-    heights = signal_heights(z, order, group, n_groups, width)
-    for k in range(4):
-        summary[k] = 0.0
-    for k in range(4, 10, 2):
-        summary[k], summary[k + 1] = np.inf, -np.inf
-    for i in range(len(z)):
-        below[i] = heights[group[i]] - z[i]
-        behind = below[i] / cosine[i]
-        summary[0] += heights[group[i]]
-        summary[1] += range_m[i] - behind
-        summary[2] += cosine[i]
-        summary[3] += (heights[group[i]] - heights[0]) ** 2
-        for k, value in ((4, range_m[i]), (6, z[i]), (8, behind)):
-            summary[k] = min(summary[k], value)
-            summary[k + 1] = max(summary[k + 1], value)
-    for k in range(4):
-        summary[k] /= len(z)
-    summary[3] = np.sqrt(max(summary[3] - (summary[0] - heights[0]) ** 2, 0.0))
-
-
-@njit()
 def signal_depths(
     starts: NDArray[np.int64],
     z: NDArray[np.float64],
@@ -171,32 +96,59 @@ def signal_depths(
     range_m: NDArray[np.float64],
     cosine: NDArray[np.float64],
     offset: NDArray[np.int64],
+    first: NDArray[np.int64],
     interval_shots: int,
     width: float,
+    height: NDArray[np.float64],
     summary: NDArray[np.float64],
     below: NDArray[np.float64],
 ) -> None:
-    """How far each return of a stretch lies below the signal, interval by interval.
+    """Height of the signal in the groups of every interval, and what lies about it.
 
     Parameters
     ----------
     starts : (m + 1,) int64
         Rows where intervals start, then n.
-    z, range_m, cosine, offset, interval_shots, width
-        Rows as in :func:`observe_interval`.
+    z, range_m, cosine : (n,) float64
+        Height [m], slant range [m] and cosine of the off-nadir angle.
     order : (n,) int64
-        Rows of the stretch by interval and increasing height.
+        Rows by interval and increasing height.
+    offset : (n,) int64
+        Shot within the interval.
+    first : (m + 1,) int64
+        Where groups of intervals start, then g.
+    width : float
+        Width of the sliding height window [m].
+    height : (g,) float64
+        Filled with the height of the signal in each group [m].
     summary : (m, 10) float64
-        Filled as in :func:`observe_interval`.
+        Filled with means of signal height, slant range to it and cosine, the standard
+        deviation of the signal height, then minimum and maximum of range, height and
+        slant distance behind the signal [m].
     below : (n,) float64
         Filled with the height of the signal less that of the return [m].
     """
     for m in range(len(starts) - 1):
-        rows = slice(starts[m], starts[m + 1])
-        observe_interval(
-            z[rows], order[rows] - starts[m], range_m[rows], cosine[rows], offset[rows],
-            interval_shots, width, summary[m], below[rows],
-        )  # fmt: skip
+        rows, n_groups = slice(starts[m], starts[m + 1]), first[m + 1] - first[m]
+        group = offset[rows] * n_groups // interval_shots
+        heights = signal_heights(z[rows], order[rows] - starts[m], group, n_groups, width)
+        height[first[m] : first[m + 1]] = heights
+        found = summary[m]
+        found[:4] = 0.0
+        found[4::2], found[5::2] = np.inf, -np.inf
+        for k in range(len(group)):
+            i, signal = starts[m] + k, heights[group[k]]
+            below[i] = signal - z[i]
+            behind = below[i] / cosine[i]
+            found[0] += signal
+            found[1] += range_m[i] - behind
+            found[2] += cosine[i]
+            found[3] += (signal - heights[0]) ** 2
+            for c, value in ((4, range_m[i]), (6, z[i]), (8, behind)):
+                found[c] = min(found[c], value)
+                found[c + 1] = max(found[c + 1], value)
+        found[:4] /= len(group)
+        found[3] = np.sqrt(max(found[3] - (found[0] - heights[0]) ** 2, 0.0))
 
 
 @njit()
@@ -214,32 +166,14 @@ def count_noise(
     by_channel: NDArray[np.int64],
     profile: NDArray[np.int64],
 ) -> None:
-    """Noise counts of every interval of a stretch, by the ground that is looked at.
+    """Noise counts of every interval of a stretch, by the ground that is looked at; added to.
 
-    Parameters
-    ----------
-    starts : (m + 1,) int64
-        Rows where intervals start, then n.
-    below, cosine
-        From :func:`signal_depths`, and as there.
-    channel : (n,) uint8
-        Beamlet numbers.
-    look : (n,) int64
-        Row of ``outside`` for each return.
-    counts : (n,) bool
-        Rows that count as noise; the others follow a return of their own beamlet.
-    blind_m : (n,) float64
-        Length behind each return in which no return would have counted [m].
-    buffers : (b,) float64
-        Heights around the signal that are left out, descending [m].
-    outside : (k, 2, b) int32
-        Filled with the returns that count, more than each buffer above and below the signal.
-    blinded : (m, 2, b) float64
-        Filled with what returns there, whether they count or not, have blinded [m].
-    by_channel : (2, b, 256) int64
-        Returns that count by channel; added to.
-    profile : (p,) int64
-        Histogram of the height below the signal in 1 m bins, zero in the middle; added to.
+    ``look``: row of ``outside`` for each return. ``counts``: rows that count as noise; the others
+    follow a return of their own beamlet. ``blind_m``: length behind each return in which none would
+    have counted. ``buffers``: (b,), heights around the signal that are left out, descending [m].
+    ``outside``: (k, 2, b), returns that count, more than each buffer above and below the signal;
+    ``blinded``: (m, 2, b), what returns there have blinded [m]; ``by_channel``: (2, b, 256).
+    ``profile``: histogram of the height below the signal in 1 m bins, zero in the middle.
     """
     half = len(profile) // 2
     for m in range(len(starts) - 1):
@@ -258,3 +192,47 @@ def count_noise(
                     outside[look[i], side, b] += 1
                     by_channel[side, b, channel[i]] += 1
                 b -= 1
+
+
+@njit()
+def far_beyond(
+    starts: NDArray[np.int64],
+    z: NDArray[np.float64],
+    signal_z: NDArray[np.float64],
+    noise: NDArray[np.int32],
+    half_m: float,
+    rules: tuple[int, int, float, float],
+    gate_m: float,
+    gone: NDArray[np.bool_],
+) -> int:
+    """Mark returns behind a gap at an end of their interval that noise does not leave: (n,) bool.
+
+    How many lie where more than ``lone`` do. ``z``: by interval, rising in each; ``noise``: (m, 2),
+    returns more than ``half_m`` above and below the signal. ``rules``: noise that shows its
+    spacing; returns, or share of the noise, that may lie behind a gap; spacings that are too wide.
+    However many lie farther from the signal than the gate that is stated is long.
+    """
+    support, lone, share, spacings = rules
+    strays = 0
+    for m in range(len(starts) - 1):
+        for side in range(2):
+            n = noise[m, side]
+            if n < support:
+                continue
+            way, end = (1, starts[m + 1] - 1) if side == 0 else (-1, starts[m])
+            widest, count = 0.0, 0
+            for k in range(1, n):
+                away = way * (z[end - way * (k - 1)] - signal_z[m]) - half_m
+                if k > max(lone, int(share * n)) and away <= gate_m:
+                    break
+                gap = way * (z[end - way * (k - 1)] - z[end - way * k])
+                if gap > widest:
+                    widest, count = gap, k
+            spacing = (way * (z[end - way * count] - signal_z[m]) - half_m) / (n - count)
+            # The widest of many gaps is wider than any one of them by their logarithm.
+            most = spacings + math.log(max(share * (n - count), 1.0))
+            if spacing > 0.0 and widest > most * spacing:
+                strays += count if count > lone else 0
+                for k in range(count):
+                    gone[end - way * k] = True
+    return strays

@@ -26,15 +26,7 @@ def chord_length(
     ux: float, uy: float, uz: float,
     near: float, far: float, radius: float,
 ) -> float:  # fmt: skip
-    """Length of a piece of a line inside a sphere around zero.
-
-    Parameters
-    ----------
-    px, py, pz : float
-        Point of the line, relative to the sphere's centre.
-    near, far : float
-        Ends of the piece, along the line from the point.
-    """
+    """Length inside a sphere around zero of a line through p, from ``near`` to ``far`` along it."""
     middle = -(px * ux + py * uy + pz * uz)
     square = radius * radius - (px * px + py * py + pz * pz - middle * middle)
     if square <= 0.0:
@@ -59,16 +51,7 @@ def cover(
 
     A square is a quarter of a voxel's edge wide, a layer as high as its spheres: all that adds to
     their amount counts. Beams nearer to the horizontal than :data:`STEEP` cross too many squares
-    and count in the whole voxel.
-
-    Parameters
-    ----------
-    voxel, point, direction, near, far, edge, radius
-        As :func:`deposit_beamlet` takes them.
-    share : int
-        What the beamlet counts for.
-    squares : (nx, ny, nz, 16) uint16
-        Beamlets in square (x, y) of a voxel at ``x * 4 + y``, at most :data:`MOST`.
+    and count in the whole voxel. Square (x, y) of a voxel is at ``x * 4 + y``.
     """
     along = direction[2]
     if abs(along) < STEEP:
@@ -155,8 +138,10 @@ def deposit_beamlet(
         Added to.
     shots, beamlets, last_shot : (nx, ny, nz) int64, or empty
         Added to where not empty: shots and beamlets that touch each sphere.
-    share, squares
-        As :func:`cover` takes them; squares may be empty.
+    share : int
+        What the beamlet adds to the squares that it crosses.
+    squares : (nx, ny, nz, 16) uint16, or empty
+        Added to, up to :data:`MOST`; see :func:`cover`.
     """
     if squares.size:
         cover(voxel, point, direction, near, far, edge, radius, share, squares)
@@ -222,15 +207,9 @@ def deposit_steep(
 
     A steep line can touch the four spheres around it in a layer, and of two across from each other
     only the one that it runs deeper in. These two are measured without a branch, so the loop
-    compiles to vector instructions; it runs to a multiple of :data:`LANES`.
-
-    Parameters
-    ----------
-    rows : (s,) int64
-        Beamlets whose direction is nearest to the vertical axis, by at least :func:`steepness`.
-    voxel, point, direction, near, far, weight, edge, radius, amount, share, squares
-        As :func:`deposit_beamlets` takes them. The box reaches a voxel beyond all that a beam
-        touches.
+    compiles to vector instructions; it runs to a multiple of :data:`LANES`. ``rows``: beamlets
+    whose direction is nearest to the vertical axis, by at least :func:`steepness`. The box reaches
+    a voxel beyond all that a beam touches.
     """
     _, ny, nz = amount.shape
     amounts, counts = amount.reshape(-1), squares.reshape(-1)

@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from spl_batch.airborne.beams.rays import in_voxels, reach
 from spl_batch.airborne.beams.shot_runs import run_starts, share_out
@@ -27,7 +28,7 @@ from spl_batch.airborne.noise.line_noise import gate_of, line_density
 from spl_batch.airborne.noise.voxel_chords import MOST, deposit_beamlets
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.constants import QUANTUM_M
-from spl_batch.lattice.tables import VOXEL_FIXED_POINT, BeamTable, PointTable, VoxelPart, rows_of
+from spl_batch.lattice.tables import VOXEL_FIXED_POINT, BeamTable, PointTable, VoxelPart
 from spl_batch.lattice.tiles import far_apart, quanta
 
 DOMAIN: Final = "time"
@@ -39,7 +40,7 @@ UNEVEN: Final = 1.15
 """Difference of the densities of a voxel and one above or below, under which no gate ends there."""
 
 BEAMLET: Final = 16
-"""What a beamlet of usual noise adds to the counts of squares."""
+"""What a beamlet over ground of gain 1 adds to the counts of squares."""
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
 COLUMNS_ADDED: Final = ()
@@ -80,27 +81,19 @@ def deposit(
         is "published", else with ``squares``; none where no beamlet is known.
     """
     published = settings.correction == "published"
-    known = rows_of(beams.known)
-    ground = np.ones(len(table)) if ground is None else ground
-    table, beams, ground = (
-        table.select(COLUMNS_NEEDED).take(known),
-        beams.take(known),
-        ground[known],
-    )
+    rows = np.flatnonzero(beams.known)
     if model.beamlets > 1:
-        rows = run_starts(table["gps_time"], table["channel"])[:-1]
-        table, beams, ground = table.take(rows), beams.take(rows), ground[rows]
-    near, far = gate_of(table, beams, model)
+        rows = rows[run_starts(table["gps_time"][rows], table["channel"][rows])[:-1]]
+    near, far = gate_of(table.select(COLUMNS_NEEDED).take(rows), beams.take(rows), model)
     usable = far > near
-    if not usable.all():
-        table, beams, near, far = table.take(usable), beams.take(usable), near[usable], far[usable]
-        ground = ground[usable]
+    rows, near, far = rows[usable], near[usable], far[usable]
+    table, beams = table.select(COLUMNS_NEEDED).take(rows), beams.take(rows)
     near, far = near - beams.range_m, far - beams.range_m
     if len(table) == 0:
         return []
+    ground = np.ones(len(table)) if ground is None else ground[rows]
     per_m = line_density(table, model) if published else seen_density(table, model) * ground
-    usual = max(model.mean_rate / max(float(np.mean(model.seen_fraction)), 1e-9), 1e-12)
-    share = np.clip(np.rint(BEAMLET / usual * per_m), 1, MOST).astype(np.int64)
+    share = np.clip(np.rint(BEAMLET * ground), 1, MOST).astype(np.int64)
     if all(np.ptp(table[axis]) <= far_q for axis in "xy"):
         return [_in_one_box(table, beams, (near, far, per_m, share), settings)]
     places = np.column_stack((table["x"], table["y"]))
@@ -155,18 +148,10 @@ def _in_one_box(
 
 
 def seen_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
-    """Noise per metre that each seen beamlet stands for, silent ones included.
+    """Noise that each seen beamlet stands for, silent ones included: (n,) float64 [1/m].
 
-    Parameters
-    ----------
-    table : PointTable
-        One row per seen beamlet, in time order; needs ``shot``.
-
-    Returns
-    -------
-    (n,) float64
-        Mean rate times beamlets fired over beamlets seen, within ``model.seen_shots``
-        shots [1/m].
+    Mean rate times beamlets fired over beamlets seen, within ``model.seen_shots`` shots. ``table``:
+    a row for each seen beamlet, in time order.
     """
     shot = table["shot"]
     row = model.row(shot)
@@ -255,7 +240,5 @@ def within_gate(per_m3: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def tallest(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Largest of each voxel and those above and below: (i, j, k) float64, k upwards."""
-    out = values.copy()
-    np.maximum(out[:, :, 1:], values[:, :, :-1], out=out[:, :, 1:])
-    np.maximum(out[:, :, :-1], values[:, :, 1:], out=out[:, :, :-1])
-    return out
+    largest: NDArray[np.float64] = ndimage.maximum_filter1d(values, 3, axis=2)
+    return largest

@@ -63,7 +63,7 @@ def build(survey: Survey) -> Iterator[Task]:
         yield Task(
             "build_tile",
             name,
-            {"tile": name, "pieces": listed},
+            {"tile": name, "pieces": listed, "by_line": survey.filtering},
             tuple(("scatter", stretch) for stretch in stretches),
             points,
             refusal("build_tile", points, survey.memory_bytes),

@@ -20,7 +20,7 @@ PRODUCTS: Final = (
     Product("dsm", "height of the surface", "m"),
     Product("chm", "height of the surface above the terrain", "m"),
     Product("density", "signal returns per m2", "1/m2"),
-    Product("intensity", "mean LAS intensity of first returns", "1"),
+    Product("intensity", "mean LAS intensity of first returns, of all without one", "1"),
     Product("noise", "expected noise", "1/m3", delivered=False),
 )
 """Every raster, in the order in which they are written."""

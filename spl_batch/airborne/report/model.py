@@ -89,15 +89,18 @@ class Counts(Part):
     background: Count = Field(0, description="noise_class 1: solar and dark noise [count].")
     afterpulse: Count = Field(0, description="noise_class 2 [count].")
     not_assessed: Count = Field(0, description="noise_class 255 [count].")
-    ground: Count = Field(0, description="Classification 2 [count].")
-    building: Count = Field(0, description="Classification 6 [count].")
-    water: Count = Field(0, description="Classification 9 [count].")
+    ground: Count = Field(0, description="Classification 2 of assessed points [count].")
+    building: Count = Field(0, description="Classification 6 of assessed points [count].")
+    water: Count = Field(0, description="Classification 9 of assessed points [count].")
     withheld: Count = Field(0, description="Withheld by the vendor, carried along [count].")
     vendor_flagged: Count = Field(
         0, description="Class 7 or 18 in the input, carried along [count]."
     )
-    no_beam: Count = Field(0, description="No valid time or no trajectory there [count].")
+    no_beam: Count = Field(
+        0, description="No valid time or no trajectory there; 0 where nothing is filtered [count]."
+    )
     outside_aoi: Count = Field(0, description="Outside the area of interest [count].")
+    copies: Count = Field(0, description="Returns that are there already, not assessed [count].")
     not_read: Count = Field(
         0, description="Points that the headers of unreadable files promise [count]."
     )

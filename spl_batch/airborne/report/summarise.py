@@ -163,7 +163,7 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
     tiles = [r.facts for r in done.get("build_tile", {}).values()]
     delivered = [r.facts for r in done.get("deliver_file", {}).values()]
     noise = {k: sum(f["noise_class"].get(k, 0) for f in delivered) for k in ("0", "1", "2", "255")}
-    classes = {k: sum(f["classes"].get(k, 0) for f in delivered) for k in ("2", "6", "9")}
+    classes = {k: sum(f["assessed"].get(k, 0) for f in delivered) for k in ("2", "6", "9")}
     if context.workflow.outputs.classes == "noise":  # class 2 is the input's there
         classes["2"] = sum(r.facts["ground"] for r in done.get("ground", {}).values())
     return Counts(
@@ -178,8 +178,10 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
         water=classes["9"],
         withheld=sum(f["withheld"] for f in index),
         vendor_flagged=sum(f["vendor_noise"] for f in index),
-        no_beam=sum(f["no_beam"] for f in tiles) + sum(f["timeless"] for f in index),
+        no_beam=(sum(f["no_beam"] for f in tiles) + sum(f["timeless"] for f in index))
+        * _photons(context),
         outside_aoi=sum(f["outside_aoi"] for f in tiles),
+        copies=sum(n for f in tiles for *_, n in f["copies"]),
         not_read=facts.not_read,
         records_left_out=sum(f["records_left_out"] for f in delivered),
     )

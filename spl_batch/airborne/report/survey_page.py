@@ -237,6 +237,7 @@ def _set_aside(counts: Counts) -> list[tuple[str, int]]:
         ("flagged as noise by the vendor", counts.vendor_flagged),
         ("without a valid time or trajectory", counts.no_beam),
         ("outside the area of interest", counts.outside_aoi),
+        ("that are copies of others", counts.copies),
         ("in files that could not be read", counts.not_read),
     )
     return [(reason, count) for reason, count in reasons if count]

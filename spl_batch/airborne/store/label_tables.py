@@ -66,7 +66,14 @@ class Origin(NamedTuple):
 def write_labels(path: Path, origin: Origin, labels: Mapping[str, NDArray[Any]]) -> None:
     """Write labels atomically, sorted by tile and row; no more than a tile's are held again.
 
-    ``labels``: (n,) each, of the points at ``origin``, in any order.
+    Parameters
+    ----------
+    path : Path
+        Final name.
+    origin : Origin
+        Where the n points lie, in any order.
+    labels : mapping of str to (n,) ndarray
+        Their labels by column name.
     """
     dtypes: dict[str, Any] = {"tile_i": np.int32, "tile_j": np.int32, "row": np.uint32}
     dtypes |= {name: COLUMNS[name].dtype for name in labels}

@@ -33,10 +33,21 @@ HALF_CELLS: Final = 2**20
 def create_raster_store(
     path: Path, names: Sequence[str], *, ground_cell: int, raster_cell: int
 ) -> None:
-    """Make the arrays of the working store, float32; those that are there and sound are kept.
+    """Make the arrays of the working store; those that are there and sound are kept.
 
-    ``ground_cell, raster_cell``: edges of a chunk and of a raster cell [quanta]; the first a
-    multiple of the second. Raises StoreError if the store was made for other sizes.
+    Parameters
+    ----------
+    path : Path
+        Folder of the store.
+    names : sequence of str
+        One float32 array each.
+    ground_cell, raster_cell : int
+        Edges of a chunk and of a raster cell [quanta]; the first a multiple of the second.
+
+    Raises
+    ------
+    StoreError
+        If the store was made for other cell sizes.
     """
     px, remainder = divmod(ground_cell, raster_cell)
     if remainder or px < 1:
@@ -61,10 +72,26 @@ def create_raster_store(
 
 
 def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32]]) -> list[Path]:
-    """Write the rasters of one ground cell: chunks that are replaced whole; their files.
+    """Write the rasters of one ground cell: chunks that are replaced as a whole.
 
-    ``cell``: column and row of its south-western square; ``arrays``: of its squares, row 0
-    northernmost. Raises StoreError if there is no such raster or it is not made of whole squares.
+    Parameters
+    ----------
+    path : Path
+        Store from :func:`create_raster_store`.
+    cell : CellId
+        Column and row of its south-western square.
+    arrays : mapping of str to (rows, columns) float32
+        Rasters of its squares, row 0 northernmost.
+
+    Returns
+    -------
+    list of Path
+        Files of the chunks.
+
+    Raises
+    ------
+    StoreError
+        If there is no such raster or it is not made of whole squares.
     """
     written = []
     for name, values in arrays.items():
@@ -101,9 +128,23 @@ def stored_blocks(
 ) -> Iterator[tuple[int, int, NDArray[np.float32]]]:
     """Pieces of a stored raster for ``write_cog``, one ground cell at a time.
 
-    First row, first column and values, row 0 northernmost. ``bounds``: region of the mosaic, cells
-    beyond it are cut; ``cells`` best in rows from north to south; ``ground_cell``: their edge
-    [quanta].
+    Parameters
+    ----------
+    path : Path
+        Store from :func:`create_raster_store`.
+    name : str
+        Which of its rasters.
+    bounds : Bounds
+        Region of the mosaic [quanta]; cells beyond it are cut.
+    cells : iterable of CellId
+        Ground cells to read, best in rows from north to south.
+    ground_cell : int
+        Edge of a ground cell [quanta].
+
+    Yields
+    ------
+    row, col, block
+        Place in the mosaic, row 0 northernmost, and values.
     """
     _, _, edge = _array(path, name)
     for cell in cells:
@@ -115,7 +156,22 @@ def stored_blocks(
 
 
 def frame(bounds: Bounds, raster_cell: int) -> tuple[tuple[int, int], tuple[float, float]]:
-    """Rows and columns, and upper left corner [m], of a mosaic, as ``write_cog`` wants them."""
+    """Shape and upper left corner of a mosaic, as ``write_cog`` wants them.
+
+    Parameters
+    ----------
+    bounds : Bounds
+        Region [quanta], aligned to raster cells.
+    raster_cell : int
+        Edge of a raster cell [quanta].
+
+    Returns
+    -------
+    shape : (int, int)
+        Rows and columns.
+    origin_xy_m : (float, float)
+        Easting and northing of the upper left corner [m].
+    """
     shape = (bounds.ymax - bounds.ymin) // raster_cell, (bounds.xmax - bounds.xmin) // raster_cell
     return shape, (bounds.xmin * QUANTUM_M, bounds.ymax * QUANTUM_M)
 

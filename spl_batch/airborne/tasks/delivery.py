@@ -143,7 +143,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     lines = read_shifts(args, context.store)
     shifted = None if lines is None else lines.of_file(args.get("spans", {}))
     names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
-    labels, classes = _FileLabels(args, context, names), np.zeros(256, np.int64)
+    labels, classes = _FileLabels(args, context, names), np.zeros((2, 256), np.int64)
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
     stamp = as_indexed("index_file", args, context)
@@ -180,7 +180,8 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
         "name": args["delivered"],
         "points": written,
         "noise_class": _nonzero(labels.counts),
-        "classes": _nonzero(classes - labels.copied),
+        "classes": _nonzero(classes.sum(axis=0) - labels.copied),
+        "assessed": _nonzero(classes[1]),
         "records_left_out": broken.total(),
         "header_changes": header_changes(header, copy),
         "findings": [*_of_header(broken, "left_out"), *_of_header(mended, "changed")],
@@ -235,7 +236,10 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     names = (*_DELIVERED, *("set_flags",) * context.workflow.classes.flags)
     cell = parse_cell(args["tile"])
     labels = {name: label_units(args, _KINDS.get(name, "noise"))[cell] for name in names}
-    columns = ("x", "y", "z", "gps_time", "channel", "return_number", "intensity", "input_class")
+    columns = (
+        *("x", "y", "z", "gps_time", "channel", "return_number", "number_of_returns"),
+        *("intensity", "input_class"),
+    )
     lines = read_shifts(args, context.store)
     table = read_labelled_tile(context.store, cell, columns, labels, shifts=lines)
     record = None if lines is None else lines.record()

@@ -54,9 +54,9 @@ from spl_batch.lattice.tiles import cell_index, quanta
 GROUP_POINTS = 16_384
 """Points of a row group of a tile [count]: a halo is read from few."""
 
-ALIKE = (*CANONICAL_ORDER[:-2], "line", "intensity")
-"""Sort keys of a tile, first one first. Points alike in all of them are copies, and where they have
-times those alike in all but intensity, which a later delivery may scale."""
+ALIKE = CANONICAL_ORDER[:-2]
+"""Points alike in all of these are copies if they have times, which a later delivery may give
+another intensity; others if that is alike as well."""
 
 _POINT_COLUMNS = tuple(name for name in TILE_COLUMNS if name in SOURCE_COLUMNS)
 
@@ -164,15 +164,19 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
     """Join a tile's points from the stretches, in canonical order, each of them once.
 
     Copies of a stretch follow the returns that count; of files without times the first one counts.
+    Where nothing is filtered, copies may name another flightline: otherwise noise is computed for
+    each flightline, and a finding names those that are copies.
     """
     pieces = [
         read_table(context.store.path("scatter", f"{stretch}.parquet"), TILE_COLUMNS, [group])
         for stretch, group in args["pieces"]
     ]
     table = concat(pieces, TILE_COLUMNS)
-    table = table.take(lexicographic_order([table[name] for name in ALIKE]))
+    alike: tuple[str, ...] = (*ALIKE, "line") if args["by_line"] else ALIKE
+    order = dict.fromkeys((*alike, "intensity", "line"))
+    table = table.take(lexicographic_order([table[name] for name in order]))
     timed = usable_times(table["gps_time"]) & (table["gps_time"] != 0.0)
-    again = repeats(table, ALIKE[:-1]) & (timed | repeats(table, ALIKE[-1:]))
+    again = repeats(table, alike) & (timed | repeats(table, ("intensity",)))
     table, copies = without_copies(table, again)
     path = context.store.table("tiles", args["tile"])
     outputs = [path]
@@ -218,7 +222,8 @@ def _assess(
     subset = table.take(known)
     added = shots.assess(table, beams, (model, law), workflow, beamlets)
     ground = added.pop("ground")[known]
-    table = table.with_columns(**added)
+    flags |= added.pop("beyond") * np.uint8(PointFlag.SHOT_NOISE)
+    table = table.with_columns(**added, flags=flags)
     beams = beams.take(known)
     if args["of_shots"] is not None:
         array = beamlets.seen.array_columns

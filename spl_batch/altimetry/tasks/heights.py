@@ -160,11 +160,13 @@ def _nothing_near(
     """Why a reference has no height at any ground of a beam."""
     name = reference.points or reference.dtm
     if reference.points is not None:
-        known = read_profile(context.resolve(reference.points))[:, 0]
-        ends = {"from_km": known[0], "to_km": known[-1]}
-        ends |= {"first_km": where["along_track"].min(), "last_km": where["along_track"].max()}
-        ends_km = {key: float(value) / 1000 for key, value in ends.items()}
-        yield Finding("P01", {"kind": "points", "name": name, **ends_km})
+        known_km = read_profile(context.resolve(reference.points))[:, 0] / 1000
+        found_km = where["along_track"] / 1000
+        yield Finding("P01", {
+            "kind": "points", "name": name, "from_km": float(known_km[0]),
+            "to_km": float(known_km[-1]), "first_km": float(found_km.min()),
+            "last_km": float(found_km.max()),
+        })  # fmt: skip
     elif reference.dtm is not None:
         placed = [values[np.isfinite(values)] for values in (where["longitude"], where["latitude"])]
         if not all(len(values) for values in placed):

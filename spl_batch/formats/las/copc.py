@@ -30,7 +30,7 @@ from spl_batch.formats.las.frame import (
     wkt_vlr,
 )
 from spl_batch.formats.las.header import EVLR_HEAD, HEADER_SIZES, VLR_HEAD, Vlr, read_header
-from spl_batch.formats.las.reader import header_crs
+from spl_batch.formats.las.known_records import header_crs
 from spl_batch.formats.las.records import EXTRA_BYTES_KEY
 
 _USER: Final = b"copc"
@@ -65,7 +65,17 @@ class Cube(NamedTuple):
 
 
 def write_copc(path: Path, frame: Frame, records: NDArray[Any]) -> int:
-    """Write records of a frame's layout, format 6 to 8, one scale for all axes, atomically."""
+    """Write records as COPC, atomically; their count.
+
+    Parameters
+    ----------
+    path : Path
+        Final name.
+    frame : Frame
+        Everything but the points; point format 6 to 8, the same scale on every axis.
+    records : (n,) structured
+        Of the frame's layout.
+    """
     cube, nodes = octree(records)
     with output_file(path) as file:
         _write(file, frame, records, cube, nodes)

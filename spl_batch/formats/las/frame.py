@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.enums import WktVersion
+from pyproj.exceptions import CRSError
 
 from spl_batch import __version__
 from spl_batch.errors import WorkflowError, as_input_fault, reason_of
@@ -110,7 +111,10 @@ def copied_encoding(
 
 def wkt_vlr(crs: CRS) -> Vlr:
     """Record that holds a CRS, in the dialect that LAS 1.4 asks for where it can."""
-    text = crs.to_wkt(WktVersion.WKT1_GDAL) or crs.to_wkt()
+    try:
+        text = crs.to_wkt(WktVersion.WKT1_GDAL)
+    except CRSError:  # it has no words for heights above an ellipsoid
+        text = crs.to_wkt()
     return Vlr(WKT_KEY[0].encode(), WKT_KEY[1], b"OGC WKT", text.encode() + b"\0")
 
 
@@ -208,7 +212,17 @@ class Extent:
 
 
 def write_laz(path: Path, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
-    """Write records as LAS 1.4, atomically, compressed but for point formats 9 and 10."""
+    """Write a LAS 1.4 file atomically, compressed but for point formats 9 and 10; count of points.
+
+    Parameters
+    ----------
+    path : Path
+        Final name; its folder is made where missing.
+    frame : Frame
+        Everything but the points.
+    chunks : iterable of (n,) structured
+        Records of the frame's layout.
+    """
     laz = None if frame.layout.point_format in _UNCOMPRESSED else laz_record(frame.layout)
     with output_file(path) as file:
         extent = Extent()

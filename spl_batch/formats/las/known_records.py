@@ -1,27 +1,143 @@
-"""Records of a LAS header that a copy does without: no reader parses them, or they are misplaced.
+"""CRS of a LAS header, and records that a copy does without, as they are broken or contradicted.
 
 What is delivered must open everywhere; a damaged record may make a reader fail on a whole file.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
 import laspy
+import numpy as np
 from laspy.vlrs.known import BaseKnownVLR
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
 
-from spl_batch.errors import is_fault, one_line
+from spl_batch.errors import brief, is_fault, one_line, plain
+from spl_batch.formats.crs import (
+    GEO_KEYS,
+    NAMELESS,
+    WKT_KEY,
+    crs_from_geotiff,
+    crs_from_wkt,
+    crs_name,
+    horizontal,
+    same_crs,
+    same_heights,
+    vertical,
+)
 from spl_batch.formats.las.header import (
     EXTERNAL_BIT,
     WAVEFORM_FORMATS,
+    WKT_BIT,
     Evlr,
     LasHeader,
     Vlr,
+    open_input,
     waveform_file,
 )
 
 _PARSED_BYTES: Final = 1 << 20
 """Longest record that is parsed [byte]: known ones are short, longer ones are copied."""
+
+_WKT_BYTES_MAX: Final = 1 << 20
+_CRS_TEXT_MAX: Final = 150
+"""Characters that are told of a CRS that is not understood [count]."""
+
+_SAME_PLACE_M: Final = 10.0
+"""Two CRS contradict each other where the same coordinates lie farther apart [m]; how they name a
+datum does not matter."""
+
+
+def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
+    """CRS of a file, and what is odd about its record.
+
+    A record that cannot be understood counts as missing, with a warning: the workflow then has to
+    name the CRS.
+    """
+    rivals = _rivals(header)
+    if rivals is not None:
+        names, bit = [crs_name(crs) for crs in rivals], _keys_count(header)
+        text = (
+            f"its WKT record says {names[0]}, its GeoTIFF keys {names[1]}: the "
+            f"{'keys count' if bit else 'record counts'}, by the header's WKT bit and point format;"
+            " correct the file if that is wrong"
+        )
+        return rivals[bit], (text,)
+    try:
+        crs = _wkt_crs(header)
+        return crs if crs is not None else _keys_crs(header), ()
+    except CRSError as error:
+        reason = brief(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
+        return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
+
+
+def outvoted_records(header: LasHeader) -> Iterable[tuple[str, int]]:
+    """Records of the CRS that does not count, where two contradict each other."""
+    if _rivals(header) is None:
+        return ()
+    return (WKT_KEY,) if _keys_count(header) else GEO_KEYS
+
+
+def _keys_count(header: LasHeader) -> bool:
+    """Whether GeoTIFF keys count more than a WKT record [LAS 1.4 R15, 2.4 and 3]."""
+    return header.point_format < 6 and not header.global_encoding & WKT_BIT
+
+
+def _rivals(header: LasHeader) -> tuple[CRS, CRS] | None:
+    """CRS of the WKT record and of the GeoTIFF keys, where they contradict each other."""
+    if header.vlr(*GEO_KEYS[0]) is None or not header.n_points:
+        return None
+    try:
+        wkt = _wkt_crs(header)
+        keys = None if wkt is None else _keys_crs(header)
+        if wkt is None or keys is None or _agree(wkt, keys, header):
+            return None
+    except (CRSError, ProjError):
+        return None  # what is not understood contradicts nothing
+    return wkt, keys
+
+
+def _agree(a: CRS, b: CRS, header: LasHeader) -> bool:
+    """Whether two CRS put the middle of a file at the same place."""
+    if not _same_zero(a, b):
+        return False
+    flat = horizontal(a), horizontal(b)
+    if same_crs(a, b) or not all(crs.is_projected or crs.is_geographic for crs in flat):
+        return True
+    place = np.mean([header.mins_m[:2], header.maxs_m[:2]], axis=0)
+    there = Transformer.from_crs(*flat, always_xy=True).transform(*place)
+    return bool(np.hypot(*(there - place)) < _SAME_PLACE_M)
+
+
+def _same_zero(a: CRS, b: CRS) -> bool:
+    """Whether heights are above the same, as far as both name it: a datum, or the ellipsoid."""
+    one, other = vertical(a), vertical(b)
+    if one is not None and other is not None:
+        return bool({one.name, other.name} & {*NAMELESS}) or same_heights(one, other)
+    if one is None and other is None:
+        return True
+    without = a if one is None else b
+    return len(without.axis_info) < 3  # a third axis is the height above the ellipsoid
+
+
+def _keys_crs(header: LasHeader) -> CRS | None:
+    directory, doubles, text = (
+        b"" if vlr is None else vlr.data for vlr in (header.vlr(*k) for k in GEO_KEYS)
+    )
+    return crs_from_geotiff(directory, doubles, text) if directory else None
+
+
+def _wkt_crs(header: LasHeader) -> CRS | None:
+    vlr = header.vlr(*WKT_KEY)
+    if vlr is not None:
+        return crs_from_wkt(vlr.data)
+    evlr = next((e for e in header.evlrs if e.key == WKT_KEY), None)
+    if evlr is None:
+        return None
+    with open_input(header.path) as file:
+        file.seek(evlr.start)
+        return crs_from_wkt(file.read(min(evlr.size, _WKT_BYTES_MAX)))
 
 
 def broken_records(header: LasHeader) -> Iterator[str]:

@@ -13,13 +13,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, QUANTA_PER_M
-from spl_batch.errors import InputError, as_input_fault, brief, plain
-from spl_batch.formats.crs import GEO_KEYS, WKT_KEY, crs_from_geotiff, crs_from_wkt
+from spl_batch.errors import InputError, as_input_fault
 from spl_batch.formats.las.chunks import RecordReader
-from spl_batch.formats.las.header import ADJUSTED_BIT, LasHeader, open_input, read_header
+from spl_batch.formats.las.header import ADJUSTED_BIT, LasHeader, read_header
+from spl_batch.formats.las.known_records import header_crs
 from spl_batch.formats.las.layers import can_be_copied
 from spl_batch.formats.las.records import (
     FIRST_CLASS,
@@ -31,10 +30,6 @@ from spl_batch.formats.las.records import (
     scan_angle_deg,
 )
 from spl_batch.lattice.tables import COLUMNS, EXCLUDED, SOURCE_COLUMNS, PointFlag, PointTable
-
-_WKT_BYTES_MAX: Final = 1 << 20
-_CRS_TEXT_MAX: Final = 150
-"""Characters that are told of a CRS that is not understood [count]."""
 
 _BBOX_SLACK_M: Final = 1.0
 _MULTIPLE_TOLERANCE: Final = 1e-12
@@ -55,7 +50,7 @@ class LasFacts:
     #: The header's bounding box, finite and in order; zeros where there are no points.
     mins_m: tuple[float, float, float]
     maxs_m: tuple[float, float, float]
-    crs: CRS | None  #: From the WKT record, else from GeoTIFF keys.
+    crs: CRS | None  #: From the WKT record or from GeoTIFF keys.
     #: What the header says about ``gps_time``; not always true of the values.
     adjusted_standard_bit: bool
     has_gps_time: bool
@@ -132,37 +127,6 @@ def _rounding(header: LasHeader) -> Iterator[str]:
     yield (
         f"{what} not whole millimetres: working coordinates are rounded to the nearest millimetre"
     )
-
-
-def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
-    """CRS of a file, and what is odd about its record.
-
-    A record that cannot be understood counts as missing, with a warning: the workflow then has to
-    name the CRS.
-    """
-    try:
-        crs = _wkt_crs(header)
-        if crs is None:
-            directory, doubles, text = (
-                b"" if vlr is None else vlr.data for vlr in (header.vlr(*k) for k in GEO_KEYS)
-            )
-            crs = crs_from_geotiff(directory, doubles, text) if directory else None
-    except CRSError as error:
-        reason = brief(plain(" ".join(str(error).split())), _CRS_TEXT_MAX)
-        return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
-    return crs, ()
-
-
-def _wkt_crs(header: LasHeader) -> CRS | None:
-    vlr = header.vlr(*WKT_KEY)
-    if vlr is not None:
-        return crs_from_wkt(vlr.data)
-    evlr = next((e for e in header.evlrs if e.key == WKT_KEY), None)
-    if evlr is None:
-        return None
-    with open_input(header.path) as file:
-        file.seek(evlr.start)
-        return crs_from_wkt(file.read(min(evlr.size, _WKT_BYTES_MAX)))
 
 
 def iter_points(
@@ -323,6 +287,7 @@ def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArra
     return {
         "gps_time": records["gps_time"] if timed else np.full(len(records), np.nan),
         "return_number": dimension(records, layout, "return_number"),
+        "number_of_returns": dimension(records, layout, "number_of_returns"),
         "scan_angle": scan_angle_deg(records, layout),
         "point_source_id": records["point_source_id"],
         "intensity": records["intensity"],

@@ -16,6 +16,7 @@ from spl_batch.constants import (
     CLASS_GROUND,
     CLASS_UNCLASSIFIED,
     FLAG_WITHHELD,
+    NOISE_NOT_ASSESSED,
     QUANTA_PER_M,
     QUANTUM_M,
 )
@@ -43,9 +44,8 @@ from spl_batch.formats.las.header import (
     Vlr,
     read_header,
 )
-from spl_batch.formats.las.known_records import record_fault
+from spl_batch.formats.las.known_records import header_crs, outvoted_records, record_fault
 from spl_batch.formats.las.layers import LayerCopy, can_be_copied
-from spl_batch.formats.las.reader import header_crs
 from spl_batch.formats.las.records import (
     ADDED,
     EXTRA_BYTES_KEY,
@@ -149,8 +149,9 @@ def write_classified(
     decoded : Decoded, optional
         Spares decoding a file of which :func:`~spl_batch.formats.las.layers.can_be_copied` holds:
         what is not changed is copied as it is compressed.
-    classes : (256,) int64 ndarray, optional
-        The points of each class that is written are added to it [count].
+    classes : (2, 256) int64 ndarray, optional
+        The points of each class that is written are added to it: those whose ``noise_class`` is
+        "not assessed", and the others [count].
     shifted : Shifted, optional
         Shifts that are added to the heights, rounded to the file's scale.
     standard : str
@@ -166,7 +167,7 @@ def write_classified(
     if dst.exists() and dst.samefile(src):
         raise WorkflowError(f"{dst}: is an input; choose another output folder")
     header = read_header(src)
-    written = np.zeros(256, np.int64) if classes is None else classes
+    written = np.zeros((2, 256), np.int64) if classes is None else classes
     with RecordReader(header) as reader:
         new = added_dimensions(reader.layout, diagnostics=diagnostics)
         names = [d.name for d in new]
@@ -180,8 +181,9 @@ def write_classified(
                 if shifted is not None:
                     _shift(out, given, header, shifted)
                 before = given_classes(given, reader.layout)
-                _label(out, convert.layout, before, labels(start, stop), names)
-                written[:] += np.bincount(out["classification"], minlength=256)
+                values = labels(start, stop)
+                _label(out, convert.layout, before, values, names)
+                written[:] += _counts(out["classification"], values)
                 yield out
 
         def packed(known: Decoded, copy: LayerCopy) -> Iterator[tuple[int, bytes]]:
@@ -189,7 +191,7 @@ def write_classified(
                 own, first = copy.records(known.given(start, stop)), copy.first(chunk)
                 before, values = own["classification"].copy(), labels(start, stop)
                 _label(own, copy.own, before, values, names)
-                written[:] += np.bincount(own["classification"], minlength=256)
+                written[:] += _counts(own["classification"], values)
                 of_first = {name: v[:1] for name, v in values.items()}
                 _label(first, convert.layout, before[:1], of_first, names)
                 yield stop - start, copy.chunk(chunk, first, own)
@@ -232,6 +234,12 @@ def kept_classes(label: NDArray[np.uint8], given: NDArray[np.uint8]) -> NDArray[
     return np.where(label >= KEEP_BUT_GROUND, kept, label)
 
 
+def _counts(classes: NDArray[np.uint8], values: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
+    """Points of each class that nothing assessed, and the others: (2, 256) [count]."""
+    assessed = values["noise_class"] != NOISE_NOT_ASSESSED
+    return np.bincount(assessed * 256 + classes.astype(np.int64), minlength=512).reshape(2, 256)
+
+
 def _label(
     out: NDArray[Any],
     layout: RecordLayout,
@@ -250,7 +258,7 @@ def _label(
 
 def _records(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], list[Evlr], bool]:
     """Records and extended records that are kept, and whether none but WKT gives a CRS."""
-    dropped = {LASZIP_KEY, EXTRA_BYTES_KEY}
+    dropped = {LASZIP_KEY, EXTRA_BYTES_KEY, *outvoted_records(header)}
     own = header_crs(header)[0]
     written = _delivered_crs(own, crs)
     if written is not own:
@@ -291,8 +299,7 @@ def write_points(
 ) -> int:
     """Write a table as LAZ or COPC, point format 6, on the survey's lattice.
 
-    The table does not know how many returns a pulse had: ``number_of_returns`` is 0. The
-    beamlet number goes to ``user_data``.
+    The beamlet number goes to ``user_data``.
 
     Parameters
     ----------
@@ -374,6 +381,8 @@ def _fill(records: NDArray[Any], table: PointTable) -> None:
         records["user_data"] = table["channel"]
     if "return_number" in table:
         records["bit_fields"] = table["return_number"] & np.uint8(15)
+    if "number_of_returns" in table:
+        records["bit_fields"] |= table["number_of_returns"] << np.uint8(4)
     if "scan_angle" in table:
         records["scan_angle"] = np.rint(table["scan_angle"] / SCAN_ANGLE_STEP_DEG)
     if "flags" in table:

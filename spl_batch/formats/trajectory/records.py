@@ -62,10 +62,25 @@ _NUMBER: Final = r"^\s*(?P<number>-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*$"
 
 
 def read_records(path: Path, warn: Callable[[str], object] | None = None) -> Iterator[Records]:
-    """Records of a CSV, Parquet or SBET file that can be, in its order; ``warn`` takes what cannot.
+    """Records of a file that can be, in its order.
 
-    Times and positions are as the file has them, of an SBET longitude and latitude [deg] and height
-    [m]. A file of which more than :data:`MOST_WRONG` cannot be used raises InputError.
+    Parameters
+    ----------
+    path : Path
+        CSV (``gps_time,x,y,z``; any order and case, further columns allowed, comma,
+        semicolon or tab), Parquet with the same columns, or SBET (``.out``, ``.sbet``).
+    warn : callable, optional
+        Called at the end with one sentence on what was left out, where something was.
+
+    Yields
+    ------
+    time_s, position : (n,) and (n, 3) float64
+        As the file has them; of an SBET longitude and latitude [deg] and height [m].
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged, or more than :data:`MOST_WRONG` of its records cannot be.
     """
     sieve = _Sieve(path)
     for time, position in _batches(path, sieve):

@@ -35,9 +35,6 @@ _FARTHEST_M: Final = 1e8
 STRETCH_ROWS: Final = 262_144
 """Rows that are read at once [count]."""
 
-_BUFFER_BYTES: Final = 1 << 20
-"""A column's pages are read through a buffer, not with the whole of their row group [byte]."""
-
 _GROUP_ROWS: Final[Mapping[type[Table], int]] = {Frames: 512, Detections: 65_536, Points: 65_536}
 """Rows of a row group; 512 frames are a quarter of a second of the source's sensor [count]."""
 
@@ -104,7 +101,8 @@ def _stretches(
     inspect(path, columns)
     nulls, bad = Counter[str](), Counter[str]()
     try:
-        with pq.ParquetFile(path, buffer_size=_BUFFER_BYTES, pre_buffer=False) as file:
+        # A column's pages come through a buffer of 1 MiB, not with the whole of their row group.
+        with pq.ParquetFile(path, buffer_size=1 << 20, pre_buffer=False) as file:
             for batch in file.iter_batches(rows, columns=list(columns), use_threads=False):
                 found = {}
                 for name in columns:

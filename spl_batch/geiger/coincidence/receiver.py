@@ -40,24 +40,6 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
 )
 """Detections per second and worker until a store has measured its own; points when delivering."""
 
-INDEX_BYTES: Final = 100 * 2**20
-"""Peak memory of indexing detections, of a file of any size [byte]."""
-
-INDEX_BYTES_PER_FRAME: Final = 400
-"""Peak memory of indexing a file of frames, which is sorted at once [byte]."""
-
-BYTES_PER_VOXEL: Final = 60
-"""Peak memory per voxel of a sub-volume: four rasters and its points [byte]."""
-
-HELD_BYTES_PER_DETECTION: Final = 150
-"""Peak memory of a tile by the detections of all frames that look at it [byte]."""
-
-SLANT: Final = 0.05
-"""Distance from which looks reach a tile from the side, per metre of gate [m/m]."""
-
-STORE_BYTES_PER_DETECTION: Final = 16
-DELIVERED_BYTES_PER_DETECTION: Final = 12
-
 
 @dataclass(frozen=True, slots=True)
 class L1File:
@@ -239,19 +221,24 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         detections = sum(file.rows for file in inputs.detections)
         tiles, held = _tiles(ledger)
         rates, measured = measured_rates(RATES_POINTS_PER_S, context)
-        volume = BYTES_PER_VOXEL * (chosen.volume_voxels + 2 * halo(chosen) + 2) ** 3
-        sorted_bytes = INDEX_BYTES_PER_FRAME * max(file.rows for file in inputs.frames)
+        voxels = (chosen.volume_voxels + 2 * halo(chosen) + 2) ** 3
+        most_frames = max(file.rows for file in inputs.frames)
+        # Peak memory [byte], what takes it, and what helps.
         needs = [
-            (volume, "a sub-volume", "a smaller coincidence.volume_voxels"),
-            (INDEX_BYTES, "a file's index", ""),
-            (sorted_bytes, "a file of frames", "split the files of frames"),
-            (round(held * HELD_BYTES_PER_DETECTION), "a tile", "a smaller tiling.tile_m"),
+            # Four rasters, and points.
+            (60 * voxels, "a sub-volume", "a smaller coincidence.volume_voxels"),
+            # Detections are indexed a stretch at a time, whatever the size of their file.
+            (100 * 2**20, "a file's index", ""),
+            # Frames of a file are sorted at once.
+            (400 * most_frames, "a file of frames", "split the files of frames"),
+            # Detections of all frames that look at it.
+            (round(held * 150), "a tile", "a smaller tiling.tile_m"),
         ]
         most, heaviest, remedy = max(needs)
         return Cost(
             points=detections,
             tasks=len(inputs.sources) + 2 * tiles,
-            disk_bytes=detections * (STORE_BYTES_PER_DETECTION + DELIVERED_BYTES_PER_DETECTION),
+            disk_bytes=detections * (16 + 12),  # In the store, and delivered.
             memory_bytes=WORKER_BASE_BYTES + most,
             heaviest=heaviest,
             remedy=remedy,
@@ -313,7 +300,8 @@ def _tiles(ledger: L1Ledger) -> tuple[int, float]:
     extents, all its rows count to every tile.
     """
     array, tile_q = ledger.workflow.array, ledger.workflow.tile_q
-    around_m = 0.5 * SLANT * (array.gate_stop_m - array.gate_start_m)
+    # From the side looks reach a tile from 5 cm away for each metre of the gate.
+    around_m = 0.5 * 0.05 * (array.gate_stop_m - array.gate_start_m)
     around_m += 0.5 * max(array.rows, array.columns) * array.ifov_rad * array.gate_stop_m
     inputs = ledger.inputs.detections
     boxes = [

@@ -16,7 +16,9 @@ class ArraySettings(Section):
 
     rows: int = Field(32, ge=1, le=1024, description="Detectors across the flight [count].")
     columns: int = Field(128, ge=1, le=1024, description="Detectors along the flight [count].")
-    ifov_rad: float = Field(30e-6, gt=0, le=0.01, description="Field of view of a detector [rad].")
+    ifov_rad: float = Field(
+        30e-6, gt=0, le=0.01, description="Field of view of one detector, edge to edge [rad]."
+    )
     gate_start_m: Positive = Field(2500.0, description="Slant range at which detectors arm [m].")
     gate_stop_m: Positive = Field(3500.0, description="Slant range at which they are read [m].")
 
@@ -37,32 +39,58 @@ class ArraySettings(Section):
 class BridgeSignSettings(Section):
     """Moving quadratic least squares and its maxima [M20 4.2-4.3]."""
 
-    window_voxels: Literal[3, 5, 7, 9] = Field(5, description="Of the neighbourhood [count]; ours.")
+    window_voxels: Literal[3, 5, 7, 9] = Field(
+        5, description="Edge of the neighbourhood that a polynomial is fitted to [count]; ours."
+    )
     wide_below: int = Field(
-        6, ge=0, description="With fewer detections it is two voxels wider [count]; 0 never; ours."
+        6,
+        ge=0,
+        description="Where fewer detections coincide, the neighbourhood is two voxels wider "
+        "[count]; 0 for nowhere; ours.",
     )
     threshold: Share | None = Field(
         None,
-        description="Least value of the polynomial at a point: detections for each look there "
-        "[1/1]; 0.01 by default, and 0.06 as published; ours.",
+        description="Least value of the polynomial at a point: detections for each look that "
+        "interrogates the voxel [1/1]; 0.01 by default, and 0.06 as published, where nothing else "
+        "tells surfaces from blur; ours.",
     )
     edge_rule: bool = Field(
-        True, description="Detections lie no farther to the side than on a straight edge; ours."
+        True,
+        description="Whether a point is left out whose detections lie farther to the side than on "
+        "a straight edge; ours.",
     )
     edge_share: float = Field(
-        0.5, ge=0, lt=1, description="Least part of what is strong beside a point [0..1]; ours."
+        0.5,
+        ge=0,
+        lt=1,
+        description="Least part that a point has of what is strong beside it: of the mean of the "
+        "points within half a neighbourhood and one voxel, weighted with themselves [0..1]; ours.",
     )
     strongest_along_normal: bool = Field(
-        True, description="No stronger point lies within half a neighbourhood along it; ours."
+        True,
+        description="Whether a point is left out that has a stronger one before or behind "
+        "it, within half a neighbourhood; ours.",
     )
     reach_voxels: float = Field(
-        0.5, gt=0, le=1, description="From its voxel's centre, along each axis [edges]; ours."
+        0.5,
+        gt=0,
+        le=1,
+        description="How far from its voxel's centre, along each axis, a point may lie "
+        "[voxel edges]; ours.",
     )
     curvature_ratio: float = Field(
-        0.5, gt=0, le=1, description="Of the strongest, from which a maximum counts [1/1]; ours."
+        0.5,
+        gt=0,
+        le=1,
+        description="A direction is one of maximum when its second derivative is at least this "
+        "part of the strongest [1/1]; ours.",
     )
-    detections_min: int = Field(4, ge=1, description="That coincide around a point [count]; ours.")
-    looks_min: Positive = Field(0.25, description="Least mean of looks there [count]; ours.")
+    detections_min: int = Field(
+        4, ge=1, description="Detections that coincide in a neighbourhood [count]; ours."
+    )
+    looks_min: Positive = Field(
+        0.25, description="Least mean of looks through the neighbourhood's voxels [count]; ours."
+    )
 
 
 PUBLISHED: Final[Mapping[str, float]] = MappingProxyType(
@@ -76,8 +104,8 @@ class CoincidenceSettings(Section):
 
     method: Literal["bridge_sign", "published"] = Field(
         "bridge_sign",
-        description="With our rules, or as published: wide_below and edge_share 0, edge_rule and "
-        "strongest_along_normal false.",
+        description="With our rules for edges and along the normal, or without as published: "
+        "edge_rule and strongest_along_normal false, edge_share and wide_below 0.",
     )
     voxel_m: float | None = Field(
         None,
@@ -86,7 +114,9 @@ class CoincidenceSettings(Section):
         description="Edge of a voxel, whole millimetres [m]; by default half the ground size of "
         "a detector's field of view, in the middle of the gate.",
     )
-    volume_voxels: int = Field(128, ge=32, le=512, description="Edge of a sub-volume [count].")
+    volume_voxels: int = Field(
+        128, ge=32, le=512, description="Edge of a sub-volume that is rastered at once [count]."
+    )
     bridge_sign: BridgeSignSettings = BridgeSignSettings()
 
     @property
@@ -124,8 +154,12 @@ class L1Settings(Section):
 
     name: str = Field("survey", description="Title of the report.")
     crs: str | None = Field(None, description="CRS of all coordinates, e.g. EPSG:32615.")
-    frames: str | tuple[str, ...] = Field(description="Parquet: a path or glob, or several.")
-    detections: str | tuple[str, ...] = Field(description="Likewise, relative to this file.")
+    frames: str | tuple[str, ...] = Field(
+        description="Frames as Parquet: a path or glob, or several, relative to this file."
+    )
+    detections: str | tuple[str, ...] = Field(
+        description="Detections as Parquet: a path or glob, or several, relative to this file."
+    )
 
 
 class TileSettings(Section):

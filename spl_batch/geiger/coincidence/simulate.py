@@ -226,10 +226,6 @@ def simulate_file(
     return finished(out, workflow, counts)
 
 
-FRAMES_OF_A_PASS = 10_000_000
-"""Frame numbers are the pass times this, and then count from the start of the pass."""
-
-
 def flights(scene: SceneSettings) -> Iterator[Frames]:
     """Frames of each pass that look at the scene's part."""
     flight, array = scene.flight, scene.array
@@ -246,7 +242,8 @@ def flights(scene: SceneSettings) -> Iterator[Frames]:
         origin = nose * (flight.speed_m_s * time - reach)[:, None]
         origin = np.array([*scene.centre_m, flight.altitude_m]) + origin
         attitude = np.stack([heading, roll, np.zeros(n)], axis=-1)
-        number = pass_number * FRAMES_OF_A_PASS + np.arange(n)
+        # Ten million numbers for each pass: no two passes share one.
+        number = pass_number * 10_000_000 + np.arange(n)
         frames = Frames(number, origin + np.array(scene.origin_m), attitude)
         turn = frames.turn
         axis = -turn[:, :, 2]

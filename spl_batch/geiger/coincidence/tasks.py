@@ -29,12 +29,6 @@ from spl_batch.lattice.tiles import Bounds, cell_bounds, grow, parse_cell
 
 CoincidenceContext = RunContext[CoincidenceWorkflow]
 
-FAR_OFF: Final = 2.0
-"""Fields of view between a detection and its line of sight that are warned of [1/1]."""
-
-SIGHT_FRAMES: Final = 64
-"""Frames whose detections are compared with their lines of sight [count]."""
-
 
 def index_frames(args: Mapping[str, Any], context: CoincidenceContext) -> Produced:
     """Check a frames file and keep it with its attitudes as directions."""
@@ -126,9 +120,10 @@ def _sight_findings(
     number = int(part.frame[len(part) // 2])
     near = [files.stored_frames(path, frame=(number, number)) for path in looks]
     frames = Frames.joined(near).in_order()
-    frames = frames.take(np.abs(frames.number - number) <= SIGHT_FRAMES // 2)
+    # Those of 32 frames on either side tell enough.
+    frames = frames.take(np.abs(frames.number - number) <= 32)
     off = coincide.sight_error(frames, part, context.workflow.array)
-    if off >= FAR_OFF:
+    if off >= 2.0:  # fields of view between a detection and its line of sight
         yield Finding("K02", {"fields": off}, badness=off)
 
 
@@ -140,8 +135,6 @@ SLICE_Q: Final = 200
 
 SLICE_PLACES: Final = 20_000
 """Places of a slice at most [count]."""
-
-_FULL: Final = 65_535
 
 
 def coincide_tile(args: Mapping[str, Any], context: CoincidenceContext) -> Produced:
@@ -219,7 +212,7 @@ def deliver_tile(args: Mapping[str, Any], context: CoincidenceContext) -> Produc
     # A point of an aggregate model is none of a pulse's returns [LAS 1.4 R15, 2.6].
     columns: dict[str, NDArray[Any]] = {
         **{axis: points.xyz[:, k] for k, axis in enumerate("xyz")},
-        "intensity": np.rint(np.clip(points.intensity, 0, 1) * _FULL).astype(np.uint16),
+        "intensity": np.rint(np.clip(points.intensity, 0, 1) * 65_535).astype(np.uint16),
         "point_source_id": np.ones(n, np.uint16),
         "input_class": np.ones(n, np.uint8),
     }

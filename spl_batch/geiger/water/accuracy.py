@@ -11,11 +11,8 @@ have its own, so that waves can be judged.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spl_batch.geiger.water.pixel_geometry import floor_points, refracted
-
-Floats = NDArray[np.float64]
+from spl_batch.geiger.water.pixel_geometry import Floats, floor_points, refracted
 
 
 class SurfaceError(NamedTuple):

@@ -32,9 +32,6 @@ ZARR: Final = ".zarr"
 CHUNK_FRAMES: Final = 1000
 """Frames of a chunk as written here [count]."""
 
-_FRAMES_MAX: Final = 2**40
-"""Frames of a file [count]."""
-
 TRUTH: Final = ("down_m", "normals")
 """Arrays of the truth."""
 
@@ -97,7 +94,7 @@ def inspect_frames(path: Path, rows: int, cols: int) -> FrameFacts:
         for one in arrays:
             if isinstance(one, h5py.Dataset):
                 refuse_foreign(path, one)
-        frames = bounded(path, "frames", int(array.shape[0]), least=1, most=_FRAMES_MAX)
+        frames = bounded(path, "frames", int(array.shape[0]), least=1, most=2**40)
         parts = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
         size, stored = array.dtype.itemsize, sum(p.stat().st_size for p in parts)
         refuse_bomb(path, f"{frames} frames", frames * rows * cols * size, stored)

@@ -37,7 +37,7 @@ from scipy.ndimage import median_filter
 from scipy.optimize import curve_fit
 from scipy.special import ndtr
 
-from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS
+from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS, Floats
 from spl_batch.geiger.water.settings import (
     CalibrationSettings,
     CameraSettings,
@@ -45,9 +45,6 @@ from spl_batch.geiger.water.settings import (
     PixelSettings,
 )
 
-Floats = NDArray[np.float64]
-
-SMOOTHED_BINS = 5
 SUMS = ("hits", "total", "square", "outside")
 
 
@@ -116,7 +113,7 @@ def find_gate(counts: NDArray[np.int64], settings: GateSettings) -> Gate | None:
     """Gate around the peak of a histogram, (bins + 1,) [G15 3.4.2]; None without a hit."""
     centre = settings.centre_bin
     if centre is None:
-        around = np.convolve(counts[1:], np.ones(SMOOTHED_BINS, dtype=np.int64), mode="same")
+        around = np.convolve(counts[1:], np.ones(5, dtype=np.int64), mode="same")  # smoothed
         if not around.any():
             return None
         # The middle of a flat top, so that the gate does not lean to one side.
@@ -152,7 +149,6 @@ def dead_pixels(hits: Hits, used: NDArray[np.bool_], settings: PixelSettings) ->
     return dead
 
 
-ROUNDS = 50
 HITS_MIN = 5
 """Fewest hits of a pixel that takes part in a fit [count]."""
 
@@ -280,7 +276,7 @@ def _fit_joint(observations: Sequence[Observation], settings: CalibrationSetting
     walks = settings.range_walk == "first_photon"
     made = Calibration(settings, np.zeros_like(observations[0].actual_ns))
     last: Floats = np.zeros(3)
-    for _ in range(ROUNDS):
+    for _ in range(50):  # delays and law in turn, until nothing changes
         normal, right = np.zeros((3, 3)), np.zeros(3)
         for seen in observations:
             rows = _fitted(seen)

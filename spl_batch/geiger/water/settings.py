@@ -21,7 +21,9 @@ class CameraSettings(Section):
 
     rows: int = Field(32, ge=3, le=1024, description="Rows of pixels [count].")
     cols: int = Field(32, ge=3, le=1024, description="Columns of pixels [count].")
-    last_rows_unused: int = Field(3, ge=0, description="Left out, being mostly dead [count].")
+    last_rows_unused: int = Field(
+        3, ge=0, description="Rows at the end that are left out, being mostly dead [count]."
+    )
     bin_ns: Positive = Field(0.25, description="Length of a time bin [ns].")
     bins: int = Field(8000, ge=2, le=65535, description="Time bins of a frame [count].")
     pitch_mm: Positive = Field(0.1, description="Between neighbouring pixels [mm].")
@@ -40,7 +42,9 @@ class GateSettings(Section):
 
     width_bins: int = Field(47, ge=3, description="Bins of the gate [count].")
     centre_bin: int | None = Field(
-        None, ge=1, description="By default, and of targets always, the histogram's peak."
+        None,
+        ge=1,
+        description="Middle of the gate; by default, and of targets always, the histogram's peak.",
     )
 
 
@@ -48,8 +52,12 @@ class PixelSettings(Section):
     """Which pixels take part [G15 2.2.5, 3.1.2]."""
 
     intensity_min: Share = Field(0.005, description="Least share of frames with a hit.")
-    dead_share: Share = Field(0.05, description="With less of its neighbours' hits one is dead.")
-    hot_share: Share = Field(0.2, description="Firing off the gate in more frames one is dead.")
+    dead_share: Share = Field(
+        0.05, description="A pixel with less than this share of its neighbours' hits is dead."
+    )
+    hot_share: Share = Field(
+        0.2, description="A pixel that fires outside the gate in more frames than this is dead."
+    )
     dead: tuple[tuple[int, int], ...] = Field((), description="Dead pixels besides: [row, column].")
 
 
@@ -63,16 +71,24 @@ class CalibrationFrames(Section):
 class CalibrationSettings(Section):
     """From time bins to ranges [G15 3.4.3-3.4.4]."""
 
-    frames: tuple[CalibrationFrames, ...] = Field((), description="Without, what follows holds.")
+    frames: tuple[CalibrationFrames, ...] = Field(
+        (), description="Frames to fit it from; without them the numbers below hold."
+    )
     scale: Positive = Field(1.02379235588971, description="Measured over actual time, R0 [1].")
     offset_ns: float = Field(82.3525317669176, description="Delay of the electronics, R1 [ns].")
-    range_walk: Literal["first_photon", "exponential", "none"] = "first_photon"
+    range_walk: Literal["first_photon", "exponential", "none"] = Field(
+        "first_photon", description="Law by which bright pixels range short."
+    )
     walk_ns: float = Field(0.02190018680885, ge=0, description="A of the exponential law [ns].")
     walk_exponent: float = Field(4.588548204216641, description="B of the exponential law [1].")
-    pulse_ns: float = Field(1.0, ge=0, description="Spread s of the first-photon law [ns].")
+    pulse_ns: float = Field(
+        1.0, ge=0, description="Standard deviation of the echo, for the first-photon law [ns]."
+    )
     dim_min: Share = Field(0.005, description="Least intensity of pixels without range walk.")
     dim_max: Share = Field(0.02, description="Greatest intensity of pixels without range walk.")
-    pixel_offsets: bool = Field(True, description="Fit a delay of each pixel too.")
+    pixel_offsets: bool = Field(
+        True, description="Fit a delay of each pixel too, where there are frames to fit from."
+    )
 
 
 class MountSettings(Section):
@@ -81,7 +97,9 @@ class MountSettings(Section):
     off_nadir_deg: float = Field(19.5, ge=-80, le=80, description="Forward of straight down [deg].")
     scan_deg: float = Field(0.0, ge=-180, le=180, description="About the vertical [deg].")
     boresight_deg: Vector = Field(NONE, description="Small angles about the body's x, y, z [deg].")
-    lever_arm_m: Vector = Field(NONE, description="To the lens: forward, starboard, down [m].")
+    lever_arm_m: Vector = Field(
+        NONE, description="Lens in the body frame: forward, starboard, down [m]."
+    )
     attitude_deg: Vector = Field(NONE, description="Roll, pitch, heading of the body [deg].")
     position_m: Vector = Field(NONE, description="North, east, down of the body's origin [m].")
 
@@ -92,7 +110,9 @@ class WindowedSettings(Section):
     median: Literal[3, 5] = Field(3, description="Edge of the median's window [pixel].")
     search: int = Field(15, ge=3, description="Edge of the search window of the means [pixel].")
     patch: int = Field(7, ge=3, description="Edge of a patch [pixel].")
-    strength_m: Positive = Field(0.02, description="Patches differ by it at weight 1/e, h [m].")
+    strength_m: Positive = Field(
+        0.02, description="Difference of patches at which a weight falls to 1/e, h [m]."
+    )
     window: Literal[3, 5] = Field(3, description="Edge of a plane's window [pixel].")
 
 
@@ -100,17 +120,27 @@ class AdaptiveSettings(Section):
     """Weighted planes whose windows grow as long as what they say agrees."""
 
     half_windows: tuple[int, ...] = Field(
-        (1, 2, 3, 4, 6, 8, 11, 15, 20, 31), min_length=1, description="Half edges tried [pixel]."
+        (1, 2, 3, 4, 6, 8, 11, 15, 20, 31),
+        min_length=1,
+        description="Half edges of the windows that are tried, rising [pixel].",
     )
-    order_max: int = Field(6, ge=0, le=8, description="Of the polynomial that windows start from.")
-    agreement: Positive = Field(4.0, description="Sigmas within which two windows agree [1].")
-    outlier: Positive = Field(5.0, description="Sigmas from the neighbours' median at most [1].")
+    order_max: int = Field(
+        6, ge=0, le=8, description="Highest order of the polynomial that windows start from."
+    )
+    agreement: Positive = Field(
+        4.0, description="Standard deviations within which two windows agree [1]."
+    )
+    outlier: Positive = Field(
+        5.0, description="Standard deviations from the neighbours' median that a pixel may lie [1]."
+    )
 
 
 class SurfaceSettings(Section):
     """Acquisitions, and how each becomes a surface with normals."""
 
-    frames_per_acquisition: int = Field(200, ge=1, description="For each surface [count].")
+    frames_per_acquisition: int = Field(
+        200, ge=1, description="Frames that make a surface [count]."
+    )
     method: Literal["adaptive", "windowed"] = Field("adaptive", description="Way to the normals.")
     adaptive: AdaptiveSettings = AdaptiveSettings()
     windowed: WindowedSettings = WindowedSettings()
@@ -120,8 +150,12 @@ class PathSettings(Section):
     """The way of a green beam through the water [G15 2.5.2]."""
 
     index_water: float = Field(1.33, ge=1, lt=2, description="Refractive index of water [1].")
-    in_water_m: float = Field(0.0, ge=0, description="Where rays end; 0 traces none [m].")
-    beam_pixels: int = Field(16, ge=1, description="Edge of the beam in mid-array [pixel].")
+    in_water_m: float = Field(
+        0.0, ge=0, description="Length of the path in water at which rays end; 0 traces none [m]."
+    )
+    beam_pixels: int = Field(
+        16, ge=1, description="Edge of the block in the middle that the beam covers [pixel]."
+    )
 
 
 class WaterSurvey(Section):
@@ -132,7 +166,9 @@ class WaterSurvey(Section):
         description="HDF5 files or Zarr groups of frames: a path or glob, or several."
     )
     crs: str | None = Field(None, description="CRS of the rasters, e.g. EPSG:32616; in metres.")
-    origin_m: Vector = Field(NONE, description="Of the frame: easting, northing, height [m].")
+    origin_m: Vector = Field(
+        NONE, description="Easting, northing, height of the local frame's origin [m]."
+    )
 
 
 class LevelSettings(Section):
@@ -145,13 +181,17 @@ class WaterOutputs(StoreSettings):
     """What is written beside the report."""
 
     cell_m: Positive = Field(0.01, description="Edge of a raster cell [m].")
-    each_acquisition: bool = Field(False, description="A raster of each acquisition too.")
+    each_acquisition: bool = Field(
+        False, description="A raster of each acquisition too, beside the mean of a file."
+    )
 
 
 class WaterWorkflow(BaseWorkflow):
     """Everything that a run on a water surface needs to know."""
 
-    kind: Literal["water_surface"] = Field("water_surface", description="A Geiger-mode array.")
+    kind: Literal["water_surface"] = Field(
+        "water_surface", description="Water surface from a Geiger-mode array."
+    )
     survey: WaterSurvey
     camera: CameraSettings = CameraSettings()
     gate: GateSettings = GateSettings()

@@ -96,7 +96,7 @@ class Instrument(Section):
     sensitivity_spread: NotNegative = Field(0.1, description="Of the pixels' efficiency [1].")
     pulse_ns: Positive = Field(1.0, description="Standard deviation of the laser's pulse [ns].")
     jitter_ns: NotNegative = Field(0.085, description="Of the avalanche's delay [ns].")
-    noise_hz: Positive = Field(700.0, description="Dark counts and background of a pixel [1/s].")
+    noise_hz: NotNegative = Field(700.0, description="Dark counts and background of a pixel [1/s].")
     scale: Positive = Field(1.02379235588971, description="Measured over actual time [1].")
     offset_ns: float = Field(82.3525317669176, description="Delay of the electronics [ns].")
     delay_ns: NotNegative = Field(0.05, description="Spread of each pixel's own delay [ns].")
@@ -178,7 +178,8 @@ def draw_frames(
     signal, comes = np.full(shape, np.inf), reached < 1.0
     share, pulse_ns = np.clip(reached[comes], 1e-12, 1.0 - 1e-12), instrument.pulse_ns
     signal[comes] = actual_ns[comes] + pulse_ns * late_photon(share, decay_ns / pulse_ns)
-    noise = rng.standard_exponential(shape) / (instrument.noise_hz * 1e-9)
+    waits, rate = rng.standard_exponential(shape), instrument.noise_hz * 1e-9
+    noise = waits / rate if rate else np.full(shape, np.inf)
     first = np.minimum(instrument.scale * signal + instrument.offset_ns, noise)
     first = first + instrument.jitter_ns * rng.standard_normal(shape) + array.delay_ns
     fired = np.isfinite(first) & (first < camera.bin_ns * (camera.bins + 1)) & ~array.dead

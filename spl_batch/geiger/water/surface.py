@@ -31,7 +31,6 @@ a range.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -40,7 +39,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve1d, distance_transform_edt, maximum_filter
 from skimage.restoration import denoise_nl_means
 
-from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS, View
+from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS, Floats, View
 from spl_batch.geiger.water.ranges import Calibration, Hits, used_pixels
 from spl_batch.geiger.water.settings import (
     AdaptiveSettings,
@@ -49,11 +48,6 @@ from spl_batch.geiger.water.settings import (
     SurfaceSettings,
     WindowedSettings,
 )
-
-Floats = NDArray[np.float64]
-
-FLATTEST = 1e-4
-"""Least determinant of a window's second moments over their squared trace: else it is a line."""
 
 
 def planes(value: Floats, weight: Floats, x: Floats, y: Floats, half: int) -> tuple[Floats, Floats]:
@@ -73,7 +67,8 @@ def planes(value: Floats, weight: Floats, x: Floats, y: Floats, half: int) -> tu
         mx, my, mv = products[1:4] / total
         xx, xy, yy, xv, yv = products[4:] - total * [mx * mx, mx * my, my * my, mx * mv, my * mv]
         determinant = xx * yy - xy * xy
-        determinant[~(determinant > FLATTEST * (xx + yy) ** 2)] = np.nan
+        # With less over the squared trace of its second moments a window is a line.
+        determinant[~(determinant > 1e-4 * (xx + yy) ** 2)] = np.nan
         slope_x, slope_y = (xv * yy - yv * xy) / determinant, (yv * xx - xv * xy) / determinant
         dx, dy = x - mx, y - my
         lever = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / determinant
@@ -191,10 +186,6 @@ def _products(
     return np.asarray(np.stack([values[0][p] * values[1][q] for p, q in terms], axis=-1))
 
 
-LENT_PX: Final = 2
-"""How far from a pixel with a range the surface is known [pixel]."""
-
-
 @dataclass(frozen=True, slots=True)
 class Surface:
     """A surface in the local frame: north, east, down."""
@@ -239,8 +230,8 @@ def make_surface(
     else:
         variance = _variance(hits, calibration, camera)
         places, normals = _adaptive(range_m, variance, view, settings.adaptive)
-    # What no pixel nearby has seen, the array's unused rows too, is not made up.
-    seen = maximum_filter(np.isfinite(range_m), size=2 * LENT_PX + 1, mode="constant")
+    # What no pixel within two has seen, the array's unused rows too, is not made up.
+    seen = maximum_filter(np.isfinite(range_m), size=5, mode="constant")
     seen &= used_pixels(camera)
     places[~seen] = np.nan
     normals[~seen] = np.nan

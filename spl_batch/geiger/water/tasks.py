@@ -206,9 +206,6 @@ def height_raster(places_m: Floats, grid: Grid) -> Floats:
     return tin_raster(vertices, grid.cell_m, (grid.rows, grid.cols), reach)
 
 
-MEAN_SHARE: Final = 0.9
-"""Least share of a file's surfaces that a cell of their mean is known in."""
-
 _AXES: Final = ("north", "east", "down")
 
 POINT_COLUMNS: Final = MappingProxyType(
@@ -295,9 +292,10 @@ def _rasters(
         count += known
         if context.workflow.outputs.each_acquisition:
             yield _write_raster(folder / name / f"{k:05d}.tif", height, grid, context)
-    # Cells at the rim are seen while a wave is high only, or low.
+    # Cells at the rim are seen while a wave is high only, or low: nine surfaces in ten must know
+    # a cell.
     mean = np.full(total.shape, np.nan)
-    np.divide(total, count, out=mean, where=count >= max(MEAN_SHARE * surfaces, 1))
+    np.divide(total, count, out=mean, where=count >= max(0.9 * surfaces, 1))
     yield _write_raster(folder / f"{name}.tif", mean, grid, context)
 
 

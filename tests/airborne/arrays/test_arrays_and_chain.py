@@ -97,6 +97,15 @@ def test_the_order_of_points_does_not_matter(
     np.testing.assert_array_equal(again.noise_class, labels.noise_class[turn])
 
 
+def test_returns_far_beyond_a_stated_gate_are_noise(tiny: Survey, tiny_output: Path) -> None:
+    place = origins(tiny_output / "store" / "trajectory.parquet", tiny.shots["gps_time"])
+    astray = np.arange(len(tiny.xyz)) % 40 == 0
+    xyz = tiny.xyz + astray[:, np.newaxis] * [0.0, 0.0, -1000.0]
+    found = spl_batch.filter_points(xyz, **tiny.shots, beam_origin=place, settings=SETTINGS)
+    assert set(found.noise_class[astray].tolist()) <= {1, 2}
+    assert (found.noise_class[astray] == 1).mean() > 0.9
+
+
 def test_without_origins_labels_are_those_of_a_run_without_a_trajectory(
     small_output: Path,
 ) -> None:

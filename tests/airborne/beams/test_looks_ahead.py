@@ -9,6 +9,7 @@ import pytest
 from pyproj import CRS, Transformer
 
 from spl_batch.airborne.beams.geometry import look_ahead
+from spl_batch.airborne.beams.sensor_path import Lines, other_unit
 from spl_batch.airborne.plan.inputs import findings
 from spl_batch.engine.watch.events import Event, Note
 from spl_batch.formats.gps_clock import leap_seconds
@@ -97,6 +98,34 @@ def test_heights_of_a_trajectory_in_another_unit_are_named(
     texts = [text for text in texts if text.startswith("T02 trajectory.csv: puts the sensor")]
     assert len(texts) == (seem is not None)
     assert all(f"seem to be in {seem};" in text for text in texts)
+
+
+@pytest.mark.parametrize(
+    ("times", "named"), [(1.0, 0), (3.28, 1), (0.305, 1), (23.0, 0), (0.04, 0)]
+)
+def test_only_what_feet_explain_is_another_unit(times: float, named: int) -> None:
+    n, height = 200, 2000.0
+    rng = np.random.default_rng(0)
+    slope = rng.uniform(-0.3, 0.3, (n, 2))
+    lines = Lines(
+        across=-slope * height, slope=slope, height=np.zeros(n), spread=np.ones(n),
+        time_s=np.arange(n, dtype=float),
+    )  # fmt: skip
+    sensor = np.column_stack([np.zeros((n, 2)), np.full(n, height * times)])
+    assert (other_unit(lines, sensor) is not None) == bool(named)
+
+
+@pytest.mark.parametrize(("others", "found"), [(["adjusted"], []), (["week", "none"], ["week 0"])])
+def test_files_of_another_clock_are_named(others: list[str], found: list[str]) -> None:
+    clocks = ["adjusted", *others]
+    files = {
+        k: SimpleNamespace(points=100 - k, facts={"standard": clock, "name": f"{clock} {k - 1}"})
+        for k, clock in enumerate(clocks)
+    }
+    survey: Any = SimpleNamespace(of=lambda _: files)
+    named = list(findings.other_clocks(survey))
+    assert [one.subject for one in named] == found
+    assert [one.values["main"] for one in named] == ["adjusted standard time"] * len(found)
 
 
 @pytest.mark.parametrize(("astern", "off"), [(300_000, {}), (60_000, {"a": 8.0})])

@@ -23,6 +23,7 @@ from spl_batch.airborne.filter.ellipsoid.null_distribution import (
 from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.filter.wires import wire_null, wire_scan
 from spl_batch.airborne.settings import FilterSettings, WireSettings
+from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
 from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
 
@@ -79,6 +80,16 @@ def test_published_labels_are_the_slow_twins() -> None:
     found = labels(as_table(xyz), density, filtering)
     np.testing.assert_array_equal(found, np.where(signal, 0, 1))
     assert 0 < signal.mean() < 1
+
+
+@pytest.mark.usefixtures("shipped_table")
+def test_what_shots_show_to_be_noise_is_noise_however_dense() -> None:
+    xyz = np.random.default_rng(4).normal(0, 100, (300, 3)).astype(np.int64)
+    flags = np.zeros(300, np.uint8)
+    flags[::2] = PointFlag.SHOT_NOISE
+    found = labels(as_table(xyz, flags=flags), 1e-3)
+    assert found[::2].tolist() == [NOISE_BACKGROUND] * 150
+    assert (found[1::2] == NOISE_SIGNAL).mean() > 0.8
 
 
 def test_the_scan_and_the_test_share_alpha(monkeypatch: pytest.MonkeyPatch) -> None:

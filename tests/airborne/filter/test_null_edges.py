@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_test import judge
 from spl_batch.airborne.filter.filter_interface import Cloud
-from spl_batch.airborne.noise.beamlet_counts import SQUARES
-from spl_batch.airborne.noise.local_noise import Listened, around, listened
+from spl_batch.airborne.noise.local_noise import SQUARES, around, listened
 from spl_batch.airborne.noise.voxel_chords import deposit_beamlets
 from spl_batch.airborne.noise.voxel_noise import BEAMLET, sphere_radius_m
 from spl_batch.airborne.settings import FilterSettings
@@ -33,7 +32,7 @@ PAD = 3
 
 
 @cache
-def lines() -> tuple[Listened, ...]:
+def lines() -> tuple[NDArray[np.float32], ...]:
     """What the two flightlines listen to, from their beamlets."""
     rng = np.random.default_rng(5)
     found = []
@@ -64,11 +63,10 @@ def lines() -> tuple[Listened, ...]:
 def density(xyz: Floats) -> Floats:
     """Noise expected at places [1/m3]."""
     inner = xyz + 10.0 * np.array([PAD, PAD + 2, PAD])
-    voxel = tuple(np.floor(axis / 10.0).astype(np.int64) for axis in inner.T)
-    square = tuple(np.floor(axis / 2.5).astype(np.int64) for axis in inner.T[:2])
     parts = (2.5, 2.5, 10.0)
+    square = tuple(np.floor(a / p).astype(np.int64) for a, p in zip(inner.T, parts, strict=True))
     offset = tuple(a / p % 1.0 - 0.5 for a, p in zip(inner.T, parts, strict=True))
-    return around(lines(), voxel, square, offset)
+    return around(lines(), square, offset)
 
 
 def noise(seed: int) -> Floats:

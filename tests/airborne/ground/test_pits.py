@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.pits import _off_planes, in_pits, nearly_empty, under_ground
+from spl_batch.airborne.ground.pits import in_pits, nearly_empty, over_ground, under_ground
 from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.smrf import fill_gaps
 from spl_batch.airborne.settings import GroundSettings
@@ -361,8 +361,7 @@ def test_nodes_above_the_ground_around_are_those_of_a_slow_twin() -> None:
         plane = np.linalg.lstsq(design, off[:, 2], rcond=None)[0]
         rough = np.linalg.norm(off[:, 2] - design @ plane) / np.sqrt(len(off) - 3)
         expected[i] = -plane[0] > max(0.25, 3 * rough)
-    found = np.zeros(400, np.bool_)
-    found[_off_planes(xyz * (1.0, 1.0, -1.0), ground, doubtful, 1.0)] = True
+    found = over_ground(xyz, ground, doubtful)
     assert found.tolist() == expected.tolist()
     assert found.sum() > 3
     assert raised[found].all()

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.watch.events import Event, Note
@@ -136,7 +137,8 @@ def test_copies_in_linear_mode_count_once(tmp_path: Path) -> None:
     once, again = (linear_mode(tmp_path / folder / "workflow.yaml") for folder in ("once", "again"))
     assert again["density"][0] == once["density"][0]
     assert again["report"].counts.ground == once["report"].counts.ground > 0
-    assert again["report"].counts.not_assessed == 3 * size
+    assert again["report"].counts.not_assessed == again["report"].counts.copies == 3 * size
+    assert again["report"].counts.no_beam == 0
     for name in ("lines/a.laz", "lines/b.laz"):
         got = again[name]["classification"].reshape(2, size)
         assert np.array_equal(got, np.tile(once["lines/a.laz"]["classification"], (2, 1)))
@@ -147,10 +149,23 @@ def test_intensity_tells_copies_apart_where_times_are_none(tmp_path: Path) -> No
     size = len(columns["x"])
     columns["gps_time"] = np.zeros(size)
     scaled = {**columns, "intensity": columns["intensity"] * np.uint16(128)}
-    for name, cloud in (("a", columns), ("b", scaled)):
-        surveys.write_cloud(tmp_path / f"lines/{name}.laz", cloud, channel=False)
-    survey = surveys.write_workflow(tmp_path, survey={"channel_dimension": None})
+    assert unfiltered_points(tmp_path, columns, scaled) == 2 * size
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_copies_of_another_number_count_once_in_linear_mode(tmp_path: Path, *, timed: bool) -> None:
+    columns = surveys.flightline(shots=20, psid=1, seed=1, noise=0.0)
+    if not timed:
+        columns["gps_time"] = np.zeros(len(columns["x"]))
+    twin = {**columns, "point_source_id": columns["point_source_id"] + np.uint16(6)}
+    assert unfiltered_points(tmp_path, columns, twin) == len(columns["x"])
+
+
+def unfiltered_points(folder: Path, *clouds: surveys.Columns) -> int:
+    """Points that count of a survey of these clouds that is not filtered."""
+    for number, cloud in enumerate(clouds):
+        surveys.write_cloud(folder / f"lines/{number}.laz", cloud, channel=False)
+    survey = surveys.write_workflow(folder, survey={"channel_dimension": None})
     surveys.run(survey, "filter.method=none", "afterpulse.enabled=false", until="shuffle")
-    tiles = (tmp_path / "out/store/receipts/build_tile").glob("*.json")
-    points = sum(json.loads(path.read_text())["facts"]["points"] for path in tiles)
-    assert points == 2 * size
+    tiles = (folder / "out/store/receipts/build_tile").glob("*.json")
+    return sum(json.loads(path.read_text())["facts"]["points"] for path in tiles)

@@ -118,6 +118,11 @@ class TestPage:
         assert "Filtering of Single Photon Lidar Data" in parsed.text
         assert "sha256:1111" in parsed.text
 
+    def test_points_that_took_no_part_are_listed(self) -> None:
+        counts = Counts(points_in=9, points_out=9, signal=6, outside_aoi=1, copies=2)
+        text = " ".join(Page(render(make_report(counts=counts), {})).text.split())
+        assert "part: 1 outside the area of interest, 2 that are copies of others." in text
+
     def test_the_same_input_gives_the_same_page(self, page: str) -> None:
         assert render(make_report(), make_pictures(make_inputs(), make_report())) == page
 

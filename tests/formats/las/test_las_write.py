@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.errors import InputError, StoppedError, WorkflowError
+from spl_batch.formats.crs import horizontal
 from spl_batch.formats.gps_clock import TimeStandard
 from spl_batch.formats.las.convert import EXTENDED_FORMAT
 from spl_batch.formats.las.copc import copy_as_copc
 from spl_batch.formats.las.header import read_header
-from spl_batch.formats.las.known_records import broken_records
-from spl_batch.formats.las.reader import header_crs, iter_points
+from spl_batch.formats.las.known_records import broken_records, header_crs
+from spl_batch.formats.las.reader import iter_points
 from spl_batch.formats.las.writer import write_classified, write_points
 from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
 from tests.io_files import VERSIONS, patch, write_las
@@ -208,6 +209,63 @@ def test_a_record_without_a_vertical_datum_gets_that_of_the_survey(
         records = laspy.read(tmp_path / name).header
         both = [*records.vlrs, *(records.evlrs or [])]
         assert [one.record_id for one in both].count(2112) == 1
+
+
+@pytest.mark.parametrize(("point_format", "wanted"), [(1, 32615), (6, 32616)])
+@pytest.mark.parametrize("other", ["EPSG:32616", "EPSG:32615"])
+def test_keys_and_wkt_that_contradict_each_other(
+    tmp_path: Path, point_format: int, wanted: int, other: str
+) -> None:
+    keys = np.array([1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 32615], "<u2").tobytes()
+    wkt = CRS.from_user_input(other).to_wkt("WKT1_GDAL").encode() + b"\0"
+    records = [laspy.VLR("LASF_Projection", 34735, "", keys)]
+    records.append(laspy.VLR("LASF_Projection", 2112, "", wkt))
+    src = write_las(tmp_path / "a.las", point_format=point_format, vlrs=records)
+    crs, warnings = header_crs(read_header(src))
+    assert crs is not None
+    if other == "EPSG:32615":
+        assert (crs.to_epsg(), warnings) == (32615, ())
+        return
+    assert crs.to_epsg() == wanted
+    assert all(name in warnings[0] for name in ("EPSG:32615", "EPSG:32616"))
+    classify(src, tmp_path / "b.laz")
+    copy = read_header(tmp_path / "b.laz")
+    assert header_crs(copy) == (crs, ())
+    assert (copy.vlr("LASF_Projection", 34735) is None) == (wanted == 32616)
+
+
+DATUMS = (
+    ([5703], "EPSG:32615+5703", True),
+    ([5703], "EPSG:32615+5773", False),
+    ([5019], "EPSG:32615+5703", False),
+    ([5703, 9001], "EPSG:32615", True),
+)
+
+
+@pytest.mark.parametrize(("heights", "other", "agree"), DATUMS)
+def test_heights_of_keys_and_wkt_are_above_the_same(
+    tmp_path: Path, heights: list[int], other: str, *, agree: bool
+) -> None:
+    named = zip((4096, 4099), heights, strict=False)
+    values = [1024, 0, 1, 1, 3072, 0, 1, 32615, *(v for k, c in named for v in (k, 0, 1, c))]
+    keys = np.array([1, 1, 0, len(values) // 4, *values], "<u2").tobytes()
+    records = [laspy.VLR("LASF_Projection", 34735, "", keys)]
+    wkt = CRS.from_user_input(other).to_wkt("WKT1_GDAL").encode() + b"\0"
+    records.append(laspy.VLR("LASF_Projection", 2112, "", wkt))
+    src = write_las(tmp_path / "a.las", version="1.4", point_format=6, vlrs=records)
+    assert (header_crs(read_header(src))[1] == ()) == agree
+
+
+@pytest.mark.parametrize("code", [5019, 5030])
+def test_heights_above_an_ellipsoid_are_written_as_wkt2(tmp_path: Path, code: int) -> None:
+    keys = [1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32615, 4096, 0, 1, code]
+    record = laspy.VLR("LASF_Projection", 34735, "", np.array(keys, "<u2").tobytes())
+    src = write_las(tmp_path / "a.las", version="1.2", point_format=1, vlrs=[record])
+    classify(src, tmp_path / "b.laz")
+    crs = header_crs(read_header(tmp_path / "b.laz"))[0]
+    assert crs is not None
+    assert len(crs.axis_info) == 3
+    assert horizontal(crs).to_epsg() == 32615
 
 
 class FullDisk(io.BytesIO):

@@ -100,7 +100,8 @@ def test_looks_against_every_sample(seed: int) -> None:
     gate = np.array([2.9, 3.15])
     kernels.interrogate(origin, turn, seen, 0.02, gate, EDGE_M, FAR_CORNER, raster)
     for place in samples(origin, turn, seen, (2.9, 3.15)):
-        kernels.deposit(*place, STEPS / EDGE_M, FAR_CORNER, slow)
+        u, v, w = (math.floor(p * STEPS / EDGE_M - (STEPS - 1) / 2) for p in place)
+        kernels.deposit(u, v, w, FAR_CORNER, slow)
     assert raster.sum() > 10 * UNIT
     # Directions come from other sums: a sample may round to the next part of an edge.
     assert np.abs(raster - slow).sum() < 0.02 * raster.sum()

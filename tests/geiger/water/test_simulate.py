@@ -50,6 +50,12 @@ def test_noise_fires_first_and_is_cut_off_by_the_echo() -> None:
     assert dark.max() == CAMERA.bins, "a frame ends"
 
 
+def test_without_noise_only_echoes_fire() -> None:
+    assert not drawn(1e-12, 0.0, 920.0).any()
+    lit, noisy = drawn(0.7, 0.0, 920.0, jitter_ns=0.0), drawn(0.7, 1e-3, 920.0, jitter_ns=0.0)
+    np.testing.assert_array_equal(lit, noisy, "the same photons are drawn")
+
+
 def test_light_from_below_the_surface_comes_later() -> None:
     share = np.linspace(0.01, 0.99, 25)
     later = exponnorm.ppf(share, 0.8, scale=1.0)

@@ -62,6 +62,9 @@ def test_a_run_delivers_surfaces_that_are_true(done: api.RunResult) -> None:
     assert np.mean([e.mse_m2 for e in each]) == pytest.approx(report.surfaces.mse_m2)
     assert [f.acquisitions for f in report.files if f.role == "water"] == [3, 3]
     assert [f.role for f in report.files].count("target") == 4
+    shown = dict(receiver.RECEIVER.screen(report))
+    assert shown["calibration"].startswith("fitted")
+    assert "accuracy" not in shown
     content = json.loads((done.output / "report.json").read_text())
     jsonschema.validate(content, json.loads(schemas()["water_surface_report.schema.json"]))
     assert (done.output / "report.html").read_text().count("data:image/png") == 4
@@ -134,6 +137,9 @@ def test_zarr_without_targets_against_a_level_surface(tmp_path: Path) -> None:
     bare = api.run(path, workers=0)
     assert bare.report.surfaces is None
     assert not bare.report.calibration.fitted
+    shown = dict(receiver.RECEIVER.screen(bare.report))
+    assert shown["calibration"].startswith("as given")
+    assert shown["accuracy"].startswith("no truth")
     # Bins hold times from their number up, the source's numbers count from it.
     level = ["level.down_m=0.1", "calibration.offset_ns=82.2275"]
     api.run(path, workers=0, until="deliver", overrides=level)

@@ -15,6 +15,7 @@ from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import WorkflowError, counted, grouped, named, told_together
+from spl_batch.formats.gps_clock import CLOCKS
 from spl_batch.formats.las.reader import Numbers
 
 PRF_APART: Final = 0.05
@@ -48,6 +49,7 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[Finding
             yield Finding("T01", {"kind": "assumed", "prf_hz": FALLBACK_PRF_HZ}, line.name)
     yield from _contradicted_rates(survey)
     yield from _flown_twice(survey)
+    yield from other_clocks(survey)
     if survey.filtering and not survey.flightlines:
         raise WorkflowError(
             f"{named([source.name for source in timeless])}: no point has a usable gps_time, so "
@@ -226,6 +228,20 @@ def _contradicted_rates(survey: Survey) -> Iterator[Finding]:
                 "kind": "contradicted", "prf_hz": float(far[0]), "stated_hz": line.clock.prf_hz
             }  # fmt: skip
             yield Finding("T01", values, line.name)
+
+
+def other_clocks(survey: Survey) -> Iterator[Finding]:
+    """Say which files count their times in another way than those of most points do."""
+    points: Counter[str] = Counter()
+    files = [r for r in survey.of("index_file").values() if r.facts["standard"] in CLOCKS]
+    for receipt in files:
+        points[receipt.facts["standard"]] += receipt.points
+    main = max(points, key=lambda standard: (points[standard], standard), default="")
+    for receipt in files:
+        if receipt.facts["standard"] != main:
+            found = CLOCKS[receipt.facts["standard"]]
+            values = {"kind": "clock", "found": found, "main": CLOCKS[main]}
+            yield Finding("I01", values, str(receipt.facts["name"]))
 
 
 def _flown_twice(survey: Survey) -> Iterator[Finding]:

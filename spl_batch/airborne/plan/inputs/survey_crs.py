@@ -1,9 +1,11 @@
 """CRS of a survey and of its heights: the setting's, else what most points say."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Final
 
+import numpy as np
 from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.file_positions import without_degrees
@@ -19,9 +21,14 @@ from spl_batch.formats.crs import (
     parse_crs,
     same_crs,
     same_heights,
+    scale_there,
+    stretch_problem,
     vertical,
 )
 from spl_batch.formats.las.reader import LasFacts
+
+AREAS_APART: Final = 0.01
+"""Areas and densities that are off by a larger part are worth a word."""
 
 
 def survey_crs(
@@ -34,7 +41,7 @@ def survey_crs(
     bad: list[InputError] = []
     for facts in (_without_wrong_crs(f, given) for f in files):
         crs = facts.crs or given
-        problems = _crs_problems(facts, crs)
+        problems = _crs_problems(facts, crs) or _crs_problems(facts, given and vertical(given))
         if problems:
             bad.append(InputError(str(facts.path), problems))
         else:
@@ -53,7 +60,19 @@ def survey_crs(
             if stated is not None:
                 text += ", or leave out survey.crs, which is for files that carry none"
             bad.append(InputError(str(facts.path), text))
-    return horizontal(given), agreeing, bad
+    stretched = [
+        InputError(str(facts.path), text)
+        for text in stretch_problem(given, _corners(agreeing))
+        for facts in agreeing
+    ]
+    return horizontal(given), [] if stretched else agreeing, bad + stretched
+
+
+def _corners(files: Iterable[LasFacts]) -> list[list[float]]:
+    """Two corners of the box around the points of a survey [m]; none without points."""
+    some = [facts for facts in files if facts.n_points]
+    low, high = (np.array([getattr(f, end)[:2] for f in some]) for end in ("mins_m", "maxs_m"))
+    return [low.min(axis=0).tolist(), high.max(axis=0).tolist()] if some else []
 
 
 def _of_most(found: Iterable[tuple[LasFacts, CRS | None]]) -> CRS | None:
@@ -101,7 +120,15 @@ def crs_findings(crs: CRS | None, files: Sequence[tuple[str, LasFacts]]) -> list
         return [Finding("I08", {"kind": "none"})] if files else []
     if horizontal(crs).is_engineering:
         return [Finding("I08", {"kind": "local", "crs": crs_name(crs)})]
-    return _without_heights(crs, files)
+    return [*_areas_off(crs, files), *_without_heights(crs, files)]
+
+
+def _areas_off(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> Iterator[Finding]:
+    """A projection that draws lengths or areas larger or smaller than they are."""
+    lengths, areas = scale_there(crs, _corners(facts for _, facts in files))
+    if max(abs(lengths - 1.0), abs(areas - 1.0)) > AREAS_APART:
+        values = {"kind": "scale", "crs": crs_name(crs), "lengths": lengths, "areas": areas}
+        yield Finding("I05", values)
 
 
 def _without_heights(crs: CRS, files: Iterable[tuple[str, LasFacts]]) -> list[Finding]:

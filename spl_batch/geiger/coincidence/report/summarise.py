@@ -1,7 +1,6 @@
 """Stage ``report``: what all receipts have together, as a page with its pictures."""
 
 from collections.abc import Iterable, Mapping
-from typing import Final
 
 import numpy as np
 
@@ -92,10 +91,6 @@ def verdicts(report: CoincidenceReport) -> list[Verdict]:
     return [found, made] if found.tone == "bad" else [made, found]
 
 
-LARGEST_MAP: Final = 4_000
-"""More cells along a side are thinned, whole tiles at a time [count]."""
-
-
 def summarise(done: Receipts, context: CoincidenceContext, facts: RunFacts) -> CoincidenceReport:
     """Write ``report.json`` and ``report.html``."""
     workflow = context.workflow
@@ -147,8 +142,8 @@ def _map(tiles: Iterable[str], context: CoincidenceContext, name: str) -> Raster
     cells = {tile: parse_cell(tile) for tile in tiles}
     west, east = min(c.i for c in cells.values()), max(c.i for c in cells.values()) + 1
     south, north = min(c.j for c in cells.values()), max(c.j for c in cells.values()) + 1
-    # One cell of several where all would be too many for a picture.
-    skip = max(1, -(-max(east - west, north - south) * MAP_CELLS // LARGEST_MAP))
+    # One cell of several where a side would have more than a picture's 4000, in whole tiles.
+    skip = max(1, -(-max(east - west, north - south) * MAP_CELLS // 4_000))
     size = len(range(0, MAP_CELLS, skip))
     values = np.full(((north - south) * size, (east - west) * size), np.nan, np.float32)
     for tile, cell in cells.items():

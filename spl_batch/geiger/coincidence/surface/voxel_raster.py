@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
 
 from spl_batch.numerics.compiled import njit
 
@@ -33,10 +34,11 @@ _MASK: Final = STEPS - 1
 
 
 @njit()
-def _add(u: int, v: int, w: int, corner: NDArray[np.int64], raster: NDArray[np.int64]) -> None:
-    """Add one place, in steps from the first voxel's centre of the absolute lattice.
+def deposit(u: int, v: int, w: int, corner: NDArray[np.int64], raster: NDArray[np.int64]) -> None:
+    """Add one place, :data:`UNIT` in all, to a raster from a voxel of the absolute lattice on.
 
-    What lies at a raster's rim is left out: its outermost voxels have not all that is theirs.
+    ``u``, ``v``, ``w``: steps from that lattice's first voxel's centre [count]. What lies at a
+    raster's rim is left out: its outermost voxels have not all that is theirs.
     """
     i, j, k = (u >> _SHIFT) - corner[0], (v >> _SHIFT) - corner[1], (w >> _SHIFT) - corner[2]
     nx, ny, nz = raster.shape
@@ -56,20 +58,6 @@ def _add(u: int, v: int, w: int, corner: NDArray[np.int64], raster: NDArray[np.i
 
 
 @njit()
-def deposit(
-    x: float, y: float, z: float, scale: float, corner: NDArray[np.int64], raster: NDArray[np.int64]
-) -> None:
-    """Add a place [m] to a raster from a voxel of the absolute lattice on, :data:`UNIT` in all.
-
-    ``scale``: :data:`STEPS` over the edge of a voxel [1/m].
-    """
-    u = math.floor(x * scale - _HALF)
-    v = math.floor(y * scale - _HALF)
-    w = math.floor(z * scale - _HALF)
-    _add(u, v, w, corner, raster)
-
-
-@njit()
 def deposit_all(
     xyz: NDArray[np.int64], edge: int, corner: NDArray[np.int64], raster: NDArray[np.int64]
 ) -> None:
@@ -81,7 +69,7 @@ def deposit_all(
         u = (2 * STEPS * xyz[row, 0] - (STEPS - 1) * edge) // (2 * edge)
         v = (2 * STEPS * xyz[row, 1] - (STEPS - 1) * edge) // (2 * edge)
         w = (2 * STEPS * xyz[row, 2] - (STEPS - 1) * edge) // (2 * edge)
-        _add(u, v, w, corner, raster)
+        deposit(u, v, w, corner, raster)
 
 
 @njit()
@@ -90,8 +78,14 @@ def look_direction(
 ) -> None:
     """Unit vector of a line of sight: east, north, up into ``out``.
 
-    ``turn``: starboard, nose, up of the array as columns. ``across``, ``along``: tangents of the
-    detector's angles off the array's axis, to starboard and to the nose.
+    Parameters
+    ----------
+    turn : (3, 3) float64
+        Starboard, nose, up of the array as columns: east, north, up of each.
+    across, along : float
+        Tangents of the detector's angles off the array's axis, to starboard and to the nose.
+    out : (3,) float64
+        Filled.
     """
     scale = 1.0 / math.sqrt(1.0 + across * across + along * along)
     for axis in range(3):
@@ -130,6 +124,7 @@ def interrogate(
     between which detectors are armed [m].
     """
     _, rows, columns = seen.shape
+    scale = STEPS / edge
     low, high, way = np.empty(3), np.empty(3), np.empty(3)
     for axis in range(3):
         low[axis] = (corner[axis] - 1) * edge
@@ -151,40 +146,15 @@ def interrogate(
                     if k * edge > stop:
                         break
                     s = (k + 0.5) * edge
-                    deposit(
-                        origin[frame, 0] + s * way[0],
-                        origin[frame, 1] + s * way[1],
-                        origin[frame, 2] + s * way[2],
-                        STEPS / edge, corner, raster,
-                    )  # fmt: skip
+                    u = math.floor((origin[frame, 0] + s * way[0]) * scale - _HALF)
+                    v = math.floor((origin[frame, 1] + s * way[1]) * scale - _HALF)
+                    w = math.floor((origin[frame, 2] + s * way[2]) * scale - _HALF)
+                    deposit(u, v, w, corner, raster)
 
 
-@njit()
 def box_sum(raster: NDArray[np.int64], half: int) -> NDArray[np.int64]:
     """Sum over the cube of ``2 half + 1`` voxels around each; beside the raster is nothing."""
-    nx, ny, nz = raster.shape
-    out = np.empty_like(raster)
-    line = np.empty(max(nx, ny, nz), np.int64)
-    for i in range(nx):
-        for j in range(ny):
-            _slide(raster[i, j], half, line, out[i, j])
-        for k in range(nz):
-            _slide(out[i, :, k], half, line, out[i, :, k])
-    for j in range(ny):
-        for k in range(nz):
-            _slide(out[:, j, k], half, line, out[:, j, k])
-    return out
-
-
-@njit()
-def _slide(values, half, line, out):  # type: ignore[no-untyped-def]
-    """Moving sum of one line; ``values`` and ``out`` may be the same."""
-    n = len(values)
-    total = values[: min(half, n)].sum()
-    for k in range(n):
-        if k + half < n:
-            total += values[k + half]
-        if k - half - 1 >= 0:
-            total -= values[k - half - 1]
-        line[k] = total
-    out[:] = line[:n]
+    for axis in range(3):
+        # Sums in float64 are exact below 2**53, far above those of any raster.
+        raster = convolve1d(raster, np.ones(2 * half + 1), axis, mode="constant")
+    return raster

@@ -21,11 +21,10 @@ from spl_batch.formats.rasters.parts import read_overview
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.geiger.water import accuracy
 from spl_batch.geiger.water.accuracy import pixel_maps
+from spl_batch.geiger.water.pixel_geometry import Floats
 from spl_batch.geiger.water.report import model
 from spl_batch.geiger.water.report.model import SurfaceError, WaterReport
 from spl_batch.geiger.water.tasks import WaterContext
-
-Floats = NDArray[np.float64]
 
 
 def render(report: WaterReport, pictures: Mapping[str, Picture]) -> str:
@@ -60,10 +59,14 @@ def cards(report: WaterReport) -> Iterator[tuple[str, str, str]]:
         yield "Normals", f"{text.significant(made.pixel_normal_deg)}°", mean
         bias = f"spread; bias {millimetres(made.signed_bias_m)} down"
         yield "Height", millimetres((made.variance_m2 or 0.0) ** 0.5), bias
+    else:
+        yield "Accuracy", "no truth", "nor a level surface: errors are unknown"
     if floor is not None:
         level = f"{millimetres(floor.level_beam_m)} under a level surface"
         yield "Sea floor", millimetres(floor.refracted_beam_m), level
     if calibration is not None:
+        walk = f"range walk: {calibration.range_walk.replace('_', ' ')}"
+        yield "Calibration", "fitted" if calibration.fitted else "as given", walk
         yield "Dead pixels", number(calibration.dead), f"of {number(calibration.used)} in use"
 
 
