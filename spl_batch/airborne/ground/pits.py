@@ -20,8 +20,8 @@ they agree:
 Below a closed crown none of this speaks: few returns reach the ground, and the neighbours of what
 noise has left there are leaves. It takes the place of the ground among the lowest nodes, and true
 returns above it are lost. Once the ground has been told from what stands on it, its own nodes are
-the neighbours, and most of them are of one surface: a node far below or above their plane, for what
-they scatter about it, is none of theirs (:func:`under_ground`, :func:`over_ground`).
+the neighbours, and most of them are of one surface: a node far below their plane, for what
+they scatter about it, is none of theirs (:func:`under_ground`).
 
 After the low-point tests of ground filters (isolated points below all neighbours
 [Axelsson 2000 uses them before the seeds]); the comparison of opposite pairs is our own.
@@ -136,33 +136,16 @@ def under_ground(
     return found
 
 
-def over_ground(
-    xyz: NDArray[np.float64], ground: NDArray[np.bool_], doubtful: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Ground nodes far above the plane of the ground nodes of the cells around: (n,) bool.
-
-    Noise between ground and roof and leaves of shrubs stand so, where a cell has nothing lower.
-
-    Parameters
-    ----------
-    xyz, ground, doubtful
-        As for :func:`under_ground`.
-    """
-    found = np.zeros(len(xyz), dtype=np.bool_)
-    found[_off_planes(xyz, ground, doubtful, _CELLS_M[0], down=-1.0)] = True
-    return found
-
-
 def _off_planes(
     xyz: NDArray[np.float64], ground: NDArray[np.bool_], doubtful: NDArray[np.bool_],
-    cell_m: float, down: float = 1.0,
+    cell_m: float,
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Doubtful ground nodes far below the planes of others; with ``down`` -1 far above them."""
+    """Doubtful ground nodes far below the planes of others."""
     asked = np.flatnonzero(ground & doubtful)
     off = np.zeros(len(asked), dtype=np.bool_)
     if len(asked):
         at, grid = cells_of(xyz, asked, cell_m), lowest_nodes(xyz, ground, cell_m)
-        _below_planes(xyz * (1.0, 1.0, down), asked, at, grid, off)
+        _below_planes(xyz, asked, at, grid, off)
     found: NDArray[np.int64] = asked[off]
     return found
 

@@ -10,7 +10,6 @@ from scipy import ndimage
 from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
-from spl_batch.airborne.ground.multiscale import masks
 from spl_batch.airborne.ground.multiscale_surface import (
     agreeing_nodes,
     depths_below,
@@ -419,14 +418,3 @@ def _goes_on(
         if -NEAR_M <= plane <= slope * nearest + NEAR_M:
             return True
     return False
-
-
-def test_smooth_tops_of_banks_join_their_foot_and_shrubs_do_not() -> None:
-    column, row = np.meshgrid(np.arange(60.0), np.arange(30.0))
-    z = np.clip(0.2 * (column - 30.0), 0.0, 3.0)
-    xyz = np.column_stack([column.ravel(), row.ravel(), z.ravel()])
-    foot = xyz[:, 0] < 31
-    bank = masks._joined(xyz, np.ones(len(xyz), np.bool_), foot)
-    assert bank[foot].all()
-    assert np.count_nonzero(bank & ~foot) > 300
-    assert np.array_equal(masks._joined(xyz, np.zeros(len(xyz), np.bool_), foot), foot)

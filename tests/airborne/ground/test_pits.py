@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.pits import in_pits, nearly_empty, over_ground, under_ground
+from spl_batch.airborne.ground.pits import in_pits, nearly_empty, under_ground
 from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.smrf import fill_gaps
 from spl_batch.airborne.settings import GroundSettings
@@ -343,25 +343,3 @@ def test_kept_noise_below_steep_ground_among_nearly_empty_cells_is_no_ground() -
     found = ground_mask(table, np.ones(len(x), dtype=np.bool_), GroundSettings())
     assert not found[-3:].any()
     assert found[:-3].mean() > 0.98
-
-
-def test_nodes_above_the_ground_around_are_those_of_a_slow_twin() -> None:
-    rng = np.random.default_rng(4)
-    cell = np.indices((20, 20)).reshape(2, -1).T
-    xyz = np.column_stack([cell + rng.uniform(0, 1, cell.shape), np.zeros(400)])
-    raised = rng.random(400) < 0.08
-    xyz[:, 2] = 0.6 * xyz[:, 0] + rng.normal(0, 0.05, 400) + raised * rng.uniform(0.1, 2.0, 400)
-    ground, doubtful = rng.random(400) < 0.9, rng.random(400) < 0.5
-    expected = np.zeros(400, np.bool_)
-    for i in np.flatnonzero(ground & doubtful):
-        near = (np.abs(cell - cell[i]) <= 2).all(axis=1) & ground
-        near[i] = False
-        off = xyz[near] - xyz[i]
-        design = np.column_stack([np.ones(len(off)), off[:, :2]])
-        plane = np.linalg.lstsq(design, off[:, 2], rcond=None)[0]
-        rough = np.linalg.norm(off[:, 2] - design @ plane) / np.sqrt(len(off) - 3)
-        expected[i] = -plane[0] > max(0.25, 3 * rough)
-    found = over_ground(xyz, ground, doubtful)
-    assert found.tolist() == expected.tolist()
-    assert found.sum() > 3
-    assert raised[found].all()

@@ -5,7 +5,7 @@ cell sizes, the tolerance around the surface and its growth on slopes follow fro
 points and from how much the ground scatters.
 """
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,12 @@ from spl_batch.airborne.ground.multiscale.near_surface import (
     surface_of,
     within,
 )
+from spl_batch.airborne.ground.multiscale.node_planes import without_plants
 from spl_batch.airborne.ground.multiscale.raised_patches import on_houses
 from spl_batch.airborne.ground.multiscale.ranging_layer import (
     BLOCK_M,
     EVERYWHERE,
     Spread,
-    off_planes,
 )
 from spl_batch.airborne.ground.multiscale_surface import (
     ABOVE_SIGMA,
@@ -33,6 +33,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
     MOST,
     agreeing_nodes,
     depths_below,
+    ends_within,
     ground_nodes,
     low_outliers,
     no_depths,
@@ -42,7 +43,6 @@ from spl_batch.airborne.ground.multiscale_surface import (
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
 from spl_batch.airborne.ground.pits import nearly_empty, under_ground
 from spl_batch.airborne.ground.point_spacing import in_squares, spacing_around_m, spacings
-from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import group_by_cell
 
@@ -60,20 +60,8 @@ grows below."""
 _BAND_SPACINGS = 0.25
 """So many spacings of the points: between them the ground is not known better."""
 
-_LIMITS: Final = Limits(
-    terrain_slope=float(np.tan(np.radians(88.0))),
-    sin_angle=float(np.sin(np.radians(10.0))),
-    distance_m=1.4,
-    spread_m=0.15,
-    insert_m=0.05,
-)
-"""Iteration parameters of [Axelsson 2000] for what the opening cuts off."""
-
-_HARD_POINTS = 6
-_HARD_SIGMA = 1.6
-"""Cells of so many points that lie on a plane by less than so many standard deviations of a range
-are hard. Without them the tops of embankments go: RMSE on open ground of a simulated survey 1.5 to
-1.9 cm."""
+_ROUGH = 1.4
+"""Lowest returns of cells scatter less than the ground does, by so much: as of four returns."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -102,18 +90,20 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERY
     x, y, z = (v[order] for v in places)
     own, asked = own[order], asked[order]
     evidence = _of((x, y, z), own)
-    surface = _ground_surface(evidence, sigma)
+    surface, off = _ground_surface(evidence, sigma)
     found = np.zeros(len(x), np.bool_)
     if surface is None:
         return found[: int(asked.sum())]
     depths = no_depths(*evidence[:2])
     east, north = surface.nodes[:, :2].T
     rough = depths_below(off, east, north, no_depths(*evidence[:2]))
-    rough_m = spread_below(noise_below(rough), MOST)
+    rough_m = _ROUGH * spread_below(noise_below(rough), MOST)
     near = near_surface(surface, (x, y, z), needed(x, y, own, asked, depths))
     at = near.at[own[near.at]]
     depths = noise_below(depths_below(near.off[own[near.at]], x[at], y[at], depths))
-    sigma_m = sigma.over(depths.first, depths.sums.shape[:2])
+    heights = depths_below(-near.off[own[near.at]], x[at], y[at], no_depths(*evidence[:2]))
+    rough_m = np.where(ends_within(heights, ABOVE_SIGMA * rough_m), rough_m, 0.0)
+    sigma_m = np.maximum(sigma.over(depths.first, depths.sums.shape[:2]), rough_m)
     reach = (
         ABOVE_SIGMA * np.maximum(spread_below(depths, MOST), sigma_m),
         _BELOW_SIGMA * np.maximum(spread_below(depths, _TAIL), sigma_m),
@@ -133,31 +123,16 @@ def _of(places: Place, chosen: Mask) -> Place:
     return x, y, z
 
 
-def _joined(xyz: Float, hard: Mask, ground: Mask) -> Mask:
-    """Ground nodes and hard ones that the opening cut off next to them: tops of embankments.
-
-    A bank joins its foot without a wall, and unlike shrubs it is smooth.
-    """
-    others = np.flatnonzero(hard & ~ground)
-    if not len(others):
-        return ground
-    _, taken = densify(xyz[ground], xyz[others], np.zeros(len(others)), _LIMITS, BLOCK_M / 2)
-    joined = ground.copy()
-    joined[others[taken]] = True
-    return joined
-
-
-def _ground_surface(evidence: Place, sigma: Spread) -> Surface | None:
-    """Surface of the ground by some points; None where none of them is believed."""
-    xyz, filled, hard, doubtful = _nodes(evidence, sigma)
+def _ground_surface(evidence: Place, sigma: Spread) -> tuple[Surface | None, Float]:
+    """Surface of the ground, None where no point is believed; its nodes' heights off planes."""
+    xyz, filled, doubtful = _nodes(evidence, sigma)
     if not len(xyz):
-        return None
+        return None, np.empty(0)
     chosen, high = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma)
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
     ground = continued(xyz, grid, ground_nodes(xyz, high, grid, nearest), CELL_M)
     ground = levelled(xyz, grid, nearest, ground, CELL_M)
-    ground = _joined(xyz, chosen & hard, ground)
     ground &= ~on_houses(xyz, ground)
     judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)
     ground &= ~under_ground(xyz, ground, judged)
@@ -167,11 +142,10 @@ def _ground_surface(evidence: Place, sigma: Spread) -> Surface | None:
 
 
 class _Layers(NamedTuple):
-    """Nodes (n, 3) [m]; which are filled, of hard cells, and single returns below many."""
+    """Nodes (n, 3) [m]; which are filled, and single returns below many."""
 
     xyz: Float
     filled: Mask
-    hard: Mask
     doubtful: Mask
 
 
@@ -191,5 +165,4 @@ def _nodes(evidence: Place, sigma: Spread) -> _Layers:
     if nodes.doubtful.any():
         above &= ~nodes.doubtful | supported(nodes, cells.rows, cells.columns, CELL_M)
     filled = nodes.points >= SUPPORTED
-    hard = (off_planes(x, y, z, cells, _HARD_POINTS) <= (_HARD_SIGMA * sigma_m) ** 2)[nodes.cell]
-    return _Layers(nodes.xyz[above], filled[above], hard[above], nodes.doubtful[above])
+    return _Layers(nodes.xyz[above], filled[above], nodes.doubtful[above])

@@ -1,29 +1,29 @@
-"""Ground nodes about planes through those around: plants that passed for ground, and rough soil.
+"""Ground nodes about planes through those around: plants that passed for ground.
 
 Plants raise the lowest return of a cell and never lower it, while rough soil scatters nodes to
 both sides. Nodes are therefore fitted by planes that count what lies above them less, the more
-the farther above [Kraus & Pfeifer 1998], and a node far above its plane stands on a plant. How far
-those that are left lie below theirs is how rough the ground itself is, by which the layer of its
-returns is as thick as it has to be.
+the farther above [Kraus & Pfeifer 1998], and a node far above its plane stands on a plant, unless
+it is the edge of a terrace, a dam or a crest: there the nodes of one side lie on a plane that goes
+on to it. How far the nodes that are left lie off their planes is how rough the ground itself is.
 
 On ten tiles of towns and forests that their producers classified, the RMSE of steep eucalypt
-forest falls from 0.43 to 0.28 m and that of a town from 0.137 to 0.106 m; of rough soil 94 % is
-found where a layer as thick as ranging noise finds 77 %.
+forest falls from 0.43 to 0.30 m, that of a town from 0.137 to 0.103 m and that of a slope with
+plants (ISPRS sample 24) from 0.54 to 0.45 m.
 """
 
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from spl_batch.airborne.ground.multiscale.near_surface import SLOPE_M
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.triangulation.delaunay import triangles
 
+NEAREST: Final = 20
 REACH_M: Final = 6.0
-RINGS: Final = 2
-"""A plane is fitted to so many rings of neighbours, of which those beyond a distance count little
-[m, count]."""
+"""Planes go through so many of the nearest nodes, which count less with distance, by a Gaussian of
+this reach [count, m]."""
 
 FITS: Final = 3
 """Fits of planes, each weighted by the last one [count]."""
@@ -36,12 +36,18 @@ SPREAD_M: Final = 0.05
 SPREAD: Final = 0.7
 """Least spread of nodes about their planes [m], and that in spacings of the points."""
 
+SIDES: Final = 8
+LEAST: Final = 2.5
+FLAT: Final = 0.3
+"""Half planes that may go on to a node, the weight that each needs at least, and how far its nodes
+scatter, in spreads: steep crests and 8 m terraces stay, as do few plants."""
+
 RIDGE: Final = 0.02
 """Share of the scatter of places that is added to it: where these nearly line up a plane is level
 across the line."""
 
 Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
 
 
 def without_plants(nodes: Float, point_m: Float) -> tuple[Float, Float]:
@@ -61,89 +67,103 @@ def without_plants(nodes: Float, point_m: Float) -> tuple[Float, Float]:
     off : (m,) float64
         Heights above the planes through them, less what the slope gives in a spacing [m].
     """
-    edges = _edges(nodes)
-    if not len(edges):
+    if len(nodes) <= NEAREST:
         return nodes, np.zeros(len(nodes))
+    around = np.asarray(cKDTree(nodes[:, :2]).query(nodes[:, :2], NEAREST + 1)[1])
     spread_m, drift_m = np.maximum(SPREAD_M, SPREAD * point_m), np.minimum(point_m, SLOPE_M)
     weight = np.ones(len(nodes))
-    for fit in range(FITS + 1):
-        off, planes = off_planes(nodes, edges, weight)
-        drift = drift_m * np.hypot(*planes.T)
-        off -= np.clip(off, -drift, drift)
-        if fit == FITS:
-            break
-        kept = _continued(nodes, edges, planes, off <= ABOVE * spread_m, spread_m)
-        above = np.maximum(off / (HALF_WEIGHT * spread_m), 0.0)
-        weight = 1.0 / (1.0 + above**4) if fit < FITS - 1 else kept.astype(np.float64)
+    for _ in range(FITS):
+        off = above_planes(nodes, around, weight, drift_m)
+        weight = 1.0 / (1.0 + np.maximum(off / (HALF_WEIGHT * spread_m), 0.0) ** 4)
+    far = np.flatnonzero(off > ABOVE * spread_m)
+    kept = np.ones(len(nodes), dtype=np.bool_)
+    kept[far] = goes_on(nodes, around, weight, drift_m, spread_m, far)
+    off = above_planes(nodes, around, kept.astype(np.float64), drift_m)
     return nodes[kept], off[kept]
 
 
-def _continued(
-    nodes: Float, edges: NDArray[np.int32], planes: Float, kept: Mask, spread_m: Float
-) -> Mask:
-    """Nodes no higher than the plane of a kept neighbour goes on to them: crests and edges."""
-    found = kept.copy()
-    for one, other in (edges.T, edges.T[::-1]):
-        along = nodes[one] - nodes[other]
-        rise = planes[other, 0] * along[:, 0] + planes[other, 1] * along[:, 1]
-        goes_on = kept[other] & (along[:, 2] - rise <= spread_m[one])
-        np.logical_or.at(found, one, goes_on)
-    return found
-
-
-def _edges(nodes: Float) -> NDArray[np.int32]:
-    """Edges of the TIN, each once: (e, 2); none where places span no area."""
-    facets, neighbours = triangles(nodes[:, :2])
-    once = neighbours < np.arange(len(facets), dtype=np.int32)[:, np.newaxis]
-    ends = np.stack([np.roll(facets, -1, axis=1), np.roll(facets, -2, axis=1)], axis=-1)
-    edges: NDArray[np.int32] = ends[once]
-    return edges
-
-
-def off_planes(nodes: Float, edges: NDArray[np.int32], weight: Float) -> tuple[Float, Float]:
-    """Heights above the weighted planes through rings of neighbours [m], and their slopes.
+@njit()
+def above_planes(nodes: Float, around: Index, weight: Float, drift_m: Float) -> Float:
+    """Heights above the weighted planes through nodes and those around [m].
 
     Parameters
     ----------
     nodes : (n, 3) float64
         Nodes [m].
-    edges : (e, 2) int32
-        Which of them are neighbours.
+    around : (n, k) int64
+        Those around each, itself among them.
     weight : (n,) float64
-        Weights; that of a neighbour is times those of the paths of :data:`RINGS` edges to it.
+        Weights.
+    drift_m : (n,) float64
+        A node's height is that of a point so far from it [m]: less than the plane rises there is 0.
 
     Returns
     -------
-    off : (n,) float64
+    (n,) float64
         Heights [m].
-    planes : (n, 2) float64
-        Their rise to east and north [rise/run].
     """
-    x, y, z = (nodes - nodes[:1]).T
-    now = np.stack([v * weight for v in (x**0, x, y, z, x * x, x * y, y * y, x * z, y * z)], 1)
-    length_m = np.hypot(*(nodes[edges[:, 0], :2] - nodes[edges[:, 1], :2]).T)
-    near = np.exp(-((length_m / REACH_M) ** 2))
-    for _ in range(RINGS):
-        then = now.copy()
-        _add_neighbours(edges, near, now, then)
-        now = then
-    w, mx, my, mz, xx, xy, yy, xz, yz = now.T
-    w = np.maximum(w, 1e-12)
-    mx, my, mz = mx / w, my / w, mz / w
-    xx, xy, yy = xx / w - mx * mx, xy / w - mx * my, yy / w - my * my
-    xz, yz = xz / w - mx * mz, yz / w - my * mz
-    ridge = RIDGE * (xx + yy) + 1e-6
-    xx, yy = xx + ridge, yy + ridge
-    scale = xx * yy - xy * xy
-    east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
-    return z - mz - east * (x - mx) - north * (y - my), np.column_stack([east, north])
+    off = np.zeros(len(nodes))
+    for i in range(len(nodes)):
+        _, above, slope, _ = _plane(nodes, around[i], weight, i, 0.0, 0.0)
+        drift = drift_m[i] * slope
+        off[i] = above - min(max(above, -drift), drift)
+    return off
 
 
 @njit()
-def _add_neighbours(edges: NDArray[np.int32], near: Float, now: Float, out: Float) -> None:
-    """Add the sums of all neighbours, by how near they are."""
-    for e in range(len(edges)):
-        i, j = edges[e, 0], edges[e, 1]
-        for k in range(now.shape[1]):
-            out[i, k] += near[e] * now[j, k]
-            out[j, k] += near[e] * now[i, k]
+def goes_on(
+    nodes: Float, around: Index, weight: Float, drift_m: Float, spread_m: Float, asked: Index
+) -> NDArray[np.bool_]:
+    """Whether a plane through the nodes of one side goes on to a node, or above it.
+
+    Parameters
+    ----------
+    nodes, around, weight, drift_m
+        As for :func:`above_planes`.
+    spread_m : (n,) float64
+        Spread of nodes about their planes [m].
+    asked : (m,) int64
+        Which nodes.
+
+    Returns
+    -------
+    (m,) bool
+        Whether one of :data:`SIDES` does.
+    """
+    found = np.zeros(len(asked), dtype=np.bool_)
+    for k, i in enumerate(asked):
+        for side in range(SIDES):
+            turn = 2.0 * np.pi * side / SIDES
+            east, north = np.cos(turn), np.sin(turn)
+            counted, above, slope, scatter = _plane(nodes, around[i], weight, i, east, north)
+            flat = scatter <= FLAT * (spread_m[i] + drift_m[i] * slope)
+            found[k] |= counted >= LEAST and flat and above <= ABOVE * spread_m[i]
+    return found
+
+
+@njit()
+def _plane(
+    nodes: Float, around: Index, weight: Float, i: int, east: float, north: float
+) -> tuple[float, float, float, float]:
+    """Weight, height of a node above the plane, slope and scatter; of one side without itself."""
+    one_side = east != 0.0 or north != 0.0
+    total, mx, my, mz, xx, xy, yy, xz, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in around:
+        x, y, z = nodes[j] - nodes[i]
+        if one_side and (j == i or x * east + y * north < 0.0):
+            continue
+        w = weight[j] * np.exp(-(x * x + y * y) / REACH_M**2)
+        total += w
+        mx, my, mz = mx + w * x, my + w * y, mz + w * z
+        xx, xy, yy = xx + w * x * x, xy + w * x * y, yy + w * y * y
+        xz, yz, zz = xz + w * x * z, yz + w * y * z, zz + w * z * z
+    if total < 1e-12:
+        return 0.0, 0.0, 0.0, 0.0
+    mx, my, mz = mx / total, my / total, mz / total
+    xx, xy, yy = xx / total - mx * mx, xy / total - mx * my, yy / total - my * my
+    xz, yz, zz = xz / total - mx * mz, yz / total - my * mz, zz / total - mz * mz
+    ridge = RIDGE * (xx + yy) + 1e-6
+    scale = (xx + ridge) * (yy + ridge) - xy * xy
+    a, b = ((yy + ridge) * xz - xy * yz) / scale, ((xx + ridge) * yz - xy * xz) / scale
+    scatter = np.sqrt(max(zz - a * xz - b * yz, 0.0))
+    return total, a * mx + b * my - mz, np.hypot(a, b), scatter
