@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
-from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
-from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
 from spl_batch.airborne.ground.multiscale_surface import (
     agreeing_nodes,
     depths_below,
@@ -17,22 +15,6 @@ from spl_batch.airborne.ground.multiscale_surface import (
     spread_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
-from spl_batch.airborne.ground.steep_ground import (
-    ASIDE_M,
-    CLIFF_M,
-    EAVE_M,
-    EDGE_M,
-    FEWEST,
-    FLAT,
-    NEAR_M,
-    REACH_M,
-    ROUGH_M,
-    ROUNDS,
-    STEEP,
-    TILT,
-    continued,
-    standing,
-)
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
 
@@ -296,125 +278,3 @@ def test_ground_does_not_go_on_to_roofs_of_a_hillside(
     found = default_ground(x, y, height + np.random.default_rng(3).normal(0, 0.03, len(x)))
     assert found[roof].mean() < 0.16
     assert found[~roof].mean() > 0.99
-
-
-def hillside(seed: int, edge: int = 20) -> tuple[Float, NDArray[np.int64], NDArray[np.bool_]]:
-    """Nodes of a ridge on a slope with blocks on it, their grid, and what is left of its ground."""
-    rng = np.random.default_rng(seed)
-    n = edge * edge
-    x, y = (v.ravel() + rng.uniform(0, 1, n) for v in np.meshgrid(*[np.arange(edge)] * 2))
-    height = np.maximum(12 - 1.4 * np.abs(x - 10), 0) + 0.1 * y
-    block = (np.abs(y - 10) < 2) & (np.abs(x - 15) < 3)
-    height += rng.choice([0, 0, 0, 1.5], n) + 3.0 * block + rng.normal(0, 0.1, n)
-    xyz = np.column_stack([x, y, height])
-    grid = lowest_nodes(xyz, rng.random(n) < 0.9, 1.0)
-    return xyz, grid, (np.abs(x - 10) > 5) & (rng.random(n) < 0.8)
-
-
-def test_nodes_that_ground_goes_on_to_are_those_of_a_slow_twin() -> None:
-    xyz, grid, ground = hillside(0, 14)
-    found = continued(xyz, grid, ground, 1.0)
-    assert np.array_equal(found, _continued(xyz, grid, ground))
-    assert found.sum() > ground.sum() + 5
-
-
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("stretched", [1.0, 2.5])
-def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int, stretched: float) -> None:
-    xyz, grid, ground = hillside(seed)
-    xyz = xyz * [1.0, 1.0, stretched]
-    found = standing(xyz, grid, ground, 1.0)
-    assert found.sum() > 10
-    trend = fit_trend(xyz[ground], xyz[:, 0], xyz[:, 1])
-    east, north = (
-        trend_at(trend._replace(height=np.gradient(trend.height, TREND_M, axis=a)), *xyz[:, :2].T)
-        for a in (1, 0)
-    )
-    height = np.where(grid >= 0, xyz[grid, 2], np.nan)
-    off = height - trend_at(trend, *xyz[:, :2].T)[grid]
-    known = np.argwhere((grid >= 0) & ground[grid])
-    for cell in np.argwhere(grid >= 0):
-        node = grid[*cell]
-        rise = np.hypot(east[node], north[node])
-        along = np.array([-east[node], north[node]]) / rise
-        expected = (
-            rise > TILT
-            and np.hypot(*(known - cell).T).min() <= REACH_M
-            and off[*cell] > EAVE_M / 2
-            and 0 < min(_fall_m(off, height, cell, way * along) for way in (1, -1)) < CLIFF_M
-        )
-        assert found[*cell] == expected
-
-
-def _fall_m(off: Float, height: Float, cell: NDArray[np.int64], way: Float) -> float:
-    """How far below the cell the way lies just behind its first step down; 0 without one."""
-    passed = [(0, off[*cell], height[*cell])]
-    for step in range(1, round(ASIDE_M) + 1):
-        at = np.rint(cell + step * way).astype(int)
-        if (at < 0).any() or (at >= off.shape).any():
-            break
-        if np.isfinite(off[*at]):
-            passed.append((step, off[*at], height[*at]))
-    steps = [
-        step
-        for k, (step, here, _) in enumerate(passed)
-        if k
-        and here <= off[*cell] - EAVE_M
-        and here <= passed[k - 1][1] - EAVE_M
-        and step - passed[k - 1][0] <= EDGE_M
-    ]
-    if not steps:
-        return 0.0
-    feet = [z for step, _, z in passed if steps[0] <= step <= steps[0] + EDGE_M]
-    return max(float(height[*cell] - min(feet)), EAVE_M)
-
-
-def _continued(xyz: Float, grid: NDArray[np.int64], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Round by round, every node against planes by least squares, one for each side of it."""
-    free = (grid >= 0) & ~standing(xyz, grid, ground, 1.0)
-    cells = {int(grid[*cell]): cell for cell in np.argwhere(free)}
-    state = {i: int(ground[i]) for i in cells}
-    fresh = [i for i in cells if state[i]]
-    for _ in range(ROUNDS):
-        beside = np.array([cells[i] for i in fresh])
-        joins = [
-            i for i in cells
-            if not state[i] and (np.abs(beside - cells[i]).max(axis=1) <= 2).any()
-            and _goes_on(xyz, cells, state, i)
-        ]  # fmt: skip
-        if not joins:
-            break
-        state.update(dict.fromkeys(joins, 2))
-        fresh = joins
-    out = ground.copy()
-    out[[i for i, known in state.items() if known == 2]] = True
-    return out
-
-
-def _goes_on(
-    xyz: Float, cells: dict[int, NDArray[np.int64]], state: dict[int, int], i: int
-) -> bool:
-    for step in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        side = [
-            j for j, known in state.items()
-            if known and (cells[j] - cells[i]) @ step >= 0
-            and np.hypot(*(xyz[j, :2] - xyz[i, :2])) <= REACH_M
-        ]  # fmt: skip
-        if len(side) < FEWEST:
-            continue
-        off = xyz[side] - xyz[i]
-        spread = np.cov(off[:, :2].T, bias=True)
-        if np.linalg.det(spread) < FLAT * np.trace(spread) ** 2:
-            continue
-        design = np.column_stack([np.ones(len(off)), off[:, :2]])
-        found = np.linalg.lstsq(design, off[:, 2], rcond=None)[0]
-        if np.mean((off[:, 2] - design @ found) ** 2) > ROUGH_M**2:
-            continue
-        plane, *gradient = found
-        slope = np.hypot(*gradient)
-        if slope < STEEP and 2 * sum(state[j] == 2 for j in side) < len(side):
-            continue
-        nearest = np.hypot(*off[:, :2].T).min()
-        if -NEAR_M <= plane <= slope * nearest + NEAR_M:
-            return True
-    return False

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
-from spl_batch.airborne.ground.level_ground import levelled
 from spl_batch.airborne.ground.lowest_layers import SUPPORTED, lowest_layers
+from spl_batch.airborne.ground.multiscale.grown_ground import grown
 from spl_batch.airborne.ground.multiscale.near_surface import (
     Surface,
     near_surface,
@@ -43,7 +43,6 @@ from spl_batch.airborne.ground.multiscale_surface import (
 from spl_batch.airborne.ground.node_grids import lowest_nodes, nearest_node
 from spl_batch.airborne.ground.pits import nearly_empty, under_ground
 from spl_batch.airborne.ground.point_spacing import in_squares, spacing_around_m, spacings
-from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import group_by_cell
 
 _LAYER_SIGMA = 3.0
@@ -131,8 +130,7 @@ def _ground_surface(evidence: Place, sigma: Spread) -> tuple[Surface | None, Flo
     chosen, high = agreeing_nodes(xyz, ~low_outliers(xyz), filled, sigma)
     grid = lowest_nodes(xyz, chosen, CELL_M)
     nearest = nearest_node(grid)
-    ground = continued(xyz, grid, ground_nodes(xyz, high, grid, nearest), CELL_M)
-    ground = levelled(xyz, grid, nearest, ground, CELL_M)
+    ground = grown(xyz, grid, nearest, ground_nodes(xyz, high, grid, nearest), CELL_M)
     ground &= ~on_houses(xyz, ground)
     judged = doubtful | nearly_empty(xyz, ground, filled | doubtful)
     ground &= ~under_ground(xyz, ground, judged)

@@ -1,0 +1,325 @@
+"""Ground that goes on where an opening has cut it off: crests, rims, spurs, tops of banks.
+
+An opening takes a crest that is narrower than its window for an object, and a window fits into no
+corner of a plateau: both stand out. An object stands behind walls, though, and ground goes on from
+what was left of it. Here ground grows to the next node where a plane through the ground nodes of
+one side goes on to it, or above it, as over a rim: the two flanks of a crest do not level each
+other out. No source has this: [Axelsson 2000] mirrors points at the nearest one of the ground.
+
+Five things look alike and are kept out:
+
+- a deck continues the road, but between two walls (:func:`edges`): no level ground grows there.
+- where no wall is within the window, the opening has cut off plants and cars: nothing level grows.
+- a town on even ground has steep roofs and walls: nothing steep grows where the trend is level.
+- a roof on a hillside is steep as well, and the opening leaves its uphill eave. But a roof ends: on
+  the contour line through it the surface falls by a step on both sides, as it does not from a
+  crest, a cliff or a terrace, which follow the contour (:func:`barred`).
+- what an opening leaves of a roof would grow over all of it: nothing level grows from an island, a
+  few nodes that hang together without a step.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
+from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
+from spl_batch.airborne.ground.multiscale.node_planes import NEAREST, on_one_side
+from spl_batch.airborne.ground.multiscale_surface import WINDOW_M
+from spl_batch.numerics.compiled import njit
+
+BESIDE: Final = 8
+"""Ground grows to a node from so many of the nearest [count]."""
+
+NEAR_M: Final = 0.2
+ROUGH_M: Final = 0.25
+"""A node farther above the plane is something else's, and nodes that scatter by more about it are
+on both sides of a step [m]."""
+
+STEEP: Final = 0.5
+UNEVEN: Final = 0.3
+"""Rise of a plane from which on ground grows where no wall is, too, and how much farther off it a
+node may lie for each unit of that [rise/run, m]. Without the second a forest of 1 % ground on
+slopes of 45 degrees is off by 10 m, with it by 1.1 m."""
+
+STEP_M: Final = 0.3
+STEP_SLOPE: Final = 0.5
+"""Nodes whose heights differ by more than this, and this slope, do not hang together [m,
+rise/run]."""
+
+ISLAND: Final = 50
+"""Fewer nodes that hang together are an island [count]."""
+
+TILT: Final = 0.2
+ASIDE_M: Final = 20.0
+EAVE_M: Final = 1.0
+CLIFF_M: Final = 8.0
+"""A roof on a hillside ends on both sides along the contour, where the trend rises by more than the
+first, within the second, by a fall of the third, but no cliff's; where the trend within the second
+rises by no more than the first nothing steep grows [rise/run, m, m, m]."""
+
+WALL_M: Final = 1.5
+EDGE_M: Final = 2.0
+"""Fall at the edge of a terrace or a deck, and over which way [m]."""
+
+REACH_M: Final = 4.0
+"""Farther from ground its trend shows no contour [m]."""
+
+DECK_M: Final = 20.0
+"""Width of the widest deck that is kept out [m]."""
+
+ROUNDS: Final = 40
+"""Nodes that ground grows by at the most: the largest window of the opening [count]."""
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+
+def grown(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) -> Mask:
+    """Ground nodes, and those of a grid that go on from them: (n,) bool.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    grid : (rows, columns) int64
+        A node for each cell, or -1, as :func:`~spl_batch.airborne.ground.node_grids.lowest_nodes`
+        finds them.
+    nearest : (rows, columns) int64
+        That of the nearest cell with one.
+    ground : (n,) bool
+        Nodes of the ground.
+    cell_m : float
+        Edge of a cell [m].
+    """
+    held = grid >= 0
+    index = grid[held]
+    if len(index) <= NEAREST:
+        return ground
+    nodes, known = xyz[index], ground[index]
+    around = np.asarray(cKDTree(nodes[:, :2]).query(nodes[:, :2], NEAREST + 1)[1])
+    bar = barred(xyz, grid, ground, cell_m)[held]
+    other = held.copy()
+    other[held] = ~known
+    beside_wall = edges(xyz[nearest, 2], other, cell_m)[held]
+    found = known.copy()
+    _grow(nodes, around, beside_wall, ~bar, on_land(nodes, around, known), found)
+    out = ground.copy()
+    out[index[found]] = True
+    return out
+
+
+def on_land(nodes: Float, around: Index, ground: Mask) -> Mask:
+    """Ground nodes that hang together with many others, without a step: (n,) bool.
+
+    Parameters
+    ----------
+    nodes : (n, 3) float64
+        Nodes [m].
+    around : (n, k) int64
+        Those nearest to each, itself first.
+    ground : (n,) bool
+        Those of the ground.
+    """
+    beside = around[:, 1 : BESIDE + 1]
+    east, north, up = np.moveaxis(nodes[beside] - nodes[:, np.newaxis], 2, 0)
+    together = np.abs(up) <= np.maximum(STEP_M, STEP_SLOPE * np.hypot(east, north))
+    together &= ground[beside] & ground[:, np.newaxis]
+    ends = np.nonzero(together)[0], beside[together]
+    graph = coo_array((np.ones(len(ends[0]), np.bool_), ends), shape=(len(nodes),) * 2)
+    label = connected_components(graph, directed=False)[1]
+    land: Mask = ground & (np.bincount(label)[label] >= ISLAND)
+    return land
+
+
+@njit()
+def _grow(
+    nodes: Float, around: Index, beside_wall: Mask, free: Mask, land: Mask, ground: Mask
+) -> None:
+    """Let ground grow round by round; level ground beside walls from land, steep from any."""
+    fresh = ground.copy()
+    steep, level = (ground & free).astype(np.float64), land.astype(np.float64)
+    for _ in range(ROUNDS):
+        there, here = np.zeros(len(nodes), np.bool_), np.zeros(len(nodes), np.bool_)
+        for i in range(len(nodes)):
+            if ground[i] or not fresh[around[i, 1 : BESIDE + 1]].any():
+                continue
+            near = around[i]
+            if free[i]:
+                there[i] = on_one_side(
+                    nodes, near, steep, i, (NEAR_M, UNEVEN), (ROUGH_M, UNEVEN), (STEEP, np.inf)
+                )
+            if beside_wall[i]:
+                here[i] = on_one_side(
+                    nodes, near, level, i, (NEAR_M, 0.0), (ROUGH_M, 0.0), (0.0, STEEP)
+                )
+        fresh = there | here
+        if not fresh.any():
+            break
+        ground |= fresh
+        steep[fresh] = 1.0
+        level[here] = 1.0
+
+
+def barred(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
+    """Cells where nothing steep grows: (rows, columns) bool.
+
+    The trend is level there, or the surface ends in a step on both sides along the contour.
+
+    Parameters
+    ----------
+    xyz, grid, ground, cell_m
+        As :func:`grown` has them.
+    """
+    out = np.zeros(grid.shape, dtype=np.bool_)
+    if ground.any():
+        x, y, z = xyz.T
+        trend = fit_trend(xyz[ground], x, y)
+        north, east = (
+            trend_at(Trend(np.gradient(trend.height, TREND_M, axis=axis), *trend[1:]), x, y)[grid]
+            for axis in (0, 1)
+        )
+        above = np.where(grid >= 0, (z - trend_at(trend, x, y))[grid], np.nan)
+        # Across a crest that is cut off the trend is that between its rims: no contour.
+        away = ndimage.distance_transform_edt(~((grid >= 0) & ground[grid])) * cell_m
+        asked = (grid >= 0) & (away <= REACH_M) & (above > EAVE_M / 2)
+        edge, far = (round(along / cell_m) for along in (EDGE_M, ASIDE_M))
+        _end_both_ways(above, z[grid], north, east, edge, far, asked, out)
+        tilt = np.where(grid >= 0, np.hypot(north, east), 0.0)
+        out |= ndimage.maximum_filter(tilt, 2 * round(ASIDE_M / cell_m) + 1) <= TILT
+    return out
+
+
+@njit()
+def _end_both_ways(
+    above: Float, height: Float, north: Float, east: Float,
+    edge: int, far: int, asked: Mask, out: Mask,
+) -> None:  # fmt: skip
+    """Fill with cells from which heights above a trend fall both ways across its slope."""
+    for r in range(above.shape[0]):
+        for c in range(above.shape[1]):
+            slope = np.hypot(north[r, c], east[r, c])
+            if asked[r, c] and slope > TILT:
+                n, e = -east[r, c] / slope, north[r, c] / slope
+                one = _fall_m(above, height, r, c, n, e, edge, far)
+                least = min(one, _fall_m(above, height, r, c, -n, -e, edge, far))
+                out[r, c] = 0.0 < least < CLIFF_M
+
+
+@njit()
+def _fall_m(
+    above: Float, height: Float, row: int, column: int, north: float, east: float,
+    edge: int, far: int,
+) -> float:  # fmt: skip
+    """How far below a cell the surface lies where it falls by a step on the way; 0 if nowhere."""
+    rows, columns = above.shape
+    top, end, fall_m = above[row, column], far, 0.0
+    for step in range(1, far + edge + 1):
+        r, c = int(np.rint(row + step * north)), int(np.rint(column + step * east))
+        if step > end or r < 0 or c < 0 or r >= rows or c >= columns:
+            break
+        if np.isnan(above[r, c]):
+            continue
+        if fall_m > 0.0:
+            fall_m = max(fall_m, height[row, column] - height[r, c])
+            continue
+        for back in range(max(step - edge, 0), step):
+            i, j = int(np.rint(row + back * north)), int(np.rint(column + back * east))
+            if above[r, c] <= top - EAVE_M and above[r, c] <= above[i, j] - EAVE_M:
+                end = step + edge  # a node half-way down is not the foot yet
+                fall_m = max(height[row, column] - height[r, c], EAVE_M)
+    return fall_m
+
+
+def edges(height: Float, asked: Mask, cell_m: float) -> Mask:
+    """Cells that have a wall within reach of a window, but stand on no deck: (rows, columns) bool.
+
+    Parameters
+    ----------
+    height : (rows, columns) float64
+        Heights without gaps [m].
+    asked : (rows, columns) bool
+        Cells to look at.
+    cell_m : float
+        Edge of a cell [m].
+    """
+    out = np.zeros(height.shape, dtype=np.bool_)
+    edge, far, deck = (round(along / cell_m) for along in (EDGE_M, WINDOW_M, DECK_M))
+    _edges(height, asked, edge, far, deck + 1, out)
+    return out
+
+
+@njit()
+def _edges(height: Float, asked: Mask, edge: int, far: int, deck: int, out: Mask) -> None:
+    """Fill with cells that have a wall in one of eight directions, and no two across a deck."""
+    slant = np.sqrt(0.5)
+    rows, columns = height.shape
+    for r in range(rows):
+        for c in range(columns):
+            if not asked[r, c]:
+                continue
+            for north, east in ((0.0, 1.0), (1.0, 0.0), (slant, slant), (slant, -slant)):
+                one = _drops(height, r, c, north, east, edge, far)
+                other = _drops(height, r, c, -north, -east, edge, far)
+                out[r, c] |= one > 0 or other > 0
+                if one > 0 and other > 0 and one + other <= deck:
+                    between = 0.5 * (one - other)
+                    middle = int(np.rint(r + between * north)), int(np.rint(c + between * east))
+                    if _is_corner(height, *middle, north, east, one + other, edge, far):
+                        continue
+                    out[r, c] = False
+                    break
+
+
+@njit()
+def _is_corner(
+    height: Float, row: int, column: int, north: float, east: float, span: int, edge: int, far: int
+) -> bool:
+    """Whether what is so wide at a cell ends as near in front and widens behind, as no deck does.
+
+    ``row``, ``column``: half-way between the walls, so that the way along an oblique deck does not
+    end at its side. ``north``, ``east``: on the way across. ``span``: from wall to wall [cells].
+    """
+    ends = 0.0
+    for turn in (1.0, -1.0):
+        end = _drops(height, row, column, turn * east, -turn * north, edge, far)
+        if 0 < end <= span:
+            ends += turn
+    if ends == 0.0:
+        return False
+    r = int(np.rint(row - ends * span * east))
+    c = int(np.rint(column + ends * span * north))
+    if r < 0 or c < 0 or r >= height.shape[0] or c >= height.shape[1]:
+        return False
+    if abs(height[r, c] - height[row, column]) > WALL_M:
+        return False
+    one = _drops(height, r, c, north, east, edge, far)
+    other = _drops(height, r, c, -north, -east, edge, far)
+    return one == 0 or other == 0 or one + other >= 2 * span
+
+
+@njit()
+def _drops(
+    height: Float, row: int, column: int, north: float, east: float, edge: int, far: int,
+) -> int:  # fmt: skip
+    """After how many cells on the way from one its surface ends in a wall; 0 where it does not.
+
+    What rises above the cell by a wall's height stands in the way: the eave of a house is none.
+    """
+    rows, columns = height.shape
+    top = height[row, column]
+    for step in range(1, far + 1):
+        r, c = int(np.rint(row + step * north)), int(np.rint(column + step * east))
+        if r < 0 or c < 0 or r >= rows or c >= columns or height[r, c] > top + WALL_M:
+            return 0
+        back = max(step - edge, 0)
+        before = height[int(np.rint(row + back * north)), int(np.rint(column + back * east))]
+        if height[r, c] <= min(top, before) - WALL_M:
+            return step
+    return 0
