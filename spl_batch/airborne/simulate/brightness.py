@@ -42,8 +42,7 @@ class Noise(NamedTuple):
 def channel_gain(scene: Scene) -> NDArray[np.float64]:
     """Sensitivity of each channel relative to a normal one: (c,) float64."""
     acquisition, count = scene.acquisition, scene.instrument.beamlets
-    rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(2,)))
-    gain = 1 + acquisition.gain_spread * np.clip(rng.standard_normal(count), -3, 3)
+    gain = 1 + acquisition.gain_spread * np.clip(scene.chance(2).standard_normal(count), -3, 3)
     for channel, factor in acquisition.weak_channels.items():
         gain[channel - 1] *= factor
     for channel in acquisition.dead_channels:

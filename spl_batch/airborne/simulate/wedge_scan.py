@@ -16,17 +16,9 @@ from numpy.typing import NDArray
 def pixel_offsets(
     columns: int, pitch_rad: float, rotation_rad: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Angular place of each beamlet in the array [W17 Eq. 2.9, 2.10].
+    """Angular places x, y of beamlets in a turned array, by channel [W17 Eq. 2.9, 2.10] [rad].
 
-    Parameters
-    ----------
-    rotation_rad : float
-        Turn of the array against the scan direction, alpha_R [rad].
-
-    Returns
-    -------
-    x, y : (columns ** 2,) float64
-        In the order of channels: channel = columns * (i - 1) + j, from 1.
+    Channel = columns * (i - 1) + j, from 1, is row i and column j.
     """
     centre = (columns + 1) / 2
     i, j = np.divmod(np.arange(columns * columns), columns)

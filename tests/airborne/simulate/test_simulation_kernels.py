@@ -22,7 +22,6 @@ from spl_batch.airborne.simulate.scene.objects import (
     catenary,
 )
 from spl_batch.airborne.simulate.scene.scene_file import Building
-from spl_batch.airborne.simulate.scene.terrain import Ground
 from spl_batch.numerics import attitude
 
 
@@ -37,23 +36,31 @@ def origin_for(target, direction, range_m=2000.0):
     return np.asarray(target) - range_m * direction
 
 
+def bare(z, kind=ray_trace.KIND_GROUND, ponds=(), steep_top=-math.inf):
+    """Ground of nodes 1 m apart."""
+    shape = z.shape
+    return ray_trace.Ground(
+        z, np.full(shape, 0.2), np.full(shape, kind, np.uint8), np.array([0.0, 0.0, 1.0]),
+        np.zeros(shape, np.uint8), np.array(ponds, np.float64).reshape(-1, 3), steep_top,
+    )  # fmt: skip
+
+
 def test_ground_hit_agrees_with_root_finding():
     rng = np.random.default_rng(1)
     y, x = np.mgrid[0:81, 0:81] * 1.0
-    z = 20 + 5 * np.sin(x / 9) * np.cos(y / 11)
-    grid = np.array([0.0, 0.0, 1.0])
+    ground = bare(20 + 5 * np.sin(x / 9) * np.cos(y / 11))
     for _ in range(50):
         d = slanted(rng)
         o = origin_for([rng.uniform(15, 65), rng.uniform(15, 65), 20.0], d)
 
         def above(t, o=o, d=d):
             p = o + t * d
-            return p[2] - ray_trace.bilinear(z, grid, p[0], p[1])[0]
+            return p[2] - ray_trace.bilinear(ground.z, ground.grid, p[0], p[1])[0]
 
-        t, cosine = ray_trace.hit_ground(z, grid, o, d)
+        t, cosine = ray_trace.meet_ground(ground, o, d)
         assert t == pytest.approx(optimize.brentq(above, 1900, 2100), abs=1e-3)
         p = o + t * d
-        _, sx, sy = ray_trace.bilinear(z, grid, p[0], p[1])
+        _, sx, sy = ray_trace.bilinear(ground.z, ground.grid, p[0], p[1])
         normal = np.array([-sx, -sy, 1.0]) / math.sqrt(1 + sx**2 + sy**2)
         assert cosine == pytest.approx(-normal @ d, abs=1e-3)
 
@@ -62,13 +69,14 @@ def test_steep_ground_is_met_where_marching_along_the_ray_meets_it_first():
     rng = np.random.default_rng(4)
     y, x = np.mgrid[0:41, 0:41] * 1.0
     z = 15.0 * ((x > 14) & (y > 12) & (x < 27)) + 0.1 * x
-    grid = np.array([0.0, 0.0, 1.0])
+    ground = bare(z, steep_top=float(z.max()))
     for _ in range(60):
         d = slanted(rng)
         o = origin_for([rng.uniform(8, 33), rng.uniform(8, 33), rng.uniform(0, 18)], d, 100.0)
-        t, cosine = ray_trace.meet_steep_ground(z, grid, float(z.max()), o, d)
+        t, cosine = ray_trace.meet_ground(ground, o, d)
         along = np.arange(70.0, 125.0, 0.01)
-        below = [p[2] <= ray_trace.bilinear(z, grid, p[0], p[1])[0] for p in o + along[:, None] * d]
+        places = o + along[:, None] * d
+        below = [p[2] <= ray_trace.bilinear(z, ground.grid, p[0], p[1])[0] for p in places]
         assert t == pytest.approx(along[np.argmax(below)], abs=0.011)
         assert 0.0 <= cosine <= 1.0
 
@@ -81,24 +89,20 @@ def test_bilinear_interpolates_a_plane_exactly_and_gives_its_slope():
 
 @pytest.mark.parametrize("roof", ["flat", "gable", "shed"])
 def test_a_building_is_hit_where_marching_along_the_ray_enters_it(roof):
-    ground = Ground(
-        np.zeros((60, 60)), np.zeros((60, 60)), np.ones((60, 60), np.uint8), np.array([-30, -30, 1])
-    )
-    solid = building_solid(
-        Building(centre_m=(3, 4), size_m=(16, 9), heading_deg=33, eave_m=6, roof=roof), ground
-    )
+    house = Building(centre_m=(33, 34), size_m=(16, 9), heading_deg=33, eave_m=6, roof=roof)
+    planes = building_solid(house, bare(np.zeros((60, 60)))).planes
     rng, hits = np.random.default_rng(2), 0
     for _ in range(200):
         d = slanted(rng)
-        o = origin_for([rng.uniform(-8, 14), rng.uniform(-8, 14), rng.uniform(0, 8)], d, 100.0)
-        enter, leave, face = ray_trace.clip_convex(solid.planes, len(solid.planes), o, d)
+        o = origin_for([*rng.uniform(22, 44, 2), rng.uniform(0, 8)], d, 100.0)
+        enter, leave, face = ray_trace.clip_convex(planes, o, d)
         t = np.arange(80.0, 130.0, 0.01)
         p = o + t[:, None] * d
-        within = (p @ solid.planes[:, :3].T <= solid.planes[:, 3]).all(axis=1)
+        within = (p @ planes[:, :3].T <= planes[:, 3]).all(axis=1)
         if within.any():
             hits += 1
             assert enter == pytest.approx(t[within][0], abs=0.011)
-            assert solid.planes[face, :3] @ (o + enter * d) == pytest.approx(solid.planes[face, 3])
+            assert planes[face, :3] @ (o + enter * d) == pytest.approx(planes[face, 3])
         else:
             assert leave - enter < 0.011 or enter > 130  # walls go on below the ground
     assert 40 < hits < 190
@@ -216,7 +220,7 @@ def test_background_is_uniform_along_the_gate():
     rng, (ranges, facts, _, _) = np.random.default_rng(6), room()
     seen, counts = [], []
     for _ in range(4000):
-        n = detector.add_background(rng, ranges, facts, 1000.0, 1300.0, 0.01)
+        n = detector.add_background(rng, ranges, facts, (1000.0, 1300.0), 0.01)
         counts.append(n)
         seen.extend(ranges[:n])
     assert np.mean(counts) == pytest.approx(3.0, abs=4 * math.sqrt(3 / 4000))
@@ -227,7 +231,7 @@ def test_dead_time_is_kept_and_what_falls_into_it_is_counted():
     rng, (ranges, facts, kept, electrons) = np.random.default_rng(7), room()
     receiver = detector.Receiver(0.24, 0.0, 0.7, 3.0)
     for _ in range(200):
-        n = detector.add_background(rng, ranges, facts, 0.0, 30.0, 3.0)
+        n = detector.add_background(rng, ranges, facts, (0.0, 30.0), 3.0)
         before = ranges[:n].copy()
         count = detector.record(rng, ranges, facts, n, 30.0, receiver, kept, electrons)
         expected, last = [], -np.inf
@@ -246,7 +250,7 @@ def test_afterpulses_follow_their_law_and_name_their_parents():
         n = detector.add_event(ranges, facts, 0, 50.0, 2, detector.NO_PARENT, -1)
         count = detector.record(rng, ranges, facts, n, 300.0, receiver, kept, electrons)
         generations.append(count - 1)
-        assert (facts[1:count, 0] == detector.EVENT_AFTERPULSE).all()
+        assert (facts[1:count, 0] == ray_trace.KIND_AFTERPULSE).all()
         assert (facts[1:count, 1] == 2).all()  # the surface, through every generation
         lags.extend(ranges[k] - ranges[facts[k, 2]] for k in range(1, count))
     started = np.bincount(generations, minlength=3)
@@ -279,13 +283,9 @@ def test_a_tail_takes_its_share_of_the_lags(power):
 
 
 def test_clear_water_is_a_surface_a_column_and_a_bottom():
-    ground = np.full((20, 20), 8.0)
-    kind = np.full((20, 20), ray_trace.KIND_BOTTOM, dtype=np.uint8)
-    empty = np.zeros((0, 8))
+    ground = bare(np.full((20, 20), 8.0), ray_trace.KIND_BOTTOM, [(10.0, 0.3, 0.04)])
     scene = ray_trace.SceneArrays(
-        ground, np.full((20, 20), 0.2), kind, np.zeros((20, 20), np.uint8),
-        np.array([[10.0, 0.3, 0.04]]), np.array([0.0, 0.0, 1.0]), np.zeros((0, 6, 4)),
-        np.zeros(0, np.int64), np.zeros((0, 4)), empty, np.zeros((0, 10)),
+        ground, np.zeros((0, 6, 4)), np.zeros((0, 4)), np.zeros((0, 8)), np.zeros((0, 10)),
         np.array([0.0, 0.0, 20.0]), np.zeros((1, 2), np.int64), np.zeros(0, np.int64),
     )  # fmt: skip
     d = np.array([math.sin(0.2), 0.0, -math.cos(0.2)])
@@ -299,7 +299,7 @@ def test_clear_water_is_a_surface_a_column_and_a_bottom():
     assert layers[0, 2] * layers[0, 3] == pytest.approx(0.04), "the surface's reflectance"
     assert 1 - layers[1, 2] == pytest.approx(math.exp(-2 * 0.3 * length)), "both ways"
     assert layers[1, 3] == 0.0
-    kind[:] = ray_trace.KIND_WATER
+    ground.kind[:] = ray_trace.KIND_WATER
     assert beam_layers.look(scene, o, d, d, 1e-4, layers)[0] == 0, "opaque water is its surface"
 
 
