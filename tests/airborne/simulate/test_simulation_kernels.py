@@ -15,6 +15,7 @@ from spl_batch.airborne.simulate import (
     preset_scene,
     wedge_scan,
 )
+from spl_batch.airborne.simulate.brightness import physical_noise
 from spl_batch.airborne.simulate.scene import beam_layers, ray_trace
 from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.objects import (
@@ -172,12 +173,22 @@ def test_signal_follows_equation_2_1():
     assert constant * 0.25 / 2588**2 == pytest.approx(expected)
 
 
-def test_transmission_is_the_integral_of_extinction():
-    z = np.linspace(2500.0, 200_000.0, 400_001)
-    depth = np.trapezoid(1e-4 * np.exp(-z / 8000.0), z)
-    assert link_budget.transmission_above(1e-4, 2500.0, 8000.0) == pytest.approx(
-        math.exp(-depth), rel=1e-6
+def test_sunlight_from_the_ground_passes_the_air_below_twice():
+    tiny = preset_scene("tiny")
+    clear, hazy = (
+        physical_noise(tiny.model_copy(update={"sky": tiny.sky.model_copy(update=sky)}))
+        for sky in ({"extinction_per_m": 0.0}, {"extinction_per_m": 1e-4})
     )
+    assert clear.ground_share == 1.0
+    altitude, scale = tiny.flights[0].altitude_agl_m, tiny.sky.scale_height_m
+    z = np.linspace(altitude, 200_000.0, 400_001)
+    above = np.trapezoid(1e-4 * np.exp(-z / scale), z)
+    path = sum(1 / math.cos(math.radians(angle)) for angle in (15.0, tiny.sky.zenith_deg))
+    passed = math.exp(-above * path * (1 - math.exp(-altitude / scale)))
+    ground = hazy.ground_share * hazy.solar_per_m / clear.solar_per_m
+    assert ground == pytest.approx(passed, rel=1e-6)
+    assert 0.1 < hazy.ground_share < 1.0
+    assert hazy.dark_per_m == pytest.approx(2 * 30_000 / 299_792_458)
 
 
 def test_central_vector_follows_equation_2_12():
@@ -219,11 +230,11 @@ def room(n=400):
 def test_background_is_uniform_along_the_gate():
     rng, (ranges, facts, _, _) = np.random.default_rng(6), room()
     seen, counts = [], []
-    for _ in range(4000):
+    for _ in range(1500):
         n = detector.add_background(rng, ranges, facts, (1000.0, 1300.0), 0.01)
         counts.append(n)
         seen.extend(ranges[:n])
-    assert np.mean(counts) == pytest.approx(3.0, abs=4 * math.sqrt(3 / 4000))
+    assert np.mean(counts) == pytest.approx(3.0, abs=4 * math.sqrt(3 / 1500))
     assert stats.kstest(seen, stats.uniform(1000, 300).cdf).pvalue > 1e-4
 
 
@@ -245,7 +256,7 @@ def test_dead_time_is_kept_and_what_falls_into_it_is_counted():
 
 def test_afterpulses_follow_their_law_and_name_their_parents():
     rng, (ranges, facts, kept, electrons) = np.random.default_rng(8), room()
-    receiver, lags, generations, n_shots = detector.Receiver(0.24, 0.15, 0.7, 3.0), [], [], 20_000
+    receiver, lags, generations, n_shots = detector.Receiver(0.24, 0.15, 0.7, 3.0), [], [], 6_000
     for _ in range(n_shots):
         n = detector.add_event(ranges, facts, 0, 50.0, 2, detector.NO_PARENT, -1)
         count = detector.record(rng, ranges, facts, n, 300.0, receiver, kept, electrons)
@@ -266,7 +277,7 @@ def test_afterpulses_follow_their_law_and_name_their_parents():
 def test_a_tail_takes_its_share_of_the_lags(power):
     receiver = detector.Receiver(0.24, 0.2, 0.5, 15.0, 0.4, 3.0, power)
     rng, window = np.random.default_rng(4), 15.0 - 0.24
-    lags = np.array([detector.draw_lag(rng, receiver) for _ in range(20_000)]) - 0.24
+    lags = np.array([detector.draw_lag(rng, receiver) for _ in range(8_000)]) - 0.24
 
     def tail(x):
         if power == 0.0:
