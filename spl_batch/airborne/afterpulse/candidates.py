@@ -107,7 +107,8 @@ def probability(
         below_planes(shots, u, v, w, rules._replace(below_m=settings.below_plane_m), found)
     else:
         lag_behind(run_starts(time, channel), range_m, law.least_m, rules.chain_m, lag)
-        shot_probabilities(shots, offset, direction, range_m, channel, lag, rules, found)
+        known = several(channel, shots)
+        shot_probabilities(shots, offset, direction, range_m, channel, lag, known, rules, found)
     out[rows] = found
     return out
 

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.hard_surfaces import (
-    RETURNS_MIN,
     STEP_M,
     Rules,
+    candidates,
     densest,
     fit_surfaces,
     on_surface,
 )
-from spl_batch.airborne.beams.differential_cell_count import dcc_keep
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.planes.robust_plane import residual
@@ -144,40 +143,16 @@ def observe_lags(
     n = len(range_m)
     u, v = np.empty(n), np.empty(n)
     across_beams(starts, direction, offset, u, v)
-    member, first = np.empty(n, np.uint64), np.zeros(len(chosen) + 1, np.int64)
-    owner = np.empty(len(chosen), np.int64)
-    sets = _candidates(starts, chosen, range_m, lag, rules, member, first, owner)
-    plane, trusted, spreads = np.empty((sets, 3)), np.empty(sets, np.bool_), np.empty(sets)
-    fit_surfaces(sets, first, member, u, v, range_m, rules, plane, trusted, spreads)
-    for one in range(sets):
-        if trusted[one]:
-            rows = slice(starts[owner[one]], starts[owner[one] + 1])
-            distance = residual(plane[one], u[rows], v[rows], range_m[rows])
-            _observe(
-                range_m[rows], channel[rows], lag[rows], distance, spreads[one],
-                _square(plane[one]), rules, edges, counts,
-            )  # fmt: skip
-
-
-@njit()
-def _candidates(starts, chosen, range_m, lag, rules, member, first, owner):  # type: ignore[no-untyped-def]
-    """Sets of first returns of chosen shots that may be of a surface: how many they are."""
-    sets = 0
+    first = candidates(starts, lag == 0, PARENTS_MIN, range_m, rules)
+    found = fit_surfaces(starts, first, u, v, range_m, rules)
     for shot in chosen:
-        low, high = starts[shot], starts[shot + 1]
-        if high - low < PARENTS_MIN:
-            continue
-        keep = np.empty(high - low, dtype=np.bool_)
-        dcc_keep(range_m[low:high], rules.gate_m, rules.coarse_m, rules.fine_m, keep)
-        end = first[sets]
-        for i in range(low, high):
-            if keep[i - low] and lag[i] == 0:
-                member[end] = i
-                end += 1
-        if end - first[sets] >= RETURNS_MIN:
-            owner[sets], first[sets + 1] = shot, end
-            sets += 1
-    return sets
+        if found.trusted[shot]:
+            rows, plane = slice(starts[shot], starts[shot + 1]), found.plane[shot]
+            distance = residual(plane, u[rows], v[rows], range_m[rows])
+            _observe(
+                range_m[rows], channel[rows], lag[rows], distance, found.spread[shot],
+                _square(plane), rules, edges, counts,
+            )  # fmt: skip
 
 
 @njit()
