@@ -21,8 +21,9 @@ from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.objects import (
     building_solid,
     catenary,
+    tower_solid,
 )
-from spl_batch.airborne.simulate.scene.scene_file import Building
+from spl_batch.airborne.simulate.scene.scene_file import Building, Wires
 from spl_batch.numerics import attitude
 
 
@@ -107,6 +108,20 @@ def test_a_building_is_hit_where_marching_along_the_ray_enters_it(roof):
         else:
             assert leave - enter < 0.011 or enter > 130  # walls go on below the ground
     assert 40 < hits < 190
+
+
+def test_a_tower_narrows_from_its_foot_to_its_tip():
+    wires = Wires(points_m=((30, 30), (40, 30)), height_m=28)
+    planes = tower_solid(30.0, 30.0, wires, bare(np.full((60, 60), 7.0))).planes
+
+    def inside(aside, z):
+        return (planes[:, :3] @ [30 + aside, 30.0, z] <= planes[:, 3]).all()
+
+    for half_m, z in ((2.5, 7.0), (0.8, 40.0)):
+        for side in (-1, 1):
+            assert inside(side * (half_m - 0.01), z - 1e-6)
+            assert not inside(side * (half_m + 0.01), z - 1e-6)
+    assert not inside(0.0, 40.1)
 
 
 def test_crown_chord_is_the_quadratic_of_the_ellipsoid():

@@ -64,6 +64,20 @@ def test_patches_cover_the_share_of_the_sky_that_is_asked_for_and_drift_with_the
     np.testing.assert_allclose(later, strength[:200], atol=1e-9)
 
 
+def test_fog_thins_out_with_the_height_above_the_ground():
+    scene = parse_scene({**FLAT, "sky": {"fog": [{"times_noise": 20, "scale_m": 1.5}]}}, "here")
+    arrays, air = lay_out(scene).arrays, layers.make_air(scene, 0.05)
+    rng, ranges, facts = np.random.default_rng(2), np.empty(200), np.empty((200, 3), np.int64)
+    # down to half a metre below the ground, where there is no fog
+    ray, span = (np.array([20.0, 20.0, 140.0]), np.array([0.0, 0.0, -1.0])), (0.0, 100.5)
+    height = []
+    for _ in range(2000):
+        n = layers.add_air(rng, arrays, air, 1.0, 0.0, ray, span, ranges, facts, 0)
+        height.extend(100.0 - ranges[:n])
+    assert len(height) / 2000 == pytest.approx(20 * 0.05 * 1.5, rel=0.05)
+    assert stats.kstest(height, "expon", (0, 1.5)).pvalue > 1e-3
+
+
 def test_a_layer_upside_down_is_refused():
     with pytest.raises(WorkflowError, match=r"haze\.0: top_m must be above base_m"):
         parse_scene({**FLAT, "sky": {"haze": [{"base_m": 50, "top_m": 20}]}}, "here")
