@@ -37,13 +37,6 @@ PASSED_SHARE = 0.1
 FOLLOWED = 2.0
 """And so is one that more returns follow than so many times the afterpulses that are due."""
 
-NEAR_M = 1.6
-"""How far across the beam returns are looked at to tell whether a place is hard [m]."""
-
-
-BESIDE_MIN = 4
-"""Returns that a surface needs around the place where a beamlet crosses it [count]."""
-
 
 class Rules(NamedTuple):
     """Numbers of the method; lengths in metres along the beam."""
@@ -304,23 +297,3 @@ def returns_behind(
     depth, together = densest(depths, 0, passed, 2.0 * rules.below_m)
     scattered = passed - together
     return scattered <= PASSED_MIN + PASSED_SHARE * on, depth if together > 1 else np.inf
-
-
-@njit()
-def hit_beside(
-    i: int, rows: tuple[int, int], behind: NDArray[np.float64], spread: float,
-    u: NDArray[np.float64], v: NDArray[np.float64], rules: Rules,
-) -> bool:  # fmt: skip
-    """Whether a surface has returns all around the place where a return's beamlet crosses it.
-
-    At least :data:`BESIDE_MIN` lie within :data:`NEAR_M` across the beam, on both sides along
-    either axis.
-    """
-    count, left, right, low, high = 0, False, False, False, False
-    for j in range(rows[0], rows[1]):
-        du, dv = u[j] - u[i], v[j] - v[i]
-        if du * du + dv * dv <= NEAR_M**2 and on_surface(behind[j], spread, rules):
-            count += 1
-            left, right = left or du < 0.0, right or du > 0.0
-            low, high = low or dv < 0.0, high or dv > 0.0
-    return count >= BESIDE_MIN and left and right and low and high

@@ -72,34 +72,6 @@ the largest times this. As twenty returns tell it, that is 0.78 on the level and
 on real heath it is 0.35 to 0.66."""
 
 
-@njit()
-def across_beams(
-    shots: NDArray[np.int64],
-    direction: NDArray[np.float64],
-    offset: NDArray[np.float64],
-    u: NDArray[np.float64],
-    v: NDArray[np.float64],
-) -> None:
-    """Coordinates of points across the first beam of their shot: fills ``u, v`` [m].
-
-    The two axes are arbitrary, but depend on the beam alone.
-    """
-    for shot in range(len(shots) - 1):
-        at = shots[shot]
-        dx, dy, dz = direction[at, 0], direction[at, 1], direction[at, 2]
-        if abs(dx) < 0.7:
-            ux, uy, uz = 0.0, dz, -dy
-        else:
-            ux, uy, uz = -dz, 0.0, dx
-        norm = math.sqrt(ux * ux + uy * uy + uz * uz)
-        ux, uy, uz = ux / norm, uy / norm, uz / norm
-        vx, vy, vz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
-        for i in range(shots[shot], shots[shot + 1]):
-            x, y, z = offset[i, 0], offset[i, 1], offset[i, 2]
-            u[i] = ux * x + uy * y + uz * z
-            v[i] = vx * x + vy * y + vz * z
-
-
 class Counts(NamedTuple):
     """Counts behind the planes of a flightline; parts of it add up.
 
@@ -124,25 +96,15 @@ def no_counts() -> Counts:
 
 @njit()
 def observe_lags(
-    starts: NDArray[np.int64],
-    chosen: NDArray[np.int64],
-    offset: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    range_m: NDArray[np.float64],
-    channel: NDArray[np.uint8],
-    lag: NDArray[np.float32],
-    rules: Rules,
-    edges: NDArray[np.float64],
-    counts: Counts,
-) -> None:
+    starts: NDArray[np.int64], chosen: NDArray[np.int64], u: NDArray[np.float64],
+    v: NDArray[np.float64], range_m: NDArray[np.float64], channel: NDArray[np.uint8],
+    lag: NDArray[np.float32], rules: Rules, edges: NDArray[np.float64], counts: Counts,
+) -> None:  # fmt: skip
     """Count what follows the first returns on a plane that is alone in its shot, of chosen shots.
 
     Arrays are as in :func:`~spl_batch.airborne.afterpulse.shot_evidence.shot_probabilities`; lags
     reach up to the last edge.
     """
-    n = len(range_m)
-    u, v = np.empty(n), np.empty(n)
-    across_beams(starts, direction, offset, u, v)
     first = candidates(starts, lag == 0, PARENTS_MIN, range_m, rules)
     found = fit_surfaces(starts, first, u, v, range_m, rules)
     for shot in chosen:

@@ -14,11 +14,10 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
     behind_of,
     candidates,
     find_surfaces,
-    hit_beside,
     on_surface,
     returns_behind,
 )
-from spl_batch.airborne.afterpulse.lag_counts import across_beams, law_at
+from spl_batch.airborne.afterpulse.lag_counts import law_at
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.simd import LANES
 
@@ -69,16 +68,14 @@ def plane_probability(
 
 @njit()
 def follows_surface(
-    i: int, own: tuple[int, int], rows: tuple[int, int], behind: NDArray[np.float64],
-    spreads: NDArray[np.float64], depths: NDArray[np.float64], u: NDArray[np.float64],
-    v: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
+    i: int, own: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
+    depths: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
 ) -> bool:  # fmt: skip
-    """Whether a return lies on no surface, and behind one that its beamlet hit or must have hit.
+    """Whether a return lies on no surface, and behind a hard one that its beamlet hit.
 
     ``own`` is :func:`beamlet_of` it; ``depths`` (found,) is what :func:`returns_behind` gives, NaN
     for penetrable surfaces. Unless ranging noise is large, half the dead time is distance enough:
-    the dead time is longer than a hard surface is thick. Behind a hard surface with a parent in
-    front of it, a return follows the surface only if others have hit that close by.
+    the dead time is longer than a hard surface is thick.
     """
     for s in range(len(behind)):
         if abs(behind[s, i]) <= max(0.5 * rules.dead_m, rules.apart * spreads[s]):
@@ -88,14 +85,10 @@ def follows_surface(
     for s in range(len(behind)):
         if np.isnan(depths[s]) or behind[s, i] <= 0.0:
             continue
-        before = False
         for j in range(own[0], own[1]):
-            if 0.0 < w[i] - w[j] <= rules.chain_m:
-                if on_surface(behind[s, j], spreads[s], rules):
-                    return True
-                before = before or behind[s, j] < 0.0
-        if before and hit_beside(i, rows, behind[s], spreads[s], u, v, rules):
-            return True
+            lag = w[i] - w[j]
+            if 0.0 < lag <= rules.chain_m and on_surface(behind[s, j], spreads[s], rules):
+                return True
     return False
 
 
@@ -112,39 +105,31 @@ def beamlet_of(i: int, rows: tuple[int, int], channel: NDArray[np.uint8]) -> tup
 
 @njit()
 def shot_probabilities(
-    starts: NDArray[np.int64],
-    offset: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    range_m: NDArray[np.float64],
-    channel: NDArray[np.uint8],
-    lag: NDArray[np.float32],
-    known: NDArray[np.bool_],
-    rules: Rules,
-    out: NDArray[np.float32],
-) -> None:
+    starts: NDArray[np.int64], u: NDArray[np.float64], v: NDArray[np.float64],
+    w: NDArray[np.float64], channel: NDArray[np.uint8], lag: NDArray[np.float32],
+    known: NDArray[np.bool_], rules: Rules, out: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Probability of being an afterpulse, for each return of each shot: fills ``out`` (n,).
 
     ``starts`` (m + 1,): rows where shots start, then n; ``known`` (m,): shots that know channels.
-    ``offset``: points relative to the first of their shot [m]; the direction of its beam frames the
-    shot. Returns of one beamlet follow each other; ``lag`` is the distance behind the nearest
-    earlier one [m], 0 for none.
+    ``u, v, w``: places across and along the beam, with room for eight more [m]. Returns of one
+    beamlet follow each other; ``lag`` is the distance behind the nearest earlier one [m], 0 for
+    none.
     """
     for begin in range(0, len(starts) - 1, TOGETHER):
         shots = starts[begin : begin + TOGETHER + 1]
         rows = slice(shots[0], shots[-1])
+        more = slice(shots[0], shots[-1] + LANES)
         _of_shots(
-            shots - shots[0], offset[rows], direction[rows], range_m[rows], channel[rows],
-            lag[rows], known[begin : begin + TOGETHER], rules, out[rows],
+            shots - shots[0], u[more], v[more], w[more], channel[rows], lag[rows],
+            known[begin : begin + TOGETHER], rules, out[rows],
         )  # fmt: skip
 
 
 @njit()
-def _of_shots(shots, offset, direction, range_m, channel, lag, known, rules, out):  # type: ignore[no-untyped-def]
+def _of_shots(shots, u, v, w, channel, lag, known, rules, out):  # type: ignore[no-untyped-def]
     """:func:`shot_probabilities` of a few shots."""
-    n = len(range_m)
-    u, v, w = np.zeros(n + LANES), np.zeros(n + LANES), np.zeros(n + LANES)
-    w[:n] = range_m
-    across_beams(shots, direction, offset, u, v)
+    n = len(out)
     # Without channels any return may be the first of its beamlet.
     first = (lag == 0) | np.repeat(~known, np.diff(shots))
     spread_max = np.where(known, SHARP * rules.sigma_m, np.inf)
@@ -164,7 +149,7 @@ def _of_shots(shots, offset, direction, range_m, channel, lag, known, rules, out
             # One farther behind its nearest parent cannot have been started by any.
             elif 0.0 < lag[i] <= rules.longest_m:
                 own = beamlet_of(i, rows, channel)
-                if follows_surface(i, own, rows, surfaces, spreads[shot], depths, u, v, w, rules):
+                if follows_surface(i, own, surfaces, spreads[shot], depths, w, rules):
                     out[i] = HARD
                 else:
                     out[i] = soft_probability(i, lag[i], rows, w, first, rules)
