@@ -9,12 +9,11 @@ from scipy.optimize import brentq
 
 from spl_batch.airborne.beams.link_budget import photon_energy_j, signal_constant
 from spl_batch.airborne.simulate.detector import Receiver
-from spl_batch.airborne.simulate.flight import Chunk, Pass
+from spl_batch.airborne.simulate.flight import Chunk, Pass, pixel_offsets
 from spl_batch.airborne.simulate.scene.layout import Layout
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays, lit_share
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.simulate.shots import Optics
-from spl_batch.airborne.simulate.wedge_scan import pixel_offsets
 from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import WorkflowError
 

@@ -13,7 +13,6 @@ from spl_batch.airborne.simulate import (
     detector,
     flight,
     preset_scene,
-    wedge_scan,
 )
 from spl_batch.airborne.simulate.brightness import physical_noise
 from spl_batch.airborne.simulate.scene import beam_layers, ray_trace
@@ -215,7 +214,7 @@ def test_central_vector_follows_equation_2_12():
         tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
         expected = turn @ tilt @ np.array([0, 0, -1.0])
         # Eq. 2.12 as printed puts y on the other side than Eq. 2.13, which is used
-        got = wedge_scan.central_vectors(np.array([angle]), cone)[0]
+        got = flight.central_vectors(np.array([angle]), cone)[0]
         np.testing.assert_allclose(np.abs(got), np.abs(expected), atol=1e-12)
         np.testing.assert_allclose(
             got, [np.sin(cone) * np.sin(angle), np.sin(cone) * np.cos(angle), -np.cos(cone)]
