@@ -10,7 +10,7 @@ import rasterio
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.simulate.survey import KINDS
+from spl_batch.airborne.simulate.scene.ray_trace import KINDS
 
 NOISE: Final = tuple(map(KINDS.index, ("background", "afterpulse")))
 """Kinds of returns that no surface reflected."""

@@ -62,7 +62,7 @@ def quickstart(
     folder = Path(output)
     workflow = folder / "workflow.yaml"
     if not workflow.exists():
-        preset = resources.files("spl_batch.airborne.simulate").joinpath("presets/quickstart.yaml")
+        preset = resources.files("spl_batch.airborne").joinpath("simulate/presets/quickstart.yaml")
         # The simulation takes one processor.
         with resources.as_file(preset) as scene, compiling_beside():
             simulate(scene, folder, progress=progress)

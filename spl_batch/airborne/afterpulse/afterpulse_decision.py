@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import foliage
-from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane
+from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane, parents_of
 from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
 from spl_batch.airborne.beams.dependent_returns import LAG_M, dependents
 from spl_batch.airborne.settings import AfterpulseSettings
@@ -191,7 +191,8 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
     rate = table["afterpulse_rate"][rows].astype(np.float64)
     alone = places.listed(usable & (table["afterpulse_rate"] == 0))
     sigma = _spreads(table, rows)
-    behind, tilt, parents = places.behind_plane(at, alone, sigma)
+    parents = places.parents(rows)
+    behind, tilt = places.behind_plane(at, parents, alone, sigma)
     hard |= behind
     chance = np.zeros(len(rows))
     clumping = places.clumping(rows, parents[~hard & (parents >= 0)], true)
@@ -281,8 +282,7 @@ class _Places:
     ) -> NDArray[np.int64]:
         """True returns around places, by kernel: (m, k) int64 [count / :data:`UNIT` ** 2].
 
-        ``true``: weights by place. A return of the same beamlet counts for ``own`` above the place,
-        and not at all below.
+        ``true``: weights by place. ``own``: what one of the same beamlet above the place counts.
         """
         sums = np.empty((len(places), len(radii_m)), dtype=np.int64)
         weigh_around(
@@ -302,33 +302,36 @@ class _Places:
         named = self._order[parents].astype(np.intp)
         return foliage.clumping(x, y, named, true[parents], counts, rows)
 
+    def parents(self, rows: NDArray[np.intp]) -> NDArray[np.int32]:
+        """Places of the returns in front of some rows in their beamlets, -1 for none."""
+        chosen = np.zeros(len(self._table), np.bool_)
+        chosen[rows] = True
+        found = parents_of(self._table, chosen, quanta(LAG_M), quanta(WIDE_M))[rows]
+        return np.where(found >= 0, self._place[found], np.int32(-1))
+
     def behind_plane(
-        self, places: NDArray[np.int32], alone: NDArray[np.bool_], sigma: NDArray[np.float64]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int32]]:
-        """Which places lie behind a hard surface of returns without a parent, and its slopes.
+        self, places: NDArray[np.int32], parents: NDArray[np.int32], alone: NDArray[np.bool_],
+        sigma: NDArray[np.float64],
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:  # fmt: skip
+        """Which places lie behind a hard surface around their parents (m,), and its slopes (m, 2).
 
-        ``alone`` goes by place; ``sigma`` is the ranging spread [m].
-
-        Returns
-        -------
-        (m,) bool, (m, 2) float64, (m,) int32
-            Behind or not; slopes, 0 without a surface; places of the parents, -1 for none.
+        ``alone`` goes by place: returns without a parent, which make it. ``sigma`` is the ranging
+        spread [m]. Without a surface slopes are 0.
         """
         out, tilt = np.empty(len(places), dtype=np.bool_), np.empty((len(places), 2))
-        parents = np.empty(len(places), dtype=np.int32)
         for spread, own in _alike(sigma, np.ones(len(places), np.bool_)):
             wide, high, thick = (quanta(m) for m in PLANE_M)
             high, thick = (
                 max(least, quanta(spreads * spread))
                 for least, spreads in ((high, SPREADS[1]), (thick, SPREADS[2]))
             )
-            found, slopes, above = out[own], tilt[own], parents[own]
+            found, slopes = out[own], tilt[own]
             behind_plane(
-                self._made, self._time, self._channel, alone, places[own], quanta(LAG_M), wide,
-                high, thick, PLANE_SHARE, PLANE_LEAST, found, slopes, above,
+                self._made, alone, places[own], parents[own], (wide, high, thick), PLANE_SHARE,
+                PLANE_LEAST, found, slopes,
             )  # fmt: skip
-            out[own], tilt[own], parents[own] = found, slopes, above
-        return out, tilt, parents
+            out[own], tilt[own] = found, slopes
+        return out, tilt
 
 
 def _from_shot(afterpulse: NDArray[np.float32]) -> NDArray[np.float64]:

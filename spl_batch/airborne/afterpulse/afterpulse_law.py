@@ -33,10 +33,11 @@ from spl_batch.airborne.afterpulse.lag_counts import (
     ranging_spread,
     rate_behind,
 )
-from spl_batch.airborne.beams.shot_runs import offsets, run_starts
+from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
+from spl_batch.numerics.simd import LANES
 
 DOMAIN: Final = "time"
 
@@ -126,11 +127,27 @@ def _nodes(dead_m: float, longest_m: float) -> NDArray[np.float64]:
     return dead_m + STEP_M * np.arange(steps + 1, dtype=np.float64)
 
 
-def shot_offsets(table: PointTable, shots: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Points relative to the first one of their shot: (n, 3) float64 [m]."""
-    offset = np.empty((len(table), 3))
-    offsets(shots, (table["x"], table["y"], table["z"]), QUANTUM_M, offset)
-    return offset
+def across_beams(
+    table: PointTable, shots: NDArray[np.int64], direction: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Two coordinates of points across the first beam of their shot: (2, n + 8) [m].
+
+    They count from the shot's first point; the axes are arbitrary, but depend on the beam alone.
+    """
+    first, size = shots[:-1], np.diff(shots)
+    dx, dy, dz = direction[first].T
+    none = np.zeros(len(first))
+    ux, uy, uz = np.where(np.abs(dx) < 0.7, (none, dz, -dy), (-dz, none, dx))
+    norm = np.sqrt(ux * ux + uy * uy + uz * uz)
+    ux, uy, uz = ux / norm, uy / norm, uz / norm
+    other = (dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux)
+    out = np.zeros((2, len(table) + LANES))
+    for name, one, two in zip("xyz", (ux, uy, uz), other, strict=True):
+        place = table[name].astype(np.int64, copy=False)
+        offset = (place - np.repeat(place[first], size)) * QUANTUM_M
+        for found, axis in zip(out, (one, two), strict=True):
+            found[: len(table)] += np.repeat(axis, size) * offset
+    return out
 
 
 def several(channel: NDArray[np.uint8], shots: NDArray[np.int64]) -> NDArray[np.bool_]:

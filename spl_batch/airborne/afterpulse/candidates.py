@@ -3,10 +3,10 @@
 Source: [W17] ch. 7 (DCC, robust regression, 68th percentile, 0.3 m), Eq. 3.3.
 
 Deviations. The published rule flags whatever lies below the plane. Here a return also needs a
-parent: an earlier return of its beamlet on that surface or in front of it, at most ``lag_max_m``
-away. So the ground beside a roof stays. Returns behind another one of their beamlet take no part in
-the fit. A shot may hold up to three surfaces. Distances to the threshold run along the beam. Away
-from hard surfaces the lag gives a probability below one half, and the space domain decides
+parent: an earlier return of its beamlet on that surface, at most ``lag_max_m`` away. So the ground
+beside a roof stays. Returns behind another one of their beamlet take no part in the fit. A shot may
+hold up to three surfaces. Distances to the threshold run along the beam. Away from hard surfaces
+the lag gives a probability below one half, and the space domain decides
 (:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision`). Where beamlets cannot be told apart
 (:mod:`~spl_batch.airborne.beams.told_apart`), the published rule stands, down to ``lag_max_m``.
 
@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.afterpulse_law import (
     AfterpulseLaw,
+    across_beams,
     sensor_law,
     several,
-    shot_offsets,
 )
 from spl_batch.airborne.afterpulse.hard_surfaces import Rules, below_planes
 from spl_batch.airborne.afterpulse.lag_counts import (
     LAG_EDGES_M,
-    across_beams,
     no_counts,
     observe_lags,
 )
@@ -99,15 +98,14 @@ def probability(
     law = law or sensor_law(sensor)
     lag, found = np.empty((2, len(table)), dtype=np.float32)
     rules = hard_rules(settings, sensor, law, gate_m)
-    offset, direction = shot_offsets(table, shots), np.ascontiguousarray(beams.direction[rows])
+    u, v = across_beams(table, shots, beams.direction[rows])
+    w = np.concatenate([range_m, np.zeros(LANES)])
     if settings.method == "published":
-        u, v, w = np.zeros((3, len(table) + LANES))
-        w[: len(table)] = range_m
-        across_beams(shots, direction, offset, u, v)
         below_planes(shots, u, v, w, rules._replace(below_m=settings.below_plane_m), found)
     else:
         lag_behind(run_starts(time, channel), range_m, law.least_m, rules.chain_m, lag)
-        shot_probabilities(shots, offset, direction, range_m, channel, lag, rules, found)
+        known = several(channel, shots)
+        shot_probabilities(shots, u, v, w, channel, lag, known, rules, found)
     out[rows] = found
     return out
 
@@ -136,9 +134,9 @@ def observe(table: PointTable, beams: BeamTable, sensor: Sensor) -> dict[str, ND
         shots = run_starts(time)
         lag = np.empty(len(rows), dtype=np.float32)
         lag_behind(run_starts(time, channel), range_m, law.least_m, float(LAG_EDGES_M[-1]), lag)
+        u, v = across_beams(table.take(rows), shots, beams.direction[rows])
         observe_lags(
-            shots, np.flatnonzero(several(channel, shots)), shot_offsets(table.take(rows), shots),
-            beams.direction.take(rows, axis=0), range_m, channel, lag,
+            shots, np.flatnonzero(several(channel, shots)), u, v, range_m, channel, lag,
             hard_rules(AfterpulseSettings(), sensor, law), LAG_EDGES_M, counts,
         )  # fmt: skip
     return {f"afterpulse_{name}": value for name, value in counts._asdict().items()}

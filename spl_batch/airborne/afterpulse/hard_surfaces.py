@@ -1,4 +1,4 @@
-"""Hard surfaces in one shot: robust planes that its returns agree on [W17 ch. 7].
+"""Hard surfaces of shots: robust planes that their returns agree on [W17 ch. 7].
 
 See :mod:`spl_batch.airborne.afterpulse.candidates` for the method and its deviations.
 """
@@ -21,6 +21,9 @@ STEP_M = 0.05
 SURFACES_MAX = 3
 """Hard surfaces looked for in a shot: a roof, the ground beside it, one between."""
 
+GROWN = 2
+"""How often a surface is fitted again to the candidates that lie on it [count]."""
+
 RETURNS_MIN = 6
 """Least returns of a surface [count]."""
 
@@ -33,13 +36,6 @@ PASSED_SHARE = 0.1
 
 FOLLOWED = 2.0
 """And so is one that more returns follow than so many times the afterpulses that are due."""
-
-NEAR_M = 1.6
-"""How far across the beam returns are looked at to tell whether a place is hard [m]."""
-
-
-BESIDE_MIN = 4
-"""Returns that a surface needs around the place where a beamlet crosses it [count]."""
 
 
 class Rules(NamedTuple):
@@ -64,6 +60,15 @@ class Rules(NamedTuple):
     law: NDArray[np.float64]
 
 
+class Surfaces(NamedTuple):
+    """Planes of shots, by shot."""
+
+    plane: NDArray[np.float64]  #: (s, 3): range where u and v are 0 [m], and slopes to them.
+    trusted: NDArray[np.bool_]  #: (s,): whether there is one.
+    spread: NDArray[np.float64]  #: (s,): scale of its residuals [m].
+    size: NDArray[np.int64]  #: (s,): returns that it was fitted to [count].
+
+
 @njit()
 def on_surface(distance: float, spread: float, rules: Rules) -> bool:
     """Whether a return is as near to a surface as its own returns are."""
@@ -71,40 +76,69 @@ def on_surface(distance: float, spread: float, rules: Rules) -> bool:
 
 
 @njit()
-def fit_surfaces(
-    sets: int, first: NDArray[np.int64], member: NDArray[np.uint64], u: NDArray[np.float64],
-    v: NDArray[np.float64], w: NDArray[np.float64], rules: Rules, plane: NDArray[np.float64],
-    trusted: NDArray[np.bool_], spreads: NDArray[np.float64],
-) -> None:  # fmt: skip
-    """Robust planes of sets of candidates, and whether they are to be trusted [W17 ch. 7].
+def candidates(
+    shots: NDArray[np.int64], first: NDArray[np.bool_], least: int, w: NDArray[np.float64],
+    rules: Rules,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """First returns that may be of a surface, by DCC: (n,); none in shots of fewer returns."""
+    keep = np.zeros(len(first), np.bool_)
+    for shot in range(len(shots) - 1):
+        low, high = shots[shot], shots[shot + 1]
+        if high - low >= least:
+            dcc_keep(w[low:high], rules.gate_m, rules.coarse_m, rules.fine_m, keep[low:high])
+    return keep & first
 
-    Sets, of :data:`RETURNS_MIN` at least, are as
-    :func:`~spl_batch.numerics.planes.robust_planes_simd.fit_planes` takes them. A plane is trusted
-    where the 68th percentile of the distances is small, and hard returns are enough; ``spreads`` is
-    then filled with the scale of their residuals [m].
+
+@njit()
+def fit_surfaces(
+    shots: NDArray[np.int64], chosen: NDArray[np.bool_], u: NDArray[np.float64],
+    v: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
+) -> Surfaces:  # fmt: skip
+    """Robust planes of shots, through their chosen returns [W17 ch. 7].
+
+    ``u, v, w``: places across and along the beam [m]. A plane is trusted where
+    :data:`RETURNS_MIN` returns are hard, and the 68th percentile of the distances is small.
     """
-    weight = np.empty(first[sets])
-    fit_planes(sets, first, member, u, v, w, rules.sigma_m, plane, weight, trusted)
-    longest = 0
+    number_of, sets = len(shots) - 1, 0
+    found = Surfaces(
+        np.empty((number_of, 3)), np.zeros(number_of, np.bool_), np.empty(number_of),
+        np.zeros(number_of, np.int64),
+    )  # fmt: skip
+    member, begin = np.empty(len(chosen) + LANES, np.uint64), np.zeros(number_of + 1, np.int64)
+    owner = np.empty(number_of, np.int64)
+    for shot in range(number_of):
+        end = begin[sets]
+        for i in range(shots[shot], shots[shot + 1]):
+            member[end] = i
+            end += chosen[i]
+        if end - begin[sets] >= RETURNS_MIN:
+            owner[sets], begin[sets + 1] = shot, end
+            sets += 1
+    plane, settled, weight = np.empty((sets, 3)), np.empty(sets, np.bool_), np.empty(begin[sets])
+    fit_planes(sets, begin, member, u, v, w, rules.sigma_m, plane, weight, settled)
+    distance, hard = np.empty(len(chosen)), np.empty(len(chosen))
     for one in range(sets):
-        longest = max(longest, first[one + 1] - first[one])
-    distance, hard = np.empty(longest), np.empty(longest)
-    for one in range(sets):
-        if not trusted[one]:
+        if not settled[one]:
             continue
-        a, b, c = plane[one, 0], plane[one, 1], plane[one, 2]
         size = count = 0
-        for k in range(first[one], first[one + 1]):
-            row = member[k]
-            distance[size] = abs(w[row] - (a + b * u[row] + c * v[row]))
+        for k in range(begin[one], begin[one + 1]):
+            distance[size] = abs(behind_of(plane[one], member[k], u, v, w))
             hard[count] = distance[size]
             size += 1
             count += weight[k] > rules.weight_min
-        trusted[one] = count >= RETURNS_MIN and percentile_68_below(
+        if count >= RETURNS_MIN and percentile_68_below(
             plane[one], distance[:size], rules.p68_max_m
-        )
-        if trusted[one]:
-            spreads[one] = spread(hard[:count], rules.sigma_m)
+        ):
+            shot = owner[one]
+            found.trusted[shot], found.plane[shot] = True, plane[one]
+            found.spread[shot], found.size[shot] = spread(hard[:count], rules.sigma_m), size
+    return found
+
+
+@njit()
+def behind_of(plane, row, u, v, w):  # type: ignore[no-untyped-def]
+    """How far behind a plane a row lies [m]."""
+    return w[row] - (plane[0] + plane[1] * u[row] + plane[2] * v[row])
 
 
 @njit()
@@ -112,30 +146,97 @@ def below_planes(
     shots: NDArray[np.int64], u: NDArray[np.float64], v: NDArray[np.float64],
     w: NDArray[np.float64], rules: Rules, out: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """The rule as published: one plane for each shot, and all that lies below it [W17 ch. 7].
-
-    ``out`` (n,): 1 for afterpulses, else 0; shots whose plane is not trusted have none.
-    """
-    n, sets = len(out), 0
-    candidate, member = np.zeros(n, np.bool_), np.empty(n + LANES, np.uint64)
-    first, owner = np.zeros(len(shots), np.int64), np.empty(len(shots), np.int64)
-    for shot in range(len(shots) - 1):
-        low, high, end = shots[shot], shots[shot + 1], first[sets]
-        dcc_keep(w[low:high], rules.gate_m, rules.coarse_m, rules.fine_m, candidate[low:high])
-        for i in range(low, high):
-            member[end] = i
-            end += candidate[i]
-        if end - first[sets] >= RETURNS_MIN:
-            owner[sets], first[sets + 1] = shot, end
-            sets += 1
-    plane, trusted, spreads = np.empty((sets, 3)), np.empty(sets, np.bool_), np.empty(sets)
-    fit_surfaces(sets, first, member, u, v, w, rules, plane, trusted, spreads)
+    """The rule as published: all that lies below the plane of its shot is 1, else 0 [W17 ch. 7]."""
+    chosen = candidates(shots, np.ones(len(out), np.bool_), 0, w, rules)
+    found = fit_surfaces(shots, chosen, u, v, w, rules)
     out[:] = 0.0
-    for one in range(sets):
-        if trusted[one]:
-            a, b, c = plane[one, 0], plane[one, 1], plane[one, 2]
-            for i in range(shots[owner[one]], shots[owner[one] + 1]):
-                out[i] = w[i] - (a + b * u[i] + c * v[i]) > rules.below_m
+    for shot in range(len(shots) - 1):
+        if found.trusted[shot]:
+            for i in range(shots[shot], shots[shot + 1]):
+                out[i] = behind_of(found.plane[shot], i, u, v, w) > rules.below_m
+
+
+@njit()
+def find_surfaces(
+    shots: NDArray[np.int64], u: NDArray[np.float64], v: NDArray[np.float64],
+    w: NDArray[np.float64], candidate: NDArray[np.bool_], rules: Rules,
+    spread_max: NDArray[np.float64], planes: NDArray[np.float64], spreads: NDArray[np.float64],
+    found: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Hard surfaces of shots: one plane as published, else several.
+
+    Where one plane does not do (roof beside ground, a ridge, ground under a tree), a plane grows
+    from the fullest range of the shot. It is taken if it stands out from an even spread of the
+    candidates, and then the next is looked for. Shots do not affect each other; they come together
+    because their planes are fitted together.
+
+    ``spread_max`` (s,) bounds the spread of a surface's residuals [m], which keeps crowns out; it
+    is infinite as published, where the 68th percentile alone decides. ``planes`` (s, SURFACES_MAX,
+    3), ``spreads`` [m] and ``found`` (s,), their number, are filled.
+    """
+    left, pending = candidate.copy(), np.zeros(len(found), np.bool_)
+    fitted = fit_surfaces(shots, left, u, v, w, rules)
+    for shot in range(len(found)):
+        found[shot] = fitted.trusted[shot] and fitted.spread[shot] <= spread_max[shot]
+        pending[shot] = found[shot] == 0
+        planes[shot, 0], spreads[shot, 0] = fitted.plane[shot], fitted.spread[shot]
+    for at in range(SURFACES_MAX):
+        chosen = _fullest(shots, w, left, pending, 2.0 * rules.p68_max_m)
+        fitted = fit_surfaces(shots, chosen, u, v, w, rules)
+        for _ in range(GROWN):
+            chosen = _on_planes(shots, u, v, w, left, fitted, rules)
+            fitted = fit_surfaces(shots, chosen, u, v, w, rules)
+        for shot in range(len(found)):
+            pending[shot] = (
+                fitted.trusted[shot]
+                and fitted.spread[shot] <= spread_max[shot]
+                and _stands_out(fitted.size[shot], (shots[shot], shots[shot + 1]), w, left, rules)
+            )
+            if pending[shot]:
+                planes[shot, at], spreads[shot, at] = fitted.plane[shot], fitted.spread[shot]
+                found[shot] += 1
+                for i in range(shots[shot], shots[shot + 1]):
+                    behind = behind_of(fitted.plane[shot], i, u, v, w)
+                    left[i] = left[i] and not on_surface(behind, fitted.spread[shot], rules)
+
+
+@njit()
+def _fullest(shots, w, left, pending, width):  # type: ignore[no-untyped-def]
+    """Candidates in the fullest range window of pending shots: (n,) bool."""
+    chosen, ranges = np.zeros(len(left), np.bool_), np.empty(len(left) + LANES)
+    for shot in range(len(pending)):
+        if pending[shot]:
+            count = 0
+            for i in range(shots[shot], shots[shot + 1]):
+                ranges[count] = w[i]
+                count += left[i]
+            start, _ = densest(ranges, 0, count, width)
+            for i in range(shots[shot], shots[shot + 1]):
+                chosen[i] = left[i] and start <= w[i] <= start + width
+    return chosen
+
+
+@njit()
+def _on_planes(shots, u, v, w, left, fitted, rules):  # type: ignore[no-untyped-def]
+    """Candidates near the planes of their shots: (n,) bool."""
+    chosen = np.zeros(len(left), np.bool_)
+    for shot in range(len(shots) - 1):
+        if fitted.trusted[shot]:
+            reach = max(rules.below_m, 3.0 * fitted.spread[shot])
+            for i in range(shots[shot], shots[shot + 1]):
+                chosen[i] = left[i] and abs(behind_of(fitted.plane[shot], i, u, v, w)) <= reach
+    return chosen
+
+
+@njit()
+def _stands_out(size, rows, w, left, rules):  # type: ignore[no-untyped-def]
+    """Whether a surface holds more candidates than an even spread would give it."""
+    count, low, high = 0, np.inf, -np.inf
+    for i in range(rows[0], rows[1]):
+        if left[i]:
+            count, low, high = count + 1, min(low, w[i]), max(high, w[i])
+    even = count * 2.0 * rules.below_m / max(high - low, 2.0 * rules.p68_max_m)
+    return size >= RETURNS_MIN + 2.0 * even
 
 
 @njit()
@@ -196,23 +297,3 @@ def returns_behind(
     depth, together = densest(depths, 0, passed, 2.0 * rules.below_m)
     scattered = passed - together
     return scattered <= PASSED_MIN + PASSED_SHARE * on, depth if together > 1 else np.inf
-
-
-@njit()
-def hit_beside(
-    i: int, rows: tuple[int, int], behind: NDArray[np.float64], spread: float,
-    u: NDArray[np.float64], v: NDArray[np.float64], rules: Rules,
-) -> bool:  # fmt: skip
-    """Whether a surface has returns all around the place where a return's beamlet crosses it.
-
-    At least :data:`BESIDE_MIN` lie within :data:`NEAR_M` across the beam, on both sides along
-    either axis.
-    """
-    count, left, right, low, high = 0, False, False, False, False
-    for j in range(rows[0], rows[1]):
-        du, dv = u[j] - u[i], v[j] - v[i]
-        if du * du + dv * dv <= NEAR_M**2 and on_surface(behind[j], spread, rules):
-            count += 1
-            left, right = left or du < 0.0, right or du > 0.0
-            low, high = low or dv < 0.0, high or dv > 0.0
-    return count >= BESIDE_MIN and left and right and low and high

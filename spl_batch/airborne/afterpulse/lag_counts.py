@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.hard_surfaces import (
-    RETURNS_MIN,
     STEP_M,
     Rules,
+    candidates,
     densest,
     fit_surfaces,
     on_surface,
 )
-from spl_batch.airborne.beams.differential_cell_count import dcc_keep
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.planes.robust_plane import residual
@@ -73,34 +72,6 @@ the largest times this. As twenty returns tell it, that is 0.78 on the level and
 on real heath it is 0.35 to 0.66."""
 
 
-@njit()
-def across_beams(
-    shots: NDArray[np.int64],
-    direction: NDArray[np.float64],
-    offset: NDArray[np.float64],
-    u: NDArray[np.float64],
-    v: NDArray[np.float64],
-) -> None:
-    """Coordinates of points across the first beam of their shot: fills ``u, v`` [m].
-
-    The two axes are arbitrary, but depend on the beam alone.
-    """
-    for shot in range(len(shots) - 1):
-        at = shots[shot]
-        dx, dy, dz = direction[at, 0], direction[at, 1], direction[at, 2]
-        if abs(dx) < 0.7:
-            ux, uy, uz = 0.0, dz, -dy
-        else:
-            ux, uy, uz = -dz, 0.0, dx
-        norm = math.sqrt(ux * ux + uy * uy + uz * uz)
-        ux, uy, uz = ux / norm, uy / norm, uz / norm
-        vx, vy, vz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
-        for i in range(shots[shot], shots[shot + 1]):
-            x, y, z = offset[i, 0], offset[i, 1], offset[i, 2]
-            u[i] = ux * x + uy * y + uz * z
-            v[i] = vx * x + vy * y + vz * z
-
-
 class Counts(NamedTuple):
     """Counts behind the planes of a flightline; parts of it add up.
 
@@ -125,59 +96,25 @@ def no_counts() -> Counts:
 
 @njit()
 def observe_lags(
-    starts: NDArray[np.int64],
-    chosen: NDArray[np.int64],
-    offset: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    range_m: NDArray[np.float64],
-    channel: NDArray[np.uint8],
-    lag: NDArray[np.float32],
-    rules: Rules,
-    edges: NDArray[np.float64],
-    counts: Counts,
-) -> None:
+    starts: NDArray[np.int64], chosen: NDArray[np.int64], u: NDArray[np.float64],
+    v: NDArray[np.float64], range_m: NDArray[np.float64], channel: NDArray[np.uint8],
+    lag: NDArray[np.float32], rules: Rules, edges: NDArray[np.float64], counts: Counts,
+) -> None:  # fmt: skip
     """Count what follows the first returns on a plane that is alone in its shot, of chosen shots.
 
     Arrays are as in :func:`~spl_batch.airborne.afterpulse.shot_evidence.shot_probabilities`; lags
     reach up to the last edge.
     """
-    n = len(range_m)
-    u, v = np.empty(n), np.empty(n)
-    across_beams(starts, direction, offset, u, v)
-    member, first = np.empty(n, np.uint64), np.zeros(len(chosen) + 1, np.int64)
-    owner = np.empty(len(chosen), np.int64)
-    sets = _candidates(starts, chosen, range_m, lag, rules, member, first, owner)
-    plane, trusted, spreads = np.empty((sets, 3)), np.empty(sets, np.bool_), np.empty(sets)
-    fit_surfaces(sets, first, member, u, v, range_m, rules, plane, trusted, spreads)
-    for one in range(sets):
-        if trusted[one]:
-            rows = slice(starts[owner[one]], starts[owner[one] + 1])
-            distance = residual(plane[one], u[rows], v[rows], range_m[rows])
-            _observe(
-                range_m[rows], channel[rows], lag[rows], distance, spreads[one],
-                _square(plane[one]), rules, edges, counts,
-            )  # fmt: skip
-
-
-@njit()
-def _candidates(starts, chosen, range_m, lag, rules, member, first, owner):  # type: ignore[no-untyped-def]
-    """Sets of first returns of chosen shots that may be of a surface: how many they are."""
-    sets = 0
+    first = candidates(starts, lag == 0, PARENTS_MIN, range_m, rules)
+    found = fit_surfaces(starts, first, u, v, range_m, rules)
     for shot in chosen:
-        low, high = starts[shot], starts[shot + 1]
-        if high - low < PARENTS_MIN:
-            continue
-        keep = np.empty(high - low, dtype=np.bool_)
-        dcc_keep(range_m[low:high], rules.gate_m, rules.coarse_m, rules.fine_m, keep)
-        end = first[sets]
-        for i in range(low, high):
-            if keep[i - low] and lag[i] == 0:
-                member[end] = i
-                end += 1
-        if end - first[sets] >= RETURNS_MIN:
-            owner[sets], first[sets + 1] = shot, end
-            sets += 1
-    return sets
+        if found.trusted[shot]:
+            rows, plane = slice(starts[shot], starts[shot + 1]), found.plane[shot]
+            distance = residual(plane, u[rows], v[rows], range_m[rows])
+            _observe(
+                range_m[rows], channel[rows], lag[rows], distance, found.spread[shot],
+                _square(plane), rules, edges, counts,
+            )  # fmt: skip
 
 
 @njit()

@@ -8,6 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.weighted_counts import most_around, spare_rows
+from spl_batch.airborne.beams.dependent_returns import families
+from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.lattice.row_order import lexicographic_order
+from spl_batch.lattice.tables import PointTable
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
 from spl_batch.numerics.neighbours.lattice_columns import Columns, first_above
@@ -52,65 +56,29 @@ def _near(
     return np.int64(size)
 
 
-@njit()
-def _parent(
-    row: int, xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
-    starts: NDArray[np.int64], shape: tuple[int, int], edge: int, lag: int, aside: int,
-) -> int:  # fmt: skip
-    """The lowest return of the same beamlet above one; -1 for none.
+def parents_of(
+    table: PointTable, chosen: NDArray[np.bool_], lag: int, aside: int
+) -> NDArray[np.intp]:
+    """The lowest return of the same beamlet above each point: (n,) rows; -1 for none.
 
-    It is at most ``lag`` higher, and ``aside`` <= ``edge`` away.
+    Asked of the chosen points; it is at most ``lag`` higher, and ``aside`` away [quanta]. Of two as
+    high the one farther west, or south, is taken.
     """
-    nx, ny = shape
-    x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
-    own = int(x // edge) * ny + int(y // edge)
-    # Most parents stand in the return's own column; others must be lower. Of two as high the one
-    # farther west or south is taken, wherever columns begin.
-    found: int = _mate(row, xyz, time, channel, row + 1, starts[own + 1], z + lag, aside)
-    top = z + lag if found < 0 else xyz[U2, found]
-    for i in range(max((x - aside) // edge, 0), min((x + aside) // edge + 1, nx)):
-        for j in range(max((y - aside) // edge, 0), min((y + aside) // edge + 1, ny)):
-            column = i * ny + j
-            if column == own:
-                continue
-            stop = starts[column + 1]
-            begin = first_above(xyz, starts[column], stop, z + 1)
-            mate = _mate(row, xyz, time, channel, begin, stop, top, aside)
-            if mate >= 0 and (found < 0 or _before(xyz, mate, found)):
-                found, top = mate, xyz[U2, mate]
-    return found
-
-
-@njit()
-def _before(xyz, one, other):  # type: ignore[no-untyped-def]
-    """Whether one point is lower than another, or as high and farther west, or south of it."""
-    if xyz[U2, one] != xyz[U2, other]:
-        return xyz[U2, one] < xyz[U2, other]
-    if xyz[U0, one] != xyz[U0, other]:
-        return xyz[U0, one] < xyz[U0, other]
-    return xyz[U1, one] < xyz[U1, other]
-
-
-@njit()
-def _mate(row, xyz, time, channel, begin, stop, top, aside):  # type: ignore[no-untyped-def]
-    """The first of some returns that is of the same beamlet and above; -1 for none.
-
-    Heights ascend; the search ends at ``top``.
-    """
-    x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
-    moment, last, end = spread(time[row]), np.uint64(xyz.shape[1]) - UL, np.uint64(stop)
-    for p in range(np.uint64(begin), end, UL):
-        if xyz[U2, p] > top:
-            return -1
-        if number(load(time, min(p, last)) == moment) == U0:
-            continue
-        for q in range(p, min(p + UL, end)):
-            if time[q] != time[row] or channel[q] != channel[row] or not z < xyz[U2, q] <= top:
-                continue
-            dx, dy = xyz[U0, q] - x, xyz[U1, q] - y
-            if dx * dx + dy * dy <= aside * aside:
-                return np.int64(q)
-    return -1
+    out = np.full(len(table), -1, np.intp)
+    mates = np.flatnonzero(families(table, chosen))
+    keys = [table[name][mates] for name in ("gps_time", "channel", "z", "x", "y")]
+    order = lexicographic_order(keys)
+    rows = mates[order]
+    time, channel, z, x, y = (key[order] for key in keys)
+    beamlets, heights = run_starts(time, channel), run_starts(time, channel, z)
+    above = np.repeat(heights[1:], np.diff(heights))
+    end = np.repeat(beamlets[1:], np.diff(beamlets))
+    child = np.flatnonzero(above < end)
+    parent = above[child]
+    far = (x[parent] - x[child]) ** 2 + (y[parent] - y[child]) ** 2 > aside**2
+    near = ~far & (z[parent].astype(np.int64) - z[child] <= lag)
+    out[rows[child[near]]] = rows[parent[near]]
+    return out
 
 
 @njit(fastmath={"reassoc"})
@@ -160,34 +128,28 @@ def _plane_of(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:
 
 @njit()
 def behind_plane(
-    made: Columns, time: NDArray[np.float64], channel: NDArray[np.uint8], true: NDArray[np.bool_],
-    rows: NDArray[np.int32], lag: int, wide: int, high: int, thick: int, share: float,
-    least: int, out: NDArray[np.bool_], tilt: NDArray[np.float64], parents: NDArray[np.int32],
+    made: Columns, true: NDArray[np.bool_], rows: NDArray[np.int32], parents: NDArray[np.int32],
+    cylinder: tuple[int, int, int], share: float, least: int, out: NDArray[np.bool_],
+    tilt: NDArray[np.float64],
 ) -> None:  # fmt: skip
-    """Whether points lie behind a plane that the true returns around their parent make.
+    """Whether points lie behind a plane that the true returns around their parents (m,) make.
 
-    A parent is at most ``lag`` above and an edge of a column aside, ``wide`` and ``high`` are
-    radius and half-height of the cylinder around it, ``thick`` the plane's half-thickness [quanta].
-    At least ``share`` of the returns in the cylinder lie on the plane. ``out`` (m,): the parent
-    lies on it, the point behind it by more than ``thick``, and of the cylinder's returns at most
-    one in twenty lies at its depth. ``tilt`` (m, 2): the plane's slopes, whatever lies there, 0
-    where there is no plane. ``parents`` (m,): -1 for none.
+    ``cylinder``: radius and half-height of what is looked at around a parent, and half-thickness of
+    the plane [quanta]. At least ``share`` of the returns in it lie on the plane. ``out`` (m,): the
+    parent lies on it, the point behind it by more than the half-thickness, and of the cylinder's
+    returns at most one in twenty lies at its depth. ``tilt`` (m, 2): the plane's slopes, whatever
+    lies there, 0 where there is no plane.
     """
     xyz, starts, shape, edge = made.points, made.start, made.shape, made.edge
+    wide, high, thick = cylinder
     sums, plane = np.empty(9), np.zeros(3)
     offsets = np.empty((3, most_around(starts, shape) + LANES))
     spare = spare_rows(xyz.shape[1])
     if len(spare):
-        xyz, time, true = xyz[:, spare], time[spare], true[spare]
+        xyz, true = xyz[:, spare], true[spare]
     for q in range(len(rows)):
-        row = rows[q]
+        row, parent = rows[q], parents[q]
         out[q], tilt[q, 0], tilt[q, 1] = False, 0.0, 0.0
-        # Most parents are near: a short search first saves a long one in crowns.
-        close = min(lag // 10, edge)
-        parent = _parent(row, xyz, time, channel, starts, shape, edge, lag // 5, close)
-        if parent < 0:
-            parent = _parent(row, xyz, time, channel, starts, shape, edge, lag, edge)
-        parents[q] = parent
         if parent < 0:
             continue
         size = _near(xyz, true, starts, shape, edge, parent, wide, high, offsets)

@@ -6,18 +6,18 @@ See :mod:`spl_batch.airborne.afterpulse.candidates` for the method and its sourc
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse.grown_surfaces import find_surfaces
 from spl_batch.airborne.afterpulse.hard_surfaces import (
     RETURNS_MIN,
     SHARP,
     SURFACES_MAX,
     Rules,
-    hit_beside,
+    behind_of,
+    candidates,
+    find_surfaces,
     on_surface,
     returns_behind,
 )
-from spl_batch.airborne.afterpulse.lag_counts import across_beams, law_at
-from spl_batch.airborne.beams.differential_cell_count import dcc_keep
+from spl_batch.airborne.afterpulse.lag_counts import law_at
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.simd import LANES
 
@@ -68,16 +68,14 @@ def plane_probability(
 
 @njit()
 def follows_surface(
-    i: int, own: tuple[int, int], rows: tuple[int, int], behind: NDArray[np.float64],
-    spreads: NDArray[np.float64], depths: NDArray[np.float64], u: NDArray[np.float64],
-    v: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
+    i: int, own: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
+    depths: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
 ) -> bool:  # fmt: skip
-    """Whether a return lies on no surface, and behind one that its beamlet hit or must have hit.
+    """Whether a return lies on no surface, and behind a hard one that its beamlet hit.
 
     ``own`` is :func:`beamlet_of` it; ``depths`` (found,) is what :func:`returns_behind` gives, NaN
     for penetrable surfaces. Unless ranging noise is large, half the dead time is distance enough:
-    the dead time is longer than a hard surface is thick. Behind a hard surface with a parent in
-    front of it, a return follows the surface only if others have hit that close by.
+    the dead time is longer than a hard surface is thick.
     """
     for s in range(len(behind)):
         if abs(behind[s, i]) <= max(0.5 * rules.dead_m, rules.apart * spreads[s]):
@@ -87,14 +85,10 @@ def follows_surface(
     for s in range(len(behind)):
         if np.isnan(depths[s]) or behind[s, i] <= 0.0:
             continue
-        before = False
         for j in range(own[0], own[1]):
-            if 0.0 < w[i] - w[j] <= rules.chain_m:
-                if on_surface(behind[s, j], spreads[s], rules):
-                    return True
-                before = before or behind[s, j] < 0.0
-        if before and hit_beside(i, rows, behind[s], spreads[s], u, v, rules):
-            return True
+            lag = w[i] - w[j]
+            if 0.0 < lag <= rules.chain_m and on_surface(behind[s, j], spreads[s], rules):
+                return True
     return False
 
 
@@ -111,41 +105,36 @@ def beamlet_of(i: int, rows: tuple[int, int], channel: NDArray[np.uint8]) -> tup
 
 @njit()
 def shot_probabilities(
-    starts: NDArray[np.int64],
-    offset: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    range_m: NDArray[np.float64],
-    channel: NDArray[np.uint8],
-    lag: NDArray[np.float32],
-    rules: Rules,
-    out: NDArray[np.float32],
-) -> None:
+    starts: NDArray[np.int64], u: NDArray[np.float64], v: NDArray[np.float64],
+    w: NDArray[np.float64], channel: NDArray[np.uint8], lag: NDArray[np.float32],
+    known: NDArray[np.bool_], rules: Rules, out: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Probability of being an afterpulse, for each return of each shot: fills ``out`` (n,).
 
-    ``starts`` (m + 1,): rows where shots start, then n. ``offset``: points relative to the first of
-    their shot [m]; the direction of its beam frames the shot. Returns of one beamlet follow each
-    other; ``lag`` is the distance behind the nearest earlier one [m], 0 for none.
+    ``starts`` (m + 1,): rows where shots start, then n; ``known`` (m,): shots that know channels.
+    ``u, v, w``: places across and along the beam, with room for eight more [m]. Returns of one
+    beamlet follow each other; ``lag`` is the distance behind the nearest earlier one [m], 0 for
+    none.
     """
     for begin in range(0, len(starts) - 1, TOGETHER):
         shots = starts[begin : begin + TOGETHER + 1]
         rows = slice(shots[0], shots[-1])
+        more = slice(shots[0], shots[-1] + LANES)
         _of_shots(
-            shots - shots[0], offset[rows], direction[rows], range_m[rows], channel[rows],
-            lag[rows], rules, out[rows],
+            shots - shots[0], u[more], v[more], w[more], channel[rows], lag[rows],
+            known[begin : begin + TOGETHER], rules, out[rows],
         )  # fmt: skip
 
 
 @njit()
-def _of_shots(shots, offset, direction, range_m, channel, lag, rules, out):  # type: ignore[no-untyped-def]
+def _of_shots(shots, u, v, w, channel, lag, known, rules, out):  # type: ignore[no-untyped-def]
     """:func:`shot_probabilities` of a few shots."""
-    n, number_of = len(range_m), len(shots) - 1
-    u, v, w = np.zeros(n + LANES), np.zeros(n + LANES), np.zeros(n + LANES)
-    for i in range(n):
-        w[i] = range_m[i]
-    across_beams(shots, direction, offset, u, v)
-    first = np.zeros(n + LANES, np.bool_)
-    with_channels, spread_max = _first_returns(shots, channel, lag, rules, first)
-    candidate = _in_full_bins(shots, w, first, rules)
+    n = len(out)
+    # Without channels any return may be the first of its beamlet.
+    first = (lag == 0) | np.repeat(~known, np.diff(shots))
+    spread_max = np.where(known, SHARP * rules.sigma_m, np.inf)
+    candidate = candidates(shots, first, RETURNS_MIN, w, rules)
+    number_of = len(shots) - 1
     planes, spreads = np.empty((number_of, SURFACES_MAX, 3)), np.empty((number_of, SURFACES_MAX))
     found = np.empty(number_of, np.int64)
     find_surfaces(shots, u, v, w, candidate, rules, spread_max, planes, spreads, found)
@@ -153,61 +142,25 @@ def _of_shots(shots, offset, direction, range_m, channel, lag, rules, out):  # t
     for shot in range(number_of):
         rows, surfaces = (shots[shot], shots[shot + 1]), behind[: found[shot]]
         _lay_behind(rows, u, v, w, planes[shot], spreads[shot], first, rules, surfaces, depths)
-        if with_channels[shot]:
-            _judge(rows, surfaces, spreads[shot], depths, channel, lag, u, v, w, first, rules, out)
-            continue
         for i in range(rows[0], rows[1]):
-            out[i] = plane_probability(i, surfaces, spreads[shot], rules)
-
-
-@njit()
-def _first_returns(shots, channel, lag, rules, first):  # type: ignore[no-untyped-def]
-    """Which shots know channels, and how far hard surfaces may spread there; fills ``first``."""
-    with_channels, spread_max = np.zeros(len(shots) - 1, np.bool_), np.empty(len(shots) - 1)
-    for shot in range(len(shots) - 1):
-        low, high = shots[shot], shots[shot + 1]
-        for i in range(low + 1, high):
-            with_channels[shot] |= channel[i] != channel[low]
-        spread_max[shot] = SHARP * rules.sigma_m if with_channels[shot] else np.inf
-        for i in range(low, high):
-            first[i] = lag[i] == 0 or not with_channels[shot]
-    return with_channels, spread_max
-
-
-@njit()
-def _in_full_bins(shots, w, first, rules):  # type: ignore[no-untyped-def]
-    """First returns that may be of a surface, by DCC: (n,) bool; none in shots of few returns."""
-    keep = np.zeros(len(first), np.bool_)
-    for shot in range(len(shots) - 1):
-        low, high = shots[shot], shots[shot + 1]
-        if high - low >= RETURNS_MIN:
-            dcc_keep(w[low:high], rules.gate_m, rules.coarse_m, rules.fine_m, keep[low:high])
-    for i in range(len(first)):
-        keep[i] &= first[i]
-    return keep
+            out[i] = 0.0
+            if not known[shot]:
+                out[i] = plane_probability(i, surfaces, spreads[shot], rules)
+            # One farther behind its nearest parent cannot have been started by any.
+            elif 0.0 < lag[i] <= rules.longest_m:
+                own = beamlet_of(i, rows, channel)
+                if follows_surface(i, own, surfaces, spreads[shot], depths, w, rules):
+                    out[i] = HARD
+                else:
+                    out[i] = soft_probability(i, lag[i], rows, w, first, rules)
 
 
 @njit()
 def _lay_behind(rows, u, v, w, planes, spreads, first, rules, behind, depths):  # type: ignore[no-untyped-def]
     """Fill how far behind each surface of a shot its returns lie, and ``depths``."""
     for s in range(len(behind)):
-        a, b, c = planes[s, 0], planes[s, 1], planes[s, 2]
         for i in range(rows[0], rows[1]):
-            behind[s, i] = w[i] - (a + b * u[i] + c * v[i])
+            behind[s, i] = behind_of(planes[s], i, u, v, w)
     for s in range(len(behind)):
         hard, depth = returns_behind(s, rows, behind, spreads, first, rules)
         depths[s] = depth if hard else np.nan
-
-
-@njit()
-def _judge(rows, behind, spreads, depths, channel, lag, u, v, w, first, rules, out):  # type: ignore[no-untyped-def]
-    """Probabilities of a shot's returns by its surfaces and lags."""
-    for i in range(rows[0], rows[1]):
-        out[i] = 0.0
-        # One farther behind its nearest parent cannot have been started by any.
-        if 0.0 < lag[i] <= rules.longest_m:
-            own = beamlet_of(i, rows, channel)
-            if follows_surface(i, own, rows, behind, spreads, depths, u, v, w, rules):
-                out[i] = HARD
-            else:
-                out[i] = soft_probability(i, lag[i], rows, w, first, rules)

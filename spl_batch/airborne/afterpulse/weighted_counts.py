@@ -51,23 +51,14 @@ def weigh_around(
     own: int,
     out: NDArray[np.int64],
 ) -> None:
-    """Kernel sums of the weights around some points.
+    """Kernel sums of the weights around some points (m,): quickest in ascending order.
 
-    Parameters
-    ----------
-    made : Columns
-        The points, coordinates from 0 on; other arrays have their order, weights up to
-        :data:`UNIT`.
-    rows : (m,) int32
-        Points to count around; quickest in ascending order.
-    radii, tilt : (k, 2) int64, (m, 2) float64
-        Horizontal and vertical radius of each kernel [quanta], and its slopes towards x and y; the
-        first contains the others, and is at most as wide as a column's edge.
-    own : int
-        What a return of the same beamlet above the point counts for [returns / UNIT]; those
-        below it do not count.
-    out : (m, k) int64
-        Filled with the sums of weight x (1 - d^2)^2 x :data:`UNIT`, d the distance in radii.
+    ``made``: the points, coordinates from 0 on; other arrays have their order, weights up to
+    :data:`UNIT`. ``radii`` (k, 2): horizontal and vertical radius of each kernel [quanta]; the
+    first contains the others, and is at most as wide as a column's edge. ``tilt`` (m, 2): slopes of
+    the kernels towards x and y. A return of the same beamlet counts for ``own`` above the point
+    [returns / UNIT], and not at all below it. ``out`` (m, k) is filled with the sums of weight x
+    (1 - d^2)^2 x :data:`UNIT`, d the distance in radii.
     """
     xyz, starts, shape, edge = made.points, made.start, made.shape, made.edge
     wide, high = radii[0, 0], radii[0, 1]

@@ -66,24 +66,11 @@ def inherit(
     label: NDArray[np.uint8],
     unknown: int,
 ) -> None:
-    """Give each dependent return the label of the one in front of it, in place.
+    """Give each dependent return (n,) the label of the one in front of it, in place.
 
-    Parameters
-    ----------
-    order : (n,) int64
-        Rows by beamlet, within a beamlet from the highest return down.
-    same : (n,) bool
-        Whether ``order[i]`` is of the same beamlet as ``order[i - 1]``; ``same[0]`` is False.
-    z : (n,) int32
-        Heights by row [quanta].
-    dependent : (n,) bool
-        Rows that take over; they may follow one another.
-    lag : int
-        Farthest that the one in front may be above [quanta].
-    label : (n,) uint8
-        Labels by row; those of dependent rows are set where there is one to take over.
-    unknown : int
-        Label that is not taken over.
+    ``order`` (n,) has the rows by beamlet, from the highest return down; ``same`` (n,) says whether
+    one is of the same beamlet as that before it. The one in front is at most ``lag`` above
+    [quanta], and its label is not ``unknown``.
     """
     for i in range(1, len(order)):
         row, front = order[i], order[i - 1]

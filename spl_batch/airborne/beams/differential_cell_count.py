@@ -21,16 +21,9 @@ SPAN_MAX = 4096
 
 @njit()
 def dcc_threshold(signal: float, noise: float, bins: float) -> float:
-    """Least count of a fine bin that is more likely signal than noise.
+    """Least count of a fine bin that is more likely signal than noise: the K above.
 
-    Parameters
-    ----------
-    signal : float
-        N_s, signal expected in a bin that holds signal [count]; > 0.
-    noise : float
-        N_b, noise expected in a fine bin [count]; > 0.
-    bins : float
-        N_bin, fine bins in the gate [count]; >= 1.
+    ``signal`` and ``noise`` are N_s and N_b [count], > 0; ``bins``: fine bins in the gate, N_bin.
     """
     return (signal + math.log(bins)) / math.log(1.0 + signal / noise)
 

@@ -150,22 +150,18 @@ def observe_track(table: PointTable) -> dict[str, NDArray[np.int64]]:
 
 
 def merge_track(parts: Sequence[dict[str, NDArray[np.int64]]]) -> dict[str, NDArray[np.int64]]:
-    """Add up parts of :func:`observe_track`, in any order."""
-    if not parts:
-        return observe_track_empty()
-    second, inverse = np.unique(np.concatenate([p["second"] for p in parts]), return_inverse=True)
-    merged = {"second": second}
-    for name in ("count", "x_sum", "y_sum"):
+    """Add up parts of :func:`observe_track`, in any order, or none."""
+    names = ("second", "angle", "count", "x_sum", "y_sum")
+    joined = {
+        name: np.concatenate([np.empty(0, np.int64), *(part[name] for part in parts)])
+        for name in names
+    }
+    second, inverse = np.unique(joined["second"], return_inverse=True)
+    merged = {"second": second, "angle": np.unique(joined["angle"])[: 4 * MIN_ANGLES]}
+    for name in names[2:]:
         merged[name] = np.zeros(len(second), dtype=np.int64)
-        np.add.at(merged[name], inverse, np.concatenate([p[name] for p in parts]))
-    merged["angle"] = np.unique(np.concatenate([p["angle"] for p in parts]))[: 4 * MIN_ANGLES]
+        np.add.at(merged[name], inverse, joined[name])
     return merged
-
-
-def observe_track_empty() -> dict[str, NDArray[np.int64]]:
-    """Statistics of no points."""
-    names = ("second", "count", "x_sum", "y_sum", "angle")
-    return {name: np.empty(0, dtype=np.int64) for name in names}
 
 
 def heading_from_track(track: dict[str, NDArray[np.int64]]) -> float | None:

@@ -71,33 +71,6 @@ def lag_behind(
 
 
 @njit()
-def offsets(
-    starts: NDArray[np.int64],
-    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
-    step_m: float,
-    offset: NDArray[np.float64],
-) -> None:
-    """Places relative to the first return of each shot.
-
-    Parameters
-    ----------
-    starts : (m + 1,) int64
-        Rows where shots start, then n.
-    place : three (n,) integer arrays
-        Easting, northing and height of each return [steps].
-    offset : (n, 3) float64
-        Filled [m].
-    """
-    x, y, z = place
-    for shot in range(len(starts) - 1):
-        first = starts[shot]
-        for i in range(first, starts[shot + 1]):
-            offset[i, 0] = (x[i] - x[first]) * step_m
-            offset[i, 1] = (y[i] - y[first]) * step_m
-            offset[i, 2] = (np.int64(z[i]) - np.int64(z[first])) * step_m
-
-
-@njit()
 def blind_behind(
     starts: NDArray[np.int64],
     range_m: NDArray[np.float64],

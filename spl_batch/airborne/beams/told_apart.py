@@ -21,18 +21,10 @@ def number_beamlets(
     starts: NDArray[np.int64], direction: NDArray[np.float64], apart_rad: float,
     number: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """Number the different directions of each shot from 1 on, in the order of its rows.
+    """Number the different directions of each shot from 1 on, in the order of its rows: (n,).
 
-    Parameters
-    ----------
-    starts : (s + 1,) int64
-        Rows where shots start, then n.
-    direction : (n, 3) float64
-        Unit vectors along the beams.
-    apart_rad : float
-        Directions that differ by less are one [rad].
-    number : (n,) uint8
-        Filled; a return is of the nearest direction that came before it; 255 are told apart.
+    Directions that differ by less than ``apart_rad`` are one; a return is of the nearest that came
+    before it; 255 are told apart. ``starts`` (s + 1,): rows where shots start, then n.
     """
     seen = np.empty((255, 3))
     for shot in range(len(starts) - 1):

@@ -146,14 +146,8 @@ def independent(
 ) -> Independent:
     """Returns that are judged by themselves; none where nothing filters.
 
-    Parameters
-    ----------
-    table : PointTable
-        As for :func:`denoise`; ``x, y, z, flags`` at least.
-    density, query, settings
-        As for :func:`denoise`.
-    found : Echoes
-        From :func:`resolve`.
+    ``found``: from :func:`resolve`; the rest as for :func:`denoise`, of the table ``x, y, z,
+    flags`` at least.
     """
     echo, dependent = found
     judged = ~table.has(EXCLUDED) & ~echo & ~dependent & (settings.method != "none")
@@ -173,21 +167,8 @@ def judge(
 ) -> NoiseColumns:
     """Decide which points are noise, where it is known which are afterpulses.
 
-    Parameters
-    ----------
-    table : PointTable
-        As for :func:`denoise`, :data:`COLUMNS_JUDGED` at least.
-    chosen : Independent
-        From :func:`independent`.
-    query, settings
-        As for :func:`denoise`.
-    found : Echoes
-        From :func:`resolve`.
-
-    Returns
-    -------
-    NoiseColumns
-        As from :func:`denoise`.
+    ``chosen, found``: from :func:`independent` and :func:`resolve`; the rest, and what is given,
+    as for :func:`denoise`, of the table :data:`COLUMNS_JUDGED` at least.
     """
     echo, dependent = found
     excluded = table.has(EXCLUDED)
@@ -248,13 +229,7 @@ def resolve(
     settings: FilterSettings,
     afterpulse: AfterpulseSettings,
 ) -> afterpulse_decision.Echoes:
-    """Afterpulses, and returns that are no evidence of their own.
-
-    Parameters
-    ----------
-    table, density, settings, afterpulse
-        As for :func:`denoise`.
-    """
+    """Afterpulses, and returns that are no evidence of their own; asked as :func:`denoise` is."""
     if settings.method == "none":
         return afterpulse_decision.believed(table)
     found = afterpulse_decision.resolve(table, density, afterpulse)

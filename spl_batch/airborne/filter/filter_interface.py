@@ -24,10 +24,7 @@ class Cloud:
     shot_noise: NDArray[np.bool_]
 
     def around(self, margin: int, axes: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Points within ``margin`` of the box of all that are asked for: (n,) bool.
-
-        ``margin``: how much the box grows [quanta]. ``axes``: along which axes it has sides.
-        """
+        """Points within ``margin`` of the box of all asked for, along some axes: (n,) bool."""
         if not self.asked.any():
             return self.asked
         around = np.ones(len(self.xyz), np.bool_)
@@ -50,8 +47,5 @@ class Verdict:
 
 
 def without_p(signal: NDArray[np.bool_]) -> Verdict:
-    """Verdict of a method that knows no probabilities.
-
-    ``signal``: (m,) bool, true where the point is a signal.
-    """
+    """Verdict of a method that knows no probabilities."""
     return Verdict(signal, np.full(len(signal), np.nan, dtype=np.float32))

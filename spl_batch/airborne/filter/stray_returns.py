@@ -208,10 +208,7 @@ def _close_gaps(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
 def _kept_of_noise(kept: Count, gone: Count) -> float:
     """Twice the kept returns for each that was refused, where noise is alone [1/1].
 
-    Parameters
-    ----------
-    kept, gone : (n,) int64
-        Returns of the widest box around each cell that holds any [count].
+    ``kept, gone`` (n,): returns of the widest box around each cell that holds any [count].
     """
     held = kept + gone
     told = held >= NOISE_RETURNS

@@ -7,19 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from spl_batch.airborne.beams.link_budget import (
-    rate_per_m,
-    signal_constant,
-    solar_rate_hz,
-    transmission_above,
-)
+from spl_batch.airborne.beams.link_budget import photon_energy_j, signal_constant
 from spl_batch.airborne.simulate.detector import Receiver
-from spl_batch.airborne.simulate.flight import Chunk, Pass
+from spl_batch.airborne.simulate.flight import Chunk, Pass, pixel_offsets
 from spl_batch.airborne.simulate.scene.layout import Layout
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays, lit_share
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.simulate.shots import Optics
-from spl_batch.airborne.simulate.wedge_scan import pixel_offsets
+from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import WorkflowError
 
 
@@ -42,8 +37,7 @@ class Noise(NamedTuple):
 def channel_gain(scene: Scene) -> NDArray[np.float64]:
     """Sensitivity of each channel relative to a normal one: (c,) float64."""
     acquisition, count = scene.acquisition, scene.instrument.beamlets
-    rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(2,)))
-    gain = 1 + acquisition.gain_spread * np.clip(rng.standard_normal(count), -3, 3)
+    gain = 1 + acquisition.gain_spread * np.clip(scene.chance(2).standard_normal(count), -3, 3)
     for channel, factor in acquisition.weak_channels.items():
         gain[channel - 1] *= factor
     for channel in acquisition.dead_channels:
@@ -99,25 +93,41 @@ def _or(own: float | None, stated: float) -> float:
 
 
 def physical_noise(scene: Scene) -> Noise:
-    """Background by Eq. 2.2-2.5 at the scene's mean altitude and reflectance."""
+    r"""Background at the scene's mean altitude and reflectance [W17 Eq. 2.2-2.5].
+
+    Sunlight comes from the air below the sensor and from the ground; the transmission is that of an
+    exponential atmosphere above the sensor, Eq. 2.3 with
+    :math:`\mu(z) = \mu(0) \exp(-z / h_{sc})`.
+    """
     sensor, sky = scene.instrument, scene.sky
     altitude = float(np.mean([f.altitude_agl_m for f in scene.flights]))
-    atmosphere, surface = solar_rate_hz(
-        efficiency=sensor.quantum_efficiency * sensor.receiver_efficiency,
-        wavelength_nm=sensor.wavelength_nm,
-        aperture_m=sensor.aperture_m,
-        fov_rad=sensor.pixel_fov_urad * 1e-6,
-        bandwidth_nm=sensor.filter_bandwidth_nm,
-        irradiance_w_m2_nm=sky.irradiance_w_m2_nm,
-        zenith_rad=math.radians(sky.zenith_deg),
-        off_nadir_rad=math.radians(sensor.half_cone_deg),
-        altitude_m=altitude,
-        scale_height_m=sky.scale_height_m,
-        transmission=transmission_above(sky.extinction_per_m, altitude, sky.scale_height_m),
-        reflectance=scene.terrain.reflectance,
+    solid_angle = math.pi * (sensor.pixel_fov_urad * 1e-6 / 2) ** 2
+    area = math.pi * (sensor.aperture_m / 2) ** 2
+    common = (
+        sensor.quantum_efficiency
+        * sensor.receiver_efficiency
+        / photon_energy_j(sensor.wavelength_nm)
+        * sky.irradiance_w_m2_nm
+        * sensor.filter_bandwidth_nm
+        * solid_angle
+        * area
     )
+    sec_view, sec_sun = (
+        1 / math.cos(math.radians(angle)) for angle in (sensor.half_cone_deg, sky.zenith_deg)
+    )
+    above = math.exp(-altitude / sky.scale_height_m)
+    transmission = math.exp(-sky.extinction_per_m * sky.scale_height_m * above)
+    below = transmission ** ((sec_view + sec_sun) * (1 - above))
+    atmosphere = common * transmission ** (sec_sun * above) / (4 * math.pi * (sec_view + sec_sun))
+    atmosphere *= 1 - below
+    surface = common * scene.terrain.reflectance * below / math.pi
     share = surface / max(atmosphere + surface, 1e-300)
-    return Noise(rate_per_m(atmosphere + surface), rate_per_m(sensor.dark_rate_hz), share)
+    # ranges are half of the way that light goes
+    solar, dark = (
+        rate_hz * 2.0 / SPEED_OF_LIGHT_M_S
+        for rate_hz in (atmosphere + surface, sensor.dark_rate_hz)
+    )
+    return Noise(solar, dark, share)
 
 
 def solve_noise(scene: Scene, passes: list[Pass], pieces: list[list[Chunk]]) -> Noise:

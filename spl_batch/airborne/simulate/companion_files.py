@@ -1,35 +1,27 @@
 """Companions of the flightlines: trajectory, reference, checkpoints, truth, workflow."""
 
+import json
 import math
-from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from spl_batch.airborne.simulate.air import VOXEL_M, NoiseGrid
 from spl_batch.airborne.simulate.file_writers import (
+    CloudWriter,
     folder_of,
     las_header,
-    raster_rows,
     sbet_records,
-    write_points,
     write_polygons,
-    write_text,
     write_trajectory_csv,
 )
 from spl_batch.airborne.simulate.flight import Pass
-from spl_batch.airborne.simulate.noise_grid import NoiseGrid
 from spl_batch.airborne.simulate.scene.beam_layers import empty_layers
-from spl_batch.airborne.simulate.scene.from_above import (
-    linear_returns,
-    mean_reflectance,
-    surfaces_at,
-)
-from spl_batch.airborne.simulate.scene.layout import Layout, footprints
+from spl_batch.airborne.simulate.scene.from_above import linear_returns, surfaces_at
+from spl_batch.airborne.simulate.scene.layout import Layout
 from spl_batch.airborne.simulate.scene.ray_trace import (
     KIND_GROUND,
     KIND_ROOF,
@@ -39,6 +31,7 @@ from spl_batch.airborne.simulate.scene.ray_trace import (
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_UNCLASSIFIED, CLASS_WATER
 from spl_batch.formats.files.atomic import replacing, write_bytes
+from spl_batch.formats.rasters.geotiff import write_cog
 
 TRAJECTORY_HZ = 200.0
 """Records per second of the trajectory [Hz]."""
@@ -47,7 +40,7 @@ REFLECTANCE_SAMPLES = 4
 """Locations along one side of a cell whose reflectance is averaged [count]."""
 
 PULSES_AT_ONCE = 250_000
-"""Pulses of the reference that are simulated at once; they bound the memory [count]."""
+"""Pulses of the reference that are written at once [count]."""
 
 ROWS_AT_ONCE = 64
 """Rows of the rasters that are made at once [count]."""
@@ -76,46 +69,43 @@ INSIDE_M: Final = 5.0
 
 
 def deliver(
-    scene: Scene, arrays: SceneArrays, layout: Layout, passes: list[Pass], out: Path
-) -> Path:
-    """Write everything but the flightlines; the workflow's path."""
+    scene: Scene, arrays: SceneArrays, grid: NoiseGrid, layout: Layout, passes: list[Pass],
+    out: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """Write everything but the flightlines; the content of a workflow for it."""
+    _noise_density(scene, grid, out / "truth" / "noise_density.npz")
     _trajectory(scene, passes, out)
-    _reference(scene, arrays, out)
+    _reference(scene, arrays, out / "reference_lml.laz")
     _checkpoints(scene, arrays, layout, out / "checkpoints.csv")
-    _rasters(scene, arrays, out)
-    origin = scene.origin_m[:2]
-    water = [
-        shapely.Polygon([(x + origin[0], y + origin[1]) for x, y in w.ring_m]) for w in scene.water
-    ]
-    if water:
-        write_polygons(out / "water.gpkg", water, scene.crs)
+    _rasters(scene, arrays, out / "truth")
+    east, north = scene.origin_m[:2]
+    if scene.water:
+        rings = [[(x + east, y + north) for x, y in water.ring_m] for water in scene.water]
+        write_polygons(out / "water.gpkg", [shapely.Polygon(ring) for ring in rings], scene.crs)
     if scene.delivery.aoi:
-        extent = shapely.box(*origin, *(o + e for o, e in zip(origin, scene.extent_m, strict=True)))
+        extent = shapely.box(east, north, east + scene.extent_m[0], north + scene.extent_m[1])
         write_polygons(out / "aoi.gpkg", [extent], scene.crs)
-    roofs = [[[x + origin[0], y + origin[1]] for x, y in shape.exterior.coords]
-             for shape in footprints(layout.buildings)]  # fmt: skip
     truth = {
         "scene": scene.model_dump(mode="json", by_alias=True),
         "buildings": [b.model_dump(mode="json") for b in layout.buildings],
-        "building_outlines": roofs,
-        "crowns": layout.crowns,
-        "wires": [[float(v) for v in row] for row in arrays.wire],
+        "building_outlines": [
+            [[x + east, y + north] for x, y in shape.exterior.coords] for shape in layout.footprints
+        ],
+        "crowns": len(arrays.crown),
+        "wires": arrays.wire.tolist(),
         "wire_columns": ["x", "y", "ux", "uy", "span", "a", "vertex", "offset", "radius", "rho"],
     }
-    write_text(out / "truth" / "scene.json", truth)
-    return _workflow(scene, out, bool(water))
+    write_bytes(out / "truth" / "scene.json", (json.dumps(truth, indent=1) + "\n").encode())
+    return _workflow(scene)
 
 
-def deliver_noise(scene: Scene, grid: NoiseGrid, out: Path) -> None:
-    """Write the expected background per cubic metre on the 10 m lattice."""
-    corner = np.rint((grid.corner + np.array([*scene.origin_m[:2], 0.0])) / grid.voxel_m).astype(
-        np.int64
-    )
-    density = (grid.amount / grid.voxel_m**3).astype(np.float32)
-    path = out / "truth" / "noise_density.npz"
+def _noise_density(scene: Scene, grid: NoiseGrid, path: Path) -> None:
+    """Expected background per cubic metre on the 10 m lattice."""
+    corner = np.rint((grid.corner + np.array([*scene.origin_m[:2], 0.0])) / VOXEL_M)
+    density = (grid.amount / VOXEL_M**3).astype(np.float32)
     # a file object: given a name, numpy would put .npz behind it
     with replacing(path) as part, part.open("wb") as file:
-        np.savez_compressed(file, density=density, corner=corner, voxel_m=grid.voxel_m)
+        np.savez_compressed(file, density=density, corner=corner.astype(np.int64), voxel_m=VOXEL_M)
 
 
 def _trajectory(scene: Scene, passes: list[Pass], out: Path) -> None:
@@ -130,44 +120,23 @@ def _trajectory(scene: Scene, passes: list[Pass], out: Path) -> None:
     table = np.concatenate(tables)
     write_trajectory_csv(out / "trajectory.csv", table[:, 0], table[:, 1:])
     with replacing(out / "trajectory.sbet") as part:
-        np.concatenate(records).astype("<f8").tofile(part)
+        np.concatenate(records).tofile(part)
 
 
-def _reference(scene: Scene, arrays: SceneArrays, out: Path) -> None:
-    header = las_header(scene.crs, scene.origin_m, scene.acquisition.start_s)
-    write_points(out / "reference_lml.laz", header, _reference_pieces(scene, arrays, out))
-
-
-def _reference_pieces(
-    scene: Scene, arrays: SceneArrays, out: Path
-) -> Iterator[dict[str, NDArray[Any]]]:
-    """Points of the reference, of some pulses at a time.
-
-    One source of chance gives all places, then all returns, then all noise; in between they wait on
-    disk. So the points do not depend on how many are made at once.
-    """
-    seed = np.random.SeedSequence(scene.seed, spawn_key=(4,))
+def _reference(scene: Scene, arrays: SceneArrays, path: Path) -> None:
+    """A linear-mode cloud: one source of chance gives all places, all returns, then all noise."""
+    rng = scene.chance(4)
     n = round(scene.reference.density_per_m2 * scene.extent_m[0] * scene.extent_m[1])
-    sizes = [min(PULSES_AT_ONCE, n - first) for first in range(0, n, PULSES_AT_ONCE)]
-    places, rng = np.random.default_rng(seed), np.random.default_rng(seed)
-    cast("np.random.PCG64", rng.bit_generator).advance(2 * n)
-    above = float(arrays.ground_z.max()) + 500.0
-    with TemporaryFile(dir=out) as returns:
-        for size in sizes:
-            z, kind = np.empty((size, 2)), np.zeros((size, 2), dtype=np.uint8)
-            xy = places.random((size, 2)) * scene.extent_m
-            linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M, empty_layers(arrays), z, kind)
-            returns.write(z.tobytes() + kind.tobytes())
-        returns.seek(0)
-        places = np.random.default_rng(seed)
-        first = 0
-        for size in sizes:
-            z = np.frombuffer(returns.read(16 * size)).reshape(size, 2)
-            kind = np.frombuffer(returns.read(2 * size), dtype=np.uint8).reshape(size, 2)
-            xy = places.random((size, 2)) * scene.extent_m
-            noisy = z + scene.reference.noise_m * rng.standard_normal(z.shape)
-            yield _reference_points(scene, first, xy, noisy, kind)
-            first += size
+    xy = rng.random((n, 2)) * scene.extent_m
+    z, kind = np.empty((n, 2)), np.zeros((n, 2), dtype=np.uint8)
+    above = float(arrays.ground.z.max()) + 500.0
+    linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M, empty_layers(arrays), z, kind)
+    header = las_header(scene.crs, scene.origin_m, scene.acquisition.start_s)
+    with replacing(path) as part, CloudWriter(part, header) as cloud:
+        for first in range(0, n, PULSES_AT_ONCE):
+            some = slice(first, min(first + PULSES_AT_ONCE, n))
+            noisy = z[some] + scene.reference.noise_m * rng.standard_normal(z[some].shape)
+            cloud.write(_reference_points(scene, first, xy[some], noisy, kind[some]))
 
 
 def _reference_points(
@@ -200,7 +169,7 @@ def _reference_points(
 
 def _checkpoints(scene: Scene, arrays: SceneArrays, layout: Layout, path: Path) -> None:
     """Checkpoints of a field survey: true ground, open and below crowns, with a field's error."""
-    rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(8,)))
+    rng = scene.chance(8)
     size = np.array(scene.extent_m)
     xy = INSIDE_M + rng.random((CHECKPOINTS_TRIED, 2)) * np.maximum(size - 2 * INSIDE_M, 0.0)
     error_m = CHECKPOINT_ACCURACY_M * rng.standard_normal(CHECKPOINTS_TRIED)
@@ -222,7 +191,7 @@ def _checkpoints(scene: Scene, arrays: SceneArrays, layout: Layout, path: Path) 
 
 def _built(scene: Scene, layout: Layout, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Places in or beside houses and water."""
-    shapes = [*footprints(layout.buildings), *(shapely.Polygon(w.ring_m) for w in scene.water)]
+    shapes = [*layout.footprints, *(shapely.Polygon(w.ring_m) for w in scene.water)]
     if not shapes:
         return np.zeros(len(xy), np.bool_)
     taken = shapely.union_all(shapes).buffer(INSIDE_M)
@@ -230,33 +199,43 @@ def _built(scene: Scene, layout: Layout, xy: NDArray[np.float64]) -> NDArray[np.
     return found
 
 
-def _rasters(scene: Scene, arrays: SceneArrays, out: Path) -> None:
+def _rasters(scene: Scene, arrays: SceneArrays, folder: Path) -> None:
     """True ground, surface and reflectance of 1 m cells on whole metres."""
     west, south = (math.floor(v) for v in scene.origin_m[:2])
     east, north = (
         math.ceil(v + size) for v, size in zip(scene.origin_m, scene.extent_m, strict=False)
     )
-    x = np.arange(west, east) + 0.5 - scene.origin_m[0]
-    y = np.arange(north, south, -1) - 0.5 - scene.origin_m[1]
+    shape = north - south, east - west
+    found = np.empty((3, *shape), np.float32)
     corner = west - scene.origin_m[0], north - scene.origin_m[1]
-    place = (len(y), len(x)), float(west), float(north), scene.crs
-    with ExitStack() as open_files:
-        write = [
-            open_files.enter_context(raster_rows(out / "truth" / f"{name}.tif", *place))
-            for name in ("dtm", "dsm", "reflectance")
-        ]
-        for first in range(0, len(y), ROWS_AT_ONCE):
-            xs, ys = np.meshgrid(x, y[first : first + ROWS_AT_ONCE])
-            above = np.empty((3, *xs.shape))
-            surfaces_at(arrays, xs.ravel(), ys.ravel(), above.reshape(3, -1))
-            mean_reflectance(
-                arrays, corner[0], corner[1] - first, 1.0, REFLECTANCE_SAMPLES, above[2]
-            )
-            for values, to in zip(above, write, strict=True):
-                to(first, values)
+    columns = np.arange(shape[1])
+    for first in range(0, shape[0], ROWS_AT_ONCE):
+        rows = np.arange(first, min(first + ROWS_AT_ONCE, shape[0]))
+        found[:2, rows] = _surfaces(arrays, corner, columns, rows, (0.5, 0.5))[:2]
+        total, side = np.zeros((len(rows), shape[1])), REFLECTANCE_SAMPLES
+        for k in range(side**2):
+            within = (k % side + 0.5) / side, (k // side + 0.5) / side
+            total += _surfaces(arrays, corner, columns, rows, within)[2]
+        found[2, rows] = total / side**2
+    for name, values in zip(("dtm", "dsm", "reflectance"), found, strict=True):
+        write_cog(
+            folder / f"{name}.tif", values, shape=shape, origin_xy_m=(west, north), cell_m=1.0,
+            crs=scene.crs, description=f"true {name}",
+        )  # fmt: skip
 
 
-def _workflow(scene: Scene, out: Path, water: bool) -> Path:  # noqa: FBT001 - one caller
+def _surfaces(
+    arrays: SceneArrays, corner: tuple[float, float], columns: NDArray[np.int64],
+    rows: NDArray[np.int64], within: tuple[float, float],
+) -> NDArray[np.float64]:  # fmt: skip
+    """Ground, surface and reflectance at one place of cells of 1 m: (3, rows, columns)."""
+    x, y = np.meshgrid(corner[0] + columns + within[0], corner[1] - rows - within[1])
+    above = np.empty((3, *x.shape))
+    surfaces_at(arrays, x.ravel(), y.ravel(), above.reshape(3, -1))
+    return above
+
+
+def _workflow(scene: Scene) -> dict[str, Any]:
     content: dict[str, Any] = {
         "survey": {
             "name": scene.name,
@@ -274,10 +253,8 @@ def _workflow(scene: Scene, out: Path, water: bool) -> Path:  # noqa: FBT001 - o
     gates = set(map(scene.gate_of, scene.flights))
     if len(gates) == 1:  # else each flightline shows its own
         content["acquisition"]["gate_m"] = gates.pop()
-    if water:
+    if scene.water:
         content["water"] = "water.gpkg"
     if scene.delivery.aoi:
         content["aoi"] = "aoi.gpkg"
-    path = out / "workflow.yaml"
-    write_text(path, content)
-    return path
+    return content

@@ -7,18 +7,16 @@ exponential law, a share of them a tail: a longer exponential, or a power law.
 """
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.simulate.scene.ray_trace import KIND_AFTERPULSE, KIND_BACKGROUND
 from spl_batch.numerics.compiled import njit
 
 NO_PARENT: Final = 255
 """Value of ``parent`` for returns that are no afterpulse."""
-
-EVENT_AFTERPULSE: Final = 6
-"""``kind`` of an afterpulse; the same number as ``scene_trace.KIND_AFTERPULSE``."""
 
 
 class Receiver(NamedTuple):
@@ -84,14 +82,10 @@ def add_event(
     parent: int,
     source: int,
 ) -> int:
-    """Put an event in its place by range.
+    """Put an event in its place by range; the number of events afterwards.
 
-    Parameters
-    ----------
-    ranges : (k,) float64
-        Ranges of the events so far, ascending [m].
-    facts : (k, 3) int64
-        Kind, kind of the surface behind an afterpulse, recorded number of its parent (-1).
+    ``ranges`` (k,): those of the events, ascending [m]; ``facts`` (k, 3): kind, kind of the surface
+    behind an afterpulse, recorded number of its parent (-1).
     """
     if n >= len(ranges):
         raise ValueError("more photo-electrons in one beamlet than there is room for")
@@ -118,15 +112,10 @@ def record(
     kept: NDArray[np.int64],
     electrons: NDArray[np.int64],
 ) -> int:
-    """Which events a channel records; afterpulses are added as they start.
+    """Which events a channel records, how many; afterpulses are added as they start.
 
-    Parameters
-    ----------
-    ranges, facts, n
-        Events as in :func:`add_event`; afterpulses are added in place.
-    kept, electrons : (k,) int64
-        Filled with the index of each recorded event and its number of photo-electrons:
-        itself and those that fell into its dead time.
+    ``kept`` and ``electrons`` (k,) are filled with the index of each and its number of
+    photo-electrons: itself and those that fell into its dead time.
     """
     count, blind_until = 0, -np.inf
     e = 0
@@ -142,8 +131,8 @@ def record(
             blind_until = at + receiver.dead_m
             if rng.random() < receiver.afterpulse_probability:
                 lag = draw_lag(rng, receiver)
-                surface = facts[e, 1] if facts[e, 0] == EVENT_AFTERPULSE else facts[e, 0]
-                n = add_event(ranges, facts, n, at + lag, EVENT_AFTERPULSE, surface, count)
+                surface = facts[e, 1] if facts[e, 0] == KIND_AFTERPULSE else facts[e, 0]
+                n = add_event(ranges, facts, n, at + lag, KIND_AFTERPULSE, surface, count)
             count += 1
         e += 1
     return count
@@ -154,46 +143,23 @@ def add_background(
     rng: np.random.Generator,
     ranges: NDArray[np.float64],
     facts: NDArray[np.int64],
-    start_m: float,
-    stop_m: float,
+    gate: tuple[float, float],
     per_m: float,
     fall: float = 0.0,
-) -> Any:
-    """Background of one beamlet: a Poisson process along the gate, uniform but for its fall.
+) -> int:
+    """First events of a beamlet: background, a Poisson process along the gate; how many.
 
-    Parameters
-    ----------
-    ranges, facts
-        Events as in :func:`add_event`, none so far.
-    per_m : float
-        Expected background per metre of range [1/m].
-    fall : float
-        Rate at the start less that at the end, over their sum, -1..1; linear between.
+    ``fall``: rate at the start less that at the end, over their sum, -1..1, linear between; it is
+    drawn by thinning. ``per_m`` is the mean [1/m].
     """
-    n = 0
-    if fall != 0.0:
-        return _add_falling(rng, ranges, facts, start_m, stop_m, per_m, fall)
-    if per_m <= 0.0:
-        return n
-    at = start_m - math.log(1.0 - rng.random()) / per_m
-    while at < stop_m:
-        n = add_event(ranges, facts, n, at, 0, NO_PARENT, -1)
-        at -= math.log(1.0 - rng.random()) / per_m
-    return n
-
-
-@njit()
-def _add_falling(  # type: ignore[no-untyped-def]
-    rng, ranges, facts, start_m, stop_m, per_m, fall
-):
-    """The same with a rate that changes along the gate, by thinning."""
+    start, stop = gate
     n, most = 0, per_m * (1.0 + abs(fall))
     if most <= 0.0:
         return n
-    at = start_m - math.log(1.0 - rng.random()) / most
-    while at < stop_m:
-        rate = per_m * (1.0 + fall * (1.0 - 2.0 * (at - start_m) / (stop_m - start_m)))
-        if rng.random() * most < rate:
-            n = add_event(ranges, facts, n, at, 0, NO_PARENT, -1)
+    at = start - math.log(1.0 - rng.random()) / most
+    while at < stop:
+        rate = per_m * (1.0 + fall * (1.0 - 2.0 * (at - start) / (stop - start)))
+        if fall == 0.0 or rng.random() * most < rate:
+            n = add_event(ranges, facts, n, at, KIND_BACKGROUND, NO_PARENT, -1)
         at -= math.log(1.0 - rng.random()) / most
     return n

@@ -1,4 +1,14 @@
-"""Flightlines: where the aircraft is, how it is turned, which shots meet the scene."""
+r"""Flightlines: where the aircraft is, how it is turned, which shots meet the scene.
+
+A rotating wedge scans with a square array of beamlets [W17 Eq. 2.8-2.15]. Body frame: x to
+starboard, y to the nose, z up. The scan angle is zero at the nose and grows clockwise seen from
+above.
+
+Deviations. Eq. 2.11 as printed turns the array by :math:`+\alpha`, Eq. 2.12 the beam by
+:math:`-\alpha`; here both turn the same way, so the array keeps its attitude to the scanned circle.
+The :math:`z` of the pixel vector in Eq. 2.14, not defined there, is zero. Boresight angles and
+lever arm of Eq. 2.8 are zero: delivered data is calibrated.
+"""
 
 import math
 from collections.abc import Iterator
@@ -9,7 +19,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.scene.scene_file import Flight, Scene
-from spl_batch.airborne.simulate.wedge_scan import central_vectors
 from spl_batch.numerics.attitude import rotations
 
 CHUNK_S = 0.25
@@ -25,6 +34,31 @@ GATE_S = 1.0
 def _wave(time_s: NDArray[np.float64], period_s: float, phase: float) -> NDArray[np.float64]:
     wave: NDArray[np.float64] = np.sin(2 * np.pi * time_s / period_s + phase)
     return wave
+
+
+def pixel_offsets(
+    columns: int, pitch_rad: float, rotation_rad: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Angular places x, y of beamlets in a turned array, by channel [W17 Eq. 2.9, 2.10] [rad].
+
+    Channel = columns * (i - 1) + j, from 1, is row i and column j.
+    """
+    centre = (columns + 1) / 2
+    i, j = np.divmod(np.arange(columns * columns), columns)
+    x = -(i + 1 - centre) * pitch_rad
+    y = (j + 1 - centre) * pitch_rad
+    c, s = np.cos(rotation_rad), np.sin(rotation_rad)
+    return c * x - s * y, s * x + c * y
+
+
+def central_vectors(angle: NDArray[np.float64], half_cone_rad: float) -> NDArray[np.float64]:
+    """Unit vectors of the array's centre in the body frame [W17 Eq. 2.13]: (n, 3) float64.
+
+    ``angle``: (n,) float64, scan angle [rad].
+    """
+    s = np.sin(half_cone_rad)
+    z = np.full(len(angle), -np.cos(half_cone_rad))
+    return np.column_stack([s * np.sin(angle), s * np.cos(angle), z])
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +136,13 @@ def make_passes(scene: Scene) -> list[Pass]:
     sensor, passes = scene.instrument, []
     diagonal = math.hypot(*scene.extent_m) / 2 + scene.acquisition.margin_m
     for k, flight in enumerate(scene.flights):
-        rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(1, k)))
         circle = flight.altitude_agl_m * math.tan(
             math.radians(sensor.half_cone_deg + 2 * scene.acquisition.wobble_deg)
         )
         half = (diagonal + 1.1 * circle + 20.0) / flight.speed_m_s
         middle = scene.acquisition.start_s + k * scene.acquisition.turn_s + half + 2.0
-        passes.append(Pass(k + 1, flight, scene, middle, half, rng.uniform(0, 2 * np.pi, 6)))
+        phases = scene.chance(1, k).uniform(0, 2 * np.pi, 6)
+        passes.append(Pass(k + 1, flight, scene, middle, half, phases))
     return passes
 
 
@@ -155,7 +189,7 @@ def _not_far(
 def _strayed_m(run: Pass, arrays: SceneArrays, shots: int) -> float:
     """No less than what lies on the ground between two shots, so many apart [m]."""
     scene = run.scene
-    low, high = float(arrays.ground_z.min()), float(arrays.ground_z.max())
+    low, high = float(arrays.ground.z.min()), float(arrays.ground.z.max())
     above = run.flight.altitude_agl_m + abs(scene.origin_m[2] - low) + 1.0
     swing = math.radians(scene.acquisition.wobble_deg)
     cone = math.radians(scene.instrument.half_cone_deg)
@@ -177,19 +211,9 @@ def _outside(
 def ground_points(
     run: Pass, shot: NDArray[np.int64], arrays: SceneArrays
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the array's centre meets the ground, bare.
+    """Where the array's centre meets the bare ground, to a few centimetres, by shot.
 
-    Parameters
-    ----------
-    shot : (n,) int64
-        Shot numbers.
-
-    Returns
-    -------
-    xyz : (n, 3) float64
-        Relative to the scene's origin, to a few centimetres [m].
-    range_m : (n,) float64
-        Slant ranges [m].
+    Places (n, 3), relative to the scene's origin, and slant ranges (n,) [m].
     """
     time = run.time_of(shot)
     origin = run.position(time)
@@ -197,24 +221,20 @@ def ground_points(
     cone = math.radians(run.scene.instrument.half_cone_deg)
     beam = np.einsum("nij,nj->ni", turn, central_vectors(run.scan_angle(shot), cone))
     z = np.full(len(shot), run.scene.origin_m[2])
-    ny, nx = arrays.ground_z.shape
+    ny, nx = arrays.ground.z.shape
     for _ in range(3):
         range_m = (z - origin[:, 2]) / beam[:, 2]
-        place = (origin + range_m[:, None] * beam - [*arrays.grid[:2], 0]) / arrays.grid[2]
+        place = (
+            origin + range_m[:, None] * beam - [*arrays.ground.grid[:2], 0]
+        ) / arrays.ground.grid[2]
         i = np.clip(np.rint(place[:, 0]).astype(np.int64), 0, nx - 1)
         j = np.clip(np.rint(place[:, 1]).astype(np.int64), 0, ny - 1)
-        z = arrays.ground_z[j, i]
+        z = arrays.ground.z[j, i]
     return origin + range_m[:, None] * beam, range_m
 
 
 def gate_centres(pieces: list[Chunk]) -> dict[int, float]:
-    """Mean ground range of every second, which the gate is set to.
-
-    Returns
-    -------
-    dict
-        Second since the start of the pass: mean slant range [m].
-    """
+    """Mean ground range of every second since the pass's start, which the gate is set to [m]."""
     sums: dict[int, tuple[float, int]] = {}
     for piece in pieces:
         second = int(piece.index * CHUNK_S / GATE_S)

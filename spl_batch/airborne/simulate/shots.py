@@ -1,11 +1,12 @@
 """Shots of a flightline against a scene: what every beamlet of every shot records."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.simulate.air import Air, NoiseGrid, add_air, deposit
 from spl_batch.airborne.simulate.detector import (
     NO_PARENT,
     Receiver,
@@ -14,8 +15,6 @@ from spl_batch.airborne.simulate.detector import (
     poisson_count,
     record,
 )
-from spl_batch.airborne.simulate.haze import Air, add_air
-from spl_batch.airborne.simulate.noise_grid import NoiseGrid, deposit, deposit_air
 from spl_batch.airborne.simulate.scene.beam_layers import empty_layers, look
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.sunlight import brightness
@@ -66,20 +65,22 @@ class Shots(NamedTuple):
     time_s: NDArray[np.float64]  #: (n,): since the scene's take-off [s].
 
 
-class Points(NamedTuple):
-    """Buffers for recorded returns; one row each, in shot, channel and range order."""
-
-    shot: NDArray[np.int64]  #: (k,): row of the shot.
-    xyz: NDArray[np.float64]  #: (k, 3): place along the beamlet's axis at the measured range [m].
-    #: (k,): channel from 1, LAS return numbers, truth.
-    channel: NDArray[np.uint8]
-    return_number: NDArray[np.uint8]
-    returns: NDArray[np.uint8]
-    kind: NDArray[np.uint8]
-    parent: NDArray[np.uint8]
-    electrons: NDArray[np.int64]  #: (k,): photo-electrons merged into the detection.
-    #: (k,): row of an afterpulse's parent in these buffers; -1 for the rest.
-    parent_row: NDArray[np.int64]
+POINT: Final = np.dtype(
+    [
+        ("shot", np.int64),
+        *((axis, np.float64) for axis in "xyz"),
+        ("channel", np.uint8),
+        ("return_number", np.uint8),
+        ("number_of_returns", np.uint8),
+        ("kind", np.uint8),
+        ("parent", np.uint8),
+        ("electrons", np.int64),
+        ("parent_row", np.int64),
+    ]
+)
+"""A recorded return: row of its shot; place along the beamlet's axis at the measured range [m];
+channel from 1, LAS return numbers, truth; photo-electrons merged into the detection; row of an
+afterpulse's parent in the same buffer, -1 for the rest."""
 
 
 @njit()
@@ -91,18 +92,9 @@ def beam_direction(
     py: float,
     out: NDArray[np.float64],
 ) -> None:
-    """Unit vector of one beamlet in the local frame [W17 Eq. 2.11-2.15].
+    """Unit vector of one beamlet in the local frame: fills ``out`` [W17 Eq. 2.11-2.15].
 
-    Parameters
-    ----------
-    turn : (3, 3) float64
-        Body frame to local frame.
-    angle, half_cone : float
-        Scan angle and half cone angle [rad].
-    px, py : float
-        Angular place of the beamlet in the array [rad].
-    out : (3,) float64
-        Filled.
+    ``turn``: body frame to local frame; the beamlet is at ``px, py`` of the array [rad].
     """
     ca, sa = math.cos(angle), math.sin(angle)
     cone = math.sin(half_cone)
@@ -137,19 +129,9 @@ def add_signal(
 ) -> tuple[int, float]:
     """Photo-electrons of the scene in one beamlet [W17 Eq. 2.1, 2.6; Beer-Lambert in crowns].
 
-    Parameters
-    ----------
-    ray : tuple of (3,) float64
-        Origin [m], axis of the beamlet, room for the photons' direction.
-    layers : (k, 5) float64
-        Room for :func:`~spl_batch.airborne.simulate.scene.beam_layers.look`.
-    ranges, facts, n
-        Events so far, as in :func:`~spl_batch.airborne.simulate.detector.add_event`.
-
-    Returns
-    -------
-    n, hard : int, float
-        Number of events, and the range of the hard surface that a photon met [m].
+    ``ray``: origin, axis, room for the photons' direction; ``ranges, facts, n``: events so far, as
+    in :func:`~spl_batch.airborne.simulate.detector.add_event`. Returned are the number of events,
+    and the range of the hard surface that a photon met [m].
     """
     origin, axis, path = ray
     _spread(rng, axis, optics.sigma_rad, path)
@@ -187,34 +169,6 @@ def _in_gate(ranges: NDArray[np.float64], facts: NDArray[np.int64], n: int, star
 
 
 @njit()
-def _store(
-    out: Points,
-    row: int,
-    events: Any,
-    count: int,
-    shot: int,
-    channel: int,
-    origin: Any,
-    axis: Any,
-) -> None:
-    """Write one beamlet's recorded events as points."""
-    ranges, facts, kept, electrons = events
-    for k in range(count):
-        at = ranges[kept[k]]
-        source = facts[kept[k], 2]
-        out.shot[row + k] = shot
-        for c in range(3):
-            out.xyz[row + k, c] = origin[c] + at * axis[c]
-        out.channel[row + k] = channel + 1
-        out.return_number[row + k] = min(k + 1, 15)
-        out.returns[row + k] = min(count, 15)
-        out.kind[row + k] = facts[kept[k], 0]
-        out.parent[row + k] = facts[kept[k], 1]
-        out.electrons[row + k] = electrons[k]
-        out.parent_row[row + k] = row + source if source >= 0 else -1
-
-
-@njit()
 def fire(
     rng: np.random.Generator,
     scene: SceneArrays,
@@ -225,26 +179,16 @@ def fire(
     first: int,
     room: Beamlet,
     grid: NoiseGrid,
-    out: Points,
+    out: NDArray[np.void],
 ) -> tuple[int, int]:
-    """Simulate shots until they are done or the buffers might overflow.
+    """Simulate shots from row ``first`` on, until they are done or the buffer might overflow.
 
-    Parameters
-    ----------
-    rng : Generator
-        Source of chance; consumed in the order of shots and channels.
-    first : int
-        Row of the first shot to fire.
-    out : Points
-        Buffers; must hold ``channels * m`` rows at least.
-
-    Returns
-    -------
-    next_shot, count : int
-        First shot that was not fired, and rows filled.
+    Chance is consumed in the order of shots and channels. ``out`` are returns (:data:`POINT`), in
+    shot, channel and range order, room for two shots at least. Returned are the first shot that
+    was not fired, and rows filled.
     """
     channels, row = len(optics.gain), 0
-    most = len(out.shot) - channels * len(room.ranges)
+    most = len(out) - channels * len(room.ranges)
     for shot in range(first, len(shots.angle)):
         if row > most:
             return shot, row
@@ -268,16 +212,15 @@ def _look(  # type: ignore[no-untyped-def]
         optics.pixel_y[c], axis,
     )  # fmt: skip
     glow = 0.0
-    if scene.light.shape[0] > 0:
+    if scene.ground.light.shape[0] > 0:
         glow = brightness(scene, (origin, axis), optics.sigma_rad, room.layers)
     noise = gain * (shots.noise_per_m[shot] + glow * shots.ground_per_m[shot])
-    n = add_background(rng, ranges, facts, start, stop, noise, air.gate_fall)
+    n = add_background(rng, ranges, facts, (start, stop), noise, air.gate_fall)
     ray = (origin, axis, path)
     n, hard = add_signal(rng, scene, optics, gain, ray, room.layers, ranges, facts, n)
     span, time_s = (start, min(hard, stop)), shots.time_s[shot]
     n = add_air(rng, scene, air, gain, time_s, (origin, axis), span, ranges, facts, n)
-    deposit(grid, origin, axis, start, stop, noise * (stop - start), air.gate_fall)
-    deposit_air(grid, air, gain, time_s, (origin, axis), span)
+    deposit(grid, scene, air, gain, time_s, (origin, axis), (start, stop), noise, span[1])
     return _in_gate(ranges, facts, n, start)
 
 
@@ -286,27 +229,23 @@ def _finish(  # type: ignore[no-untyped-def]
     rng, receiver, shots, shot, c, held, room, out, row
 ):
     """Record one beamlet; the number of rows filled."""
-    ranges, facts = room.ranges, room.facts
-    count = record(
-        rng, ranges, facts, held, shots.gate_stop[shot], receiver, room.kept, room.electrons
-    )
-    events = (ranges, facts, room.kept, room.electrons)
-    _store(out, row, events, count, shot, c, shots.origin[shot], room.axis)
+    ranges, facts, kept = room.ranges, room.facts, room.kept
+    count = record(rng, ranges, facts, held, shots.gate_stop[shot], receiver, kept, room.electrons)
+    origin, axis = shots.origin[shot], room.axis
+    for k in range(count):
+        at, source, point = ranges[kept[k]], facts[kept[k], 2], out[row + k]
+        point.shot = shot
+        point.x = origin[0] + at * axis[0]
+        point.y = origin[1] + at * axis[1]
+        point.z = origin[2] + at * axis[2]
+        point.channel = c + 1
+        point.return_number = min(k + 1, 15)
+        point.number_of_returns = min(count, 15)
+        point.kind = facts[kept[k], 0]
+        point.parent = facts[kept[k], 1]
+        point.electrons = room.electrons[k]
+        point.parent_row = row + source if source >= 0 else -1
     return row + count
-
-
-def empty_points(rows: int) -> Points:
-    """Buffers of so many rows."""
-    one = np.uint8
-    types = (np.int64, np.float64, one, one, one, one, one, np.int64, np.int64)
-    shapes = ((rows, 3) if name == "xyz" else (rows,) for name in Points._fields)
-    return Points(*map(np.empty, shapes, types))
-
-
-def first_rows(points: Points, count: int) -> Points:
-    """The rows of buffers that are filled."""
-    filled: tuple[Any, ...] = tuple(column[:count] for column in points)
-    return Points(*filled)
 
 
 def empty_beamlet(scene: SceneArrays, room: int) -> Beamlet:
@@ -324,12 +263,8 @@ def empty_beamlet(scene: SceneArrays, room: int) -> Beamlet:
 def event_room(background: float, signal: float, layers: int) -> int:
     """Events that one beamlet must have room for, far beyond what chance makes likely.
 
-    Parameters
-    ----------
-    background, signal : float
-        Highest expected photo-electrons of background, and of one surface [count].
-    layers : int
-        Most layers that one beam can meet.
+    ``background`` and ``signal``: highest expected photo-electrons of background, and of one
+    surface; ``layers``: most that one beam can meet [count].
     """
     mean = background + signal
     return int(2 * (mean + 12 * math.sqrt(mean + 1))) + 16 * (layers + 8)

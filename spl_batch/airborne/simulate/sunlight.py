@@ -24,10 +24,10 @@ BRIGHTEST: Final = 2.0
 
 def lit(scene: Scene, arrays: SceneArrays) -> SceneArrays:
     """A scene with its light, relative to the mean brightness of its extent."""
-    step = float(arrays.grid[2])
+    step = float(arrays.ground.grid[2])
     y, x = (
         first + step * np.arange(n)
-        for first, n in zip(arrays.grid[1::-1], arrays.ground_z.shape, strict=True)
+        for first, n in zip(arrays.ground.grid[1::-1], arrays.ground.z.shape, strict=True)
     )
     xx, yy = np.meshgrid(x, y)
     above = np.empty((3, *xx.shape))
@@ -35,20 +35,14 @@ def lit(scene: Scene, arrays: SceneArrays) -> SceneArrays:
     light = sunlight(above[1], step, scene)
     inside = (xx >= 0) & (xx <= scene.extent_m[0]) & (yy >= 0) & (yy <= scene.extent_m[1])
     mean = float((light * above[2])[inside].mean())
-    return arrays._replace(light=light / max(mean, 1e-9))
+    ground = arrays.ground._replace(light=light / max(mean, 1e-9))
+    return arrays._replace(ground=ground)
 
 
 def sunlight(surface: NDArray[np.float64], step_m: float, scene: Scene) -> NDArray[np.float64]:
     """Light at the nodes of a surface over that on level ground in the sun: (ny, nx) float64.
 
-    Parameters
-    ----------
-    surface : (ny, nx) float64
-        Heights, rows from south to north [m].
-    step_m : float
-        Distance of the nodes [m].
-    scene : Scene
-        Its sky has the sun.
+    ``surface`` (ny, nx): heights, rows from south to north, ``step_m`` apart [m].
     """
     sky = scene.sky
     zenith, azimuth = math.radians(sky.zenith_deg), math.radians(sky.azimuth_deg)
@@ -73,17 +67,7 @@ def sunlight(surface: NDArray[np.float64], step_m: float, scene: Scene) -> NDArr
 def brightness(
     scene: SceneArrays, ray: Any, sigma_rad: float, layers: NDArray[np.float64]
 ) -> float:
-    """Light that a beamlet's patch sends back, over the mean of the scene.
-
-    Parameters
-    ----------
-    ray : tuple of (3,) float64
-        Origin [m] and axis of the beamlet.
-    sigma_rad : float
-        Spread of the beam about its axis [rad].
-    layers : (k, 5) float64
-        Room for :func:`~spl_batch.airborne.simulate.scene.beam_layers.look`.
-    """
+    """Light that the patch of a beamlet, its origin and axis, sends back over the scene's mean."""
     origin, axis = ray
     count, hard, _, rho, _ = look(scene, origin, axis, axis, sigma_rad, layers)
     left, albedo = 1.0, 0.0
@@ -92,4 +76,4 @@ def brightness(
         left *= 1.0 - layers[k, 2]
     albedo += left * rho
     x, y = origin[0] + hard * axis[0], origin[1] + hard * axis[1]
-    return float(albedo * bilinear(scene.light, scene.grid, x, y)[0])
+    return float(albedo * bilinear(scene.ground.light, scene.ground.grid, x, y)[0])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_decision, foliage
-from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane
+from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane, parents_of
 from spl_batch.airborne.afterpulse.weighted_counts import UNIT, weigh_around
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.airborne.steps import STEPS
@@ -116,29 +116,32 @@ def test_what_lies_behind_a_plane_is_that_of_a_plain_loop(seed: int, n: int, slo
     xyz[~flat, 2] += 1000
     time, channel = rng.integers(0, 9, n).astype(np.float64), rng.integers(0, 2, n).astype(np.uint8)
     true = rng.random(n) < 0.9
-    lag, wide, high, thick, share, least = 5000, 800, 1000, 150, 0.6, 8
+    lag, aside, wide, high, thick, share, least = 5000, 1500, 800, 1000, 150, 0.6, 8
     xyz[:, 2] -= xyz[:, 2].min()
     made = columns((xyz - xyz.min(axis=0)).astype(np.int32), np.arange(n), (0, 0, 0), 1500)
     o = made.points[3]
     xyz, time, channel, true = xyz[o], time[o], channel[o], true[o]
-    out, tilt, parents = np.empty(n, np.bool_), np.empty((n, 2)), np.empty(n, np.int32)
+    names = ("x", "y", "z", "gps_time", "channel")
+    types = (np.int64, np.int64, np.int32, np.float64, np.uint8)
+    values = (*xyz.T, time, channel)
+    table = PointTable({k: v.astype(t) for k, v, t in zip(names, values, types, strict=True)})
+    parents = parents_of(table, np.ones(n, np.bool_), lag, aside)
+    out, tilt = np.empty(n, np.bool_), np.empty((n, 2))
     behind_plane(
-        made, time, channel, true, np.arange(n, dtype=np.int32), lag, wide, high, thick, share,
-        least, out, tilt, parents,
+        made, true, np.arange(n, dtype=np.int32), parents.astype(np.int32), (wide, high, thick),
+        share, least, out, tilt,
     )  # fmt: skip
     for q in range(n):
         d = xyz - xyz[q]
-        above = (time == time[q]) & (channel == channel[q]) & (d[:, 2] > 0) & (d[:, 2] <= lag)
-        # a near parent is taken before one that is lower
-        close = above & (d[:, 2] <= lag // 5) & (d[:, 0] ** 2 + d[:, 1] ** 2 <= (lag // 10) ** 2)
-        above &= d[:, 0] ** 2 + d[:, 1] ** 2 <= 1500**2
-        found = np.flatnonzero(close if close.any() else above)
+        above = np.flatnonzero((time == time[q]) & (channel == channel[q]) & (d[:, 2] > 0))
+        lowest = above[d[above, 2] == d[above, 2].min(initial=10**6)]
+        first = lowest[np.lexsort((xyz[lowest, 1], xyz[lowest, 0]))][:1]
+        found = first[(d[first, 2] <= lag) & (np.hypot(*d[first, :2].T) <= aside)]
         if not len(found):
             assert parents[q] == -1
             assert not out[q]
             continue
-        assert parents[q] in found
-        assert xyz[parents[q], 2] == xyz[found, 2].min()
+        assert parents[q] == found[0]
         u, v, w = (xyz - xyz[parents[q]]).T
         near = true & (u**2 + v**2 <= wide**2) & (np.abs(w) <= high)
         behind, slopes = False, np.zeros(2)
@@ -303,21 +306,3 @@ def test_halo_and_order_do_not_matter() -> None:
         np.testing.assert_array_equal(
             chances(table.take(near), density[near])[own], chance[near][own]
         )
-
-
-def test_of_two_parents_as_high_the_table_does_not_decide() -> None:
-    def parent(edge: int, beyond: int) -> int:
-        """Of a return below two of its beamlet; another one says where columns begin."""
-        at = [[5000, 5000, 0], [4400, 5000, 300], [5600, 5000, 300], [beyond, 0, 900]]
-        xyz = np.array(at, np.int32)
-        made = columns(xyz - xyz.min(axis=0), np.arange(4), (0, 0, 0), edge)
-        order = made.points[3]
-        out, tilt, parents = np.zeros(1, np.bool_), np.zeros((1, 2)), np.zeros(1, np.int32)
-        behind_plane(
-            made, np.array([1.0, 1.0, 1.0, 9.0])[order], np.zeros(4, np.uint8),
-            np.ones(4, np.bool_), np.flatnonzero(order == 0).astype(np.int32), 2000, 900, 800, 150,
-            0.6, 3, out, tilt, parents,
-        )  # fmt: skip
-        return int(order[parents[0]])
-
-    assert {parent(1000, beyond) for beyond in (0, 300, 500, 700, 900)} == {1}

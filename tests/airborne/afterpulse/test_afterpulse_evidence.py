@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from spl_batch import Labels, filter_points
 from spl_batch.airborne.simulate import simulate
+from spl_batch.airborne.simulate.scene.ray_trace import KINDS
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
-from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_SIGNAL
 
 GROUND, ROOF, AFTERPULSE, BOTTOM = map(KINDS.index, ("ground", "roof", "afterpulse", "bottom"))

@@ -50,8 +50,8 @@ def counted(
     return {f"afterpulse_{name}": value for name, value in counts._asdict().items()}
 
 
-@pytest.mark.parametrize("share", [0.25])
-def test_the_share_of_afterpulses_is_found(share: float) -> None:
+def test_the_share_of_afterpulses_is_found() -> None:
+    share = 0.25
     parts = [observed(afterpulses=share, seed=s) for s in range(2)]
     assert parts[0]["afterpulse_entries"].sum() > 3000
     law = afterpulse_law.fit(parts, 1e-3, SENSOR)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.afterpulse.shot_evidence import TOGETHER
 from spl_batch.airborne.beams import geometry
+from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings import AfterpulseSettings
 from spl_batch.lattice.tables import COLUMNS, PointTable, Trajectory
@@ -96,6 +97,18 @@ def found(
     table: PointTable, track: Trajectory, settings: AfterpulseSettings = SETTINGS
 ) -> NDArray[np.float32]:
     return candidates.probability(table, geometry.beams(table, track), settings, SENSOR)
+
+
+def test_places_across_a_beam_are_square_to_it() -> None:
+    table, track, _ = shots(level, number=6)
+    beams = geometry.beams(table, track)
+    starts = run_starts(table["gps_time"])
+    first = np.repeat(starts[:-1], np.diff(starts))
+    u, v = afterpulse_law.across_beams(table, starts, beams.direction)[:, : len(table)]
+    away = np.column_stack([(table[k] - table[k][first].astype(np.int64)) / 1000 for k in "xyz"])
+    along = np.sum(away * beams.direction[first], axis=1)
+    np.testing.assert_allclose(u**2 + v**2 + along**2, np.sum(away**2, axis=1), atol=1e-9)
+    assert np.abs(np.corrcoef(u, v)[0, 1]) < 0.9
 
 
 def eave(_: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.rays import in_voxels, meet_planes, reach
-from spl_batch.airborne.beams.shot_runs import offsets
 from spl_batch.airborne.products.reflectance.shot_pattern import TERMS, motion, normal_equations
 
 STEP_M = 0.001
@@ -108,15 +107,3 @@ def test_sums_of_the_fit_are_those_of_its_terms(seed: int) -> None:
         terms = np.array([t**0, t, t**2, t**3, gx, gx * t, gy, gy * t])
         np.testing.assert_allclose(matrix[b], terms @ terms.T, atol=1e-9)
         np.testing.assert_allclose(right[b], terms @ place[rows], atol=1e-9)
-
-
-@settings(deadline=None)
-@given(seeds)
-def test_offsets_within_shots(seed: int) -> None:
-    place, _, _ = scene(seed)
-    steps = np.stack(place, axis=1)
-    start = starts_of(np.random.default_rng(seed), len(steps))
-    offset = np.empty(steps.shape)
-    offsets(start, place, STEP_M, offset)
-    first = np.repeat(steps[start[:-1]], np.diff(start), axis=0)
-    np.testing.assert_array_equal(offset, (steps - first) * STEP_M)

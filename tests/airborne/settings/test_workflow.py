@@ -101,7 +101,6 @@ def test_an_unknown_key_names_the_nearest(section: str, key: str, near: str) -> 
     assert repr(near) in message
 
 
-@pytest.mark.parametrize("value", [".nan"])
 @pytest.mark.parametrize(
     ("content", "key"),
     [
@@ -121,10 +120,10 @@ def test_an_unknown_key_names_the_nearest(section: str, key: str, near: str) -> 
         ),
     ],
 )
-def test_numbers_are_finite(tmp_path: Path, content: dict[str, Any], key: str, value: str) -> None:
+def test_numbers_are_finite(tmp_path: Path, content: dict[str, Any], key: str) -> None:
     path = write(tmp_path / "w.yaml", content)
-    with pytest.raises(WorkflowError, match=rf"{key}: .*finite number .found {value[1:]}"):
-        load_any(path, [f"{key}={value}"])
+    with pytest.raises(WorkflowError, match=rf"{key}: .*finite number .found nan"):
+        load_any(path, [f"{key}=.nan"])
 
 
 def test_an_unknown_section_names_the_nearest() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from spl_batch.airborne.simulate.file_writers import PointFiles
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
+from spl_batch.airborne.simulate.shots import POINT
 from spl_batch.errors import WorkflowError
 
 EDGE_M = 20
@@ -37,8 +38,10 @@ def write(folder, **delivery):
                     "intensity": np.arange(POINTS).astype(np.uint16),
                 }  # fmt: skip
                 parent = np.where(np.arange(POINTS) % 3 == 2, np.arange(POINTS) - 1, -1)
-                kind = rng.integers(0, 9, POINTS).astype(np.uint8)
-                files.write(run, columns, {"kind": kind, "parent": kind, "parent_row": parent})
+                points = np.zeros(POINTS, POINT)
+                points["kind"] = points["parent"] = rng.integers(0, 9, POINTS)
+                points["parent_row"] = parent
+                files.write(run, columns, points)
     return scene
 
 

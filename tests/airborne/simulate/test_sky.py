@@ -6,11 +6,12 @@ import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
-from spl_batch.airborne.simulate import haze, simulate
+from spl_batch.airborne.simulate import air as layers
+from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.layout import lay_out
+from spl_batch.airborne.simulate.scene.ray_trace import KINDS
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.airborne.simulate.sunlight import lit, sunlight
-from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.errors import WorkflowError
 
 FLAT = {
@@ -51,16 +52,30 @@ def test_patches_cover_the_share_of_the_sky_that_is_asked_for_and_drift_with_the
     scene = parse_scene(
         {**FLAT, "sky": {"haze": [{"cover": 0.3, "patch_m": 50, "drift_m_s": [4, -2]}]}}, "here"
     )
-    air = haze.make_air(scene, 1.0)
+    air = layers.make_air(scene, 1.0)
     rng = np.random.default_rng(1)
     at = rng.uniform(0, 3000, (20_000, 2))
-    strength = [haze.patch_strength(air.layers[0], air.waves[0], *place, 0.0) for place in at]
+    strength = [layers.patch_strength(air.layers[0], air.waves[0], *place, 0.0) for place in at]
     assert np.mean(strength) == pytest.approx(0.3, abs=0.03)
     later = [
-        haze.patch_strength(air.layers[0], air.waves[0], x + 4 * 7.0, y - 2 * 7.0, 7.0)
+        layers.patch_strength(air.layers[0], air.waves[0], x + 4 * 7.0, y - 2 * 7.0, 7.0)
         for x, y in at[:200]
     ]
     np.testing.assert_allclose(later, strength[:200], atol=1e-9)
+
+
+def test_fog_thins_out_with_the_height_above_the_ground():
+    scene = parse_scene({**FLAT, "sky": {"fog": [{"times_noise": 20, "scale_m": 1.5}]}}, "here")
+    arrays, air = lay_out(scene).arrays, layers.make_air(scene, 0.05)
+    rng, ranges, facts = np.random.default_rng(2), np.empty(200), np.empty((200, 3), np.int64)
+    # down to half a metre below the ground, where there is no fog
+    ray, span = (np.array([20.0, 20.0, 140.0]), np.array([0.0, 0.0, -1.0])), (0.0, 100.5)
+    height = []
+    for _ in range(2000):
+        n = layers.add_air(rng, arrays, air, 1.0, 0.0, ray, span, ranges, facts, 0)
+        height.extend(100.0 - ranges[:n])
+    assert len(height) / 2000 == pytest.approx(20 * 0.05 * 1.5, rel=0.05)
+    assert stats.kstest(height, "expon", (0, 1.5)).pvalue > 1e-3
 
 
 def test_a_layer_upside_down_is_refused():
@@ -76,8 +91,10 @@ def box(**sky):
 
 
 def at(arrays, x, y):
-    step = arrays.grid[2]
-    return arrays.light[round((y - arrays.grid[1]) / step), round((x - arrays.grid[0]) / step)]
+    step = arrays.ground.grid[2]
+    return arrays.ground.light[
+        round((y - arrays.ground.grid[1]) / step), round((x - arrays.ground.grid[0]) / step)
+    ]
 
 
 def test_houses_cast_shadows_away_from_the_sun_as_long_as_it_stands_low():
@@ -116,7 +133,7 @@ def test_a_beamlet_over_a_bright_roof_hears_more_background_than_one_over_its_sh
 def test_parcels_have_a_reflectance_each():
     scene = parse_scene({**FLAT, "terrain": {**FLAT["terrain"], "parcel_m": 20}}, "here")
     plain = parse_scene(FLAT, "here")
-    factor = lay_out(scene).arrays.ground_rho / lay_out(plain).arrays.ground_rho
+    factor = lay_out(scene).arrays.ground.rho / lay_out(plain).arrays.ground.rho
     values, count = np.unique(factor.round(6), return_counts=True)
     assert 20 < len(values[count > 20]) < 120
     assert values.max() / values.min() > 3

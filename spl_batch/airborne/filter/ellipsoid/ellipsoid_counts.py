@@ -86,22 +86,14 @@ def count_inside(
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
     """Count neighbours inside adaptive ellipsoids, up to the critical count.
 
-    Parameters
-    ----------
-    xyz, tree, query, density
-        Points (n, 3) in canonical order [quanta], those to count for, and the noise [1/unit3].
-    alpha, at_most : float or (n,) float64, float
-        Counting stops at the smallest k >= 1 with P(K >= k | lambda) <= alpha of the point, or
-        ``at_most`` if that is less; an alpha above 1 is that k itself.
-    spacing : (n,) float64, optional
-        Squared spacing at each slot of the tree [quanta2]; without it every neighbour is a peer.
-        Unknown ones are negative, and filled in where needed, at query points at least.
+    ``xyz, tree, query, density``: points (n, 3) in canonical order [quanta], those to count for,
+    and the noise [1/unit3]. Counting stops at the smallest k >= 1 with P(K >= k | lambda) <= alpha
+    of the point, or ``at_most`` if that is less; an alpha above 1 is that k itself. ``spacing``
+    (n,): squared spacing at each slot of the tree [quanta2], without which every neighbour is a
+    peer; unknown ones are negative, and filled in where needed, at query points at least.
 
-    Returns
-    -------
-    count, expected, tail : (n,) int32, float64, float64
-        min(k, critical count); lambda; P(K >= count | lambda), 1 for others, or with ``tie`` the
-        score s below the critical count. The first two are empty with ``scores_only``.
+    Three (n,): min(k, critical count); lambda; P(K >= count | lambda), 1 for others, or with
+    ``tie`` the score s below the critical count. The first two are empty with ``scores_only``.
     """
     check_cap(shape.neighbour_cap)
     check_cap(rule.cap)

@@ -25,7 +25,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
-from typing import Any, Final, NamedTuple
+from importlib.resources.abc import Traversable
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +84,7 @@ SHORTEST_M: Final = 1e-3
 EXACT_TO: Final = 1e-12
 """Score below which counting stops."""
 
-_LOCK = threading.Lock()
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,25 +157,30 @@ def settings_key(settings: Section, irrelevant: frozenset[str]) -> dict[str, Any
     return settings.model_dump(mode="json", exclude=set(irrelevant))
 
 
-def null_table(settings: FilterSettings) -> NullTable:
-    """The shipped table, or for other settings one that is drawn now and kept in memory."""
-    key = json.dumps(settings_key(settings, IRRELEVANT), sort_keys=True)
-    with _LOCK:
-        return _table(key)
+def shipped_or_drawn(
+    file: Traversable,
+    irrelevant: frozenset[str],
+    parse: Callable[[Mapping[str, Any]], T],
+    draw: Callable[[Mapping[str, Any], T], T],
+) -> Callable[[Section], T]:
+    """Function that gives a table: the shipped one, or one that is drawn now and kept in memory.
 
+    ``irrelevant``: settings that it does not depend on; ``draw``: table of other settings, given
+    these and the shipped one.
+    """
+    lock = threading.Lock()
 
-@lru_cache(maxsize=8)
-def _table(key: str) -> NullTable:
-    content = shipped(__package__, FILE)
-    if content["settings"] == json.loads(key):
-        return parse_table(content)
-    return draw_table(FilterSettings(test="calibrated", **json.loads(key)), POINTS, DENSITIES[::2])
+    @lru_cache(maxsize=8)
+    def table(key: str) -> T:
+        content = json.loads(file.read_text("utf-8"))
+        shipped, own = parse(content), json.loads(key)
+        return shipped if content["settings"] == own else draw(own, shipped)
 
+    def of(settings: Section) -> T:
+        with lock:
+            return table(json.dumps(settings_key(settings, irrelevant), sort_keys=True))
 
-def shipped(package: str, file: str) -> dict[str, Any]:
-    """Content of a table that ships with a package."""
-    content: dict[str, Any] = json.loads((resources.files(package) / file).read_text("utf-8"))
-    return content
+    return of
 
 
 def parse_table(content: Mapping[str, Any]) -> NullTable:
@@ -222,6 +228,15 @@ def draw_table(
         np.minimum(_smooth(own), np.log(ALPHAS)),
         np.minimum(_smooth(link), np.log(max(settings.link_m, SHORTEST_M))),
     )
+
+
+null_table = shipped_or_drawn(
+    resources.files(__package__) / FILE,
+    IRRELEVANT,
+    parse_table,
+    lambda own, _: draw_table(FilterSettings(test="calibrated", **own), POINTS, DENSITIES[::2]),
+)
+"""Table of a filter's settings."""
 
 
 class _Drawn(NamedTuple):

@@ -9,27 +9,16 @@ from spl_batch.numerics.compiled import njit
 def between(
     row: NDArray[np.float64], column: NDArray[np.float64], table: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Values of a table (d, k) linear between its rows and columns, at fractional places: (n,).
-
-    What ``scipy.ndimage.map_coordinates`` of order 1 gives, sooner.
-    """
-    out = np.empty(len(row), dtype=np.float64)
-    _between(row, column, table, out)
-    return out
-
-
-@njit()
-def _between(row, column, table, out):  # type: ignore[no-untyped-def]
+    """Values of a table (d, k) linear between its rows and columns, at fractional places: (n,)."""
     rows, columns = table.shape
-    for p in range(len(row)):
-        i = min(max(int(row[p]), 0), rows - 1)
-        j = min(max(int(column[p]), 0), columns - 1)
-        near, close = 1.0 - (row[p] - i), 1.0 - (column[p] - j)
-        far, beyond = 1.0 - near, 1.0 - close
-        k, m = min(i + 1, rows - 1), min(j + 1, columns - 1)
-        total = table[i, j] * near * close + table[i, m] * near * beyond
-        total += table[k, j] * far * close
-        out[p] = total + table[k, m] * far * beyond
+    i, j = row.astype(np.intp), column.astype(np.intp)
+    near, close = 1.0 - (row - i), 1.0 - (column - j)
+    far, beyond = 1.0 - near, 1.0 - close
+    k, m = np.minimum(i + 1, rows - 1), np.minimum(j + 1, columns - 1)
+    found: NDArray[np.float64] = table[i, j] * near * close + table[i, m] * near * beyond
+    found += table[k, j] * far * close
+    found += table[k, m] * far * beyond
+    return found
 
 
 def value_of(

@@ -10,18 +10,16 @@ The default settings' table ships (``wire_null.json``, written by
 ``python -m benchmarks.airborne.filter.null_table``); others draw a coarser one on first use.
 """
 
-import json
-import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from importlib import resources
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.ellipsoid.null_distribution import repeated, settings_key, shipped
+from spl_batch.airborne.filter.ellipsoid.null_distribution import repeated, shipped_or_drawn
 from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.filter.wires.wire_scan import scan
 from spl_batch.airborne.settings import FilterSettings, WireSettings
@@ -55,8 +53,6 @@ SMOOTH: Final = (1 / 9, 2 / 9, 3 / 9, 2 / 9, 1 / 9)
 
 MOST: Final = 0.5
 """Largest part of the filter's alpha that the scan gets."""
-
-_LOCK = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,23 +93,6 @@ def _stricter(settings: FilterSettings) -> float:
     return float((allowed / most) ** (1.0 / table.power)) if most > allowed else 1.0
 
 
-def wire_null(wires: WireSettings) -> WireNull:
-    """The shipped table, or for other settings one that is drawn now and kept in memory."""
-    key = json.dumps(settings_key(wires, IRRELEVANT), sort_keys=True)
-    with _LOCK:
-        return _table(key)
-
-
-@lru_cache(maxsize=8)
-def _table(key: str) -> WireNull:
-    content = shipped(__package__, FILE)
-    table = parse_table(content)
-    if content["settings"] == json.loads(key):
-        return table
-    share = draw_shares(WireSettings(**json.loads(key)), POINTS, COARSE)
-    return WireNull(np.log(COARSE), smoothed(share), table.power)
-
-
 def parse_table(content: Mapping[str, Any]) -> WireNull:
     """Table of a JSON file's content."""
     density, share = (np.array(content[name], dtype=np.float64) for name in ("density", "share"))
@@ -129,6 +108,15 @@ def smoothed(share: NDArray[np.float64]) -> NDArray[np.float64]:
     padded = np.pad(share, len(SMOOTH) // 2, mode="edge")
     smooth: NDArray[np.float64] = np.convolve(padded, SMOOTH, mode="valid")
     return smooth
+
+
+def _drawn(own: Mapping[str, Any], shipped: WireNull) -> WireNull:
+    share = draw_shares(WireSettings(**own), POINTS, COARSE)
+    return WireNull(np.log(COARSE), smoothed(share), shipped.power)
+
+
+wire_null = shipped_or_drawn(resources.files(__package__) / FILE, IRRELEVANT, parse_table, _drawn)
+"""Table of a scan's settings."""
 
 
 def draw_shares(

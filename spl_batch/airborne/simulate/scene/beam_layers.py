@@ -15,9 +15,8 @@ from spl_batch.airborne.simulate.scene.ray_trace import (
     bilinear,
     clip_convex,
     clip_crown,
-    hit_ground,
     lit_share,
-    meet_steep_ground,
+    meet_ground,
     meet_wire,
 )
 from spl_batch.numerics.compiled import njit
@@ -33,8 +32,14 @@ SURFACE_SHARE = 0.02
 @njit()
 def nearest_node(scene: SceneArrays, x: float, y: float) -> tuple[int, int]:
     """Row and column of the ground node nearest to a place."""
-    i = min(max(round((x - scene.grid[0]) / scene.grid[2]), 0), scene.ground_z.shape[1] - 1)
-    j = min(max(round((y - scene.grid[1]) / scene.grid[2]), 0), scene.ground_z.shape[0] - 1)
+    i = min(
+        max(round((x - scene.ground.grid[0]) / scene.ground.grid[2]), 0),
+        scene.ground.z.shape[1] - 1,
+    )
+    j = min(
+        max(round((y - scene.ground.grid[1]) / scene.ground.grid[2]), 0),
+        scene.ground.z.shape[0] - 1,
+    )
     return j, i
 
 
@@ -106,43 +111,21 @@ def _insert(
 
 
 @njit()
-def _meet_ground(scene: SceneArrays, o: Any, d: Any) -> tuple[float, float]:
-    """Range at which a ray meets the ground, and the cosine of incidence there."""
-    if scene.steep_top > -math.inf:
-        return meet_steep_ground(scene.ground_z, scene.grid, scene.steep_top, o, d)
-    return hit_ground(scene.ground_z, scene.grid, o, d)
-
-
-@njit()
 def look(
     scene: SceneArrays, o: Any, d: Any, axis: Any, sigma_rad: float, layers: NDArray[np.float64]
 ) -> tuple[int, float, float, float, float]:
-    """Everything that a beam meets.
+    """Everything that a beam meets: layers by range, and the hard surface behind them.
 
-    Parameters
-    ----------
-    o, d : (3,) float64
-        Origin [m] and unit direction of the photon's path.
-    axis : (3,) float64
-        Unit direction of the beam's axis; wires take their share of the whole beam.
-    sigma_rad : float
-        Spread of the beam about its axis, one direction [rad].
-    layers : (k, 5) float64
-        Filled with enter, leave, intercepted share, reflectance and kind of each layer in
-        front of the hard surface, by range; must have a row for every object of any cell.
-
-    Returns
-    -------
-    n : int
-        Number of layers.
-    range_m, cosine, reflectance, kind : float
-        Of the hard surface behind them.
+    ``o`` and ``d`` are origin and direction of the photon's path, ``axis`` the beam's axis, about
+    which it spreads: wires take their share of the whole beam. ``layers`` is filled with enter,
+    leave, intercepted share, reflectance and kind of each. Returned are the number of layers, and
+    range [m], cosine of incidence, reflectance and kind of the hard surface.
     """
-    hard, cosine = _meet_ground(scene, o, d)
+    hard, cosine = meet_ground(scene.ground, o, d)
     x, y = o[0] + hard * d[0], o[1] + hard * d[1]
-    rho = bilinear(scene.ground_rho, scene.grid, x, y)[0]
+    rho = bilinear(scene.ground.rho, scene.ground.grid, x, y)[0]
     j, i = nearest_node(scene, x, y)
-    kind = float(scene.ground_kind[j, i])
+    kind = float(scene.ground.kind[j, i])
     first, last = cell_range(scene, x, y)
     solids, crowns = len(scene.solid), len(scene.crown)
     # Entries ascend, and opaque solids have the lowest numbers: `hard` is final before a layer is
@@ -151,7 +134,7 @@ def look(
     for entry in range(first, last):
         item = scene.cell_item[entry]
         if item < solids:
-            enter, leave, face = clip_convex(scene.planes[item], scene.faces[item], o, d)
+            enter, leave, face = clip_convex(scene.planes[item], o, d)
             if leave <= enter or enter >= hard:
                 continue
             row = scene.solid[item]
@@ -179,7 +162,7 @@ def look(
     while n > 0 and layers[n - 1, 0] >= hard:
         n -= 1
     if kind == KIND_BOTTOM:
-        n = _add_water(layers, n, scene.pond[scene.ground_pond[j, i]], o, d, hard)
+        n = _add_water(layers, n, scene.ground.ponds[scene.ground.pond_at[j, i]], o, d, hard)
     return n, hard, cosine, rho, kind
 
 

@@ -27,17 +27,25 @@ WIRE_SHARE: Final = 0.02
 
 
 @njit()
-def surface_at(scene: SceneArrays, x: float, y: float) -> tuple[float, float, float]:
-    """Heights of bare ground and highest surface [m], and that surface's reflectance.
+def surfaces_at(
+    scene: SceneArrays, x: NDArray[np.float64], y: NDArray[np.float64], out: NDArray[np.float64]
+) -> None:
+    """Heights of bare ground and highest surface [m], and its reflectance: fills ``out`` (3, n).
 
     Surfaces are ground, roofs and crown envelopes, and of water its own. Wires, towers and poles
     are none; gaps of crowns are closed.
     """
-    ground = bilinear(scene.ground_z, scene.grid, x, y)[0]
-    rho = bilinear(scene.ground_rho, scene.grid, x, y)[0]
+    for p in range(len(x)):
+        out[0, p], out[1, p], out[2, p] = _surface_at(scene, x[p], y[p])
+
+
+@njit()
+def _surface_at(scene: SceneArrays, x: float, y: float) -> tuple[float, float, float]:
+    ground = bilinear(scene.ground.z, scene.ground.grid, x, y)[0]
+    rho = bilinear(scene.ground.rho, scene.ground.grid, x, y)[0]
     j, i = nearest_node(scene, x, y)
-    if scene.ground_kind[j, i] == KIND_BOTTOM:
-        pond = scene.pond[scene.ground_pond[j, i]]
+    if scene.ground.kind[j, i] == KIND_BOTTOM:
+        pond = scene.ground.ponds[scene.ground.pond_at[j, i]]
         if pond[0] > ground:
             ground, rho = pond[0], pond[2]
     top = ground
@@ -50,7 +58,7 @@ def surface_at(scene: SceneArrays, x: float, y: float) -> tuple[float, float, fl
         if item < solids:
             if scene.solid[item, 2] == KIND_OTHER:
                 continue
-            enter, leave, _ = clip_convex(scene.planes[item], scene.faces[item], origin, down)
+            enter, leave, _ = clip_convex(scene.planes[item], origin, down)
             if leave > enter:
                 height, bright = ABOVE_M - enter, scene.solid[item, 1]
         elif item < solids + crowns:
@@ -62,46 +70,6 @@ def surface_at(scene: SceneArrays, x: float, y: float) -> tuple[float, float, fl
         if height > top:
             top, rho = height, bright
     return ground, top, rho
-
-
-@njit()
-def surfaces_at(
-    scene: SceneArrays, x: NDArray[np.float64], y: NDArray[np.float64], out: NDArray[np.float64]
-) -> None:
-    """:func:`surface_at` at (n,) locations: fills the (3, n) rows of ``out``."""
-    for p in range(len(x)):
-        out[0, p], out[1, p], out[2, p] = surface_at(scene, x[p], y[p])
-
-
-@njit()
-def mean_reflectance(
-    scene: SceneArrays,
-    west: float,
-    north: float,
-    cell_m: float,
-    samples: int,
-    out: NDArray[np.float64],
-) -> None:
-    """Mean reflectance of the highest surfaces over raster cells.
-
-    Parameters
-    ----------
-    west, north : float
-        Upper left corner of the raster [m].
-    samples : int
-        Locations along one side of a cell.
-    out : (rows, cols) float64
-        Filled; row 0 northernmost.
-    """
-    step = cell_m / samples
-    for row in range(out.shape[0]):
-        for col in range(out.shape[1]):
-            total = 0.0
-            for k in range(samples * samples):
-                x = west + col * cell_m + (k % samples + 0.5) * step
-                y = north - row * cell_m - (k // samples + 0.5) * step
-                total += surface_at(scene, x, y)[2]
-            out[row, col] = total / (samples * samples)
 
 
 @njit()
@@ -117,18 +85,9 @@ def linear_returns(
 ) -> None:
     """Up to two returns of each vertical pulse: one of a layer, one of the hard surface.
 
-    The pulse is infrared: the surface of water is as far as it gets.
-
-    Parameters
-    ----------
-    xy : (n, 2) float64
-        Where the pulses go down [m].
-    layers : (k, 5) float64
-        Room for :func:`~spl_batch.airborne.simulate.scene.beam_layers.look`.
-    z : (n, 2) float64
-        Filled with heights [m]; NaN where there is no return.
-    kind : (n, 2) uint8
-        Filled with what gave them.
+    The pulse is infrared: the surface of water is as far as it gets. Pulses go down at ``xy``
+    (n, 2). ``z`` and ``kind``, (n, 2) each, are filled with heights [m], NaN where there is no
+    return, and with what gave them.
     """
     origin, down = np.empty(3), np.array([0.0, 0.0, -1.0])
     for p in range(len(xy)):

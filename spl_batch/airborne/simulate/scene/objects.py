@@ -8,21 +8,61 @@ import shapely
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from spl_batch.airborne.simulate.scene.ray_trace import KIND_OTHER, KIND_ROOF, bilinear
+from spl_batch.airborne.simulate.scene.ray_trace import KIND_OTHER, KIND_ROOF, Ground, bilinear
 from spl_batch.airborne.simulate.scene.scene_file import Bridge, Building, Scene, Wires
-from spl_batch.airborne.simulate.scene.terrain import Ground
 
 FACES = 6
 """Half-spaces of the most complicated solid."""
 
 
-class Solid(NamedTuple):
-    """A convex solid before it becomes rows."""
+class Box(NamedTuple):
+    """A footprint: a rectangle, in metres from the scene's origin."""
 
-    planes: NDArray[np.float64]
-    row: tuple[float, float, float, float]
-    outline: shapely.Polygon
+    centre: NDArray[np.float64]
+    along: NDArray[np.float64]  #: (2,): unit vector of its length.
+    half_m: tuple[float, float]  #: Half its length and width.
+
+    @property
+    def sides(self) -> list[tuple[NDArray[np.float64], float]]:
+        """Unit normal and distance from the centre of each side [m]."""
+        across = np.array([self.along[1], -self.along[0]])
+        pairs = zip((self.along, across), self.half_m, strict=True)
+        return [(sign * axis, half) for axis, half in pairs for sign in (1.0, -1.0)]
+
+    @property
+    def outline(self) -> shapely.Polygon:
+        """Its four corners."""
+        (along, half_l), _, (across, half_w), _ = self.sides
+        corners = [
+            self.centre + a * half_l * along + b * half_w * across
+            for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        return shapely.Polygon(corners)
+
+
+class Listed(NamedTuple):
+    """An object as a row of an array, and what of the ground it hides from slanted beams."""
+
+    row: tuple[float, ...]
+    shape: shapely.Geometry  #: Its footprint, less ``reach_m`` all around.
+    reach_m: float
     top_m: float
+    planes: NDArray[np.float64] = np.empty((0, 4))  #: Half-spaces of a solid.
+
+
+def solid(
+    box: Box, caps: list[NDArray[np.float64]], row: tuple[float, ...], top_m: float,
+    lean: float = 0.0, foot_m: float = 0.0,
+) -> Listed:  # fmt: skip
+    """Convex solid: caps (4,) above a box, whose walls lean inwards from the height of its foot."""
+    planes = np.zeros((FACES, 4))
+    planes[:, 3] = np.inf
+    scale = 1 / math.hypot(1.0, lean)
+    for k, (axis, half) in enumerate(box.sides):
+        offset = float(axis @ box.centre) + half + lean * foot_m
+        planes[k] = np.array([*axis, lean, offset]) * scale
+    planes[4 : 4 + len(caps)] = caps
+    return Listed(row, box.outline, 0.0, top_m, planes)
 
 
 def ground_at(ground: Ground, x: float, y: float) -> float:
@@ -33,12 +73,9 @@ def ground_at(ground: Ground, x: float, y: float) -> float:
 def random_buildings(
     scene: Scene, rng: np.random.Generator, taken: list[shapely.Geometry]
 ) -> list[Building]:
-    """Buildings at random places that touch nothing; appended to ``taken``.
-
-    ``scene``: the scene; its explicit buildings come first. ``taken``: areas that are not free.
-    """
+    """Buildings of a scene, then random ones that touch nothing ``taken``; appended to it."""
     found = list(scene.buildings.items)
-    taken.extend(outline(b).buffer(3.0) for b in found)
+    taken.extend(box_of(b).outline.buffer(3.0) for b in found)
     roofs = ("flat", "gable", "shed")
     for k in range(scene.buildings.count):
         for _ in range(200):
@@ -53,7 +90,7 @@ def random_buildings(
                 pitch_deg=rng.uniform(15, 35),
                 reflectance=rng.uniform(0.1, 0.7),
             )
-            shape = outline(candidate).buffer(3.0)
+            shape = box_of(candidate).outline.buffer(3.0)
             if not any(shape.intersects(other) for other in taken):
                 found.append(candidate)
                 taken.append(shape)
@@ -65,115 +102,68 @@ def _inside(rng: np.random.Generator, extent: float, margin: float) -> float:
     return float(rng.uniform(min(margin, extent / 2), max(extent - margin, extent / 2)))
 
 
-def outline(building: Building) -> shapely.Polygon:
-    """Footprint of a building, in metres from the scene's origin."""
-    along, across = _axes(building)
-    half_l, half_w = building.size_m[0] / 2, building.size_m[1] / 2
-    corners = [
-        np.array(building.centre_m) + a * half_l * along + b * half_w * across
-        for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    ]
-    return shapely.Polygon(corners)
-
-
-def _axes(building: Building) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def box_of(building: Building) -> Box:
+    """Footprint of a building."""
     heading = math.radians(building.heading_deg)
     along = np.array([math.sin(heading), math.cos(heading)])
-    return along, np.array([along[1], -along[0]])
+    return Box(np.array(building.centre_m), along, (building.size_m[0] / 2, building.size_m[1] / 2))
 
 
-def building_solid(building: Building, ground: Ground) -> Solid:
-    """Walls and roof of a building as half-spaces.
-
-    ``ground``: stands below it; the eaves count from the highest ground at the corners.
-    """
-    along, across = _axes(building)
-    centre = np.array(building.centre_m)
-    half_l, half_w = building.size_m[0] / 2, building.size_m[1] / 2
-    shape = outline(building)
-    eave = building.eave_m + max(ground_at(ground, x, y) for x, y in shape.exterior.coords)
-    planes = [
-        _wall(axis, float(axis @ centre) + half)
-        for axis, half in ((along, half_l), (-along, half_l), (across, half_w), (-across, half_w))
-    ]
+def building_solid(building: Building, ground: Ground) -> Listed:
+    """A building; its eaves count from the highest ground at the corners."""
+    box = box_of(building)
+    across, half_w = box.sides[2]
+    eave = building.eave_m + max(ground_at(ground, x, y) for x, y in box.outline.exterior.coords)
     tilt = math.radians(building.pitch_deg if building.roof != "flat" else 0.0)
-    sides = {"flat": (0.0,), "shed": (1.0,), "gable": (1.0, -1.0)}[building.roof]
-    for side in sides:
+    caps = []
+    for side in {"flat": (0.0,), "shed": (1.0,), "gable": (1.0, -1.0)}[building.roof]:
         normal = np.array([*(side * math.sin(tilt) * across), math.cos(tilt)])
-        edge = np.array([*(centre + side * half_w * across), eave])
-        planes.append(np.array([*normal, float(normal @ edge)]))
+        edge = np.array([*(box.centre + side * half_w * across), eave])
+        caps.append(np.array([*normal, float(normal @ edge)]))
     rise = {"flat": 0.0, "gable": half_w, "shed": 2 * half_w}[building.roof] * math.tan(tilt)
     row = (0.0, building.reflectance, float(KIND_ROOF), float(KIND_OTHER))
-    return Solid(np.array(planes), row, shape, eave + rise)
+    return solid(box, caps, row, eave + rise)
 
 
-def _wall(axis: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
-    return np.array([axis[0], axis[1], 0.0, offset])
-
-
-def bridge_solid(bridge: Bridge, ground: Ground) -> Solid:
-    """Deck of a bridge, from the ground at one end to that at the other."""
+def deck(bridge: Bridge) -> Box:
+    """Footprint of a bridge."""
     start, end = (np.array(place) for place in bridge.ends_m)
-    heights = [ground_at(ground, *place) for place in (start, end)]
     span = float(np.hypot(*(end - start)))
-    along = (end - start) / span
-    across = np.array([along[1], -along[0]])
-    rise = (heights[1] - heights[0]) / span
-    top = np.array([*(-rise * along), 1.0]) / math.hypot(rise, 1.0)
-    offset = float(top @ [*start, heights[0]])
-    planes = [
-        _wall(along, float(along @ end)),
-        _wall(-along, float(-along @ start)),
-        *(_wall(side, float(side @ start) + bridge.width_m / 2) for side in (across, -across)),
-        np.array([*top, offset]),
-        np.array([*-top, bridge.thickness_m - offset]),
-    ]
+    return Box((start + end) / 2, (end - start) / span, (span / 2, bridge.width_m / 2))
+
+
+def bridge_solid(bridge: Bridge, ground: Ground) -> Listed:
+    """Deck of a bridge, from the ground at one end to that at the other."""
+    box = deck(bridge)
+    heights = [ground_at(ground, *place) for place in bridge.ends_m]
+    rise = (heights[1] - heights[0]) / (2 * box.half_m[0])
+    top = np.array([*(-rise * box.along), 1.0]) / math.hypot(rise, 1.0)
+    offset = float(top @ [*bridge.ends_m[0], heights[0]])
+    caps = [np.array([*top, offset]), np.array([*-top, bridge.thickness_m - offset])]
     row = (0.0, bridge.reflectance, float(KIND_OTHER), float(KIND_OTHER))
-    return Solid(np.array(planes), row, deck_outline(bridge), max(heights))
+    return solid(box, caps, row, max(heights))
 
 
-def deck_outline(bridge: Bridge) -> shapely.Polygon:
-    """Footprint of a bridge's deck, in metres from the scene's origin."""
-    line = shapely.LineString(bridge.ends_m)
-    return line.buffer(bridge.width_m / 2, cap_style="flat")
-
-
-def tower_solid(x: float, y: float, base_m: float, wires: Wires) -> Solid:
-    """A tower or pole: a slim pyramid, turbid because a lattice is.
-
-    Parameters
-    ----------
-    x, y, base_m : float
-        Place, and height of the ground there [m].
-    """
+def tower_solid(x: float, y: float, wires: Wires, ground: Ground) -> Listed:
+    """A tower or pole: a slim pyramid, turbid because a lattice is."""
     lattice = wires.kind == "transmission"
     foot, tip, extinction = (2.5, 0.8, 0.15) if lattice else (0.2, 0.12, 5.0)
-    height = wires.height_m + (5.0 if wires.shield else 0.3)
-    lean = (foot - tip) / height
-    scale = 1 / math.hypot(1.0, lean)
-    planes = [np.array([0.0, 0.0, 1.0, base_m + height])]
-    for ux, uy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        offset = ux * x + uy * y + foot + lean * base_m
-        planes.append(np.array([ux, uy, lean, offset]) * scale)
-    shape = shapely.box(x - foot, y - foot, x + foot, y + foot)
+    height, base_m = wires.height_m + (5.0 if wires.shield else 0.3), ground_at(ground, x, y)
+    box = Box(np.array([x, y]), np.array([1.0, 0.0]), (foot, foot))
     row = (extinction, 0.3, float(KIND_OTHER), float(KIND_OTHER))
-    return Solid(np.array(planes), row, shape, base_m + height)
+    top_m = base_m + height
+    lid = np.array([0.0, 0.0, 1.0, top_m])
+    return solid(box, [lid], row, top_m, (foot - tip) / height, base_m)
 
 
-def wire_rows(wires: Wires, ground: Ground) -> list[tuple[float, ...]]:
-    """Conductors and shield of every span as catenaries.
-
-    Returns
-    -------
-    list of tuple
-        Rows of :attr:`~spl_batch.airborne.simulate.scene.ray_trace.SceneArrays.wire`.
-    """
+def strands_of(wires: Wires, ground: Ground) -> list[Listed]:
+    """Conductors and shield of every span as catenaries."""
     middle = (wires.conductors - 1) / 2
     strands = [((k - middle) * wires.spacing_m, 0.0, wires.diameter_m, wires.sag_m)
                for k in range(wires.conductors)]  # fmt: skip
     if wires.shield:
         strands.append((0.0, 5.0, wires.shield_diameter_m, 0.8 * wires.sag_m))
-    rows: list[tuple[float, ...]] = []
+    found = []
     for (x0, y0), (x1, y1) in zip(wires.points_m[:-1], wires.points_m[1:], strict=True):
         span = math.hypot(x1 - x0, y1 - y0)
         ux, uy = (x1 - x0) / span, (y1 - y0) / span
@@ -182,17 +172,17 @@ def wire_rows(wires: Wires, ground: Ground) -> list[tuple[float, ...]]:
         for aside, above, diameter, sag in strands:
             a, vertex, offset = catenary(span, z0 + above, z1 + above, sag)
             start = (x0 + aside * uy, y0 - aside * ux)
-            rows.append((*start, ux, uy, span, a, vertex, offset, diameter / 2, wires.reflectance))
-    return rows
+            row = (*start, ux, uy, span, a, vertex, offset, diameter / 2, wires.reflectance)
+            end = (start[0] + span * ux, start[1] + span * uy)
+            top_m = offset + a * math.cosh(max(abs(vertex), abs(span - vertex)) / a)
+            found.append(Listed(row, shapely.LineString([start, end]), 0.0, top_m))
+    return found
 
 
 def catenary(span_m: float, z0_m: float, z1_m: float, sag_m: float) -> tuple[float, float, float]:
     """Catenary through two ends with a given sag at mid-span.
 
-    Returns
-    -------
-    a, vertex, offset : float
-        z(s) = offset + a cosh((s - vertex) / a) [m].
+    Its a, vertex and offset: z(s) = offset + a cosh((s - vertex) / a) [m].
     """
     rise = z1_m - z0_m
 
@@ -210,23 +200,10 @@ def catenary(span_m: float, z0_m: float, z1_m: float, sag_m: float) -> tuple[flo
     return a, vertex, z0_m - a * math.cosh(vertex / a)
 
 
-def crown_rows(
+def crowns_of(
     scene: Scene, ground: Ground, rng: np.random.Generator, taken: list[shapely.Geometry]
-) -> list[tuple[float, ...]]:
-    """Crowns on free places until the asked cover is reached.
-
-    Parameters
-    ----------
-    ground : Ground
-        The trees stand on it, never in water.
-    taken : list of geometries
-        Areas that are not free.
-
-    Returns
-    -------
-    list of tuple
-        Rows of :attr:`~spl_batch.airborne.simulate.scene.ray_trace.SceneArrays.crown`.
-    """
+) -> list[Listed]:
+    """Crowns on places that are not taken, never in water, until the asked cover is reached."""
     trees = scene.trees
     rows: list[tuple[float, ...]] = []
     area = scene.extent_m[0] * scene.extent_m[1]
@@ -249,4 +226,4 @@ def crown_rows(
         if shrub:
             rows.append((x, y, base + 0.6, 0.6 * radius, 0.9, *look))
         planted += math.pi * radius**2
-    return rows
+    return [Listed(r, shapely.Point(r[0], r[1]), r[3], r[2] + r[4]) for r in rows]

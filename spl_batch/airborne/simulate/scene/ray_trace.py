@@ -19,36 +19,57 @@ from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
 
-KIND_BACKGROUND: Final = 0
-KIND_GROUND: Final = 1
-KIND_ROOF: Final = 2
-KIND_VEGETATION: Final = 3
-KIND_WIRE: Final = 4
-KIND_WATER: Final = 5
-KIND_AFTERPULSE: Final = 6
-KIND_OTHER: Final = 7
-KIND_BOTTOM: Final = 8
-"""What gave a simulated return."""
+KINDS: Final = (
+    "background",
+    "ground",
+    "roof",
+    "vegetation",
+    "wire",
+    "water",
+    "afterpulse",
+    "other",
+    "bottom",
+)
+"""What gave a simulated return: names of the values of the truth column ``kind``."""
+
+KIND_BACKGROUND: Final = KINDS.index("background")
+KIND_GROUND: Final = KINDS.index("ground")
+KIND_ROOF: Final = KINDS.index("roof")
+KIND_VEGETATION: Final = KINDS.index("vegetation")
+KIND_WIRE: Final = KINDS.index("wire")
+KIND_WATER: Final = KINDS.index("water")
+KIND_AFTERPULSE: Final = KINDS.index("afterpulse")
+KIND_OTHER: Final = KINDS.index("other")
+KIND_BOTTOM: Final = KINDS.index("bottom")
 
 GAP_CELL_M: Final = 0.5
 """Edge of the columns of a crown that are gaps or not [m]."""
 
 
+class Ground(NamedTuple):
+    """Ground and water of a scene on a grid of nodes."""
+
+    z: NDArray[np.float64]  #: (ny, nx): heights [m].
+    rho: NDArray[np.float64]  #: (ny, nx): reflectance.
+    #: (ny, nx): ``KIND_GROUND``, ``KIND_WATER`` or, under clear water, ``KIND_BOTTOM``.
+    kind: NDArray[np.uint8]
+    grid: NDArray[np.float64]  #: (3,): x and y of the first node, and the step [m].
+    pond_at: NDArray[np.uint8]  #: (ny, nx): row of ``ponds`` at nodes of kind ``KIND_BOTTOM``.
+    #: (p, 3): height of clear water [m], its attenuation [1/m], reflectance of its surface.
+    ponds: NDArray[np.float64]
+    #: Highest ground where some is so steep that a ray may meet it twice [m]; -inf without.
+    steep_top: float = -math.inf
+    #: (ny, nx): sunlight over the scene's mean brightness; empty where background has one rate.
+    light: NDArray[np.float64] = np.empty((0, 0))
+
+
 class SceneArrays(NamedTuple):
     """A scene as bare arrays; lengths in metres relative to the scene's origin."""
 
-    ground_z: NDArray[np.float64]  #: (ny, nx): heights at the nodes of the ground grid [m].
-    ground_rho: NDArray[np.float64]  #: (ny, nx): reflectance at the nodes.
-    #: (ny, nx): ``KIND_GROUND``, ``KIND_WATER`` or, under clear water, ``KIND_BOTTOM`` at the
-    #: nodes.
-    ground_kind: NDArray[np.uint8]
-    ground_pond: NDArray[np.uint8]  #: (ny, nx): row of ``pond`` at nodes of kind ``KIND_BOTTOM``.
-    #: (p, 3): height of the water [m], its attenuation [1/m], reflectance of its surface.
-    pond: NDArray[np.float64]
-    grid: NDArray[np.float64]  #: (3,): x and y of the first node, and the step [m].
-    #: (s, f, 4): half-spaces of each solid; unit outward normal and offset [m].
+    ground: Ground
+    #: (s, f, 4): half-spaces of each solid; unit outward normal and offset [m]. Those that a solid
+    #: does not need hold all of space: normal 0, offset infinite.
     planes: NDArray[np.float64]
-    faces: NDArray[np.int64]  #: (s,): how many of them count.
     #: (s, 4): extinction [1/m] (0 = opaque), reflectance, kind of an upward face, of a wall.
     solid: NDArray[np.float64]
     #: (c, 8): centre x, y, z, horizontal and vertical radius [m], extinction [1/m], reflectance,
@@ -63,30 +84,11 @@ class SceneArrays(NamedTuple):
     #: row.
     cell_first: NDArray[np.int64]
     cell_item: NDArray[np.int64]  #: (k,): solids, then crowns, then wires, numbered through.
-    #: Highest ground where some is so steep that a ray may meet it twice [m]; -inf without.
-    steep_top: float = -math.inf
-    #: (ny, nx): sunlight at the nodes over the scene's mean brightness; empty where background has
-    #: one rate.
-    light: NDArray[np.float64] = np.empty((0, 0))
 
 
 @njit()
 def bilinear(values: NDArray[Any], grid: NDArray[np.float64], x: float, y: float) -> Any:
-    """Value and gradient of a bilinear grid; beyond its edge the edge goes on.
-
-    Parameters
-    ----------
-    values : (ny, nx) float64
-        Node values.
-    grid : (3,) float64
-        x and y of the first node, and the step [m].
-    x, y : float
-        Place [m].
-
-    Returns
-    -------
-    value, dvalue/dx, dvalue/dy : float
-    """
+    """Value and two slopes of (ny, nx) node values at a place; beyond its edge the edge goes on."""
     ny, nx = values.shape
     u = min(max((x - grid[0]) / grid[2], 0.0), nx - 1.000001)
     v = min(max((y - grid[1]) / grid[2], 0.0), ny - 1.000001)
@@ -101,99 +103,63 @@ def bilinear(values: NDArray[Any], grid: NDArray[np.float64], x: float, y: float
 
 
 @njit()
-def hit_ground(
-    ground_z: NDArray[np.float64], grid: NDArray[np.float64], o: Any, d: Any
-) -> tuple[float, float]:
-    """Range at which a ray meets the ground, and the cosine of incidence there.
-
-    Fixed-point iteration on the height; it contracts by slope x tan(off-nadir).
-
-    Parameters
-    ----------
-    ground_z, grid
-        As in :class:`SceneArrays`.
-    o, d : (3,) float64
-        Origin [m] and unit direction, pointing downwards.
-
-    Returns
-    -------
-    range_m, cosine : float
-    """
-    z = ground_z[ground_z.shape[0] // 2, ground_z.shape[1] // 2]
-    t = 0.0
-    sx = sy = 0.0
-    for _ in range(30):
-        t = (z - o[2]) / d[2]
-        new, sx, sy = bilinear(ground_z, grid, o[0] + t * d[0], o[1] + t * d[1])
-        step = abs(new - z)
-        z = new
-        if step < 1e-5:
-            break
-    t = (z - o[2]) / d[2]
+def meet_ground(ground: Ground, o: Any, d: Any) -> tuple[float, float]:
+    """Range at which a ray first meets the ground [m], and the cosine of incidence there."""
+    steep = ground.steep_top > -math.inf
+    t, sx, sy = _march(ground, o, d) if steep else _iterate(ground, o, d)
     cosine = (sx * d[0] + sy * d[1] - d[2]) / math.sqrt(1 + sx * sx + sy * sy)
     return t, max(cosine, 0.0)
 
 
 @njit()
-def meet_steep_ground(
-    ground_z: NDArray[np.float64], grid: NDArray[np.float64], top: float, o: Any, d: Any
-) -> tuple[float, float]:
-    """Where a ray first meets ground that may be as steep as a cliff.
-
-    Parameters
-    ----------
-    ground_z, grid, o, d
-        As for :func:`hit_ground`.
-    top : float
-        Height above which there is no ground [m].
-
-    Returns
-    -------
-    range_m, cosine : float
-    """
-    across = math.hypot(d[0], d[1])
-    step = min(0.25 * grid[2] / max(across, 1e-9), 1.0)
-    low = max((top - o[2]) / d[2], 0.0)
-    while True:
-        high = low + step
-        z, _, _ = bilinear(ground_z, grid, o[0] + high * d[0], o[1] + high * d[1])
-        if o[2] + high * d[2] <= z:
+def _iterate(ground: Ground, o: Any, d: Any) -> tuple[float, float, float]:
+    """Range and slopes by fixed-point iteration, which contracts by slope x tan(off-nadir)."""
+    z = ground.z[ground.z.shape[0] // 2, ground.z.shape[1] // 2]
+    t = 0.0
+    sx = sy = 0.0
+    for _ in range(30):
+        t = (z - o[2]) / d[2]
+        new, sx, sy = bilinear(ground.z, ground.grid, o[0] + t * d[0], o[1] + t * d[1])
+        step = abs(new - z)
+        z = new
+        if step < 1e-5:
             break
-        low = high
-    for _ in range(20):
-        t = 0.5 * (low + high)
-        z, _, _ = bilinear(ground_z, grid, o[0] + t * d[0], o[1] + t * d[1])
-        if o[2] + t * d[2] <= z:
-            high = t
-        else:
-            low = t
-    _, sx, sy = bilinear(ground_z, grid, o[0] + low * d[0], o[1] + low * d[1])
-    cosine = (sx * d[0] + sy * d[1] - d[2]) / math.sqrt(1 + sx * sx + sy * sy)
-    return low, max(cosine, 0.0)
+    return (z - o[2]) / d[2], sx, sy
 
 
 @njit()
-def clip_convex(
-    planes: NDArray[np.float64], faces: int, o: Any, d: Any
-) -> tuple[float, float, int]:
-    """Part of a ray inside an intersection of half-spaces.
+def _march(ground: Ground, o: Any, d: Any) -> tuple[float, float, float]:
+    """Range and slopes where ground may be as steep as a cliff: steps, then bisection."""
+    step = min(0.25 * ground.grid[2] / max(math.hypot(d[0], d[1]), 1e-9), 1.0)
+    low = max((ground.steep_top - o[2]) / d[2], 0.0)
+    while not _below(ground, o, d, low + step):
+        low += step
+    high = low + step
+    for _ in range(20):
+        t = 0.5 * (low + high)
+        if _below(ground, o, d, t):
+            high = t
+        else:
+            low = t
+    _, sx, sy = bilinear(ground.z, ground.grid, o[0] + low * d[0], o[1] + low * d[1])
+    return low, sx, sy
 
-    Parameters
-    ----------
-    planes : (f, 4) float64
-        Outward normal and offset of each half-space.
-    o, d : (3,) float64
-        Origin and direction.
 
-    Returns
-    -------
-    enter, leave : float
-        Ranges [m]; ``enter >= leave`` where the ray misses.
-    face : int
-        The face through which it enters; -1 where the origin is inside.
+@njit()
+def _below(ground: Ground, o: Any, d: Any, t: float) -> bool:
+    """Whether a ray is below the ground at a range."""
+    z, _, _ = bilinear(ground.z, ground.grid, o[0] + t * d[0], o[1] + t * d[1])
+    return bool(o[2] + t * d[2] <= z)
+
+
+@njit()
+def clip_convex(planes: NDArray[np.float64], o: Any, d: Any) -> tuple[float, float, int]:
+    """Part of a ray inside half-spaces (f, 4): enter and leave [m], and the face of entry.
+
+    ``enter >= leave`` where the ray misses; the face is -1 where the origin is inside.
     """
     enter, leave, face = 0.0, np.inf, -1
-    for f in range(faces):
+    for f in range(len(planes)):
         along = planes[f, 0] * d[0] + planes[f, 1] * d[1] + planes[f, 2] * d[2]
         depth = planes[f, 3] - (planes[f, 0] * o[0] + planes[f, 1] * o[1] + planes[f, 2] * o[2])
         if along == 0.0:
@@ -209,20 +175,7 @@ def clip_convex(
 
 @njit()
 def clip_crown(crown: NDArray[np.float64], o: Any, d: Any) -> tuple[float, float]:
-    """Part of a ray inside a crown's ellipsoid; ``enter >= leave`` where it misses or a gap is.
-
-    Parameters
-    ----------
-    crown : (8,) float64
-        One row of :attr:`SceneArrays.crown`.
-    o, d : (3,) float64
-        Origin and direction.
-
-    Returns
-    -------
-    enter, leave : float
-        Ranges [m].
-    """
+    """Part of a ray inside a crown's ellipsoid [m]; ``enter >= leave`` for a miss or a gap."""
     px, py, pz = (
         (o[0] - crown[0]) / crown[3],
         (o[1] - crown[1]) / crown[3],
@@ -266,22 +219,10 @@ def catenary_z(wire: NDArray[np.float64], s: float) -> Any:
 
 @njit()
 def meet_wire(wire: NDArray[np.float64], o: Any, d: Any) -> tuple[float, float]:
-    """Where a ray passes a wire, and how far from its axis.
+    """Where a ray passes a wire, and how far from its axis [m]; infinite beyond the span's ends.
 
     The point of the ray at the wire's height is found by iteration; the distance is that
     of the ray to the wire's tangent there.
-
-    Parameters
-    ----------
-    wire : (10,) float64
-        One row of :attr:`SceneArrays.wire`.
-    o, d : (3,) float64
-        Origin and direction.
-
-    Returns
-    -------
-    range_m, distance_m : float
-        Infinite distance where the ray passes beyond the ends of the span.
     """
     z = catenary_z(wire, 0.5 * wire[4])
     t = s = 0.0
@@ -303,16 +244,9 @@ def meet_wire(wire: NDArray[np.float64], o: Any, d: Any) -> tuple[float, float]:
 
 @njit()
 def lit_share(distance: float, radius: float, sigma: float) -> Any:
-    """Share of a Gaussian beam that falls on a straight wire.
+    """Share of a Gaussian beam of spread ``sigma`` that a straight wire so far off its axis takes.
 
-    Parameters
-    ----------
-    distance : float
-        Of the beam's axis from the wire's axis [m].
-    radius : float
-        Of the wire [m].
-    sigma : float
-        Spread of the beam across one axis [m], > 0.
+    ``radius``: the wire's [m].
     """
     scale = 1.0 / (sigma * math.sqrt(2.0))
     return 0.5 * (math.erf((distance + radius) * scale) - math.erf((distance - radius) * scale))

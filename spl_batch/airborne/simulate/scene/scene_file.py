@@ -7,22 +7,27 @@ key is an error that names the nearest known one.
 import math
 from collections.abc import Mapping
 from functools import cached_property
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from spl_batch.airborne.sensors.sensor import Sensor, load_preset
+from spl_batch.engine.settings.base import Positive, Section
 from spl_batch.engine.settings.validation import validated
-from spl_batch.engine.settings.workflow_file import read_mapping
+from spl_batch.engine.verbs.simulation import scene_of
+from spl_batch.errors import WorkflowError
 
-Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Place = tuple[float, float]
 
+
+PRESETS: Final = resources.files("spl_batch.airborne") / "simulate" / "presets"
 
 MOST_TILES: Final = 400
 """Files of a delivery by tile, all of which are open while it is simulated [count]."""
@@ -39,12 +44,6 @@ def _projected(name: str) -> str:
 
 
 Projected = Annotated[str, AfterValidator(_projected)]
-
-
-class Section(BaseModel):
-    """Base of every part of a scene: frozen, and strict about its keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Landform(Section):
@@ -353,6 +352,10 @@ class Scene(Section):
         """Length of a flightline's range gate [m]."""
         return self.acquisition.gate_m if flight.gate_m is None else flight.gate_m
 
+    def chance(self, *keys: int) -> np.random.Generator:
+        """Random numbers of their own for one purpose."""
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=keys))
+
     @cached_property
     def instrument(self) -> Sensor:
         """The sensor, overrides put in."""
@@ -361,13 +364,7 @@ class Scene(Section):
 
 
 def parse_scene(content: Mapping[str, Any], where: str) -> Scene:
-    """Check a scene's content.
-
-    Raises
-    ------
-    WorkflowError
-        One line that lists every fault.
-    """
+    """Check a scene's content; a WorkflowError lists every fault in one line."""
     return validated(Scene, content, where)
 
 
@@ -379,5 +376,24 @@ def load_scene(path: Path) -> Scene:
     WorkflowError
         If the file cannot be read, is not YAML, or has a fault.
     """
-    content = read_mapping(path, "a scene is a mapping with extent_m: and flights:")
-    return parse_scene(content, str(path))
+    return scene_of(Scene, path)
+
+
+def preset_scenes() -> list[str]:
+    """Names of the scenes that ship with the project, sorted."""
+    return sorted(p.name.removesuffix(".yaml") for p in PRESETS.iterdir())
+
+
+def preset_scene(name: str) -> Scene:
+    """Scene by preset name, one of :func:`preset_scenes`.
+
+    Raises
+    ------
+    WorkflowError
+        If there is no such preset.
+    """
+    known = preset_scenes()
+    if name not in known:
+        raise WorkflowError(f"no scene {name!r}; known are {', '.join(known)}")
+    with resources.as_file(PRESETS / f"{name}.yaml") as path:
+        return load_scene(path)

@@ -21,7 +21,6 @@ def test_the_shipped_table_is_that_of_the_default_settings(monkeypatch: pytest.M
         raise AssertionError("drawn")
 
     monkeypatch.setattr(wire_null, "draw_shares", refuse)
-    wire_null._table.cache_clear()
     table = wire_null.wire_null(DEFAULT.wires)
     np.testing.assert_allclose(np.exp(table.density), DENSITIES, rtol=1e-4)
     assert (table.share >= 0).all()
@@ -31,7 +30,6 @@ def test_the_shipped_table_is_that_of_the_default_settings(monkeypatch: pytest.M
     assert wire_null.wire_null(sure) is table, "it changes no label"
     with pytest.raises(AssertionError, match="drawn"):
         wire_null.wire_null(WireSettings(radius_m=0.3))
-    wire_null._table.cache_clear()
 
 
 @pytest.mark.usefixtures("linear")
@@ -69,9 +67,7 @@ def test_what_is_drawn_is_the_share_that_the_scan_keeps() -> None:
 
 def test_other_settings_are_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wire_null, "POINTS", 500)
-    wire_null._table.cache_clear()
     odd = WireSettings(half_length_m=7)
     first = wire_null.wire_null(odd)
     assert len(first.share) == len(wire_null.COARSE)
     assert wire_null.wire_null(odd) is first
-    wire_null._table.cache_clear()

@@ -228,9 +228,8 @@ def test_a_line_is_laid_through_the_returns() -> None:
     assert flank[0] == 12 - 23
 
 
-@pytest.mark.parametrize("turned", [2.2])
-def test_a_weak_conductor_is_kept_and_noise_is_not(turned: float) -> None:
-    rng = np.random.default_rng(8)
+def test_a_weak_conductor_is_kept_and_noise_is_not() -> None:
+    rng, turned = np.random.default_rng(8), 2.2
     wires = [conductor(rng, 0.55, 140.0, y, 20.0) for y in (28.0, 32.0)]
     xyz = np.concatenate([*wires, noise(rng, 0.12, 140.0, 60.0, 40.0)])
     turn = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
@@ -245,9 +244,8 @@ def test_a_weak_conductor_is_kept_and_noise_is_not(turned: float) -> None:
     assert np.isnan(found.p_value[~found.signal]).all()
 
 
-@pytest.mark.parametrize("density", [0.16])
-def test_pure_noise_makes_no_lines(density: float) -> None:
-    rng = np.random.default_rng(3)
+def test_pure_noise_makes_no_lines() -> None:
+    rng, density = np.random.default_rng(3), 0.16
     side = (40_000 / density / 40.0) ** 0.5
     xyz = noise(rng, density, side, side, 40.0)
     found = scan(made_cloud(xyz, density), SETTINGS)
