@@ -26,7 +26,7 @@ _CLASSES: Final = ("outputs.classes", "classes.overlap", "classes.withheld")
 _HOME: Final = "spl_batch.airborne"
 
 _LABELLED: Final = f"{_HOME}.tasks.bindings:labelled"
-"""A task goes without the labels of what has failed."""
+"""A task has the labels of what is finished, and goes without those of what has failed."""
 
 
 def _step(name: str, stage: str, run: str, *, tasks: str, **options: Any) -> Step:
@@ -69,6 +69,7 @@ STEPS: Final[Steps] = table(
         "tasks.index:index_part",
         tasks="time_tasks:index_part",
         settings=_INDEXED,
+        bytes_per_point=300,
         after=(),
     ),
     _step(
@@ -78,7 +79,6 @@ STEPS: Final[Steps] = table(
         tasks="time_tasks:index_file",
         settings=_INDEXED,
         unit="file",
-        bytes_per_point=300,
         after=("index_part",),
     ),
     _step(
@@ -204,6 +204,7 @@ STEPS: Final[Steps] = table(
         "lines.comparison:strip_pairs",
         tasks="strip_tasks:pairs",
         after=("strip_patches", "align"),
+        bind=_LABELLED,
     ),
     _delivery(
         "deliver_file",

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.report.profile_strips import LENGTH_M, WIDTH_M, label_holders
-from spl_batch.airborne.store.label_tables import read_labelled_tile
+from spl_batch.airborne.report.profile_strips import LENGTH_M, WIDTH_M
+from spl_batch.airborne.store.label_tables import read_labelled_tile, units_within
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.verified.parquet_npz import read_table
@@ -85,9 +85,9 @@ def _classes(runs: Sequence[Outcome], tile: CellId) -> Iterator[NDArray[np.uint8
     """What each run that has the tile took its points for."""
     for run in runs:
         if str(tile) in run.done.get("build_tile", {}):
-            tile_q = quanta(run.context.workflow.tiling.tile_m)
-            holders = label_holders([tile], tile_q, "noise", run.done.get("denoise", {}))[tile]
-            table = read_labelled_tile(run.context.store, tile, ("x",), {"noise_class": holders})
+            region = cell_bounds(tile, quanta(run.context.workflow.tiling.tile_m))
+            labels = {"noise_class": units_within(region, "noise", run.done.get("denoise", {}))}
+            table = read_labelled_tile(run.context.store, tile, ("x",), labels)
             yield table["noise_class"]
 
 

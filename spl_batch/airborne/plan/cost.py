@@ -83,7 +83,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     work = {stage: compared if stage == "report" else points for stage in rates}
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     flown, found = len(survey.inputs.trajectory), survey.filtering and not survey.inputs.trajectory
-    # every file is indexed, a large one by parts, and most likely is a flightline; each stretch is
+    # every file is indexed by parts, and most likely is a flightline; each stretch is
     # gathered and scattered; without a trajectory flightlines have a heading and a path, and
     # stretches are observed after that
     tasks = {

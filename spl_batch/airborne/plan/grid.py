@@ -109,9 +109,9 @@ class Grid(NamedTuple):
         for cell in sorted(touched):
             yield _unit(cell, self.core(cell), counts, tile_q, margin)
 
-    def owners(self, tiles: Iterable[CellId], tile_q: int) -> dict[CellId, list[str]]:
-        """Cells that may hold labels of each tile, by tile."""
-        return {tile: [str(cell) for cell in self._of_tile(tile, tile_q)] for tile in tiles}
+    def owners(self, tiles: Iterable[CellId], tile_q: int) -> list[str]:
+        """Names of the cells that own points of some tiles, or could."""
+        return sorted({str(cell) for tile in tiles for cell in self._of_tile(tile, tile_q)})
 
     def _of_tile(self, tile: CellId, tile_q: int) -> Iterable[CellId]:
         """Cells that own points of a tile, or could, each once."""

@@ -1,6 +1,6 @@
 """Tasks of the space domain: tiles, cells, and what is delivered of them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import PurePath
 from typing import Any, Final, NamedTuple
 
@@ -18,9 +18,9 @@ from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import cell_bytes, refusal
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
-from spl_batch.airborne.tasks.bindings import MADE_BY
+from spl_batch.airborne.tasks.bindings import MADE_BY, SHIFTED
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.task import Task
+from spl_batch.engine.tasks.task import Need, Task
 from spl_batch.errors import grouped
 from spl_batch.formats.las.header import waveform_file
 from spl_batch.lattice.tiles import (
@@ -108,29 +108,25 @@ def denoise(survey: Survey) -> Iterator[Task]:
 
 def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
-    halo, (moved, first) = quanta(survey.workflow.ground.buffer_m), aligned(survey)
+    halo = quanta(survey.workflow.ground.buffer_m)
     for cell in survey.ground_cells(halo):
-        labels, given = labels_of(survey, cell.tiles, "noise")
-        args = {**moved, "halo": halo, "labels": labels}
-        yield cell_task("ground", cell, survey, args, (*given, *first))
+        needs = labels_of(survey, cell.tiles, "noise")
+        yield cell_task("ground", cell, survey, {"halo": halo}, needs)
 
 
 def surface(survey: Survey) -> Iterator[Task]:
     """Ground cells whose ground is found, with what their rasters read around them."""
     halo = quanta(surface_reach_m(survey.workflow))
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
-    moved, first = aligned(survey)
     for cell in survey.ground_cells(halo):
-        labels, given = labels_of(survey, cell.tiles, "noise", "ground")
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
-            **moved,
             "halo": halo,
-            "labels": labels,
             "polygons": [*survey.inputs.polygons, *survey.inputs.breaklines],
             "fired": parts,
         }
-        needs = (*given, *(("scatter", n) for n in parts or ()), *first)
+        needs = labels_of(survey, cell.tiles, "noise", "ground")
+        needs += [("scatter", n) for n in parts or ()]
         yield cell_task("surface", cell, survey, args, needs)
 
 
@@ -139,7 +135,7 @@ def cell_task(
     cell: Unit,
     survey: Survey,
     args: Mapping[str, object],
-    needs: Iterable[tuple[str, str]],
+    needs: Iterable[Need],
 ) -> Task:
     """A task of a cell: what it owns, and the tiles that it reads."""
     tiles = [str(tile) for tile in cell.tiles]
@@ -165,29 +161,25 @@ def deliver(survey: Survey) -> Iterator[Task]:
     for tile in survey.counts:
         for source in built[str(tile)].facts["sources"]:
             tiles_of.setdefault(source, []).append(tile)
-    moved, first = aligned(survey)
     for source in survey.inputs.sources:
         key = str(source.key)
         receipt = survey.of("index_file").get(key)
         if receipt is None:
             continue
         tiles = [str(tile) for tile in tiles_of.get(key, ())]
-        labels, given = labels_of(survey, tiles_of.get(key, ()), "noise", "classes")
         args = {
             **source_args(source),
-            **moved,
             "delivered": source.delivered,
             "points": receipt.points,
-            "parts": len(receipt.facts["parts"]),
             "hash": receipt.facts["hash"],
             **_header_args(source, receipt.facts),
             "tiles": tiles,
-            "labels": labels,
             "copies": [tile for tile in tiles if built[tile].facts["copies"]],
-            **({"spans": receipt.facts["spans"]} if moved else {}),
+            "spans": receipt.facts["spans"],
         }
-        needs = (*(("build_tile", tile) for tile in tiles), *given, *first)
-        yield Task("deliver_file", key, args, needs, receipt.points)
+        needs = [("build_tile", tile) for tile in tiles]
+        needs += labels_of(survey, tiles_of.get(key, ()), "noise", "classes")
+        yield Task("deliver_file", key, args, tuple(needs), receipt.points)
 
 
 def _header_args(source: Source, facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -205,12 +197,9 @@ def deliver_tiles(survey: Survey) -> Iterator[Task]:
     """Tiles, where they are delivered."""
     if survey.workflow.outputs.tiles == "none":
         return
-    moved, first = aligned(survey)
     for tile, count in survey.counts.items():
-        labels, given = labels_of(survey, [tile], "noise", "classes")
-        args = {**moved, "tile": str(tile), "labels": labels}
-        needs = (("build_tile", str(tile)), *given, *first)
-        yield Task("deliver_tile", str(tile), args, needs, count)
+        needs = (("build_tile", str(tile)), *labels_of(survey, [tile], "noise", "classes"))
+        yield Task("deliver_tile", str(tile), {"tile": str(tile)}, needs, count)
 
 
 def mosaic(survey: Survey) -> Iterator[Task]:
@@ -280,28 +269,20 @@ def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
     return {name: facts[fact] for name, facts in scattered if fact in facts}
 
 
-def aligned(survey: Survey) -> tuple[dict[str, object], tuple[tuple[str, str], ...]]:
-    """Argument of tasks that read shifted points, and the task that finds the shifts."""
-    if "all" not in survey.of("align"):
-        return {}, ()
-    return {"aligned": True}, (("align", "all"),)
+def aligned(survey: Survey) -> tuple[Need, ...]:
+    """The task that finds the shifts of heights, if one has."""
+    return (SHIFTED,) if SHIFTED[1] in survey.of(SHIFTED[0]) else ()
 
 
-def labels_of(
-    survey: Survey, tiles: Iterable[CellId], *kinds: str
-) -> tuple[dict[str, dict[str, list[str]]], tuple[tuple[str, str], ...]]:
-    """Units that may hold labels of some tiles, by kind and tile, and the tasks that give them."""
-    found = {
-        kind: (survey.denoise_grid if kind == "noise" else survey.grid).owners(tiles, survey.tile_q)
-        for kind in kinds
-    }
-    needs = (
-        (MADE_BY[kind], name)
-        for kind, units in found.items()
-        for name in sorted({name for names in units.values() for name in names})
-    )
-    labels = {kind: {str(t): names for t, names in units.items()} for kind, units in found.items()}
-    return labels, tuple(needs)
+def labels_of(survey: Survey, tiles: Collection[CellId], *kinds: str) -> list[Need]:
+    """Tasks that may label points of some tiles, and the one that shifts their heights."""
+    grids = {kind: survey.denoise_grid if kind == "noise" else survey.grid for kind in kinds}
+    needs = [
+        (MADE_BY[kind], unit)
+        for kind, grid in grids.items()
+        for unit in grid.owners(tiles, survey.tile_q)
+    ]
+    return [*needs, *aligned(survey)]
 
 
 def copc_name(delivered: str) -> str:

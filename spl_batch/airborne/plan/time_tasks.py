@@ -70,8 +70,7 @@ def index_file(survey: Survey) -> Iterator[Task]:
             "again": [k for k, fact in enumerate(facts) if "fault" in fact],
         }
         needs = tuple(("index_part", part) for part in parts)
-        points = 0 if parts else source.facts.n_points
-        yield Task("index_file", str(source.key), args, needs, points)
+        yield Task("index_file", str(source.key), args, needs)
 
 
 def trajectory(survey: Survey) -> Iterator[Task]:

@@ -9,19 +9,12 @@ from numpy.typing import NDArray
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.report.plots import Profile
 from spl_batch.airborne.store.flown_lines import read_shifts
-from spl_batch.airborne.store.label_tables import read_region
+from spl_batch.airborne.store.label_tables import read_region, units_within
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.rasters.parts import Part
 from spl_batch.lattice.tables import TILE_COLUMNS, PointTable
-from spl_batch.lattice.tiles import (
-    Bounds,
-    CellId,
-    cell_bounds,
-    cells_touching,
-    overlap,
-    quanta,
-)
+from spl_batch.lattice.tiles import Bounds, cells_touching, quanta
 
 LENGTH_M = 100.0
 WIDTH_M = 3.0
@@ -82,10 +75,9 @@ def labelled_points(
     built = done.get("build_tile", {})
     shifts = read_shifts({"aligned": bool(done.get("align"))}, context.store)
     tiles = [t for t in cells_touching(region, tile_q) if str(t) in built]
-    cells = done.get("surface", {})
     labels = {
-        "noise_class": label_holders(tiles, tile_q, "noise", done.get("denoise", {})),
-        "classification": label_holders(tiles, tile_q, "classes", cells),
+        "noise_class": units_within(region, "noise", done.get("denoise", {})),
+        "classification": units_within(region, "classes", done.get("surface", {})),
     }
     points, _ = read_region(
         context.store, tiles, region, columns, labels, ordered=ordered, shifts=shifts
@@ -124,22 +116,3 @@ def best_strip(part: Part, score: NDArray[np.float64]) -> tuple[Bounds, float]:
     half = quanta(WIDTH_M / 2)
     strip = Bounds(west, middle - half, west + quanta(LENGTH_M), middle + half)
     return strip, float(score[row, column])
-
-
-def label_holders(
-    tiles: list[CellId],
-    tile_q: int,
-    folder: str,
-    units: Mapping[str, Receipt],
-) -> dict[CellId, list[tuple[str, str]]]:
-    """Label files that may hold each tile's points, by tile.
-
-    ``folder``: kind of the labels, as the store names it; ``units``: finished ones that gave them.
-    """
-    holders: dict[CellId, list[tuple[str, str]]] = {t: [] for t in tiles}
-    for name, receipt in units.items():
-        core = Bounds(*receipt.facts["core"])
-        for tile in tiles:
-            if overlap(cell_bounds(tile, tile_q), core):
-                holders[tile].append((folder, name))
-    return holders

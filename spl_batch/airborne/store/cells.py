@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.flown_lines import Shifts, read_shifts
-from spl_batch.airborne.store.label_tables import Origin, label_units, read_region
+from spl_batch.airborne.store.label_tables import Origin, read_region, units_of
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, inside, parse_cell
 
@@ -48,8 +48,11 @@ class Cell(NamedTuple):
         """Points of a region [quanta], and where they lie; tile by tile unless ``ordered``."""
         if self.held is not None:
             return _chosen(*self.held, region, columns, keep)
-        units = {kind: label_units(self.args, kind) for kind in ("noise", "ground")}
-        labels = {k: units["ground" if k == "ground" else "noise"] for k in columns if k in LABELS}
+        labels = {
+            k: units_of(self.args, "ground" if k == "ground" else "noise")
+            for k in columns
+            if k in LABELS
+        }
         return read_region(
             self.context.store, list(map(parse_cell, self.args["tiles"])), region,
             [k for k in columns if k not in labels], labels, ordered=ordered, keep=keep,

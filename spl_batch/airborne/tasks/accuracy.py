@@ -25,7 +25,7 @@ from spl_batch.airborne.accuracy.error_tally import (
 from spl_batch.airborne.accuracy.raster_and_reference import Grid, Raster, Reference
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.flown_lines import read_shifts
-from spl_batch.airborne.store.label_tables import label_units, read_region
+from spl_batch.airborne.store.label_tables import read_region, units_of
 from spl_batch.airborne.tasks.reference import read_square
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
@@ -85,7 +85,7 @@ def _of_returns(
     """Kept returns of a square against the reference, a tile at a time."""
     if context.workflow.filter.method == "none":
         return
-    units, shifts = label_units(args, "noise"), read_shifts(args, context.store)
+    units, shifts = units_of(args, "noise"), read_shifts(args, context.store)
 
     def chosen(table: PointTable) -> NDArray[np.bool_]:
         some = (table["x"] + table["y"] + table["z"]) % EVERY == 0

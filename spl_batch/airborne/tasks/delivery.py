@@ -16,7 +16,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
 from spl_batch.airborne.pulses.swaths import Outlined, outlines
 from spl_batch.airborne.store.flown_lines import read_shifts
-from spl_batch.airborne.store.label_tables import LabelFiles, label_units, read_labelled_tile
+from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile, units_of
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
 from spl_batch.airborne.tasks import index, pulses
 from spl_batch.airborne.tasks.stretches import Copies
@@ -111,12 +111,10 @@ class _FileLabels:
     def _tiles(self) -> Iterator[tuple[PointTable, bool]]:
         """Points of each tile that count, and their copies with the same labels."""
         store, columns = self.context.store, ("source", "index")
+        labels = {name: units_of(self.args, _KINDS.get(name, "noise")) for name in self.names}
         with LabelFiles(store) as files:
-            units = {kind: label_units(self.args, kind) for kind in ("noise", "classes")}
             for tile in self.args["tiles"]:
-                cell = parse_cell(tile)
-                labels = {name: units[_KINDS.get(name, "noise")][cell] for name in self.names}
-                table = read_labelled_tile(store, cell, columns, labels, files)
+                table = read_labelled_tile(store, parse_cell(tile), columns, labels, files)
                 yield table, False
                 if tile in self.args["copies"]:
                     copies = Copies(**read_arrays(store.path("copies", f"{tile}.npz")))
@@ -141,7 +139,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     diagnostics = context.workflow.outputs.diagnostics
     flags = context.workflow.classes.flags
     lines = read_shifts(args, context.store)
-    shifted = None if lines is None else lines.of_file(args.get("spans", {}))
+    shifted = None if lines is None else lines.of_file(args["spans"])
     names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
     labels, classes = _FileLabels(args, context, names), np.zeros((2, 256), np.int64)
     target = context.output / "laz" / args["delivered"]
@@ -205,7 +203,7 @@ class _Given:
     """What the index keeps of each record, some row groups at a time."""
 
     def __init__(self, args: Mapping[str, Any], context: Context) -> None:
-        self.source, self.parts, self.store = args["source"], args["parts"], context.store
+        self.source, self.store = args["source"], context.store
         self.start = 0
         self.values = np.empty(0, np.uint32)
 
@@ -213,7 +211,7 @@ class _Given:
         """Of records ``[start, stop)``."""
         if start < self.start or stop > self.start + len(self.values):
             first, last = start // index.CHUNK_POINTS, -(-stop // index.CHUNK_POINTS)
-            size = index.PART_CHUNKS if self.parts else last
+            size = index.PART_CHUNKS
             pieces = [
                 self._read(part, range(max(first - part * size, 0), min(last - part * size, size)))
                 for part in range(first // size, -(-last // size))
@@ -222,9 +220,9 @@ class _Given:
         return self.values[start - self.start : stop - self.start]
 
     def _read(self, part: int, groups: range) -> NDArray[np.uint32]:
-        """Row groups of a part, or of the whole file where it has none."""
-        name = index.part_name(self.source, part) if self.parts else self.source
-        return read_columns(self.store.path("given", f"{name}.parquet"), [GIVEN], groups)[GIVEN]
+        """Row groups of a part."""
+        path = self.store.path("given", f"{index.part_name(self.source, part)}.parquet")
+        return read_columns(path, [GIVEN], groups)[GIVEN]
 
 
 def _nonzero(counts: NDArray[np.int64]) -> dict[str, int]:
@@ -235,7 +233,7 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     """Write a tile's points with their labels."""
     names = (*_DELIVERED, *("set_flags",) * context.workflow.classes.flags)
     cell = parse_cell(args["tile"])
-    labels = {name: label_units(args, _KINDS.get(name, "noise"))[cell] for name in names}
+    labels = {name: units_of(args, _KINDS.get(name, "noise")) for name in names}
     columns = (
         *("x", "y", "z", "gps_time", "channel", "return_number", "number_of_returns"),
         *("intensity", "input_class"),

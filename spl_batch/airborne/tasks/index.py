@@ -46,13 +46,12 @@ CHUNK_POINTS = 1 << 18
 """Points read at once from an input file [count]."""
 
 PART_CHUNKS = 8
-"""Chunks of a part of a large file: several workers index one file, a part each [count]."""
+"""Chunks of a part of a file: several workers index a large one, a part each [count]."""
 
 
 def parts_of(points: int) -> int:
-    """Parts in which a file of so many points is indexed; 0 where it is in one go [count]."""
-    chunks = -(-points // CHUNK_POINTS)
-    return -(-chunks // PART_CHUNKS) if chunks > PART_CHUNKS else 0
+    """Parts in which a file of so many points is indexed [count]."""
+    return max(-(-points // (CHUNK_POINTS * PART_CHUNKS)), 1)
 
 
 def part_range(points: int, part: int) -> tuple[int, int]:
@@ -67,7 +66,7 @@ def part_name(source: str, part: int) -> str:
 
 
 def index_part(args: Mapping[str, Any], context: Context) -> Produced:
-    """Read a part of a large file: prove that it is readable, find what is in it, keep it.
+    """Read a part of a file: prove that it is readable, find what is in it, keep it.
 
     What cannot be read is left to :func:`index_file`, which tries it again and fails as a whole.
     """
@@ -83,18 +82,12 @@ def index_part(args: Mapping[str, Any], context: Context) -> Produced:
 
 
 def index_file(args: Mapping[str, Any], context: Context) -> Produced:
-    """Read a file once from end to end: prove that it is readable, find what is in it, keep it.
-
-    Of a large one the parts are read already, except those in ``again``.
-    """
+    """Join what is known of the parts of a file; those in ``again`` are read once more."""
     path = Path(args["path"])
     with unchanged(path, args["stamp"]):
         digest = checksum(path)
         header = inspect(path)
-        if args["parts"]:
-            found, spans = _joined(args, context)
-        else:
-            found, spans = _read(args, context, header), []
+        found, spans = _joined(args, context, header)
     tally = found.tally
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
@@ -150,7 +143,7 @@ def _numbers(path: Path, context: Context) -> dict[str, Numbers]:
 
 
 class _Found:
-    """What is known of a file, or of a part of it, and what is kept of its points."""
+    """What is known of a file or of a part of it, and what is kept of its points."""
 
     def __init__(self, gap_s: float) -> None:
         self.tally = Tally(gap_s)
@@ -162,13 +155,10 @@ class _Found:
         return self.tally.to_arrays() | self.extent.to_arrays()
 
 
-def _read(
-    args: Mapping[str, Any], context: Context, header: LasFacts, part: int | None = None
-) -> _Found:
-    """Read a file, or a part of it, and keep its points and what delivery needs of the records."""
+def _read(args: Mapping[str, Any], context: Context, header: LasFacts, part: int) -> _Found:
+    """Read a part of a file, and keep its points and what delivery needs of the records."""
     path, settings = Path(args["path"]), context.workflow.survey
-    name = args["source"] if part is None else part_name(args["source"], part)
-    start, stop = (0, header.n_points) if part is None else part_range(header.n_points, part)
+    name, (start, stop) = part_name(args["source"], part), part_range(header.n_points, part)
     found = _Found(settings.gap_s)
     points = context.store.path("points", f"{name}.parquet")
     given = context.store.path("given", f"{name}.parquet")
@@ -209,7 +199,7 @@ def _kept(args: Mapping[str, Any], context: Context, part: int) -> Path:
 
 
 def _joined(
-    args: Mapping[str, Any], context: Context
+    args: Mapping[str, Any], context: Context, header: LasFacts
 ) -> tuple[_Found, list[dict[str, list[float]]]]:
     """All parts of a file together, and the first and last time of each flightline in each.
 
@@ -218,7 +208,7 @@ def _joined(
     whole, spans = _Found(context.workflow.survey.gap_s), []
     for part in range(args["parts"]):
         if part in args["again"]:
-            found = _read(args, context, inspect(Path(args["path"])), part)
+            found = _read(args, context, header, part)
             whole.outputs += found.outputs
             arrays = found.to_arrays()
         else:
