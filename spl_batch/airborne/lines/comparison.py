@@ -6,13 +6,14 @@ an alignment leaves follows from the same patches.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.lines.alignment import ALONE, MOST_M, TOO_FAR, LineShift, align_lines
+from spl_batch.airborne.lines.alignment import ALONE, MOST_M, TOO_FAR, AlignedLine, align_lines
 from spl_batch.airborne.lines.pair_table import PairDifference, pair_table
 from spl_batch.airborne.lines.patches import (
     COLUMNS_NEEDED,
@@ -87,7 +88,7 @@ def align(args: Mapping[str, Any], context: Context) -> Produced:
     write_arrays(path, Shifts([flown[one.name] for one in shifts], up_q).to_arrays())
     facts = {
         "name": "survey.align",
-        "shifts": [list(one) for one in shifts],
+        "shifts": [asdict(one) for one in shifts],
         "findings": [*stay_findings(shifts)],
     }
     return Produced([path], facts)
@@ -124,9 +125,9 @@ def _shifted(cell: _Cell, lines: Shifts) -> _Cell:
     return cell._replace(patches={**patches, "rise": rise})
 
 
-def shifts_of(facts: Mapping[str, Any]) -> list[LineShift]:
+def shifts_of(facts: Mapping[str, Any]) -> list[AlignedLine]:
     """Shifts that :func:`align` has found, by its receipt."""
-    return [LineShift(*line) for line in facts["shifts"]]
+    return [AlignedLine(**line) for line in facts["shifts"]]
 
 
 def pairs_of(facts: Mapping[str, Any]) -> list[PairDifference]:
@@ -256,7 +257,7 @@ def _parts(pair: PairDifference) -> Iterator[str]:
                 yield f"{100 * abs(way_m):.0f} cm farther {ahead if way_m > 0 else back}"
 
 
-def stay_findings(lines: Sequence[LineShift]) -> Iterator[Finding]:
+def stay_findings(lines: Sequence[AlignedLine]) -> Iterator[Finding]:
     """Flightlines that stay where they should perhaps not."""
     alone = [one.name for one in lines if one.stays == ALONE]
     if alone:
@@ -266,7 +267,7 @@ def stay_findings(lines: Sequence[LineShift]) -> Iterator[Finding]:
             yield Finding("S02", {"kind": "far", "up_m": one.found_m, "most_m": MOST_M}, one.name)
 
 
-def done_sentence(lines: Sequence[LineShift]) -> str:
+def done_sentence(lines: Sequence[AlignedLine]) -> str:
     """What a run has added to the heights of flightlines."""
     shifted = [one for one in lines if not one.stays]
     if not shifted:

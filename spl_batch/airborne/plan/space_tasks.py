@@ -222,15 +222,8 @@ def mosaic(survey: Survey) -> Iterator[Task]:
     squares = [square for cell in cells for square in survey.grid.squares(cell)]
     needs = tuple(("surface", str(cell)) for cell in cells)
     for product in products(reflectance=knows_reflectance(survey)):
-        args = {
-            "product": product.name,
-            "name": product.name,
-            "cells": cell_runs(sorted(squares)),
-            "bounds": list(bounds),
-            "delivered": product.delivered,
-            "meaning": product.meaning,
-            "unit": product.unit,
-        }
+        place = {"cells": cell_runs(sorted(squares)), "bounds": list(bounds)}
+        args = {**product._asdict(), **place}
         yield Task("mosaic", product.name, args, needs, 0, refused)
 
 
@@ -253,13 +246,7 @@ def geoid(survey: Survey) -> Iterator[Task]:
     for product in ABOVE_GEOID:
         source = product.name.removesuffix("_geoid")
         if source in survey.of("mosaic"):
-            args = {
-                "source": f"{source}.tif",
-                "target": f"{product.name}.tif",
-                "meaning": product.meaning,
-                "unit": product.unit,
-                "grid": [*survey.inputs.geoid],
-            }
+            args = {**product._asdict(), "source": source, "grid": [*survey.inputs.geoid]}
             yield Task("deliver_geoid", product.name, args, (("mosaic", source),))
 
 

@@ -14,7 +14,6 @@ from spl_batch.airborne.products.cell_values import (
     cell_number,
     fill_voids,
     relative,
-    ring_offsets,
     shape_of,
     sort_into_cells,
 )
@@ -108,8 +107,7 @@ def top_surface(
     # The outermost cells lack neighbours that could confirm them: they must lend nothing.
     edge = _support_cells(settings)
     tops = np.ascontiguousarray(tops[edge : rows - edge, edge : cols - edge])
-    filled = np.empty_like(tops)
-    fill_voids(tops, ring_offsets(settings.dsm_void_max_m / settings.cell_m), filled)
+    filled = fill_voids(tops, settings.dsm_void_max_m / settings.cell_m)
     rim = top_margin(settings) - edge
     core = slice(rim, filled.shape[0] - rim), slice(rim, filled.shape[1] - rim)
     return filled[core], np.isnan(tops)[core]

@@ -8,6 +8,9 @@ from typing import Literal
 
 from pydantic import Field
 
+from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointStatistics
+from spl_batch.airborne.accuracy.requirements import Requirement
+from spl_batch.airborne.lines.alignment import AlignedLine
 from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
@@ -193,32 +196,6 @@ class Noise(Part):
     )
 
 
-class Requirement(Part):
-    """One requirement of a contract, and whether it is met."""
-
-    name: str = Field(description="What is required of.")
-    required: str = Field(description="What is asked for, with units.")
-    found: str = Field(description="What was found, with units.")
-    verdict: Literal["pass", "fail", "cannot tell"] = Field(description="Whether it is met.")
-    why: str = Field(description="What that rests on, or what would tell.")
-    standard: str = Field(description="Who requires it.")
-    section: str = Field(description="Edition and section.")
-
-
-class CheckpointStatistics(Part):
-    """Vertical accuracy at checkpoints of one kind, by Edition 2 of the ASPRS standards."""
-
-    n: Count = Field(description="Checkpoints on the terrain model [count].")
-    mean_m: Number = Field(None, description="Mean of DTM minus checkpoint [m].")
-    sd_m: Number = Field(None, description="Standard deviation [m].")
-    rmse_v1_m: Number = Field(None, description="Fit of the DTM to the checkpoints [m].")
-    rmse_v2_m: Number = Field(
-        None, description="Accuracy of the checkpoints; null where one states none [m]."
-    )
-    rmse_v_m: Number = Field(None, description="Root of the sum of both squares [m].")
-    outliers: tuple[str, ...] = Field((), description="Checkpoints to look at; they count.")
-
-
 class Checkpoint(Part):
     """One checkpoint of the field survey."""
 
@@ -279,20 +256,6 @@ class StripPair(Part):
         None, description="Root mean square of the vertical differences of these [m]."
     )
     noise_m: Number = Field(description="Ranging noise: spread about the smoothest patches [m].")
-
-
-class AlignedLine(Part):
-    """What was added to the heights of a flightline, and how sure it is."""
-
-    name: str = Field(description="The flightline.")
-    up_m: Number = Field(description="Added to its heights [m].")
-    found_m: Number = Field(description="The shift as found; null without a pair [m].")
-    sd_m: Number = Field(None, description="Standard deviation of it [m].")
-    stays: Literal["", "kept", "not compared", "not sure", "too far"] = Field(
-        description="Why nothing was added: the others are shifted against it; too few planar "
-        "patches with others; less than two standard deviations; more than 2 m. Empty where "
-        "something was."
-    )
 
 
 class Report(Part):

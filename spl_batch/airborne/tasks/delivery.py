@@ -291,7 +291,7 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
     if named is None:  # a plan makes no such task
         raise WorkflowError("outputs.geoid: none is named")
     geoid = Geoid(named.grid, context.resolve(named.grid), context.crs)
-    source, target = context.output / args["source"], context.output / args["target"]
+    source, target = (context.output / f"{args[key]}.tif" for key in ("source", "name"))
     beyond = 0
 
     def blocks() -> Iterator[tuple[int, int, NDArray[np.float32]]]:
@@ -320,7 +320,7 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
             unit=args["unit"],
         )
     lost = Finding("I05", {"kind": "geoid", "count": beyond, "grid": named.grid})
-    return Produced([target], {"name": args["target"], "findings": [lost] if beyond else []})
+    return Produced([target], {"name": target.name, "findings": [lost] if beyond else []})
 
 
 def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
@@ -333,7 +333,7 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     stored = partial(stored_blocks, context.rasters, bounds=bounds, cells=cells, ground_cell=edge)
     write_cog(
         target,
-        stored(args["product"]),
+        stored(args["name"]),
         shape=shape,
         origin_xy_m=origin_xy_m,
         cell_m=cell_m,
@@ -342,7 +342,7 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
         unit=args["unit"],
     )
     facts = {"name": target.name, "rows": shape[0], "columns": shape[1]}
-    if args["product"] == "dtm":
+    if args["name"] == "dtm":
         found = wide_voids(stored("dtm"), stored("density"), shape, origin_xy_m, cell_m)
         facts["findings"] = _voids(found, context)
     return Produced([target], facts)
