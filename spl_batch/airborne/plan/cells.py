@@ -68,22 +68,6 @@ def tile_counts(tiles: Mapping[str, Receipt]) -> dict[CellId, int]:
     return {tile: n for tile, n in sorted(counts.items()) if n}
 
 
-def fired_index(boxes: Mapping[str, Sequence[int]]) -> BoxIndex:
-    """Stretches by the place that they fired at.
-
-    ``boxes``: rectangle of each stretch near the ground: xmin, ymin, xmax, ymax [m].
-    """
-    return BoxIndex({name: Bounds(*map(quanta, box)) for name, box in boxes.items()})
-
-
-def voxel_index(boxes: Mapping[str, Sequence[int]], voxel_q: int) -> BoxIndex:
-    """Stretches by the place of their voxel parts.
-
-    ``boxes``: first and past-the-last voxel index of each part: x, y, z, x, y, z.
-    """
-    return BoxIndex(
-        {
-            name: Bounds(x0 * voxel_q, y0 * voxel_q, x1 * voxel_q, y1 * voxel_q)
-            for name, (x0, y0, _, x1, y1, _) in boxes.items()
-        }
-    )
+def index_of_boxes(boxes: Mapping[str, Sequence[int]], unit_q: int) -> BoxIndex:
+    """Stretches by place; ``boxes``: xmin, ymin, xmax, ymax of each, in units [quanta]."""
+    return BoxIndex({name: Bounds(*(unit_q * end for end in box)) for name, box in boxes.items()})

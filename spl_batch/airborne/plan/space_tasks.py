@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.accuracy.evidence import LEVELS
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
-from spl_batch.airborne.plan.cells import fired_index, voxel_index
+from spl_batch.airborne.plan.cells import index_of_boxes
 from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.grid import Unit
 from spl_batch.airborne.plan.halo import surface_reach_m
@@ -19,6 +19,7 @@ from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import cell_bytes, refusal
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
 from spl_batch.airborne.tasks.bindings import MADE_BY, SHIFTED
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Need, Task
 from spl_batch.errors import grouped
@@ -94,9 +95,9 @@ def denoise(survey: Survey) -> Iterator[Task]:
     for stretch, receipt in survey.of("scatter").items():
         boxes = dict(receipt.facts.get("voxels_apart", {}))
         boxes |= {stretch: receipt.facts["voxels"]} if "voxels" in receipt.facts else {}
-        voxels |= boxes
+        voxels |= {name: (x0, y0, x1, y1) for name, (x0, y0, _, x1, y1, _) in boxes.items()}
         stretch_of |= dict.fromkeys(boxes, stretch)
-    index = voxel_index(voxels, voxel_q)
+    index = index_of_boxes(voxels, voxel_q)
     # what a density depends on, whatever the halo of the points
     margin = survey.halo_q + MARGIN_VOXELS * voxel_q
     for cell in survey.denoise_cells():
@@ -117,7 +118,8 @@ def ground(survey: Survey) -> Iterator[Task]:
 def surface(survey: Survey) -> Iterator[Task]:
     """Ground cells whose ground is found, with what their rasters read around them."""
     halo = quanta(surface_reach_m(survey.workflow))
-    index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
+    known = knows_reflectance(survey)
+    index = index_of_boxes(_fired(survey), QUANTA_PER_M) if known else None
     for cell in survey.ground_cells(halo):
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
@@ -151,7 +153,7 @@ def knows_reflectance(survey: Survey) -> bool:
     workflow = survey.workflow
     if workflow.filter.method == "none" or workflow.products.intensity != "detection":
         return False
-    return any(box[2] > box[0] for box in _boxes(survey, "fired").values())
+    return any(box[2] > box[0] for box in _fired(survey).values())
 
 
 def deliver(survey: Survey) -> Iterator[Task]:
@@ -250,10 +252,10 @@ def geoid(survey: Survey) -> Iterator[Task]:
             yield Task("deliver_geoid", product.name, args, (("mosaic", source),))
 
 
-def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
-    """What the stretches say of a place, by name."""
+def _fired(survey: Survey) -> dict[str, Sequence[int]]:
+    """Where stretches fired, near the ground: west, south, east, north [m]."""
     scattered = ((name, r.facts) for name, r in survey.of("scatter").items())
-    return {name: facts[fact] for name, facts in scattered if fact in facts}
+    return {name: facts["fired"] for name, facts in scattered if "fired" in facts}
 
 
 def aligned(survey: Survey) -> tuple[Need, ...]:

@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointStatistics
+from spl_batch.airborne.accuracy.error_tally import Accuracy
 from spl_batch.airborne.accuracy.requirements import Requirement
 from spl_batch.airborne.lines.alignment import AlignedLine
 from spl_batch.engine.report.parts import (
@@ -20,7 +21,6 @@ from spl_batch.engine.report.parts import (
     Part,
     Performance,
     Provenance,
-    Statistics,
 )
 
 Basis = Literal["given", "sensor", "estimated", "assumed", "none"]
@@ -112,24 +112,6 @@ class Counts(Part):
         description="Header records of input files that no reader parses, or that stand there "
         "once more than they count: named in the warnings, left out of the copies [count].",
     )
-
-
-class Accuracy(Part):
-    """Comparison with reference linear-mode lidar, by class of surface; ``all`` is overall."""
-
-    dtm: dict[str, Statistics] = Field({}, description="Terrain model minus reference ground.")
-    dsm: dict[str, Statistics] = Field({}, description="Surface model minus reference surface.")
-    returns: dict[str, Statistics] = Field(
-        {},
-        description="Returns that the filter keeps minus the reference's nearest ground or roof, "
-        "within 0.5 m; one in eight.",
-    )
-    reference_points: Count | None = Field(None, description="Reference points read [count].")
-    bias_m: Number = Field(None, description="Median difference between the sensors [m].")
-    bias_removed: bool = Field(
-        False, description="Whether the bias was subtracted before the statistics."
-    )
-    own_points: bool = Field(False, description="Whether the reference is the survey itself.")
 
 
 class Density(Part):

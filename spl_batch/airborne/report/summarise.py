@@ -27,7 +27,6 @@ from spl_batch.airborne.report.good_enough import (
     swath_reports,
 )
 from spl_batch.airborne.report.model import (
-    Accuracy,
     Basis,
     Counts,
     Flightline,
@@ -47,7 +46,7 @@ from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.maps import Raster
 from spl_batch.engine.report.page import write_both
-from spl_batch.engine.report.parts import InputFile, Provenance, Statistics
+from spl_batch.engine.report.parts import InputFile, Provenance
 from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import (
     Receipts,
@@ -71,7 +70,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         survey=_survey(done, context),
         counts=counts,
         header_changes=_header_changes(done),
-        accuracy=_accuracy(found),
+        accuracy=None if found is None else found.accuracy,
         requirements=judged(done, context),
         checkpoints=tested,
         density=covered,
@@ -193,22 +192,6 @@ def _header_changes(done: Receipts) -> dict[str, int]:
     return dict(sorted(Counter(chain.from_iterable(changes)).items()))
 
 
-def _accuracy(found: Comparison | None) -> Accuracy | None:
-    if found is None:
-        return None
-    said = found.statistics
-    removed = bool(said["bias_removed_m"])
-    return Accuracy(
-        dtm={k: Statistics(**v) for k, v in said["dtm"].items()},
-        dsm={k: Statistics(**v) for k, v in said["dsm"].items()},
-        returns={k: Statistics(**v) for k, v in said["returns"].items()},
-        reference_points=found.points,
-        bias_m=said["vertical_bias_m"],
-        bias_removed=removed,
-        own_points=any(own_points(found.own_share)),
-    )
-
-
 def _noise(done: Receipts, context: Context, removed: int) -> Noise:
     settings = context.workflow.filter
     mean, low, high = _noise_levels(done, context)
@@ -228,19 +211,13 @@ def _noise(done: Receipts, context: Context, removed: int) -> Noise:
 def _noise_levels(
     done: Receipts, context: Context
 ) -> tuple[float, float, float] | tuple[None, None, None]:
-    """Mean, 5th and 95th percentile of the expected noise over all pieces [1/m3]."""
-    names = sorted(n for n in done.get("mosaic", {}) if n.partition("_")[0] == "noise")
-    found = (_overview(context.store.local / f"{name}.tif") for name in names)
-    parts = [(p.values[p.values > NODATA], p.cell_m**2) for p in found if p is not None]
-    values = np.concatenate([np.empty(0, np.float32), *(held for held, _ in parts)])
+    """Mean, 5th and 95th percentile of the expected noise [1/m3]."""
+    part = _overview(context.store.local / "noise.tif") if done.get("mosaic") else None
+    values = np.empty(0) if part is None else part.values[part.values > NODATA]
     if not len(values):
         return None, None, None
-    # a large piece is seen in coarser cells
-    weights = np.concatenate([np.full(len(held), area_m2) for held, area_m2 in parts])
-    order = np.argsort(values, kind="stable")
-    below = np.cumsum(weights[order]) / weights.sum()
-    low, high = (float(values[order[np.searchsorted(below, end)]]) for end in (0.05, 0.95))
-    return float(np.average(values, weights=weights)), low, high
+    low, high = np.quantile(values, (0.05, 0.95), method="inverted_cdf").tolist()
+    return float(values.mean(dtype=np.float64)), low, high
 
 
 def _kept_by_chance(settings: FilterSettings, removed: int) -> float | None:

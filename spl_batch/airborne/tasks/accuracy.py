@@ -16,6 +16,7 @@ from spl_batch.airborne.accuracy.differences import (
 )
 from spl_batch.airborne.accuracy.error_tally import (
     STEPS_PER_M,
+    Accuracy,
     Tallies,
     Tally,
     accuracy_report,
@@ -155,10 +156,9 @@ def _as_tallies(arrays: Mapping[str, NDArray[Any]]) -> Tallies:
 class Comparison:
     """What the reference says."""
 
-    statistics: dict[str, Any]
+    accuracy: Accuracy
     differences_m: NDArray[np.float32]  #: (n,): every so many-th DTM minus reference by size [m].
     difference: Raster  #: Mean difference by cell [m].
-    points: int
     own_share: float | None  #: Of those looked at, share that are the survey's own points, 0..1.
 
 
@@ -182,12 +182,18 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
     mean = np.full(len(total), NODATA)
     np.divide(total, count * STEPS_PER_M, out=mean, where=count > 0)
     values = mean.reshape(grid.rows, grid.columns).astype(np.float32)
+    share = _own_share(done)
+    accuracy = accuracy_report(
+        *by_product,
+        remove_bias=settings.remove_bias,
+        reference_points=sum(r.facts["points"] for r in done.get("reference", {}).values()),
+        own_points=any(own_points(share)),
+    )
     return Comparison(
-        accuracy_report(*by_product, remove_bias=settings.remove_bias),
+        accuracy,
         by_product[0].get("all", Tally()).sample_m(SAMPLE),
         Raster(values, grid.left_m, grid.top_m, grid.cell_m),
-        sum(receipt.facts["points"] for receipt in done.get("reference", {}).values()),
-        _own_share(done),
+        share,
     )
 
 

@@ -1,6 +1,7 @@
 """Heights of the terrain model at the checkpoints of a field survey."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -56,15 +57,7 @@ def _terrain_m(point: Checkpoint, context: Context) -> float | None:
 
 
 def _record(point: Checkpoint, terrain_m: float | None) -> dict[str, Any]:
-    return {
-        "id": point.id,
-        "x_m": point.x_m,
-        "y_m": point.y_m,
-        "z_m": point.z_m,
-        "surface": point.surface,
-        "accuracy_m": point.accuracy_m,
-        "error_m": None if terrain_m is None else terrain_m - point.z_m,
-    }
+    return {**asdict(point), "error_m": None if terrain_m is None else terrain_m - point.z_m}
 
 
 def results(receipts: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:

@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.products.cell_values import shape_of
 from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
 from spl_batch.airborne.pulses.swaths import Outlined, outlines
 from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile, units_of
-from spl_batch.airborne.store.raster_cells import frame, stored_blocks
+from spl_batch.airborne.store.raster_cells import stored_blocks
 from spl_batch.airborne.tasks import index, pulses
 from spl_batch.airborne.tasks.stretches import Copies
-from spl_batch.constants import FLAG_WITHHELD, NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
+from spl_batch.constants import FLAG_WITHHELD, NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import Produced
@@ -46,7 +47,6 @@ from spl_batch.formats.las.writer import (
 )
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import windows
-from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
@@ -327,7 +327,8 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     """Join a product's raster cells into one cloud-optimised GeoTIFF."""
     cell_m, edge = context.workflow.products.cell_m, quanta(context.workflow.ground.cell_m)
     bounds = Bounds(*args["bounds"])
-    shape, origin_xy_m = frame(bounds, quanta(cell_m))
+    shape = shape_of(bounds, quanta(cell_m))
+    origin_xy_m = bounds.xmin * QUANTUM_M, bounds.ymax * QUANTUM_M
     target = (context.output if args["delivered"] else context.store.local) / f"{args['name']}.tif"
     cells = [*cells_of_runs(args["cells"])]
     stored = partial(stored_blocks, context.rasters, bounds=bounds, cells=cells, ground_cell=edge)
@@ -351,8 +352,7 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
 def _voids(found: list[Void], context: Context) -> list[Finding]:
     """A finding on voids in the terrain; holes of the area of interest are none."""
     if found and context.workflow.aoi is not None:
-        area = read_polygons(context.resolve(context.workflow.aoi), context.crs)
         east, north = (np.array([quanta(one[k]) for one in found], np.int64) for k in (1, 2))
-        inside = contains(area, east, north)
+        inside = context.within(context.workflow.aoi, east, north)
         found = [one for one, there in zip(found, inside, strict=True) if there]
     return void_findings(found, context.workflow.products.void_max_m)

@@ -44,7 +44,6 @@ from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.formats.breaklines import read_breaklines
-from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.lattice.tables import EXCLUDED, PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, inside, overlap, quanta
@@ -63,7 +62,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     arrays |= reflected
     banks = _flatten(arrays, core, context)
     if workflow.aoi is not None:
-        _mask_outside(arrays, core, context)
+        _mask_outside(arrays, workflow.aoi, core, context)
     counted = pulses.covered(arrays, workflow.products)
     counted |= terrain_facts(arrays["dtm_quality"], arrays["dtm"], core)
     if workflow.filter.method == "none":
@@ -150,14 +149,13 @@ def _write_rasters(name: str, core: Bounds, arrays: Rasters, context: Context) -
     return write_cell(context.rasters, CellId(core.xmin // edge, core.ymin // edge), arrays)
 
 
-def _mask_outside(arrays: Rasters, core: Bounds, context: Context) -> None:
+def _mask_outside(arrays: Rasters, aoi: str, core: Bounds, context: Context) -> None:
     """Take away raster cells whose centres lie outside the area of interest."""
     cell = quanta(context.workflow.products.cell_m)
     x = np.arange(core.xmin + cell // 2, core.xmax, cell, dtype=np.int64)
     y = np.arange(core.ymin + cell // 2, core.ymax, cell, dtype=np.int64)[::-1]
     east, north = (grid.ravel() for grid in np.meshgrid(x, y))
-    polygons = read_polygons(context.resolve(context.workflow.aoi or ""), context.crs)
-    outside = ~contains(polygons, east, north).reshape(len(y), len(x))
+    outside = ~context.within(aoi, east, north).reshape(len(y), len(x))
     for name, values in arrays.items():
         arrays[name] = np.where(outside, np.float32(NODATA), values)
 

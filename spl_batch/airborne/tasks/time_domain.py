@@ -29,7 +29,6 @@ from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.las.reader import iter_points
-from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import (
     read_arrays,
     read_table,
@@ -47,7 +46,6 @@ from spl_batch.lattice.tables import (
     PointTable,
     ShotClock,
     concat,
-    rows_of,
 )
 from spl_batch.lattice.tiles import cell_index, quanta
 
@@ -211,26 +209,19 @@ def _assess(
 ) -> tuple[PointTable, list[Path]]:
     """Add what the time domain knows about each point; write the parts of the stretch."""
     workflow = context.workflow
-    beams = lines_of_sight.beams(table, context.store, args)
-    flags = np.where(beams.known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
-    table = table.with_columns(flags=flags)
+    sights = lines_of_sight.beams(table, context.store, args)
     line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
     law = afterpulse_law.AfterpulseLaw.from_arrays(line)
     model = line_noise.LineModel.from_arrays(line)
     beamlets = lines_of_sight.beamlets(args, context)
-    known = rows_of(beams.known)
-    subset = table.take(known)
-    added = shots.assess(table, beams, (model, law), workflow, beamlets)
-    ground = added.pop("ground")[known]
-    flags |= added.pop("beyond") * np.uint8(PointFlag.SHOT_NOISE)
-    table = table.with_columns(**added, flags=flags)
-    beams = beams.take(known)
+    table, lit, beams, ground = shots.assess(table, sights, (model, law), workflow, beamlets)
     if args["of_shots"] is not None:
         array = beamlets.seen.array_columns
-        noise = shot_noise(subset, beams, workflow.filter, model.gate_m, array)
-        flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
+        noise = shot_noise(lit, beams, workflow.filter, model.gate_m, array)
+        flags = table["flags"].copy()
+        flags[sights.known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
-    parts = voxel_noise.deposit(subset, beams, model, workflow.noise, ground)
+    parts = voxel_noise.deposit(lit, beams, model, workflow.noise, ground)
     # A stretch is one box of voxels, unless some of its points lie far from the rest.
     names = [args["stretch"], *(f"{args['stretch']}.{k}" for k in range(1, len(parts)))]
     paths = [context.store.path("voxels", f"{name}.zarr") for name in names[: len(parts)]]
@@ -239,7 +230,7 @@ def _assess(
     boxes = [part.box() for part in parts]
     facts |= {"voxels": boxes[0]} if boxes else {}
     facts |= {"voxels_apart": dict(zip(names[1:], boxes[1:], strict=True))} if boxes[1:] else {}
-    return table, [*paths, *_write_fired(subset, beams, model, args, context, facts)]
+    return table, [*paths, *_write_fired(lit, beams, model, args, context, facts)]
 
 
 def _write_fired(
@@ -271,8 +262,7 @@ def _mark_places(table: PointTable, context: Context) -> PointTable:
         (workflow.water, PointFlag.WATER, True),
     ):
         if name is not None and len(table):
-            polygons = read_polygons(context.resolve(name), context.crs)
-            flags[contains(polygons, table["x"], table["y"]) == within] |= np.uint8(flag)
+            flags[context.within(name, table["x"], table["y"]) == within] |= np.uint8(flag)
     return table.with_columns(flags=flags)
 
 
