@@ -84,13 +84,13 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     flown, found = len(survey.inputs.trajectory), survey.filtering and not survey.inputs.trajectory
     # every file is indexed by parts, and most likely is a flightline; each stretch is
-    # gathered and scattered; without a trajectory flightlines have a heading and a path, and
-    # stretches are observed after that
+    # gathered and scattered; without a trajectory flightlines have a path, and stretches are
+    # observed after that
     tasks = {
         "index": len(sources)
         + sum(map(parts_of, files))
         + (flown and survey.filtering) * (flown + 1),
-        "shots": len(sources) + stretches + found * (2 * len(sources) + stretches),
+        "shots": len(sources) + stretches + found * (len(sources) + stretches),
         "shuffle": stretches + tiles,
         "denoise": denoise_cells,
         "ground": cells,

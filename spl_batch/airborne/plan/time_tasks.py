@@ -7,7 +7,7 @@ steps. What failed there is left out: its points stay unlabelled, the rest goes 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.plan.flightlines import Flightline
@@ -110,20 +110,6 @@ def _time_of_most(lines: Sequence[Flightline]) -> list[float]:
     return [most[0].first_s, max(line.last_s for line in most)]
 
 
-def heading(survey: Survey) -> Iterator[Task]:
-    """Flightlines whose heading is looked for, without a trajectory."""
-    if survey.inputs.trajectory:
-        return
-    for line in survey.flightlines:
-        args = {
-            "psid": line.psid,
-            "points": line.points,
-            "sources": list(line.sources),
-            "seconds": [int(line.first_s // 1), int(line.last_s // 1)],
-        }
-        yield Task("heading", line.name, args, tuple(("index_file", k) for k in line.sources))
-
-
 def gather(survey: Survey) -> Iterator[Task]:
     """Stretches of flightlines."""
     positions = _positions(survey)
@@ -167,11 +153,13 @@ def sensor_path(survey: Survey) -> Iterator[Task]:
         if names:
             args = {
                 "line": line.name,
+                "psid": line.psid,
+                "sources": list(line.sources),
                 "stretches": names,
                 "points": line.points,
                 "span_s": [line.first_s, line.last_s],
             }
-            needs = tuple(("gather", n) for n in names)
+            needs = (*_files(line), *(("gather", n) for n in names))
             yield Task("sensor_path", line.name, args, needs)
 
 
@@ -234,8 +222,12 @@ def scatter(survey: Survey) -> Iterator[Task]:
 
 
 def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
-    heading = survey.of("heading").get(line.name)
-    path = survey.of("sensor_path").get(line.name)
+    beams: dict[str, Any] = {"basis": "vertical", "heading_rad": None}
+    if survey.of("trajectory"):
+        beams["basis"] = "trajectory"
+    elif line.name in survey.of("sensor_path"):
+        facts = survey.of("sensor_path")[line.name].facts
+        beams = {name: facts[name] for name in beams}
     return {
         "line": line.name,
         "psid": line.psid,
@@ -243,9 +235,7 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
         "t0_s": line.clock.t0_s,
         "prf_hz": line.clock.prf_hz,
         "beamlets": survey.beamlets,
-        "trajectory": bool(survey.of("trajectory")),
-        "sensor_path": bool(path and path.facts["found"]),
-        "heading_rad": heading.facts["heading_rad"] if heading else None,
+        **beams,
     }
 
 

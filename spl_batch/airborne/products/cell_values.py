@@ -14,6 +14,9 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.nearest_cells import distances
 from spl_batch.numerics.sorting import sort
 
+Places = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
+"""Easting, northing and height of points [quanta]."""
+
 
 def sort_into_cells(
     cell: NDArray[np.int64], z: NDArray[np.int32], cells: int
@@ -127,7 +130,7 @@ def _spread2(z: NDArray[np.int32], begin: int, end: int, middle2: np.int64) -> n
 
 @njit()
 def robust_cell_means(
-    xyz: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]],
+    xyz: Places,
     start: NDArray[np.int64],
     floor: float,
     means: NDArray[np.float64],
@@ -211,15 +214,18 @@ def cell_number(table: PointTable, bounds: Bounds, size: int) -> NDArray[np.int6
     return number
 
 
-def relative(
-    table: PointTable, order: NDArray[np.intp], corner: Bounds
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Sorted coordinates relative to a corner: three (n,) int32 [quanta]."""
-    return (
-        (table["x"].take(order) - corner.xmin).astype(np.int32),
-        (table["y"].take(order) - corner.ymin).astype(np.int32),
-        table["z"].take(order),
-    )
+def by_cell(
+    table: PointTable, bounds: Bounds, size: int
+) -> tuple[Places, NDArray[np.int64], NDArray[np.intp]]:
+    """Points within bounds by raster cell, the highest first in each.
+
+    Their places from the corner of the bounds [quanta], where each cell begins in them, and their
+    order, as :func:`sort_into_cells` has both.
+    """
+    rows, cols = shape_of(bounds, size)
+    order, start = sort_into_cells(cell_number(table, bounds, size), table["z"], rows * cols)
+    x, y = (table["x"].take(order) - bounds.xmin, table["y"].take(order) - bounds.ymin)
+    return (x.astype(np.int32), y.astype(np.int32), table["z"].take(order)), start, order
 
 
 def owned(core: Bounds, edge: int) -> Bounds:

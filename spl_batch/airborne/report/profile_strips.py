@@ -1,6 +1,6 @@
 """Vertical strips that a report shows: where they lie, and their points."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from spl_batch.airborne.store.label_tables import read_region, units_within
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.rasters.parts import Part
-from spl_batch.lattice.tables import TILE_COLUMNS, PointTable
+from spl_batch.lattice.tables import TILE_COLUMNS
 from spl_batch.lattice.tiles import Bounds, cells_touching, quanta
 
 LENGTH_M = 100.0
@@ -48,7 +48,15 @@ def read_strip(
     strip: Bounds, done: Mapping[str, Mapping[str, Receipt]], context: Context
 ) -> Profile | None:
     """Points of a strip along its easting, with what a run took them for; None without points."""
-    table = labelled_points(strip, TILE_COLUMNS, done, context)
+    tile_q = quanta(context.workflow.tiling.tile_m)
+    built = done.get("build_tile", {})
+    tiles = [t for t in cells_touching(strip, tile_q) if str(t) in built]
+    labels = {
+        "noise_class": units_within(strip, "noise", done.get("denoise", {})),
+        "classification": units_within(strip, "classes", done.get("surface", {})),
+    }
+    shifts = read_shifts({"aligned": bool(done.get("align"))}, context.store)
+    table, _ = read_region(context.store, tiles, strip, TILE_COLUMNS, labels, shifts=shifts)
     if not len(table):
         return None
     middle_m = (strip.ymin + strip.ymax) / 2 * QUANTUM_M
@@ -60,29 +68,6 @@ def read_strip(
         (strip.ymax - strip.ymin) * QUANTUM_M,
         (strip.xmin * QUANTUM_M, middle_m, strip.xmax * QUANTUM_M, middle_m),
     )
-
-
-def labelled_points(
-    region: Bounds,
-    columns: Sequence[str],
-    done: Mapping[str, Mapping[str, Receipt]],
-    context: Context,
-    *,
-    ordered: bool = True,
-) -> PointTable:
-    """Points of a region with ``noise_class`` and ``classification``, as far as it is finished."""
-    tile_q = quanta(context.workflow.tiling.tile_m)
-    built = done.get("build_tile", {})
-    shifts = read_shifts({"aligned": bool(done.get("align"))}, context.store)
-    tiles = [t for t in cells_touching(region, tile_q) if str(t) in built]
-    labels = {
-        "noise_class": units_within(region, "noise", done.get("denoise", {})),
-        "classification": units_within(region, "classes", done.get("surface", {})),
-    }
-    points, _ = read_region(
-        context.store, tiles, region, columns, labels, ordered=ordered, shifts=shifts
-    )
-    return points
 
 
 def tallest_strip(height: Part) -> Bounds:

@@ -342,7 +342,7 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
         description=args["meaning"],
         unit=args["unit"],
     )
-    facts = {"name": target.name, "rows": shape[0], "columns": shape[1]}
+    facts: dict[str, Any] = {"name": target.name}
     if args["name"] == "dtm":
         found = wide_voids(stored("dtm"), stored("density"), shape, origin_xy_m, cell_m)
         facts["findings"] = _voids(found, context)

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from spl_batch.airborne.beams.geometry import heading_from_track, merge_track
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.tasks.file_tally import SPANS_FEW, Tally, spans_of
 from spl_batch.airborne.tasks.stretches import KEPT_COLUMNS, add_points
@@ -217,19 +216,6 @@ def _joined(
         whole.extent.join(Extent.from_arrays(arrays))
         spans.append(spans_of(arrays))
     return whole, spans
-
-
-def find_heading(args: Mapping[str, Any], context: Context) -> Produced:
-    """Flight direction of a flightline without a trajectory, from the drift of its points."""
-    parts = []
-    for source in args["sources"]:
-        arrays = read_arrays(context.store.path("index", f"{source}.npz"))
-        prefix = f"{args['psid']}/"
-        track = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
-        low, high = args["seconds"]
-        within = (track["second"] >= low) & (track["second"] <= high)
-        parts.append({k: v if k == "angle" else v[within] for k, v in track.items()})
-    return Produced((), {"heading_rad": heading_from_track(merge_track(parts))})
 
 
 def look_through(args: Mapping[str, Any], context: Context) -> Produced:

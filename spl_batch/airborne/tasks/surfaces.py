@@ -4,7 +4,6 @@ Points are read once; four looks at them follow each other, each with the column
 that it needs.
 """
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -74,9 +73,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     labels, facts, n_points = _classes(cell, arrays, swaths)
     counted |= facts | ({"banks": list(banks)} if banks else {})
     chunks = _write_rasters(args["cell"], core, arrays, context)
-    sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
-    facts = {"core": list(core), "rasters": sums, **counted}
-    return Produced([labels, *chunks], facts, n_points)
+    return Produced([labels, *chunks], {"core": list(core), **counted}, n_points)
 
 
 def _at_once(cell: Cell) -> tuple[Bounds, list[str]]:

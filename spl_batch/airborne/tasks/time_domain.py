@@ -67,7 +67,8 @@ def gather(args: Mapping[str, Any], context: Context) -> Produced:
         return Produced((), facts)
     if args["beamlets"] > 1:
         facts["off_one_beam"] = geometry.off_one_beam(table)
-    look = lines_of_sight.observe_table if args["trajectory"] else lines_of_sight.collect
+    flown = args["basis"] == "trajectory"
+    look = lines_of_sight.observe_table if flown else lines_of_sight.collect
     looked = look(table, args, context)
     return Produced(looked.outputs, {**facts, **looked.facts}, len(table))
 
@@ -97,9 +98,8 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     write_arrays(path, {**model.to_arrays(), **law.to_arrays()})
     seen = model.seen_fraction
     facts = {
-        **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis", "beamlets")},
+        **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis", "beamlets", "basis")},
         "name": str(args["line"]),
-        "basis": lines_of_sight.basis(args),
         "gate_m": model.gate_m,
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
@@ -187,7 +187,6 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
     write_table(path, table, group_starts=starts.tolist(), sought=("x",))
     facts = {
         "points": len(table),
-        "z": [int(table["z"].min()), int(table["z"].max())] if len(table) else None,
         "outside_aoi": int(np.count_nonzero(table.has(PointFlag.OUTSIDE_AOI))),
         "no_beam": int(np.count_nonzero(table.has(PointFlag.NO_BEAM))),
         "sources": sorted({str(s) for piece in pieces for s in _different(piece["source"])}),
@@ -242,7 +241,7 @@ def _write_fired(
     facts: dict[str, Any],
 ) -> list[Path]:
     """Write where the beamlets pointed, if the sensor's positions and the channels tell."""
-    if not (args["trajectory"] or args["sensor_path"]) or args["beamlets"] < 2:
+    if args["basis"] not in lines_of_sight.POSITIONED or args["beamlets"] < 2:
         return []
     clock = ShotClock(args["t0_s"], args["prf_hz"])
     sensor = lines_of_sight.beamlets(args, context).seen

@@ -257,15 +257,11 @@ def _flown_twice(survey: Survey) -> Iterator[Finding]:
 
 def beams_without_trajectory(survey: Survey) -> Finding:
     """What beams are taken from where there is no trajectory."""
-    paths = survey.of("sensor_path")
-    found = [name for name, receipt in paths.items() if receipt.facts["found"]]
-    headings = survey.of("heading")
-    left = [headings[name] for name in paths if name not in found and name in headings]
-    angled = sum(r.facts["heading_rad"] is not None for r in left)
-    counts = {
-        "from where lines of sight meet": len(found),
-        "from scan_angle and the flight direction": angled,
-        "as vertical": len(paths) - len(found) - angled,
+    counts = Counter(receipt.facts["basis"] for receipt in survey.of("sensor_path").values())
+    ways = {
+        "intersection": "from where lines of sight meet",
+        "scan_angle": "from scan_angle and the flight direction",
+        "vertical": "as vertical",
     }
-    listed = ", ".join(f"{how} on {count}" for how, count in counts.items() if count)
-    return Finding("T03", {"how": f"{listed} of {counted(len(paths), 'flightlines')}"})
+    listed = ", ".join(f"{ways[basis]} on {counts[basis]}" for basis in ways if counts[basis])
+    return Finding("T03", {"how": f"{listed} of {counted(counts.total(), 'flightlines')}"})
