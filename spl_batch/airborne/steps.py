@@ -10,7 +10,7 @@ _INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
 
 _OBSERVED: Final = (
     *(f"noise.{key}" for key in NoiseSettings.model_fields if key != "haze"),
-    *("acquisition", "survey.sensor"),
+    *("acquisition", "survey.sensor", "survey.channel_dimension"),
 )
 """Haze is looked for in the space domain."""
 
@@ -97,16 +97,6 @@ STEPS: Final[Steps] = table(
         settings=_OBSERVED,
         unit="stretch",
         bytes_per_point=380,
-    ),
-    _step(
-        "gather_range",
-        "shots",
-        "tasks.time_domain:gather_range",
-        tasks="time_tasks:gather_range",
-        settings=("survey.channel_dimension",),
-        unit="stretch",
-        bytes_per_point=300,
-        after=("index_file",),
     ),
     _step("sensor_path", "shots", "tasks.lines_of_sight:find_path", tasks="time_tasks:sensor_path"),
     _step(

@@ -22,7 +22,7 @@ from scipy.sparse import csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from spl_batch.airborne.lines.pair_table import HUBER, OWN_M, PairDifference
+from spl_batch.airborne.lines.pair_table import HUBER, OWN_M, StripPair
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.report.parts import STRICT, Number
 
@@ -58,7 +58,7 @@ class AlignedLine:
 
 
 def align_lines(
-    names: Sequence[str], pairs: Sequence[PairDifference], returns: Mapping[str, int]
+    names: Sequence[str], pairs: Sequence[StripPair], returns: Mapping[str, int]
 ) -> list[AlignedLine]:
     """Shifts of flightlines, by name, from :func:`~spl_batch.airborne.lines.pair_table.pair_table`.
 
@@ -91,7 +91,7 @@ def _decided(name: str, up_m: float, sd_m: float) -> AlignedLine:
 
 
 def _solve(
-    names: Sequence[str], pairs: Sequence[PairDifference], weight: NDArray[np.float64]
+    names: Sequence[str], pairs: Sequence[StripPair], weight: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Shift of each flightline and its standard deviation [m]; NaN without a pair."""
     number = {name: k for k, name in enumerate(names)}

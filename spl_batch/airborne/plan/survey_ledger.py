@@ -53,7 +53,7 @@ class Survey(Ledger[Inputs, Workflow]):
     @property
     def filtering(self) -> bool:
         """Whether anything in the chain needs shots and times."""
-        return self.workflow.filter.method != "none" or self.workflow.afterpulse.enabled
+        return self.workflow.filtering
 
     @cached_property
     def flightlines(self) -> list[Flightline]:

@@ -123,21 +123,6 @@ def gather(survey: Survey) -> Iterator[Task]:
             yield Task("gather", name, args, _files(line), line.points // len(stretches))
 
 
-def gather_range(survey: Survey) -> Iterator[Task]:
-    """Stretches of files without times, where nothing filters."""
-    if survey.filtering:
-        return
-    for source in survey.inputs.sources:
-        key = str(source.key)
-        if key not in survey.of("index_file"):
-            continue
-        for start in range(0, source.facts.n_points, RANGE_POINTS):
-            stop = min(start + RANGE_POINTS, source.facts.n_points)
-            name = f"file_{key}/{start}"
-            args = {**source_args(source), "stretch": name, "start": start, "stop": stop}
-            yield Task("gather_range", name, args, (("index_file", key),), stop - start)
-
-
 def _gathered(survey: Survey, line: Flightline) -> list[tuple[str, int]]:
     """Names and numbers of the stretches of a flightline that hold points."""
     gathered = survey.of("gather")
@@ -209,16 +194,29 @@ def scatter(survey: Survey) -> Iterator[Task]:
             needs = (*_files(line), ("gather", name), ("fit_line", line.name))
             needs += _path_needs(survey, line)
             yield Task("scatter", name, args, needs, survey.of("gather")[name].points)
-    # Of points without a flightline of their own their id and time tell which one they are of.
+    if not survey.filtering:
+        yield from _ranges(survey)
+
+
+def _ranges(survey: Survey) -> Iterator[Task]:
+    """Runs of points of the files, where nothing filters, to be shared among tiles."""
+    # Their id and time tell which flightline they are of.
     again = [[*line.as_pass] for line in survey.flown if line.number != line.psid]
-    for name, receipt in sorted(survey.of("gather_range").items()):
-        args = {
-            "stretch": name,
-            "timeless": True,
-            "passes": again,
-            "polygons": list(survey.inputs.polygons),
-        }
-        yield Task("scatter", name, args, (("gather_range", name),), receipt.points)
+    for source in survey.inputs.sources:
+        key, points = str(source.key), source.facts.n_points
+        for start in range(0, points if key in survey.of("index_file") else 0, RANGE_POINTS):
+            stop = min(start + RANGE_POINTS, points)
+            name = f"file_{key}/{start}"
+            args = {
+                **source_args(source),
+                "stretch": name,
+                "start": start,
+                "stop": stop,
+                "timeless": True,
+                "passes": again,
+                "polygons": list(survey.inputs.polygons),
+            }
+            yield Task("scatter", name, args, (("index_file", key),), stop - start)
 
 
 def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:

@@ -25,21 +25,20 @@ from spl_batch.airborne.accuracy.requirements import Requirement, requirements
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.diagnostics.terrain_sigma import unsure_share
 from spl_batch.airborne.lines.alignment import AlignedLine
-from spl_batch.airborne.lines.comparison import difference_map, pairs_of, shifts_of
+from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
+from spl_batch.airborne.lines.pair_table import StripPair
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, swath_totals
 from spl_batch.airborne.pulses.swaths import SPACINGS, Coverage
 from spl_batch.airborne.report.model import (
     Checkpoint,
     Checkpoints,
     Density,
-    StripPair,
     Swath,
 )
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.tasks import checkpoints, pulses
 from spl_batch.constants import FOOT_M, QUANTUM_M
 from spl_batch.engine.findings import Finding
-from spl_batch.engine.report.maps import Raster
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
@@ -251,14 +250,8 @@ def _quantile(cells: Mapping[int, int], share: float) -> int:
 
 def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
     """Pairs of flightlines as they are delivered."""
-    rows = (pair for r in done.get("strip_pairs", {}).values() for pair in pairs_of(r.facts))
-    return tuple(
-        StripPair(
-            **{k: v for k, v in pair._asdict().items() if k in StripPair.model_fields},
-            centre_m=(pair.x_m, pair.y_m),
-        )
-        for pair in rows
-    )
+    found = (pairs_of(receipt.facts) for receipt in done.get("strip_pairs", {}).values())
+    return tuple(chain.from_iterable(found))
 
 
 def pairs_not_compared(done: Receipts) -> tuple[tuple[str, str], ...]:
@@ -271,15 +264,3 @@ def alignment(done: Receipts) -> tuple[AlignedLine, ...]:
     """Shifts that were applied."""
     found = (shifts_of(receipt.facts) for receipt in done.get("align", {}).values())
     return tuple(chain.from_iterable(found))
-
-
-def strip_map(done: Receipts, context: Context) -> Raster | None:
-    """Height between flightlines by place; None where no two share planar patches [m]."""
-    if not done.get("strip_pairs"):
-        return None
-    found = difference_map(context)
-    if found is None:
-        return None
-    values, (west, east, south, north) = found
-    raster = Raster(values, (west, east, south, north))
-    return raster if raster.any_value else None

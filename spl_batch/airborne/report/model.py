@@ -12,6 +12,7 @@ from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointStatistics
 from spl_batch.airborne.accuracy.error_tally import Accuracy
 from spl_batch.airborne.accuracy.requirements import Requirement
 from spl_batch.airborne.lines.alignment import AlignedLine
+from spl_batch.airborne.lines.pair_table import StripPair
 from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
@@ -216,28 +217,6 @@ class Swath(Part):
         description="Share of the squares of twice the nominal spacing of the quality level, in "
         "its middle, that hold one, 0..1.",
     )
-
-
-class StripPair(Part):
-    """Where a flightline lies against another that overlaps it, from planar patches of both."""
-
-    first: str = Field(description="The flightline that is compared with.")
-    second: str = Field(description="The one that is compared.")
-    patches: Count = Field(description="Planar patches that both have [count].")
-    area_m2: Number = Field(description="Area of these patches [m2].")
-    centre_m: tuple[Number, Number] = Field(description="Easting and northing of their middle [m].")
-    up_m: Number = Field(description="The second above the first [m].")
-    up_sd_m: Number = Field(description="Standard deviation of it [m].")
-    east_m: Number = Field(None, description="The second east of the first; null if flat [m].")
-    north_m: Number = Field(None, description="The second north of the first; null if flat [m].")
-    horizontal_sd_m: Number = Field(
-        None, description="Standard deviation of these, in the worst direction [m]."
-    )
-    flat_patches: Count = Field(0, description="Smooth patches of up to 10 degrees [count].")
-    rmsd_z_m: Number = Field(
-        None, description="Root mean square of the vertical differences of these [m]."
-    )
-    noise_m: Number = Field(description="Ranging noise: spread about the smoothest patches [m].")
 
 
 class Report(Part):

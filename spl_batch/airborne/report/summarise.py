@@ -13,6 +13,7 @@ from spl_batch.airborne.diagnostics.air_fill import air_findings
 from spl_batch.airborne.diagnostics.noise_fit import noise_findings, p_values, uniformity
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_findings
 from spl_batch.airborne.hydro.flattening import bank_findings
+from spl_batch.airborne.lines.comparison import difference_map
 from spl_batch.airborne.report.good_enough import (
     alignment,
     area_km2,
@@ -22,7 +23,6 @@ from spl_batch.airborne.report.good_enough import (
     judged,
     pairs_not_compared,
     sparse_vegetation,
-    strip_map,
     strip_pairs,
     swath_reports,
 )
@@ -117,7 +117,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
         name=workflow.survey.name,
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
-        sensor=workflow.sensor.name if _photons(context) else None,
+        sensor=workflow.sensor.name if workflow.filtering else None,
         area_km2=area_km2(done, context),
         extent_m=(low[0], high[0], low[1], high[1]),
         cell_m=workflow.products.cell_m,
@@ -178,7 +178,7 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
         withheld=sum(f["withheld"] for f in index),
         vendor_flagged=sum(f["vendor_noise"] for f in index),
         no_beam=(sum(f["no_beam"] for f in tiles) + sum(f["timeless"] for f in index))
-        * _photons(context),
+        * context.workflow.filtering,
         outside_aoi=sum(f["outside_aoi"] for f in tiles),
         copies=sum(n for f in tiles for *_, n in f["copies"]),
         not_read=facts.not_read,
@@ -289,26 +289,15 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
 
 def _pictures(done: Receipts, context: Context, found: Comparison | None) -> PictureInputs:
     parts = {n: _overview(context.output / f"{n}.tif") for n in OF_PRODUCTS}
+    parts["noise_density"] = _overview(context.store.local / "noise.tif")
+    parts["difference"] = None if found is None else found.difference
+    parts["strips"] = difference_map(context) if done.get("strip_pairs") else None
     rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
-    noise = _overview(context.store.local / "noise.tif")
-    difference = None
-    if found is not None:
-        d = found.difference
-        difference = Raster(d.values, Part(d.values, d.left_m, d.top_m, d.cell_m).extent_m)
     return PictureInputs(
         **rasters,
-        noise_density=None if noise is None else Raster(noise.values, noise.extent_m),
-        difference=difference,
         differences_m=None if found is None else found.differences_m,
         profile=cut_profile(parts["chm"], done, context),
-        strips=strip_map(done, context),
     )
-
-
-def _photons(context: Context) -> bool:
-    """Whether noise or afterpulses are looked for."""
-    workflow = context.workflow
-    return workflow.filter.method != "none" or workflow.afterpulse.enabled
 
 
 def _overview(path: Path) -> Part | None:

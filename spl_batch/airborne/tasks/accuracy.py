@@ -34,7 +34,7 @@ from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.errors import DamagedError
-from spl_batch.formats.rasters.parts import overview_frame, read_part
+from spl_batch.formats.rasters.parts import Part, overview_frame, read_part
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, inside, overlap, parse_cell, quanta
@@ -158,7 +158,7 @@ class Comparison:
 
     accuracy: Accuracy
     differences_m: NDArray[np.float32]  #: (n,): every so many-th DTM minus reference by size [m].
-    difference: Raster  #: Mean difference by cell [m].
+    difference: Part  #: Mean difference by cell [m].
     own_share: float | None  #: Of those looked at, share that are the survey's own points, 0..1.
 
 
@@ -192,7 +192,7 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
     return Comparison(
         accuracy,
         by_product[0].get("all", Tally()).sample_m(SAMPLE),
-        Raster(values, grid.left_m, grid.top_m, grid.cell_m),
+        Part(values, grid.left_m, grid.top_m, grid.cell_m),
         share,
     )
 

@@ -4,7 +4,7 @@ A stretch is a run of whole shots on the flightline's absolute grid. Everything 
 computed here is keyed on that grid, so where a flightline is cut does not matter.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -73,18 +73,6 @@ def gather(args: Mapping[str, Any], context: Context) -> Produced:
     return Produced(looked.outputs, {**facts, **looked.facts}, len(table))
 
 
-def gather_range(args: Mapping[str, Any], context: Context) -> Produced:
-    """Collect a run of points of a file without times: no shots, no beams, no noise model."""
-    pieces = [
-        table.take(~table.has(EXCLUDED))
-        for table in _input_chunks(args, context, int(args["start"]), int(args["stop"]))
-    ]
-    table = concat(pieces, SOURCE_COLUMNS)
-    path = context.store.path("stretches", f"{args['stretch']}.parquet")
-    write_table(path, table)
-    return Produced([path], {"points": len(table), "uncovered": 0}, len(table))
-
-
 def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     """Line noise model of a flightline, from what its stretches observed."""
     parts = [read_arrays(context.store.path("observed", f"{s}.npz")) for s in args["stretches"]]
@@ -120,8 +108,7 @@ def _spans_s(args: Mapping[str, Any]) -> list[tuple[float, float]]:
 def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     """Line noise density, voxel deposits and afterpulses of a stretch; points by tile."""
     if args["timeless"]:
-        path = context.store.path("stretches", f"{args['stretch']}.parquet")
-        table, copies = read_table(path, SOURCE_COLUMNS), None
+        table, copies = _run_of_points(args, context), None
         passes = [Pass(*one) for one in args["passes"]]
         line = line_of(table["point_source_id"], table["gps_time"], passes)
     else:
@@ -265,17 +252,16 @@ def _mark_places(table: PointTable, context: Context) -> PointTable:
     return table.with_columns(flags=flags)
 
 
-def _input_chunks(
-    source: Mapping[str, Any], context: Context, start: int, stop: int | None
-) -> Iterator[PointTable]:
-    """Points of an input file that is as it was when it was indexed."""
-    path = Path(source["path"])
-    with unchanged(path, as_indexed("index_file", source, context)):
-        yield from iter_points(
+def _run_of_points(args: Mapping[str, Any], context: Context) -> PointTable:
+    """Points of a part of an input file, which is as it was when it was indexed."""
+    path = Path(args["path"])
+    with unchanged(path, as_indexed("index_file", args, context)):
+        chunks = iter_points(
             path,
             channel_dimension=context.workflow.survey.channel_dimension,
-            source=int(source["source"]),
-            start=start,
-            stop=stop,
+            source=int(args["source"]),
+            start=args["start"],
+            stop=args["stop"],
             chunk=CHUNK_POINTS,
         )
+        return concat([table.take(~table.has(EXCLUDED)) for table in chunks], SOURCE_COLUMNS)

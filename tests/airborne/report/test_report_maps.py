@@ -23,7 +23,7 @@ def test_each_raster_with_a_picture_is_read(
         return Part(np.full((2, 2), numbers[path.name], np.float32), 0.0, 2.0, 1.0)
 
     monkeypatch.setattr(summarise, "_overview", overview)
-    monkeypatch.setattr(summarise, "strip_map", lambda *_: None)
+    monkeypatch.setattr(summarise, "difference_map", lambda *_: None)
     monkeypatch.setattr(summarise, "cut_profile", lambda *_: None)
     context: Any = SimpleNamespace(output=tmp_path, store=SimpleNamespace(local=tmp_path))
     inputs = summarise._pictures({}, context, None)

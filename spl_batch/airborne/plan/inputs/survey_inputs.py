@@ -247,7 +247,7 @@ def _unreadable(trajectory: Sequence[Path]) -> tuple[InputError, ...]:
 def _without_time(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> list[Finding]:
     """Files whose point format has no gps_time although the chain needs it."""
     lacking = [facts for facts in files if not facts.has_gps_time]
-    if not lacking or (workflow.filter.method == "none" and not workflow.afterpulse.enabled):
+    if not lacking or not workflow.filtering:
         return []
     if len(lacking) == len(files):
         raise WorkflowError(
