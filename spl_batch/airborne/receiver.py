@@ -136,7 +136,7 @@ class Imaging(Receiver[Survey, Context]):
         survey = prepared.ledger
         if step.name == "index_file":
             yield from judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
-        if step.name == "gather":
+        if step.name == "observe":
             yield from merged_shots(survey)
             yield from looks_ahead(survey)
             yield from heights_in_other_unit(survey)

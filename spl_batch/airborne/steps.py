@@ -90,10 +90,10 @@ STEPS: Final[Steps] = table(
         after=("trajectory_file", "index_file"),
     ),
     _step(
-        "gather",
+        "sights",
         "shots",
-        "tasks.time_domain:gather",
-        tasks="time_tasks:gather",
+        "tasks.lines_of_sight:collect",
+        tasks="time_tasks:sights",
         settings=_OBSERVED,
         unit="stretch",
         bytes_per_point=380,
@@ -105,6 +105,7 @@ STEPS: Final[Steps] = table(
         "tasks.lines_of_sight:observe",
         tasks="time_tasks:observe",
         settings=_OBSERVED,
+        unit="stretch",
         bytes_per_point=380,
     ),
     _step(

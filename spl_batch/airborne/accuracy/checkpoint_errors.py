@@ -58,14 +58,14 @@ class CheckpointStatistics:
     """Vertical accuracy at checkpoints of one kind, by Edition 2 of the ASPRS standards."""
 
     n: Count = Field(description="Checkpoints on the terrain model [count].")
-    mean_m: Number = Field(None, description="Mean of DTM minus checkpoint [m].")
-    sd_m: Number = Field(None, description="Standard deviation [m].")
-    rmse_v1_m: Number = Field(None, description="Fit of the DTM to the checkpoints [m].")
+    mean_m: Number = Field(default=None, description="Mean of DTM minus checkpoint [m].")
+    sd_m: Number = Field(default=None, description="Standard deviation [m].")
+    rmse_v1_m: Number = Field(default=None, description="Fit of the DTM to the checkpoints [m].")
     rmse_v2_m: Number = Field(
-        None, description="Accuracy of the checkpoints; null where one states none [m]."
+        default=None, description="Accuracy of the checkpoints; null where one states none [m]."
     )
-    rmse_v_m: Number = Field(None, description="Root of the sum of both squares [m].")
-    outliers: tuple[str, ...] = Field((), description="Checkpoints to look at; they count.")
+    rmse_v_m: Number = Field(default=None, description="Root of the sum of both squares [m].")
+    outliers: tuple[str, ...] = Field(default=(), description="Checkpoints to look at; they count.")
 
     @property
     def enough(self) -> bool:

@@ -86,8 +86,7 @@ def _decided(name: str, up_m: float, sd_m: float) -> AlignedLine:
     if np.isnan(up_m):
         return AlignedLine(name, 0.0, None, None, ALONE)
     shift = round(up_m * QUANTA_PER_M) / QUANTA_PER_M if abs(up_m) >= SURE * sd_m else 0.0
-    stays = "" if shift else UNSURE if sd_m else KEPT
-    return AlignedLine(name, shift, up_m, sd_m, stays)
+    return AlignedLine(name, shift, up_m, sd_m, "" if shift else UNSURE if sd_m else KEPT)
 
 
 def _solve(

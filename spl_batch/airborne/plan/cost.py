@@ -84,8 +84,8 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     flown, found = len(survey.inputs.trajectory), survey.filtering and not survey.inputs.trajectory
     # every file is indexed by parts, and most likely is a flightline; each stretch is
-    # gathered and scattered; without a trajectory flightlines have a path, and stretches are
-    # observed after that
+    # observed and scattered; without a trajectory flightlines have a path, which lines of sight of
+    # stretches show
     tasks = {
         "index": len(sources)
         + sum(map(parts_of, files))

@@ -110,8 +110,19 @@ def _time_of_most(lines: Sequence[Flightline]) -> list[float]:
     return [most[0].first_s, max(line.last_s for line in most)]
 
 
-def gather(survey: Survey) -> Iterator[Task]:
-    """Stretches of flightlines."""
+def sights(survey: Survey) -> Iterator[Task]:
+    """Stretches whose lines of sight are to show the sensor's path, without a trajectory."""
+    if not survey.inputs.trajectory:
+        yield from _of_stretches("sights", survey)
+
+
+def observe(survey: Survey) -> Iterator[Task]:
+    """Stretches, once their beams are known."""
+    yield from _of_stretches("observe", survey)
+
+
+def _of_stretches(kind: str, survey: Survey) -> Iterator[Task]:
+    """Tasks of all stretches, whether they hold points or not."""
     positions = _positions(survey)
     for line in survey.flightlines:
         stretches = list(line.stretches())
@@ -120,13 +131,14 @@ def gather(survey: Survey) -> Iterator[Task]:
                 **_stretch_args(survey, line, name, k),
                 "positions": _near(positions, line, k),
             }
-            yield Task("gather", name, args, _files(line), line.points // len(stretches))
+            needs = (*_files(line), *_path_needs(survey, line))
+            yield Task(kind, name, args, needs, line.points // len(stretches))
 
 
-def _gathered(survey: Survey, line: Flightline) -> list[tuple[str, int]]:
-    """Names and numbers of the stretches of a flightline that hold points."""
-    gathered = survey.of("gather")
-    return [(n, k) for n, k in line.stretches() if n in gathered and gathered[n].facts["points"]]
+def _with_points(kind: str, survey: Survey, line: Flightline) -> list[tuple[str, int]]:
+    """Names and numbers of the stretches in which a step has found points."""
+    done = survey.of(kind)
+    return [(n, k) for n, k in line.stretches() if n in done and done[n].facts["points"]]
 
 
 def sensor_path(survey: Survey) -> Iterator[Task]:
@@ -134,7 +146,7 @@ def sensor_path(survey: Survey) -> Iterator[Task]:
     if survey.inputs.trajectory:
         return
     for line in survey.flightlines:
-        names = [name for name, _ in _gathered(survey, line)]
+        names = [name for name, _ in _with_points("sights", survey, line)]
         if names:
             args = {
                 "line": line.name,
@@ -144,26 +156,14 @@ def sensor_path(survey: Survey) -> Iterator[Task]:
                 "points": line.points,
                 "span_s": [line.first_s, line.last_s],
             }
-            needs = (*_files(line), *(("gather", n) for n in names))
+            needs = (*_files(line), *(("sights", n) for n in names))
             yield Task("sensor_path", line.name, args, needs)
-
-
-def observe(survey: Survey) -> Iterator[Task]:
-    """Stretches that are observed once the path is known."""
-    if survey.inputs.trajectory:
-        return
-    for line in survey.flightlines:
-        for name, k in _gathered(survey, line):
-            args = _stretch_args(survey, line, name, k)
-            needs = (*_files(line), ("gather", name), *_path_needs(survey, line))
-            yield Task("observe", name, args, needs, survey.of("gather")[name].points)
 
 
 def fit_line(survey: Survey) -> Iterator[Task]:
     """Flightlines whose noise and afterpulses are fitted."""
-    observing = "gather" if survey.inputs.trajectory else "observe"
     for line in survey.flightlines:
-        names = [n for n, _ in _gathered(survey, line) if n in survey.of(observing)]
+        names = [name for name, _ in _with_points("observe", survey, line)]
         if names:
             args = {
                 **_line_args(survey, line),
@@ -173,7 +173,7 @@ def fit_line(survey: Survey) -> Iterator[Task]:
                 "stretch_s": line.stretch_shots / line.clock.prf_hz,
                 "prf_basis": line.prf_basis,
             }
-            yield Task("fit_line", line.name, args, tuple((observing, n) for n in names))
+            yield Task("fit_line", line.name, args, tuple(("observe", n) for n in names))
 
 
 def scatter(survey: Survey) -> Iterator[Task]:
@@ -186,14 +186,14 @@ def scatter(survey: Survey) -> Iterator[Task]:
     for line in survey.flightlines:
         if line.name not in survey.of("fit_line"):
             continue
-        for name, k in _gathered(survey, line):
+        for name, k in _with_points("observe", survey, line):
             args = {**_stretch_args(survey, line, name, k), "timeless": False}
             args["of_shots"] = of_shots
             args["positions"] = _near(positions, line, k)
             args["polygons"] = list(survey.inputs.polygons)
-            needs = (*_files(line), ("gather", name), ("fit_line", line.name))
+            needs = (*_files(line), ("observe", name), ("fit_line", line.name))
             needs += _path_needs(survey, line)
-            yield Task("scatter", name, args, needs, survey.of("gather")[name].points)
+            yield Task("scatter", name, args, needs, survey.of("observe")[name].points)
     if not survey.filtering:
         yield from _ranges(survey)
 

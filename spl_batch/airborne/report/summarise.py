@@ -246,7 +246,7 @@ def _unfiltered(counts: Counts, context: Context) -> list[Finding]:
 def _uncovered(done: Receipts) -> Iterator[Finding]:
     """Flightlines that the trajectory does not cover."""
     spans: dict[str, tuple[int, float, float]] = {}
-    for name, receipt in done.get("gather", {}).items():
+    for name, receipt in done.get("observe", {}).items():
         if receipt.facts["uncovered"]:
             first, last = receipt.facts["uncovered_span_s"]
             line = name.split("/", maxsplit=1)[0]

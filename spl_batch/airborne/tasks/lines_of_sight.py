@@ -83,12 +83,15 @@ def _heading(args: Mapping[str, Any], context: Context) -> float | None:
     return geometry.heading_from_track(geometry.merge_track(parts))
 
 
-def collect(table: PointTable, args: Mapping[str, Any], context: Context) -> Produced:
-    """Leave the best lines of sight of a gathered stretch; its beams are not known yet."""
+def collect(args: Mapping[str, Any], context: Context) -> Produced:
+    """Leave the best lines of sight of a stretch, whose beams are not known yet."""
+    table, _ = read_stretch(args, context, ())
+    if not len(table):
+        return Produced((), {"points": 0})
     lines = sensor_path.collect(table, args["beamlets"], context.workflow.noise.interval_shots)
     path = context.store.path("sights", f"{args['stretch']}.npz")
     write_arrays(path, lines)
-    return Produced([path], {"uncovered": 0}, len(table))
+    return Produced([path], {"points": len(table)}, len(table))
 
 
 def _other_unit(
@@ -121,20 +124,17 @@ def _leap(table: PointTable, store: Store) -> int | None:
 
 
 def observe(args: Mapping[str, Any], context: Context) -> Produced:
-    """Noise statistics of a stretch that was gathered before its beams were known."""
+    """Noise and afterpulses of a stretch, with what its beams leave out."""
     table, _ = read_stretch(args, context, columns(args))
-    return observe_table(table, args, context)
-
-
-def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) -> Produced:
-    """Noise and afterpulses of a stretch, at least one point, with what its beams leave out."""
+    if not len(table):
+        return Produced((), {"points": 0, "uncovered": 0})
     known = beams(table, context.store, args)
-    unknown = table["gps_time"][~known.known]
-    flown = args["basis"] == "trajectory"
-    facts: dict[str, Any] = {
-        "uncovered": len(unknown),
-        "uncovered_span_s": [float(unknown.min()), float(unknown.max())] if len(unknown) else None,
-    }
+    unknown, flown = table["gps_time"][~known.known], args["basis"] == "trajectory"
+    facts: dict[str, Any] = {"points": len(table), "uncovered": len(unknown) if flown else 0}
+    if facts["uncovered"]:
+        facts["uncovered_span_s"] = [float(unknown.min()), float(unknown.max())]
+    if args["beamlets"] > 1:
+        facts["off_one_beam"] = geometry.off_one_beam(table)
     ahead = geometry.look_ahead(known, table["gps_time"]) if flown else None
     if ahead is not None:
         facts["ahead"] = [round(value, 3) for value in ahead]
@@ -146,4 +146,4 @@ def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) 
     observed = shots.observe(table, known, context.workflow.noise, beamlets(args, context))
     stats = context.store.path("observed", f"{args['stretch']}.npz")
     write_arrays(stats, observed)
-    return Produced([stats], facts, int(np.count_nonzero(known.known)))
+    return Produced([stats], facts, len(table))

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from spl_batch.airborne import shots
 from spl_batch.airborne.afterpulse import afterpulse_law
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
-from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.published import shot_noise
 from spl_batch.airborne.noise import line_noise, voxel_noise
@@ -57,20 +56,6 @@ ALIKE = CANONICAL_ORDER[:-2]
 another intensity; others if that is alike as well."""
 
 _POINT_COLUMNS = tuple(name for name in TILE_COLUMNS if name in SOURCE_COLUMNS)
-
-
-def gather(args: Mapping[str, Any], context: Context) -> Produced:
-    """Look at a stretch's points from every file that has some, and observe their noise."""
-    table, _ = read_stretch(args, context, lines_of_sight.columns(args))
-    facts: dict[str, Any] = {"points": len(table), "uncovered": 0}
-    if not len(table):
-        return Produced((), facts)
-    if args["beamlets"] > 1:
-        facts["off_one_beam"] = geometry.off_one_beam(table)
-    flown = args["basis"] == "trajectory"
-    look = lines_of_sight.observe_table if flown else lines_of_sight.collect
-    looked = look(table, args, context)
-    return Produced(looked.outputs, {**facts, **looked.facts}, len(table))
 
 
 def fit_line(args: Mapping[str, Any], context: Context) -> Produced:

@@ -64,7 +64,7 @@ def test_parts_are_the_whole_file(small: Path, small_output: Path) -> None:
     assert started.points == sum(sizes)
     assert result.report.counts.points_in == result.report.counts.points_out == sum(sizes)
     _, again = events(small)
-    assert not done(again, "index_part") + done(again, "index_file") + done(again, "gather")
+    assert not done(again, "index_part") + done(again, "index_file") + done(again, "observe")
 
 
 def test_files_that_are_not_in_time_order(small: Path) -> None:

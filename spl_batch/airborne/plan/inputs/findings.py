@@ -119,9 +119,9 @@ def copies(survey: Survey) -> Iterator[Finding]:
 
 
 def _by_line(survey: Survey, fact: str) -> dict[str, list[tuple[Any, int]]]:
-    """What gathered stretches that have it say of a fact, and their points, by flightline."""
+    """What stretches that have it say of a fact, and their points, by flightline."""
     found: dict[str, list[tuple[Any, int]]] = {}
-    for name, receipt in survey.of("gather").items():
+    for name, receipt in survey.of("observe").items():
         if fact in receipt.facts:
             line = name.split("/", maxsplit=1)[0]
             found.setdefault(line, []).append((receipt.facts[fact], receipt.points))
