@@ -36,14 +36,7 @@ def tiles_along(
 
     Those that fit with their margin into a worker, even where the survey is densest, and of these
     the ones with which the workers finish soonest: wide cells read little twice, many of them
-    share the work evenly.
-
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Where the points lie.
-    memory_bytes, workers : int
-        Memory limit of a worker [byte], and how many there are.
+    share the work evenly. ``pieces``: where the points lie; ``memory_bytes``: limit of a worker.
     """
     if workflow.tiling.block_tiles is not None:
         return workflow.tiling.block_tiles

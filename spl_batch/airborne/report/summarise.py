@@ -35,7 +35,7 @@ from spl_batch.airborne.report.model import (
     Report,
     Survey,
 )
-from spl_batch.airborne.report.pictures import OF_PRODUCTS, PictureInputs, make_pictures
+from spl_batch.airborne.report.pictures import OF_PRODUCTS, make_pictures
 from spl_batch.airborne.report.profile_strips import cut_profile
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
@@ -101,7 +101,13 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         ),
         provenance=_provenance(done, context, facts.reference),
     )
-    pictures = make_pictures(_pictures(done, context, found), report)
+    parts = _parts(done, context, found)
+    pictures = make_pictures(
+        {name: Raster(part.values, part.extent_m) for name, part in parts.items()},
+        report,
+        cut_profile(parts.get("chm"), done, context),
+        None if found is None else found.differences_m,
+    )
     write_both(context.output, report, render(report, pictures))
     remember(done, context, facts)
     return report
@@ -287,17 +293,13 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
     return provenance(context, inputs)
 
 
-def _pictures(done: Receipts, context: Context, found: Comparison | None) -> PictureInputs:
-    parts = {n: _overview(context.output / f"{n}.tif") for n in OF_PRODUCTS}
+def _parts(done: Receipts, context: Context, found: Comparison | None) -> dict[str, Part]:
+    """Rasters that pictures are drawn from, by the names of these."""
+    parts = {name: _overview(context.output / f"{name}.tif") for name in OF_PRODUCTS}
     parts["noise_density"] = _overview(context.store.local / "noise.tif")
     parts["difference"] = None if found is None else found.difference
     parts["strips"] = difference_map(context) if done.get("strip_pairs") else None
-    rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
-    return PictureInputs(
-        **rasters,
-        differences_m=None if found is None else found.differences_m,
-        profile=cut_profile(parts["chm"], done, context),
-    )
+    return {name: part for name, part in parts.items() if part is not None}
 
 
 def _overview(path: Path) -> Part | None:
