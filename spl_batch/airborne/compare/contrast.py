@@ -139,7 +139,8 @@ def _fullest_strip(table: PointTable, bounds: Bounds) -> tuple[Bounds, int]:
     rows = -(-(bounds.ymax - bounds.ymin) // edge)
     columns = -(-(bounds.xmax - bounds.xmin) // edge)
     at = (table["y"] - bounds.ymin) // edge * columns + (table["x"] - bounds.xmin) // edge
-    count = np.bincount(at, minlength=rows * columns).reshape(rows, columns)[::-1]
+    count = np.bincount(at, minlength=rows * columns).astype(np.float32)
+    count = count.reshape(rows, columns)[::-1]
     north = bounds.ymin + rows * edge
     part = Part(count, bounds.xmin * QUANTUM_M, north * QUANTUM_M, WIDTH_M)
     strip, points = best_strip(part, strip_sums(part, count))

@@ -72,7 +72,9 @@ def without_degrees(
 def _in_degrees(files: Sequence[LasFacts]) -> tuple[set[Path], list[Sequence[float]]]:
     """Files with points whose coordinates look like degrees, and corners of all that may be."""
     alike = [facts for facts in files if look_like_degrees(facts.mins_m, facts.maxs_m)]
-    corners = [corner[:2] for facts in alike for corner in (facts.mins_m, facts.maxs_m)]
+    corners: list[Sequence[float]] = [
+        corner[:2] for facts in alike for corner in (facts.mins_m, facts.maxs_m)
+    ]
     return {f.path for f in alike if look_like_degrees(f.mins_m, f.maxs_m, corners)}, corners
 
 
