@@ -337,7 +337,6 @@ def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[
         if files:
             yield {
                 "id": line.name,
-                "psid": line.psid,
                 "number": line.number,
                 "points": line.points,
                 "first_s": line.first_s,

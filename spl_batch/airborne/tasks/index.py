@@ -223,8 +223,8 @@ def look_through(args: Mapping[str, Any], context: Context) -> Produced:
     path = Path(args["path"])
     crs = context.workflow.survey.trajectory_crs
     with unchanged(path, args["stamp"]):
-        records = check_file(path, context.crs, crs, context.store.local)
-    return Produced((), {"name": path.name, "records": records})
+        check_file(path, context.crs, crs, context.store.local)
+    return Produced((), {"name": path.name})
 
 
 def check_file(
@@ -259,8 +259,6 @@ def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
         write_trajectory(path, map(hashes.see, found))
     facts = {
         "name": named([Path(p).name for p in args["paths"]], 3),
-        "records": found.records,
-        "span_s": list(found.span_s),
         "positions": hashes.found(),
         "findings": [Finding("T02", {"kind": "file", "what": text}) for text in found.warnings],
         "inputs": [{"path": p, "hash": checksum(Path(p))} for p in args["paths"]],
