@@ -34,7 +34,7 @@ from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.errors import DamagedError
-from spl_batch.formats.rasters.parts import Part, overview_frame, read_part
+from spl_batch.formats.rasters.parts import Part, overview_frame
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, inside, overlap, parse_cell, quanta
@@ -64,7 +64,9 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
     known = known.without_noise()  # once: each comparison below asks for it
     arrays: dict[str, NDArray[Any]] = {}
     terrain, surface, height = (
-        _near(context, name, known) if name in args["rasters"] else None
+        Raster.around(context.output / f"{name}.tif", known.xyz_m[:, :2])
+        if name in args["rasters"]
+        else None
         for name in ("dtm", "dsm", "chm")
     )
     if terrain is not None and surface is not None:
@@ -120,16 +122,6 @@ def _own_points(known: Reference, tiles: Sequence[str], context: Context) -> tup
 def _as_one(places: NDArray[np.int64]) -> NDArray[np.void]:
     """Places as values that compare as wholes: (n,) of (n, 3)."""
     return np.ascontiguousarray(places).view([(axis, np.int64) for axis in "xyz"]).ravel()
-
-
-def _near(context: Context, name: str, known: Reference) -> Raster | None:
-    """The part of a raster that reference points lie on; None where it does not reach them."""
-    if not len(known.xyz_m):
-        return None
-    x, y, _ = known.xyz_m.T
-    bounds = float(x.min()), float(y.min()), float(x.max()), float(y.max())
-    part = read_part(context.output / f"{name}.tif", bounds)
-    return None if part is None else Raster(part.values, part.left_m, part.top_m, part.cell_m)
 
 
 def _as_arrays(product: str, found: Tallies) -> dict[str, NDArray[Any]]:
