@@ -12,8 +12,12 @@ from spl_batch.lattice.tiles import quanta
 
 
 def is_one_flightline(survey: Survey) -> bool:
-    """Whether there is nothing to compare; known once the index is complete."""
-    return len(survey.flown) < 2 and not _has_timeless(survey)
+    """Whether there is nothing to compare; known once the index is complete.
+
+    Which flightlines files without times hold shows in their points alone.
+    """
+    indexed = survey.of("index_file").values()
+    return len(survey.flown) < 2 and not any(is_timeless(r, survey.workflow) for r in indexed)
 
 
 def recorded_patches(survey: Survey) -> Iterator[Task]:
@@ -57,11 +61,6 @@ def _together(kind: str, of: str, survey: Survey) -> Task:
     cells = sorted(name for name, r in survey.of(of).items() if r.facts["patches"])
     args = {"lines": _lines(survey), "cells": cells}
     return Task(kind, "all", args, tuple((of, name) for name in cells))
-
-
-def _has_timeless(survey: Survey) -> bool:
-    """Whether some files have no times: which flightlines they hold shows in their points."""
-    return any(is_timeless(r, survey.workflow) for r in survey.of("index_file").values())
 
 
 def _lines(survey: Survey) -> list[list[object]]:

@@ -32,18 +32,6 @@ _COVER_M = 1.0
 """What a cell with a surface counts for besides: a picture shows no empty place [m]."""
 
 
-def cut_profile(
-    height: Part | None, done: Mapping[str, Mapping[str, Receipt]], context: Context
-) -> Profile | None:
-    """Strip along the easting where most stands on the ground; None without points.
-
-    ``height``: overview of the CHM, which tells where to cut.
-    """
-    if height is None:
-        return None
-    return read_strip(tallest_strip(height), done, context)
-
-
 def read_strip(
     strip: Bounds, done: Mapping[str, Mapping[str, Receipt]], context: Context
 ) -> Profile | None:

@@ -36,7 +36,7 @@ from spl_batch.airborne.report.model import (
     Survey,
 )
 from spl_batch.airborne.report.pictures import OF_PRODUCTS, make_pictures
-from spl_batch.airborne.report.profile_strips import cut_profile
+from spl_batch.airborne.report.profile_strips import read_strip, tallest_strip
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
 from spl_batch.airborne.settings import FilterSettings
@@ -102,10 +102,11 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         provenance=_provenance(done, context, facts.reference),
     )
     parts = _parts(done, context, found)
+    cut = tallest_strip(parts["chm"]) if "chm" in parts else None
     pictures = make_pictures(
         {name: Raster(part.values, part.extent_m) for name, part in parts.items()},
         report,
-        cut_profile(parts.get("chm"), done, context),
+        None if cut is None else read_strip(cut, done, context),
         None if found is None else found.differences_m,
     )
     write_both(context.output, report, render(report, pictures))
