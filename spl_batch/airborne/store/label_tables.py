@@ -4,7 +4,7 @@ A label names its point by tile and row in the tile's file, so units that are cu
 otherwise than the tiles (ground cells, blocks) need no join to find their points.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
@@ -29,17 +29,24 @@ from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import COLUMNS, PointTable, rows_of
 from spl_batch.lattice.tiles import Bounds, CellId, overlap
 
-DEFAULTS: dict[str, float] = {
-    "noise_class": 255,
-    "p_value": float("nan"),
-    "noise_density": float("nan"),
-    "wire": 0,
-    "ground": 0,
-    "classification": 255,
-    "set_flags": 0,
-}
-"""Label of a point that no unit has labelled."""
 
+class Label(NamedTuple):
+    """A column that units give to points; the others lie in the tiles."""
+
+    kind: str  #: Of the units that give it.
+    default: float  #: Of a point that no unit has labelled.
+
+
+LABELS: Final[Mapping[str, Label]] = {
+    "noise_class": Label("noise", 255),
+    "p_value": Label("noise", float("nan")),
+    "noise_density": Label("noise", float("nan")),
+    "wire": Label("noise", 0),
+    "ground": Label("ground", 0),
+    "classification": Label("classes", 255),
+    "set_flags": Label("classes", 0),
+}
+"""All of them."""
 
 GROUP_ROWS: Final = 65_536
 """Most rows of a row group [count]: a halo is read from few."""
@@ -220,7 +227,9 @@ def _labels_of(
     labels: Mapping[str, Sequence[Unit]],
 ) -> dict[str, NDArray[Any]]:
     """Labels of some rows of a tile, which increase."""
-    filled = {name: np.full(len(rows), DEFAULTS[name], COLUMNS[name].dtype) for name in labels}
+    filled = {
+        name: np.full(len(rows), LABELS[name].default, COLUMNS[name].dtype) for name in labels
+    }
     wanted: dict[Unit, list[str]] = {}
     if not len(rows):
         return filled
@@ -340,9 +349,10 @@ def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArr
     return found
 
 
-def units_of(args: Mapping[str, Any], kind: str) -> list[Unit]:
-    """Units that give a task's points labels of a kind, as its arguments name them."""
-    return [(kind, name) for name in args["labels"][kind]]
+def units_of(args: Mapping[str, Any], names: Iterable[str]) -> dict[str, list[Unit]]:
+    """Units that may give a task's points some labels, by label, as its arguments name them."""
+    kinds = {name: LABELS[name].kind for name in names}
+    return {name: [(kind, unit) for unit in args["labels"][kind]] for name, kind in kinds.items()}
 
 
 def units_within(region: Bounds, kind: str, done: Mapping[str, Receipt]) -> list[Unit]:

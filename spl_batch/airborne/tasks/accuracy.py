@@ -88,7 +88,7 @@ def _of_returns(
     """Kept returns of a square against the reference, a tile at a time."""
     if context.workflow.filter.method == "none":
         return
-    units, shifts = units_of(args, "noise"), read_shifts(args, context.store)
+    labels, shifts = units_of(args, ["noise_class"]), read_shifts(args, context.store)
 
     def chosen(table: PointTable) -> NDArray[np.bool_]:
         some = (table["x"] + table["y"] + table["z"]) % EVERY == 0
@@ -97,7 +97,7 @@ def _of_returns(
 
     for tile in map(parse_cell, args["tiles"]):
         held, _ = read_region(
-            context.store, [tile], core, ("x", "y", "z"), {"noise_class": units}, ordered=False,
+            context.store, [tile], core, ("x", "y", "z"), labels, ordered=False,
             keep=chosen, shifts=shifts,
         )  # fmt: skip
         xyz = np.column_stack([held[axis] * QUANTUM_M for axis in "xyz"])

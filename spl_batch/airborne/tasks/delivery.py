@@ -61,9 +61,6 @@ _DELIVERED = ("noise_class", "classification")
 _DIAGNOSTICS = ("noise_density", "p_value")
 """Labels that are written always, and where they are asked for."""
 
-_KINDS: Final = {"classification": "classes", "set_flags": "classes"}
-"""Kind of labels that hold them, but for ``noise``."""
-
 
 class _FileLabels:
     """Labels of one input file by position, a pass of it at a time."""
@@ -111,7 +108,7 @@ class _FileLabels:
     def _tiles(self) -> Iterator[tuple[PointTable, bool]]:
         """Points of each tile that count, and their copies with the same labels."""
         store, columns = self.context.store, ("source", "index")
-        labels = {name: units_of(self.args, _KINDS.get(name, "noise")) for name in self.names}
+        labels = units_of(self.args, self.names)
         with LabelFiles(store) as files:
             for tile in self.args["tiles"]:
                 table = read_labelled_tile(store, parse_cell(tile), columns, labels, files)
@@ -233,7 +230,7 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     """Write a tile's points with their labels."""
     names = (*_DELIVERED, *("set_flags",) * context.workflow.classes.flags)
     cell = parse_cell(args["tile"])
-    labels = {name: units_of(args, _KINDS.get(name, "noise")) for name in names}
+    labels = units_of(args, names)
     columns = (
         *("x", "y", "z", "gps_time", "channel", "return_number", "number_of_returns"),
         *("intensity", "input_class"),
