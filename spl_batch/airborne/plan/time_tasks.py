@@ -67,7 +67,7 @@ def index_file(survey: Survey) -> Iterator[Task]:
             "name": source.name,
             "stamp": then[0] if then else now,
             "parts": len(parts),
-            "again": [k for k, fact in enumerate(facts) if "fault" in fact],
+            "faults": {str(k): one["faults"] for k, one in enumerate(facts) if "faults" in one},
         }
         needs = tuple(("index_part", part) for part in parts)
         yield Task("index_file", str(source.key), args, needs)

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.tasks.file_tally import SPANS_FEW, Tally, spans_of
 from spl_batch.airborne.tasks.stretches import KEPT_COLUMNS, add_points
 from spl_batch.engine.findings import Finding
+from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import unchanged
 from spl_batch.errors import InputError, named
@@ -67,26 +68,31 @@ def part_name(source: str, part: int) -> str:
 def index_part(args: Mapping[str, Any], context: Context) -> Produced:
     """Read a part of a file: prove that it is readable, find what is in it, keep it.
 
-    What cannot be read is left to :func:`index_file`, which tries it again and fails as a whole.
+    What cannot be read is left to :func:`index_file`, which fails as a whole.
     """
     path, facts = Path(args["path"]), {"stamp": args["stamp"]}
     try:
         with unchanged(path, args["stamp"]):
             found = _read(args, context, inspect(path), args["part"])
     except InputError as error:
-        return Produced((), {**facts, "fault": str(error)})
+        return Produced((), {**facts, "faults": error.faults})
     kept = _kept(args, context, args["part"])
     write_arrays(kept, found.to_arrays())
     return Produced([kept, *found.outputs], facts, found.tally.counts["points"])
 
 
 def index_file(args: Mapping[str, Any], context: Context) -> Produced:
-    """Join what is known of the parts of a file; those in ``again`` are read once more."""
+    """Join what is known of the parts of a file, if all of them could be read."""
     path = Path(args["path"])
     with unchanged(path, args["stamp"]):
+        for part in args["faults"]:  # the next run tries them again
+            forget_receipt(context.store, "index_part", f"{args['source']}/{part}")
+        if args["faults"]:
+            faults = chain.from_iterable(args["faults"].values())
+            raise InputError(str(path), [*dict.fromkeys(faults)])
         digest = checksum(path)
         header = inspect(path)
-        found, spans = _joined(args, context, header)
+        found, spans = _joined(args, context)
     tally = found.tally
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
@@ -106,7 +112,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "findings": [*_contradicted(contradiction), *_without_time(known)],
     }
     inputs = {str(path): args["stamp"]}
-    return Produced([index, *found.outputs], facts, tally.counts["points"], inputs)
+    return Produced([index], facts, tally.counts["points"], inputs)
 
 
 def _contradicted(found: tuple[str, str] | None) -> list[Finding]:
@@ -198,20 +204,12 @@ def _kept(args: Mapping[str, Any], context: Context, part: int) -> Path:
 
 
 def _joined(
-    args: Mapping[str, Any], context: Context, header: LasFacts
+    args: Mapping[str, Any], context: Context
 ) -> tuple[_Found, list[dict[str, list[float]]]]:
-    """All parts of a file together, and the first and last time of each flightline in each.
-
-    Those that could not be read before are read now; outputs are those of these parts.
-    """
+    """All parts of a file together, and the first and last time of each flightline in each."""
     whole, spans = _Found(context.workflow.survey.gap_s), []
     for part in range(args["parts"]):
-        if part in args["again"]:
-            found = _read(args, context, header, part)
-            whole.outputs += found.outputs
-            arrays = found.to_arrays()
-        else:
-            arrays = read_arrays(_kept(args, context, part))
+        arrays = read_arrays(_kept(args, context, part))
         whole.tally.join(arrays)
         whole.extent.join(Extent.from_arrays(arrays))
         spans.append(spans_of(arrays))
