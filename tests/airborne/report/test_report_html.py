@@ -111,8 +111,14 @@ class TestPage:
         text = " ".join(Page(render(make_report(counts=counts), {})).text.split())
         assert "part: 1 outside the area of interest, 2 that are copies of others." in text
 
-    def test_the_same_input_gives_the_same_page(self, page: str) -> None:
-        assert render(make_report(), make_pictures(report=make_report(), **make_inputs())) == page
+    def test_the_same_input_gives_the_same_page(
+        self, page: str, pictures: Mapping[str, Picture]
+    ) -> None:
+        assert render(make_report(), pictures) == page
+        rasters = {name: make_inputs()["rasters"][name] for name in ("dtm", "dsm")}
+        again = make_pictures(rasters, make_report(), make_inputs()["profile"])
+        for name in (*rasters, "profile"):
+            assert again[name].png == pictures[name].png
 
     def test_names_cannot_become_markup(self) -> None:
         evil = "<script>alert(1)</script>\"'&"
