@@ -8,7 +8,7 @@ from typing import Final
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import reference_tasks
-from spl_batch.airborne.plan.cells import tiles_along
+from spl_batch.airborne.plan.grid import tiles_along
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Source
 from spl_batch.airborne.plan.survey_ledger import Survey

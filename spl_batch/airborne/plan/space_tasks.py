@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.accuracy.evidence import LEVELS
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
-from spl_batch.airborne.plan.cells import index_of_boxes
 from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.grid import Unit
 from spl_batch.airborne.plan.halo import surface_reach_m
@@ -26,6 +25,7 @@ from spl_batch.errors import grouped
 from spl_batch.formats.las.header import waveform_file
 from spl_batch.lattice.tiles import (
     Bounds,
+    BoxIndex,
     CellId,
     cell_runs,
     far_apart,
@@ -345,3 +345,8 @@ def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[
                 "per_m2": None if swath is None else swath.pulses / swath.area_m2,
                 "files": files,
             }
+
+
+def index_of_boxes(boxes: Mapping[str, Sequence[int]], unit_q: int) -> BoxIndex:
+    """Stretches by place; ``boxes``: xmin, ymin, xmax, ymax of each, in units [quanta]."""
+    return BoxIndex({name: Bounds(*(unit_q * end for end in box)) for name, box in boxes.items()})

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.plan.cells import tile_counts, tiles_along
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, is_timeless
-from spl_batch.airborne.plan.grid import Grid, Unit
+from spl_batch.airborne.plan.grid import Grid, Unit, tile_counts, tiles_along
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.settings.workflow import Workflow

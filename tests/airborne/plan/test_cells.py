@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.plan.cells import MOST_TILES, tile_counts, tiles_along
-from spl_batch.airborne.plan.grid import Grid
+from spl_batch.airborne.plan.grid import MOST_TILES, Grid, tile_counts, tiles_along
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.task_memory import task_bytes
 from spl_batch.airborne.settings.workflow import Workflow

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from spl_batch.airborne.noise.line_model import LineModel
-from spl_batch.airborne.plan.cells import index_of_boxes
+from spl_batch.airborne.plan.space_tasks import index_of_boxes
 from spl_batch.airborne.products.reflectance.beamlet_matching import SILENT, Grid, trace
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart, aim, link_constant
 from spl_batch.airborne.products.reflectance.reflectance import (
