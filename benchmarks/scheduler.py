@@ -74,7 +74,7 @@ def made_up_survey(side: int, memory_bytes: int) -> Survey:
     sources = tuple(_source(k, side) for k in range(lines * FILES_PER_LINE))
     survey = Survey(Inputs(sources, (), (), ReferenceFiles(), None, ()), workflow, memory_bytes, 16)
     for source in sources:
-        place = {"bounds": _bounds(side), "parts": []}
+        place = {"bounds": _bounds(side), "parts": [{}]}
         facts = {"hash": _hash(source.name), "points": 1, "spans": {}, **place}
         facts |= {"excluded": 0, "standard": "week"}
         survey.of("index_file").put(_receipt("index_file", str(source.key), facts, 10**8))

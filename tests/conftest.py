@@ -8,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from spl_batch.airborne.report import summarise
+from spl_batch.airborne.report.pictures import PICTURES
 from spl_batch.airborne.simulate import preset_scene, simulate
 from spl_batch.engine.report import style
 from spl_batch.engine.report.picture import Picture
@@ -17,9 +18,6 @@ from tests.report_data import drawn_png, empty_pictures
 # A machine that does other work as well is slow to draw examples, which says nothing of the code.
 settings.register_profile("busy", suppress_health_check=[HealthCheck.too_slow], deadline=None)
 settings.load_profile("busy")
-
-PICTURES = ("dtm", "dsm", "chm", "difference", "histogram", "profile", "noise_density",
-            "dtm_quality", "density", "strips")  # fmt: skip
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -21,7 +21,7 @@ from spl_batch.airborne.report.model import (
     Report,
     Survey,
 )
-from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster
+from spl_batch.airborne.report.pictures import Profile, Raster
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report import style
 from spl_batch.engine.report.parts import (
@@ -65,7 +65,8 @@ def terrain(x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
 
 
 @cache
-def make_inputs() -> PictureInputs:
+def make_inputs() -> dict[str, Any]:
+    """Arguments of the pictures of a report."""
     rows, columns = 300, 400
     rng = np.random.default_rng(20_260)
     x, y = np.meshgrid(np.arange(columns) + 0.5, rows - np.arange(rows) - 0.5)
@@ -93,18 +94,21 @@ def make_inputs() -> PictureInputs:
     dtm = np.where(void, -9999.0, ground)
     noise = 0.05 + 0.07 / (1 + np.exp(-(x[::10, ::10] - 160) / 12)) + 0.0001 * y[::10, ::10]
     density = 14 + 9 * (np.abs((y % 120) - 60) < 25) + rng.poisson(6, ground.shape)
-    return PictureInputs(
-        dtm=Raster(dtm.astype(np.float32), EXTENT),
-        dsm=Raster(np.where(void, np.nan, dsm), EXTENT),
-        chm=Raster(np.where(void, -9999.0, dsm - ground), EXTENT),
-        dtm_quality=Raster(np.where(void, -9999.0, 0.03 + 0.001 * density), EXTENT),
-        density=Raster(np.where(void, -9999.0, density), EXTENT),
-        difference=Raster(np.where(void, -9999.0, difference), EXTENT),
-        noise_density=Raster(noise, EXTENT),
-        differences_m=difference[~void],
-        profile=make_profile(rng),
-        strips=Raster(0.05 + 0.0001 * x[::20, ::20], EXTENT),
-    )
+    rasters = {
+        "dtm": dtm.astype(np.float32),
+        "dsm": np.where(void, np.nan, dsm),
+        "chm": np.where(void, -9999.0, dsm - ground),
+        "dtm_quality": np.where(void, -9999.0, 0.03 + 0.001 * density),
+        "density": np.where(void, -9999.0, density),
+        "difference": np.where(void, -9999.0, difference),
+        "noise_density": noise,
+        "strips": 0.05 + 0.0001 * x[::20, ::20],
+    }
+    return {
+        "rasters": {name: Raster(values, EXTENT) for name, values in rasters.items()},
+        "differences_m": difference[~void],
+        "profile": make_profile(rng),
+    }
 
 
 def make_profile(rng: np.random.Generator) -> Profile:
@@ -137,7 +141,7 @@ def make_profile(rng: np.random.Generator) -> Profile:
 @cache
 def make_accuracy() -> Accuracy:
     rng = np.random.default_rng(7)
-    seen = make_inputs().differences_m
+    seen = make_inputs()["differences_m"]
     return Accuracy(
         dtm={
             "all": statistics(seen),

@@ -3,8 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.tasks.context import RunContext
+from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.lattice.tiles import quanta
 
 
@@ -17,3 +21,7 @@ class Context(RunContext[Workflow]):
         """Raster cells of the working store; other cell sizes are kept apart."""
         edges = self.workflow.ground.cell_m, self.workflow.products.cell_m
         return self.store.path("rasters_{}_{}.zarr".format(*map(quanta, edges)))
+
+    def within(self, name: str, x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which places, (n,) each [quanta], lie in the polygons of a file of the workflow."""
+        return contains(read_polygons(self.resolve(name), self.crs), x, y)

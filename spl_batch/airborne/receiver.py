@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from spl_batch.airborne.catalogue import index_layers, stac
+from spl_batch.airborne.catalogue.delivered_files import INDEX, STAC, VIRTUAL
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import (
     done_sentence,
@@ -56,8 +56,8 @@ class Imaging(Receiver[Survey, Context]):
     workflow: ClassVar[type[BaseWorkflow]] = Workflow
     noun: ClassVar[str] = "airborne survey"
     delivered: ClassVar[tuple[str, ...]] = (
-        *("laz/**/*", "tiles/*", "copc/**/*", f"{stac.FOLDER}/*.json"),
-        *(stac.VIRTUAL, index_layers.NAME),
+        *("laz/**/*", "tiles/*", "copc/**/*", f"{STAC}/*.json"),
+        *(VIRTUAL, INDEX),
         *(f"{p.name}.tif" for p in (*PRODUCTS, *ABOVE_GEOID) if p.delivered),
     )
 
@@ -136,7 +136,7 @@ class Imaging(Receiver[Survey, Context]):
         survey = prepared.ledger
         if step.name == "index_file":
             yield from judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
-        if step.name == "gather":
+        if step.name == "observe":
             yield from merged_shots(survey)
             yield from looks_ahead(survey)
             yield from heights_in_other_unit(survey)

@@ -19,7 +19,7 @@ from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import QUANTUM_M
-from spl_batch.lattice.tables import BeamTable, PointTable
+from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable
 
 DOMAIN: Final = "time"
 
@@ -27,6 +27,15 @@ COLUMNS_ADDED: Final = (
     "line_density", "afterpulse", "afterpulse_rate", "afterpulse_share", "range_sigma",
 )  # fmt: skip
 """Columns that :func:`assess` adds, float32; 0 where no beam is known."""
+
+
+class Assessed(NamedTuple):
+    """Points of a stretch with what the time domain knows of them."""
+
+    table: PointTable  #: All, with the columns that are added and ``NO_BEAM, SHOT_NOISE`` flagged.
+    lit: PointTable  #: As they were given, those whose beams are known.
+    beams: BeamTable  #: Lines of sight of these.
+    ground: NDArray[np.float64]  #: Gain of what the beamlet of each of these looks at.
 
 
 class Beamlets(NamedTuple):
@@ -73,11 +82,10 @@ def assess(
     fitted: tuple[LineModel, AfterpulseLaw],
     settings: Workflow,
     beamlets: Beamlets,
-) -> dict[str, NDArray[Any]]:
-    """Columns that the time domain adds to a stretch, its ``channel``, ``ground`` and ``beyond``.
+) -> Assessed:
+    """Add what the time domain knows of each point of a stretch.
 
-    ``ground``, float64, is the gain of what each point's beamlet looks at; ``beyond``, bool, marks
-    returns far beyond a stated gate, which are noise.
+    Returns far beyond a stated gate are noise, and flagged ``SHOT_NOISE``.
 
     Parameters
     ----------
@@ -94,13 +102,13 @@ def assess(
     }
     ground = ground_gain.looked_at(known, lit, model)
     added["line_density"][rows] = line_noise.line_density(known, model) * ground
-    added["ground"] = np.ones(len(table))
-    added["ground"][rows] = ground
-    added["beyond"] = np.zeros(len(table), np.bool_)
-    added["beyond"][rows] = model.beyond_gate(known["shot"], lit.range_m, known["z"] * QUANTUM_M)
-    added["channel"] = table["channel"]
+    flags = np.where(beams.known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
+    beyond = model.beyond_gate(known["shot"], lit.range_m, known["z"] * QUANTUM_M)
+    flags[rows] |= beyond * np.uint8(PointFlag.SHOT_NOISE)
+    added |= {"flags": flags, "channel": table["channel"]}
+    assessed = Assessed(table.with_columns(**added), known, lit, ground)
     if not settings.afterpulse.enabled:
-        return added
+        return assessed
     sensor, of_shot = beamlets.seen, 1.0
     if beamlets.unnumbered:
         # A beamlet is one of many of the shot's, whose noise is counted as that of one.
@@ -114,4 +122,4 @@ def assess(
     )
     added["afterpulse_rate"][rows] = afterpulse_law.rate(known, lit, law) * np.float32(of_shot)
     added["afterpulse_share"][rows], added["range_sigma"][rows] = law.probability, law.sigma_m
-    return added
+    return assessed._replace(table=table.with_columns(**added))

@@ -10,7 +10,7 @@ _INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
 
 _OBSERVED: Final = (
     *(f"noise.{key}" for key in NoiseSettings.model_fields if key != "haze"),
-    *("acquisition", "survey.sensor"),
+    *("acquisition", "survey.sensor", "survey.channel_dimension"),
 )
 """Haze is looked for in the space domain."""
 
@@ -26,7 +26,7 @@ _CLASSES: Final = ("outputs.classes", "classes.overlap", "classes.withheld")
 _HOME: Final = "spl_batch.airborne"
 
 _LABELLED: Final = f"{_HOME}.tasks.bindings:labelled"
-"""A task goes without the labels of what has failed."""
+"""A task has the labels of what is finished, and goes without those of what has failed."""
 
 
 def _step(name: str, stage: str, run: str, *, tasks: str, **options: Any) -> Step:
@@ -69,6 +69,7 @@ STEPS: Final[Steps] = table(
         "tasks.index:index_part",
         tasks="time_tasks:index_part",
         settings=_INDEXED,
+        bytes_per_point=300,
         after=(),
     ),
     _step(
@@ -78,7 +79,6 @@ STEPS: Final[Steps] = table(
         tasks="time_tasks:index_file",
         settings=_INDEXED,
         unit="file",
-        bytes_per_point=300,
         after=("index_part",),
     ),
     _step(
@@ -89,25 +89,14 @@ STEPS: Final[Steps] = table(
         settings=("survey.trajectory_crs",),
         after=("trajectory_file", "index_file"),
     ),
-    _step("heading", "shots", "tasks.index:find_heading", tasks="time_tasks:heading"),
     _step(
-        "gather",
+        "sights",
         "shots",
-        "tasks.time_domain:gather",
-        tasks="time_tasks:gather",
+        "tasks.lines_of_sight:collect",
+        tasks="time_tasks:sights",
         settings=_OBSERVED,
         unit="stretch",
         bytes_per_point=380,
-    ),
-    _step(
-        "gather_range",
-        "shots",
-        "tasks.time_domain:gather_range",
-        tasks="time_tasks:gather_range",
-        settings=("survey.channel_dimension",),
-        unit="stretch",
-        bytes_per_point=300,
-        after=("index_file",),
     ),
     _step("sensor_path", "shots", "tasks.lines_of_sight:find_path", tasks="time_tasks:sensor_path"),
     _step(
@@ -116,6 +105,7 @@ STEPS: Final[Steps] = table(
         "tasks.lines_of_sight:observe",
         tasks="time_tasks:observe",
         settings=_OBSERVED,
+        unit="stretch",
         bytes_per_point=380,
     ),
     _step(
@@ -141,7 +131,6 @@ STEPS: Final[Steps] = table(
         "tasks.time_domain:build_tile",
         tasks="space_tasks:build",
         unit="tile",
-        unread=frozenset({"z"}),
         bytes_per_point=280,
         remedy="lower tiling.tile_m",
     ),
@@ -152,7 +141,6 @@ STEPS: Final[Steps] = table(
         tasks="space_tasks:denoise",
         settings=("filter", "noise", "afterpulse", "outputs.diagnostics"),
         unit="cell",
-        unread=frozenset({"noise_class"}),
         bytes_per_point=150,
         remedy="lower tiling.tile_m",
         after=("build_tile",),
@@ -192,7 +180,6 @@ STEPS: Final[Steps] = table(
             "breaklines",
             "survey.sensor",
         ),
-        unread=frozenset({"rasters"}),
         bytes_per_point=225,
         remedy="lower ground.cell_m or products.void_max_m",
         after=_SHUFFLED,
@@ -204,6 +191,7 @@ STEPS: Final[Steps] = table(
         "lines.comparison:strip_pairs",
         tasks="strip_tasks:pairs",
         after=("strip_patches", "align"),
+        bind=_LABELLED,
     ),
     _delivery(
         "deliver_file",

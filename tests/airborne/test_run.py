@@ -207,11 +207,11 @@ def test_a_report_stands_until_it_would_say_something_else(small: Path) -> None:
 
 CHANGES = [
     ("survey.name=other", {"index_file", "deliver_file", "mosaic"}, ""),
-    ("products.cell_m=0.5", {"gather", "scatter", "denoise", "ground"}, "surface"),
-    ("ground.method=smrf", {"gather", "scatter", "build_tile", "denoise"}, "ground"),
-    ("filter.alpha=0.05", {"index_file", "gather", "fit_line", "scatter"}, "denoise"),
-    ("tiling.tile_m=40", {"index_file", "gather", "fit_line"}, "scatter"),
-    ("noise.buffer_m=20", {"index_file"}, "gather"),
+    ("products.cell_m=0.5", {"observe", "scatter", "denoise", "ground"}, "surface"),
+    ("ground.method=smrf", {"observe", "scatter", "build_tile", "denoise"}, "ground"),
+    ("filter.alpha=0.05", {"index_file", "observe", "fit_line", "scatter"}, "denoise"),
+    ("tiling.tile_m=40", {"index_file", "observe", "fit_line"}, "scatter"),
+    ("noise.buffer_m=20", {"index_file"}, "observe"),
 ]
 
 

@@ -44,7 +44,7 @@ class Outline(html.parser.HTMLParser):
 
 def test_a_page_has_one_main_part_headings_in_order_and_pictures_in_words() -> None:
     report = make_report()
-    page = render(report, make_pictures(make_inputs(), report))
+    page = render(report, make_pictures(report=report, **make_inputs()))
     assert page.count("<main>") == page.count("</main>") == 1
     found = Outline(page)
     assert (found.headings[0], found.headings.count(1)) == (1, 1)

@@ -55,7 +55,7 @@ def tasks(_: Survey) -> Iterator[Task]:
 
 def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> None:
     known = survey()
-    work = Worklist(replace(STEPS["ground"], tasks=tasks), known, context(tmp_path))
+    work = Worklist(replace(STEPS["ground"], tasks=tasks, bind=None), known, context(tmp_path))
     key = runner.task_key(Task("ground", "b", {"cell": "b"}), context(tmp_path), ())
     write_receipt(Store(tmp_path), receipt("ground", "b", key, ground=3))
     write_receipt(Store(tmp_path), receipt("ground", "c", "of other settings"))
@@ -106,18 +106,15 @@ def test_what_a_task_needs_decides_whether_it_waits_or_is_left_out(tmp_path: Pat
 def test_a_cell_goes_without_labels_of_what_failed(tmp_path: Path) -> None:
     known = survey()
     work = Worklist(STEPS["surface"], known, context(tmp_path))
-    args = {
-        "cell": "0_0",
-        "labels": {"noise": {"0_0": ["a", "b"]}, "ground": {"0_0": ["0_0", "1_0"]}},
-    }
     needs = (("denoise", "a"), ("denoise", "b"), ("ground", "0_0"), ("ground", "1_0"))
-    task = Task("surface", "0_0", args, needs)
+    task = Task("surface", "0_0", {"cell": "0_0"}, needs)
     known.of("denoise").put(receipt("denoise", "b"))
     assert work.job(task) is None, "its own ground is missing"
     known.of("ground").put(receipt("ground", "0_0"))
     job = work.job(task)
     assert job is not None
-    assert job.task.args["labels"] == {"noise": {"0_0": ["b"]}, "ground": {"0_0": ["0_0"]}}
+    assert job.task.args["labels"] == {"noise": ["b"], "ground": ["0_0"], "classes": []}
+    assert job.task.args["aligned"] is False
     assert job.task.needs == (needs[1], needs[2])
 
 
@@ -138,7 +135,7 @@ def test_a_shelf_keeps_what_later_phases_read() -> None:
     facts = {"points": 3, "z": [1, 2], "sources": ["7", "9"], "share": 0.1}
     outputs = {"store/tiles/0_0.parquet": "c"}
     given = Receipt("build_tile", "0_0", "key", "0fd", "", outputs, facts, 3, 1.0, 9.0)
-    shelf = Shelf(STEPS["build_tile"])
+    shelf = Shelf(replace(STEPS["build_tile"], unread=frozenset({"z"})))
     shelf.put(given)
     kept = shelf["0_0"]
     assert (kept.digest, shelf.digest("0_0"), kept.points) == ("0fd", "0fd", 3)

@@ -17,11 +17,14 @@ the ground points.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import hypot, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from spl_batch.engine.report.parts import STRICT, Count, Number
 
 STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data"
 
@@ -42,8 +45,7 @@ LEAST_OUTLIER_M: Final = 0.01
 """And by no less than this: a few equal errors would make the least other one an outlier [m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class CheckpointError:
+class CheckpointError(NamedTuple):
     """What the DTM says at a checkpoint."""
 
     id: str
@@ -51,18 +53,19 @@ class CheckpointError:
     accuracy_m: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class AtCheckpoints:
-    """Accuracy at checkpoints of one kind."""
+@dataclass(frozen=True, config=STRICT)
+class CheckpointStatistics:
+    """Vertical accuracy at checkpoints of one kind, by Edition 2 of the ASPRS standards."""
 
-    n: int
-    #: Mean error; standard deviation, None for fewer than two [m].
-    mean_m: float | None
-    sd_m: float | None
-    rmse_v1_m: float | None  #: Fit of the product to the checkpoints [m].
-    rmse_v2_m: float | None  #: Accuracy of the checkpoints; None where one states none [m].
-    rmse_v_m: float | None  #: Both together; None where one is not known [m].
-    outliers: tuple[str, ...]  #: Checkpoints to look at; they count nevertheless.
+    n: Count = Field(description="Checkpoints on the terrain model [count].")
+    mean_m: Number = Field(default=None, description="Mean of DTM minus checkpoint [m].")
+    sd_m: Number = Field(default=None, description="Standard deviation [m].")
+    rmse_v1_m: Number = Field(default=None, description="Fit of the DTM to the checkpoints [m].")
+    rmse_v2_m: Number = Field(
+        default=None, description="Accuracy of the checkpoints; null where one states none [m]."
+    )
+    rmse_v_m: Number = Field(default=None, description="Root of the sum of both squares [m].")
+    outliers: tuple[str, ...] = Field(default=(), description="Checkpoints to look at; they count.")
 
     @property
     def enough(self) -> bool:
@@ -70,20 +73,20 @@ class AtCheckpoints:
         return self.n >= ENOUGH and self.rmse_v_m is not None
 
 
-def at_checkpoints(found: Sequence[CheckpointError]) -> AtCheckpoints:
+def at_checkpoints(found: Sequence[CheckpointError]) -> CheckpointStatistics:
     """Accuracy at checkpoints.
 
     ``found``: of one kind; may be empty.
     """
     if not found:
-        return AtCheckpoints(0, None, None, None, None, None, ())
+        return CheckpointStatistics(0)
     errors = np.array([one.error_m for one in found])
     fit = sqrt(float(np.mean(errors**2)))
     known = [one.accuracy_m for one in found if one.accuracy_m is not None]
     survey = sqrt(float(np.mean(np.square(known)))) if len(known) == len(found) else None
     away = np.abs(errors - np.median(errors))
     limit = max(OUTLIER_SIGMA * 1.4826 * float(np.median(away)), LEAST_OUTLIER_M)
-    return AtCheckpoints(
+    return CheckpointStatistics(
         n=len(found),
         mean_m=float(errors.mean()),
         sd_m=float(errors.std(ddof=1)) if len(found) > 1 else None,
@@ -94,7 +97,7 @@ def at_checkpoints(found: Sequence[CheckpointError]) -> AtCheckpoints:
     )
 
 
-def statement(nva: AtCheckpoints, vva: AtCheckpoints, class_m: float) -> str:
+def statement(nva: CheckpointStatistics, vva: CheckpointStatistics, class_m: float) -> str:
     """What may be said of a product, in the standard's words.
 
     ``class_m``: vertical accuracy class that was asked for: the largest RMSE_V [m].
@@ -113,13 +116,13 @@ def statement(nva: AtCheckpoints, vva: AtCheckpoints, class_m: float) -> str:
     )
 
 
-def _lacking(nva: AtCheckpoints) -> str:
+def _lacking(nva: CheckpointStatistics) -> str:
     if nva.n < ENOUGH:
         return f"{nva.n} of the {ENOUGH} open checkpoints that it needs lie on the terrain"
     return "the accuracy of the checkpoints themselves is not given"
 
 
-def _found(name: str, kind: str, of: AtCheckpoints) -> str:
+def _found(name: str, kind: str, of: CheckpointStatistics) -> str:
     if of.rmse_v1_m is None:
         return f"The {name} was not tested: no {kind} checkpoint lies on the terrain."
     few = "" if of.n >= ENOUGH else ", using the reduced number of checkpoints"

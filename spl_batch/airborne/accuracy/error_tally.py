@@ -10,7 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from spl_batch.engine.report.parts import Count, Number, Part, Statistics
 from spl_batch.numerics.error_statistics import quantile, statistics
 
 STEPS_PER_M: Final = 10_000
@@ -84,37 +86,52 @@ def _together(listed: Sequence[Tally]) -> Tally:
     return Tally(steps, counts)
 
 
+class Accuracy(Part):
+    """Comparison with reference linear-mode lidar, by class of surface; ``all`` is overall."""
+
+    dtm: dict[str, Statistics] = Field({}, description="Terrain model minus reference ground.")
+    dsm: dict[str, Statistics] = Field({}, description="Surface model minus reference surface.")
+    returns: dict[str, Statistics] = Field(
+        {},
+        description="Returns that the filter keeps minus the reference's nearest ground or roof, "
+        "within 0.5 m; one in eight.",
+    )
+    reference_points: Count | None = Field(None, description="Reference points read [count].")
+    bias_m: Number = Field(None, description="Median difference between the sensors [m].")
+    bias_removed: bool = Field(
+        False, description="Whether the bias was subtracted before the statistics."
+    )
+    own_points: bool = Field(False, description="Whether the reference is the survey itself.")
+
+
 def accuracy_report(
     dtm: Mapping[str, Tally],
     dsm: Mapping[str, Tally],
     returns: Mapping[str, Tally] | None = None,
     *,
     remove_bias: bool = False,
-) -> dict[str, Any]:
-    """Accuracy as ``report.json`` holds it, of all places together by class of surface.
+    **known: Any,
+) -> Accuracy:
+    """Accuracy of all places together; ``known``: further values of :class:`Accuracy`.
 
-    ``dtm`` and ``dsm``: :func:`statistics` by class, ``all`` always among them; ``returns``: the
-    same without it; ``vertical_bias_m``: median of the DTM on open ground (else of all of it, else
-    of the DSM on ground; None without any); ``bias_removed_m``: what was subtracted from every
-    difference.
+    ``all`` is always among the classes of DTM and DSM. The bias is the median of the DTM on open
+    ground, else of all of it, else of the DSM on ground.
     """
     bias = _bias(dtm, dsm)
     removed = bias if remove_bias and bias is not None else 0.0
-    report: dict[str, Any] = {
+    counted = {
+        "dtm": {"all": Tally(), **dtm},
+        "dsm": {"all": Tally(), **dsm},
+        "returns": {name: found for name, found in (returns or {}).items() if found.n},
+    }
+    found = {
         product: {
-            name: statistics(found.errors_m - removed, found.counts)
-            for name, found in {"all": Tally(), **counted}.items()
+            name: Statistics(**statistics(one.errors_m - removed, one.counts))
+            for name, one in by_class.items()
         }
-        for product, counted in (("dtm", dtm), ("dsm", dsm))
+        for product, by_class in counted.items()
     }
-    report["returns"] = {
-        name: statistics(found.errors_m - removed, found.counts)
-        for name, found in (returns or {}).items()
-        if found.n
-    }
-    report["vertical_bias_m"] = bias
-    report["bias_removed_m"] = removed
-    return report
+    return Accuracy(**found, bias_m=bias, bias_removed=bool(removed), **known)
 
 
 def _bias(dtm: Mapping[str, Tally], dsm: Mapping[str, Tally]) -> float | None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from spl_batch.airborne.accuracy.checkpoint_errors import AtCheckpoints
+from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointStatistics
 from spl_batch.airborne.pulses.swaths import SwathTotals
 
 
@@ -75,8 +75,8 @@ class Evidence:
     rmse_v_m: float
     pulses_per_m2: float
     #: Accuracy at checkpoints; None where none were given.
-    nva: AtCheckpoints | None
-    vva: AtCheckpoints | None
+    nva: CheckpointStatistics | None
+    vva: CheckpointStatistics | None
     pulses: PulseTotals | None  #: First returns, by the level's spacing; None without any.
     single: bool  #: Whether each swath is judged by itself; else all of them together.
     by_swath: Mapping[str, SwathTotals]  #: First returns of each flightline, by its name.

@@ -1,11 +1,13 @@
 """Rasters and reference points where they lie, in metres."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, NODATA
+from spl_batch.formats.rasters.parts import Part, read_part
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +32,17 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True)
-class Raster:
-    """A raster where it lies."""
+class Raster(Part):
+    """A raster that points are looked up in; nodata :data:`~spl_batch.constants.NODATA`."""
 
-    #: (rows, cols): row 0 northernmost; nodata :data:`~spl_batch.constants.NODATA`.
-    values: NDArray[np.float32]
-    #: left_m, top_m: easting and northing of the upper left corner [m].
-    left_m: float
-    top_m: float
-    cell_m: float
+    @classmethod
+    def around(cls, path: Path, xy_m: NDArray[np.float64]) -> "Raster | None":
+        """Part of a file that places, (n, 2), lie on; None where it does not reach them."""
+        if not len(xy_m):
+            return None
+        (west, south), (east, north) = xy_m.min(axis=0).tolist(), xy_m.max(axis=0).tolist()
+        part = read_part(path, (west, south, east, north))
+        return None if part is None else cls(part.values, part.left_m, part.top_m, part.cell_m)
 
     @property
     def grid(self) -> Grid:

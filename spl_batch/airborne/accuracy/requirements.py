@@ -7,14 +7,17 @@ passes for want of evidence: what nobody measured is "cannot tell", with what wo
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from typing import Final, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from spl_batch.airborne.accuracy.checkpoint_errors import EDITION, ENOUGH, STANDARD
 from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence
 from spl_batch.airborne.pulses.swaths import SwathTotals
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE
 from spl_batch.engine.report.number_format import centimetres, number, percent, significant
+from spl_batch.engine.report.parts import STRICT
 from spl_batch.errors import named
 
 Answer = Literal["pass", "fail", "cannot tell"]
@@ -42,19 +45,17 @@ MEAN_SHARE: Final = 0.25
 """Mean error, of the largest RMSE_V, from which on it is to be looked into [7.2]."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, config=STRICT)
 class Requirement:
-    """One line of the page."""
+    """One requirement of a contract, and whether it is met."""
 
-    name: str
-    #: required, found: in words and numbers with units.
-    required: str
-    found: str
-    verdict: Answer
-    why: str  #: One sentence: what it rests on, or what would tell.
-    #: Who requires it, and where.
-    standard: str
-    section: str
+    name: str = Field(description="What is required of.")
+    required: str = Field(description="What is asked for, with units.")
+    found: str = Field(description="What was found, with units.")
+    verdict: Answer = Field(description="Whether it is met.")
+    why: str = Field(description="What that rests on, or what would tell.")
+    standard: str = Field(description="Who requires it.")
+    section: str = Field(description="Edition and section.")
 
 
 def requirements(known: Evidence) -> tuple[Requirement, ...]:

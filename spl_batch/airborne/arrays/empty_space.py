@@ -79,13 +79,7 @@ class _Layers(NamedTuple):
 
 
 def empty_space(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.integer]) -> EmptySpace:
-    """Noise density at points, by the empty space around them.
-
-    Parameters
-    ----------
-    x, y, z : (n,) integer
-        Coordinates [quanta].
-    """
+    """Noise density at points, (n,) each [quanta], by the empty space around them."""
     n = len(x)
     if not n:
         return EmptySpace(np.zeros(0), 0.0, 0.0)

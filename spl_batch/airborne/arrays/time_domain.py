@@ -4,7 +4,7 @@ The same functions as in a run, flightline by flightline; a flightline is one st
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,9 +52,11 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
     channels = table["channel"]
     apart = bool(len(channels)) and bool((channels != channels[0]).any())
     sensor, count = settings.sensor, settings.sensor.beamlets if apart else 1
-    added = {name: np.zeros(len(table), np.float32) for name in shots.COLUMNS_ADDED}
+    added: dict[str, NDArray[Any]] = {
+        name: np.zeros(len(table), np.float32) for name in shots.COLUMNS_ADDED
+    }
     added["channel"] = channels.copy()
-    flags = np.where(known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
+    added["flags"] = np.where(known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
     lines, bases, found = [], set(), list[Finding]()
     for name, rows in _flightlines(table, np.flatnonzero(known), settings.survey.gap_s):
         time = table["gps_time"][rows]
@@ -71,17 +73,12 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
         observed = shots.observe(mine, beams, settings.noise, beamlets)
         model, law, _ = shots.fit([observed], settings.noise, beamlets)
         found += [finding._replace(subject=name) for finding in model.findings]
-        columns = shots.assess(mine, beams, (model, law), settings, beamlets)
-        ground = columns.pop("ground")
-        flags[rows] |= columns.pop("beyond") * np.uint8(PointFlag.SHOT_NOISE)
-        for key, values in columns.items():
-            added[key][rows] = values
-        flags[rows] |= ~beams.known * np.uint8(PointFlag.NO_BEAM)
-        lit = np.flatnonzero(beams.known)
-        mine, beams = mine.take(lit), beams.take(lit)
-        lines.append(voxel_noise.deposit(mine, beams, model, settings.noise, ground[lit]))
+        mine, lit, beams, ground = shots.assess(mine, beams, (model, law), settings, beamlets)
+        for key, values in added.items():
+            values[rows] = mine[key]
+        lines.append(voxel_noise.deposit(lit, beams, model, settings.noise, ground))
     basis = "vertical" if "vertical" in bases else next(iter(bases), "beams")
-    return Assessed(table.with_columns(flags=flags, **added), lines, count, basis, texts(found))
+    return Assessed(table.with_columns(**added), lines, count, basis, texts(found))
 
 
 def _flightlines(

@@ -3,13 +3,14 @@
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+import numpy as np
 import shapely
 from pyproj import CRS
 
-from spl_batch.airborne.catalogue import index_layers
 from spl_batch.airborne.catalogue.delivered_files import (
+    INDEX,
     UNKNOWN_SPAN,
     Cloud,
     Delivery,
@@ -20,13 +21,30 @@ from spl_batch.airborne.catalogue.delivered_files import (
     read_raster_file,
     utc_span,
 )
-from spl_batch.airborne.catalogue.index_layers import Layer
-from spl_batch.airborne.catalogue.stac import write_stac
 from spl_batch.errors import plain
 from spl_batch.formats.crs import crs_name
+from spl_batch.formats.files.atomic import replacing, scratch_folder
 
 REMEDY: Final = "; name it in survey.crs"
 """Where no CRS is known."""
+
+WRITTEN: Final = "1980-01-06T00:00:00.000Z"
+"""Date of change that the file states, so that the same content has the same bytes."""
+
+
+UNDEFINED: Final = (
+    'ENGCRS["Undefined Cartesian SRS",EDATUM["Unknown engineering datum"],CS[Cartesian,2],'
+    'AXIS["easting",east,ORDER[1]],AXIS["northing",north,ORDER[2]],LENGTHUNIT["metre",1]]'
+)
+"""What GeoPackage 1.3 calls coordinates in metres without a CRS (``srs_id`` -1), by GDAL's name."""
+
+
+class Layer(NamedTuple):
+    """Features of one kind."""
+
+    name: str
+    shapes: Sequence[shapely.Geometry]  #: Where they are.
+    columns: Mapping[str, Sequence[Any]]  #: What is said of them.
 
 
 def write_catalogues(
@@ -55,10 +73,12 @@ def write_catalogues(
     """
     clouds = [read_cloud(output, one["href"], _span(one["span_s"])) for one in args["clouds"]]
     rasters = [read_raster_file(output, href) for href in args["rasters"]]
-    written = [index_layers.write_index(output, list(_layers(args, clouds, outlines)), crs)]
+    written = [_write_index(output, list(_layers(args, clouds, outlines)), crs)]
     held = [cloud for cloud in clouds if cloud.points]
     reason = _why_without_places(crs, held, rasters)
     if crs is not None and not reason:
+        from spl_batch.airborne.catalogue.stac import write_stac  # noqa: PLC0415 - loads pystac
+
         written += write_stac(output, Delivery(plain(name), crs, held, rasters))
     remark = f"{reason}: no STAC and no virtual point cloud are written"
     return written, [f"{remark}{REMEDY if crs is None else ''}"] if reason else []
@@ -116,3 +136,51 @@ def _together(boxes: Sequence[shapely.Geometry]) -> shapely.Geometry:
     """Where the files of a flightline lie, as several polygons."""
     found = shapely.union_all(boxes)
     return found if found.geom_type == "MultiPolygon" else shapely.MultiPolygon([found])
+
+
+def _write_index(output: Path, layers: Sequence[Layer], crs: CRS | None) -> Path:
+    """Write ``index.gpkg``; layers without features are left out.
+
+    ``crs``: of the coordinates; :data:`UNDEFINED` where it is None.
+    """
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
+    path = output / INDEX
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": WRITTEN})
+    try:
+        with replacing(path) as target, scratch_folder(path) as folder:
+            whole = folder / INDEX  # GDAL keeps its journal beside the file
+            for layer in layers:
+                if len(layer.shapes):
+                    _write(whole, layer, crs)
+            whole.replace(target)
+    finally:
+        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
+    return path
+
+
+def _write(path: Path, layer: Layer, crs: CRS | None) -> None:
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
+    shapes = np.asarray(layer.shapes, object)
+    kinds = {shape.geom_type for shape in layer.shapes}
+    pyogrio.raw.write(
+        path,
+        shapely.to_wkb(shapes),
+        [_column(values) for values in layer.columns.values()],
+        list(layer.columns),
+        layer=layer.name,
+        driver="GPKG",
+        geometry_type=f"{kinds.pop()}{' Z' if layer.shapes[0].has_z else ''}",
+        crs=UNDEFINED if crs is None else crs.to_wkt(),
+        append=path.exists(),
+    )
+
+
+def _column(values: Sequence[Any]) -> Any:
+    """Values of one type; text where one is text, else numbers, NaN for None."""
+    if any(isinstance(value, str) for value in values):
+        return np.array(["" if value is None else value for value in values], object)
+    if all(isinstance(value, int) for value in values):
+        return np.array(values, np.int64)
+    return np.array([np.nan if value is None else value for value in values], np.float64)

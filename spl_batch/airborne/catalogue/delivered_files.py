@@ -17,6 +17,15 @@ from spl_batch.formats.crs import horizontal, vertical
 from spl_batch.formats.gps_clock import leap_seconds
 from spl_batch.formats.rasters.parts import opened
 
+INDEX: Final = "index.gpkg"
+"""Files, flightlines and checkpoints as layers, with counts; below the output."""
+
+STAC: Final = "stac"
+"""Folder of the catalogue, below the output."""
+
+VIRTUAL: Final = "survey.vpc"
+"""Virtual point cloud, below the output."""
+
 GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
 """Where GPS time begins; it stands for a time that nothing tells."""
 
@@ -64,11 +73,6 @@ class Cloud:
     dimensions: tuple[tuple[str, int, str], ...]
 
     @property
-    def name(self) -> str:
-        """What catalogues call it: its path without its ends."""
-        return plain_name(self.href)
-
-    @property
     def box_m(self) -> tuple[float, float, float, float]:
         """West, south, east, north [m]."""
         west, south, _, east, north, _ = self.bounds_m
@@ -110,11 +114,6 @@ class RasterFile:
     meaning: str
     unit: str
     crs: CRS | None
-
-    @property
-    def name(self) -> str:
-        """What catalogues call it."""
-        return plain_name(self.href)
 
 
 def read_raster_file(output: Path, href: str) -> RasterFile:

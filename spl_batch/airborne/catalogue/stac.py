@@ -12,9 +12,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import pystac
 from pyproj import CRS
+from pystac.extensions.pointcloud import (
+    PhenomenologyType,
+    PointcloudExtension,
+    Schema,
+    SchemaType,
+    Statistic,
+)
+from pystac.extensions.projection import ProjectionExtension
 
 from spl_batch.airborne.catalogue.delivered_files import (
+    STAC,
+    VIRTUAL,
     Cloud,
     Delivery,
     RasterFile,
@@ -23,9 +34,6 @@ from spl_batch.airborne.catalogue.delivered_files import (
 )
 from spl_batch.formats.files.atomic import write_bytes
 
-FOLDER: Final = "stac"
-"""Of the catalogue, below the output."""
-
 LONGEST_ID: Final = 200
 """Of an item: file systems allow names of 255 bytes [byte]."""
 
@@ -33,9 +41,6 @@ COG_TYPE: Final = "image/tiff; application=geotiff; profile=cloud-optimized"
 LAZ_TYPE: Final = "application/vnd.laszip"
 COPC_TYPE: Final = "application/vnd.laszip+copc"
 SOFTWARE: Final = "spl-batch"
-
-VIRTUAL: Final = "survey.vpc"
-"""Virtual point cloud, below the output."""
 
 VIRTUAL_EXTENSIONS: Final = (
     "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json",
@@ -65,8 +70,6 @@ def _short_id(name: str, href: str) -> str:
 
 def write_stac(output: Path, delivery: Delivery) -> list[Path]:
     """Write ``stac/collection.json``, ``stac/items.json``, the items and ``survey.vpc``."""
-    import pystac  # noqa: PLC0415 - needed here alone
-
     hrefs = [cloud.href for cloud in delivery.clouds]
     hrefs += [raster.href for raster in delivery.rasters]
     ids = _item_ids(hrefs)
@@ -90,7 +93,7 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
             pystac.Provider(SOFTWARE, roles=[pystac.ProviderRole.PROCESSOR]),
         ],
     )
-    folder = output / FOLDER
+    folder = output / STAC
     for item in items:
         item.collection_id = collection.id
         item.links = [
@@ -147,16 +150,7 @@ def _slug(name: str) -> str:
     return kept.strip("-") or "survey"
 
 
-def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Any:
-    import pystac  # noqa: PLC0415
-    from pystac.extensions.pointcloud import (  # noqa: PLC0415
-        PhenomenologyType,
-        PointcloudExtension,
-        Schema,
-        SchemaType,
-        Statistic,
-    )
-
+def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> pystac.Item:
     west, south, east, north = delivery.box_deg(cloud.box_m)
     low_m, high_m = cloud.bounds_m[2], cloud.bounds_m[5]
     item = pystac.Item(
@@ -188,10 +182,7 @@ def _cloud_item(name: str, cloud: Cloud, delivery: Delivery) -> Any:
     return item
 
 
-def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> Any:
-    import pystac  # noqa: PLC0415
-    from pystac.extensions.projection import ProjectionExtension  # noqa: PLC0415
-
+def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> pystac.Item:
     item = pystac.Item(
         id=name,
         geometry=delivery.outline_deg(raster.box_m),
@@ -216,13 +207,11 @@ def _raster_item(name: str, raster: RasterFile, delivery: Delivery) -> Any:
 
 
 def _project(
-    item: Any,
+    item: pystac.Item,
     crs: CRS,
     box_m: tuple[float, float, float, float],
     heights_m: tuple[float, float] | None = None,
 ) -> None:
-    from pystac.extensions.projection import ProjectionExtension  # noqa: PLC0415
-
     authority = crs.to_authority()
     west, south, east, north = box_m
     box = [west, south, east, north]

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.report.profile_strips import LENGTH_M, WIDTH_M, label_holders
-from spl_batch.airborne.store.label_tables import read_labelled_tile
+from spl_batch.airborne.report.profile_strips import WIDTH_M, best_strip, strip_sums
+from spl_batch.airborne.store.label_tables import read_labelled_tile, units_within
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
+from spl_batch.formats.rasters.parts import Part
 from spl_batch.formats.verified.parquet_npz import read_table
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, parse_cell, quanta
@@ -85,9 +86,9 @@ def _classes(runs: Sequence[Outcome], tile: CellId) -> Iterator[NDArray[np.uint8
     """What each run that has the tile took its points for."""
     for run in runs:
         if str(tile) in run.done.get("build_tile", {}):
-            tile_q = quanta(run.context.workflow.tiling.tile_m)
-            holders = label_holders([tile], tile_q, "noise", run.done.get("denoise", {}))[tile]
-            table = read_labelled_tile(run.context.store, tile, ("x",), {"noise_class": holders})
+            region = cell_bounds(tile, quanta(run.context.workflow.tiling.tile_m))
+            labels = {"noise_class": units_within(region, "noise", run.done.get("denoise", {}))}
+            table = read_labelled_tile(run.context.store, tile, ("x",), labels)
             yield table["noise_class"]
 
 
@@ -134,15 +135,13 @@ def _far(
 
 def _fullest_strip(table: PointTable, bounds: Bounds) -> tuple[Bounds, int]:
     """Strip along the easting with most points, and their number; the first of equals."""
-    width, step = quanta(WIDTH_M), quanta(COLUMN_M)
-    rows = -(-(bounds.ymax - bounds.ymin) // width)
-    columns = -(-(bounds.xmax - bounds.xmin) // step)
-    at = (table["y"] - bounds.ymin) // width * columns + (table["x"] - bounds.xmin) // step
-    count = np.bincount(at, minlength=rows * columns).reshape(rows, columns)
-    length = min(quanta(LENGTH_M) // step, columns)
-    total = np.cumsum(np.pad(count, ((0, 0), (1, 0))), axis=1)
-    score = total[:, length:] - total[:, :-length]
-    row, column = np.unravel_index(int(np.argmax(score)), score.shape)
-    west, south = bounds.xmin + int(column) * step, bounds.ymin + int(row) * width
-    strip = Bounds(west, south, west + quanta(LENGTH_M), south + width)
-    return strip, int(score[row, column])
+    edge = quanta(WIDTH_M)
+    rows = -(-(bounds.ymax - bounds.ymin) // edge)
+    columns = -(-(bounds.xmax - bounds.xmin) // edge)
+    at = (table["y"] - bounds.ymin) // edge * columns + (table["x"] - bounds.xmin) // edge
+    count = np.bincount(at, minlength=rows * columns).astype(np.float32)
+    count = count.reshape(rows, columns)[::-1]
+    north = bounds.ymin + rows * edge
+    part = Part(count, bounds.xmin * QUANTUM_M, north * QUANTUM_M, WIDTH_M)
+    strip, points = best_strip(part, strip_sums(part, count))
+    return strip, int(points)

@@ -246,12 +246,8 @@ def _moves(
     output: Path, delivered: Receipt, cloud: Path, raster: Path | None
 ) -> Iterator[tuple[Path, Path]]:
     """Each result where it was made, and where it goes; the cloud comes last."""
-    if raster is not None:
-        for made in sorted(output.glob("dtm.tif")) + sorted(output.glob("dtm_[0-9]*.tif")):
-            yield (
-                made,
-                raster.with_name(raster.stem + made.stem.removeprefix("dtm") + raster.suffix),
-            )
+    if raster is not None and (output / "dtm.tif").exists():
+        yield output / "dtm.tif", raster
     yield output / "laz" / delivered.facts["name"], cloud
 
 

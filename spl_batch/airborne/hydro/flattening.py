@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, maximum_filter
 
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.findings import Finding
@@ -116,7 +116,8 @@ def flatten(rasters: dict[str, Raster], water: Raster) -> Banks:
     wet = (water != np.float32(NODATA)) & (held | (rasters["density"] != np.float32(NODATA)))
     dry = held & ~wet
     banks = dry & binary_dilation(wet, np.ones((3, 3), np.bool_))
-    beside = _highest_beside(water, wet)
+    # The highest water of the eight cells around each, lower than everything without any.
+    beside = maximum_filter(np.where(wet, water, -np.inf), 3, mode="constant", cval=-np.inf)
     flooded = banks & (rasters["dtm"] < beside - ABOVE_M)
     rasters["dtm"] = np.where(wet, water, rasters["dtm"])
     # Nodata is lower than every water.
@@ -124,15 +125,6 @@ def flatten(rasters: dict[str, Raster], water: Raster) -> Banks:
     rasters["chm"] = np.where(wet, rasters["dsm"] - water, rasters["chm"])
     rasters["dtm_quality"] = np.where(wet, np.float32(NODATA), rasters["dtm_quality"])
     return Banks(*(int(np.count_nonzero(cells)) for cells in (wet, banks, flooded)))
-
-
-def _highest_beside(water: Raster, wet: NDArray[np.bool_]) -> Raster:
-    """Highest water of the eight cells around each, lower than everything without any."""
-    padded = np.pad(np.where(wet, water, np.float32(-np.inf)), 1, constant_values=-np.inf)
-    rows, columns = water.shape
-    around = [padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)]
-    found: Raster = np.max(around, axis=0)
-    return found
 
 
 def bank_findings(found: Iterable[Sequence[int]]) -> Iterator[Finding]:

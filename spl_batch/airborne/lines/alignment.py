@@ -12,16 +12,19 @@ of another kind; the others are then solved without it.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from spl_batch.airborne.lines.pair_table import HUBER, OWN_M, PairDifference
+from spl_batch.airborne.lines.pair_table import HUBER, OWN_M, StripPair
 from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.report.parts import STRICT, Number
 
 SURE: Final = 2.0
 """Standard deviations of a shift from which on it is applied."""
@@ -39,19 +42,24 @@ TOO_FAR: Final = "too far"
 """Why a flightline stays."""
 
 
-class LineShift(NamedTuple):
-    """What is added to the heights of a flightline."""
+@dataclass(frozen=True, config=STRICT)
+class AlignedLine:
+    """What was added to the heights of a flightline, and how sure it is."""
 
-    name: str
-    up_m: float  #: Whole quanta [m].
-    found_m: float | None  #: Before it was decided whether to apply it; None without a pair [m].
-    sd_m: float | None  #: Standard deviation of it [m].
-    stays: str  #: Why nothing is added; empty where something is.
+    name: str = Field(description="The flightline.")
+    up_m: float = Field(description="Added to its heights [m].")
+    found_m: Number = Field(description="The shift as found; null without a pair [m].")
+    sd_m: Number = Field(description="Standard deviation of it [m].")
+    stays: Literal["", "kept", "not compared", "not sure", "too far"] = Field(
+        description="Why nothing was added: the others are shifted against it; too few planar "
+        "patches with others; less than two standard deviations; more than 2 m. Empty where "
+        "something was."
+    )
 
 
 def align_lines(
-    names: Sequence[str], pairs: Sequence[PairDifference], returns: Mapping[str, int]
-) -> list[LineShift]:
+    names: Sequence[str], pairs: Sequence[StripPair], returns: Mapping[str, int]
+) -> list[AlignedLine]:
     """Shifts of flightlines, by name, from :func:`~spl_batch.airborne.lines.pair_table.pair_table`.
 
     ``names``: all that were flown; ``returns``: signal returns of each, their weights [count].
@@ -68,22 +76,21 @@ def align_lines(
         worst = int(length.argmax())
         far[names[worst]] = float(up[worst])
     return [
-        LineShift(name, 0.0, far[name], None, TOO_FAR) if name in far else _decided(name, *found)
+        AlignedLine(name, 0.0, far[name], None, TOO_FAR) if name in far else _decided(name, *found)
         for name, *found in zip(names, up.tolist(), sd.tolist(), strict=True)
     ]
 
 
-def _decided(name: str, up_m: float, sd_m: float) -> LineShift:
+def _decided(name: str, up_m: float, sd_m: float) -> AlignedLine:
     """What is applied to a flightline."""
     if np.isnan(up_m):
-        return LineShift(name, 0.0, None, None, ALONE)
+        return AlignedLine(name, 0.0, None, None, ALONE)
     shift = round(up_m * QUANTA_PER_M) / QUANTA_PER_M if abs(up_m) >= SURE * sd_m else 0.0
-    stays = "" if shift else UNSURE if sd_m else KEPT
-    return LineShift(name, shift, up_m, sd_m, stays)
+    return AlignedLine(name, shift, up_m, sd_m, "" if shift else UNSURE if sd_m else KEPT)
 
 
 def _solve(
-    names: Sequence[str], pairs: Sequence[PairDifference], weight: NDArray[np.float64]
+    names: Sequence[str], pairs: Sequence[StripPair], weight: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Shift of each flightline and its standard deviation [m]; NaN without a pair."""
     number = {name: k for k, name in enumerate(names)}

@@ -6,14 +6,15 @@ an alignment leaves follows from the same patches.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.lines.alignment import ALONE, MOST_M, TOO_FAR, LineShift, align_lines
-from spl_batch.airborne.lines.pair_table import PairDifference, pair_table
+from spl_batch.airborne.lines.alignment import ALONE, MOST_M, TOO_FAR, AlignedLine, align_lines
+from spl_batch.airborne.lines.pair_table import StripPair, pair_table
 from spl_batch.airborne.lines.patches import (
     COLUMNS_NEEDED,
     EDGE_M,
@@ -29,6 +30,7 @@ from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.errors import grouped
+from spl_batch.formats.rasters.parts import Part
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import EXCLUDED, PointTable
 from spl_batch.lattice.tiles import quanta
@@ -87,7 +89,7 @@ def align(args: Mapping[str, Any], context: Context) -> Produced:
     write_arrays(path, Shifts([flown[one.name] for one in shifts], up_q).to_arrays())
     facts = {
         "name": "survey.align",
-        "shifts": [list(one) for one in shifts],
+        "shifts": [asdict(one) for one in shifts],
         "findings": [*stay_findings(shifts)],
     }
     return Produced([path], facts)
@@ -104,7 +106,7 @@ def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:
     write_arrays(path, _map([cell.patches for cell in cells]))
     known = {(one.first, one.second) for one in pairs}
     lacking = sorted(_overlaps(cells) - known)
-    return Produced([path], {"pairs": [list(pair) for pair in pairs], "not_compared": lacking})
+    return Produced([path], {"pairs": [asdict(pair) for pair in pairs], "not_compared": lacking})
 
 
 def _read_cell(name: str, context: Context) -> _Cell:
@@ -124,25 +126,25 @@ def _shifted(cell: _Cell, lines: Shifts) -> _Cell:
     return cell._replace(patches={**patches, "rise": rise})
 
 
-def shifts_of(facts: Mapping[str, Any]) -> list[LineShift]:
+def shifts_of(facts: Mapping[str, Any]) -> list[AlignedLine]:
     """Shifts that :func:`align` has found, by its receipt."""
-    return [LineShift(*line) for line in facts["shifts"]]
+    return [AlignedLine(**line) for line in facts["shifts"]]
 
 
-def pairs_of(facts: Mapping[str, Any]) -> list[PairDifference]:
+def pairs_of(facts: Mapping[str, Any]) -> list[StripPair]:
     """Pairs by the receipt of :func:`strip_pairs`."""
-    return [PairDifference(*pair) for pair in facts["pairs"]]
+    return [StripPair(**pair) for pair in facts["pairs"]]
 
 
-def difference_map(context: Context) -> tuple[NDArray[np.float32], tuple[float, ...]] | None:
-    """Map of :func:`strip_pairs` and where it lies, west to north; None where there is none.
+def difference_map(context: Context) -> Part | None:
+    """Map of :func:`strip_pairs` [m]; None where no two flightlines share planar patches.
 
     Raises DamagedError if the file is damaged: who writes a report has it made again.
     """
     arrays = read_arrays(context.store.path("overlaps", "map.npz"))
     if not arrays["values"].size:
         return None
-    return arrays["values"], tuple(map(float, arrays["extent_m"]))
+    return Part(arrays["values"], *arrays["place_m"].tolist())
 
 
 def _returns(cells: Iterable[_Cell]) -> Counter[str]:
@@ -169,7 +171,7 @@ def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:
         np.concatenate([cell[k] for cell in cells] or [np.empty(0)]) for k in ("x", "y", "rise")
     )
     if not len(rise):
-        return {"values": np.empty((0, 0), np.float32), "extent_m": np.zeros(4)}
+        return {"values": np.empty((0, 0), np.float32), "place_m": np.zeros(3)}
     edge = 2 * EDGE_M
     while max(np.ptp(east), np.ptp(north)) / edge > MAP_CELLS:
         edge *= 2
@@ -182,11 +184,11 @@ def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:
     middle = first + np.diff(first, append=len(cell)) // 2
     values = np.full(shape[0] * shape[1], NODATA, np.float32)
     values[cell[order[first]]] = np.abs(rise)[order[middle]]
-    extent = np.array([west, west + shape[1], south, south + shape[0]]) * edge
-    return {"values": np.ascontiguousarray(values.reshape(shape)[::-1]), "extent_m": extent}
+    place = np.array([west, south + shape[0], 1]) * edge
+    return {"values": np.ascontiguousarray(values.reshape(shape)[::-1]), "place_m": place}
 
 
-def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Iterator[Finding]:
+def offset_warnings(pairs: Sequence[StripPair], align: str = "none") -> Iterator[Finding]:
     """Pairs whose flightlines differ by more than a single range does.
 
     ``align``: how flightlines were shifted before they were compared. It names the worst pair, as
@@ -207,7 +209,7 @@ def offset_warnings(pairs: Sequence[PairDifference], align: str = "none") -> Ite
         "noise_m": pair.noise_m,
         "remedy": _remedy(pair, align),
     }
-    yield Finding("S01", values, place=(pair.x_m, pair.y_m, pair.x_m, pair.y_m))
+    yield Finding("S01", values, place=(*pair.centre_m, *pair.centre_m))
 
 
 def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[Finding]:
@@ -225,7 +227,7 @@ def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[Finding]:
         yield Finding("S02", values)
 
 
-def _away(pair: PairDifference) -> float:
+def _away(pair: StripPair) -> float:
     """How far a pair is off, in parts of its ranging noise; 0 where it is not."""
     vertical = abs(pair.up_m) if pair.is_off_vertically else 0.0
     horizontal = 0.0
@@ -234,7 +236,7 @@ def _away(pair: PairDifference) -> float:
     return max(vertical, horizontal) / max(pair.noise_m, 1e-3)
 
 
-def _remedy(pair: PairDifference, align: str) -> str:
+def _remedy(pair: StripPair, align: str) -> str:
     """What helps against a difference."""
     if align == "none" and pair.is_off_vertically and not pair.is_off_horizontally:
         return "set survey.align: vertical"
@@ -245,7 +247,7 @@ def _remedy(pair: PairDifference, align: str) -> str:
     )
 
 
-def _parts(pair: PairDifference) -> Iterator[str]:
+def _parts(pair: StripPair) -> Iterator[str]:
     if pair.is_off_vertically:
         yield f"{100 * abs(pair.up_m):.1f} cm {'higher' if pair.up_m > 0 else 'lower'}"
     if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
@@ -256,7 +258,7 @@ def _parts(pair: PairDifference) -> Iterator[str]:
                 yield f"{100 * abs(way_m):.0f} cm farther {ahead if way_m > 0 else back}"
 
 
-def stay_findings(lines: Sequence[LineShift]) -> Iterator[Finding]:
+def stay_findings(lines: Sequence[AlignedLine]) -> Iterator[Finding]:
     """Flightlines that stay where they should perhaps not."""
     alone = [one.name for one in lines if one.stays == ALONE]
     if alone:
@@ -266,7 +268,7 @@ def stay_findings(lines: Sequence[LineShift]) -> Iterator[Finding]:
             yield Finding("S02", {"kind": "far", "up_m": one.found_m, "most_m": MOST_M}, one.name)
 
 
-def done_sentence(lines: Sequence[LineShift]) -> str:
+def done_sentence(lines: Sequence[AlignedLine]) -> str:
     """What a run has added to the heights of flightlines."""
     shifted = [one for one in lines if not one.stays]
     if not shifted:

@@ -13,9 +13,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from scipy.special import ndtr, stdtrit
 
 from spl_batch.airborne.lines.patches import FLAT, Patches
+from spl_batch.engine.report.parts import STRICT, Count, Number
 
 FEWEST: Final = 10
 """Patches of a pair that tell something, at least [count]."""
@@ -56,28 +59,28 @@ QUARTER: Final = 0.25
 """Share of the patches that are taken for smooth: the thickest of these is the ranging noise."""
 
 
-class PairDifference(NamedTuple):
-    """How far the second of two flightlines lies from the first."""
+@dataclass(frozen=True, config=STRICT)
+class StripPair:
+    """Where a flightline lies against another that overlaps it, from planar patches of both."""
 
-    first: str
-    second: str
-    patches: int
-    area_m2: float
-    #: Where they lie, on average [m].
-    x_m: float
-    y_m: float
-    #: Vertical difference, and its standard deviation [m].
-    up_m: float
-    up_sd_m: float
-    #: Horizontal difference, and its standard deviation in the worst direction; None where no
-    #: slopes tell them [m].
-    east_m: float | None
-    north_m: float | None
-    horizontal_sd_m: float | None
-    flat_patches: int  #: Smooth patches of up to 10 degrees [count].
-    rmsd_z_m: float | None  #: Root mean square of their vertical differences [m].
-    noise_m: float  #: Standard deviation of ranges: that about the smoothest patches [m].
-    squares: int  #: Squares of :data:`NEIGHBOURS_M` that hold the patches [count].
+    first: str = Field(description="The flightline that is compared with.")
+    second: str = Field(description="The one that is compared.")
+    patches: Count = Field(description="Planar patches that both have [count].")
+    area_m2: float = Field(description="Area of these patches [m2].")
+    centre_m: tuple[float, float] = Field(description="Easting and northing of their middle [m].")
+    up_m: float = Field(description="The second above the first [m].")
+    up_sd_m: float = Field(description="Standard deviation of it [m].")
+    east_m: Number = Field(description="The second east of the first; null if flat [m].")
+    north_m: Number = Field(description="The second north of the first; null if flat [m].")
+    horizontal_sd_m: Number = Field(
+        description="Standard deviation of these, in the worst direction [m]."
+    )
+    flat_patches: Count = Field(description="Smooth patches of up to 10 degrees [count].")
+    rmsd_z_m: Number = Field(
+        description="Root mean square of the vertical differences of these [m]."
+    )
+    noise_m: float = Field(description="Ranging noise: spread about the smoothest patches [m].")
+    squares: Count = Field(description="Squares of 100 m that hold the patches [count].")
 
     @property
     def is_off_vertically(self) -> bool:
@@ -99,7 +102,7 @@ def student_t(freedom: int) -> float:
     return float(stdtrit(freedom, ndtr(3.0))) if freedom > 0 else np.inf
 
 
-def pair_table(cells: Iterable[tuple[Sequence[str], Patches]]) -> list[PairDifference]:
+def pair_table(cells: Iterable[tuple[Sequence[str], Patches]]) -> list[StripPair]:
     """Differences of all pairs of flightlines that share enough patches.
 
     ``cells``: of each ground cell the names of its flightlines, and its patches.
@@ -131,18 +134,18 @@ def _by_pair(names: Sequence[str], patches: Patches) -> Iterable[tuple[tuple[str
         yield (first, second), chosen
 
 
-def _difference(first: str, second: str, patches: Patches) -> PairDifference:
+def _difference(first: str, second: str, patches: Patches) -> StripPair:
     noise = float(np.quantile(patches["thickness"], QUARTER))
     slope = np.hypot(patches["east"], patches["north"])
     flat = patches["rise"][(slope <= FLAT) & (patches["thickness"] <= TWICE * noise)]
     area = patches["edge_m"] ** 2
-    return PairDifference(
+    x_m, y_m = (float(np.average(patches[axis], weights=area)) for axis in "xy")
+    return StripPair(
         first,
         second,
         len(area),
         float(area.sum()),
-        float(np.average(patches["x"], weights=area)),
-        float(np.average(patches["y"], weights=area)),
+        (x_m, y_m),
         *fit_shift(patches),
         len(flat),
         float(np.sqrt(np.mean(flat**2))) if len(flat) else None,

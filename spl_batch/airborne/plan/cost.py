@@ -8,7 +8,7 @@ from typing import Final
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import reference_tasks
-from spl_batch.airborne.plan.cells import tiles_along
+from spl_batch.airborne.plan.grid import tiles_along
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Source
 from spl_batch.airborne.plan.survey_ledger import Survey
@@ -83,14 +83,14 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     work = {stage: compared if stage == "report" else points for stage in rates}
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     flown, found = len(survey.inputs.trajectory), survey.filtering and not survey.inputs.trajectory
-    # every file is indexed, a large one by parts, and most likely is a flightline; each stretch is
-    # gathered and scattered; without a trajectory flightlines have a heading and a path, and
-    # stretches are observed after that
+    # every file is indexed by parts, and most likely is a flightline; each stretch is
+    # observed and scattered; without a trajectory flightlines have a path, which lines of sight of
+    # stretches show
     tasks = {
         "index": len(sources)
         + sum(map(parts_of, files))
         + (flown and survey.filtering) * (flown + 1),
-        "shots": len(sources) + stretches + found * (2 * len(sources) + stretches),
+        "shots": len(sources) + stretches + found * (len(sources) + stretches),
         "shuffle": stretches + tiles,
         "denoise": denoise_cells,
         "ground": cells,

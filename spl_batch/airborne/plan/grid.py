@@ -1,6 +1,7 @@
 """Cells: squares of an absolute grid, what each owns and what it reads around it.
 
-``denoise`` takes k x k tiles, one k for the survey; the steps after it take ``ground.cell_m``.
+``denoise`` takes k x k tiles, one k for the survey, and labels and rasters are the same whatever k
+is; the steps after it take ``ground.cell_m``.
 Ground cells at a survey's edge own a strip more.
 
 A TIN is known where its surroundings are, so each square is read with a buffer. Where a survey
@@ -15,7 +16,12 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple, Self
 
+from spl_batch.airborne.plan.halo import halo_m
+from spl_batch.airborne.plan.task_memory import task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.engine.plan.worker_memory import usable_bytes
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.lattice.density import Piece, largest
 from spl_batch.lattice.tiles import (
     Bounds,
     CellId,
@@ -23,6 +29,7 @@ from spl_batch.lattice.tiles import (
     cells_touching,
     grow,
     overlap,
+    parse_cell,
     quanta,
     shared,
 )
@@ -30,6 +37,13 @@ from spl_batch.lattice.tiles import (
 MOST_ACROSS: Final = 500
 """Raster cells along a square up to which strips are joined [count]: rasters of a joined cell are
 made for whole squares, nine of them where a survey is one square with strips all round."""
+
+MOST_TILES: Final = 8
+"""Tiles along one side of a cell of ``denoise``, at most [count]: wider ones read hardly less."""
+
+MARGIN_COST: Final = 0.4
+"""Time that a point of a margin takes, over that of one that a cell owns: what the quickstart's
+cells took."""
 
 
 def strip_q(workflow: Workflow) -> int:
@@ -109,9 +123,9 @@ class Grid(NamedTuple):
         for cell in sorted(touched):
             yield _unit(cell, self.core(cell), counts, tile_q, margin)
 
-    def owners(self, tiles: Iterable[CellId], tile_q: int) -> dict[CellId, list[str]]:
-        """Cells that may hold labels of each tile, by tile."""
-        return {tile: [str(cell) for cell in self._of_tile(tile, tile_q)] for tile in tiles}
+    def owners(self, tiles: Iterable[CellId], tile_q: int) -> list[str]:
+        """Names of the cells that own points of some tiles, or could."""
+        return sorted({str(cell) for tile in tiles for cell in self._of_tile(tile, tile_q)})
 
     def _of_tile(self, tile: CellId, tile_q: int) -> Iterable[CellId]:
         """Cells that own points of a tile, or could, each once."""
@@ -153,3 +167,35 @@ def _axis(first: int, past: int, edge: int, strip: int) -> tuple[int, int, int, 
     if low < high and past - high * edge <= strip:
         high -= 1
     return west, east, low, high
+
+
+def tiles_along(
+    pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, workers: int
+) -> int:
+    """Tiles along one side of the cells of ``denoise``.
+
+    Those that fit with their margin into a worker, even where the survey is densest, and of these
+    the ones with which the workers finish soonest: wide cells read little twice, many of them
+    share the work evenly. ``pieces``: where the points lie; ``memory_bytes``: limit of a worker.
+    """
+    if workflow.tiling.block_tiles is not None:
+        return workflow.tiling.block_tiles
+    tile_m, margin_m = workflow.tiling.tile_m, halo_m(workflow)
+    best, least = 1, math.inf
+    for side in range(1, MOST_TILES + 1):
+        edge_m = side * tile_m
+        peak = largest(piece.peak(quanta(edge_m), quanta(margin_m)) for piece in pieces)
+        if side > 1 and task_bytes("denoise", peak.points) > usable_bytes(memory_bytes):
+            break
+        cells = sum(piece.units(quanta(edge_m)) for piece in pieces)
+        rounds = -(-cells // max(workers, 1))
+        cost = edge_m**2 + MARGIN_COST * ((edge_m + 2.0 * margin_m) ** 2 - edge_m**2)
+        if rounds * cost < least:
+            best, least = side, rounds * cost
+    return best
+
+
+def tile_counts(tiles: Mapping[str, Receipt]) -> dict[CellId, int]:
+    """Points of each tile that holds some, from the receipts of the built tiles."""
+    counts = {parse_cell(name): int(r.facts["points"]) for name, r in tiles.items()}
+    return {tile: n for tile, n in sorted(counts.items()) if n}

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from spl_batch.airborne.plan.space_tasks import aligned, labels_of
+from spl_batch.airborne.plan.space_tasks import labels_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import UNEVEN, points_within, refusal
 from spl_batch.engine.plan.input_files import source_key
@@ -62,19 +62,16 @@ def accuracy(survey: Survey) -> Iterator[Task]:
     edge, _ = _lattice(survey)
     for square in sorted(files):
         tiles = _tiles_of(survey, square, edge)
-        (labels, given), (moved, first) = labels_of(survey, tiles, "noise"), aligned(survey)
         args = {
-            **moved,
             "square": square,
             "edge": edge,
             "files": files[square],
             "rasters": rasters,
             "tiles": [str(tile) for tile in tiles],
-            "labels": labels,
         }
         needs = [*(("reference", name) for name in files[square])]
         needs += [("mosaic", name) for name in rasters]
-        needs += [*given, *first]
+        needs += labels_of(survey, tiles, "noise")
         refused = refusal("accuracy", points[square], survey.memory_bytes)
         yield Task("accuracy", square, args, tuple(needs), points[square], refused)
 

@@ -1,6 +1,6 @@
 """Tasks of the space domain: tiles, cells, and what is delivered of them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import PurePath
 from typing import Any, Final, NamedTuple
 
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.accuracy.evidence import LEVELS
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
-from spl_batch.airborne.plan.cells import fired_index, voxel_index
 from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.grid import Unit
 from spl_batch.airborne.plan.halo import surface_reach_m
@@ -18,13 +17,15 @@ from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import cell_bytes, refusal
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
-from spl_batch.airborne.tasks.bindings import MADE_BY
+from spl_batch.airborne.tasks.bindings import MADE_BY, SHIFTED
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.input_changes import stamp_if_there
-from spl_batch.engine.tasks.task import Task
+from spl_batch.engine.tasks.task import Need, Task
 from spl_batch.errors import grouped
 from spl_batch.formats.las.header import waveform_file
 from spl_batch.lattice.tiles import (
     Bounds,
+    BoxIndex,
     CellId,
     cell_runs,
     far_apart,
@@ -94,9 +95,9 @@ def denoise(survey: Survey) -> Iterator[Task]:
     for stretch, receipt in survey.of("scatter").items():
         boxes = dict(receipt.facts.get("voxels_apart", {}))
         boxes |= {stretch: receipt.facts["voxels"]} if "voxels" in receipt.facts else {}
-        voxels |= boxes
+        voxels |= {name: (x0, y0, x1, y1) for name, (x0, y0, _, x1, y1, _) in boxes.items()}
         stretch_of |= dict.fromkeys(boxes, stretch)
-    index = voxel_index(voxels, voxel_q)
+    index = index_of_boxes(voxels, voxel_q)
     # what a density depends on, whatever the halo of the points
     margin = survey.halo_q + MARGIN_VOXELS * voxel_q
     for cell in survey.denoise_cells():
@@ -108,29 +109,26 @@ def denoise(survey: Survey) -> Iterator[Task]:
 
 def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
-    halo, (moved, first) = quanta(survey.workflow.ground.buffer_m), aligned(survey)
+    halo = quanta(survey.workflow.ground.buffer_m)
     for cell in survey.ground_cells(halo):
-        labels, given = labels_of(survey, cell.tiles, "noise")
-        args = {**moved, "halo": halo, "labels": labels}
-        yield cell_task("ground", cell, survey, args, (*given, *first))
+        needs = labels_of(survey, cell.tiles, "noise")
+        yield cell_task("ground", cell, survey, {"halo": halo}, needs)
 
 
 def surface(survey: Survey) -> Iterator[Task]:
     """Ground cells whose ground is found, with what their rasters read around them."""
     halo = quanta(surface_reach_m(survey.workflow))
-    index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
-    moved, first = aligned(survey)
+    known = knows_reflectance(survey)
+    index = index_of_boxes(_fired(survey), QUANTA_PER_M) if known else None
     for cell in survey.ground_cells(halo):
-        labels, given = labels_of(survey, cell.tiles, "noise", "ground")
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
-            **moved,
             "halo": halo,
-            "labels": labels,
             "polygons": [*survey.inputs.polygons, *survey.inputs.breaklines],
             "fired": parts,
         }
-        needs = (*given, *(("scatter", n) for n in parts or ()), *first)
+        needs = labels_of(survey, cell.tiles, "noise", "ground")
+        needs += [("scatter", n) for n in parts or ()]
         yield cell_task("surface", cell, survey, args, needs)
 
 
@@ -139,7 +137,7 @@ def cell_task(
     cell: Unit,
     survey: Survey,
     args: Mapping[str, object],
-    needs: Iterable[tuple[str, str]],
+    needs: Iterable[Need],
 ) -> Task:
     """A task of a cell: what it owns, and the tiles that it reads."""
     tiles = [str(tile) for tile in cell.tiles]
@@ -155,7 +153,7 @@ def knows_reflectance(survey: Survey) -> bool:
     workflow = survey.workflow
     if workflow.filter.method == "none" or workflow.products.intensity != "detection":
         return False
-    return any(box[2] > box[0] for box in _boxes(survey, "fired").values())
+    return any(box[2] > box[0] for box in _fired(survey).values())
 
 
 def deliver(survey: Survey) -> Iterator[Task]:
@@ -165,29 +163,25 @@ def deliver(survey: Survey) -> Iterator[Task]:
     for tile in survey.counts:
         for source in built[str(tile)].facts["sources"]:
             tiles_of.setdefault(source, []).append(tile)
-    moved, first = aligned(survey)
     for source in survey.inputs.sources:
         key = str(source.key)
         receipt = survey.of("index_file").get(key)
         if receipt is None:
             continue
         tiles = [str(tile) for tile in tiles_of.get(key, ())]
-        labels, given = labels_of(survey, tiles_of.get(key, ()), "noise", "classes")
         args = {
             **source_args(source),
-            **moved,
             "delivered": source.delivered,
             "points": receipt.points,
-            "parts": len(receipt.facts["parts"]),
             "hash": receipt.facts["hash"],
             **_header_args(source, receipt.facts),
             "tiles": tiles,
-            "labels": labels,
             "copies": [tile for tile in tiles if built[tile].facts["copies"]],
-            **({"spans": receipt.facts["spans"]} if moved else {}),
+            "spans": receipt.facts["spans"],
         }
-        needs = (*(("build_tile", tile) for tile in tiles), *given, *first)
-        yield Task("deliver_file", key, args, needs, receipt.points)
+        needs = [("build_tile", tile) for tile in tiles]
+        needs += labels_of(survey, tiles_of.get(key, ()), "noise", "classes")
+        yield Task("deliver_file", key, args, tuple(needs), receipt.points)
 
 
 def _header_args(source: Source, facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -205,12 +199,9 @@ def deliver_tiles(survey: Survey) -> Iterator[Task]:
     """Tiles, where they are delivered."""
     if survey.workflow.outputs.tiles == "none":
         return
-    moved, first = aligned(survey)
     for tile, count in survey.counts.items():
-        labels, given = labels_of(survey, [tile], "noise", "classes")
-        args = {**moved, "tile": str(tile), "labels": labels}
-        needs = (("build_tile", str(tile)), *given, *first)
-        yield Task("deliver_tile", str(tile), args, needs, count)
+        needs = (("build_tile", str(tile)), *labels_of(survey, [tile], "noise", "classes"))
+        yield Task("deliver_tile", str(tile), {"tile": str(tile)}, needs, count)
 
 
 def mosaic(survey: Survey) -> Iterator[Task]:
@@ -233,15 +224,8 @@ def mosaic(survey: Survey) -> Iterator[Task]:
     squares = [square for cell in cells for square in survey.grid.squares(cell)]
     needs = tuple(("surface", str(cell)) for cell in cells)
     for product in products(reflectance=knows_reflectance(survey)):
-        args = {
-            "product": product.name,
-            "name": product.name,
-            "cells": cell_runs(sorted(squares)),
-            "bounds": list(bounds),
-            "delivered": product.delivered,
-            "meaning": product.meaning,
-            "unit": product.unit,
-        }
+        place = {"cells": cell_runs(sorted(squares)), "bounds": list(bounds)}
+        args = {**product._asdict(), **place}
         yield Task("mosaic", product.name, args, needs, 0, refused)
 
 
@@ -264,44 +248,30 @@ def geoid(survey: Survey) -> Iterator[Task]:
     for product in ABOVE_GEOID:
         source = product.name.removesuffix("_geoid")
         if source in survey.of("mosaic"):
-            args = {
-                "source": f"{source}.tif",
-                "target": f"{product.name}.tif",
-                "meaning": product.meaning,
-                "unit": product.unit,
-                "grid": [*survey.inputs.geoid],
-            }
+            args = {**product._asdict(), "source": source, "grid": [*survey.inputs.geoid]}
             yield Task("deliver_geoid", product.name, args, (("mosaic", source),))
 
 
-def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
-    """What the stretches say of a place, by name."""
+def _fired(survey: Survey) -> dict[str, Sequence[int]]:
+    """Where stretches fired, near the ground: west, south, east, north [m]."""
     scattered = ((name, r.facts) for name, r in survey.of("scatter").items())
-    return {name: facts[fact] for name, facts in scattered if fact in facts}
+    return {name: facts["fired"] for name, facts in scattered if "fired" in facts}
 
 
-def aligned(survey: Survey) -> tuple[dict[str, object], tuple[tuple[str, str], ...]]:
-    """Argument of tasks that read shifted points, and the task that finds the shifts."""
-    if "all" not in survey.of("align"):
-        return {}, ()
-    return {"aligned": True}, (("align", "all"),)
+def aligned(survey: Survey) -> tuple[Need, ...]:
+    """The task that finds the shifts of heights, if one has."""
+    return (SHIFTED,) if SHIFTED[1] in survey.of(SHIFTED[0]) else ()
 
 
-def labels_of(
-    survey: Survey, tiles: Iterable[CellId], *kinds: str
-) -> tuple[dict[str, dict[str, list[str]]], tuple[tuple[str, str], ...]]:
-    """Units that may hold labels of some tiles, by kind and tile, and the tasks that give them."""
-    found = {
-        kind: (survey.denoise_grid if kind == "noise" else survey.grid).owners(tiles, survey.tile_q)
-        for kind in kinds
-    }
-    needs = (
-        (MADE_BY[kind], name)
-        for kind, units in found.items()
-        for name in sorted({name for names in units.values() for name in names})
-    )
-    labels = {kind: {str(t): names for t, names in units.items()} for kind, units in found.items()}
-    return labels, tuple(needs)
+def labels_of(survey: Survey, tiles: Collection[CellId], *kinds: str) -> list[Need]:
+    """Tasks that may label points of some tiles, and the one that shifts their heights."""
+    grids = {kind: survey.denoise_grid if kind == "noise" else survey.grid for kind in kinds}
+    needs = [
+        (MADE_BY[kind], unit)
+        for kind, grid in grids.items()
+        for unit in grid.owners(tiles, survey.tile_q)
+    ]
+    return [*needs, *aligned(survey)]
 
 
 def copc_name(delivered: str) -> str:
@@ -367,7 +337,6 @@ def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[
         if files:
             yield {
                 "id": line.name,
-                "psid": line.psid,
                 "number": line.number,
                 "points": line.points,
                 "first_s": line.first_s,
@@ -376,3 +345,8 @@ def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[
                 "per_m2": None if swath is None else swath.pulses / swath.area_m2,
                 "files": files,
             }
+
+
+def index_of_boxes(boxes: Mapping[str, Sequence[int]], unit_q: int) -> BoxIndex:
+    """Stretches by place; ``boxes``: xmin, ymin, xmax, ymax of each, in units [quanta]."""
+    return BoxIndex({name: Bounds(*(unit_q * end for end in box)) for name, box in boxes.items()})

@@ -5,19 +5,19 @@ from dataclasses import replace
 
 from spl_batch.airborne.lines.patches import SQUARE_M
 from spl_batch.airborne.plan.flightlines import is_timeless
-from spl_batch.airborne.plan.space_tasks import (
-    aligned,
-    cell_task,
-    labels_of,
-)
+from spl_batch.airborne.plan.space_tasks import aligned, cell_task, labels_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import quanta
 
 
 def is_one_flightline(survey: Survey) -> bool:
-    """Whether there is nothing to compare; known once the index is complete."""
-    return len(survey.flown) < 2 and not _has_timeless(survey)
+    """Whether there is nothing to compare; known once the index is complete.
+
+    Which flightlines files without times hold shows in their points alone.
+    """
+    indexed = survey.of("index_file").values()
+    return len(survey.flown) < 2 and not any(is_timeless(r, survey.workflow) for r in indexed)
 
 
 def recorded_patches(survey: Survey) -> Iterator[Task]:
@@ -40,10 +40,10 @@ def patches(survey: Survey) -> Iterator[Task]:
 
 def pairs(survey: Survey) -> Iterator[Task]:
     """One task that puts all cells together, with the shifts where there are any."""
-    moved, first = aligned(survey)
-    task = _together("strip_pairs", "recorded_patches" if moved else "strip_patches", survey)
+    first = aligned(survey)
+    task = _together("strip_pairs", "recorded_patches" if first else "strip_patches", survey)
     if task.args["cells"]:
-        yield replace(task, args={**task.args, **moved}, needs=(*task.needs, *first))
+        yield replace(task, needs=(*task.needs, *first))
 
 
 def _patches(kind: str, survey: Survey) -> Iterator[Task]:
@@ -51,9 +51,9 @@ def _patches(kind: str, survey: Survey) -> Iterator[Task]:
     if is_one_flightline(survey):
         return
     for cell in survey.ground_cells(quanta(SQUARE_M)):
-        labels, needs = labels_of(survey, cell.tiles, "noise")
-        args = {"labels": labels, "lines": _lines(survey)}
-        yield replace(cell_task(kind, cell, survey, args, needs), points=0)
+        needs = labels_of(survey, cell.tiles, "noise")
+        task = cell_task(kind, cell, survey, {"lines": _lines(survey)}, needs)
+        yield replace(task, points=0)
 
 
 def _together(kind: str, of: str, survey: Survey) -> Task:
@@ -61,11 +61,6 @@ def _together(kind: str, of: str, survey: Survey) -> Task:
     cells = sorted(name for name, r in survey.of(of).items() if r.facts["patches"])
     args = {"lines": _lines(survey), "cells": cells}
     return Task(kind, "all", args, tuple((of, name) for name in cells))
-
-
-def _has_timeless(survey: Survey) -> bool:
-    """Whether some files have no times: which flightlines they hold shows in their points."""
-    return any(is_timeless(r, survey.workflow) for r in survey.of("index_file").values())
 
 
 def _lines(survey: Survey) -> list[list[object]]:

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.plan.cells import tile_counts, tiles_along
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, is_timeless
-from spl_batch.airborne.plan.grid import Grid, Unit
+from spl_batch.airborne.plan.grid import Grid, Unit, tile_counts, tiles_along
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.settings.workflow import Workflow
@@ -27,7 +26,7 @@ def _most_timed(indexed: tuple[str, Receipt]) -> tuple[int, str]:
 
 
 class Pieces(NamedTuple):
-    """Input files, or parts of large ones, that hold points of a point source id."""
+    """Parts of input files that hold points of a point source id."""
 
     names: list[str]  #: What the files of the store that hold them are called.
     #: (p,): times of the first and the last of these points [s].
@@ -53,7 +52,7 @@ class Survey(Ledger[Inputs, Workflow]):
     @property
     def filtering(self) -> bool:
         """Whether anything in the chain needs shots and times."""
-        return self.workflow.filter.method != "none" or self.workflow.afterpulse.enabled
+        return self.workflow.filtering
 
     @cached_property
     def flightlines(self) -> list[Flightline]:
@@ -76,12 +75,9 @@ class Survey(Ledger[Inputs, Workflow]):
         for key, receipt in sorted(self.of("index_file").items(), key=_most_timed):
             if is_timeless(receipt, self.workflow):
                 continue
-            spans, parts = receipt.facts["spans"], receipt.facts["parts"]
-            whole = {psid: [mine[0][0], mine[-1][1]] for psid, mine in spans.items()}
-            named = [(part_name(key, k), of_part) for k, of_part in enumerate(parts)]
-            for name, held in named or [(key, whole)]:
+            for k, held in enumerate(receipt.facts["parts"]):
                 for psid, (first, last) in held.items():
-                    found.setdefault(int(psid), []).append((name, first, last))
+                    found.setdefault(int(psid), []).append((part_name(key, k), first, last))
         return {
             psid: Pieces([n for n, _, _ in listed], *np.array([ends for _, *ends in listed]).T)
             for psid, listed in found.items()

@@ -131,7 +131,7 @@ def needs(
     tiles = largest(piece.peak(quanta(workflow.tiling.tile_m), 0) for piece in pieces)
     return [
         *found,
-        Need("reading a file", task_bytes("index_file", min(points, CHUNK_POINTS)), ""),
+        Need("reading a file", task_bytes("index_part", min(points, CHUNK_POINTS)), ""),
         Need(
             "a stretch of a flightline",
             task_bytes("scatter", min(points, UNEVEN * STRETCH_POINTS)),

@@ -7,7 +7,7 @@ steps. What failed there is left out: its points stay unlabelled, the rest goes 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.plan.flightlines import Flightline
@@ -67,11 +67,10 @@ def index_file(survey: Survey) -> Iterator[Task]:
             "name": source.name,
             "stamp": then[0] if then else now,
             "parts": len(parts),
-            "again": [k for k, fact in enumerate(facts) if "fault" in fact],
+            "faults": {str(k): one["faults"] for k, one in enumerate(facts) if "faults" in one},
         }
         needs = tuple(("index_part", part) for part in parts)
-        points = 0 if parts else source.facts.n_points
-        yield Task("index_file", str(source.key), args, needs, points)
+        yield Task("index_file", str(source.key), args, needs)
 
 
 def trajectory(survey: Survey) -> Iterator[Task]:
@@ -111,22 +110,19 @@ def _time_of_most(lines: Sequence[Flightline]) -> list[float]:
     return [most[0].first_s, max(line.last_s for line in most)]
 
 
-def heading(survey: Survey) -> Iterator[Task]:
-    """Flightlines whose heading is looked for, without a trajectory."""
-    if survey.inputs.trajectory:
-        return
-    for line in survey.flightlines:
-        args = {
-            "psid": line.psid,
-            "points": line.points,
-            "sources": list(line.sources),
-            "seconds": [int(line.first_s // 1), int(line.last_s // 1)],
-        }
-        yield Task("heading", line.name, args, tuple(("index_file", k) for k in line.sources))
+def sights(survey: Survey) -> Iterator[Task]:
+    """Stretches whose lines of sight are to show the sensor's path, without a trajectory."""
+    if not survey.inputs.trajectory:
+        yield from _of_stretches("sights", survey)
 
 
-def gather(survey: Survey) -> Iterator[Task]:
-    """Stretches of flightlines."""
+def observe(survey: Survey) -> Iterator[Task]:
+    """Stretches, once their beams are known."""
+    yield from _of_stretches("observe", survey)
+
+
+def _of_stretches(kind: str, survey: Survey) -> Iterator[Task]:
+    """Tasks of all stretches, whether they hold points or not."""
     positions = _positions(survey)
     for line in survey.flightlines:
         stretches = list(line.stretches())
@@ -135,28 +131,14 @@ def gather(survey: Survey) -> Iterator[Task]:
                 **_stretch_args(survey, line, name, k),
                 "positions": _near(positions, line, k),
             }
-            yield Task("gather", name, args, _files(line), line.points // len(stretches))
+            needs = (*_files(line), *_path_needs(survey, line))
+            yield Task(kind, name, args, needs, line.points // len(stretches))
 
 
-def gather_range(survey: Survey) -> Iterator[Task]:
-    """Stretches of files without times, where nothing filters."""
-    if survey.filtering:
-        return
-    for source in survey.inputs.sources:
-        key = str(source.key)
-        if key not in survey.of("index_file"):
-            continue
-        for start in range(0, source.facts.n_points, RANGE_POINTS):
-            stop = min(start + RANGE_POINTS, source.facts.n_points)
-            name = f"file_{key}/{start}"
-            args = {**source_args(source), "stretch": name, "start": start, "stop": stop}
-            yield Task("gather_range", name, args, (("index_file", key),), stop - start)
-
-
-def _gathered(survey: Survey, line: Flightline) -> list[tuple[str, int]]:
-    """Names and numbers of the stretches of a flightline that hold points."""
-    gathered = survey.of("gather")
-    return [(n, k) for n, k in line.stretches() if n in gathered and gathered[n].facts["points"]]
+def _with_points(kind: str, survey: Survey, line: Flightline) -> list[tuple[str, int]]:
+    """Names and numbers of the stretches in which a step has found points."""
+    done = survey.of(kind)
+    return [(n, k) for n, k in line.stretches() if n in done and done[n].facts["points"]]
 
 
 def sensor_path(survey: Survey) -> Iterator[Task]:
@@ -164,34 +146,24 @@ def sensor_path(survey: Survey) -> Iterator[Task]:
     if survey.inputs.trajectory:
         return
     for line in survey.flightlines:
-        names = [name for name, _ in _gathered(survey, line)]
+        names = [name for name, _ in _with_points("sights", survey, line)]
         if names:
             args = {
                 "line": line.name,
+                "psid": line.psid,
+                "sources": list(line.sources),
                 "stretches": names,
                 "points": line.points,
                 "span_s": [line.first_s, line.last_s],
             }
-            needs = tuple(("gather", n) for n in names)
+            needs = (*_files(line), *(("sights", n) for n in names))
             yield Task("sensor_path", line.name, args, needs)
-
-
-def observe(survey: Survey) -> Iterator[Task]:
-    """Stretches that are observed once the path is known."""
-    if survey.inputs.trajectory:
-        return
-    for line in survey.flightlines:
-        for name, k in _gathered(survey, line):
-            args = _stretch_args(survey, line, name, k)
-            needs = (*_files(line), ("gather", name), *_path_needs(survey, line))
-            yield Task("observe", name, args, needs, survey.of("gather")[name].points)
 
 
 def fit_line(survey: Survey) -> Iterator[Task]:
     """Flightlines whose noise and afterpulses are fitted."""
-    observing = "gather" if survey.inputs.trajectory else "observe"
     for line in survey.flightlines:
-        names = [n for n, _ in _gathered(survey, line) if n in survey.of(observing)]
+        names = [name for name, _ in _with_points("observe", survey, line)]
         if names:
             args = {
                 **_line_args(survey, line),
@@ -201,7 +173,7 @@ def fit_line(survey: Survey) -> Iterator[Task]:
                 "stretch_s": line.stretch_shots / line.clock.prf_hz,
                 "prf_basis": line.prf_basis,
             }
-            yield Task("fit_line", line.name, args, tuple((observing, n) for n in names))
+            yield Task("fit_line", line.name, args, tuple(("observe", n) for n in names))
 
 
 def scatter(survey: Survey) -> Iterator[Task]:
@@ -214,29 +186,46 @@ def scatter(survey: Survey) -> Iterator[Task]:
     for line in survey.flightlines:
         if line.name not in survey.of("fit_line"):
             continue
-        for name, k in _gathered(survey, line):
+        for name, k in _with_points("observe", survey, line):
             args = {**_stretch_args(survey, line, name, k), "timeless": False}
             args["of_shots"] = of_shots
             args["positions"] = _near(positions, line, k)
             args["polygons"] = list(survey.inputs.polygons)
-            needs = (*_files(line), ("gather", name), ("fit_line", line.name))
+            needs = (*_files(line), ("observe", name), ("fit_line", line.name))
             needs += _path_needs(survey, line)
-            yield Task("scatter", name, args, needs, survey.of("gather")[name].points)
-    # Of points without a flightline of their own their id and time tell which one they are of.
+            yield Task("scatter", name, args, needs, survey.of("observe")[name].points)
+    if not survey.filtering:
+        yield from _ranges(survey)
+
+
+def _ranges(survey: Survey) -> Iterator[Task]:
+    """Runs of points of the files, where nothing filters, to be shared among tiles."""
+    # Their id and time tell which flightline they are of.
     again = [[*line.as_pass] for line in survey.flown if line.number != line.psid]
-    for name, receipt in sorted(survey.of("gather_range").items()):
-        args = {
-            "stretch": name,
-            "timeless": True,
-            "passes": again,
-            "polygons": list(survey.inputs.polygons),
-        }
-        yield Task("scatter", name, args, (("gather_range", name),), receipt.points)
+    for source in survey.inputs.sources:
+        key, points = str(source.key), source.facts.n_points
+        for start in range(0, points if key in survey.of("index_file") else 0, RANGE_POINTS):
+            stop = min(start + RANGE_POINTS, points)
+            name = f"file_{key}/{start}"
+            args = {
+                **source_args(source),
+                "stretch": name,
+                "start": start,
+                "stop": stop,
+                "timeless": True,
+                "passes": again,
+                "polygons": list(survey.inputs.polygons),
+            }
+            yield Task("scatter", name, args, (("index_file", key),), stop - start)
 
 
 def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
-    heading = survey.of("heading").get(line.name)
-    path = survey.of("sensor_path").get(line.name)
+    beams: dict[str, Any] = {"basis": "vertical", "heading_rad": None}
+    if survey.of("trajectory"):
+        beams["basis"] = "trajectory"
+    elif line.name in survey.of("sensor_path"):
+        facts = survey.of("sensor_path")[line.name].facts
+        beams = {name: facts[name] for name in beams}
     return {
         "line": line.name,
         "psid": line.psid,
@@ -244,9 +233,7 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
         "t0_s": line.clock.t0_s,
         "prf_hz": line.clock.prf_hz,
         "beamlets": survey.beamlets,
-        "trajectory": bool(survey.of("trajectory")),
-        "sensor_path": bool(path and path.facts["found"]),
-        "heading_rad": heading.facts["heading_rad"] if heading else None,
+        **beams,
     }
 
 

@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.sorting import first_not_below, sort
+from spl_batch.numerics.nearest_cells import distances
+from spl_batch.numerics.sorting import sort
+
+Places = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
+"""Easting, northing and height of points [quanta]."""
 
 
 def sort_into_cells(
@@ -126,7 +130,7 @@ def _spread2(z: NDArray[np.int32], begin: int, end: int, middle2: np.int64) -> n
 
 @njit()
 def robust_cell_means(
-    xyz: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]],
+    xyz: Places,
     start: NDArray[np.int64],
     floor: float,
     means: NDArray[np.float64],
@@ -174,60 +178,27 @@ def ring_offsets(reach_cells: float) -> NDArray[np.int64]:
     return table[np.lexsort([table[:, 1], table[:, 0], table[:, 2]])]
 
 
-@njit()
-def fill_voids(
-    values: NDArray[np.float64], offsets: NDArray[np.int64], out: NDArray[np.float64]
-) -> None:
+def fill_voids(values: NDArray[np.float64], reach_cells: float) -> NDArray[np.float64]:
     """Give each empty cell (NaN) the value of its nearest filled one, of several the lowest.
 
     No height between two neighbours is invented: an occluded strip beside a wall belongs to the
-    roof or to the ground, never to something half way up. ``offsets`` as of :func:`ring_offsets`;
-    NaN stays in ``out`` where nothing is near enough.
+    roof or to the ground, never to something half way up. NaN stays where the centre of none is
+    within ``reach_cells``.
     """
-    rows, cols = values.shape
-    reach = 0
-    for k in range(len(offsets)):
-        reach = max(reach, offsets[k, 0])
-    gap = np.empty((rows, cols), dtype=np.int64)
-    _gaps_in_rows(values, reach + 1, gap)
-    for row in range(rows):
-        for col in range(cols):
-            out[row, col] = values[row, col]
-            if not np.isnan(values[row, col]):
-                continue
-            nearest2 = _nearest2(gap, row, col, reach)
-            for k in range(first_not_below(offsets[:, 2], nearest2), len(offsets)):
-                if offsets[k, 2] > nearest2:
-                    break
-                r, c = row + offsets[k, 0], col + offsets[k, 1]
-                if 0 <= r < rows and 0 <= c < cols:
-                    # fmin prefers what is not NaN
-                    out[row, col] = np.fmin(out[row, col], values[r, c])
-
-
-@njit()
-def _gaps_in_rows(values: NDArray[np.float64], most: int, gap: NDArray[np.int64]) -> None:
-    """Cells to the nearest filled one in the same row, 0 for a filled one, at most ``most``."""
-    rows, cols = values.shape
-    for row in range(rows):
-        distance = most
-        for col in range(cols):
-            distance = min(distance + 1, most) if np.isnan(values[row, col]) else 0
-            gap[row, col] = distance
-        distance = most
-        for col in range(cols - 1, -1, -1):
-            distance = min(distance + 1, most) if np.isnan(values[row, col]) else 0
-            gap[row, col] = min(gap[row, col], distance)
-
-
-@njit()
-def _nearest2(gap: NDArray[np.int64], row: int, col: int, reach: int) -> int:
-    """Squared distance to the nearest filled cell, larger than any within reach for none."""
-    nearest2 = 2 * (reach + 1) * (reach + 1)
-    for r in range(max(row - reach, 0), min(row + reach + 1, len(gap))):
-        if gap[r, col] <= reach:
-            nearest2 = min(nearest2, (r - row) * (r - row) + int(gap[r, col]) ** 2)
-    return nearest2
+    filled, empty = values.copy(), np.isnan(values)
+    if empty.all():
+        return filled
+    # Squares of distances are whole numbers.
+    away2, offsets = np.rint(distances(~empty) ** 2), ring_offsets(reach_cells)
+    row, col = np.nonzero(empty & (away2 <= reach_cells * reach_cells))
+    of_void, rim = away2[row, col], int(reach_cells)
+    padded = np.pad(values, rim, constant_values=np.nan)
+    for d2 in np.unique(of_void):
+        at = row[of_void == d2], col[of_void == d2]
+        for dr, dc in offsets[offsets[:, 2] == d2, :2]:
+            # fmin prefers what is not NaN
+            filled[at] = np.fmin(filled[at], padded[at[0] + rim + dr, at[1] + rim + dc])
+    return filled
 
 
 def shape_of(bounds: Bounds, size: int) -> tuple[int, int]:
@@ -243,15 +214,18 @@ def cell_number(table: PointTable, bounds: Bounds, size: int) -> NDArray[np.int6
     return number
 
 
-def relative(
-    table: PointTable, order: NDArray[np.intp], corner: Bounds
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Sorted coordinates relative to a corner: three (n,) int32 [quanta]."""
-    return (
-        (table["x"].take(order) - corner.xmin).astype(np.int32),
-        (table["y"].take(order) - corner.ymin).astype(np.int32),
-        table["z"].take(order),
-    )
+def by_cell(
+    table: PointTable, bounds: Bounds, size: int
+) -> tuple[Places, NDArray[np.int64], NDArray[np.intp]]:
+    """Points within bounds by raster cell, the highest first in each.
+
+    Their places from the corner of the bounds [quanta], where each cell begins in them, and their
+    order, as :func:`sort_into_cells` has both.
+    """
+    rows, cols = shape_of(bounds, size)
+    order, start = sort_into_cells(cell_number(table, bounds, size), table["z"], rows * cols)
+    x, y = (table["x"].take(order) - bounds.xmin, table["y"].take(order) - bounds.ymin)
+    return (x.astype(np.int32), y.astype(np.int32), table["z"].take(order)), start, order
 
 
 def owned(core: Bounds, edge: int) -> Bounds:

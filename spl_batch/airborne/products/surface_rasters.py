@@ -41,11 +41,10 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.water.level import REACH_M, Levels, flattened, in_water
 from spl_batch.airborne.products.cell_values import (
+    by_cell,
     cell_number,
-    relative,
     robust_cell_means,
     shape_of,
-    sort_into_cells,
 )
 from spl_batch.airborne.products.flown_cells import about_ground, covered_cells, ground_heights
 from spl_batch.airborne.products.gap_surface import FAR_M, bridged
@@ -173,17 +172,16 @@ class _Surfaces:
     def _means(self) -> tuple[NDArray[np.float64], Scatter, NDArray[np.bool_]]:
         """Robust means and scatter of the ground of raster cells, and which of them are wet."""
         rows, cols = shape_of(self.region, self._size)
-        number = cell_number(self._ground, self.region, self._size)
-        order, start = sort_into_cells(number, self._ground["z"], rows * cols)
+        place, start, _ = by_cell(self._ground, self.region, self._size)
         means = np.empty((rows * cols, 3))
-        place = relative(self._ground, order, self.region)
         robust_cell_means(place, start, self._floor_m / QUANTUM_M, means)
         held = start[1:] > start[:-1]
         scatter = Scatter(np.zeros(rows * cols, np.int32), np.zeros((rows * cols, 6), np.float32))
         for whole, found in zip(scatter, scatter_of(place, start, QUANTUM_M), strict=True):
             whole[held] = found
         wet = np.zeros(rows * cols, np.bool_)
-        wet[number[self._ground.has(PointFlag.WATER)]] = True
+        of_water = self._ground.take(self._ground.has(PointFlag.WATER))
+        wet[cell_number(of_water, self.region, self._size)] = True
         return means, scatter, wet
 
     def _terrain(self, near: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -216,11 +214,9 @@ class _Surfaces:
         """
         ground = self._ground.take(inside(self._ground["x"], self._ground["y"], near))
         rows, cols = shape_of(near, self._size)
-        number = cell_number(ground, near, self._size)
-        order, start = sort_into_cells(number, ground["z"], rows * cols)
+        places, start, _ = by_cell(ground, near, self._size)
         lattice, found = (cols, (rows - shape[0]) // 2, self._size), np.empty((2, *shape))
-        reach = float(quanta(NEAR_M))
-        nearest_heights(relative(ground, order, near), start, lattice, reach, found)
+        nearest_heights(places, start, lattice, float(quanta(NEAR_M)), found)
         return found
 
     def _held_corners(self) -> NDArray[np.bool_]:

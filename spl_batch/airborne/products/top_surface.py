@@ -11,12 +11,10 @@ from scipy.special import pdtrc
 
 from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.products.cell_values import (
+    by_cell,
     cell_number,
     fill_voids,
-    relative,
-    ring_offsets,
     shape_of,
-    sort_into_cells,
 )
 from spl_batch.airborne.products.confirmed_tops import Support, confirmed_tops, lift_pits
 from spl_batch.airborne.settings import ProductSettings
@@ -108,8 +106,7 @@ def top_surface(
     # The outermost cells lack neighbours that could confirm them: they must lend nothing.
     edge = _support_cells(settings)
     tops = np.ascontiguousarray(tops[edge : rows - edge, edge : cols - edge])
-    filled = np.empty_like(tops)
-    fill_voids(tops, ring_offsets(settings.dsm_void_max_m / settings.cell_m), filled)
+    filled = fill_voids(tops, settings.dsm_void_max_m / settings.cell_m)
     rim = top_margin(settings) - edge
     core = slice(rim, filled.shape[0] - rim), slice(rim, filled.shape[1] - rim)
     return filled[core], np.isnan(tops)[core]
@@ -118,8 +115,8 @@ def top_surface(
 def _tops(signal: PointTable, near: Bounds, size: int, support: Support) -> NDArray[np.float64]:
     """Highest confirmed return of each raster cell, row by row [quanta]; NaN without any."""
     rows, cols = shape_of(near, size)
-    order, start = sort_into_cells(cell_number(signal, near, size), signal["z"], rows * cols)
-    xyz = np.stack(relative(signal, order, near), axis=1)
+    places, start, order = by_cell(signal, near, size)
+    xyz = np.stack(places, axis=1)
     tops = np.empty(rows * cols)
     confirmed_tops(xyz, signal["ground"][order] == 1, start, (cols, size), support, tops)
     lifted = tops.reshape(rows, cols).copy()

@@ -3,15 +3,15 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from itertools import chain
 from typing import Any, Final
 
 import numpy as np
 
 from spl_batch.airborne.accuracy.checkpoint_errors import (
     OUTLIER_SIGMA,
-    AtCheckpoints,
     CheckpointError,
+    CheckpointStatistics,
     at_checkpoints,
     statement,
 )
@@ -21,27 +21,24 @@ from spl_batch.airborne.accuracy.evidence import (
     PulseTotals,
     SwathDifferences,
 )
-from spl_batch.airborne.accuracy.requirements import requirements
+from spl_batch.airborne.accuracy.requirements import Requirement, requirements
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.diagnostics.terrain_sigma import unsure_share
-from spl_batch.airborne.lines.comparison import difference_map, pairs_of, shifts_of
+from spl_batch.airborne.lines.alignment import AlignedLine
+from spl_batch.airborne.lines.comparison import pairs_of, shifts_of
+from spl_batch.airborne.lines.pair_table import StripPair
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, swath_totals
 from spl_batch.airborne.pulses.swaths import SPACINGS, Coverage
 from spl_batch.airborne.report.model import (
-    AlignedLine,
     Checkpoint,
     Checkpoints,
-    CheckpointStatistics,
     Density,
-    StripPair,
     Swath,
 )
-from spl_batch.airborne.report.model import Requirement as RequirementReport
 from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.tasks import checkpoints, pulses
 from spl_batch.constants import FOOT_M, QUANTUM_M
 from spl_batch.engine.findings import Finding
-from spl_batch.engine.report.maps import Raster
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
@@ -53,7 +50,7 @@ FEET_ALIKE: Final = 0.01
 """Share by which heights over those of the terrain may differ from the ratio of units."""
 
 
-def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
+def judged(done: Receipts, context: Context) -> tuple[Requirement, ...]:
     """Every requirement, as a report has it."""
     workflow = context.workflow
     asked, crs = workflow.requirements, context.crs
@@ -83,7 +80,7 @@ def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
         vertical_datum=None if datum is None else datum.name,
         time_standard=_time_standard(flown),
     )
-    return tuple(RequirementReport(**asdict(row)) for row in requirements(known))
+    return requirements(known)
 
 
 def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
@@ -95,8 +92,8 @@ def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
     outliers = {*nva.outliers, *vva.outliers}
     return Checkpoints(
         statement=statement(nva, vva, _class_m(context)),
-        nva=CheckpointStatistics(**asdict(nva)),
-        vva=CheckpointStatistics(**asdict(vva)),
+        nva=nva,
+        vva=vva,
         points=tuple(Checkpoint(**one, outlier=one["id"] in outliers) for one in found),
     )
 
@@ -126,7 +123,9 @@ def _class_m(context: Context) -> float:
     return asked.rmse_v_m or LEVELS[asked.quality_level].rmse_v_m
 
 
-def _tested(done: Receipts) -> tuple[AtCheckpoints, AtCheckpoints] | tuple[None, None]:
+def _tested(
+    done: Receipts,
+) -> tuple[CheckpointStatistics, CheckpointStatistics] | tuple[None, None]:
     """Accuracy at open and at vegetated checkpoints."""
     receipts = done.get("checkpoints", {})
     if not receipts:
@@ -251,14 +250,8 @@ def _quantile(cells: Mapping[int, int], share: float) -> int:
 
 def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
     """Pairs of flightlines as they are delivered."""
-    rows = (pair for r in done.get("strip_pairs", {}).values() for pair in pairs_of(r.facts))
-    return tuple(
-        StripPair(
-            **{k: v for k, v in pair._asdict().items() if k in StripPair.model_fields},
-            centre_m=(pair.x_m, pair.y_m),
-        )
-        for pair in rows
-    )
+    found = (pairs_of(receipt.facts) for receipt in done.get("strip_pairs", {}).values())
+    return tuple(chain.from_iterable(found))
 
 
 def pairs_not_compared(done: Receipts) -> tuple[tuple[str, str], ...]:
@@ -269,20 +262,5 @@ def pairs_not_compared(done: Receipts) -> tuple[tuple[str, str], ...]:
 
 def alignment(done: Receipts) -> tuple[AlignedLine, ...]:
     """Shifts that were applied."""
-    return tuple(
-        AlignedLine(**one._asdict())
-        for receipt in done.get("align", {}).values()
-        for one in shifts_of(receipt.facts)
-    )
-
-
-def strip_map(done: Receipts, context: Context) -> Raster | None:
-    """Height between flightlines by place; None where no two share planar patches [m]."""
-    if not done.get("strip_pairs"):
-        return None
-    found = difference_map(context)
-    if found is None:
-        return None
-    values, (west, east, south, north) = found
-    raster = Raster(values, (west, east, south, north))
-    return raster if raster.any_value else None
+    found = (shifts_of(receipt.facts) for receipt in done.get("align", {}).values())
+    return tuple(chain.from_iterable(found))

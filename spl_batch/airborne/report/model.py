@@ -8,6 +8,11 @@ from typing import Literal
 
 from pydantic import Field
 
+from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointStatistics
+from spl_batch.airborne.accuracy.error_tally import Accuracy
+from spl_batch.airborne.accuracy.requirements import Requirement
+from spl_batch.airborne.lines.alignment import AlignedLine
+from spl_batch.airborne.lines.pair_table import StripPair
 from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
@@ -17,7 +22,6 @@ from spl_batch.engine.report.parts import (
     Part,
     Performance,
     Provenance,
-    Statistics,
 )
 
 Basis = Literal["given", "sensor", "estimated", "assumed", "none"]
@@ -111,24 +115,6 @@ class Counts(Part):
     )
 
 
-class Accuracy(Part):
-    """Comparison with reference linear-mode lidar, by class of surface; ``all`` is overall."""
-
-    dtm: dict[str, Statistics] = Field({}, description="Terrain model minus reference ground.")
-    dsm: dict[str, Statistics] = Field({}, description="Surface model minus reference surface.")
-    returns: dict[str, Statistics] = Field(
-        {},
-        description="Returns that the filter keeps minus the reference's nearest ground or roof, "
-        "within 0.5 m; one in eight.",
-    )
-    reference_points: Count | None = Field(None, description="Reference points read [count].")
-    bias_m: Number = Field(None, description="Median difference between the sensors [m].")
-    bias_removed: bool = Field(
-        False, description="Whether the bias was subtracted before the statistics."
-    )
-    own_points: bool = Field(False, description="Whether the reference is the survey itself.")
-
-
 class Density(Part):
     """How densely the ground is covered by signal."""
 
@@ -193,32 +179,6 @@ class Noise(Part):
     )
 
 
-class Requirement(Part):
-    """One requirement of a contract, and whether it is met."""
-
-    name: str = Field(description="What is required of.")
-    required: str = Field(description="What is asked for, with units.")
-    found: str = Field(description="What was found, with units.")
-    verdict: Literal["pass", "fail", "cannot tell"] = Field(description="Whether it is met.")
-    why: str = Field(description="What that rests on, or what would tell.")
-    standard: str = Field(description="Who requires it.")
-    section: str = Field(description="Edition and section.")
-
-
-class CheckpointStatistics(Part):
-    """Vertical accuracy at checkpoints of one kind, by Edition 2 of the ASPRS standards."""
-
-    n: Count = Field(description="Checkpoints on the terrain model [count].")
-    mean_m: Number = Field(None, description="Mean of DTM minus checkpoint [m].")
-    sd_m: Number = Field(None, description="Standard deviation [m].")
-    rmse_v1_m: Number = Field(None, description="Fit of the DTM to the checkpoints [m].")
-    rmse_v2_m: Number = Field(
-        None, description="Accuracy of the checkpoints; null where one states none [m]."
-    )
-    rmse_v_m: Number = Field(None, description="Root of the sum of both squares [m].")
-    outliers: tuple[str, ...] = Field((), description="Checkpoints to look at; they count.")
-
-
 class Checkpoint(Part):
     """One checkpoint of the field survey."""
 
@@ -256,42 +216,6 @@ class Swath(Part):
         None,
         description="Share of the squares of twice the nominal spacing of the quality level, in "
         "its middle, that hold one, 0..1.",
-    )
-
-
-class StripPair(Part):
-    """Where a flightline lies against another that overlaps it, from planar patches of both."""
-
-    first: str = Field(description="The flightline that is compared with.")
-    second: str = Field(description="The one that is compared.")
-    patches: Count = Field(description="Planar patches that both have [count].")
-    area_m2: Number = Field(description="Area of these patches [m2].")
-    centre_m: tuple[Number, Number] = Field(description="Easting and northing of their middle [m].")
-    up_m: Number = Field(description="The second above the first [m].")
-    up_sd_m: Number = Field(description="Standard deviation of it [m].")
-    east_m: Number = Field(None, description="The second east of the first; null if flat [m].")
-    north_m: Number = Field(None, description="The second north of the first; null if flat [m].")
-    horizontal_sd_m: Number = Field(
-        None, description="Standard deviation of these, in the worst direction [m]."
-    )
-    flat_patches: Count = Field(0, description="Smooth patches of up to 10 degrees [count].")
-    rmsd_z_m: Number = Field(
-        None, description="Root mean square of the vertical differences of these [m]."
-    )
-    noise_m: Number = Field(description="Ranging noise: spread about the smoothest patches [m].")
-
-
-class AlignedLine(Part):
-    """What was added to the heights of a flightline, and how sure it is."""
-
-    name: str = Field(description="The flightline.")
-    up_m: Number = Field(description="Added to its heights [m].")
-    found_m: Number = Field(description="The shift as found; null without a pair [m].")
-    sd_m: Number = Field(None, description="Standard deviation of it [m].")
-    stays: Literal["", "kept", "not compared", "not sure", "too far"] = Field(
-        description="Why nothing was added: the others are shifted against it; too few planar "
-        "patches with others; less than two standard deviations; more than 2 m. Empty where "
-        "something was."
     )
 
 

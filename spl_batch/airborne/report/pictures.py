@@ -6,7 +6,7 @@ was forgotten.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -31,74 +31,60 @@ from spl_batch.engine.report.number_format import centimetres
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
 
-__all__ = ["PictureInputs", "Profile", "Raster", "make_pictures"]
+PICTURES: Final = (
+    "dtm", "dsm", "chm", "difference", "histogram", "profile", "noise_density", "dtm_quality",
+    "density", "strips",
+)  # fmt: skip
+"""Names of all pictures, in the order in which a reader wants them."""
 
-
-@dataclass(frozen=True, slots=True)
-class PictureInputs:
-    """Plain arrays that the pictures are drawn from; ``None`` where there are none.
-
-    Rasters larger than a picture may be given reduced, as an overview.
-    """
-
-    #: Heights of terrain and surface, canopy height, standard deviation of the terrain [m].
-    dtm: Raster | None = None
-    dsm: Raster | None = None
-    chm: Raster | None = None
-    dtm_quality: Raster | None = None
-    density: Raster | None = None  #: Signal returns [1/m2].
-    difference: Raster | None = None  #: DTM minus reference [m].
-    noise_density: Raster | None = None  #: Expected background noise near the surface [1/m3].
-    #: (n,): single differences, DTM minus reference; all or an even sample [m].
-    differences_m: NDArray[Any] | None = None
-    #: A vertical strip, about 100 m long and 2-3 m wide; maps show where it lies.
-    profile: Profile | None = None
-    #: Height between flightlines that overlap, whichever lies above [m].
-    strips: Raster | None = None
-
-
-OF_PRODUCTS: Final = tuple(field.name for field in fields(PictureInputs) if field.name in NAMES)
+OF_PRODUCTS: Final = tuple(name for name in PICTURES if name in NAMES)
 """Pictures of delivered rasters: a picture has the name of its raster."""
 
 NO_REFERENCE: Final = "Without reference points there is nothing to compare with."
 NO_RASTER: Final = "The raster holds no value."
 
 
-def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
+def make_pictures(
+    rasters: Mapping[str, Raster],
+    report: Report,
+    profile: Profile | None = None,
+    differences_m: NDArray[Any] | None = None,
+) -> dict[str, Picture]:
     """Draw everything that there is data for; titles quote the report.
 
-    Always the keys ``dtm, dsm, chm, difference, histogram, profile, noise_density, dtm_quality,
-    density, strips``, in the order in which a reader wants them.
+    Parameters
+    ----------
+    rasters : mapping of str to Raster
+        By the names of their pictures, those that there are; ``difference`` is DTM minus reference,
+        ``strips`` the height between flightlines that overlap, whichever lies above [m]. Larger
+        than a picture they may be given reduced, as an overview.
+    profile : Profile, optional
+        A vertical strip, about 100 m long and 2-3 m wide; maps show where it lies.
+    differences_m : (n,) ndarray, optional
+        Single differences, DTM minus reference; all or an even sample [m].
+
+    Returns
+    -------
+    dict of str to Picture
+        All :data:`PICTURES`.
     """
-    inputs, photons = _with_line(inputs), photon_counting(report)
+    photons, shown = photon_counting(report), dict(rasters)
+    if profile is not None and profile.line_m is not None:
+        for name in {"dtm", "dsm", "chm"} & shown.keys():
+            shown[name] = replace(shown[name], line_m=profile.line_m)
     terrain = terrain_statistics(report)
     overall = None if report.accuracy is None else report.accuracy.dtm.get("all")
     if overall is None and terrain is not None:
         overall = terrain[1]
-    return {
-        "dtm": _relief(inputs, "dtm", photons=photons),
-        "dsm": _relief(inputs, "dsm", photons=photons),
-        "chm": _amount(inputs.chm, CANOPY),
-        "difference": _difference(inputs.difference, overall),
-        "histogram": _histogram(inputs.differences_m, overall),
-        "profile": _profile(inputs.profile, photons=photons),
-        "noise_density": _amount(inputs.noise_density, NOISE),
-        "dtm_quality": _amount(inputs.dtm_quality, QUALITY),
-        "density": _amount(inputs.density, SIGNAL_DENSITY if photons else POINT_DENSITY),
-        "strips": _amount(inputs.strips, STRIPS),
+    amounts = AMOUNTS if photons else {**AMOUNTS, "density": POINT_DENSITY}
+    made = {
+        **{name: _relief(shown, name, photons=photons) for name in RELIEF_TEXT},
+        **{name: _amount(shown.get(name), amount) for name, amount in amounts.items()},
+        "difference": _difference(shown.get("difference"), overall),
+        "histogram": _histogram(differences_m, overall),
+        "profile": _profile(profile, photons=photons),
     }
-
-
-def _with_line(inputs: PictureInputs) -> PictureInputs:
-    """The same, with the profile's line on the maps of heights."""
-    if inputs.profile is None or inputs.profile.line_m is None:
-        return inputs
-    lined = {
-        name: replace(raster, line_m=inputs.profile.line_m)
-        for name in ("dtm", "dsm", "chm")
-        if (raster := getattr(inputs, name)) is not None
-    }
-    return replace(inputs, **lined)
+    return {name: made[name] for name in PICTURES}
 
 
 def _finished(drawn: Figure, title: str, caption: str) -> Picture:
@@ -137,35 +123,34 @@ RELIEF_TEXT: Final[Mapping[str, tuple[str, str]]] = {
 }
 
 
-def _relief(inputs: PictureInputs, key: str, *, photons: bool) -> Picture:
+def _relief(rasters: Mapping[str, Raster], key: str, *, photons: bool) -> Picture:
     title, caption = RELIEF_TEXT[key]
-    limits = _heights(inputs, key)
-    shared = limits == _heights(inputs, "dtm" if key == "dsm" else "dsm")
+    limits, raster = _heights(rasters, key), rasters.get(key)
+    shared = limits == _heights(rasters, "dtm" if key == "dsm" else "dsm")
     caption = caption.format(
         colours="Same colours as" if shared else "Colours of its own, as it spans more than",
         pits=", which would be afterpulses taken for ground" if photons else "",
         spikes=", which would be noise taken for signal" if photons else "",
     )
-    if getattr(inputs, key) is not None and getattr(inputs, key).line_m is not None:
+    if raster is not None and raster.line_m is not None:
         caption += " The line is the profile's."
     return _or_missing(
-        getattr(inputs, key),
+        raster,
         title,
         "This raster was not made.",
         lambda raster: _finished(draw_relief(raster, title, "height [m]", limits), title, caption),
     )
 
 
-def _heights(inputs: PictureInputs, key: str) -> tuple[float, float] | None:
+def _heights(rasters: Mapping[str, Raster], key: str) -> tuple[float, float] | None:
     """Ends of a ramp of heights: one for both, so that terrain and surface compare by colour.
 
     Terrain far flatter than what stands on it would be of one colour: each has its own then.
     """
-    both = {"dtm": inputs.dtm, "dsm": inputs.dsm}
     ends = {
-        name: spread(reduce_raster(raster).values, 0.5, 99.5)
-        for name, raster in both.items()
-        if raster is not None and raster.any_value
+        name: spread(reduce_raster(rasters[name]).values, 0.5, 99.5)
+        for name in RELIEF_TEXT
+        if name in rasters and rasters[name].any_value
     }
     if not ends:
         return None
@@ -233,6 +218,16 @@ STRIPS: Final = Amount(
     scale=100.0,
     missing="No two flightlines share enough planar patches to be compared.",
 )
+
+
+AMOUNTS: Final[Mapping[str, Amount]] = {
+    "chm": CANOPY,
+    "noise_density": NOISE,
+    "dtm_quality": QUALITY,
+    "density": SIGNAL_DENSITY,
+    "strips": STRIPS,
+}
+"""Maps of amounts, by the names of their pictures."""
 
 
 def _amount(raster: Raster | None, of: Amount) -> Picture:

@@ -1,6 +1,6 @@
 """Vertical strips that a report shows: where they lie, and their points."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,19 +9,12 @@ from numpy.typing import NDArray
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.report.plots import Profile
 from spl_batch.airborne.store.flown_lines import read_shifts
-from spl_batch.airborne.store.label_tables import read_region
+from spl_batch.airborne.store.label_tables import read_region, units_within
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.rasters.parts import Part
-from spl_batch.lattice.tables import TILE_COLUMNS, PointTable
-from spl_batch.lattice.tiles import (
-    Bounds,
-    CellId,
-    cell_bounds,
-    cells_touching,
-    overlap,
-    quanta,
-)
+from spl_batch.lattice.tables import TILE_COLUMNS
+from spl_batch.lattice.tiles import Bounds, cells_touching, quanta
 
 LENGTH_M = 100.0
 WIDTH_M = 3.0
@@ -39,23 +32,19 @@ _COVER_M = 1.0
 """What a cell with a surface counts for besides: a picture shows no empty place [m]."""
 
 
-def cut_profile(
-    height: Part | None, done: Mapping[str, Mapping[str, Receipt]], context: Context
-) -> Profile | None:
-    """Strip along the easting where most stands on the ground; None without points.
-
-    ``height``: overview of the CHM, which tells where to cut.
-    """
-    if height is None:
-        return None
-    return read_strip(tallest_strip(height), done, context)
-
-
 def read_strip(
     strip: Bounds, done: Mapping[str, Mapping[str, Receipt]], context: Context
 ) -> Profile | None:
     """Points of a strip along its easting, with what a run took them for; None without points."""
-    table = labelled_points(strip, TILE_COLUMNS, done, context)
+    tile_q = quanta(context.workflow.tiling.tile_m)
+    built = done.get("build_tile", {})
+    tiles = [t for t in cells_touching(strip, tile_q) if str(t) in built]
+    labels = {
+        "noise_class": units_within(strip, "noise", done.get("denoise", {})),
+        "classification": units_within(strip, "classes", done.get("surface", {})),
+    }
+    shifts = read_shifts({"aligned": bool(done.get("align"))}, context.store)
+    table, _ = read_region(context.store, tiles, strip, TILE_COLUMNS, labels, shifts=shifts)
     if not len(table):
         return None
     middle_m = (strip.ymin + strip.ymax) / 2 * QUANTUM_M
@@ -67,30 +56,6 @@ def read_strip(
         (strip.ymax - strip.ymin) * QUANTUM_M,
         (strip.xmin * QUANTUM_M, middle_m, strip.xmax * QUANTUM_M, middle_m),
     )
-
-
-def labelled_points(
-    region: Bounds,
-    columns: Sequence[str],
-    done: Mapping[str, Mapping[str, Receipt]],
-    context: Context,
-    *,
-    ordered: bool = True,
-) -> PointTable:
-    """Points of a region with ``noise_class`` and ``classification``, as far as it is finished."""
-    tile_q = quanta(context.workflow.tiling.tile_m)
-    built = done.get("build_tile", {})
-    shifts = read_shifts({"aligned": bool(done.get("align"))}, context.store)
-    tiles = [t for t in cells_touching(region, tile_q) if str(t) in built]
-    cells = done.get("surface", {})
-    labels = {
-        "noise_class": label_holders(tiles, tile_q, "noise", done.get("denoise", {})),
-        "classification": label_holders(tiles, tile_q, "classes", cells),
-    }
-    points, _ = read_region(
-        context.store, tiles, region, columns, labels, ordered=ordered, shifts=shifts
-    )
-    return points
 
 
 def tallest_strip(height: Part) -> Bounds:
@@ -124,22 +89,3 @@ def best_strip(part: Part, score: NDArray[np.float64]) -> tuple[Bounds, float]:
     half = quanta(WIDTH_M / 2)
     strip = Bounds(west, middle - half, west + quanta(LENGTH_M), middle + half)
     return strip, float(score[row, column])
-
-
-def label_holders(
-    tiles: list[CellId],
-    tile_q: int,
-    folder: str,
-    units: Mapping[str, Receipt],
-) -> dict[CellId, list[tuple[str, str]]]:
-    """Label files that may hold each tile's points, by tile.
-
-    ``folder``: kind of the labels, as the store names it; ``units``: finished ones that gave them.
-    """
-    holders: dict[CellId, list[tuple[str, str]]] = {t: [] for t in tiles}
-    for name, receipt in units.items():
-        core = Bounds(*receipt.facts["core"])
-        for tile in tiles:
-            if overlap(cell_bounds(tile, tile_q), core):
-                holders[tile].append((folder, name))
-    return holders

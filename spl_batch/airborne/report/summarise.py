@@ -13,6 +13,7 @@ from spl_batch.airborne.diagnostics.air_fill import air_findings
 from spl_batch.airborne.diagnostics.noise_fit import noise_findings, p_values, uniformity
 from spl_batch.airborne.diagnostics.terrain_sigma import terrain_findings
 from spl_batch.airborne.hydro.flattening import bank_findings
+from spl_batch.airborne.lines.comparison import difference_map
 from spl_batch.airborne.report.good_enough import (
     alignment,
     area_km2,
@@ -22,12 +23,10 @@ from spl_batch.airborne.report.good_enough import (
     judged,
     pairs_not_compared,
     sparse_vegetation,
-    strip_map,
     strip_pairs,
     swath_reports,
 )
 from spl_batch.airborne.report.model import (
-    Accuracy,
     Basis,
     Counts,
     Flightline,
@@ -36,8 +35,8 @@ from spl_batch.airborne.report.model import (
     Report,
     Survey,
 )
-from spl_batch.airborne.report.pictures import OF_PRODUCTS, PictureInputs, make_pictures
-from spl_batch.airborne.report.profile_strips import cut_profile
+from spl_batch.airborne.report.pictures import OF_PRODUCTS, make_pictures
+from spl_batch.airborne.report.profile_strips import read_strip, tallest_strip
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
 from spl_batch.airborne.settings import FilterSettings
@@ -47,7 +46,7 @@ from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.maps import Raster
 from spl_batch.engine.report.page import write_both
-from spl_batch.engine.report.parts import InputFile, Provenance, Statistics
+from spl_batch.engine.report.parts import InputFile, Provenance
 from spl_batch.engine.report.reported import reported
 from spl_batch.engine.report.run_record import (
     Receipts,
@@ -71,7 +70,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         survey=_survey(done, context),
         counts=counts,
         header_changes=_header_changes(done),
-        accuracy=_accuracy(found),
+        accuracy=None if found is None else found.accuracy,
         requirements=judged(done, context),
         checkpoints=tested,
         density=covered,
@@ -102,7 +101,14 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         ),
         provenance=_provenance(done, context, facts.reference),
     )
-    pictures = make_pictures(_pictures(done, context, found), report)
+    parts = _parts(done, context, found)
+    cut = tallest_strip(parts["chm"]) if "chm" in parts else None
+    pictures = make_pictures(
+        {name: Raster(part.values, part.extent_m) for name, part in parts.items()},
+        report,
+        None if cut is None else read_strip(cut, done, context),
+        None if found is None else found.differences_m,
+    )
     write_both(context.output, report, render(report, pictures))
     remember(done, context, facts)
     return report
@@ -118,7 +124,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
         name=workflow.survey.name,
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
-        sensor=workflow.sensor.name if _photons(context) else None,
+        sensor=workflow.sensor.name if workflow.filtering else None,
         area_km2=area_km2(done, context),
         extent_m=(low[0], high[0], low[1], high[1]),
         cell_m=workflow.products.cell_m,
@@ -179,7 +185,7 @@ def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
         withheld=sum(f["withheld"] for f in index),
         vendor_flagged=sum(f["vendor_noise"] for f in index),
         no_beam=(sum(f["no_beam"] for f in tiles) + sum(f["timeless"] for f in index))
-        * _photons(context),
+        * context.workflow.filtering,
         outside_aoi=sum(f["outside_aoi"] for f in tiles),
         copies=sum(n for f in tiles for *_, n in f["copies"]),
         not_read=facts.not_read,
@@ -191,22 +197,6 @@ def _header_changes(done: Receipts) -> dict[str, int]:
     """Delivered clouds whose header has something in another way, by what that is."""
     changes = (r.facts["header_changes"] for r in done.get("deliver_file", {}).values())
     return dict(sorted(Counter(chain.from_iterable(changes)).items()))
-
-
-def _accuracy(found: Comparison | None) -> Accuracy | None:
-    if found is None:
-        return None
-    said = found.statistics
-    removed = bool(said["bias_removed_m"])
-    return Accuracy(
-        dtm={k: Statistics(**v) for k, v in said["dtm"].items()},
-        dsm={k: Statistics(**v) for k, v in said["dsm"].items()},
-        returns={k: Statistics(**v) for k, v in said["returns"].items()},
-        reference_points=found.points,
-        bias_m=said["vertical_bias_m"],
-        bias_removed=removed,
-        own_points=any(own_points(found.own_share)),
-    )
 
 
 def _noise(done: Receipts, context: Context, removed: int) -> Noise:
@@ -228,19 +218,13 @@ def _noise(done: Receipts, context: Context, removed: int) -> Noise:
 def _noise_levels(
     done: Receipts, context: Context
 ) -> tuple[float, float, float] | tuple[None, None, None]:
-    """Mean, 5th and 95th percentile of the expected noise over all pieces [1/m3]."""
-    names = sorted(n for n in done.get("mosaic", {}) if n.partition("_")[0] == "noise")
-    found = (_overview(context.store.local / f"{name}.tif") for name in names)
-    parts = [(p.values[p.values > NODATA], p.cell_m**2) for p in found if p is not None]
-    values = np.concatenate([np.empty(0, np.float32), *(held for held, _ in parts)])
+    """Mean, 5th and 95th percentile of the expected noise [1/m3]."""
+    part = _overview(context.store.local / "noise.tif") if done.get("mosaic") else None
+    values = np.empty(0) if part is None else part.values[part.values > NODATA]
     if not len(values):
         return None, None, None
-    # a large piece is seen in coarser cells
-    weights = np.concatenate([np.full(len(held), area_m2) for held, area_m2 in parts])
-    order = np.argsort(values, kind="stable")
-    below = np.cumsum(weights[order]) / weights.sum()
-    low, high = (float(values[order[np.searchsorted(below, end)]]) for end in (0.05, 0.95))
-    return float(np.average(values, weights=weights)), low, high
+    low, high = np.quantile(values, (0.05, 0.95), method="inverted_cdf").tolist()
+    return float(values.mean(dtype=np.float64)), low, high
 
 
 def _kept_by_chance(settings: FilterSettings, removed: int) -> float | None:
@@ -269,7 +253,7 @@ def _unfiltered(counts: Counts, context: Context) -> list[Finding]:
 def _uncovered(done: Receipts) -> Iterator[Finding]:
     """Flightlines that the trajectory does not cover."""
     spans: dict[str, tuple[int, float, float]] = {}
-    for name, receipt in done.get("gather", {}).items():
+    for name, receipt in done.get("observe", {}).items():
         if receipt.facts["uncovered"]:
             first, last = receipt.facts["uncovered_span_s"]
             line = name.split("/", maxsplit=1)[0]
@@ -310,28 +294,13 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
     return provenance(context, inputs)
 
 
-def _pictures(done: Receipts, context: Context, found: Comparison | None) -> PictureInputs:
-    parts = {n: _overview(context.output / f"{n}.tif") for n in OF_PRODUCTS}
-    rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
-    noise = _overview(context.store.local / "noise.tif")
-    difference = None
-    if found is not None:
-        d = found.difference
-        difference = Raster(d.values, Part(d.values, d.left_m, d.top_m, d.cell_m).extent_m)
-    return PictureInputs(
-        **rasters,
-        noise_density=None if noise is None else Raster(noise.values, noise.extent_m),
-        difference=difference,
-        differences_m=None if found is None else found.differences_m,
-        profile=cut_profile(parts["chm"], done, context),
-        strips=strip_map(done, context),
-    )
-
-
-def _photons(context: Context) -> bool:
-    """Whether noise or afterpulses are looked for."""
-    workflow = context.workflow
-    return workflow.filter.method != "none" or workflow.afterpulse.enabled
+def _parts(done: Receipts, context: Context, found: Comparison | None) -> dict[str, Part]:
+    """Rasters that pictures are drawn from, by the names of these."""
+    parts = {name: _overview(context.output / f"{name}.tif") for name in OF_PRODUCTS}
+    parts["noise_density"] = _overview(context.store.local / "noise.tif")
+    parts["difference"] = None if found is None else found.difference
+    parts["strips"] = difference_map(context) if done.get("strip_pairs") else None
+    return {name: part for name, part in parts.items() if part is not None}
 
 
 def _overview(path: Path) -> Part | None:

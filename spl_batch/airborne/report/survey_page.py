@@ -8,6 +8,7 @@ from spl_batch.airborne.accuracy.requirements import answers
 from spl_batch.airborne.report.model import Counts, Report, Survey
 from spl_batch.airborne.report.verdicts import (
     noise_removed,
+    parameter,
     photon_counting,
     terrain_statistics,
     verdicts,
@@ -92,7 +93,7 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
     """
     photons = photon_counting(report)
     # Without beamlet numbers nothing in the points says that the instrument is the one named.
-    numbered = _channel_dimension(report) is not None
+    numbered = parameter(report, "survey.channel_dimension") is not None
     return render_page(
         "survey_page.html.j2",
         report,
@@ -116,7 +117,7 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
         set_aside=_set_aside(report.counts),
         how=HOW,
         answers=answers(row.verdict for row in report.requirements),
-        level=_asked_level(report),
+        level=parameter(report, "requirements.quality_level") or "",
     )
 
 
@@ -139,24 +140,11 @@ def _layer_keys(report: Report, *, photons: bool) -> Iterator[str]:
         yield key
 
 
-def _channel_dimension(report: Report) -> str | None:
-    """Dimension that the workflow names for beamlet numbers."""
-    survey = report.provenance.parameters.get("survey")
-    found = survey.get("channel_dimension") if isinstance(survey, Mapping) else None
-    return None if found is None else str(found)
-
-
 def _kicker(*, photons: bool, numbered: bool) -> str:
     """What stands above the title."""
     if not photons:
         return "Linear-mode lidar"
     return "Single-photon lidar" if numbered else "Taken as single-photon lidar"
-
-
-def _asked_level(report: Report) -> str:
-    """Quality level that the requirements are those of."""
-    asked = report.provenance.parameters.get("requirements")
-    return str(asked.get("quality_level", "")) if isinstance(asked, Mapping) else ""
 
 
 def _facts(survey: Survey, *, photons: bool, numbered: bool) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """The few numbers and sentences that a reader wants first, for the console and the page."""
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 from spl_batch.airborne.report.model import Counts, Report
 from spl_batch.engine.report.number_format import (
@@ -65,9 +65,15 @@ def photon_counting(report: Report) -> bool:
     Without either, points went straight to ground and surfaces: linear-mode lidar, of which a
     report has nothing to say about shots, beamlets and detectors.
     """
-    afterpulse = report.provenance.parameters.get("afterpulse")
-    off = isinstance(afterpulse, Mapping) and afterpulse.get("enabled") is False
-    return report.noise.method != "none" or not off
+    return report.noise.method != "none" or parameter(report, "afterpulse.enabled") is not False
+
+
+def parameter(report: Report, key: str) -> Any:
+    """Value of the workflow by its key, such as ``filter.alpha``; None where it is not stated."""
+    value: Any = report.provenance.parameters
+    for name in key.split("."):
+        value = value.get(name) if isinstance(value, Mapping) else None
+    return value
 
 
 def terrain_accuracy(report: Report) -> str | None:
@@ -156,15 +162,9 @@ def _without_accuracy(report: Report) -> str:
         return "the reference holds the survey's own points"
     if report.accuracy is not None:
         return "the reference covers no terrain"
-    if _reference_given(report):
+    if parameter(report, "reference.points"):
         return "the rasters were not compared with the reference"
     return _NO_REFERENCE
-
-
-def _reference_given(report: Report) -> bool:
-    """Whether the workflow names reference lidar; checkpoints alone are none."""
-    reference = report.provenance.parameters.get("reference")
-    return isinstance(reference, Mapping) and bool(reference.get("points"))
 
 
 def _at_checkpoints(report: Report) -> str | None:

@@ -65,6 +65,11 @@ class Workflow(BaseWorkflow):
         given = self.acquisition.model_dump(exclude_none=True)
         return sensor.model_copy(update=given)
 
+    @property
+    def filtering(self) -> bool:
+        """Whether noise or afterpulses are looked for, which needs shots and times."""
+        return self.filter.method != "none" or self.afterpulse.enabled
+
     def faults(self) -> Iterator[str]:
         """What is wrong that no single key shows."""
         try:

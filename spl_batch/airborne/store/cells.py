@@ -1,22 +1,19 @@
 """A cell as a task has it: what it owns, and the points that lie in it and around."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.flown_lines import Shifts, read_shifts
-from spl_batch.airborne.store.label_tables import Origin, label_units, read_region
+from spl_batch.airborne.store.label_tables import LABELS, Origin, read_region, units_of
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, inside, parse_cell
 
 Keep = Callable[[PointTable], NDArray[np.bool_]]
 """Which points are wanted, each by itself."""
-
-LABELS: Final = ("noise_class", "p_value", "ground", "noise_density", "wire")
-"""Columns that steps give to points; the others lie in the tiles."""
 
 
 class Cell(NamedTuple):
@@ -48,8 +45,7 @@ class Cell(NamedTuple):
         """Points of a region [quanta], and where they lie; tile by tile unless ``ordered``."""
         if self.held is not None:
             return _chosen(*self.held, region, columns, keep)
-        units = {kind: label_units(self.args, kind) for kind in ("noise", "ground")}
-        labels = {k: units["ground" if k == "ground" else "noise"] for k in columns if k in LABELS}
+        labels = units_of(self.args, [k for k in columns if k in LABELS])
         return read_region(
             self.context.store, list(map(parse_cell, self.args["tiles"])), region,
             [k for k in columns if k not in labels], labels, ordered=ordered, keep=keep,

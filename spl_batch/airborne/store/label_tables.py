@@ -4,7 +4,7 @@ A label names its point by tile and row in the tile's file, so units that are cu
 otherwise than the tiles (ground cells, blocks) need no join to find their points.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.store.flown_lines import Shifts
 from spl_batch.engine.store.working_store import Store
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.verified.parquet_npz import (
     groups_between,
     naming_damage,
@@ -26,25 +27,32 @@ from spl_batch.formats.verified.parquet_npz import (
 )
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import COLUMNS, PointTable, rows_of
-from spl_batch.lattice.tiles import Bounds, CellId, parse_cell
+from spl_batch.lattice.tiles import Bounds, CellId, overlap
 
-DEFAULTS: dict[str, float] = {
-    "noise_class": 255,
-    "p_value": float("nan"),
-    "noise_density": float("nan"),
-    "wire": 0,
-    "ground": 0,
-    "classification": 255,
-    "set_flags": 0,
+
+class Label(NamedTuple):
+    """A column that units give to points; the others lie in the tiles."""
+
+    kind: str  #: Of the units that give it.
+    default: float  #: Of a point that no unit has labelled.
+
+
+LABELS: Final[Mapping[str, Label]] = {
+    "noise_class": Label("noise", 255),
+    "p_value": Label("noise", float("nan")),
+    "noise_density": Label("noise", float("nan")),
+    "wire": Label("noise", 0),
+    "ground": Label("ground", 0),
+    "classification": Label("classes", 255),
+    "set_flags": Label("classes", 0),
 }
-"""Label of a point that no unit has labelled."""
-
+"""All of them."""
 
 GROUP_ROWS: Final = 65_536
 """Most rows of a row group [count]: a halo is read from few."""
 
-Units = dict[CellId, list[tuple[str, str]]]
-"""Kind and name of the units that label points of each tile."""
+Unit = tuple[str, str]
+"""Kind and name of what has labelled some points."""
 
 OPEN_FILES: Final = 8
 """Files of labels that are open at once [count]."""
@@ -119,6 +127,10 @@ class _LabelFile:
         self.tile = np.stack([i[:, 0], j[:, 0]], axis=1)
         self.count = np.array([footer.row_group(g).num_rows for g in range(len(self.rows))])
 
+    def tiles(self) -> set[tuple[int, int]]:
+        """Columns and rows of the tiles that it labels points of."""
+        return {(i, j) for i, j in self.tile[self.count > 0].tolist()}
+
     def read(
         self, tile: CellId, names: Sequence[str], rows: tuple[int, int]
     ) -> dict[str, NDArray[Any]]:
@@ -140,7 +152,8 @@ class LabelFiles:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._open: dict[tuple[str, str], tuple[ExitStack, _LabelFile]] = {}
+        self._open: dict[Unit, tuple[ExitStack, _LabelFile]] = {}
+        self._tiles: dict[Unit, set[tuple[int, int]]] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -152,38 +165,40 @@ class LabelFiles:
     def _close_oldest(self) -> None:
         self._open.pop(next(iter(self._open)))[0].close()
 
-    def read(
-        self, unit: tuple[str, str], tile: CellId, names: Sequence[str], rows: tuple[int, int]
-    ) -> dict[str, NDArray[Any]]:
-        """Labels that a unit gave to points of a tile.
-
-        Parameters
-        ----------
-        unit : (str, str)
-            Its kind and name.
-        rows : (int, int)
-            First and last row of the tile that are wanted; row groups are read whole.
-
-        Returns
-        -------
-        dict of str to (m,) ndarray
-            The labels, and ``row``: which rows of the tile they belong to, increasing.
-        """
+    def _file(self, unit: Unit) -> _LabelFile:
+        """The file of a unit, opened if need be."""
         if unit not in self._open:
             if len(self._open) >= OPEN_FILES:
                 self._close_oldest()
             stack = ExitStack()
-            file = stack.enter_context(reading(self._store.table(*unit)))
-            self._open[unit] = stack, _LabelFile(file)
+            file = _LabelFile(stack.enter_context(reading(self._store.table(*unit))))
+            self._open[unit] = stack, file
+            self._tiles[unit] = file.tiles()
+        return self._open[unit][1]
+
+    def holds(self, unit: Unit, tile: CellId) -> bool:
+        """Whether a unit has labelled points of a tile; its file is opened once to know all."""
+        if unit not in self._tiles:
+            self._file(unit)
+        return tile in self._tiles[unit]
+
+    def read(
+        self, unit: Unit, tile: CellId, names: Sequence[str], rows: tuple[int, int]
+    ) -> dict[str, NDArray[Any]]:
+        """Labels that a unit gave to points of a tile: (m,) each.
+
+        And ``row``: which rows of the tile they belong to, increasing. ``rows``: first and last row
+        that are wanted; row groups are read whole.
+        """
         with naming_damage(self._store.table(*unit)):
-            return self._open[unit][1].read(tile, names, rows)
+            return self._file(unit).read(tile, names, rows)
 
 
 def read_labelled_tile(
     store: Store,
     tile: CellId,
     columns: Sequence[str],
-    labels: Mapping[str, Sequence[tuple[str, str]]],
+    labels: Mapping[str, Sequence[Unit]],
     files: LabelFiles | None = None,
     shifts: Shifts | None = None,
 ) -> PointTable:
@@ -192,7 +207,7 @@ def read_labelled_tile(
     Parameters
     ----------
     labels : mapping of str to sequence of (str, str)
-        Label -> kind and name of the units that may hold it for this tile.
+        Label -> units that may hold it.
     files : LabelFiles, optional
         Of the same store, where more tiles are read.
     shifts : Shifts, optional
@@ -209,16 +224,19 @@ def _labels_of(
     files: LabelFiles,
     tile: CellId,
     rows: NDArray[np.int64],
-    labels: Mapping[str, Sequence[tuple[str, str]]],
+    labels: Mapping[str, Sequence[Unit]],
 ) -> dict[str, NDArray[Any]]:
     """Labels of some rows of a tile, which increase."""
-    filled = {name: np.full(len(rows), DEFAULTS[name], COLUMNS[name].dtype) for name in labels}
-    wanted: dict[tuple[str, str], list[str]] = {}
+    filled = {
+        name: np.full(len(rows), LABELS[name].default, COLUMNS[name].dtype) for name in labels
+    }
+    wanted: dict[Unit, list[str]] = {}
     if not len(rows):
         return filled
     for name, units in labels.items():
         for unit in units:
-            wanted.setdefault(unit, []).append(name)
+            if files.holds(unit, tile):
+                wanted.setdefault(unit, []).append(name)
     for unit, names in wanted.items():
         part = files.read(unit, tile, names, (int(rows[0]), int(rows[-1])))
         mine, at = _met(rows, part["row"])
@@ -244,7 +262,7 @@ def read_region(
     tiles: Sequence[CellId],
     bounds: Bounds,
     columns: Sequence[str],
-    labels: Mapping[str, Mapping[CellId, Sequence[tuple[str, str]]]],
+    labels: Mapping[str, Sequence[Unit]],
     *,
     ordered: bool = True,
     keep: Callable[[PointTable], NDArray[np.bool_]] | None = None,
@@ -259,7 +277,7 @@ def read_region(
     columns : sequence of str
         Point columns to read; ``x`` and ``y`` at least.
     labels : mapping
-        Label -> tile -> units that may hold it.
+        Label -> units that may hold it.
     ordered : bool
         Whether to put points in canonical order; else they come tile by tile, in the order in
         which :func:`write_labels` wants them, and each tile's are in canonical order.
@@ -295,8 +313,7 @@ def read_region(
                 values = shifts.shifted(values)
             chosen = _within(values["x"], values["y"], bounds)
             row = row[chosen]
-            of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
-            found = _labels_of(files, tile, row, of_tile)
+            found = _labels_of(files, tile, row, labels)
             values = {name: values[name][chosen] for name in columns}
             wanted = slice(None) if keep is None else rows_of(keep(PointTable({**values, **found})))
             row = row[wanted]
@@ -332,7 +349,13 @@ def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArr
     return found
 
 
-def label_units(args: Mapping[str, Any], kind: str) -> Units:
-    """Units that hold labels of a kind, by tile, as a task's arguments name them."""
-    labels = args.get("labels", {}).get(kind, {})
-    return {parse_cell(tile): [(kind, name) for name in names] for tile, names in labels.items()}
+def units_of(args: Mapping[str, Any], names: Iterable[str]) -> dict[str, list[Unit]]:
+    """Units that may give a task's points some labels, by label, as its arguments name them."""
+    kinds = {name: LABELS[name].kind for name in names}
+    return {name: [(kind, unit) for unit in args["labels"][kind]] for name, kind in kinds.items()}
+
+
+def units_within(region: Bounds, kind: str, done: Mapping[str, Receipt]) -> list[Unit]:
+    """Finished units that label points of a region; ``done``: receipts of those of the kind."""
+    cores = ((name, Bounds(*receipt.facts["core"])) for name, receipt in done.items())
+    return [(kind, name) for name, core in cores if overlap(core, region)]

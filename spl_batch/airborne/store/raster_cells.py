@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.constants import NODATA
 from spl_batch.errors import DamagedError, StoreError
 from spl_batch.formats.files.atomic import read_bytes, size, write_bytes
 from spl_batch.formats.verified.zarr_chunks import (
@@ -153,27 +153,6 @@ def stored_blocks(
             row = (bounds.ymax - part.ymax) // edge
             col = (part.xmin - bounds.xmin) // edge
             yield row, col, read_window(path, name, part)
-
-
-def frame(bounds: Bounds, raster_cell: int) -> tuple[tuple[int, int], tuple[float, float]]:
-    """Shape and upper left corner of a mosaic, as ``write_cog`` wants them.
-
-    Parameters
-    ----------
-    bounds : Bounds
-        Region [quanta], aligned to raster cells.
-    raster_cell : int
-        Edge of a raster cell [quanta].
-
-    Returns
-    -------
-    shape : (int, int)
-        Rows and columns.
-    origin_xy_m : (float, float)
-        Easting and northing of the upper left corner [m].
-    """
-    shape = (bounds.ymax - bounds.ymin) // raster_cell, (bounds.xmax - bounds.xmin) // raster_cell
-    return shape, (bounds.xmin * QUANTUM_M, bounds.ymax * QUANTUM_M)
 
 
 def _array(path: Path, name: str) -> tuple[Metadata, int, int]:

@@ -16,6 +16,7 @@ from spl_batch.airborne.accuracy.differences import (
 )
 from spl_batch.airborne.accuracy.error_tally import (
     STEPS_PER_M,
+    Accuracy,
     Tallies,
     Tally,
     accuracy_report,
@@ -25,7 +26,7 @@ from spl_batch.airborne.accuracy.error_tally import (
 from spl_batch.airborne.accuracy.raster_and_reference import Grid, Raster, Reference
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.flown_lines import read_shifts
-from spl_batch.airborne.store.label_tables import label_units, read_region
+from spl_batch.airborne.store.label_tables import read_region, units_of
 from spl_batch.airborne.tasks.reference import read_square
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
@@ -33,7 +34,7 @@ from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.errors import DamagedError
-from spl_batch.formats.rasters.parts import overview_frame, read_part
+from spl_batch.formats.rasters.parts import Part, overview_frame
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, inside, overlap, parse_cell, quanta
@@ -63,7 +64,9 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
     known = known.without_noise()  # once: each comparison below asks for it
     arrays: dict[str, NDArray[Any]] = {}
     terrain, surface, height = (
-        _near(context, name, known) if name in args["rasters"] else None
+        Raster.around(context.output / f"{name}.tif", known.xyz_m[:, :2])
+        if name in args["rasters"]
+        else None
         for name in ("dtm", "dsm", "chm")
     )
     if terrain is not None and surface is not None:
@@ -85,7 +88,7 @@ def _of_returns(
     """Kept returns of a square against the reference, a tile at a time."""
     if context.workflow.filter.method == "none":
         return
-    units, shifts = label_units(args, "noise"), read_shifts(args, context.store)
+    labels, shifts = units_of(args, ["noise_class"]), read_shifts(args, context.store)
 
     def chosen(table: PointTable) -> NDArray[np.bool_]:
         some = (table["x"] + table["y"] + table["z"]) % EVERY == 0
@@ -94,7 +97,7 @@ def _of_returns(
 
     for tile in map(parse_cell, args["tiles"]):
         held, _ = read_region(
-            context.store, [tile], core, ("x", "y", "z"), {"noise_class": units}, ordered=False,
+            context.store, [tile], core, ("x", "y", "z"), labels, ordered=False,
             keep=chosen, shifts=shifts,
         )  # fmt: skip
         xyz = np.column_stack([held[axis] * QUANTUM_M for axis in "xyz"])
@@ -121,16 +124,6 @@ def _as_one(places: NDArray[np.int64]) -> NDArray[np.void]:
     return np.ascontiguousarray(places).view([(axis, np.int64) for axis in "xyz"]).ravel()
 
 
-def _near(context: Context, name: str, known: Reference) -> Raster | None:
-    """The part of a raster that reference points lie on; None where it does not reach them."""
-    if not len(known.xyz_m):
-        return None
-    x, y, _ = known.xyz_m.T
-    bounds = float(x.min()), float(y.min()), float(x.max()), float(y.max())
-    part = read_part(context.output / f"{name}.tif", bounds)
-    return None if part is None else Raster(part.values, part.left_m, part.top_m, part.cell_m)
-
-
 def _as_arrays(product: str, found: Tallies) -> dict[str, NDArray[Any]]:
     """Counts as they are kept; 32 bits hold errors of up to 214 km."""
     arrays: dict[str, NDArray[Any]] = {}
@@ -155,10 +148,9 @@ def _as_tallies(arrays: Mapping[str, NDArray[Any]]) -> Tallies:
 class Comparison:
     """What the reference says."""
 
-    statistics: dict[str, Any]
+    accuracy: Accuracy
     differences_m: NDArray[np.float32]  #: (n,): every so many-th DTM minus reference by size [m].
-    difference: Raster  #: Mean difference by cell [m].
-    points: int
+    difference: Part  #: Mean difference by cell [m].
     own_share: float | None  #: Of those looked at, share that are the survey's own points, 0..1.
 
 
@@ -182,12 +174,18 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
     mean = np.full(len(total), NODATA)
     np.divide(total, count * STEPS_PER_M, out=mean, where=count > 0)
     values = mean.reshape(grid.rows, grid.columns).astype(np.float32)
+    share = _own_share(done)
+    accuracy = accuracy_report(
+        *by_product,
+        remove_bias=settings.remove_bias,
+        reference_points=sum(r.facts["points"] for r in done.get("reference", {}).values()),
+        own_points=any(own_points(share)),
+    )
     return Comparison(
-        accuracy_report(*by_product, remove_bias=settings.remove_bias),
+        accuracy,
         by_product[0].get("all", Tally()).sample_m(SAMPLE),
-        Raster(values, grid.left_m, grid.top_m, grid.cell_m),
-        sum(receipt.facts["points"] for receipt in done.get("reference", {}).values()),
-        _own_share(done),
+        Part(values, grid.left_m, grid.top_m, grid.cell_m),
+        share,
     )
 
 

@@ -1,7 +1,8 @@
-"""What tasks of the space domain go without where a task that they need has failed.
+"""What tasks of the space domain find done: labels and shifts of the points that they read.
 
-Its points have no labels then. Each function turns a task's arguments and what is finished of its
-needs into the arguments that it is done with, or None where it is left out.
+They go without those of a task that has failed: its points have no labels then. Each function turns
+a task's arguments and what is finished of its needs into the arguments that it is done with, or
+None where it is left out.
 """
 
 from collections.abc import Collection, Mapping
@@ -15,17 +16,17 @@ MADE_BY: Final[Mapping[str, str]] = MappingProxyType(
 )
 """Step that gives each kind of labels."""
 
+SHIFTED: Final[Need] = ("align", "all")
+"""Task that finds by how much heights are shifted."""
+
 
 def labelled(args: Mapping[str, Any], found: Collection[Need]) -> dict[str, Any]:
-    """A task with the labels that there are."""
+    """A task with the labels that there are, by kind, and whether heights are shifted."""
     labels = {
-        kind: {
-            tile: [unit for unit in units if (MADE_BY[kind], unit) in found]
-            for tile, units in by_tile.items()
-        }
-        for kind, by_tile in args.get("labels", {}).items()
+        kind: sorted(name for step, name in found if step == made_by)
+        for kind, made_by in MADE_BY.items()
     }
-    return {**args, "labels": labels} if labels else dict(args)
+    return {**args, "labels": labels, "aligned": SHIFTED in found}
 
 
 def on_ground(args: Mapping[str, Any], found: Collection[Need]) -> dict[str, Any] | None:

@@ -1,6 +1,7 @@
 """Heights of the terrain model at the checkpoints of a field survey."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.checkpoints import Checkpoint, read_checkpoints
 from spl_batch.formats.crs import parse_crs
-from spl_batch.formats.rasters.parts import read_part
 
 
 def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
@@ -46,25 +46,16 @@ def read_named(
 
 def _terrain_m(point: Checkpoint, context: Context) -> float | None:
     """Height of the terrain, bilinear between cell centres; None where there is none [m]."""
-    place = (point.x_m, point.y_m)
-    part = read_part(context.output / "dtm.tif", (*place, *place))
-    if part is None:
+    place = np.array([(point.x_m, point.y_m)])
+    terrain = Raster.around(context.output / "dtm.tif", place)
+    if terrain is None:
         return None
-    terrain = Raster(part.values, part.left_m, part.top_m, part.cell_m)
-    height = float(terrain.bilinear(np.array([place]))[0])
+    height = float(terrain.bilinear(place)[0])
     return height if np.isfinite(height) else None
 
 
 def _record(point: Checkpoint, terrain_m: float | None) -> dict[str, Any]:
-    return {
-        "id": point.id,
-        "x_m": point.x_m,
-        "y_m": point.y_m,
-        "z_m": point.z_m,
-        "surface": point.surface,
-        "accuracy_m": point.accuracy_m,
-        "error_m": None if terrain_m is None else terrain_m - point.z_m,
-    }
+    return {**asdict(point), "error_m": None if terrain_m is None else terrain_m - point.z_m}
 
 
 def results(receipts: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:

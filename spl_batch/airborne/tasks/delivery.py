@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.products.cell_values import shape_of
 from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
 from spl_batch.airborne.pulses.swaths import Outlined, outlines
 from spl_batch.airborne.store.flown_lines import read_shifts
-from spl_batch.airborne.store.label_tables import LabelFiles, label_units, read_labelled_tile
-from spl_batch.airborne.store.raster_cells import frame, stored_blocks
+from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile, units_of
+from spl_batch.airborne.store.raster_cells import stored_blocks
 from spl_batch.airborne.tasks import index, pulses
 from spl_batch.airborne.tasks.stretches import Copies
-from spl_batch.constants import FLAG_WITHHELD, NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
+from spl_batch.constants import FLAG_WITHHELD, NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.store.working_store import read_receipt
 from spl_batch.engine.tasks.context import Produced
@@ -46,7 +47,6 @@ from spl_batch.formats.las.writer import (
 )
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import windows
-from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
@@ -60,9 +60,6 @@ BLOCK: Final = 1024
 _DELIVERED = ("noise_class", "classification")
 _DIAGNOSTICS = ("noise_density", "p_value")
 """Labels that are written always, and where they are asked for."""
-
-_KINDS: Final = {"classification": "classes", "set_flags": "classes"}
-"""Kind of labels that hold them, but for ``noise``."""
 
 
 class _FileLabels:
@@ -111,12 +108,10 @@ class _FileLabels:
     def _tiles(self) -> Iterator[tuple[PointTable, bool]]:
         """Points of each tile that count, and their copies with the same labels."""
         store, columns = self.context.store, ("source", "index")
+        labels = units_of(self.args, self.names)
         with LabelFiles(store) as files:
-            units = {kind: label_units(self.args, kind) for kind in ("noise", "classes")}
             for tile in self.args["tiles"]:
-                cell = parse_cell(tile)
-                labels = {name: units[_KINDS.get(name, "noise")][cell] for name in self.names}
-                table = read_labelled_tile(store, cell, columns, labels, files)
+                table = read_labelled_tile(store, parse_cell(tile), columns, labels, files)
                 yield table, False
                 if tile in self.args["copies"]:
                     copies = Copies(**read_arrays(store.path("copies", f"{tile}.npz")))
@@ -141,7 +136,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     diagnostics = context.workflow.outputs.diagnostics
     flags = context.workflow.classes.flags
     lines = read_shifts(args, context.store)
-    shifted = None if lines is None else lines.of_file(args.get("spans", {}))
+    shifted = None if lines is None else lines.of_file(args["spans"])
     names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
     labels, classes = _FileLabels(args, context, names), np.zeros((2, 256), np.int64)
     target = context.output / "laz" / args["delivered"]
@@ -205,7 +200,7 @@ class _Given:
     """What the index keeps of each record, some row groups at a time."""
 
     def __init__(self, args: Mapping[str, Any], context: Context) -> None:
-        self.source, self.parts, self.store = args["source"], args["parts"], context.store
+        self.source, self.store = args["source"], context.store
         self.start = 0
         self.values = np.empty(0, np.uint32)
 
@@ -213,7 +208,7 @@ class _Given:
         """Of records ``[start, stop)``."""
         if start < self.start or stop > self.start + len(self.values):
             first, last = start // index.CHUNK_POINTS, -(-stop // index.CHUNK_POINTS)
-            size = index.PART_CHUNKS if self.parts else last
+            size = index.PART_CHUNKS
             pieces = [
                 self._read(part, range(max(first - part * size, 0), min(last - part * size, size)))
                 for part in range(first // size, -(-last // size))
@@ -222,9 +217,9 @@ class _Given:
         return self.values[start - self.start : stop - self.start]
 
     def _read(self, part: int, groups: range) -> NDArray[np.uint32]:
-        """Row groups of a part, or of the whole file where it has none."""
-        name = index.part_name(self.source, part) if self.parts else self.source
-        return read_columns(self.store.path("given", f"{name}.parquet"), [GIVEN], groups)[GIVEN]
+        """Row groups of a part."""
+        path = self.store.path("given", f"{index.part_name(self.source, part)}.parquet")
+        return read_columns(path, [GIVEN], groups)[GIVEN]
 
 
 def _nonzero(counts: NDArray[np.int64]) -> dict[str, int]:
@@ -235,7 +230,7 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     """Write a tile's points with their labels."""
     names = (*_DELIVERED, *("set_flags",) * context.workflow.classes.flags)
     cell = parse_cell(args["tile"])
-    labels = {name: label_units(args, _KINDS.get(name, "noise"))[cell] for name in names}
+    labels = units_of(args, names)
     columns = (
         *("x", "y", "z", "gps_time", "channel", "return_number", "number_of_returns"),
         *("intensity", "input_class"),
@@ -293,7 +288,7 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
     if named is None:  # a plan makes no such task
         raise WorkflowError("outputs.geoid: none is named")
     geoid = Geoid(named.grid, context.resolve(named.grid), context.crs)
-    source, target = context.output / args["source"], context.output / args["target"]
+    source, target = (context.output / f"{args[key]}.tif" for key in ("source", "name"))
     beyond = 0
 
     def blocks() -> Iterator[tuple[int, int, NDArray[np.float32]]]:
@@ -322,20 +317,21 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
             unit=args["unit"],
         )
     lost = Finding("I05", {"kind": "geoid", "count": beyond, "grid": named.grid})
-    return Produced([target], {"name": args["target"], "findings": [lost] if beyond else []})
+    return Produced([target], {"name": target.name, "findings": [lost] if beyond else []})
 
 
 def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     """Join a product's raster cells into one cloud-optimised GeoTIFF."""
     cell_m, edge = context.workflow.products.cell_m, quanta(context.workflow.ground.cell_m)
     bounds = Bounds(*args["bounds"])
-    shape, origin_xy_m = frame(bounds, quanta(cell_m))
+    shape = shape_of(bounds, quanta(cell_m))
+    origin_xy_m = bounds.xmin * QUANTUM_M, bounds.ymax * QUANTUM_M
     target = (context.output if args["delivered"] else context.store.local) / f"{args['name']}.tif"
     cells = [*cells_of_runs(args["cells"])]
     stored = partial(stored_blocks, context.rasters, bounds=bounds, cells=cells, ground_cell=edge)
     write_cog(
         target,
-        stored(args["product"]),
+        stored(args["name"]),
         shape=shape,
         origin_xy_m=origin_xy_m,
         cell_m=cell_m,
@@ -343,8 +339,8 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
         description=args["meaning"],
         unit=args["unit"],
     )
-    facts = {"name": target.name, "rows": shape[0], "columns": shape[1]}
-    if args["product"] == "dtm":
+    facts: dict[str, Any] = {"name": target.name}
+    if args["name"] == "dtm":
         found = wide_voids(stored("dtm"), stored("density"), shape, origin_xy_m, cell_m)
         facts["findings"] = _voids(found, context)
     return Produced([target], facts)
@@ -353,8 +349,7 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
 def _voids(found: list[Void], context: Context) -> list[Finding]:
     """A finding on voids in the terrain; holes of the area of interest are none."""
     if found and context.workflow.aoi is not None:
-        area = read_polygons(context.resolve(context.workflow.aoi), context.crs)
         east, north = (np.array([quanta(one[k]) for one in found], np.int64) for k in (1, 2))
-        inside = contains(area, east, north)
+        inside = context.within(context.workflow.aoi, east, north)
         found = [one for one, there in zip(found, inside, strict=True) if there]
     return void_findings(found, context.workflow.products.void_max_m)

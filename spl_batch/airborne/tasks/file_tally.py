@@ -15,7 +15,6 @@ from spl_batch.airborne.beams.geometry import (
     ordered_times,
     shot_steps,
 )
-from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
@@ -275,7 +274,7 @@ class Rate:
         """Count points in; times are finite [s]."""
         # Times that are none may be anything; they are far from all others, wherever that is.
         bins = np.clip(np.floor(time_s * BINS_PER_S), -_FAR_BINS, _FAR_BINS).astype(np.int64)
-        self._parts.append(_counted(bins, None))
+        self._parts.append(np.unique(bins, return_counts=True))
         if len(self._parts) > _MERGE_AT:
             self._parts = [self.counted()]
 
@@ -296,7 +295,8 @@ class Rate:
     def counted(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Bins that hold points, in order, and how many [count]."""
         bins, counts = (np.concatenate(columns) for columns in zip(*self._parts, strict=True))
-        return _counted(bins, counts)
+        different, which = np.unique(bins, return_inverse=True)
+        return different, np.bincount(which, counts, len(different)).astype(np.int64)
 
 
 def most_points(fullest: Sequence[int], span_s: float) -> int:
@@ -307,15 +307,3 @@ def most_points(fullest: Sequence[int], span_s: float) -> int:
     # Windows side by side make up the span; a longer one has it within.
     parts = sum(most for k, most in enumerate(fullest) if bins >> k & 1)
     return min(parts, fullest[(bins - 1).bit_length()])
-
-
-def _counted(
-    bins: NDArray[np.int64], counts: NDArray[np.int64] | None
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Bins that hold something, and how much."""
-    order = np.argsort(bins, kind="stable") if np.any(bins[1:] < bins[:-1]) else slice(None)
-    bins = bins[order]
-    starts = run_starts(bins)
-    if counts is None:
-        return bins[starts[:-1]], np.diff(starts)
-    return bins[starts[:-1]], np.add.reduceat(counts[order], starts[:-1])

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from spl_batch.airborne.beams.geometry import heading_from_track, merge_track
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.tasks.file_tally import SPANS_FEW, Tally, spans_of
 from spl_batch.airborne.tasks.stretches import KEPT_COLUMNS, add_points
 from spl_batch.engine.findings import Finding
+from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import unchanged
 from spl_batch.errors import InputError, named
@@ -46,13 +46,12 @@ CHUNK_POINTS = 1 << 18
 """Points read at once from an input file [count]."""
 
 PART_CHUNKS = 8
-"""Chunks of a part of a large file: several workers index one file, a part each [count]."""
+"""Chunks of a part of a file: several workers index a large one, a part each [count]."""
 
 
 def parts_of(points: int) -> int:
-    """Parts in which a file of so many points is indexed; 0 where it is in one go [count]."""
-    chunks = -(-points // CHUNK_POINTS)
-    return -(-chunks // PART_CHUNKS) if chunks > PART_CHUNKS else 0
+    """Parts in which a file of so many points is indexed [count]."""
+    return max(-(-points // (CHUNK_POINTS * PART_CHUNKS)), 1)
 
 
 def part_range(points: int, part: int) -> tuple[int, int]:
@@ -67,34 +66,33 @@ def part_name(source: str, part: int) -> str:
 
 
 def index_part(args: Mapping[str, Any], context: Context) -> Produced:
-    """Read a part of a large file: prove that it is readable, find what is in it, keep it.
+    """Read a part of a file: prove that it is readable, find what is in it, keep it.
 
-    What cannot be read is left to :func:`index_file`, which tries it again and fails as a whole.
+    What cannot be read is left to :func:`index_file`, which fails as a whole.
     """
     path, facts = Path(args["path"]), {"stamp": args["stamp"]}
     try:
         with unchanged(path, args["stamp"]):
             found = _read(args, context, inspect(path), args["part"])
     except InputError as error:
-        return Produced((), {**facts, "fault": str(error)})
+        return Produced((), {**facts, "faults": error.faults})
     kept = _kept(args, context, args["part"])
     write_arrays(kept, found.to_arrays())
     return Produced([kept, *found.outputs], facts, found.tally.counts["points"])
 
 
 def index_file(args: Mapping[str, Any], context: Context) -> Produced:
-    """Read a file once from end to end: prove that it is readable, find what is in it, keep it.
-
-    Of a large one the parts are read already, except those in ``again``.
-    """
+    """Join what is known of the parts of a file, if all of them could be read."""
     path = Path(args["path"])
     with unchanged(path, args["stamp"]):
+        for part in args["faults"]:  # the next run tries them again
+            forget_receipt(context.store, "index_part", f"{args['source']}/{part}")
+        if args["faults"]:
+            faults = chain.from_iterable(args["faults"].values())
+            raise InputError(str(path), [*dict.fromkeys(faults)])
         digest = checksum(path)
         header = inspect(path)
-        if args["parts"]:
-            found, spans = _joined(args, context)
-        else:
-            found, spans = _read(args, context, header), []
+        found, spans = _joined(args, context)
     tally = found.tally
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
@@ -114,7 +112,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "findings": [*_contradicted(contradiction), *_without_time(known)],
     }
     inputs = {str(path): args["stamp"]}
-    return Produced([index, *found.outputs], facts, tally.counts["points"], inputs)
+    return Produced([index], facts, tally.counts["points"], inputs)
 
 
 def _contradicted(found: tuple[str, str] | None) -> list[Finding]:
@@ -150,7 +148,7 @@ def _numbers(path: Path, context: Context) -> dict[str, Numbers]:
 
 
 class _Found:
-    """What is known of a file, or of a part of it, and what is kept of its points."""
+    """What is known of a file or of a part of it, and what is kept of its points."""
 
     def __init__(self, gap_s: float) -> None:
         self.tally = Tally(gap_s)
@@ -162,13 +160,10 @@ class _Found:
         return self.tally.to_arrays() | self.extent.to_arrays()
 
 
-def _read(
-    args: Mapping[str, Any], context: Context, header: LasFacts, part: int | None = None
-) -> _Found:
-    """Read a file, or a part of it, and keep its points and what delivery needs of the records."""
+def _read(args: Mapping[str, Any], context: Context, header: LasFacts, part: int) -> _Found:
+    """Read a part of a file, and keep its points and what delivery needs of the records."""
     path, settings = Path(args["path"]), context.workflow.survey
-    name = args["source"] if part is None else part_name(args["source"], part)
-    start, stop = (0, header.n_points) if part is None else part_range(header.n_points, part)
+    name, (start, stop) = part_name(args["source"], part), part_range(header.n_points, part)
     found = _Found(settings.gap_s)
     points = context.store.path("points", f"{name}.parquet")
     given = context.store.path("given", f"{name}.parquet")
@@ -211,35 +206,14 @@ def _kept(args: Mapping[str, Any], context: Context, part: int) -> Path:
 def _joined(
     args: Mapping[str, Any], context: Context
 ) -> tuple[_Found, list[dict[str, list[float]]]]:
-    """All parts of a file together, and the first and last time of each flightline in each.
-
-    Those that could not be read before are read now; outputs are those of these parts.
-    """
+    """All parts of a file together, and the first and last time of each flightline in each."""
     whole, spans = _Found(context.workflow.survey.gap_s), []
     for part in range(args["parts"]):
-        if part in args["again"]:
-            found = _read(args, context, inspect(Path(args["path"])), part)
-            whole.outputs += found.outputs
-            arrays = found.to_arrays()
-        else:
-            arrays = read_arrays(_kept(args, context, part))
+        arrays = read_arrays(_kept(args, context, part))
         whole.tally.join(arrays)
         whole.extent.join(Extent.from_arrays(arrays))
         spans.append(spans_of(arrays))
     return whole, spans
-
-
-def find_heading(args: Mapping[str, Any], context: Context) -> Produced:
-    """Flight direction of a flightline without a trajectory, from the drift of its points."""
-    parts = []
-    for source in args["sources"]:
-        arrays = read_arrays(context.store.path("index", f"{source}.npz"))
-        prefix = f"{args['psid']}/"
-        track = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
-        low, high = args["seconds"]
-        within = (track["second"] >= low) & (track["second"] <= high)
-        parts.append({k: v if k == "angle" else v[within] for k, v in track.items()})
-    return Produced((), {"heading_rad": heading_from_track(merge_track(parts))})
 
 
 def look_through(args: Mapping[str, Any], context: Context) -> Produced:
@@ -247,8 +221,8 @@ def look_through(args: Mapping[str, Any], context: Context) -> Produced:
     path = Path(args["path"])
     crs = context.workflow.survey.trajectory_crs
     with unchanged(path, args["stamp"]):
-        records = check_file(path, context.crs, crs, context.store.local)
-    return Produced((), {"name": path.name, "records": records})
+        check_file(path, context.crs, crs, context.store.local)
+    return Produced((), {"name": path.name})
 
 
 def check_file(
@@ -283,8 +257,6 @@ def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
         write_trajectory(path, map(hashes.see, found))
     facts = {
         "name": named([Path(p).name for p in args["paths"]], 3),
-        "records": found.records,
-        "span_s": list(found.span_s),
         "positions": hashes.found(),
         "findings": [Finding("T02", {"kind": "file", "what": text}) for text in found.warnings],
         "inputs": [{"path": p, "hash": checksum(Path(p))} for p in args["paths"]],

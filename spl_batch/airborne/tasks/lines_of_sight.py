@@ -20,6 +20,9 @@ from spl_batch.formats.trajectory.positions import read_slice, write_trajectory
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import BeamTable, PointTable, Trajectory
 
+POSITIONED: Final = ("trajectory", "intersection")
+"""What beams may be taken from that has positions of the sensor; else by scan angle or vertical."""
+
 SIGHT_RETURNS: Final = 262_144
 """Returns of a stretch whose lines of sight are compared with the trajectory [count]."""
 
@@ -32,58 +35,63 @@ def columns(args: Mapping[str, Any]) -> tuple[str, ...]:
 def beams(table: PointTable, store: Store, args: Mapping[str, Any]) -> BeamTable:
     """Line of sight of each point of a stretch: by trajectory, found path, or scan angle.
 
-    ``args``: ``line``, ``trajectory``, ``sensor_path`` and ``heading_rad`` of the task.
+    ``args``: ``line``, ``basis`` and ``heading_rad`` of the task.
     """
     trajectory: Trajectory | None = None
-    if args["trajectory"] or args["sensor_path"]:
+    if args["basis"] in POSITIONED:
         path = store.path("trajectory.parquet")
-        if not args["trajectory"]:
+        if args["basis"] == "intersection":
             path = store.path("paths", f"{args['line']}.parquet")
         time = table["gps_time"]
         trajectory = read_slice(path, float(time.min()), float(time.max()))
     return geometry.beams(table, trajectory, heading_rad=args["heading_rad"])
 
 
-def basis(args: Mapping[str, Any]) -> str:
-    """What :func:`beams` takes them from, as the report calls it."""
-    if args["trajectory"]:
-        return "trajectory"
-    if args["sensor_path"]:
-        return "intersection"
-    return "vertical" if args["heading_rad"] is None else "scan_angle"
-
-
 def beamlets(args: Mapping[str, Any], context: Context) -> shots.Beamlets:
     """How the shots of a stretch are seen; beams may separate beamlets that no file numbers."""
     sensor = context.workflow.sensor
     unnumbered = args["beamlets"] == 1 and sensor.beamlets > 1
-    known = bool(args["trajectory"] or args["sensor_path"])
-    return shots.Beamlets(sensor, args["beamlets"], unnumbered and known)
+    return shots.Beamlets(sensor, args["beamlets"], unnumbered and args["basis"] in POSITIONED)
 
 
 def find_path(args: Mapping[str, Any], context: Context) -> Produced:
-    """Path of the sensor over a flightline, from the lines of sight of its stretches."""
+    """Path of the sensor over a flightline, from the lines of sight of its stretches.
+
+    Where they do not meet, the flight direction: scan angles lean to its starboard.
+    """
     parts = [read_arrays(context.store.path("sights", f"{s}.npz")) for s in args["stretches"]]
     first, last = args["span_s"]
     found = sensor_path.find_path(sensor_path.merge(parts), (first, last))
-    facts = {
-        "found": found.trajectory is not None,
-        "lines": found.lines,
-        "error_mrad": None if found.error_rad is None else 1000.0 * found.error_rad,
-    }
     if found.trajectory is None:
+        heading = _heading(args, context)
+        facts = {"basis": "vertical" if heading is None else "scan_angle", "heading_rad": heading}
         return Produced((), facts, args["points"])
     path = context.store.path("paths", f"{args['line']}.parquet")
     write_trajectory(path, [(found.trajectory.time_s, found.trajectory.xyz_m)])
-    return Produced([path], facts, args["points"])
+    return Produced([path], {"basis": "intersection", "heading_rad": None}, args["points"])
 
 
-def collect(table: PointTable, args: Mapping[str, Any], context: Context) -> Produced:
-    """Leave the best lines of sight of a gathered stretch; its beams are not known yet."""
+def _heading(args: Mapping[str, Any], context: Context) -> float | None:
+    """Flight direction of a flightline, from the drift of its points; None if that is not known."""
+    parts, (first, last) = [], args["span_s"]
+    for source in args["sources"]:
+        arrays = read_arrays(context.store.path("index", f"{source}.npz"))
+        prefix = f"{args['psid']}/"
+        track = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+        within = (track["second"] >= first // 1) & (track["second"] <= last // 1)
+        parts.append({k: v if k == "angle" else v[within] for k, v in track.items()})
+    return geometry.heading_from_track(geometry.merge_track(parts))
+
+
+def collect(args: Mapping[str, Any], context: Context) -> Produced:
+    """Leave the best lines of sight of a stretch, whose beams are not known yet."""
+    table, _ = read_stretch(args, context, ())
+    if not len(table):
+        return Produced((), {"points": 0})
     lines = sensor_path.collect(table, args["beamlets"], context.workflow.noise.interval_shots)
     path = context.store.path("sights", f"{args['stretch']}.npz")
     write_arrays(path, lines)
-    return Produced([path], {"uncovered": 0}, len(table))
+    return Produced([path], {"points": len(table)}, len(table))
 
 
 def _other_unit(
@@ -116,28 +124,26 @@ def _leap(table: PointTable, store: Store) -> int | None:
 
 
 def observe(args: Mapping[str, Any], context: Context) -> Produced:
-    """Noise statistics of a stretch that was gathered before its beams were known."""
+    """Noise and afterpulses of a stretch, with what its beams leave out."""
     table, _ = read_stretch(args, context, columns(args))
-    return observe_table(table, args, context)
-
-
-def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) -> Produced:
-    """Noise and afterpulses of a stretch, at least one point, with what its beams leave out."""
+    if not len(table):
+        return Produced((), {"points": 0, "uncovered": 0})
     known = beams(table, context.store, args)
-    unknown = table["gps_time"][~known.known]
-    facts: dict[str, Any] = {
-        "uncovered": len(unknown),
-        "uncovered_span_s": [float(unknown.min()), float(unknown.max())] if len(unknown) else None,
-    }
-    ahead = geometry.look_ahead(known, table["gps_time"]) if args["trajectory"] else None
+    unknown, flown = table["gps_time"][~known.known], args["basis"] == "trajectory"
+    facts: dict[str, Any] = {"points": len(table), "uncovered": len(unknown) if flown else 0}
+    if facts["uncovered"]:
+        facts["uncovered_span_s"] = [float(unknown.min()), float(unknown.max())]
+    if args["beamlets"] > 1:
+        facts["off_one_beam"] = geometry.off_one_beam(table)
+    ahead = geometry.look_ahead(known, table["gps_time"]) if flown else None
     if ahead is not None:
         facts["ahead"] = [round(value, 3) for value in ahead]
     unknown_part = len(unknown) / len(table)
-    if args["trajectory"] and (unknown_part > 0.5 or (ahead is not None and not ahead.is_above)):
+    if flown and (unknown_part > 0.5 or (ahead is not None and not ahead.is_above)):
         facts["leap_s"] = _leap(table, context.store)
-    if args["trajectory"]:
+    if flown:
         facts["other_unit"] = _other_unit(table, known, args, context)
     observed = shots.observe(table, known, context.workflow.noise, beamlets(args, context))
     stats = context.store.path("observed", f"{args['stretch']}.npz")
     write_arrays(stats, observed)
-    return Produced([stats], facts, int(np.count_nonzero(known.known)))
+    return Produced([stats], facts, len(table))

@@ -15,7 +15,6 @@ from spl_batch.airborne.pulses.first_returns import COLUMNS_NEEDED
 from spl_batch.airborne.pulses.swaths import SPACINGS, Swaths, coverage
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
-from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta
 
@@ -72,10 +71,9 @@ def pulse_facts(
     size = quanta(products.cell_m)
     dry = density[::-1] != NODATA
     if context.workflow.water is not None:
-        polygons = read_polygons(context.resolve(context.workflow.water), context.crs)
         row, column = np.nonzero(dry)
         east, north = core.xmin + column * size + size // 2, core.ymin + row * size + size // 2
-        dry[row, column] = ~contains(polygons, east, north)
+        dry[row, column] = ~context.within(context.workflow.water, east, north)
     near = dry & covered_cells(x, y, core, products)
     own = inside(x, y, core)
     row, column = (y[own] - core.ymin) // size, (x[own] - core.xmin) // size

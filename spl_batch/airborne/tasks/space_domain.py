@@ -65,13 +65,7 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     }
     path = context.store.table("noise", args["cell"])
     write_labels(path, place, labels)
-    kinds, counts = np.unique(labels["noise_class"], return_counts=True)
-    facts = {
-        "core": list(core),
-        "noise_class": dict(zip(map(str, kinds.tolist()), counts.tolist(), strict=True)),
-        **facts_of(look),
-    }
-    return Produced([path], facts, len(mean))
+    return Produced([path], {"core": list(core), **facts_of(look)}, len(mean))
 
 
 def ground(args: Mapping[str, Any], context: Context) -> Produced:

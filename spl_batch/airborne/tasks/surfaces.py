@@ -4,7 +4,6 @@ Points are read once; four looks at them follow each other, each with the column
 that it needs.
 """
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -44,7 +43,6 @@ from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.spare_memory import give_back
 from spl_batch.formats.breaklines import read_breaklines
-from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.lattice.tables import EXCLUDED, PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, inside, overlap, quanta
@@ -63,7 +61,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     arrays |= reflected
     banks = _flatten(arrays, core, context)
     if workflow.aoi is not None:
-        _mask_outside(arrays, core, context)
+        _mask_outside(arrays, workflow.aoi, core, context)
     counted = pulses.covered(arrays, workflow.products)
     counted |= terrain_facts(arrays["dtm_quality"], arrays["dtm"], core)
     if workflow.filter.method == "none":
@@ -75,9 +73,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     labels, facts, n_points = _classes(cell, arrays, swaths)
     counted |= facts | ({"banks": list(banks)} if banks else {})
     chunks = _write_rasters(args["cell"], core, arrays, context)
-    sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
-    facts = {"core": list(core), "rasters": sums, **counted}
-    return Produced([labels, *chunks], facts, n_points)
+    return Produced([labels, *chunks], {"core": list(core), **counted}, n_points)
 
 
 def _at_once(cell: Cell) -> tuple[Bounds, list[str]]:
@@ -150,14 +146,13 @@ def _write_rasters(name: str, core: Bounds, arrays: Rasters, context: Context) -
     return write_cell(context.rasters, CellId(core.xmin // edge, core.ymin // edge), arrays)
 
 
-def _mask_outside(arrays: Rasters, core: Bounds, context: Context) -> None:
+def _mask_outside(arrays: Rasters, aoi: str, core: Bounds, context: Context) -> None:
     """Take away raster cells whose centres lie outside the area of interest."""
     cell = quanta(context.workflow.products.cell_m)
     x = np.arange(core.xmin + cell // 2, core.xmax, cell, dtype=np.int64)
     y = np.arange(core.ymin + cell // 2, core.ymax, cell, dtype=np.int64)[::-1]
     east, north = (grid.ravel() for grid in np.meshgrid(x, y))
-    polygons = read_polygons(context.resolve(context.workflow.aoi or ""), context.crs)
-    outside = ~contains(polygons, east, north).reshape(len(y), len(x))
+    outside = ~context.within(aoi, east, north).reshape(len(y), len(x))
     for name, values in arrays.items():
         arrays[name] = np.where(outside, np.float32(NODATA), values)
 

@@ -4,7 +4,7 @@ A stretch is a run of whole shots on the flightline's absolute grid. Everything 
 computed here is keyed on that grid, so where a flightline is cut does not matter.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from spl_batch.airborne import shots
 from spl_batch.airborne.afterpulse import afterpulse_law
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
-from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.published import shot_noise
 from spl_batch.airborne.noise import line_noise, voxel_noise
@@ -29,7 +28,6 @@ from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.las.reader import iter_points
-from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import (
     read_arrays,
     read_table,
@@ -47,7 +45,6 @@ from spl_batch.lattice.tables import (
     PointTable,
     ShotClock,
     concat,
-    rows_of,
 )
 from spl_batch.lattice.tiles import cell_index, quanta
 
@@ -59,31 +56,6 @@ ALIKE = CANONICAL_ORDER[:-2]
 another intensity; others if that is alike as well."""
 
 _POINT_COLUMNS = tuple(name for name in TILE_COLUMNS if name in SOURCE_COLUMNS)
-
-
-def gather(args: Mapping[str, Any], context: Context) -> Produced:
-    """Look at a stretch's points from every file that has some, and observe their noise."""
-    table, _ = read_stretch(args, context, lines_of_sight.columns(args))
-    facts: dict[str, Any] = {"points": len(table), "uncovered": 0}
-    if not len(table):
-        return Produced((), facts)
-    if args["beamlets"] > 1:
-        facts["off_one_beam"] = geometry.off_one_beam(table)
-    look = lines_of_sight.observe_table if args["trajectory"] else lines_of_sight.collect
-    looked = look(table, args, context)
-    return Produced(looked.outputs, {**facts, **looked.facts}, len(table))
-
-
-def gather_range(args: Mapping[str, Any], context: Context) -> Produced:
-    """Collect a run of points of a file without times: no shots, no beams, no noise model."""
-    pieces = [
-        table.take(~table.has(EXCLUDED))
-        for table in _input_chunks(args, context, int(args["start"]), int(args["stop"]))
-    ]
-    table = concat(pieces, SOURCE_COLUMNS)
-    path = context.store.path("stretches", f"{args['stretch']}.parquet")
-    write_table(path, table)
-    return Produced([path], {"points": len(table), "uncovered": 0}, len(table))
 
 
 def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
@@ -99,9 +71,8 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     write_arrays(path, {**model.to_arrays(), **law.to_arrays()})
     seen = model.seen_fraction
     facts = {
-        **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis", "beamlets")},
+        **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis", "beamlets", "basis")},
         "name": str(args["line"]),
-        "basis": lines_of_sight.basis(args),
         "gate_m": model.gate_m,
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
@@ -122,8 +93,7 @@ def _spans_s(args: Mapping[str, Any]) -> list[tuple[float, float]]:
 def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     """Line noise density, voxel deposits and afterpulses of a stretch; points by tile."""
     if args["timeless"]:
-        path = context.store.path("stretches", f"{args['stretch']}.parquet")
-        table, copies = read_table(path, SOURCE_COLUMNS), None
+        table, copies = _run_of_points(args, context), None
         passes = [Pass(*one) for one in args["passes"]]
         line = line_of(table["point_source_id"], table["gps_time"], passes)
     else:
@@ -189,7 +159,6 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
     write_table(path, table, group_starts=starts.tolist(), sought=("x",))
     facts = {
         "points": len(table),
-        "z": [int(table["z"].min()), int(table["z"].max())] if len(table) else None,
         "outside_aoi": int(np.count_nonzero(table.has(PointFlag.OUTSIDE_AOI))),
         "no_beam": int(np.count_nonzero(table.has(PointFlag.NO_BEAM))),
         "sources": sorted({str(s) for piece in pieces for s in _different(piece["source"])}),
@@ -211,26 +180,19 @@ def _assess(
 ) -> tuple[PointTable, list[Path]]:
     """Add what the time domain knows about each point; write the parts of the stretch."""
     workflow = context.workflow
-    beams = lines_of_sight.beams(table, context.store, args)
-    flags = np.where(beams.known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
-    table = table.with_columns(flags=flags)
+    sights = lines_of_sight.beams(table, context.store, args)
     line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
     law = afterpulse_law.AfterpulseLaw.from_arrays(line)
     model = line_noise.LineModel.from_arrays(line)
     beamlets = lines_of_sight.beamlets(args, context)
-    known = rows_of(beams.known)
-    subset = table.take(known)
-    added = shots.assess(table, beams, (model, law), workflow, beamlets)
-    ground = added.pop("ground")[known]
-    flags |= added.pop("beyond") * np.uint8(PointFlag.SHOT_NOISE)
-    table = table.with_columns(**added, flags=flags)
-    beams = beams.take(known)
+    table, lit, beams, ground = shots.assess(table, sights, (model, law), workflow, beamlets)
     if args["of_shots"] is not None:
         array = beamlets.seen.array_columns
-        noise = shot_noise(subset, beams, workflow.filter, model.gate_m, array)
-        flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
+        noise = shot_noise(lit, beams, workflow.filter, model.gate_m, array)
+        flags = table["flags"].copy()
+        flags[sights.known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
-    parts = voxel_noise.deposit(subset, beams, model, workflow.noise, ground)
+    parts = voxel_noise.deposit(lit, beams, model, workflow.noise, ground)
     # A stretch is one box of voxels, unless some of its points lie far from the rest.
     names = [args["stretch"], *(f"{args['stretch']}.{k}" for k in range(1, len(parts)))]
     paths = [context.store.path("voxels", f"{name}.zarr") for name in names[: len(parts)]]
@@ -239,7 +201,7 @@ def _assess(
     boxes = [part.box() for part in parts]
     facts |= {"voxels": boxes[0]} if boxes else {}
     facts |= {"voxels_apart": dict(zip(names[1:], boxes[1:], strict=True))} if boxes[1:] else {}
-    return table, [*paths, *_write_fired(subset, beams, model, args, context, facts)]
+    return table, [*paths, *_write_fired(lit, beams, model, args, context, facts)]
 
 
 def _write_fired(
@@ -251,7 +213,7 @@ def _write_fired(
     facts: dict[str, Any],
 ) -> list[Path]:
     """Write where the beamlets pointed, if the sensor's positions and the channels tell."""
-    if not (args["trajectory"] or args["sensor_path"]) or args["beamlets"] < 2:
+    if args["basis"] not in lines_of_sight.POSITIONED or args["beamlets"] < 2:
         return []
     clock = ShotClock(args["t0_s"], args["prf_hz"])
     sensor = lines_of_sight.beamlets(args, context).seen
@@ -271,22 +233,20 @@ def _mark_places(table: PointTable, context: Context) -> PointTable:
         (workflow.water, PointFlag.WATER, True),
     ):
         if name is not None and len(table):
-            polygons = read_polygons(context.resolve(name), context.crs)
-            flags[contains(polygons, table["x"], table["y"]) == within] |= np.uint8(flag)
+            flags[context.within(name, table["x"], table["y"]) == within] |= np.uint8(flag)
     return table.with_columns(flags=flags)
 
 
-def _input_chunks(
-    source: Mapping[str, Any], context: Context, start: int, stop: int | None
-) -> Iterator[PointTable]:
-    """Points of an input file that is as it was when it was indexed."""
-    path = Path(source["path"])
-    with unchanged(path, as_indexed("index_file", source, context)):
-        yield from iter_points(
+def _run_of_points(args: Mapping[str, Any], context: Context) -> PointTable:
+    """Points of a part of an input file, which is as it was when it was indexed."""
+    path = Path(args["path"])
+    with unchanged(path, as_indexed("index_file", args, context)):
+        chunks = iter_points(
             path,
             channel_dimension=context.workflow.survey.channel_dimension,
-            source=int(source["source"]),
-            start=start,
-            stop=stop,
+            source=int(args["source"]),
+            start=args["start"],
+            stop=args["stop"],
             chunk=CHUNK_POINTS,
         )
+        return concat([table.take(~table.has(EXCLUDED)) for table in chunks], SOURCE_COLUMNS)

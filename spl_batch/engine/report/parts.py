@@ -56,6 +56,10 @@ Count = Annotated[int, BeforeValidator(_plain_integer), Field(ge=0)]
 Parameters = Annotated[dict[str, JsonValue], BeforeValidator(finite_or_none)]
 
 
+STRICT: Final = ConfigDict(extra="forbid")
+"""Of a part of the report that is a frozen dataclass of pydantic's, which takes values by place."""
+
+
 class Part(BaseModel):
     """Base of every part of the report: frozen, and strict about its keys."""
 

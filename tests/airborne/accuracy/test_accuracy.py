@@ -218,10 +218,10 @@ def test_nothing_to_compare_gives_nulls_that_json_can_hold():
         tallies(terrain_differences(flat(1.0), empty)),
         tallies(surface_differences(flat(1.0), empty)),
     )
-    json.dumps(report, allow_nan=False)
-    assert report["dtm"]["all"]["n"] == 0
-    assert report["vertical_bias_m"] is None
-    assert accuracy_report({}, {})["dsm"]["all"]["rmse"] is None
+    json.dumps(report.model_dump(), allow_nan=False)
+    assert report.dtm["all"].n == 0
+    assert report.bias_m is None
+    assert accuracy_report({}, {}).dsm["all"].rmse is None
 
 
 def test_the_bias_is_reported_and_removed_on_request_only():
@@ -229,12 +229,13 @@ def test_the_bias_is_reported_and_removed_on_request_only():
     dtm = {k: Tally.of(1.5 + 0.08 * rng.standard_normal(4000)) for k in ("all", "open_ground")}
     dsm = {"all": Tally.of(np.full(3, 2.0))}
     kept = accuracy_report(dtm, dsm)
-    assert kept["bias_removed_m"] == 0
-    assert kept["dtm"]["all"]["mean"] == pytest.approx(1.5, abs=0.02)
+    assert not kept.bias_removed
+    assert kept.dtm["all"].mean == pytest.approx(1.5, abs=0.02)
     removed = accuracy_report(dtm, dsm, remove_bias=True)
-    assert removed["bias_removed_m"] == removed["vertical_bias_m"] == pytest.approx(1.5, abs=0.02)
-    assert removed["dtm"]["open_ground"]["median"] == pytest.approx(0, abs=1e-6)
-    assert removed["dsm"]["all"]["mean"] == pytest.approx(2 - removed["bias_removed_m"])
+    assert removed.bias_removed
+    assert removed.bias_m == pytest.approx(1.5, abs=0.02)
+    assert removed.dtm["open_ground"].median == pytest.approx(0, abs=1e-6)
+    assert removed.dsm["all"].mean == pytest.approx(2 - removed.bias_m)
 
 
 def test_sums_of_differences_are_those_of_each_cell_and_free_of_slope():

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spl_batch.airborne.accuracy.checkpoint_errors import (
-    AtCheckpoints,
     CheckpointError,
+    CheckpointStatistics,
     at_checkpoints,
 )
 
@@ -30,7 +30,7 @@ def test_both_components_add_in_squares(found: list[tuple[float, float]]) -> Non
         assert said.sd_m == pytest.approx(np.std([e for e, _ in found], ddof=1), abs=1e-12)
 
 
-def many(n: int, *, accuracy: float | None = 0.03, scale: float = 0.04) -> AtCheckpoints:
+def many(n: int, *, accuracy: float | None = 0.03, scale: float = 0.04) -> CheckpointStatistics:
     return at_checkpoints([CheckpointError(f"P{k}", scale * (-1) ** k, accuracy) for k in range(n)])
 
 

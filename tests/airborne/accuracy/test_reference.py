@@ -1,6 +1,7 @@
 """Reference points by square: what is said of a point does not depend on the cutting."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from spl_batch.airborne.accuracy.error_tally import Tallies, accuracy_report, ta
 from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.airborne.plan import reference_tasks as planned
 from spl_batch.airborne.tasks.accuracy import compared
+from spl_batch.airborne.tasks.bindings import labelled
 from spl_batch.constants import NODATA
 from spl_batch.engine.tasks.runner import run_task
 from spl_batch.engine.tasks.task import Receipt
@@ -91,7 +93,8 @@ def test_squares_say_what_all_points_at_once_say(
         survey.of("mosaic").put(mosaic)
     for kind in ("reference", "accuracy"):
         for task in list(getattr(planned, kind)(survey)):
-            receipt = run_task(task, "", context)
+            bound = replace(task, args=labelled(task.args, task.needs))
+            receipt = run_task(bound, "", context)
             assert not receipt.failed, receipt.reason
             survey.of(kind).put(receipt)
     assert len(survey.of("reference")) == files
@@ -100,13 +103,14 @@ def test_squares_say_what_all_points_at_once_say(
     assert max(sum(read_arrays(path)["count"]) for path in squares(context.output)) < 800
     found = compared(survey.done, context)
     assert found is not None
-    assert found.points == len(points["x"])
-    expected = accuracy_report(*whole(points, rasters))
+    assert found.accuracy.reference_points == len(points["x"])
+    expected = accuracy_report(*whole(points, rasters)).model_dump()
     assert expected["dtm"]["open_ground"]["n"] > 10
+    statistics = found.accuracy.model_dump()
     for product in ("dtm", "dsm"):
-        assert found.statistics[product].keys() == expected[product].keys()
+        assert statistics[product].keys() == expected[product].keys()
         for name, values in expected[product].items():
-            assert found.statistics[product][name] == pytest.approx(values), (product, name)
+            assert statistics[product][name] == pytest.approx(values), (product, name)
     seen = found.difference.values != NODATA
     ground = points["classification"] == 2
     assert 500 < np.count_nonzero(seen) <= np.count_nonzero(ground)

@@ -136,7 +136,7 @@ def test_a_stretch_that_sees_the_survey_ahead_makes_up_for_one_that_sees_it_aste
     receipts: dict[str, Any] = {"a/2": SimpleNamespace(points=50_000, facts={})}
     for name, (ahead_m, points) in looks.items():
         receipts[name] = SimpleNamespace(points=points, facts={"ahead": [ahead_m, 2500.0, 49.8]})
-    survey: Any = SimpleNamespace(of=lambda kind: receipts if kind == "gather" else {})
+    survey: Any = SimpleNamespace(of=lambda kind: receipts if kind == "observe" else {})
     assert findings.times_off(survey) == ({}, pytest.approx(off, rel=0.01))
 
 

@@ -1,12 +1,13 @@
 """Heights that a run adds to its flightlines."""
 
+from dataclasses import fields, replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
 from spl_batch.airborne.lines.alignment import ALONE, KEPT, TOO_FAR, UNSURE, align_lines
-from spl_batch.airborne.lines.pair_table import PairDifference
+from spl_batch.airborne.lines.pair_table import StripPair
 
 SAME = dict.fromkeys("abcde", 1000)
 ALL = list(combinations("abcd", 2))
@@ -16,10 +17,11 @@ OFF = {"a": 0.2, "b": 0.0, "c": -0.05, "d": 0.4}
 """By how much flightlines lie too high [m]."""
 
 
-def pair(first: str, second: str, up_m: float | None = None) -> PairDifference:
-    values = dict.fromkeys(PairDifference._fields, 0.0) | {"first": first, "second": second}
+def pair(first: str, second: str, up_m: float | None = None) -> StripPair:
+    values = dict.fromkeys((field.name for field in fields(StripPair)), 0.0)
+    values |= {"first": first, "second": second, "centre_m": (0.0, 0.0)}
     values["up_m"] = OFF[second] - OFF[first] if up_m is None else up_m
-    return PairDifference(**{**values, "up_sd_m": 0.01})  # type: ignore[arg-type]
+    return StripPair(**{**values, "up_sd_m": 0.01})  # type: ignore[arg-type]
 
 
 def test_offsets_are_taken_away_against_the_flightline_that_is_kept() -> None:
@@ -55,7 +57,7 @@ def test_standard_deviations_are_those_of_all_pairs_together() -> None:
 
 def test_a_pair_that_fits_no_other_counts_little() -> None:
     pairs = [pair(*names) for names in ALL]
-    bad = pairs[0]._replace(up_m=pairs[0].up_m + 1.0)
+    bad = replace(pairs[0], up_m=pairs[0].up_m + 1.0)
     plain, robust = (align_lines("abcd", some, SAME) for some in (pairs, [bad, *pairs[1:]]))
     for k in range(4):
         ours, theirs = (some[k].found_m - some[2].found_m for some in (robust, plain))

@@ -1,6 +1,6 @@
 """Pairs of flightlines with a known shift, aligned ones, and what is said of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from spl_batch.airborne.lines.comparison import offset_warnings
 from spl_batch.airborne.lines.pair_table import (
     DETERMINED_M,
     FEWEST,
-    PairDifference,
+    StripPair,
     pair_table,
 )
 from spl_batch.airborne.lines.patches import Patches
@@ -37,7 +37,7 @@ def patches_of(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> tuple[lis
     return patches_between(points)
 
 
-def pair(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> PairDifference:
+def pair(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> StripPair:
     (found,) = pair_table([patches_of(shift, scene, seed)])
     return found
 
@@ -86,8 +86,8 @@ def test_few_squares_tell_no_small_horizontal_difference(
     squares: int,
     told: bool,  # noqa: FBT001 - a parameter of the test
 ) -> None:
-    found = pair(Shift())._replace(
-        east_m=east_m, north_m=0.0, horizontal_sd_m=0.015, squares=squares
+    found = replace(
+        pair(Shift()), east_m=east_m, north_m=0.0, horizontal_sd_m=0.015, squares=squares
     )
     assert found.is_off_horizontally == told
     assert len(list(offset_warnings([found]))) == told
@@ -99,6 +99,6 @@ def test_the_worst_pair_is_named_with_number_and_place() -> None:
     assert one.values["up_m"] == pytest.approx(0.2, abs=0.01)
     assert one.place is not None
     assert one.place[0] == pytest.approx(10_040, abs=5)
-    many = [pair(Shift(up=0.2))._replace(second=f"s{k}") for k in range(6)]
+    many = [replace(pair(Shift(up=0.2)), second=f"s{k}") for k in range(6)]
     (worst,) = offset_warnings([*many, pair(Shift())])
     assert worst.values["pairs"] == 6

@@ -10,7 +10,7 @@ from tests import surveys
 from tests.airborne.lines.two_strips import Returns, Shift, ground
 
 LINEAR = {"filter": {"method": "none"}, "afterpulse": {"enabled": False}}
-FINE = {"ground": {"cell_m": 25, "buffer_m": 20}, "tiling": {"tile_m": 20}}
+FINE = {"ground": {"cell_m": 25, "buffer_m": 20}, "tiling": {"tile_m": 30}}
 
 
 def survey(folder: Path, shift: Shift, *, timed: bool = True, **sections: object) -> Path:

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from spl_batch.airborne.tasks.stretches import TIME_ORDER, _once
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.watch.events import Event, Note
+from spl_batch.lattice.tables import COLUMNS, PointTable
 from tests import surveys
 
 
@@ -89,14 +91,14 @@ def test_points_that_a_file_holds_twice_count_once(small: Path, small_output: Pa
     assert one.values["points"] == size + 40
 
 
-def test_points_that_differ_in_anything_are_no_copies(small: Path) -> None:
-    path = lines(small)[0]
-    columns = surveys.flightline(shots=120, psid=1, seed=1)
-    other = surveys.take(columns, slice(40, 60))
-    other["z"] = other["z"] + 0.001
-    surveys.write_cloud(path, surveys.join(columns, other))
-    result = surveys.run(small, until="deliver")
-    assert assessed(result.output)[f"lines/{path.name}"].all()
+@pytest.mark.parametrize("name", TIME_ORDER[: TIME_ORDER.index("source")])
+def test_points_that_differ_in_anything_are_no_copies(name: str) -> None:
+    columns = {key: np.full(3, 5, COLUMNS[key].dtype) for key in TIME_ORDER}
+    columns["index"] = np.arange(3, dtype=np.uint32)
+    columns[name][2] += 1
+    kept, copies = _once(PointTable(columns), [5])
+    assert kept["index"].tolist() == [0, 2]
+    assert copies.number.tolist() == [1]
 
 
 def warned(survey: Path, until: str) -> list[str]:

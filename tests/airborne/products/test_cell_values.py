@@ -13,7 +13,6 @@ from spl_batch.airborne.products.cell_values import (
     fill_voids,
     flown_over,
     number_cells,
-    ring_offsets,
     robust_cell_means,
     sort_into_cells,
 )
@@ -129,8 +128,7 @@ def test_fill_voids_takes_the_nearest_and_of_several_the_lowest():
     rng = np.random.default_rng(5)
     values = rng.integers(0, 50, (23, 31)).astype(float)
     values[rng.random(values.shape) < 0.93] = np.nan
-    out = np.empty_like(values)
-    fill_voids(values, ring_offsets(3.5), out)
+    out = fill_voids(values, 3.5)
     filled = np.argwhere(~np.isnan(values))
     for place in np.argwhere(np.isnan(values)):
         d2 = ((filled - place) ** 2).sum(axis=1)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from spl_batch.airborne.noise.line_model import LineModel
-from spl_batch.airborne.plan.cells import fired_index
+from spl_batch.airborne.plan.space_tasks import index_of_boxes
 from spl_batch.airborne.products.reflectance.beamlet_matching import SILENT, Grid, trace
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart, aim, link_constant
 from spl_batch.airborne.products.reflectance.reflectance import (
@@ -313,6 +313,6 @@ def test_noise_in_the_air_is_no_surface() -> None:
 
 def test_stretches_are_chosen_by_where_they_fired() -> None:
     boxes = {"b": [0, 0, 10, 10], "a": [5, 5, 20, 20], "c": [50, 0, 60, 10]}
-    index = fired_index(boxes)
+    index = index_of_boxes(boxes, 1000)
     assert index.overlapping(Bounds(8_000, 8_000, 9_000, 9_000)) == ["a", "b"]
     assert index.overlapping(Bounds(20_000, 20_000, 30_000, 30_000)) == []

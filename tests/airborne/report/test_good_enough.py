@@ -6,19 +6,21 @@ from typing import Any
 
 import pytest
 
+from spl_batch.airborne.lines.pair_table import StripPair
 from spl_batch.airborne.report.good_enough import (
     _swaths,
     _time_standard,
     checkpoint_findings,
 )
-from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics, StripPair
+from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
 from spl_batch.airborne.settings.requirements import RequirementSettings
 
 
 def pair(first: str, second: str, patches: int, rmsd: float | None) -> StripPair:
     return StripPair(
         first=first, second=second, patches=patches, area_m2=1.0, centre_m=(0.0, 0.0), up_m=0.0,
-        up_sd_m=0.01, flat_patches=patches, rmsd_z_m=rmsd, noise_m=0.02,
+        up_sd_m=0.01, east_m=None, north_m=None, horizontal_sd_m=None, flat_patches=patches,
+        rmsd_z_m=rmsd, noise_m=0.02, squares=1,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from spl_batch.airborne.report.pictures import PictureInputs, make_pictures
+from spl_batch.airborne.report.pictures import make_pictures
 from spl_batch.airborne.report.survey_page import render
 from tests.browser import Page, browser, needs_chromium
 from tests.report_data import make_failures, make_inputs, make_report
@@ -34,13 +34,15 @@ RESTING = """new Promise(done => {
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     inputs = make_inputs()
-    part = PictureInputs(dtm=inputs.dtm, density=inputs.density, profile=inputs.profile)
+    rasters = {name: inputs["rasters"][name] for name in ("dtm", "density")}
     failed = make_failures()[1].model_copy(
         update={"extent_m": (500_100.0, 500_200.0, 3_300_000.0, 3_300_100.0)}
     )
     report = make_report(failures=(failed,))
     made = tmp_path_factory.mktemp("page") / "report.html"
-    made.write_text(render(report, make_pictures(part, report)), encoding="utf-8")
+    made.write_text(
+        render(report, make_pictures(rasters, report, inputs["profile"])), encoding="utf-8"
+    )
     return made
 
 

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from spl_batch.airborne.report.model import Counts, Report, Survey
-from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
+from spl_batch.airborne.report.pictures import PICTURES, Profile, Raster, make_pictures
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report import maps, style
@@ -30,18 +30,6 @@ from tests.report_data import (
     make_report,
 )
 
-KEYS = (
-    "dtm",
-    "dsm",
-    "chm",
-    "difference",
-    "histogram",
-    "profile",
-    "noise_density",
-    "dtm_quality",
-    "density",
-    "strips",
-)
 VOID_ELEMENTS = {"meta", "img", "br", "hr", "link", "input"}
 
 pytestmark = pytest.mark.pictures
@@ -82,7 +70,7 @@ class Page(html.parser.HTMLParser):
 @pytest.fixture(scope="module")
 def pictures() -> Mapping[str, Picture]:
     with drawn_pictures():
-        return make_pictures(make_inputs(), make_report())
+        return make_pictures(report=make_report(), **make_inputs())
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +99,7 @@ class TestPage:
 
     def test_it_holds_every_picture_and_section(self, page: str) -> None:
         parsed = Page(page)
-        assert parsed.tags.count("img") == len(KEYS)
+        assert parsed.tags.count("img") == len(PICTURES)
         for heading in ("Failures", "Accuracy", "Map and profile", "Noise", "Method", "Provenance"):
             assert heading in parsed.text
         assert "Weak Echo Detection" in parsed.text
@@ -123,8 +111,14 @@ class TestPage:
         text = " ".join(Page(render(make_report(counts=counts), {})).text.split())
         assert "part: 1 outside the area of interest, 2 that are copies of others." in text
 
-    def test_the_same_input_gives_the_same_page(self, page: str) -> None:
-        assert render(make_report(), make_pictures(make_inputs(), make_report())) == page
+    def test_the_same_input_gives_the_same_page(
+        self, page: str, pictures: Mapping[str, Picture]
+    ) -> None:
+        assert render(make_report(), pictures) == page
+        rasters = {name: make_inputs()["rasters"][name] for name in ("dtm", "dsm")}
+        again = make_pictures(rasters, make_report(), make_inputs()["profile"])
+        for name in (*rasters, "profile"):
+            assert again[name].png == pictures[name].png
 
     def test_names_cannot_become_markup(self) -> None:
         evil = "<script>alert(1)</script>\"'&"
@@ -199,7 +193,7 @@ class TestWrite:
 
 class TestPictures:
     def test_each_is_a_picture_of_the_size_it_says(self, pictures: Mapping[str, Picture]) -> None:
-        assert tuple(pictures) == KEYS
+        assert tuple(pictures) == PICTURES
         for made in pictures.values():
             image = Image.open(io.BytesIO(made.png))
             assert image.format == "PNG"
@@ -208,8 +202,8 @@ class TestPictures:
             assert made.title in made.alt
 
     def test_what_is_missing_says_why(self) -> None:
-        made = make_pictures(PictureInputs(), make_report())
-        assert tuple(made) == KEYS
+        made = make_pictures({}, make_report())
+        assert tuple(made) == PICTURES
         for picture in made.values():
             assert picture.png == b""
             assert picture.caption.endswith(".")
@@ -218,15 +212,15 @@ class TestPictures:
 
     def test_rasters_without_a_value_are_missing(self) -> None:
         nothing = Raster(np.full((5, 5), -9999.0, dtype=np.float32), EXTENT)
-        inputs = PictureInputs(*[nothing] * 7, np.full(3, np.nan), None)
-        made = make_pictures(inputs, make_report(accuracy=None))
+        rasters = dict.fromkeys(PICTURES, nothing)
+        made = make_pictures(rasters, make_report(accuracy=None), None, np.full(3, np.nan))
         assert all(picture.png == b"" for picture in made.values())
 
     @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (300, 2), (2, 300)])
     def test_odd_shapes_can_be_drawn(self, shape: tuple[int, int]) -> None:
         extent = (0.0, float(shape[1]), 0.0, float(shape[0]))
         flat = Raster(np.full(shape, 7.25), extent)
-        picture = make_pictures(PictureInputs(dtm=flat, difference=flat), make_report())
+        picture = make_pictures({"dtm": flat, "difference": flat}, make_report())
         assert picture["dtm"].png
         assert picture["difference"].png
 
@@ -236,16 +230,19 @@ class TestPictures:
         columns = (profile.along_m, profile.z_m, profile.noise_class, profile.classification)
         shuffled = Profile(*[c[order] for c in columns], width_m=profile.width_m)
         first, second = (
-            make_pictures(PictureInputs(profile=p), make_report())["profile"].png
-            for p in (profile, shuffled)
+            make_pictures({}, make_report(), p)["profile"].png for p in (profile, shuffled)
         )
         assert first == second
 
     def test_two_threads_draw_what_one_draws(self, pictures: Mapping[str, Picture]) -> None:
         inputs, report = make_inputs(), make_report()
-        part = PictureInputs(chm=inputs.chm, differences_m=inputs.differences_m)
+        rasters, differences_m = {"chm": inputs["rasters"]["chm"]}, inputs["differences_m"]
+
+        def draw(_: int) -> dict[str, Picture]:
+            return make_pictures(rasters, report, None, differences_m)
+
         with ThreadPoolExecutor(2) as pool:
-            for made in pool.map(lambda _: make_pictures(part, report), range(2)):
+            for made in pool.map(draw, range(2)):
                 for key in ("chm", "histogram"):
                     assert made[key].png == pictures[key].png
 

@@ -13,12 +13,13 @@ from spl_batch.airborne.store.label_tables import (
     OPEN_FILES,
     LabelFiles,
     Origin,
-    label_units,
     read_labelled_tile,
     read_region,
+    units_within,
     write_labels,
 )
 from spl_batch.engine.store.working_store import Store
+from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.verified.parquet_npz import write_table
 from spl_batch.lattice.tables import CANONICAL_ORDER, COLUMNS, PointTable, canonical_order
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cell_index, cells_touching, inside
@@ -67,13 +68,10 @@ def test_labels_of_other_units_come_back_to_each_point(
         found, origin = read_region(store, near, core, CANONICAL_ORDER, {})
         # The label is a function of the point alone, so that it can be recomputed.
         write_labels(store.table("ground", str(u)), origin, {"ground": found["index"] % 7})
-    holders = {
-        t: [("ground", str(u)) for u in cells_touching(cell_bounds(t, TILE), unit) if u in units]
-        for t in tiles
-    }
+    holders = [("ground", str(u)) for u in units]
     seen = 0
     for tile in tiles:
-        back = read_labelled_tile(store, tile, CANONICAL_ORDER, {"ground": holders[tile]})
+        back = read_labelled_tile(store, tile, CANONICAL_ORDER, {"ground": holders})
         assert np.array_equal(back["ground"], back["index"] % 7)
         seen += len(back)
     assert seen == n
@@ -176,6 +174,8 @@ def test_more_units_than_files_that_may_be_open(tmp_path: Path) -> None:
         label = labelled(np.array([tile]), np.array([0]), np.array([k]))
         write_labels(store.table("ground", unit), *label)
     with LabelFiles(store) as files:
+        assert all(files.holds(("ground", unit), tile) for unit in units)
+        assert not files.holds(("ground", units[0]), CellId(0, 1))
         for k, unit in [*enumerate(units), *enumerate(units)]:
             back = files.read(("ground", unit), tile, ["ground"], (0, 0))
             assert back["ground"].tolist() == [k]
@@ -186,8 +186,11 @@ def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:
     assert len(table) == len(origin.row) == len(origin.owner) == 0
 
 
-def test_units_of_a_task_are_those_of_one_kind() -> None:
-    args = {"labels": {"noise": {"0_1": ["a", "b"]}, "ground": {"0_1": ["c"]}}}
-    assert label_units(args, "noise") == {CellId(0, 1): [("noise", "a"), ("noise", "b")]}
-    assert label_units(args, "ground") == {CellId(0, 1): [("ground", "c")]}
-    assert label_units({}, "noise") == {}
+def test_units_of_a_region_are_those_that_own_some_of_it() -> None:
+    cores = {"a": [0, 0, 100, 100], "b": [100, 0, 200, 100], "c": [200, 0, 300, 100]}
+    done = {
+        name: Receipt("ground", name, "", "", "", {}, {"core": core}, 0, 0.0, 0.0)
+        for name, core in cores.items()
+    }
+    assert units_within(Bounds(50, 10, 101, 20), "ground", done) == [("ground", k) for k in "ab"]
+    assert units_within(Bounds(100, 10, 200, 20), "ground", done) == [("ground", "b")]

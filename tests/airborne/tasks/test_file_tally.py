@@ -36,7 +36,7 @@ def indexed(points: PointTable, sizes: list[int]) -> Receipt:
     apart_s = APART_S * np.repeat(np.arange(len(sizes)), sizes)
     tally = Tally(60.0)
     tally.add(table.with_columns(gps_time=table["gps_time"] + apart_s))
-    facts = {"name": "a.laz", **tally.facts(), "parts": []}
+    facts = {"name": "a.laz", **tally.facts()}
     return Receipt("index_file", "1", "", "", "", {}, facts, sum(sizes), 0.0, 0.0)
 
 
@@ -53,7 +53,7 @@ def test_points_at_time_zero_have_none(points: PointTable, unset: int) -> None:
     tally, time = Tally(60.0), points["gps_time"].copy()
     time[:unset] = 0.0
     tally.add(points.with_columns(gps_time=time))
-    facts = {"name": "a.laz", **tally.facts(), "parts": []}
+    facts = {"name": "a.laz", **tally.facts()}
     receipt = Receipt("index_file", "1", "", "", "", {}, facts, len(points), 0.0, 0.0)
     assert flown(receipt) == 1
     assert facts["timeless"] == unset

@@ -12,6 +12,7 @@ from spl_batch import api
 from spl_batch.airborne.tasks import index
 from spl_batch.airborne.tasks.file_tally import Tally, spans_of
 from spl_batch.engine.watch.events import Event, PhaseStarted, TaskEnded
+from spl_batch.errors import InputError
 from spl_batch.formats.las.reader import iter_points
 from tests import surveys
 
@@ -49,9 +50,7 @@ def in_one_go(survey: Path) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(index, "PART_CHUNKS", 1 << 20)
         copied = surveys.copy_of(survey, survey.parent / "whole")
-        result, told = events(copied, until="deliver")
-    assert not done(told, "index_part")
-    return result.output
+        return surveys.run(copied, until="deliver").output
 
 
 def test_parts_are_the_whole_file(small: Path, small_output: Path) -> None:
@@ -66,7 +65,7 @@ def test_parts_are_the_whole_file(small: Path, small_output: Path) -> None:
     assert started.points == sum(sizes)
     assert result.report.counts.points_in == result.report.counts.points_out == sum(sizes)
     _, again = events(small)
-    assert not done(again, "index_part") + done(again, "index_file") + done(again, "gather")
+    assert not done(again, "index_part") + done(again, "index_file") + done(again, "observe")
 
 
 def test_files_that_are_not_in_time_order(small: Path) -> None:
@@ -103,6 +102,27 @@ def test_a_part_that_cannot_be_read_fails_its_file_once(small: Path, small_outpu
     assert all(not e.reason for e in told if isinstance(e, TaskEnded) and e.kind == "index_part")
     path.write_bytes(content)
     assert surveys.results(surveys.run(small).output) == surveys.results(small_output)
+
+
+def test_a_part_that_could_not_be_read_once_is_read_by_the_next_run(
+    small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = min((small.parent / "lines").glob("*.laz"))
+    read = index.iter_points
+
+    def failing(file: Path, *, start: int, **options: Any) -> Any:
+        if file == path and start == POINTS:
+            raise InputError(str(path), "the disk is away")
+        return read(file, start=start, **options)
+
+    monkeypatch.setattr(index, "iter_points", failing)
+    result, _ = events(small, until="index")
+    assert result.exit_status == 1
+    monkeypatch.setattr(index, "iter_points", read)
+    again, told = events(small, until="index")
+    assert again.exit_status == 0
+    (part,) = done(told, "index_part")
+    assert part.endswith("/1"), "the others are finished"
 
 
 def test_a_part_that_is_lost_leaves_its_file_out_and_is_tried_again_alone(

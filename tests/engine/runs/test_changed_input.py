@@ -60,7 +60,7 @@ def other(path: Path) -> None:
     line(path.parents[1], int(path.stem), east_m=FAR_M, seed=77)
 
 
-@pytest.mark.parametrize(("kind", "change"), [("gather", other), ("deliver_file", Path.unlink)])
+@pytest.mark.parametrize(("kind", "change"), [("observe", other), ("deliver_file", Path.unlink)])
 def test_a_file_that_changes_during_the_run_is_named_and_read_anew_by_the_next(
     survey: Path, kind: str, change: Callable[[Path], None]
 ) -> None:
@@ -110,7 +110,7 @@ def test_one_more_flightline_redoes_the_tiles_that_it_touches(survey: Path) -> N
     line(survey.parent, 3, east_m=FAR_M)
     more = counting(survey)
     everything = counting(survey, "products.void_max_m=19")
-    assert more["index_file"] == more["gather"] == more["scatter"] == 1
+    assert more["index_file"] == more["observe"] == more["scatter"] == 1
     for kind in ("build_tile", "denoise", "ground", "surface"):
         assert 0 < more[kind] < first[kind], f"{kind}: the far half of the survey stays"
     assert more["deliver_file"] == 2, "the line far away has no new neighbour"

@@ -39,8 +39,8 @@ def stretches(points: int, *overrides: str) -> Way:
         patch: pytest.MonkeyPatch = request.getfixturevalue("monkeypatch")
         patch.setattr(flightlines, "STRETCH_POINTS", points)
         here(*overrides)(workflow, request)
-        gathered = workflow.parent / "out/store/receipts/gather"
-        assert len(list(gathered.iterdir())) > 4
+        observed = workflow.parent / "out/store/receipts/observe"
+        assert len(list(observed.iterdir())) > 4
 
     return way
 

@@ -148,14 +148,14 @@ def test_a_lost_scheduler_ends_the_run_which_continues(
     small: Path, small_output: Path, cluster: Cluster
 ) -> None:
     """The last test of this file: it kills the scheduler of the others."""
-    cluster.plan.set(fault("gather", "wait"))
+    cluster.plan.set(fault("observe", "wait"))
     killed_s: list[float] = []
 
     def kill() -> None:
         killed_s.append(time.monotonic())
         cluster.kill(0)
 
-    thread = clusters.when(lambda: cluster.plan.tries("gather"), kill)
+    thread = clusters.when(lambda: cluster.plan.tries("observe"), kill)
     ended = run_on(cluster, small)
     took_s = time.monotonic() - killed_s[0]
     thread.join()

@@ -1,16 +1,17 @@
 """Whether the files of a survey lie where files of one survey can lie, as far as headers tell."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.engine.findings import Finding
-from spl_batch.errors import InputError, named
+from spl_batch.errors import InputError, grouped, named
 from spl_batch.formats.crs import like_degrees, look_like_degrees
-from spl_batch.formats.las.reader import LasFacts
+from spl_batch.formats.las.reader import LasFacts, inspect
 
 FAR_M: Final = 10_000.0
 """Gap up to which parts belong to a survey however short its files are [m]: groups of flightlines
@@ -27,6 +28,34 @@ THINNEST: Final = 1e-3
 of a tile, as a share of the tile of most points."""
 
 
+def extent(places_m: ArrayLike) -> str:
+    """Box around places, (n, 2) [m], in words."""
+    places = np.asarray(places_m)
+    west, south, east, north = map(grouped, (*places.min(axis=0), *places.max(axis=0)))
+    return f"{west} to {east} E, {south} to {north} N"
+
+
+def usable(
+    files: Iterable[LasFacts], fault_of: Callable[[LasFacts], str | Sequence[str] | None]
+) -> tuple[list[LasFacts], list[InputError]]:
+    """Files that can be used, and what is wrong with the others."""
+    faults = [(facts, fault_of(facts)) for facts in files]
+    bad = [InputError(str(facts.path), fault) for facts, fault in faults if fault]
+    return [facts for facts, fault in faults if not fault], bad
+
+
+def inspected(paths: Iterable[Path]) -> tuple[list[LasFacts], list[InputError]]:
+    """Facts of the files whose headers can be read, and what is wrong with the others."""
+    good: list[LasFacts] = []
+    bad: list[InputError] = []
+    for path in paths:
+        try:
+            good.append(inspect(path))
+        except InputError as error:
+            bad.append(error)
+    return good, bad
+
+
 def without_degrees(
     files: Sequence[LasFacts], stated: str | None
 ) -> tuple[list[LasFacts], list[InputError]]:
@@ -35,14 +64,18 @@ def without_degrees(
     With a ``stated`` CRS every file is taken at the user's word.
     """
     silent = [f for f in files if stated is None and f.crs is None and f.n_points]
-    alike = [facts for facts in silent if look_like_degrees(facts.mins_m, facts.maxs_m)]
-    corners = [corner[:2] for facts in alike for corner in (facts.mins_m, facts.maxs_m)]
-    found = {f.path for f in alike if look_like_degrees(f.mins_m, f.maxs_m, corners)}
-    if not found:
-        return list(files), []
-    text = like_degrees(corners, "survey.crs")
-    bad = [InputError(str(facts.path), text) for facts in alike if facts.path in found]
-    return [facts for facts in files if facts.path not in found], bad
+    found, corners = _in_degrees(silent)
+    text = like_degrees(corners, "survey.crs") if found else ""
+    return usable(files, lambda facts: text if facts.path in found else None)
+
+
+def _in_degrees(files: Sequence[LasFacts]) -> tuple[set[Path], list[Sequence[float]]]:
+    """Files with points whose coordinates look like degrees, and corners of all that may be."""
+    alike = [facts for facts in files if look_like_degrees(facts.mins_m, facts.maxs_m)]
+    corners: list[Sequence[float]] = [
+        corner[:2] for facts in alike for corner in (facts.mins_m, facts.maxs_m)
+    ]
+    return {f.path for f in alike if look_like_degrees(f.mins_m, f.maxs_m, corners)}, corners
 
 
 def degrees_as_metres(files: Sequence[tuple[str, LasFacts]]) -> Iterator[Finding]:
@@ -50,10 +83,8 @@ def degrees_as_metres(files: Sequence[tuple[str, LasFacts]]) -> Iterator[Finding
 
     ``files``: sequence of (str, LasFacts), name and header of each file that the survey takes.
     """
-    alike = [(n, f) for n, f in files if f.n_points and look_like_degrees(f.mins_m, f.maxs_m)]
-    corners = [corner[:2] for _, facts in alike for corner in (facts.mins_m, facts.maxs_m)]
-    found = [n for n, f in alike if look_like_degrees(f.mins_m, f.maxs_m, corners)]
-    yield from (Finding("I05", {"kind": "degrees"}, name) for name in found)
+    found, _ = _in_degrees([facts for _, facts in files if facts.n_points])
+    yield from (Finding("I05", {"kind": "degrees"}, name) for name, f in files if f.path in found)
 
 
 def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[Finding]:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -118,10 +118,14 @@ def copies(survey: Survey) -> Iterator[Finding]:
             yield Finding("I03", values, f"{copy.name} and {kept.name}", badness=count)
 
 
-def _stretches(survey: Survey) -> Iterator[tuple[str, Receipt]]:
-    """Gathered stretches, and the name of the flightline of each."""
-    for name, receipt in survey.of("gather").items():
-        yield name.split("/", maxsplit=1)[0], receipt
+def _by_line(survey: Survey, fact: str) -> dict[str, list[tuple[Any, int]]]:
+    """What stretches that have it say of a fact, and their points, by flightline."""
+    found: dict[str, list[tuple[Any, int]]] = {}
+    for name, receipt in survey.of("observe").items():
+        if fact in receipt.facts:
+            line = name.split("/", maxsplit=1)[0]
+            found.setdefault(line, []).append((receipt.facts[fact], receipt.points))
+    return found
 
 
 def points_astray(survey: Survey) -> Iterator[Finding]:
@@ -150,15 +154,14 @@ def times_off(survey: Survey) -> tuple[dict[str, int], dict[str, float]]:
     seconds the times seem late [s]. A place is seen ahead first and astern later, so that one
     stretch of a small survey may lie on one side: what counts is the mean over all returns.
     """
-    looks: dict[str, list[tuple[Ahead, int]]] = {}
-    leaps: dict[str, int] = {}
-    for line, stretch in _stretches(survey):
-        if "ahead" in stretch.facts:
-            looks.setdefault(line, []).append((Ahead(*stretch.facts["ahead"]), stretch.points))
-        if stretch.facts.get("leap_s"):
-            leaps[line] = int(stretch.facts["leap_s"])
+    leaps = {
+        line: int(leap_s)
+        for line, stretches in _by_line(survey, "leap_s").items()
+        for leap_s, _ in stretches
+        if leap_s
+    }
     off: dict[str, float] = {}
-    for line, stretches in looks.items():
+    for line, stretches in _by_line(survey, "ahead").items():
         means, returns = zip(*stretches, strict=True)
         whole = Ahead(*map(float, np.average(means, axis=0, weights=returns)))
         if not whole.is_above and line not in leaps:
@@ -180,11 +183,8 @@ def looks_ahead(survey: Survey) -> Iterator[Finding]:
 
 def heights_in_other_unit(survey: Survey) -> Iterator[Finding]:
     """Name the trajectory whose heights are feet for metres, or metres for feet."""
-    heights: dict[str, list[tuple[float, float] | None]] = {}
-    for line, stretch in _stretches(survey):
-        if "other_unit" in stretch.facts:
-            heights.setdefault(line, []).append(stretch.facts["other_unit"])
-    wrong = {line: list(filter(None, some)) for line, some in heights.items()}
+    heights = _by_line(survey, "other_unit")
+    wrong = {line: [both for both, _ in some if both] for line, some in heights.items()}
     lines = [line for line, some in wrong.items() if 2 * len(some) > len(heights[line])]
     if not lines:
         return
@@ -204,12 +204,9 @@ def heights_in_other_unit(survey: Survey) -> Iterator[Finding]:
 
 def merged_shots(survey: Survey) -> Iterator[Finding]:
     """Say where several shots share one time, or channels are none."""
-    counts: dict[str, list[tuple[int, int, int]]] = {}
-    for line, stretch in _stretches(survey):
-        if "off_one_beam" in stretch.facts:
-            counts.setdefault(line, []).append(stretch.facts["off_one_beam"])
-    for line, stretches in counts.items():
-        together, apart, elsewhere = np.sum(stretches, axis=0).tolist()
+    for line, stretches in _by_line(survey, "off_one_beam").items():
+        counts, _ = zip(*stretches, strict=True)
+        together, apart, elsewhere = np.sum(counts, axis=0).tolist()
         if 2 * elsewhere > apart:
             yield Finding("I03", {"kind": "elsewhere", "km": ELSEWHERE_M / 1000}, line)
         elif apart > MERGED * max(together, 1):
@@ -260,15 +257,11 @@ def _flown_twice(survey: Survey) -> Iterator[Finding]:
 
 def beams_without_trajectory(survey: Survey) -> Finding:
     """What beams are taken from where there is no trajectory."""
-    paths = survey.of("sensor_path")
-    found = [name for name, receipt in paths.items() if receipt.facts["found"]]
-    headings = survey.of("heading")
-    left = [headings[name] for name in paths if name not in found and name in headings]
-    angled = sum(r.facts["heading_rad"] is not None for r in left)
-    counts = {
-        "from where lines of sight meet": len(found),
-        "from scan_angle and the flight direction": angled,
-        "as vertical": len(paths) - len(found) - angled,
+    counts = Counter(receipt.facts["basis"] for receipt in survey.of("sensor_path").values())
+    ways = {
+        "intersection": "from where lines of sight meet",
+        "scan_angle": "from scan_angle and the flight direction",
+        "vertical": "as vertical",
     }
-    listed = ", ".join(f"{how} on {count}" for how, count in counts.items() if count)
-    return Finding("T03", {"how": f"{listed} of {counted(len(paths), 'flightlines')}"})
+    listed = ", ".join(f"{ways[basis]} on {counts[basis]}" for basis in ways if counts[basis])
+    return Finding("T03", {"how": f"{listed} of {counted(counts.total(), 'flightlines')}"})

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from pyproj import CRS
 
+from spl_batch.airborne.plan.inputs.file_positions import extent, inspected, usable
 from spl_batch.airborne.settings import ReferenceSettings
 from spl_batch.airborne.tasks.checkpoints import read_named
 from spl_batch.engine.findings import Finding
@@ -17,14 +18,13 @@ from spl_batch.errors import (
     InputError,
     WorkflowError,
     as_input_fault,
-    grouped,
     named,
     told_together,
 )
 from spl_batch.formats.checkpoints import Checkpoint
 from spl_batch.formats.crs import like_degrees, look_like_degrees, other_crs, parse_crs, same_crs
 from spl_batch.formats.files.atomic import real_path
-from spl_batch.formats.las.reader import LasFacts, inspect
+from spl_batch.formats.las.reader import LasFacts
 
 
 class ReferenceFiles(NamedTuple):
@@ -48,24 +48,12 @@ def checked_reference(
     """
     stated = settings.crs if settings else None
     given = None if stated is None else parse_crs(stated, "reference.crs")
-    usable: list[LasFacts] = []
-    damaged: list[InputError] = []
-    elsewhere: list[InputError] = []
-    for path in paths:
-        try:
-            facts = inspect(path)
-        except InputError as error:
-            damaged.append(error)
-            continue
-        fault = _crs_fault(facts, facts.crs or given, crs, others)
-        if fault:
-            elsewhere.append(InputError(str(path), fault))
-        else:
-            usable.append(facts)
-    if elsewhere and not usable:
+    known, damaged = inspected(paths)
+    good, elsewhere = usable(known, lambda f: _crs_fault(f, f.crs or given, crs, others))
+    if elsewhere and not good:
         told = (f"reference.points: {text}" for text in told_together([*damaged, *elsewhere]))
         raise WorkflowError("; ".join(told))
-    return ReferenceFiles(tuple(usable), (*damaged, *elsewhere))
+    return ReferenceFiles(tuple(good), (*damaged, *elsewhere))
 
 
 def _crs_fault(
@@ -132,16 +120,9 @@ def _elsewhere(
     points: Sequence[Checkpoint], boxes: Sequence[tuple[Sequence[float], Sequence[float]]]
 ) -> str:
     """Where all checkpoints lie and where the survey does: a wrong CRS shows at once."""
-    low, high = zip(*boxes, strict=True)
-    survey = [[*(one[axis] for one in low), *(one[axis] for one in high)] for axis in (0, 1)]
-    mine = [[point.x_m for point in points], [point.y_m for point in points]]
+    mine = extent([(point.x_m, point.y_m) for point in points])
+    survey = extent([corner[:2] for box in boxes for corner in box])
     return (
-        f"none of {len(points)} checkpoints lies within the survey: they lie within {_box(mine)}, "
-        f"its points within {_box(survey)}; name their CRS in reference.checkpoints_crs if it is "
-        "another"
+        f"none of {len(points)} checkpoints lies within the survey: they lie within {mine}, "
+        f"its points within {survey}; name their CRS in reference.checkpoints_crs if it is another"
     )
-
-
-def _box(sides: Sequence[Sequence[float]]) -> str:
-    east, north = (f"{grouped(min(side))} to {grouped(max(side))}" for side in sides)
-    return f"{east} E, {north} N"

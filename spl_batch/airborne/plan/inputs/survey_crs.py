@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from pyproj import CRS
 
-from spl_batch.airborne.plan.inputs.file_positions import without_degrees
+from spl_batch.airborne.plan.inputs.file_positions import usable, without_degrees
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
 from spl_batch.errors import InputError
@@ -37,35 +37,31 @@ def survey_crs(
     """CRS of the survey: the setting, else what most points say; files that differ are bad."""
     stated = workflow.survey.crs
     given = None if stated is None else parse_crs(stated, "survey.crs")
-    good: list[LasFacts] = []
-    bad: list[InputError] = []
-    for facts in (_without_wrong_crs(f, given) for f in files):
-        crs = facts.crs or given
-        problems = _crs_problems(facts, crs) or _crs_problems(facts, given and vertical(given))
-        if problems:
-            bad.append(InputError(str(facts.path), problems))
-        else:
-            good.append(facts)
+    good, bad = usable(
+        (_without_wrong_crs(facts, given) for facts in files),
+        lambda facts: (
+            _crs_problems(facts, facts.crs or given)
+            or _crs_problems(facts, given and vertical(given))
+        ),
+    )
     good, in_degrees = without_degrees(good, stated)
     bad += in_degrees
     given = given or _of_most((facts, facts.crs and horizontal(facts.crs)) for facts in good)
     if given is None:
         return None, good, bad
-    agreeing: list[LasFacts] = []
-    for facts in good:
+    remedy = "; reproject the file"
+    if stated is not None:
+        remedy += ", or leave out survey.crs, which is for files that carry none"
+
+    def disagrees(facts: LasFacts) -> str:
         if facts.crs is None or not facts.n_points or same_crs(facts.crs, given):
-            agreeing.append(facts)
-        else:
-            text = f"{other_crs(facts.crs, given)}; reproject the file"
-            if stated is not None:
-                text += ", or leave out survey.crs, which is for files that carry none"
-            bad.append(InputError(str(facts.path), text))
-    stretched = [
-        InputError(str(facts.path), text)
-        for text in stretch_problem(given, _corners(agreeing))
-        for facts in agreeing
-    ]
-    return horizontal(given), [] if stretched else agreeing, bad + stretched
+            return ""
+        return f"{other_crs(facts.crs, given)}{remedy}"
+
+    good, elsewhere = usable(good, disagrees)
+    problems = stretch_problem(given, _corners(good))
+    good, stretched = usable(good, lambda _: problems)
+    return horizontal(given), good, bad + elsewhere + stretched
 
 
 def _corners(files: Iterable[LasFacts]) -> list[list[float]]:
@@ -97,16 +93,15 @@ def with_heights(
     named = named or _of_most((facts, _heights(facts)) for facts in files)
     if named is None:
         return crs, list(files), []
-    good: list[LasFacts] = []
-    bad: list[InputError] = []
-    for facts in files:
+
+    def differ(facts: LasFacts) -> str:
         heights = _heights(facts)
         if heights is None or not facts.n_points or same_heights(heights, named):
-            good.append(facts)
-        else:
-            text = f"its heights are {crs_name(heights)}, the survey's {crs_name(named)}"
-            bad.append(InputError(str(facts.path), f"{text}: transform the file"))
-    return compound(crs, named), good, bad
+            return ""
+        text = f"its heights are {crs_name(heights)}, the survey's {crs_name(named)}"
+        return f"{text}: transform the file"
+
+    return compound(crs, named), *usable(files, differ)
 
 
 def _heights(facts: LasFacts) -> CRS | None:

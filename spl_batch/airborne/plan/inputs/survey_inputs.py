@@ -6,17 +6,18 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.airborne.plan.inputs.file_positions import (
     degrees_as_metres,
+    extent,
     far_positions,
+    inspected,
     saved_again,
+    usable,
 )
 from spl_batch.airborne.plan.inputs.reference_files import (
     CheckpointFile,
@@ -41,7 +42,6 @@ from spl_batch.errors import (
     InputError,
     WorkflowError,
     as_input_fault,
-    grouped,
     named,
     shared,
     told_together,
@@ -52,7 +52,7 @@ from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
-from spl_batch.formats.las.reader import LasFacts, inspect
+from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.trajectory.records import ends
 from spl_batch.formats.vector_files import check_polygons
 
@@ -198,16 +198,16 @@ def _check_shapes(
             )
             met = shapely.STRtree(survey).query(shapes, "intersects")
             if len(survey) and not met.size:
+                drawn, flown = (extent(shapely.get_coordinates(s)) for s in (shapes, survey))
                 values = {
-                    "kind": "shapes", "key": key, "shapes": _extent(shapes),
-                    "points": _extent(survey),
+                    "kind": "shapes", "key": key, "shapes": drawn, "points": flown,
                 }  # fmt: skip
                 if key != "aoi":
                     warnings.append(Finding("I05", values, name))
                     continue
                 faults.append(
                     f"{key}: {base / name}: none of its polygons meets the survey: they lie within "
-                    f"{_extent(shapes)}, its points within {_extent(survey)}; "
+                    f"{drawn}, its points within {flown}; "
                     "check its CRS and the order of its axes"
                 )
         except InputError as fault:
@@ -215,12 +215,6 @@ def _check_shapes(
     if faults:
         raise WorkflowError("; ".join(faults))
     return warnings
-
-
-def _extent(shapes: NDArray[Any]) -> str:
-    """Box around shapes, in words."""
-    west, south, east, north = map(grouped, shapely.total_bounds(shapes))
-    return f"{west} to {east} E, {south} to {north} N"
 
 
 def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> None:
@@ -253,7 +247,7 @@ def _unreadable(trajectory: Sequence[Path]) -> tuple[InputError, ...]:
 def _without_time(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> list[Finding]:
     """Files whose point format has no gps_time although the chain needs it."""
     lacking = [facts for facts in files if not facts.has_gps_time]
-    if not lacking or (workflow.filter.method == "none" and not workflow.afterpulse.enabled):
+    if not lacking or not workflow.filtering:
         return []
     if len(lacking) == len(files):
         raise WorkflowError(
@@ -290,20 +284,12 @@ def source_args(source: Source) -> dict[str, str]:
 
 
 def _inspect(paths: Iterable[Path]) -> tuple[list[LasFacts], list[InputError]]:
-    good: list[LasFacts] = []
-    bad: list[InputError] = []
-    for path in paths:
-        try:
-            facts = inspect(path)
-        except InputError as error:
-            bad.append(error)
-            continue
-        if facts.n_points > MAX_POINTS:
-            text = f"{facts.n_points} points; split files over {MAX_POINTS}"
-            bad.append(InputError(str(path), text))
-        else:
-            good.append(facts)
-    return good, bad
+    known, bad = inspected(paths)
+    text = "{} points; split files over {}".format
+    good, large = usable(
+        known, lambda f: text(f.n_points, MAX_POINTS) if f.n_points > MAX_POINTS else None
+    )
+    return good, bad + large
 
 
 def _with_channel(
@@ -330,8 +316,7 @@ def _with_channel(
         f"no dimension {dimension!r} (survey.channel_dimension), which other files have; "
         "add it, or process the file apart"
     )
-    bad = [InputError(str(facts.path), text) for facts in lacking]
-    return [facts for facts in files if dimension in facts.dimensions], bad
+    return usable(files, lambda facts: None if dimension in facts.dimensions else text)
 
 
 def _delivered_names(paths: Sequence[Path], base: Path) -> list[str]:

@@ -268,9 +268,7 @@ def first_surface(
     used = np.flatnonzero(count)
     median[used] = z[order[start[used] + (count[used] - 1) // 2]] * QUANTUM_M
     credible = credible_heights(median.reshape(shape), count.reshape(shape), settings.cell_m)
-    height = np.empty(shape)
-    reach = settings.dsm_void_max_m / settings.cell_m
-    fill_voids(credible, ring_offsets(reach), height)
+    height = fill_voids(credible, settings.dsm_void_max_m / settings.cell_m)
     low, high = (bounds(height, keep) for keep in (np.fmin, np.fmax))
     return Grid(settings.cell_m, height, slopes(height, settings.cell_m), low, high)
 
@@ -296,8 +294,7 @@ def credible_heights(
     usual = float(count.sum()) / max(int(np.count_nonzero(count)), 1)
     goes_on = like >= 2
     sure = goes_on & (support >= SUPPORT_SHARE * 9 * usual)
-    nearest = np.empty(height.shape)
-    fill_voids(np.where(sure, height, np.nan), ring_offsets(NEAR_SURE_M / cell_m), nearest)
+    nearest = fill_voids(np.where(sure, height, np.nan), NEAR_SURE_M / cell_m)
     beside = np.abs(height - nearest) <= NEAR_SURE_M
     return np.where(sure | (goes_on & beside), height, np.nan)
 
