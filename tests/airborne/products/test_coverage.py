@@ -54,8 +54,8 @@ def linear(folder: Path, cell_m: float, output: str, **sections: Any) -> dict[st
 def test_plots_far_apart_count_and_the_console_says_so(tmp_path: Path) -> None:
     n = 0
     for k, per_m2 in enumerate((8.0, 2.0, 5.0)):
-        n += plain(tmp_path / f"lines/{k}.laz", per_m2, 60.0, east_m=k * 60_000.0)
-        plain(tmp_path / f"reference/{k}.laz", 0.2, 60.0, east_m=k * 60_000.0)
+        n += plain(tmp_path / f"lines/{k}.laz", per_m2, 60.0, east_m=k * 15_000.0)
+        plain(tmp_path / f"reference/{k}.laz", 0.2, 60.0, east_m=k * 15_000.0)
     report = linear(tmp_path, 1.0, "out", reference={"points": "reference/*.laz"})
     assert report["survey"]["area_km2"] * 1e6 == pytest.approx(3 * 60.0**2, rel=0.02)
     assert report["density"]["mean_per_m2"] == pytest.approx(n / (3 * 60.0**2), rel=0.02)
