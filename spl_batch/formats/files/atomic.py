@@ -228,7 +228,7 @@ def size(path: Path) -> int:
         if is_remote(path):
             return sum(files_below(path).values())
         return sum(file.stat().st_size for file in _files(path))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return -1
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from spl_batch import api
 from spl_batch.airborne.filter import denoise
+from spl_batch.airborne.receiver import Imaging
 from spl_batch.engine.watch.events import Event, TaskEnded
 from tests import clusters, faulty_worker, surveys
 from tests.clusters import Plan, fault
@@ -52,8 +53,9 @@ def own_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plan:
 
 @pytest.mark.slow
 def test_a_task_that_eats_memory_fails_and_the_rest_is_finished(
-    small: Path, small_output: Path, own_workers: Plan
+    small: Path, small_output: Path, own_workers: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(Imaging, "compiles", None)  # they are compiled
     surveys.run(small, until="denoise")
     name = max(p.stem for p in (small_output / "store/receipts/ground").glob("*.json"))
     own_workers.set(fault("ground", "eat", name))
