@@ -44,7 +44,7 @@ SBET_RECORD: Final = np.dtype(
 )
 """One record of an SBET, as Applanix POSPac writes it: 17 doubles; seconds, radians, metres."""
 
-BATCH_RECORDS: Final = 65_536
+BATCH_RECORDS: Final = 16_384
 """Records that are read at once, about [count]."""
 
 ASTRAY_S: Final = 366 * 86_400.0
