@@ -6,7 +6,6 @@ given to do in a file beside the plan.
 """
 
 import dataclasses
-import functools
 import json
 import os
 import signal
@@ -20,6 +19,7 @@ import numpy as np
 from spl_batch.airborne import steps
 from spl_batch.airborne.context import Context
 from spl_batch.engine.tasks.context import Produced
+from spl_batch.engine.tasks.step import Step
 
 VARIABLE = "SPL_BATCH_TEST_FAULTS"
 """Environment variable that names the plan file."""
@@ -32,7 +32,7 @@ def dask_setup(_worker: object) -> None:
     """Put the faults around every kind of task."""
     plan = Path(os.environ[VARIABLE])
     steps.STEPS = {  # type: ignore[misc]
-        name: dataclasses.replace(step, run=_faulty(name, step.loaded(), plan))
+        name: dataclasses.replace(step, run=_faulty(step, plan))
         for name, step in steps.STEPS.items()
     }
 
@@ -43,19 +43,17 @@ def place(args: Mapping[str, Any]) -> str:
     return next((str(args[key]) for key in keys if key in args), "")
 
 
-def _faulty(
-    kind: str, function: Callable[..., Produced], plan: Path
-) -> Callable[[Mapping[str, Any], Context], Produced]:
-    @functools.wraps(function)
+def _faulty(step: Step, plan: Path) -> Callable[[Mapping[str, Any], Context], Produced]:
     def perhaps(args: Mapping[str, Any], context: Context) -> Produced:
         name = place(args)
         with (plan.parent / "tries.jsonl").open("a") as stream:
-            stream.write(json.dumps({"kind": kind, "name": name, "pid": os.getpid()}) + "\n")
+            stream.write(json.dumps({"kind": step.name, "name": name, "pid": os.getpid()}) + "\n")
         for number, fault in enumerate(json.loads(plan.read_text())):
-            if fault["kind"] == kind and fault["name"] in {None, name}:
+            if fault["kind"] == step.name and fault["name"] in {None, name}:
                 _misbehave(fault, plan.parent / f"fault_{number}")
-        return function(args, context)
+        return step.loaded()(args, context)
 
+    perhaps.__module__ = step.modules[0]  # by which the code of tasks is known
     return perhaps
 
 

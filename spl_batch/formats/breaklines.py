@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.errors import InputError
-from spl_batch.formats.crs import crs_name, vertical
+from spl_batch.formats.crs import crs_name, other_heights
 from spl_batch.formats.vector_files import LINES, POLYGONS, Layer, in_crs, read_layers
 
 HEIGHT_FIELDS: Final = ("z", "height", "elevation")
@@ -104,10 +104,8 @@ def _refuse_other_heights(path: Path, own: str | None, crs: CRS | None) -> None:
     if units:
         text = f"its CRS {crs_name(theirs)} is in {' and '.join(sorted(units))}, not in metres"
         raise InputError(str(path), f"{text}: transform it, its heights as well")
-    datum, ours = vertical(theirs), None if crs is None else vertical(crs)
-    if datum is not None and ours is not None and not datum.equals(ours):
-        text = f"its heights are {crs_name(datum)}, the survey's {crs_name(ours)}: transform them"
-        raise InputError(str(path), text)
+    if crs is not None and (others := other_heights(theirs, crs)):
+        raise InputError(str(path), f"its {others}: transform them")
 
 
 def _merged(lines: Geometries) -> list[shapely.LineString]:

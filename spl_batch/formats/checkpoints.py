@@ -18,7 +18,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import InputError, as_input_fault, counted, named
-from spl_batch.formats.crs import crs_name, horizontal, same_crs, vertical
+from spl_batch.formats.crs import crs_name, horizontal, other_heights, same_crs
 from spl_batch.formats.vector_files import all_layers
 
 Surface = Literal["open", "vegetated"]
@@ -235,7 +235,7 @@ def _in_crs(
             why = f"the CRS {stated!r} is not known"
             remarks.append(_left_out([placed.pop(k)["id"] for k in members], why))
             continue
-        heights = source is not None and crs is not None and _heights_differ(source, crs)
+        heights = source is not None and crs is not None and other_heights(source, crs)
         if source is None or crs is None or (same_crs(source, crs) and not heights):
             continue
         whence = f"from {crs_name(source)} to {crs_name(crs)}"
@@ -253,16 +253,11 @@ def _in_crs(
     return list(placed.values())
 
 
-def _heights_differ(one: CRS, other: CRS) -> bool:
-    first, second = vertical(one), vertical(other)
-    return first is not None and second is not None and not first.equals(second)
-
-
 def _transformed(
     path: Path, source: CRS, crs: CRS, xyz: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Places in another CRS, (n, 3); infinite where one of them cannot be transformed."""
-    whole = _heights_differ(source, crs)
+    whole = bool(other_heights(source, crs))
     ends = (source, crs) if whole else (horizontal(source), horizontal(crs))
     try:
         # Without the grid of a geoid PROJ would leave heights as they are and keep silent.

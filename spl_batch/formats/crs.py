@@ -1,13 +1,15 @@
 """Coordinate reference systems: from LAS records, and whether they suit this work."""
 
-import struct
 from collections.abc import Sequence
 from functools import lru_cache
+from io import BytesIO
 from typing import Final
 
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from PIL import Image, TiffTags
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from pyproj import CRS, Proj
 from pyproj.crs import CompoundCRS
 from pyproj.database import get_units_map
@@ -33,8 +35,6 @@ _METRE: Final = 9001
 
 NAMELESS: Final = ("", "unknown")
 """Names that GDAL gives to a vertical CRS of which keys have the unit only."""
-
-_TIFF_SHORT, _TIFF_ASCII, _TIFF_DOUBLE = 3, 2, 12
 
 DEGREES_ACROSS: Final = 5.0
 """Extent from which on coordinates that could be degrees are taken as metres."""
@@ -160,38 +160,18 @@ def _with_heights_unit(directory: bytes) -> bytes:
 
 
 def _one_pixel_tiff(directory: bytes, doubles: bytes, text: bytes) -> bytes:
-    def shorts(*values: int) -> tuple[int, int, bytes]:
-        return _TIFF_SHORT, len(values), struct.pack(f"<{len(values)}H", *values)
-
-    tags = {
-        256: shorts(1),  # width
-        257: shorts(1),  # height
-        258: shorts(8),  # bits per sample
-        259: shorts(1),  # no compression
-        262: shorts(1),  # black is zero
-        273: shorts(8),  # the pixel lies behind the 8 bytes of the file's head
-        277: shorts(1),  # samples per pixel
-        278: shorts(1),  # rows per strip
-        279: shorts(1),  # bytes of the strip
-        # A raster without a place makes rasterio warn.
-        33550: (_TIFF_DOUBLE, 3, struct.pack("<3d", 1, 1, 0)),
-        33922: (_TIFF_DOUBLE, 6, struct.pack("<6d", 0, 0, 0, 0, 1, 0)),
-        34735: (_TIFF_SHORT, len(directory) // 2, directory),
-    }
-    if doubles:
-        tags[34736] = (_TIFF_DOUBLE, len(doubles) // 8, doubles)
-    if text:
-        tags[34737] = (_TIFF_ASCII, len(text), text)
-    entries = struct.pack("<H", len(tags))
-    place = 16 + 2 + 12 * len(tags) + 4
-    values = b""
-    for tag, (kind, count, value) in sorted(tags.items()):
-        if len(value) <= 4:
-            entries += struct.pack("<HHI4s", tag, kind, count, value)
-        else:
-            entries += struct.pack("<HHII", tag, kind, count, place + len(values))
-            values += value + b"\0" * (len(value) % 2)
-    return struct.pack("<2sHI", b"II", 42, 16) + bytes(8) + entries + bytes(4) + values
+    tags = ImageFileDirectory_v2()
+    # A raster without a place makes rasterio warn.
+    tags[33550], tags[33922] = (1.0, 1.0, 0.0), (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    tags.tagtype[GEO_KEYS[2][1]] = TiffTags.ASCII
+    shorts = np.frombuffer(directory[: len(directory) // 2 * 2], "<u2")
+    numbers = np.frombuffer(doubles[: len(doubles) // 8 * 8], "<f8")
+    for (_, tag), content in zip(GEO_KEYS, (shorts.tolist(), numbers.tolist(), text), strict=True):
+        if content:
+            tags[tag] = content
+    tiff = BytesIO()
+    Image.new("L", (1, 1)).save(tiff, "TIFF", tiffinfo=tags)
+    return tiff.getvalue()
 
 
 def horizontal(crs: CRS) -> CRS:
@@ -253,6 +233,14 @@ def same_heights(a: CRS, b: CRS) -> bool:
     units = [[axis.unit_conversion_factor for axis in crs.axis_info] for crs in (a, b)]
     datums = [None if crs.datum is None else crs.datum.name for crs in (a, b)]
     return datums[0] is not None and datums[0] == datums[1] and units[0] == units[1]
+
+
+def other_heights(found: CRS, survey: CRS) -> str:
+    """What heights of a CRS are, where they are not the survey's; empty where they may be."""
+    one, other = vertical(found), vertical(survey)
+    if one is None or other is None or same_heights(one, other):
+        return ""
+    return f"heights are {crs_name(one)}, the survey's {crs_name(other)}"
 
 
 def same_crs(a: CRS, b: CRS) -> bool:

@@ -1,4 +1,4 @@
-"""Points chosen from a table, and grouped by the cells of a grid."""
+"""Points grouped by the cells of a grid."""
 
 from typing import NamedTuple
 
@@ -58,31 +58,3 @@ def _group(
     for i in range(len(cell)):
         order[cursor[cell[i]]] = i
         cursor[cell[i]] += 1
-
-
-@njit()
-def chosen_places(
-    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
-    chosen: NDArray[np.bool_],
-    step_m: float,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    z: NDArray[np.float64],
-) -> None:
-    """Places of some points.
-
-    Parameters
-    ----------
-    place : three (n,) integer arrays
-        Easting, northing and height of all [steps].
-    chosen : (n,) bool
-        Which are wanted; m of them.
-    x, y, z : (m + 1,) float64
-        Filled, but for the last of each, which may be anything [m].
-    """
-    east, north, up = place
-    end = 0
-    # No branch, which would be guessed wrong wherever there is noise.
-    for i in range(len(chosen)):
-        x[end], y[end], z[end] = east[i] * step_m, north[i] * step_m, up[i] * step_m
-        end += chosen[i]

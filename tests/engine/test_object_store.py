@@ -42,8 +42,11 @@ def bucket() -> Iterator[str]:
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("flown")
-    surveys.write_cloud(folder / "lines" / "1.laz", surveys.flightline(shots=60))
-    surveys.write_trajectory(folder / "trajectory.csv")
+    # On two tiles and two ground cells: beside one edge of theirs.
+    east, north = surveys.ORIGIN_M
+    line = surveys.flightline(shots=40, origin_m=(east + 40.0, north))
+    surveys.write_cloud(folder / "lines" / "1.laz", line)
+    surveys.write_trajectory(folder / "trajectory.csv", shift_m=40.0)
     return surveys.write_workflow(folder, ground={"cell_m": 100, "buffer_m": 20})
 
 

@@ -1,6 +1,5 @@
 """What `docs/security.md` promises: who listens, what is encrypted, what is never executed."""
 
-import ast
 import contextlib
 import io
 import json
@@ -122,21 +121,17 @@ def test_the_example_of_a_cluster_with_tls_works(
 # Nothing is executed
 
 
-FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
+EXECUTES = re.compile(
+    r"^\s*(import|from) (pickle|cPickle|dill|cloudpickle|joblib|marshal|shelve)\b"
+    r"|(^|[\s(=])(eval|exec)\(|allow_pickle=(?!False)",
+    flags=re.MULTILINE,
+)
 
 
 def test_nothing_of_ours_unpickles_or_evaluates() -> None:
     for path in sorted((ROOT / "spl_batch").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import | ast.ImportFrom):
-                names = {alias.name.split(".")[0] for alias in node.names}
-                names.add((getattr(node, "module", "") or "").split(".")[0])
-                assert not names & FORBIDDEN, path
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                assert node.func.id not in {"eval", "exec"}, path
-            if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
-                assert isinstance(node.value, ast.Constant), path
-                assert node.value.value is False, path
+        found = EXECUTES.search(path.read_text(encoding="utf-8"))
+        assert found is None, f"{path}: {found}"
 
 
 class Executed:

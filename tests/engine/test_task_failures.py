@@ -4,6 +4,7 @@ import asyncio
 import errno
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,13 @@ import pytest
 from numba.core.errors import TypingError
 
 from spl_batch.airborne.settings.workflow import load_workflow
+from spl_batch.airborne.steps import STEPS
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.context import Produced, RunContext
 from spl_batch.engine.tasks.runner import run_task
 from spl_batch.engine.tasks.step import Step, table
-from spl_batch.engine.tasks.task import Task
+from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.verbs.progress import failures
 from spl_batch.errors import DamagedError, InputError, StoppedError, StoreError
 from tests import surveys
 
@@ -103,6 +106,17 @@ def test_a_fault_is_a_receipt(
     if not isinstance(error, InputError | StoreError):
         assert type(error).__name__ in receipt.reason
         assert "Traceback" in receipt.facts["traceback"]
+
+
+def test_what_had_too_little_memory_is_told_what_makes_it_lighter() -> None:
+    task = Task("ground", "0_0", {}, (("denoise", "0_1"),))
+    receipt = Receipt("ground", "0_0", "", "", "OutOfMemory", {}, {"code": "F02"}, 0, 0.0, 0.0)
+    inputs = SimpleNamespace(bad=(InputError("a.laz", "is cut off"),), sources=())
+    prepared: Any = SimpleNamespace(ledger=SimpleNamespace(inputs=inputs), steps=STEPS)
+    unreadable, heavy = failures(prepared, [(task, receipt)])
+    assert (unreadable.code, unreadable.place, unreadable.stage) == ("F01", "a.laz", "index")
+    assert (heavy.code, heavy.task, heavy.inputs) == ("F02", "ground 0_0", ("cell 0_1",))
+    assert "ground.cell_m" in str(heavy.remedy)
 
 
 def test_a_wish_to_stop_is_none(context: RunContext[Any], monkeypatch: pytest.MonkeyPatch) -> None:

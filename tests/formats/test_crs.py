@@ -5,12 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from PIL import Image
 from pyproj import CRS
 
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import (
+    GEO_KEYS,
     crs_from_geotiff,
     crs_problems,
+    other_heights,
     same_crs,
     stretch_problem,
     vertical,
@@ -148,3 +151,31 @@ def test_a_unit_of_heights_alone_is_no_vertical_crs() -> None:
     assert crs is not None
     assert crs.to_epsg() == 32615
     assert vertical(crs) is None
+
+
+def test_keys_with_numbers_and_names_of_their_own(tmp_path: Path) -> None:
+    own = CRS.from_user_input(
+        "+proj=tmerc +lat_0=12.5 +lon_0=-91.25 +k=0.99985 +x_0=345678 +units=m"
+    )
+    write_cog(
+        tmp_path / "a.tif", np.ones((2, 2), np.float32), shape=(2, 2), origin_xy_m=(7.0, 9.0),
+        cell_m=1.0, crs=own.to_wkt(), description="",
+    )  # fmt: skip
+    with Image.open(tmp_path / "a.tif") as image:
+        keys, numbers, text = (image.tag_v2[number] for _, number in GEO_KEYS)  # type: ignore[attr-defined]
+    directory, doubles = np.array(keys, "<u2").tobytes(), np.array(numbers, "<f8").tobytes()
+    found = crs_from_geotiff(directory, doubles, str(text).encode())
+    assert found is not None
+    assert found.coordinate_operation == own.coordinate_operation
+    bare = crs_from_geotiff(directory, b"", b"")
+    assert bare is None or bare.coordinate_operation != own.coordinate_operation
+
+
+@pytest.mark.parametrize(
+    ("found", "differ"),
+    [("EPSG:2154+5703", False), ("EPSG:32615", False), ("EPSG:2154+5773", True)],
+)
+def test_heights_that_are_not_the_surveys(found: str, *, differ: bool) -> None:
+    said = other_heights(CRS.from_user_input(found), CRS.from_user_input("EPSG:32615+5703"))
+    assert bool(said) == differ
+    assert ("EPSG:5773" in said) == differ

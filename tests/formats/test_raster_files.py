@@ -1,6 +1,5 @@
 """GeoTIFFs and the working raster store."""
 
-import errno
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -17,8 +16,7 @@ from spl_batch.airborne.store.raster_cells import (
     write_cell,
 )
 from spl_batch.constants import NODATA
-from spl_batch.errors import InputError, StoppedError, StoreError
-from spl_batch.formats.rasters import geotiff
+from spl_batch.errors import InputError, StoreError
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds
 
@@ -84,15 +82,6 @@ def test_what_no_piece_covers_is_nodata(tmp_path):
         values = source.read(1)
     assert (values[5:7, 7:9] == 1).all()
     assert (values == NODATA).sum() == 396
-
-
-def test_a_full_disk_stops_everything(tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(geotiff, "_write_plain", full)
-    with pytest.raises(StoppedError, match="disk full"):
-        write_cog(tmp_path / "a.tif", np.ones((4, 4), np.float32), shape=(4, 4), crs=None, **PLACE)
 
 
 def test_a_crs_that_nobody_knows_is_named(tmp_path):

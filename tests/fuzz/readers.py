@@ -25,7 +25,7 @@ from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.reader import inspect, iter_points, read_ends
 from spl_batch.formats.las.writer import KEEP_CLASS, write_classified
 from spl_batch.formats.trajectory.positions import gathering
-from spl_batch.formats.trajectory.records import ends
+from spl_batch.formats.trajectory.records import has_records
 from spl_batch.formats.vector_files import contains, read_polygons
 from spl_batch.geiger.coincidence import files
 from spl_batch.geiger.coincidence.settings import ArraySettings
@@ -73,7 +73,7 @@ def read_las(path: Path) -> int:
 
 def read_trajectory(path: Path) -> int:
     """Ends, then all records in order."""
-    ends(path)
+    has_records(path)
     found = 0
     crs = CRS.from_epsg(32615)
     with gathering([path], survey_crs=crs, trajectory_crs=None) as records:

@@ -33,7 +33,7 @@ from spl_batch.formats.trajectory.records import (
     PARQUET_SUFFIXES,
     SBET_RECORD,
     SBET_SUFFIXES,
-    ends,
+    has_records,
 )
 
 CLOUDS: Final = frozenset({".las", ".laz"})
@@ -141,7 +141,7 @@ def _sort_table(file: Path, found: _Folder) -> None:
     if file.suffix.lower() in SBET_SUFFIXES and file.stat().st_size % SBET_RECORD.itemsize:
         return  # many programs call a log so
     try:
-        if ends(file) is not None:
+        if has_records(file):
             found.trajectories.append(file)
     except InputError:
         if file.suffix.lower() == ".csv" and _has_checkpoints(file):

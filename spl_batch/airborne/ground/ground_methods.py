@@ -41,7 +41,7 @@ from spl_batch.airborne.ground.smrf import provisional_terrain
 from spl_batch.airborne.settings import GroundSettings, PtdSettings, SmrfSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable
-from spl_batch.numerics.cell_groups import chosen_places, group_by_cell
+from spl_batch.numerics.cell_groups import group_by_cell
 
 DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = ("x", "y", "z")
@@ -136,9 +136,8 @@ def ground_mask(
 
 def metres(table: PointTable, chosen: NDArray[np.bool_]) -> Points:
     """Some points [m], on the absolute lattice."""
-    found = np.empty((3, int(np.count_nonzero(chosen)) + 1))
-    chosen_places((table["x"], table["y"], table["z"]), chosen, QUANTUM_M, *found)
-    return Points(*found[:, :-1])
+    rows = np.flatnonzero(chosen)
+    return Points(*(table[axis].take(rows) * QUANTUM_M for axis in "xyz"))
 
 
 def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from rasterio.windows import Window
 
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.context import Context
@@ -46,7 +47,7 @@ from spl_batch.formats.las.writer import (
     write_points,
 )
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import windows
+from spl_batch.formats.rasters.parts import opened
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
@@ -295,9 +296,10 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
         nonlocal beyond
         rows, columns = model.shape
         for row, col in product(range(0, rows, BLOCK), range(0, columns, BLOCK)):
-            heights = model.read(row, min(row + BLOCK, rows), col, min(col + BLOCK, columns))
-            east = model.left_m + (col + np.arange(heights.shape[1]) + 0.5) * model.cell_m
-            north = model.top_m - (row + np.arange(heights.shape[0]) + 0.5) * model.cell_m
+            size = min(BLOCK, columns - col), min(BLOCK, rows - row)
+            heights = model.read(1, window=Window(col, row, *size))
+            east = place.c + (col + np.arange(heights.shape[1]) + 0.5) * place.a
+            north = place.f - (row + np.arange(heights.shape[0]) + 0.5) * place.a
             x, y = (side.ravel() for side in np.meshgrid(east, north))
             above = heights - geoid.heights(x, y).reshape(heights.shape)
             known = heights != np.float32(NODATA)
@@ -305,13 +307,14 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
             kept = np.where(known & ~np.isnan(above), above, NODATA)
             yield row, col, kept.astype(np.float32)
 
-    with windows(source) as model:
+    with opened(source) as model:
+        place = model.transform
         write_cog(
             target,
             blocks(),
             shape=model.shape,
-            origin_xy_m=(model.left_m, model.top_m),
-            cell_m=model.cell_m,
+            origin_xy_m=(place.c, place.f),
+            cell_m=place.a,
             crs=geoid.crs_above(named.crs).to_wkt(),
             description=args["meaning"],
             unit=args["unit"],

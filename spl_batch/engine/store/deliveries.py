@@ -15,7 +15,7 @@ from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.step import delivering
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import DamagedError, named
-from spl_batch.formats.files.atomic import checksum
+from spl_batch.formats.files.atomic import is_as_written
 
 RECORD: Final = "delivered.json"
 """Name of the record, below the output."""
@@ -79,7 +79,8 @@ class Deliveries:
         """
         finished = chain.from_iterable(ledger.of(kind).values() for kind in self._kinds)
         current = {name for receipt in finished for name in receipt.outputs}
-        gone = [name for name in sorted(self.files.keys() - current) if self._as_written(name)]
+        stale = sorted(self.files.keys() - current)
+        gone = [one for one in stale if is_as_written(self.output / one, *self.files[one])]
         self.spared = gone if failed else []
         if gone and not failed:
             yield f"deleted, as earlier runs made it and this one does not: {named(gone, LISTED)}"
@@ -88,13 +89,3 @@ class Deliveries:
         stays = current.union(self.spared)
         self.files = {name: stamp for name, stamp in self.files.items() if name in stays}
         self.save()
-
-    def _as_written(self, name: str) -> bool:
-        path = self.output / name
-        size, written_ns, content = self.files[name]
-        try:
-            there = path.stat()
-        except OSError:
-            return False
-        same = there.st_mtime_ns == written_ns
-        return bool(there.st_size == size and (same or checksum(path) == content))

@@ -33,7 +33,7 @@ from spl_batch.errors import (
     StoppedError,
     one_line,
 )
-from spl_batch.formats.files.atomic import checksum, size, stop_if_full
+from spl_batch.formats.files.atomic import checksum, is_as_written, size, stop_if_full
 from spl_batch.imports import content_hash, data_files, imported, module_file
 from spl_batch.receivers import HOMES, steps
 
@@ -145,21 +145,12 @@ def finished(task: Task, key: str, context: RunContext[Any]) -> Receipt | None:
     receipt = read_receipt(context.store, task.kind, task.name)
     if receipt is None or receipt.failed or receipt.key != key:
         return None
-    same = all(_unchanged(context.store.named(name), name, receipt) for name in receipt.outputs)
-    return receipt if same else None
-
-
-def _unchanged(path: Path, name: str, receipt: Receipt) -> bool:
-    if size(path) != receipt.sizes.get(name):
-        return False
-    if receipt.written_ns.get(name) in {None, _written_ns(path)}:
-        return True
-    return checksum(path) == receipt.outputs[name]
-
-
-def _written_ns(path: Path) -> int:
-    """When a delivered file or a raster was written to [ns since 1970]."""
-    return path.stat().st_mtime_ns
+    sizes, times = receipt.sizes, receipt.written_ns
+    same = (
+        is_as_written(context.store.named(name), sizes.get(name, -1), times.get(name), content)
+        for name, content in receipt.outputs.items()
+    )
+    return receipt if all(same) else None
 
 
 def run_task(task: Task, key: str, context: RunContext[Any], run: str = "") -> Receipt:
@@ -209,7 +200,7 @@ def _receipt(
         time.perf_counter() - start,
         _peak_rss_mb(),
         {name: size(path) for name, path in paths.items()},
-        {name: _written_ns(paths[name]) for name in looked_at},
+        {name: paths[name].stat().st_mtime_ns for name in looked_at},
         produced.inputs,
     )
 

@@ -228,8 +228,18 @@ def size(path: Path) -> int:
         if is_remote(path):
             return sum(files_below(path).values())
         return sum(file.stat().st_size for file in _files(path))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return -1
+
+
+def is_as_written(path: Path, bytes_: int, written_ns: int | None, content: str) -> bool:
+    """Whether a file or directory has its size, and its time of writing or else its checksum.
+
+    One without a time is known by its size.
+    """
+    if size(path) != bytes_:
+        return False
+    return written_ns in {None, path.stat().st_mtime_ns} or checksum(path) == content
 
 
 def names_in(folder: Path, suffix: str) -> list[str]:

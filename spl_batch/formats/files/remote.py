@@ -5,7 +5,6 @@ or not at all. Failures of the store concern everything: they stop the run.
 """
 
 import glob
-import io
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -146,43 +145,15 @@ def _put(file: Path, path: Path) -> None:
         ) from error
 
 
-class RemoteFile(io.RawIOBase):
-    """An object read by ranges, for pyarrow.
+def by_ranges(path: Path) -> Any:
+    """An object as a file of which no more is fetched than is read, for pyarrow."""
+    from fsspec.spec import AbstractBufferedFile  # noqa: PLC0415 - needed for object stores only
 
-    Parameters
-    ----------
-    path : Path
-        From :func:`remote_path`.
-    """
+    class Ranges(AbstractBufferedFile):  # type: ignore[misc]
+        def _fetch_range(self, start: int, end: int) -> bytes:
+            with reaching(path):
+                content: bytes = self.fs.cat_file(self.path, start=start, end=end)
+                return content
 
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self._path = path
-        self._fs, self._name = file_system(path)
-        self._place = 0
-        with reaching(path):
-            self._size = int(self._fs.size(self._name))
-
-    def readable(self) -> bool:
-        """Always."""
-        return True
-
-    def tell(self) -> int:
-        """Place in the file."""
-        return self._place
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Go to a byte; gives its place."""
-        self._place = offset + (0, self._place, self._size)[whence]
-        return self._place
-
-    def read(self, size: int | None = -1) -> bytes:
-        """Bytes, ``size`` of them or fewer at the end of the file."""
-        left = self._size - self._place
-        stop = self._place + (left if size is None or size < 0 else min(size, left))
-        if stop <= self._place:
-            return b""
-        with reaching(self._path):
-            content: bytes = self._fs.cat_file(self._name, start=self._place, end=stop)
-        self._place = stop
-        return content
+    with reaching(path):
+        return Ranges(*file_system(path), cache_type="none")

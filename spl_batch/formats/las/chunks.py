@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from spl_batch.errors import InputError, as_input_fault, grouped
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.las.counts import (
+    chunk_table_byte,
     miscounted,
     refuse_uncounted_chunks,
     refuse_uncounted_records,
@@ -161,12 +162,7 @@ def _table_place(header: LasHeader, file: BinaryIO, start_byte: int) -> int:
     """Byte of the chunk table; the file is left there."""
     size = header.size_bytes
     bounded(header.path, "byte at which its points start", header.points_start, most=size - 8)
-    file.seek(header.points_start)
-    place = int.from_bytes(file.read(8), "little", signed=True)
-    if place == -1:
-        # Written as a stream: the place of the table is the file's last 8 bytes.
-        file.seek(size - 8)
-        place = int.from_bytes(file.read(8), "little", signed=True)
+    place = chunk_table_byte(header, file)
     if size - 8 < place < 2**48:
         raise InputError(
             str(header.path),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+from laspy.vlrs.known import ExtraBytesStruct
 from numpy.typing import NDArray
 
 from spl_batch.formats.las.header import standard_dtype
@@ -16,8 +17,6 @@ from spl_batch.formats.las.records import (
     ADDED,
     FIRST_CLASS,
     FIRST_EXTENDED_FORMAT,
-    OFFSET_BIT,
-    SCALE_BIT,
     SCAN_ANGLE_STEP_DEG,
     ExtraDimension,
     RecordLayout,
@@ -33,9 +32,6 @@ _LEGACY_OVERLAP_CLASS: Final = 12
 _OVERLAP_BIT: Final = 8
 _REPLACED: Final = frozenset(added(name).descriptor for name in ADDED if name != FIRST_CLASS)
 """Descriptors of what an earlier run added and no copy keeps."""
-
-_NAME, _TEXT = slice(4, 36), slice(160, 192)
-_SCALE, _OFFSET = 112, 136
 
 
 def copied_format(point_format: int) -> int:
@@ -97,25 +93,21 @@ def conversion(given: RecordLayout, added: Sequence[ExtraDimension]) -> Conversi
 
 def _sound(dimension: ExtraDimension, taken: Collection[str]) -> ExtraDimension:
     """A dimension as standard readers take it."""
-    raw = bytearray(dimension.descriptor)
-    name, text = _free(_text(raw[_NAME]) or "unnamed", taken), _text(raw[_TEXT])
-    for field, value in ((_NAME, name), (_TEXT, text)):
-        if raw[field].split(b"\0")[0] != value.encode():
-            raw[field] = value.encode().ljust(32, b"\0")
+    described = ExtraBytesStruct.from_buffer_copy(dimension.descriptor)
+    known = described.name.decode("utf-8", errors="ignore") or "unnamed"
+    name = _free(known, taken).encode()
+    text = described.description.decode("utf-8", errors="ignore").encode()
+    if name != described.name:
+        described.name = name.ljust(32, b"\0")
+    if text != described.description:
+        described.description = text.ljust(32, b"\0")
     scale, offset = dimension.scale, dimension.offset
-    elements = (raw[2] - 1) // 10 + 1
-    for bit, start in ((SCALE_BIT, _SCALE), (OFFSET_BIT, _OFFSET)):
-        values = np.frombuffer(raw, "<f8", elements, start)
-        sound = np.isfinite(values) & ((values != 0) | (bit != SCALE_BIT))
-        if raw[3] & bit and not sound.all():
-            raw[3] &= 0xFF ^ (SCALE_BIT | OFFSET_BIT)
-            scale = offset = None
-    return replace(dimension, name=name, scale=scale, offset=offset, descriptor=bytes(raw))
-
-
-def _text(field: bytearray) -> str:
-    """Text of a field up to its first zero, without what is no UTF-8."""
-    return field.split(b"\0")[0].decode("utf-8", errors="ignore")
+    scales, offsets = (described.scale or (), described.offset or ())
+    if not (np.all(scales) and np.isfinite([*scales, *offsets]).all()):
+        scale = offset = described.scale = described.offset = None
+    return replace(
+        dimension, name=name.decode(), scale=scale, offset=offset, descriptor=bytes(described)
+    )
 
 
 def _free(name: str, taken: Collection[str]) -> str:

@@ -47,17 +47,21 @@ def refuse_uncounted_chunks(header: LasHeader, file: BinaryIO) -> None:
     The first point of a chunk lies in it as it is: a chunk is no shorter than a record.
     """
     start = header.points_start + 8
-    stop = _points_stop(header, start)
-    file.seek(header.points_start)
-    place = int.from_bytes(file.read(8), "little", signed=True)
-    if place == -1 and header.size_bytes >= start + 8:
-        # Written as a stream: the place of the chunk table is the file's last 8 bytes.
-        file.seek(header.size_bytes - 8)
-        place = int.from_bytes(file.read(8), "little", signed=True)
+    stop, place = _points_stop(header, start), chunk_table_byte(header, file)
     if start <= place <= header.size_bytes - 8:
         stop = place
     if _holds_data(file, start, stop, header.record_size):
         raise miscounted(header, f"{grouped(stop - start)} bytes of compressed points lie in it")
+
+
+def chunk_table_byte(header: LasHeader, file: BinaryIO) -> int:
+    """Byte of the LAZ chunk table, as the file has it; a stream has it in its last 8 bytes."""
+    file.seek(header.points_start)
+    place = int.from_bytes(file.read(8), "little", signed=True)
+    if place == -1 and header.size_bytes >= header.points_start + 16:
+        file.seek(header.size_bytes - 8)
+        place = int.from_bytes(file.read(8), "little", signed=True)
+    return place
 
 
 def refuse_uncounted_rest(header: LasHeader, laszip: bytes, packed: bytes, count: int) -> None:

@@ -53,34 +53,30 @@ _REWRITE: Final = "the header is damaged, rewrite the file with the software tha
 
 
 @dataclass(frozen=True, slots=True)
-class Vlr:
-    """A variable length record, uninterpreted."""
-
+class _Record:
     user_id: bytes
     record_id: int
     description: bytes
-    data: bytes
 
     @property
     def key(self) -> tuple[str, int]:
         """User id without padding, and record id."""
-        return _text(self.user_id), self.record_id
+        return self.user_id.split(b"\0")[0].decode("latin-1"), self.record_id
 
 
 @dataclass(frozen=True, slots=True)
-class Evlr:
+class Vlr(_Record):
+    """A variable length record, uninterpreted."""
+
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Evlr(_Record):
     """Where an extended variable length record lies; its data may be huge."""
 
-    user_id: bytes
-    record_id: int
-    description: bytes
     start: int
     size: int
-
-    @property
-    def key(self) -> tuple[str, int]:
-        """User id without padding, and record id."""
-        return _text(self.user_id), self.record_id
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,7 +324,3 @@ def _read_evlrs(path: Path, file: BinaryIO, raw: bytes, size: int) -> Iterator[E
         bounded(path, f"length of {name}", length, most=size - start)
         yield Evlr(user_id, record_id, description, start, length)
         start += length
-
-
-def _text(padded: bytes) -> str:
-    return padded.split(b"\0")[0].decode("latin-1")

@@ -8,6 +8,7 @@ from typing import Any, Final
 import laspy
 import numpy as np
 from laspy.point.dims import get_sub_fields_dict
+from laspy.vlrs.known import ExtraBytesStruct
 from numpy.typing import NDArray
 
 from spl_batch.constants import (
@@ -37,8 +38,6 @@ FIRST_CLASS: Final = "input_classification"
 """Of these, what a copy keeps of an earlier output."""
 
 _TYPES: Final = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
-SCALE_BIT: Final = 8
-OFFSET_BIT: Final = 16
 _VLR_MAX: Final = 2**16 - 1
 _REWRITE: Final = "the header is damaged, rewrite the file with the software that made it"
 
@@ -133,10 +132,10 @@ def new_dimension(name: str, dtype: np.dtype[Any], text: str) -> ExtraDimension:
     [LAS 1.4 R15, table 24].
     """
     plain = np.dtype(dtype)
-    code = _TYPES.index(f"{plain.kind}{plain.itemsize}") + 1
-    head = bytes([0, 0, code, 0]) + name.encode("ascii").ljust(32, b"\0")
-    described = head.ljust(DESCRIPTOR_SIZE - 32, b"\0") + text.encode("ascii").ljust(32, b"\0")
-    return ExtraDimension(name, name, plain, None, None, described)
+    described = ExtraBytesStruct.from_buffer_copy(bytes(DESCRIPTOR_SIZE))
+    described.data_type = _TYPES.index(f"{plain.kind}{plain.itemsize}") + 1
+    described.name, described.description = name.encode("ascii"), text.encode("ascii")
+    return ExtraDimension(name, name, plain, None, None, bytes(described))
 
 
 @cache
@@ -160,17 +159,12 @@ def given_classes(records: NDArray[Any], layout: RecordLayout) -> NDArray[np.uin
 
 
 def _dimension(header: LasHeader, raw: bytes, number: int) -> ExtraDimension:
-    code, options = raw[2], raw[3]
-    name = raw[4:36].split(b"\0")[0].decode("utf-8", errors="replace")
-    field = f"extra_{number}"
+    described = ExtraBytesStruct.from_buffer_copy(raw)
+    name = described.name.decode("utf-8", errors="replace")
     what = f"data type of extra dimension {name!r}"
-    bounded(header.path, what, code, most=3 * len(_TYPES), remedy=_REWRITE)
-    base = np.dtype(f"<{_TYPES[(code - 1) % len(_TYPES)]}")
-    count = (code - 1) // len(_TYPES) + 1
-    dtype = base if count == 1 else np.dtype((base, (count,)))
-    scale = float(np.frombuffer(raw, "<f8", 1, 112)[0]) if options & SCALE_BIT else None
-    offset = float(np.frombuffer(raw, "<f8", 1, 136)[0]) if options & OFFSET_BIT else None
-    return ExtraDimension(name, field, dtype, scale, offset, raw)
+    bounded(header.path, what, described.data_type, most=3 * len(_TYPES), remedy=_REWRITE)
+    scale, offset = (None if v is None else v[0] for v in (described.scale, described.offset))
+    return ExtraDimension(name, f"extra_{number}", described.dtype(), scale, offset, raw)
 
 
 def dimension(records: NDArray[Any], layout: RecordLayout, name: str) -> NDArray[Any]:

@@ -99,42 +99,6 @@ def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Part |
         return _part(source, values, rows, cols, 1)
 
 
-@dataclass(frozen=True, slots=True)
-class Windows:
-    """An open raster whose parts are read; beyond its edge it has nodata."""
-
-    shape: tuple[int, int]  #: Rows and columns.
-    #: left_m, top_m: easting and northing of the upper left corner [m].
-    left_m: float
-    top_m: float
-    cell_m: float
-    source: Any
-
-    def read(self, row: int, last_row: int, col: int, last_col: int) -> NDArray[np.float32]:
-        """Rows and columns from, to (exclusive): (rows, cols) float32."""
-        rows, cols = self.shape
-        top, left = max(row, 0), max(col, 0)
-        inner = Window(left, top, min(last_col, cols) - left, min(last_row, rows) - top)
-        held = self.source.read(1, window=inner)
-        found = np.full((last_row - row, last_col - col), self.source.nodata, np.float32)
-        found[top - row : top - row + held.shape[0], left - col : left - col + held.shape[1]] = held
-        return found
-
-
-@contextmanager
-def windows(path: Path) -> Iterator[Windows]:
-    """Open a raster to read parts of it.
-
-    Raises
-    ------
-    DamagedError
-        If the raster cannot be read: it can be made again.
-    """
-    with opened(path) as source:
-        place = source.transform
-        yield Windows(source.shape, place.c, place.f, place.a, source)
-
-
 @contextmanager
 def opened(path: Path, **options: int) -> Iterator[Any]:
     """A delivered raster to read, by rasterio's options.

@@ -4,7 +4,8 @@ import csv
 import io
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -43,7 +44,7 @@ SBET_RECORD: Final = np.dtype(
 )
 """One record of an SBET, as Applanix POSPac writes it: 17 doubles; seconds, radians, metres."""
 
-BATCH_RECORDS: Final = 65_536
+BATCH_RECORDS: Final = 16_384
 """Records that are read at once, about [count]."""
 
 ASTRAY_S: Final = 366 * 86_400.0
@@ -56,31 +57,20 @@ MOST_WRONG: Final = 0.1
 """Share of a file's records that may be left out: one that holds more is damaged as a whole."""
 
 _END_BYTES: Final = 1 << 16
-"""Bytes that are read of the end of a CSV, and half of those of its start [byte]."""
+"""Bytes that are read of the end of a CSV [byte]."""
 
 _NUMBER: Final = r"^\s*(?P<number>-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*$"
 
 
-def read_records(path: Path, warn: Callable[[str], object] | None = None) -> Iterator[Records]:
-    """Records of a file that can be, in its order.
+def read_records(
+    path: Path, warn: Callable[[str], object] | None = None
+) -> Generator[Records, None, None]:
+    """Sound records of a file, in its order: (n,) times and (n, 3) positions as it has them.
 
-    Parameters
-    ----------
-    path : Path
-        CSV (``gps_time,x,y,z``; any order and case, further columns allowed, comma,
-        semicolon or tab), Parquet with the same columns, or SBET (``.out``, ``.sbet``).
-    warn : callable, optional
-        Called at the end with one sentence on what was left out, where something was.
-
-    Yields
-    ------
-    time_s, position : (n,) and (n, 3) float64
-        As the file has them; of an SBET longitude and latitude [deg] and height [m].
-
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, or more than :data:`MOST_WRONG` of its records cannot be.
+    CSV (``gps_time,x,y,z``; any order and case, further columns allowed, comma, semicolon or tab),
+    Parquet with the same columns, or SBET (``.out``, ``.sbet``) as longitude and latitude [deg] and
+    height [m]. ``warn`` is called at the end with one sentence on what was left out, if anything.
+    InputError for one that is missing or damaged, or of which more than :data:`MOST_WRONG` is.
     """
     sieve = _Sieve(path)
     for time, position in _batches(path, sieve):
@@ -92,28 +82,10 @@ def read_records(path: Path, warn: Callable[[str], object] | None = None) -> Ite
         warn(left_out)
 
 
-def ends(path: Path) -> tuple[float, float] | None:
-    """First and last time of a trajectory in time order, as far as its ends show them.
-
-    Records in between may lie outside; damage there is found when the file is read.
-
-    Returns
-    -------
-    (float, float) or None
-        As the file has them [s]; None where the ends do not show it, as where rows are in no order.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be opened, or has no such columns.
-    """
-    with as_input_fault(path):
-        times = _times_at_ends(path)
-    usable = usable_times(times)
-    known = times[usable]
-    if not len(times) or not usable[[0, -1]].all() or (np.diff(known) < 0).any():
-        return None
-    return float(known[0]), float(known[-1])
+def has_records(path: Path) -> bool:
+    """Whether a file begins with records that can be; the errors are those of `read_records`."""
+    with closing(read_records(path)) as records:
+        return next(records, None) is not None
 
 
 class _Sieve:
@@ -163,40 +135,6 @@ def _batches(path: Path, sieve: _Sieve) -> Iterator[Records]:
     if suffix in SBET_SUFFIXES:
         return _read_sbet(path)
     return _read_parquet(path) if suffix in PARQUET_SUFFIXES else _read_csv(path, sieve)
-
-
-def _times_at_ends(path: Path) -> NDArray[np.float64]:
-    """Times from both ends of a file, in its order."""
-    suffix = path.suffix.lower()
-    with open_input(path) as file:
-        size = os.fstat(file.fileno()).st_size
-        if suffix in SBET_SUFFIXES:
-            last = max(size // SBET_RECORD.itemsize - 1, 0)
-            held = file.read(SBET_RECORD.itemsize)
-            file.seek(last * SBET_RECORD.itemsize)
-            held += file.read(SBET_RECORD.itemsize)
-            whole = len(held) // SBET_RECORD.itemsize * SBET_RECORD.itemsize
-            return np.frombuffer(held[:whole], SBET_RECORD)["time"]
-        if suffix in PARQUET_SUFFIXES:
-            return _times_of_groups(path)
-        head = csv_head(file)
-        text = file.read(2 * _END_BYTES)
-        if left := size - file.tell():
-            file.seek(-min(left, _END_BYTES), os.SEEK_END)
-            text = text[: text.rfind(b"\n") + 1] + file.read().partition(b"\n")[2]
-    batches = _csv_batches(path, io.BytesIO(text), head, lambda _: None) if text.strip() else ()
-    return np.concatenate([np.empty(0), *(time for time, _ in batches)])
-
-
-def _times_of_groups(path: Path) -> NDArray[np.float64]:
-    """Times of the first and the last row group of a Parquet file; none of a damaged one."""
-    try:
-        with pq.ParquetFile(path) as file:
-            names = columns_of(path, file.schema_arrow.names)[:1]
-            groups = {0, file.num_row_groups - 1} if file.num_row_groups else set[int]()
-            return _numbers(file.read_row_groups(sorted(groups), names).column(0))
-    except (OSError, pa.ArrowException):
-        return np.empty(0)  # the run says what is wrong with it
 
 
 def _read_sbet(path: Path) -> Iterator[Records]:
@@ -249,18 +187,18 @@ def _read_csv(path: Path, sieve: _Sieve) -> Iterator[Records]:
         columns_of(path, head[0])
         _refuse_cut_record(path, file)
         if file.tell() < path.stat().st_size:
-            yield from _csv_batches(path, file, head, lambda _: sieve.lose())
+            yield from _csv_batches(path, file, head, sieve)
 
 
 def _csv_batches(
-    path: Path, file: BinaryIO, head: tuple[Sequence[str], str], lose: Callable[[object], None]
+    path: Path, file: BinaryIO, head: tuple[Sequence[str], str], sieve: _Sieve
 ) -> Iterator[Records]:
     """Records of a CSV from here on; NaN for what is no number, rows of other lengths are lost."""
     given, delimiter = head
     names = columns_of(path, given)
 
-    def strange(row: object) -> str:
-        lose(row)
+    def strange(_row: object) -> str:
+        sieve.lose()
         return "skip"
 
     with (

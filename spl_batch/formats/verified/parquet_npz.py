@@ -29,7 +29,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from spl_batch.errors import DamagedError
 from spl_batch.formats.files.atomic import read_bytes, replacing, write_bytes
-from spl_batch.formats.files.remote import RemoteFile, is_remote
+from spl_batch.formats.files.remote import by_ranges, is_remote
 from spl_batch.lattice.tables import COLUMNS, PointTable
 
 _FEW_VALUES: Final = {"source", "afterpulse_share", "range_sigma"}
@@ -312,7 +312,7 @@ def _described(head: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 
 
 def _open(path: Path) -> Any:
-    return pa.PythonFile(RemoteFile(path), "r") if is_remote(path) else pa.OSFile(str(path), "rb")
+    return pa.PythonFile(by_ranges(path), "r") if is_remote(path) else pa.OSFile(str(path), "rb")
 
 
 def _hash(content: bytes) -> bytes:

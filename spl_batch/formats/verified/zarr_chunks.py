@@ -20,6 +20,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from spl_batch.errors import DamagedError
 from spl_batch.formats.files.atomic import read_bytes
+from spl_batch.lattice.tiles import shared_box
 
 METADATA: Final = "zarr.json"
 """File that describes an array or a group."""
@@ -171,12 +172,10 @@ class _Piece(NamedTuple):
 def _pieces(edges: Sequence[int], box: Sequence[slice]) -> Iterator[_Piece]:
     """The chunks that a box lies in, or has a part of."""
     spans = [range(b.start // c, -(-b.stop // c)) for b, c in zip(box, edges, strict=True)]
+    low, size = [b.start for b in box], [b.stop - b.start for b in box]
     for at in itertools.product(*spans):
-        low = [max(k * c, b.start) for k, c, b in zip(at, edges, box, strict=True)]
-        high = [min((k + 1) * c, b.stop) for k, c, b in zip(at, edges, box, strict=True)]
-        ends = list(zip(low, high, at, edges, box, strict=True))
-        of_chunk = tuple(slice(a - k * c, b - k * c) for a, b, k, c, _ in ends)
-        of_box = tuple(slice(a - x.start, b - x.start) for a, b, _, _, x in ends)
+        corner = [k * c for k, c in zip(at, edges, strict=True)]
+        of_chunk, of_box = shared_box(corner, edges, low, size)
         yield _Piece("/".join(["c", *map(str, at)]), edges, of_chunk, of_box)
 
 

@@ -38,21 +38,11 @@ LOW, FULL = np.uint64(0xFFFF_FFFF), np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 
 
 def arrange(xyz: NDArray[np.int32], boxes: NDArray[np.int32], depth: int) -> NDArray[np.int32]:
-    """Put points into tree order.
+    """Points, (n, 3) [quanta], n >= 1, in tree order: (4, n) int32, x, y, z and row of each slot.
 
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates [quanta], n >= 1.
-    boxes : (2**(depth + 1), 6) int32
-        Receives the smallest x, y, z and the largest of each node, from node 1 on.
-    depth : int
-        Level of the leaves, none of which is empty.
-
-    Returns
-    -------
-    (4, n) int32
-        x, y, z and the row of each slot; whole vectors can be read from any of them.
+    ``boxes``, (2**(depth + 1), 6), receives the smallest x, y, z and the largest of each node, from
+    node 1 on; ``depth`` is the level of the leaves, none of which is empty. Whole vectors can be
+    read from any slot.
     """
     n = len(xyz)
     words, lowest = np.empty((2, n + LANES), np.uint64), np.empty(3, np.int64)

@@ -198,12 +198,8 @@ def _locate(
 ) -> tuple[int, int]:  # fmt: skip
     """Triangle that holds a place, and the corner across from the edge that does.
 
-    Returns
-    -------
-    triangle : int
-        One at infinity for a place outside the hull.
-    edge : int
-        -1 for a place within the triangle, -2 for one at a corner.
+    The triangle is one at infinity for a place outside the hull. The corner is -1 for a place
+    within the triangle, -2 for one at a corner.
     """
     t = start
     for k in range(3):

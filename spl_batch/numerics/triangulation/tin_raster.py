@@ -28,21 +28,11 @@ def paint_triangles(
     size: float,
     out: NDArray[np.float64],
 ) -> None:
-    """Write the plane through each triangle into the cells whose centres it holds.
+    """Write the plane through each triangle into the cells of ``size`` whose centres it holds.
 
-    A centre on a shared edge takes the triangle that comes first; both give the same
-    height there.
-
-    Parameters
-    ----------
-    vertices : (m, 3) float64
-        x, y, z relative to the raster's south-west corner [any one unit].
-    simplices : (t, 3) int32
-        Vertices of each triangle.
-    size : float
-        Edge of a raster cell [unit of the vertices].
-    out : (rows, cols) float64, written
-        Heights; cells outside every triangle keep what they hold, which must be NaN.
+    ``vertices``, (m, 3), are relative to the raster's south-west corner. A centre on a shared edge
+    takes the triangle that comes first; both give the same height there. Cells of ``out`` outside
+    every triangle keep what they hold, which must be NaN.
     """
     rows, cols = out.shape
     for t in range(len(simplices)):
@@ -172,14 +162,7 @@ def _enclosed(
 def _held_near(place: NDArray[np.int64], shape: tuple[int, int], reach: int) -> NDArray[np.bool_]:
     """Cells with a vertex in themselves or up to ``reach`` cells away along both axes.
 
-    Parameters
-    ----------
-    place : (m, 2) int64
-        Column and row of each vertex's cell; may lie outside the raster.
-    shape : (int, int)
-        Rows and columns.
-    reach : int
-        How far is near [cells].
+    ``place``, (m, 2), column and row of each vertex's cell, may lie outside the raster.
     """
     col, row = (place + reach).T
     rows, cols = (side + 2 * reach for side in shape)

@@ -8,7 +8,7 @@ from scipy.spatial import Delaunay
 
 from spl_batch.airborne.ground.lowest_layers import count_below, count_support, lowest_layers
 from spl_batch.airborne.ground.ptd import Limits, densify, facet_fit, heights_above
-from spl_batch.numerics.cell_groups import chosen_places, group_by_cell
+from spl_batch.numerics.cell_groups import group_by_cell
 from spl_batch.numerics.triangulation.tin import (
     OUTSIDE,
     first_of,
@@ -234,16 +234,3 @@ def test_what_lies_below_agrees_with_all_pairs() -> None:
     below = (d <= 2.0) & (offset[..., 2] > 0.5 + 0.5 * d) & chosen[None]
     assert np.array_equal(found, below.sum(axis=1))
     assert found.max() > 2
-
-
-@settings(deadline=None)
-@given(st.integers(0, 10_000), st.floats(0.0, 1.0))
-def test_chosen_places_are_those_of_the_mask(seed: int, share: float) -> None:
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(0, 50))
-    x, y = rng.integers(-(10**9), 10**9, (2, n))
-    z = rng.integers(-(10**6), 10**6, n).astype(np.int32)
-    chosen = rng.random(n) < share
-    found = np.empty((3, np.count_nonzero(chosen) + 1))
-    chosen_places((x, y, z), chosen, 0.001, *found)
-    np.testing.assert_array_equal(found[:, :-1], np.array([x, y, z])[:, chosen] * 0.001)

@@ -105,13 +105,14 @@ def test_nothing_is_cut_off_or_lost_unnoticed(tmp_path: Path, write: Callable[[P
     chunk = tmp_path / "file" / "amount" / "c" / "0" / "0" / "0"
     file = chunk if chunk.exists() else tmp_path / "file"
     content = file.read_bytes()
-    for length in (0, 3, len(content) // 2, len(content) - 1):
-        file.write_bytes(content[:length])
-        with pytest.raises(DamagedError):
+    for damaged in (b"", b"PAR1 but no more", content[: len(content) // 2], content[:-1], None):
+        file.unlink()
+        if damaged is not None:
+            file.write_bytes(damaged)
+        with pytest.raises(DamagedError) as caught:
             read()
-    file.unlink()
-    with pytest.raises(DamagedError):
-        read()
+        assert str(file) in str(caught.value)
+        assert "\n" not in str(caught.value)
 
 
 # Whole runs

@@ -76,7 +76,7 @@ SURVEYS = {
     "coincidence": Survey(
         coincidence,
         ("l1/pass_2_detections.parquet", "l1/pass_2_frames.parquet"),
-        ("output", "receipt"),
+        ("output",),
     ),
     "water_surface": Survey(water_surface, ("frames/tank_01.h5",), ("receipt",)),
 }

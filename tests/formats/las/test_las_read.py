@@ -77,6 +77,18 @@ def test_chunk_size_zero_is_that_of_the_table(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["x"], expected["x"])
 
 
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_a_stream_has_the_place_of_its_chunk_table_at_its_end(
+    tmp_path: Path, point_format: int
+) -> None:
+    path = write_las(tmp_path / "a.laz", n=60_000, point_format=point_format)
+    expected, content = read_all(path), path.read_bytes()
+    start = struct.unpack_from("<I", content, 96)[0]
+    path.write_bytes(content + content[start : start + 8])
+    table = read_all(patch(path, start, "q", -1))
+    np.testing.assert_array_equal(table["x"], expected["x"])
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     raw=st.lists(st.integers(-(2**31) + 1, 2**31 - 2), min_size=1, max_size=20),

@@ -1,7 +1,5 @@
 """Writing: nothing of the input is lost, laspy reads it, the same input gives the same bytes."""
 
-import errno
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from spl_batch.errors import InputError, StoppedError, WorkflowError
+from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.crs import horizontal
 from spl_batch.formats.gps_clock import TimeStandard
 from spl_batch.formats.las.convert import EXTENDED_FORMAT
@@ -266,31 +264,6 @@ def test_heights_above_an_ellipsoid_are_written_as_wkt2(tmp_path: Path, code: in
     assert crs is not None
     assert len(crs.axis_info) == 3
     assert horizontal(crs).to_epsg() == 32615
-
-
-class FullDisk(io.BytesIO):
-    """A file on a disk that is full after a while."""
-
-    def write(self, data: Any) -> int:
-        if self.tell() > 20_000:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return super().write(data)
-
-
-def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    src = write_las(tmp_path / "a.las", n=100_000)
-    opened = Path.open
-
-    def open_full(path: Path, mode: str = "r", *given: Any) -> Any:
-        if mode == "w+b":
-            path.touch()
-            return FullDisk()
-        return opened(path, mode, *given)
-
-    monkeypatch.setattr(Path, "open", open_full)
-    with pytest.raises(StoppedError, match="disk full"):
-        classify(src, tmp_path / "out" / "b.laz")
-    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_damaged_input_leaves_nothing_and_keeps_the_old(tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
 from spl_batch.formats.las.reader import LasFacts
-from spl_batch.formats.trajectory.records import ends
+from spl_batch.formats.trajectory.records import has_records
 from spl_batch.formats.vector_files import check_polygons
 
 NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
@@ -232,11 +232,11 @@ def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -
 
 
 def _unreadable(trajectory: Sequence[Path]) -> tuple[InputError, ...]:
-    """Why files of a trajectory are none, by their first and last records; not all of them."""
+    """Why files of a trajectory are none, by their first records; not all of them."""
     faults: list[InputError] = []
     for path in trajectory:
         try:
-            ends(path)
+            has_records(path)
         except InputError as fault:
             faults.append(fault)
     if faults and len(faults) == len(trajectory):
