@@ -12,7 +12,7 @@ from spl_batch.airborne.noise.local_noise import (
     SQUARES,
     around,
     listened,
-    put_places,
+    places,
 )
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.lattice.tables import VoxelPart
@@ -82,11 +82,8 @@ class NoiseModel(NamedTuple):
 
     def listened(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
         """The same, 0 where no flightline is known to listen, as beyond a gate: (n,) [1/m3]."""
-        x, y, z = xyz
-        square, offset = np.empty((3, len(x)), np.int64), np.empty((3, len(x)))
         top = self.box.shape[2] - 1
-        put_places(x, y, z, self.box.edge, self.box.corner, top, square, offset)
-        return around(self.heard, tuple(square), tuple(offset))
+        return around(self.heard, *places(xyz, self.box.edge, self.box.corner, top))
 
     def mean(
         self, xyz: Sequence[NDArray[np.integer[Any]]], told: NDArray[np.bool_]

@@ -36,6 +36,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
 from spl_batch.airborne.noise.haze_counts import count_strips, quarters, raise_to
@@ -152,8 +153,7 @@ def find_air(counts: Counts, expected: Expected) -> Air | None:
     candidate, steady = _even(counts)
     if not candidate.any():
         return None
-    lowest, highest = np.zeros((2, *counts.held.shape), np.int32)
-    quarters(counts.held, _with_beside(candidate), WINDOW // 2, LEFT_OUT, lowest, highest)
+    lowest, highest = _quarters(counts.held, _with_beside(candidate))
     level = (lowest > 1) & (highest <= SMOOTH * lowest)
     candidate &= _three(level)
     tapering = candidate & ~steady
@@ -209,8 +209,7 @@ def noise_by_layer(
         at = air.cube - [*counts.corner, 0]
         at[:, 2] = np.searchsorted(counts.layer, at[:, 2])
         asked[tuple(at.T)] = False
-    lower, upper = np.zeros((2, *counts.held.shape), np.int32)
-    quarters(counts.held, asked, half, LEFT_OUT, lower, upper)
+    lower, upper = _quarters(counts.held, asked)
     asked &= upper <= SMOOTH * (lower + CHANCE * np.sqrt(lower + 1.0))
     at_middle = np.nonzero(asked)
     # The middle cube stands for its square.
@@ -238,12 +237,13 @@ def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> ND
     if air is None:
         return noise
     low = air.cube.min(axis=0)
-    shape = air.cube.max(axis=0) - low + 1
-    density = np.zeros(shape)
+    density = np.zeros(air.cube.max(axis=0) - low + 1)
     density[tuple((air.cube - low).T)] = air.density
+    at = [axis // quanta(CUBE_M) - first for axis, first in zip(xyz, low, strict=True)]
+    within = [(index >= 0) & (index < n) for index, n in zip(at, density.shape, strict=True)]
+    inside = np.logical_and.reduce(within)
     out: NDArray[np.float64] = noise.copy()
-    edge = quanta(CUBE_M)
-    raise_to(xyz[0], xyz[1], xyz[2], edge, low, density, out)
+    out[inside] = np.maximum(out[inside], density[tuple(index[inside] for index in at)])
     return out
 
 
@@ -339,6 +339,19 @@ def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArr
         hung |= solid & (run >= CLEAR)
         solid |= more & (model > 0.0)
     return out & asked
+
+
+def _quarters(
+    held: NDArray[np.int32], asked: NDArray[np.bool_]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Count that all but :data:`LEFT_OUT` cubes of each asked square reach, and do not exceed."""
+    lower, upper = np.zeros((2, *held.shape), np.int32)
+    inner = (slice(WINDOW // 2, -(WINDOW // 2)),) * 2
+    chosen = asked[inner]
+    squares = sliding_window_view(held, (WINDOW, WINDOW), axis=(0, 1))[chosen]
+    ranked = np.sort(squares.reshape(-1, WINDOW**2), axis=1)
+    lower[inner][chosen], upper[inner][chosen] = ranked[:, LEFT_OUT], ranked[:, -1 - LEFT_OUT]
+    return lower, upper
 
 
 def _three(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -24,9 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.noise.background_region import choose_region, offered_lengths, profile_rate
-from spl_batch.airborne.noise.channel_gains import active_channels, channel_gains, prior_weight
+from spl_batch.airborne.noise.gains import active_channels, channel_gains, ground, prior_weight
 from spl_batch.airborne.noise.gate import fit_gate
-from spl_batch.airborne.noise.ground_gain import ground
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, merge, observe
 from spl_batch.airborne.noise.noise_intervals import SUMMARY

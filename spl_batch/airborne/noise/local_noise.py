@@ -15,7 +15,6 @@ Between the centres of squares and of layers the density is linear, along the le
 ``docs/evidence/noise.md`` has the share of noise kept along sharp edges.
 """
 
-import math
 from collections.abc import Sequence
 from functools import cache
 from typing import Any, Final
@@ -93,6 +92,36 @@ def listened(
     each = each_stands_for(amount, beamlets, voxel_m)
     density *= over_squares(each)
     return density
+
+
+def places(
+    xyz: Sequence[NDArray[np.integer[Any]]], edge: int, corner: Sequence[int], top: int
+) -> tuple[tuple[NDArray[np.int64], ...], tuple[NDArray[np.float64], ...]]:
+    """Squares and layers of points, and how far they lie off the middles of both.
+
+    Parameters
+    ----------
+    xyz : three of (n,) integer
+        Absolute coordinates [quanta].
+    edge : int
+        Edge of a voxel [quanta].
+    corner : (int, int, int)
+        Absolute index of the first voxel.
+    top : int
+        Highest layer: what lies above or below is as silent as the highest or lowest one.
+
+    Returns
+    -------
+    square, offset
+        As for :func:`around`.
+    """
+    square, offset = [], []
+    for axis, first, parts in zip(xyz, corner, (SQUARES, SQUARES, 1), strict=True):
+        at, rest = np.divmod(axis.astype(np.int64) * parts, edge)
+        square.append(at - first * parts)
+        offset.append(rest / edge - 0.5)
+    np.clip(square[2], 0, top, out=square[2])
+    return tuple(square), tuple(offset)
 
 
 def around(
@@ -236,37 +265,6 @@ def add_between(
         if found > 0.0 and beside > 0.0:
             found += abs(up) * (beside - found)
         out[p] += found
-
-
-@njit()
-def put_places(x, y, z, edge, corner, top, square, offset):  # type: ignore[no-untyped-def]
-    """Squares and layers of points, and how far they lie off the middles of both.
-
-    Parameters
-    ----------
-    x, y, z : (n,) integer
-        Absolute coordinates [quanta].
-    edge : int
-        Edge of a voxel [quanta].
-    corner : (int, int, int)
-        Absolute index of the first voxel.
-    top : int
-        Highest layer: what lies above or below is as silent as the highest or lowest one.
-    square, offset : (3, n) int64 and float64
-        Filled: as in :func:`around`.
-    """
-    # In the middle of its quantum no quotient is near a whole number.
-    voxels = 1.0 / edge
-    for p in range(len(x)):
-        for axis in range(2):
-            v = np.int64(x[p] if axis == 0 else y[p])
-            at = np.int64(math.floor((v * SQUARES + 0.5) * voxels))
-            square[axis, p] = at - corner[axis] * SQUARES
-            offset[axis, p] = (v * SQUARES - at * edge) / edge - 0.5
-        v = np.int64(z[p])
-        at = np.int64(math.floor((v + 0.5) * voxels))
-        square[2, p] = min(max(at - corner[2], 0), top)
-        offset[2, p] = (v - at * edge) / edge - 0.5
 
 
 @njit(inline="always")

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.airborne.noise import ground_gain, line_noise, voxel_noise
+from spl_batch.airborne.noise import gains, line_noise, voxel_noise
 from spl_batch.airborne.noise.ground_cells import (
     CELL_M,
     SHOT,
@@ -97,21 +97,21 @@ def test_chance_is_drawn_to_the_cells_around() -> None:
     true = np.where(np.arange(n) < n // 2, 2.0, 0.5)
     expected = np.full(n, 30.0)
     counted = rng.poisson(true * expected).astype(np.float64)
-    found = ground_gain.gains(cell, counted, expected)
+    found = gains.ground_gains(cell, counted, expected)
     assert float((found * expected).sum()) == pytest.approx(float(expected.sum()))
     scaled = true / true.mean()
     assert np.std(found / scaled - 1) < np.std(counted / expected / true - 1)
     assert np.mean(found[: n // 2]) == pytest.approx(2.0 / 1.25, rel=0.05)
     assert np.mean(found[n // 2 :]) == pytest.approx(0.5 / 1.25, rel=0.1)
     even = rng.poisson(expected).astype(np.float64)
-    assert np.abs(ground_gain.gains(cell, even, expected) - 1).max() < 0.1
+    assert np.abs(gains.ground_gains(cell, even, expected) - 1).max() < 0.1
 
 
 def test_bright_and_dark_parcels_have_the_noise_that_they_send_back() -> None:
     flight = fly(shots=9000, albedo=parcels, noise_per_m=8e-4)
     beams = geometry.beams(flight.table, flight.trajectory)
     model = model_of(flight)
-    gain = ground_gain.looked_at(flight.table, beams, model)
+    gain = gains.looked_at(flight.table, beams, model)
     part, one_rate = (
         voxel_noise.deposit(flight.table, beams, model, SETTINGS, ground)[0]
         for ground in (gain, None)

@@ -12,7 +12,7 @@ from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.shot_runs import interval_rows, lag_behind, run_starts, share_out
 from spl_batch.airborne.noise import line_noise
 from spl_batch.airborne.noise.background_region import choose_region
-from spl_batch.airborne.noise.channel_gains import active_channels
+from spl_batch.airborne.noise.gains import active_channels
 from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER

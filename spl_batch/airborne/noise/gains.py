@@ -1,8 +1,8 @@
-"""Gains: how much of a flightline's noise comes back from each cell of the ground.
+"""Gains: how much of a flightline's noise each channel hears, and comes from each ground cell.
 
-Domain: time. The noise of all shots that looked at a cell, over what the rates of their intervals
-expect, is its gain. It is drawn towards that of the cells around, and these towards one, as far as
-chance explains their differences (empirical Bayes, gamma prior).
+Domain: time. Counts over what rates expect are drawn to a prior as far as chance explains their
+differences (empirical Bayes, gamma prior): those of channels to one, those of ground cells to the
+cells around, and these to one. Dead channels hear nothing.
 """
 
 from typing import Any, Final
@@ -10,13 +10,75 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.noise.channel_gains import prior_weight
 from spl_batch.airborne.noise.ground_cells import STRIDE, cells
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.constants import QUANTUM_M
+from spl_batch.engine.findings import Finding
+from spl_batch.errors import named
 from spl_batch.lattice.tables import BeamTable, PointTable
 
 DOMAIN: Final = "time"
+
+
+def active_channels(
+    seen: NDArray[np.int64], beamlets: int
+) -> tuple[int, NDArray[np.float64], tuple[Finding, ...]]:
+    """Beamlets per shot, gains as far as live and dead channels decide them, and warnings.
+
+    ``seen``: (256,), beamlets seen of each channel; ``beamlets``: per shot, that the sensor has.
+    Gains, (256,), are 0 for dead channels, equal for all others; their mean is one.
+    """
+    live = seen > 0
+    alive = int(live.sum())
+    if alive > beamlets:
+        least = np.argsort(np.where(live, seen, seen.max() + 1), kind="stable")[: alive - beamlets]
+        values = {"kind": "more", "alive": alive, "beamlets": beamlets, "channels": least.tolist()}
+        return alive, live.astype(np.float64), (Finding("I04", values, badness=alive),)
+    if seen.sum() < 10 * beamlets or alive == beamlets:
+        return beamlets, np.ones(256), ()
+    gain = live.astype(np.float64) * (beamlets / alive)
+    dead = beamlets - alive
+    which = _dead(np.flatnonzero(live), beamlets)
+    values = {"dead": dead, "beamlets": beamlets, "what": which}
+    return beamlets, gain, (Finding("I07", values, badness=dead),)
+
+
+def _dead(live: NDArray[np.int64], beamlets: int) -> str:
+    """Channels without returns, as far as their neighbours show their numbers."""
+    within = np.setdiff1d(np.arange(live[0], live[-1]), live).tolist()
+    dead, ends = beamlets - len(live), f"below {live[0]} or above {live[-1]}"
+    if not within:
+        return f"{dead} {ends}"
+    if len(within) > dead:
+        return f"{dead} among {named(within)}"
+    return named(within) + (f", and {dead - len(within)} {ends}" * (dead > len(within)))
+
+
+def channel_gains(
+    by_channel: NDArray[np.int64], active: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Gain of each channel, by its noise returns, with the mean of ``active``: (256,) float64."""
+    # A live channel without noise returns was seen, not counted: it keeps its mean share.
+    used = np.flatnonzero((active > 0) & (by_channel > 0))
+    if len(used) == 0:
+        return active
+    n = by_channel[used].astype(np.float64)
+    # Weak channels are different: only ordinary ones share a prior.
+    usual = float(np.median(n))
+    ordinary = np.abs(n - usual) <= 5.0 * np.sqrt(usual + 1.0)
+    expected = float(n[ordinary].mean())
+    weight = prior_weight(by_channel[used][ordinary], np.full(ordinary.sum(), expected))
+    raw = np.where(ordinary, (n + weight) / (expected + weight), n / expected)
+    gain = active.copy()
+    gain[used] = raw * (active[used].sum() / raw.sum())
+    return gain
+
+
+def prior_weight(n: NDArray[Any], expected: NDArray[np.float64]) -> float:
+    """Counts that a gamma prior is worth: 1 / relative variance beyond Poisson."""
+    excess = float(np.sum((n - expected) ** 2 - expected))
+    square = float(np.sum(expected**2))
+    return square / excess if excess > 1e-9 * square > 0 else 1e9
 
 
 def ground(
@@ -50,10 +112,10 @@ def ground(
         np.bincount(at, values, len(cell)).astype(np.float64)
         for values in (counted, share * expected[row])
     )
-    return cell, gains(cell, n, model)
+    return cell, ground_gains(cell, n, model)
 
 
-def gains(
+def ground_gains(
     cell: NDArray[np.int64], n: NDArray[np.float64], expected: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Gains of cells, ascending, by the noise in them and what was expected: (c,) float64."""
