@@ -65,7 +65,6 @@ class NoiseModel(NamedTuple):
 
     box: _Box
     density: NDArray[np.float64]  #: (i, j, k): mean of each voxel [1/m3].
-    within: NDArray[np.float64]  #: (i, j, k): the same of the part within the gate, roughly.
     heard: tuple[NDArray[np.float32], ...]  #: Noise of each flightline over its squares [1/m3].
 
     def local(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
@@ -76,7 +75,7 @@ class NoiseModel(NamedTuple):
             near = self.listened(place)
             # published, or beside all that any beamlet crosses
             none = np.flatnonzero(~(near > 0.0))
-            near[none] = self.within[self.box.voxels([axis[none] for axis in place])]
+            near[none] = self.density[self.box.voxels([axis[none] for axis in place])]
             out[some] = near
         return out
 
@@ -140,7 +139,7 @@ def noise_model(
         beamlets=totals.get("beamlets"),
         beamlets_per_shot=beamlets,
     )
-    return NoiseModel(box, density, voxel_noise.within_gate(density), tuple(heard))
+    return NoiseModel(box, density, tuple(heard))
 
 
 def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int, layers: Sequence[range]) -> _Box:

@@ -19,6 +19,9 @@ from spl_batch.lattice.tables import BeamTable, PointTable
 
 DOMAIN: Final = "time"
 
+CLEAR_SIGMA: Final = 3.0
+"""Poisson deviations by which a cell may hear more noise between two buffers than beyond both."""
+
 
 def active_channels(
     seen: NDArray[np.int64], beamlets: int
@@ -85,33 +88,31 @@ def ground(
     merged: dict[str, NDArray[Any]],
     interval: NDArray[np.int64],
     expected: NDArray[np.float64],
-    buffer: int,
+    buffers: tuple[int, int],
     sides: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Cells of the ground that a flightline looked at, ascending, and their gains: two (c,).
 
-    Parameters
-    ----------
-    merged : dict
-        From :func:`~spl_batch.airborne.noise.line_statistics.merge`.
-    interval : (m,) int64
-        Intervals, ascending: those of the looks, and silent ones.
-    expected : (m,) float64
-        Noise of each by its rate; 0 for one that is not counted [count].
-    buffer : int
-        Rung of the ladder of buffers.
-    sides : (2,) float64
-        Weights of the sides of the signal.
+    ``interval``: (m,), those of the looks, and silent ones. ``buffers``: rungs of the ladder, that
+    of the rates, and a nearer one: it hears more noise, and holds where no more lies between the
+    two than beyond both. ``expected``: (2, m), noise of each interval by its rate beyond either
+    [count]. ``sides``: (2,), weights of the sides of the signal.
     """
     cell, at = np.unique(merged["look_cell"], return_inverse=True)
     row = np.repeat(np.searchsorted(interval, merged["interval"]), merged["looks"])
     number = merged["look_number"].astype(np.float64)
     share = number / np.bincount(row, number, len(interval))[row]
-    counted = (merged["look_outside"][:, :, buffer] @ sides) * (expected[row] > 0.0)
-    n, model = (
-        np.bincount(at, values, len(cell)).astype(np.float64)
-        for values in (counted, share * expected[row])
-    )
+    n, model = np.empty((2, 2, len(cell)))
+    for k, (rung, of_interval) in enumerate(zip(buffers, expected, strict=True)):
+        counted = (merged["look_outside"][:, :, rung] @ sides) * (of_interval[row] > 0.0)
+        n[k], model[k] = (
+            np.bincount(at, values, len(cell)) for values in (counted, share * of_interval[row])
+        )
+    between_n, between = n[1] - n[0], model[1] - model[0]
+    # With one gain the difference is 0 but for chance, with this variance. Signal only adds.
+    chance = n[1] * between * model[0]
+    clear = between_n * model[0] - n[0] * between <= CLEAR_SIGMA * np.sqrt(chance)
+    n, model = (np.where(clear, values[1], values[0]) for values in (n, model))
     return cell, ground_gains(cell, n, model)
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.noise.voxel_noise import BEAMLET, sphere_radius_m, tallest
+from spl_batch.airborne.noise.voxel_noise import BEAMLET, sphere_radius_m
 from spl_batch.lattice.tables import VOXEL_FIXED_POINT
 from spl_batch.numerics.compiled import njit
 
@@ -183,6 +183,12 @@ def each_stands_for(
     error = np.maximum(CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2)), SLIVER)
     here = np.where(tells, ratio(blurred(mean, HERE), blurred(own, HERE)), 0.0)
     return np.where((part < (1.0 - error) * whole) | ~tells, tallest(here), here)
+
+
+def tallest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Largest of each voxel and those above and below: (i, j, k) float64, k upwards."""
+    largest: NDArray[np.float64] = ndimage.maximum_filter1d(values, 3, axis=2)
+    return largest
 
 
 def unpack(counts: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
