@@ -16,14 +16,13 @@ Between the centres of squares and of layers the density is linear, along the le
 """
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.noise.voxel_noise import BEAMLET, sphere_radius_m
+from spl_batch.airborne.noise.voxel_noise import BEAMLET
 from spl_batch.lattice.tables import VOXEL_FIXED_POINT
 from spl_batch.numerics.compiled import njit
 
@@ -156,7 +155,7 @@ def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDAr
     number = around + own * (beamlets - around + np.float32(RIDGE) * ridge)
     np.maximum(number, np.float32(0.5) * around, out=number)
     known = np.float32(SURE) * number
-    mean = over_squares(ratio(of_spheres(beamlets), of_spheres(covered)))
+    mean = over_squares(ratio(of_voxels(beamlets), of_voxels(covered)))
     mean *= prior
     mean += known * number
     mean *= inside
@@ -173,7 +172,7 @@ def each_stands_for(
     square [count].
     """
     mean = amount / (VOXEL_FIXED_POINT * voxel_m**3)
-    own = of_spheres(beamlets)
+    own = of_voxels(beamlets)
     number = blurred(own)
     part = ratio(blurred(mean), number)
     # A layer that only beams reach which leave the others' tells nothing.
@@ -210,11 +209,11 @@ def blurred(values: NDArray[Any], own: float = 1.0) -> NDArray[Any]:
     return values
 
 
-def of_spheres(values: NDArray[np.floating[Any]] | NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Mean of the squares of each voxel as far as its sphere lies over them."""
+def of_voxels(values: NDArray[np.floating[Any]] | NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Mean of the squares of each voxel."""
     nx, ny, nz = (n // d for n, d in zip(values.shape, (SQUARES, SQUARES, 1), strict=True))
     blocks = values.reshape(nx, SQUARES, ny, SQUARES, nz)
-    mean: NDArray[np.float64] = np.einsum("xiyjz,ij->xyz", blocks, square_shares())
+    mean: NDArray[np.float64] = blocks.mean(axis=(1, 3), dtype=np.float64)
     return mean
 
 
@@ -223,23 +222,6 @@ def ratio(total: NDArray[np.float64], number: NDArray[np.float64]) -> NDArray[np
     some = number > 0.0
     found: NDArray[np.float64] = np.where(some, total / np.where(some, number, 1.0), 0.0)
     return found
-
-
-@cache
-def square_shares() -> NDArray[np.float64]:
-    """Share of a sphere over each square of its voxel: (4, 4) float64, sum 1.
-
-    What sticks out of the voxel belongs to the outer squares.
-    """
-    fine = 200
-    radius = sphere_radius_m(1.0)
-    at = (np.arange(2 * fine) + 0.5) / fine * radius - radius
-    height = np.sqrt(np.maximum(radius**2 - at[:, None] ** 2 - at**2, 0.0))
-    index = np.clip(np.floor((at + 0.5) * SQUARES).astype(int), 0, SQUARES - 1)
-    shares = np.zeros((SQUARES, SQUARES))
-    np.add.at(shares, (index[:, None], index[None]), height)
-    normal: NDArray[np.float64] = shares / shares.sum()
-    return normal
 
 
 @njit()
