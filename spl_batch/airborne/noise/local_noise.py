@@ -34,9 +34,10 @@ SQUARES: Final = 4
 MARGIN_VOXELS: Final = 2
 """Voxels on each side of a point's that its density depends on."""
 
-PRIOR: Final = 20.0
+PRIOR: Final = 10.0
 """Beamlets that the squares around are worth against a square's own, and the voxel's mean against
-both: the error of chance is at most 11 % where as many tell [count]."""
+both [count]. Chance chooses which beamlets are silent: where half of them are seen, a count of 10
+errs by 22 %, less than Poisson's 32 %."""
 
 BLUR: Final = 4.0
 """Weight of a square's own count against a neighbour's along an axis, in a blur."""
@@ -59,10 +60,6 @@ SLIVER: Final = 0.027
 
 ENOUGH: Final = 0.5
 """Share of the next layer's beamlets that shows what a beamlet stands for."""
-
-HERE: Final = 12.0
-"""Weight of a voxel against those on either side in what its beamlets stand for: the number of
-silent beamlets, which the seen ones stand for, differs between voxels."""
 
 
 def listened(
@@ -177,11 +174,11 @@ def each_stands_for(
     part = ratio(blurred(mean), number)
     # A layer that only beams reach which leave the others' tells nothing.
     tells = number >= ENOUGH * tallest(number)
-    whole = tallest(np.where(tells, part, 0.0))
+    here = np.where(tells, part, 0.0)
+    whole = tallest(here)
     # Beamlets cross all layers: only those that lean in and out differ, by chance.
     error = np.maximum(CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2)), SLIVER)
-    here = np.where(tells, ratio(blurred(mean, HERE), blurred(own, HERE)), 0.0)
-    return np.where((part < (1.0 - error) * whole) | ~tells, tallest(here), here)
+    return np.where((part < (1.0 - error) * whole) | ~tells, whole, here)
 
 
 def tallest(values: NDArray[np.float64]) -> NDArray[np.float64]:
