@@ -107,6 +107,26 @@ def test_chance_is_drawn_to_the_cells_around() -> None:
     assert np.abs(gains.ground_gains(cell, even, expected) - 1).max() < 0.1
 
 
+def test_signal_between_the_buffers_makes_no_bright_ground() -> None:
+    rng = np.random.default_rng(7)
+    farther, between = rng.poisson(30.0, (2, 50))
+    between[20] += 200
+    outside = np.zeros((50, 2, 4), np.int32)
+    outside[:, 0, 0], outside[:, 0, 3] = farther, farther + between
+    merged = {
+        "look_cell": np.arange(50), "interval": np.array([0]), "looks": np.array([50]),
+        "look_number": np.full(50, SHOT), "look_outside": outside,
+    }  # fmt: skip
+    expected = np.array([[1500.0], [3000.0]])
+    _, found = gains.ground(merged, np.array([0]), expected, (0, 3), np.ones(2))
+    np.testing.assert_allclose(found, 1.0, atol=0.2)
+    between[:25] *= 2
+    outside[:, 0, 0], outside[:, 0, 3] = 2 * farther, 2 * farther + between
+    outside[25:, 0] //= 2
+    _, found = gains.ground(merged, np.array([0]), expected, (0, 3), np.ones(2))
+    assert found[:20].mean() > 1.5 * found[30:].mean()
+
+
 def test_bright_and_dark_parcels_have_the_noise_that_they_send_back() -> None:
     flight = fly(shots=9000, albedo=parcels, noise_per_m=8e-4)
     beams = geometry.beams(flight.table, flight.trajectory)
