@@ -94,8 +94,8 @@ def ground(
     """Cells of the ground that a flightline looked at, ascending, and their gains: two (c,).
 
     ``interval``: (m,), those of the looks, and silent ones. ``buffers``: rungs of the ladder, that
-    of the rates, and a nearer one: it hears more noise, and holds where no more lies between the
-    two than beyond both. ``expected``: (2, m), noise of each interval by its rate beyond either
+    of the rates, and a nearer one: it hears more noise, and is taken where no more lies between
+    the two than beyond both. ``expected``: (2, m), noise of each interval by its rate beyond either
     [count]. ``sides``: (2,), weights of the sides of the signal.
     """
     cell, at = np.unique(merged["look_cell"], return_inverse=True)
@@ -108,7 +108,7 @@ def ground(
         n[k], model[k] = (
             np.bincount(at, values, len(cell)) for values in (counted, share * of_interval[row])
         )
-    between_n, between = n[1] - n[0], model[1] - model[0]
+    between_n, between = n[1] - n[0], np.maximum(model[1] - model[0], 0.0)
     # With one gain the difference is 0 but for chance, with this variance. Signal only adds.
     chance = n[1] * between * model[0]
     clear = between_n * model[0] - n[0] * between <= CLEAR_SIGMA * np.sqrt(chance)

@@ -51,8 +51,8 @@ RETURNS_MIN: Final = 20.0
 """Least seen beamlets per interval: with fewer, the median is one of the noise returns."""
 
 NEARER: Final = 3
-"""Rung of the ladder of buffers, half of the widest, from which on noise tells gains of the ground:
-a third of a gate of 150 m lies beyond the widest one."""
+"""Rung of the ladder of buffers, half of the widest, from which on noise counts for gains of the
+ground: only a third of a gate of 150 m lies beyond the widest one."""
 
 REGION_MIN: Final = 0.2
 """Least share of the gate in a noise region."""

@@ -6,8 +6,8 @@ flightline's density is found on squares, 2.5 m wide in voxels of 10 m, and flig
 
 - One beamlet stands for the noise in a sphere over the beamlets that cross it; a square has that
   times its beamlets, each by the gain of its ground (``VoxelPart.squares``).
-- A count is believed as far as its Poisson error allows, against the squares around and then the
-  mean of the voxel. Gaps of up to two squares are closed.
+- A count is believed as far as the chance of silent beamlets allows, against the squares around and
+  then the mean of the voxel. Gaps of up to two squares are closed.
 - A beamlet stands for the same noise in each layer that it crosses, and for less where its gate
   ends. Such a layer takes the noise per beamlet of the layer above or below.
 
