@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw
 from spl_batch.airborne.beams.told_apart import told_apart
-from spl_batch.airborne.noise import ground_gain, line_noise
+from spl_batch.airborne.noise import gains, line_noise
 from spl_batch.airborne.noise.line_noise import LineModel
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
@@ -100,7 +100,7 @@ def assess(
     added: dict[str, NDArray[Any]] = {
         name: np.zeros(len(table), np.float32) for name in COLUMNS_ADDED
     }
-    ground = ground_gain.looked_at(known, lit, model)
+    ground = gains.looked_at(known, lit, model)
     added["line_density"][rows] = line_noise.line_density(known, model) * ground
     flags = np.where(beams.known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
     beyond = model.beyond_gate(known["shot"], lit.range_m, known["z"] * QUANTUM_M)

@@ -12,7 +12,7 @@ from spl_batch.airborne.noise.local_noise import (
     SQUARES,
     around,
     listened,
-    put_places,
+    places,
 )
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.lattice.tables import VoxelPart
@@ -65,7 +65,6 @@ class NoiseModel(NamedTuple):
 
     box: _Box
     density: NDArray[np.float64]  #: (i, j, k): mean of each voxel [1/m3].
-    within: NDArray[np.float64]  #: (i, j, k): the same of the part within the gate, roughly.
     heard: tuple[NDArray[np.float32], ...]  #: Noise of each flightline over its squares [1/m3].
 
     def local(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
@@ -76,17 +75,14 @@ class NoiseModel(NamedTuple):
             near = self.listened(place)
             # published, or beside all that any beamlet crosses
             none = np.flatnonzero(~(near > 0.0))
-            near[none] = self.within[self.box.voxels([axis[none] for axis in place])]
+            near[none] = self.density[self.box.voxels([axis[none] for axis in place])]
             out[some] = near
         return out
 
     def listened(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
         """The same, 0 where no flightline is known to listen, as beyond a gate: (n,) [1/m3]."""
-        x, y, z = xyz
-        square, offset = np.empty((3, len(x)), np.int64), np.empty((3, len(x)))
         top = self.box.shape[2] - 1
-        put_places(x, y, z, self.box.edge, self.box.corner, top, square, offset)
-        return around(self.heard, tuple(square), tuple(offset))
+        return around(self.heard, *places(xyz, self.box.edge, self.box.corner, top))
 
     def mean(
         self, xyz: Sequence[NDArray[np.integer[Any]]], told: NDArray[np.bool_]
@@ -143,7 +139,7 @@ def noise_model(
         beamlets=totals.get("beamlets"),
         beamlets_per_shot=beamlets,
     )
-    return NoiseModel(box, density, voxel_noise.within_gate(density), tuple(heard))
+    return NoiseModel(box, density, tuple(heard))
 
 
 def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int, layers: Sequence[range]) -> _Box:

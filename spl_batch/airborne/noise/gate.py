@@ -85,7 +85,7 @@ def fit_gate(
     starts = np.flatnonzero(np.diff(interval // WINDOW_INTERVALS, prepend=interval[0] - 10**6))
     column = dict(zip(SUMMARY, summary.T, strict=True))
     tilt = float(np.mean(column["cosine"]))
-    half, most = buffer_m * BUFFER_LADDER[3], (gate_m or math.inf) * (1.0 + TOLERANCE)
+    half = buffer_m * BUFFER_LADDER[3]
     noise = np.add.reduceat(outside[:, :, 3], starts)
     offered = (
         ("range", 1.0, column["range_min"], column["range_max"]),
@@ -93,7 +93,7 @@ def fit_gate(
         ("surface", 1.0, column["behind_min"], column["behind_max"]),
     )
     candidates = [
-        _edges((name, scale), starts, noise, half, most, (low, high))
+        _edges((name, scale), starts, noise, half, (low, high))
         for name, scale, low, high in offered
     ]
     # Of lengths equal within chance the physical one, slant range, wins.
@@ -126,13 +126,11 @@ def _edges(
     starts: NDArray[np.int64],
     noise: NDArray[np.int64],
     half_m: float,
-    most_m: float,
     extremes: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> _Edges:
     """Edges of each window; windows with little noise borrow from the flightline.
 
-    ``noise``: (w, 2), returns above and below the signal [count]. ``most_m``: of a gate that is
-    stated, with a tolerance.
+    ``noise``: (w, 2), returns above and below the signal [count].
     """
     whole = extremes[1] - extremes[0]
     first, of_first = _outermost(extremes[0], whole, starts)
@@ -143,9 +141,6 @@ def _edges(
                     for side in noise.T)  # fmt: skip
     low = _without_lone(first, of_first - within[:, None], above)
     high = -_without_lone(last, of_last - within[:, None], below)
-    most = most_m * named[1]
-    low = _within_stated(first, of_first > most, low, high - most)
-    high = -_within_stated(last, of_last > most, -high, -low - most)
     extent = high - low
     total = noise.sum(axis=1)
     shortfall = _spacing_m(extent, total, half_m)
@@ -193,23 +188,6 @@ def _without_lone(
         far &= (longer[:, :lone] > 0.5 * gap[:, lone - 1 : lone]).all(axis=1)
         out = np.where(far & (known >= least), ends[:, lone], out)
     return out
-
-
-def _within_stated(
-    ends: NDArray[np.float64],
-    longer: NDArray[np.bool_],
-    low: NDArray[np.float64],
-    least: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Lower ends of windows, without an extreme or two where the rest fits the gate that is stated.
-
-    ``ends``: (w, k), of :func:`_outermost`; ``longer``: which of their intervals do not fit that
-    gate; ``low``: ends found without it; ``least``: (w,), the lowest that it may end [m].
-    """
-    for lone in range(1, LONE_MOST + 1):
-        alone = (low < least) & (ends[:, lone] >= least) & longer[:, :lone].all(axis=1)
-        low = np.where(alone, ends[:, lone], low)
-    return low
 
 
 def _outermost(

@@ -22,8 +22,8 @@ from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import BeamTable, PointTable
 from spl_batch.numerics.compiled import njit
 
-CELL_M: Final = 5.0
-"""Edge of a ground cell: a shot's patch, and half of a voxel [m]."""
+CELL_M: Final = 2.5
+"""Edge of a ground cell: half of a shot's patch [m]."""
 
 STRIDE: Final = 2**31
 """Cell (i, j) has the number i x stride + j."""

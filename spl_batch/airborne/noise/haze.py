@@ -35,22 +35,14 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.noise.haze_counts import count_strips, quarters, raise_to
+from spl_batch.airborne.noise.haze_counts import CELL_M, CUBE_M, WINDOW, Axes, Counts
 from spl_batch.lattice.tiles import quanta
 
 DOMAIN: Final = "space"
-
-CUBE_M: Final = 5.0
-"""Edge of a cube [m]: air changes over tens of metres."""
-
-CELL_M: Final = 1.0
-"""Edge of the cells in which clumping is looked for [m]."""
-
-WINDOW: Final = 5
-"""Cubes along the edge of a square that is looked at."""
 
 REACH_M: Final = (WINDOW + 1) * CUBE_M
 """How far a point's noise looks: half a square to its middle, half a square on, one cube beside."""
@@ -95,7 +87,6 @@ flightlines; elsewhere it changes over tens of metres."""
 EXACT: Final = 2.0**20
 """Parts of an expected return: whole ones add up alike in any blocks."""
 
-Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 Expected = Callable[[Axes], NDArray[np.float64]]
 """Noise that the model expects at places [quanta]: three (m,) int64 to (m,) [1/m3]."""
 
@@ -110,17 +101,6 @@ class Air(NamedTuple):
     expected: NDArray[np.float64]  #: (m,): noise that the model expects at its centre [1/m3].
 
 
-class Counts(NamedTuple):
-    """Returns of cubes, and their pairs in columns and cells."""
-
-    corner: tuple[int, int]  #: Index of the first cube along x and y on the absolute lattice.
-    layer: NDArray[np.int64]  #: (l,): index of each layer; those without a return are left out.
-    held: NDArray[np.int32]  #: (nx, ny, l): returns [count].
-    #: (nx, ny, l): ordered pairs of them that share a column, and a cell.
-    columns: NDArray[np.int64]
-    cells: NDArray[np.int64]
-
-
 class Layers(NamedTuple):
     """Returns of cubes in noise alone, by layer, beside what the model expects."""
 
@@ -129,31 +109,12 @@ class Layers(NamedTuple):
     expected: NDArray[np.float64]  #: (l,): by the model [count].
 
 
-def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
-    """Returns of each cube, and their pairs; None where nothing counts.
-
-    Parameters
-    ----------
-    xyz : three of (n,) integer
-        Absolute coordinates [quanta].
-    counted : (n,) bool
-        Returns that count: independent ones.
-    """
-    rows = np.flatnonzero(counted)
-    if not len(rows):
-        return None
-    x, y, z = (axis[rows].astype(np.int64, copy=False) for axis in xyz)
-    del rows
-    return _count((x, y, z))
-
-
 def find_air(counts: Counts, expected: Expected) -> Air | None:
     """Cubes of air with the noise in them; None where there is none."""
     candidate, steady = _even(counts)
     if not candidate.any():
         return None
-    lowest, highest = np.zeros((2, *counts.held.shape), np.int32)
-    quarters(counts.held, _with_beside(candidate), WINDOW // 2, LEFT_OUT, lowest, highest)
+    lowest, highest = _quarters(counts.held, _with_beside(candidate))
     level = (lowest > 1) & (highest <= SMOOTH * lowest)
     candidate &= _three(level)
     tapering = candidate & ~steady
@@ -209,8 +170,7 @@ def noise_by_layer(
         at = air.cube - [*counts.corner, 0]
         at[:, 2] = np.searchsorted(counts.layer, at[:, 2])
         asked[tuple(at.T)] = False
-    lower, upper = np.zeros((2, *counts.held.shape), np.int32)
-    quarters(counts.held, asked, half, LEFT_OUT, lower, upper)
+    lower, upper = _quarters(counts.held, asked)
     asked &= upper <= SMOOTH * (lower + CHANCE * np.sqrt(lower + 1.0))
     at_middle = np.nonzero(asked)
     # The middle cube stands for its square.
@@ -238,51 +198,14 @@ def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> ND
     if air is None:
         return noise
     low = air.cube.min(axis=0)
-    shape = air.cube.max(axis=0) - low + 1
-    density = np.zeros(shape)
+    density = np.zeros(air.cube.max(axis=0) - low + 1)
     density[tuple((air.cube - low).T)] = air.density
+    at = [axis // quanta(CUBE_M) - first for axis, first in zip(xyz, low, strict=True)]
+    within = [(index >= 0) & (index < n) for index, n in zip(at, density.shape, strict=True)]
+    inside = np.logical_and.reduce(within)
     out: NDArray[np.float64] = noise.copy()
-    edge = quanta(CUBE_M)
-    raise_to(xyz[0], xyz[1], xyz[2], edge, low, density, out)
+    out[inside] = np.maximum(out[inside], density[tuple(index[inside] for index in at)])
     return out
-
-
-def _count(xyz: Axes) -> Counts:
-    """Count points, strip by strip, with half a square of empty cubes around.
-
-    So edges of the points and ragged edges within them are treated alike.
-    """
-    edge, half = quanta(CUBE_M), WINDOW // 2
-    west, south = (int(axis.min()) // edge - half for axis in xyz[:2])
-    nx, ny = (
-        int(axis.max()) // edge - low + 1 + half
-        for axis, low in zip(xyz, (west, south), strict=False)
-    )
-    layer, at = _numbered((xyz[2] // edge).astype(np.int32))
-    strip = (xyz[0] // edge - west).astype(np.int32)
-    order = np.argsort(strip, kind="stable")
-    start = np.append(0, np.cumsum(np.bincount(strip, minlength=nx)))
-    del strip
-    shape = (nx, ny, len(layer))
-    count = np.zeros(shape, np.int32)
-    columns, cells = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
-    parts = round(CUBE_M / CELL_M)
-    room = np.zeros((ny, len(layer), parts, parts, parts), np.int32)
-    count_strips(
-        xyz[0], xyz[1], xyz[2], at, order, start, edge, quanta(CELL_M), south,
-        room, count, columns, cells,
-    )  # fmt: skip
-    return Counts((west, south), layer, count, columns, cells)
-
-
-def _numbered(index: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Indices that occur, ascending, and which of them each is; without sorting all."""
-    low = int(index.min())
-    index = index - low
-    held = np.zeros(int(index.max()) + 1, np.bool_)
-    held[index] = True
-    number = np.cumsum(held, dtype=np.int32) - 1
-    return np.flatnonzero(held) + low, number[index]
 
 
 def _even(counts: Counts) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -339,6 +262,19 @@ def _hung(counts: Counts, asked: NDArray[np.bool_], expected: Expected) -> NDArr
         hung |= solid & (run >= CLEAR)
         solid |= more & (model > 0.0)
     return out & asked
+
+
+def _quarters(
+    held: NDArray[np.int32], asked: NDArray[np.bool_]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Count that all but :data:`LEFT_OUT` cubes of each asked square reach, and do not exceed."""
+    lower, upper = np.zeros((2, *held.shape), np.int32)
+    inner = (slice(WINDOW // 2, -(WINDOW // 2)),) * 2
+    chosen = asked[inner]
+    squares = sliding_window_view(held, (WINDOW, WINDOW), axis=(0, 1))[chosen]
+    ranked = np.sort(squares.reshape(-1, WINDOW**2), axis=1)
+    lower[inner][chosen], upper[inner][chosen] = ranked[:, LEFT_OUT], ranked[:, -1 - LEFT_OUT]
+    return lower, upper
 
 
 def _three(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:

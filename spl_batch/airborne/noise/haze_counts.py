@@ -1,11 +1,86 @@
-"""Kernels of :mod:`~spl_batch.airborne.noise.haze`: cubes counted, their quarters, noise raised."""
+"""Returns of cubes, and their pairs in columns and cells, in which haze is looked for."""
 
 import math
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.sorting import sort
+
+CUBE_M: Final = 5.0
+"""Edge of a cube [m]: air changes over tens of metres."""
+
+CELL_M: Final = 1.0
+"""Edge of the cells in which clumping is looked for [m]."""
+
+WINDOW: Final = 5
+"""Cubes along the edge of a square that is looked at."""
+
+Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+
+
+class Counts(NamedTuple):
+    """Returns of cubes, and their pairs in columns and cells."""
+
+    corner: tuple[int, int]  #: Index of the first cube along x and y on the absolute lattice.
+    layer: NDArray[np.int64]  #: (l,): index of each layer; those without a return are left out.
+    held: NDArray[np.int32]  #: (nx, ny, l): returns [count].
+    #: (nx, ny, l): ordered pairs of them that share a column, and a cell.
+    columns: NDArray[np.int64]
+    cells: NDArray[np.int64]
+
+
+def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
+    """Returns of each cube, and their pairs; None where nothing counts.
+
+    They are counted strip by strip, with half a square of empty cubes around: edges of the points
+    and ragged edges within them are treated alike.
+
+    Parameters
+    ----------
+    xyz : three of (n,) integer
+        Absolute coordinates [quanta].
+    counted : (n,) bool
+        Returns that count: independent ones.
+    """
+    rows = np.flatnonzero(counted)
+    if not len(rows):
+        return None
+    x, y, z = (axis[rows].astype(np.int64, copy=False) for axis in xyz)
+    del rows
+    edge, half = quanta(CUBE_M), WINDOW // 2
+    west, south = (int(axis.min()) // edge - half for axis in (x, y))
+    nx, ny = (
+        int(axis.max()) // edge - low + 1 + half
+        for axis, low in zip((x, y), (west, south), strict=True)
+    )
+    layer, at = _numbered((z // edge).astype(np.int32))
+    strip = (x // edge - west).astype(np.int32)
+    order = np.argsort(strip, kind="stable")
+    start = np.append(0, np.cumsum(np.bincount(strip, minlength=nx)))
+    del strip
+    shape = (nx, ny, len(layer))
+    count = np.zeros(shape, np.int32)
+    columns, cells = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    parts = round(CUBE_M / CELL_M)
+    room = np.zeros((ny, len(layer), parts, parts, parts), np.int32)
+    count_strips(
+        x, y, z, at, order, start, edge, quanta(CELL_M), south,
+        room, count, columns, cells,
+    )  # fmt: skip
+    return Counts((west, south), layer, count, columns, cells)
+
+
+def _numbered(index: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Indices that occur, ascending, and which of them each is; without sorting all."""
+    low = int(index.min())
+    index = index - low
+    held = np.zeros(int(index.max()) + 1, np.bool_)
+    held[index] = True
+    number = np.cumsum(held, dtype=np.int32) - 1
+    return np.flatnonzero(held) + low, number[index]
 
 
 @njit(inline="always")
@@ -50,33 +125,3 @@ def count_strips(  # type: ignore[no-untyped-def]
                             in_cells += n * (n - 1)
                         in_columns += total * (total - 1)
                 columns[i, j, h], cells[i, j, h] = in_columns, in_cells
-
-
-@njit()
-def quarters(  # type: ignore[no-untyped-def]
-    count, asked, half, rank, lower, upper
-):
-    """Count that all but ``rank`` cubes of the square around each asked cube reach, or do not."""
-    nx, ny, layers = count.shape
-    held = np.empty((2 * half + 1) ** 2, np.int64)
-    for i in range(half, nx - half):
-        for j in range(half, ny - half):
-            for h in range(layers):
-                if asked[i, j, h]:
-                    n = 0
-                    for a in range(i - half, i + half + 1):
-                        for b in range(j - half, j + half + 1):
-                            held[n] = count[a, b, h]
-                            n += 1
-                    sort(held)
-                    lower[i, j, h], upper[i, j, h] = held[rank], held[len(held) - 1 - rank]
-
-
-@njit()
-def raise_to(x, y, z, edge, low, density, out):  # type: ignore[no-untyped-def]
-    """Put the density of a point's cube where it is larger."""
-    nx, ny, nz = density.shape
-    for p in range(len(out)):
-        i, j, k = x[p] // edge - low[0], y[p] // edge - low[1], z[p] // edge - low[2]
-        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-            out[p] = max(out[p], density[i, j, k])

@@ -10,25 +10,28 @@ Sources: [W17] Eq. 5.1, [W18] 2.2.1.
 | rho_l | ``rate`` x ``gain`` of the channel x ``ground`` of the cell that is looked at |
 
 Deviations: silent shots count as fired; R is what the gate really leaves, as a slant length; the
-buffer shrinks where the gate is short; the ground has a gain. Rates of intervals and gains of the
-ground are shrunk towards their neighbours and gains of channels towards one (empirical Bayes, gamma
-prior). Where the buffer has shrunk, intervals
-far above those around hold signal, if their two sides differ or the signal's height varies as much
-as the buffer; they are left out.
+ground has a gain. The buffer around the signal is the largest of a ladder that leaves a fifth of
+the gate, and a side of the signal that disagrees, as signal reaches into it, is left out; where
+nothing is left, the uniform part of the gate's histogram is fitted. Rates of intervals are shrunk
+towards their neighbours (empirical Bayes, gamma prior).
 """
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
-from spl_batch.airborne.noise.background_region import choose_region, offered_lengths, profile_rate
-from spl_batch.airborne.noise.channel_gains import active_channels, channel_gains, prior_weight
-from spl_batch.airborne.noise.gate import fit_gate
-from spl_batch.airborne.noise.ground_gain import ground
+from spl_batch.airborne.noise.gains import active_channels, channel_gains, ground, prior_weight
+from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
-from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, merge, observe
+from spl_batch.airborne.noise.line_statistics import (
+    BUFFER_LADDER,
+    PROFILE_BINS,
+    merge,
+    observe,
+)
 from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings import NoiseSettings
@@ -47,19 +50,14 @@ SEEN_TARGET: Final = 15.0
 RETURNS_MIN: Final = 20.0
 """Least seen beamlets per interval: with fewer, the median is one of the noise returns."""
 
-CLIP_SIGMA: Final = 4.0
-"""Poisson deviations above its neighbourhood from which on an interval's count holds signal."""
+NEARER: Final = 3
+"""Rung of the ladder of buffers, half of the widest, from which on noise counts for gains of the
+ground: only a third of a gate of 150 m lies beyond the widest one."""
 
-SIDES_SIGMA: Final = 3.0
-"""Poisson deviations between an interval's counts above and below the signal, if one side holds
-some: a brighter sky or ground adds to both alike."""
+REGION_MIN: Final = 0.2
+"""Least share of the gate in a noise region."""
 
-SPREAD: Final = 0.25
-"""Standard deviation of an interval's signal height over the buffer, from which on there may be
-signal beyond it on both sides: a fifteenth of the interval is then a buffer higher."""
-
-CLIP_ROUNDS: Final = 5
-"""Times that the neighbourhood is counted again without such intervals."""
+Side = Literal["both", "above", "below", "none"]
 
 
 def fit(
@@ -95,17 +93,13 @@ def fit(
     else:
         sides = np.array(use[region.side])
         counted = (outside[:, :, region.buffer] @ sides).astype(np.int64)
-        exposure = fired * (length[:, :, region.buffer] @ sides)
-        blinded = np.where(present, merged["blinded"][rows, :, region.buffer] @ sides, 0.0)
-        heard = np.maximum(exposure - blinded, 0.0)
-        if region.buffer > 0:
-            buffer_m = settings.buffer_m * BUFFER_LADDER[region.buffer]
-            sided = fired[:, None] * length[:, :, region.buffer]
-            torn = _torn(outside[:, :, region.buffer], sided, summary, buffer_m)
-            quiet = _quiet(interval, counted, heard, settings.smooth_intervals, torn)
-            counted, heard = counted * quiet, heard * quiet
+        nearer = max(region.buffer, NEARER)
+        blinded = np.where(present[:, None, None], merged["blinded"][rows], 0.0)
+        listened = np.maximum(sides @ (fired[:, None, None] * length - blinded), 0.0)
+        heard = listened[:, region.buffer]
         rate = _smooth(interval, counted, heard, settings.smooth_intervals)
-        cell, of_cell = ground(merged, interval, rate * heard, region.buffer, sides)
+        expected = rate * listened[:, [region.buffer, nearer]].T
+        cell, of_cell = ground(merged, interval, expected, (region.buffer, nearer), sides)
         by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
         gain = channel_gains(by_channel, gain_active)
     seen = np.where(present, merged["beamlets"][rows], 0)
@@ -134,6 +128,108 @@ def fit(
         gate_basis=gate.basis,
         findings=(*warnings, *gate.warnings, *region.warnings, *_few(merged), *_strays(merged)),
     )
+
+
+class Region(NamedTuple):
+    """Buffer and sides of the signal that are counted."""
+
+    buffer: int
+    side: Side
+    warnings: tuple[Finding, ...]
+
+
+def offered_lengths(
+    gate: Gate, summary: NDArray[np.float64], buffer_m: float
+) -> NDArray[np.float64]:
+    """Slant length of gate above and below each buffer: (m, 2, b) float64 [m].
+
+    The signal's height varies within an interval: it is the mean of the positive part, for a normal
+    spread.
+    """
+    column = dict(zip(SUMMARY, summary.T, strict=True))
+    cosine = column["cosine"][:, None]
+    buffers = buffer_m * np.array(BUFFER_LADDER) / cosine
+    above, below = _around_signal(gate, column)
+    both = np.stack([above[:, None] - buffers, below[:, None] - buffers], axis=1)
+    spread = np.maximum(column["signal_sd"] / column["cosine"], 1e-6)[:, None, None]
+    ratio = both / spread
+    density = np.exp(-0.5 * np.minimum(ratio**2, 1400.0)) / np.sqrt(2 * np.pi)
+    length: NDArray[np.float64] = both * ndtr(ratio) + spread * density
+    return np.maximum(length, 0.0)
+
+
+def _around_signal(
+    gate: Gate, column: dict[str, NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Slant length of gate in front of and behind the signal: two (m,) float64 [m]."""
+    if gate.kind == "height":
+        z, cosine = column["signal_z"], column["cosine"]
+        return (gate.near - z) / cosine, (z - gate.far) / cosine
+    return column["signal_range"] - gate.near, gate.far - column["signal_range"]
+
+
+def choose_region(
+    outside: NDArray[np.int32],
+    exposure: NDArray[np.float64],
+    fired: NDArray[np.float64],
+    gate: Gate,
+    summary: NDArray[np.float64],
+) -> Region:
+    """Largest buffer that leaves a noise region, and the sides of it that agree."""
+    counts = outside.sum(axis=0, dtype=np.int64)
+    offered = exposure.sum(axis=0)
+    above, below = _around_signal(gate, dict(zip(SUMMARY, summary.T, strict=True)))
+    whole = float(np.sum(fired * np.maximum(above + below, 0.0)))
+    wide = np.flatnonzero(offered.sum(axis=0) >= REGION_MIN * whole)
+    if whole <= 0 or len(wide) == 0:
+        return Region(0, "none", (_NO_REGION,))
+    b = int(wide[0])
+    notes = () if b == 0 else (_short(BUFFER_LADDER[b]),)
+    (n_up, n_down), (e_up, e_down) = counts[:, b], offered[:, b]
+    if min(e_up, e_down) < 0.25 * REGION_MIN * whole:
+        return Region(b, "both", notes)
+    up, down = n_up / e_up, n_down / e_down
+    spread = np.sqrt((n_up + 1) / e_up**2 + (n_down + 1) / e_down**2)
+    if abs(up - down) <= max(0.15 * min(up, down), 5 * spread):
+        return Region(b, "both", notes)
+    side: Side = "below" if up > down else "above"
+    more, times = ("above", up / down) if up > down else ("below", down / up)
+    values = {"kind": "side", "times": float(times), "more": more, "side": side}
+    return Region(b, side, (*notes, Finding("N01", values, badness=float(times))))
+
+
+def _short(share: float) -> Finding:
+    """The part of the gate taken for signal had to shrink to this share."""
+    return Finding("N01", {"kind": "short", "share": share}, badness=-share)
+
+
+_NO_REGION: Final = Finding("N01", {"kind": "fitted"})
+
+
+def profile_rate(
+    profile: NDArray[np.int64],
+    gate: Gate,
+    summary: NDArray[np.float64],
+    fired: NDArray[np.float64],
+) -> float:
+    """Uniform part of the histogram of heights around the signal [1/m].
+
+    Signal only adds: the lower quartile of the bins' rates is background wherever signal fills less
+    than three quarters of the gate.
+    """
+    column = dict(zip(SUMMARY, summary.T, strict=True))
+    above, below = _around_signal(gate, column)
+    cosine, half = column["cosine"], PROFILE_BINS // 2
+    edges = np.clip(np.stack([-above * cosine, below * cosine]) + half, 0, PROFILE_BINS - 1)
+    step = np.zeros(PROFILE_BINS)
+    np.add.at(step, np.ceil(edges[0]).astype(np.int64), fired / cosine)
+    np.add.at(step, np.maximum(np.floor(edges[1]), np.ceil(edges[0])).astype(np.int64),
+              -fired / cosine)  # fmt: skip
+    exposure = np.cumsum(step)
+    use = exposure > 0.5 * exposure.max()
+    if not use.any():
+        return 0.0
+    return float(np.quantile(profile[use] / exposure[use], 0.25))
 
 
 def _strays(merged: dict[str, NDArray[Any]]) -> Iterator[Finding]:
@@ -230,47 +326,6 @@ def _smooth(
     weight = prior_weight(n, np.add.reduceat(wide * exposure, starts))
     rate: NDArray[np.float64] = (near_n + weight) / (near_e + weight / wide)
     return rate
-
-
-def _quiet(
-    interval: NDArray[np.int64],
-    counted: NDArray[np.int64],
-    exposure: NDArray[np.float64],
-    half: int,
-    torn: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
-    """Intervals whose count can be background alone: (m,) bool.
-
-    A shrunk buffer is lower than towers are tall: where an interval sees roof and ground, one of
-    them lies in its noise region. Signal only adds.
-    """
-    quiet = np.ones(len(interval), dtype=np.bool_)
-    for _ in range(CLIP_ROUNDS):
-        near_n, near_e = (_moving(interval, v * quiet, half) for v in (counted, exposure))
-        expected = near_n / np.maximum(near_e, 1.0) * exposure
-        quiet = ~torn | (counted <= expected + CLIP_SIGMA * np.sqrt(expected + 1.0))
-    return quiet
-
-
-def _torn(
-    counted: NDArray[np.integer[Any]],
-    exposure: NDArray[np.float64],
-    summary: NDArray[np.float64],
-    buffer_m: float,
-) -> NDArray[np.bool_]:
-    """Intervals in which there may be signal beyond the buffer: (m,) bool.
-
-    ``counted``, ``exposure``: (m, 2), noise returns above and below the signal, and the length that
-    was listened to there, over all beamlets [m].
-    """
-    # One side may hear more all along, as where returns blind what is behind them.
-    usual = counted.sum(axis=0) / np.maximum(exposure.sum(axis=0), 1.0)
-    (up, down), (e_up, e_down) = counted.T.astype(np.float64), (exposure * usual).T
-    # With one sky, up e_down - down e_up is 0 but for chance, with this variance.
-    chance = (up + down) * e_up * e_down
-    differ = np.abs(up * e_down - down * e_up) > SIDES_SIGMA * np.sqrt(chance)
-    torn: NDArray[np.bool_] = differ | (summary[:, SUMMARY.index("signal_sd")] > SPREAD * buffer_m)
-    return torn
 
 
 def _seen_window(seen: NDArray[np.int64], fired: NDArray[np.int64], interval_shots: int) -> int:

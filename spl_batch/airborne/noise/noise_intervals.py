@@ -15,7 +15,9 @@ SUMMARY: Final = (
     "signal_z", "signal_range", "cosine", "signal_sd", "range_min", "range_max",
     "z_min", "z_max", "behind_min", "behind_max",
 )  # fmt: skip
-"""Columns of ``summary``, all in metres but the cosine."""
+"""Columns of ``summary``, all in metres but the cosine: means of signal height, slant range to it
+and cosine, standard deviation of that height, ends of range, height and slant distance behind the
+signal."""
 
 GROUP_RETURNS = 100
 """Returns that make the peak of a group sure [count]."""
@@ -105,28 +107,10 @@ def signal_depths(
 ) -> None:
     """Height of the signal in the groups of every interval, and what lies about it.
 
-    Parameters
-    ----------
-    starts : (m + 1,) int64
-        Rows where intervals start, then n.
-    z, range_m, cosine : (n,) float64
-        Height [m], slant range [m] and cosine of the off-nadir angle.
-    order : (n,) int64
-        Rows by interval and increasing height.
-    offset : (n,) int64
-        Shot within the interval.
-    first : (m + 1,) int64
-        Where groups of intervals start, then g.
-    width : float
-        Width of the sliding height window [m].
-    height : (g,) float64
-        Filled with the height of the signal in each group [m].
-    summary : (m, 10) float64
-        Filled with means of signal height, slant range to it and cosine, the standard
-        deviation of the signal height, then minimum and maximum of range, height and
-        slant distance behind the signal [m].
-    below : (n,) float64
-        Filled with the height of the signal less that of the return [m].
+    ``order``: (n,), rows by interval and increasing height; ``offset``: (n,), shot within the
+    interval; ``first``: (m + 1,), where groups of intervals start, then g; ``width``: of the
+    sliding height window [m]. Filled: ``height`` (g,), ``summary`` (m, 10), see :data:`SUMMARY`,
+    and ``below`` (n,), height of the signal less that of the return [m].
     """
     for m in range(len(starts) - 1):
         rows, n_groups = slice(starts[m], starts[m + 1]), first[m + 1] - first[m]

@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.simd import LANES
 
-STEEP: Final = 0.7
-"""Vertical part of a direction from which on a beam crosses a voxel's height in one square."""
-
 MOST: Final = 65535
 """Where the count of a square stops."""
 
@@ -50,18 +47,15 @@ def cover(
     """Count a beamlet in the squares that it crosses half-way up each layer that it listens in.
 
     A square is a quarter of a voxel's edge wide, a layer as high as its spheres: all that adds to
-    their amount counts. Beams nearer to the horizontal than :data:`STEEP` cross too many squares
-    and count in the whole voxel. Square (x, y) of a voxel is at ``x * 4 + y``.
+    their amount counts. Square (x, y) of a voxel is at ``x * 4 + y``.
     """
     along = direction[2]
-    if abs(along) < STEEP:
-        cover_whole(voxel, point, direction, near, far, edge, share, squares)
-        return
     ends = (point[2] + near * along, point[2] + far * along)
     half = 0.5 * edge
     first = math.ceil((min(ends) - radius) / edge)
     for layer in range(first, math.floor((max(ends) + radius) / edge) + 1):
-        t = (layer * edge - point[2]) / along
+        # Far from the vertical a beam would leave the box on its way to a layer that it only nears.
+        t = min(max((layer * edge - point[2]) / along, near - 1.5 * radius), far + 1.5 * radius)
         x = math.floor((point[0] + t * direction[0] + half) * (4.0 / edge))
         y = math.floor((point[1] + t * direction[1] + half) * (4.0 / edge))
         of_voxel = squares[voxel[0] + x // 4, voxel[1] + y // 4, voxel[2] + layer]
@@ -71,32 +65,6 @@ def cover(
 @njit()
 def _count(counts, at, share):  # type: ignore[no-untyped-def]
     counts[at] = np.uint16(min(np.int64(counts[at]) + share, MOST))
-
-
-@njit()
-def cover_whole(
-    voxel: NDArray[np.int64],
-    point: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    near: float,
-    far: float,
-    edge: float,
-    share: int,
-    squares: NDArray[np.uint16],
-) -> None:
-    """Count a beamlet in all squares of the voxels it passes; arguments as of :func:`cover`."""
-    steps = math.ceil((far - near) / (0.25 * edge))
-    index = np.full(3, -1, dtype=np.int64)
-    for k in range(steps + 1):
-        t = near + (far - near) * k / max(steps, 1)
-        same = True
-        for axis in range(3):
-            at = voxel[axis] + math.floor((point[axis] + t * direction[axis]) / edge + 0.5)
-            same &= at == index[axis]
-            index[axis] = at
-        if not same:
-            for square in range(16):
-                _count(squares[index[0], index[1], index[2]], square, share)
 
 
 @njit()
@@ -122,26 +90,10 @@ def deposit_beamlet(
     Only spheres near the line are looked at: in each layer along the axis that the line follows
     most, those whose centre lies within ``radius / |u|`` of the line.
 
-    Parameters
-    ----------
-    voxel : (3,) int64
-        Voxel of the return, relative to the corner of ``amount``.
-    point : (3,) float64
-        The return, relative to that voxel's centre [m].
-    direction : (3,) float64
-        Unit vector along the beam.
-    near, far : float
-        Ends of the gate along the beam, from the return [m].
-    edge, radius : float
-        Edge of a voxel and radius of its sphere [m].
-    amount : (nx, ny, nz) int64
-        Added to.
-    shots, beamlets, last_shot : (nx, ny, nz) int64, or empty
-        Added to where not empty: shots and beamlets that touch each sphere.
-    share : int
-        What the beamlet adds to the squares that it crosses.
-    squares : (nx, ny, nz, 16) uint16, or empty
-        Added to, up to :data:`MOST`; see :func:`cover`.
+    ``voxel``: that of the return, relative to the corner of ``amount``; ``point``: the return,
+    relative to its centre; ``near``, ``far``: ends of the gate along the beam, from the return [m].
+    Added to: ``amount`` (nx, ny, nz); ``shots`` and ``beamlets``, which touch each sphere, where
+    not empty; by ``share``, ``squares`` (nx, ny, nz, 16), up to :data:`MOST`; see :func:`cover`.
     """
     if squares.size:
         cover(voxel, point, direction, near, far, edge, radius, share, squares)
@@ -185,7 +137,7 @@ def steepness(edge: float, radius: float) -> float:
     ``sqrt(2) edge`` times it is the least distance at which a line sees the centres of two spheres
     across from each other. A little more than ``2 radius`` leaves room for rounding.
     """
-    return max(STEEP, 1.000001 * math.sqrt(2.0) * radius / edge)
+    return 1.000001 * math.sqrt(2.0) * radius / edge
 
 
 @njit()

@@ -19,7 +19,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from spl_batch.airborne.beams.rays import in_voxels, reach
 from spl_batch.airborne.beams.shot_runs import run_starts, share_out
@@ -35,9 +34,6 @@ DOMAIN: Final = "time"
 
 FAR_Q: Final = 1_000_000
 """Empty columns or rows of more than this divide a stretch's voxels into boxes [quanta]."""
-
-UNEVEN: Final = 1.15
-"""Difference of the densities of a voxel and one above or below, under which no gate ends there."""
 
 BEAMLET: Final = 16
 """What a beamlet over ground of gain 1 adds to the counts of squares."""
@@ -215,30 +211,3 @@ def density(
         raise ValueError("the published correction needs the sums of shots and of beamlets")
     gamma = beamlets_per_shot * shots / np.maximum(beamlets, 1)
     return per_m3 * gamma
-
-
-def within_gate(per_m3: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Density of the part of each voxel that is listened to, roughly, for testing points in it.
-
-    For points that no known flightline covers, and for the published correction; others have
-    :mod:`~spl_batch.airborne.noise.local_noise`. A voxel that a gate's end cuts takes the largest
-    of itself and its two vertical neighbours; differences below :data:`UNEVEN` are chance.
-
-    Parameters
-    ----------
-    per_m3 : (i, j, k) float64
-        Mean density of voxels, k upwards [1/m3].
-
-    Returns
-    -------
-    (i, j, k) float64
-        [1/m3]; a deviation from [W18] Eq. 2.
-    """
-    largest = tallest(per_m3)
-    return np.where(largest > UNEVEN * per_m3, largest, per_m3)
-
-
-def tallest(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Largest of each voxel and those above and below: (i, j, k) float64, k upwards."""
-    largest: NDArray[np.float64] = ndimage.maximum_filter1d(values, 3, axis=2)
-    return largest

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.shot_runs import run_starts
-from spl_batch.airborne.noise import ground_gain, line_noise, voxel_noise
+from spl_batch.airborne.noise import gains, line_noise, voxel_noise
 from spl_batch.airborne.noise.ground_cells import (
     CELL_M,
     SHOT,
@@ -97,21 +97,41 @@ def test_chance_is_drawn_to_the_cells_around() -> None:
     true = np.where(np.arange(n) < n // 2, 2.0, 0.5)
     expected = np.full(n, 30.0)
     counted = rng.poisson(true * expected).astype(np.float64)
-    found = ground_gain.gains(cell, counted, expected)
+    found = gains.ground_gains(cell, counted, expected)
     assert float((found * expected).sum()) == pytest.approx(float(expected.sum()))
     scaled = true / true.mean()
     assert np.std(found / scaled - 1) < np.std(counted / expected / true - 1)
     assert np.mean(found[: n // 2]) == pytest.approx(2.0 / 1.25, rel=0.05)
     assert np.mean(found[n // 2 :]) == pytest.approx(0.5 / 1.25, rel=0.1)
     even = rng.poisson(expected).astype(np.float64)
-    assert np.abs(ground_gain.gains(cell, even, expected) - 1).max() < 0.1
+    assert np.abs(gains.ground_gains(cell, even, expected) - 1).max() < 0.1
+
+
+def test_signal_between_the_buffers_makes_no_bright_ground() -> None:
+    rng = np.random.default_rng(7)
+    farther, between = rng.poisson(30.0, (2, 50))
+    between[20] += 200
+    outside = np.zeros((50, 2, 4), np.int32)
+    outside[:, 0, 0], outside[:, 0, 3] = farther, farther + between
+    merged = {
+        "look_cell": np.arange(50), "interval": np.array([0]), "looks": np.array([50]),
+        "look_number": np.full(50, SHOT), "look_outside": outside,
+    }  # fmt: skip
+    expected = np.array([[1500.0], [3000.0]])
+    _, found = gains.ground(merged, np.array([0]), expected, (0, 3), np.ones(2))
+    np.testing.assert_allclose(found, 1.0, atol=0.2)
+    between[:25] *= 2
+    outside[:, 0, 0], outside[:, 0, 3] = 2 * farther, 2 * farther + between
+    outside[25:, 0] //= 2
+    _, found = gains.ground(merged, np.array([0]), expected, (0, 3), np.ones(2))
+    assert found[:20].mean() > 1.5 * found[30:].mean()
 
 
 def test_bright_and_dark_parcels_have_the_noise_that_they_send_back() -> None:
     flight = fly(shots=9000, albedo=parcels, noise_per_m=8e-4)
     beams = geometry.beams(flight.table, flight.trajectory)
     model = model_of(flight)
-    gain = ground_gain.looked_at(flight.table, beams, model)
+    gain = gains.looked_at(flight.table, beams, model)
     part, one_rate = (
         voxel_noise.deposit(flight.table, beams, model, SETTINGS, ground)[0]
         for ground in (gain, None)

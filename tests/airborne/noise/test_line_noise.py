@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.shot_runs import interval_rows, lag_behind, run_starts, share_out
 from spl_batch.airborne.noise import line_noise
-from spl_batch.airborne.noise.background_region import choose_region
-from spl_batch.airborne.noise.channel_gains import active_channels
+from spl_batch.airborne.noise.gains import active_channels
 from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
+from spl_batch.airborne.noise.line_noise import choose_region
 from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER
 from spl_batch.airborne.noise.noise_intervals import SUMMARY, densest_window
 from spl_batch.airborne.sensors.sensor import load_preset
@@ -314,44 +314,6 @@ def test_windows_count_the_shots_fired_and_the_beamlets_seen(
         span = min(start + window - 1, high[row[i]]) - max(start, low[row[i]]) + 1
         assert seen[i] == mine.sum()
         assert fired[i] == max(span, len(set(time[mine])))
-
-
-def test_intervals_with_signal_in_their_noise_region_are_no_background() -> None:
-    rng = np.random.default_rng(5)
-    interval = np.arange(400)
-    exposure = np.full(400, 5e4)
-    counted = rng.poisson(20.0, 400)
-    tower = (interval >= 200) & (interval < 215)
-    counted[tower] += 60
-    quiet = line_noise._quiet(interval, counted, exposure, 40, np.ones(400, np.bool_))
-    assert not quiet[tower].any()
-    assert quiet[~tower].mean() > 0.99
-    assert line_noise._quiet(interval, counted, exposure, 40, ~tower)[tower].all()
-
-
-def test_signal_beyond_the_buffer_is_told_from_a_bright_sky() -> None:
-    rng = np.random.default_rng(6)
-    exposure = np.full((500, 2), 9e4)
-    flat = np.zeros((500, 10))
-    even = rng.poisson(90.0, (500, 2))
-    light = np.where(np.arange(500) % 50 < 25, 3.0, 1.0)[:, None]
-    for sky in (1.0, light):
-        for sides in (90.0, (2300.0, 2000.0)):
-            counted = rng.poisson(sky * np.broadcast_to(sides, (500, 2)))
-            assert line_noise._torn(counted, exposure, flat, 30.0).mean() < 0.02
-    roofs = even.copy()
-    roofs[:50, 0] += 90
-    for sides in (roofs, roofs[:, ::-1]):
-        torn = line_noise._torn(sides, exposure, flat, 30.0)
-        assert torn[:50].mean() > 0.8
-        assert torn[50:].mean() < 0.03
-    exposure[:, 0] = 0.0
-    assert not line_noise._torn(even * np.array([0, 1]), exposure, flat, 30.0).any(), (
-        "nothing to compare with"
-    )
-    both = flat + np.eye(10)[line_noise.SUMMARY.index("signal_sd")] * 8.0
-    assert line_noise._torn(even, exposure, both, 30.0).all()
-    assert not line_noise._torn(even * np.array([0, 1]), exposure, both, 40.0).any()
 
 
 @pytest.mark.parametrize(("above", "more"), [(2000, "above"), (500, "below")])

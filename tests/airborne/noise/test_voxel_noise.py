@@ -202,15 +202,3 @@ def test_parts_add_up_to_the_last_bit(intervals: int, published: bool) -> None: 
     else:
         assert np.array_equal(sums["shots"], whole.shots)
         assert np.array_equal(sums["beamlets"], whole.beamlets)
-
-
-def test_voxels_at_the_ends_of_a_gate_take_their_neighbours_density() -> None:
-    per_m3 = np.random.default_rng(4).uniform(0.0, 1.0, (6, 4, 6))
-    found = voxel_noise.within_gate(per_m3)
-    for k in range(6):
-        most = per_m3[:, :, max(k - 1, 0) : k + 2].max(axis=2)
-        own = per_m3[:, :, k]
-        even = most <= 1.15 * own
-        assert even.any()
-        np.testing.assert_array_equal(found[:, :, k], np.where(even, own, most))
-    np.testing.assert_array_equal(voxel_noise.within_gate(per_m3[:, :, :1]), per_m3[:, :, :1])
