@@ -98,16 +98,16 @@ def grown(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) 
     cell_m : float
         Edge of a cell [m].
     """
-    held = grid >= 0
-    index = grid[held]
+    full = grid >= 0
+    index = grid[full]
     if len(index) <= NEAREST:
         return ground
     nodes, known = xyz[index], ground[index]
     around = np.asarray(cKDTree(nodes[:, :2]).query(nodes[:, :2], NEAREST + 1)[1])
-    bar = barred(xyz, grid, ground, cell_m)[held]
-    other = held.copy()
-    other[held] = ~known
-    beside_wall = edges(xyz[nearest, 2], other, cell_m)[held]
+    bar = barred(xyz, grid, ground, cell_m)[full]
+    other = full.copy()
+    other[full] = ~known
+    beside_wall = edges(xyz[nearest, 2], other, cell_m)[full]
     found = known.copy()
     _grow(nodes, around, beside_wall, ~bar, on_land(nodes, around, known), found)
     out = ground.copy()
