@@ -112,6 +112,7 @@ def test_results_are_those_of_a_local_store(
     surveys.run(survey, url, until="index", fresh=True)
     assert {k.split("/")[2] for k in keys("one") if "/receipts/" in k} == {
         "index_file",
+        "index_part",
         "trajectory",
         "trajectory_file",
     }
