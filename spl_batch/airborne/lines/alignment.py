@@ -49,7 +49,7 @@ class AlignedLine:
     name: str = Field(description="The flightline.")
     up_m: Measured = Field(description="Added to its heights [m].")
     found_m: Number = Field(description="The shift as found; null without a pair [m].")
-    sd_m: Number = Field(None, description="Standard deviation of it [m].")
+    sd_m: Number = Field(default=None, description="Standard deviation of it [m].")
     stays: Literal["", "kept", "not compared", "not sure", "too far"] = Field(
         description="Why nothing was added: the others are shifted against it; too few planar "
         "patches with others; less than two standard deviations; more than 2 m. Empty where "
@@ -88,8 +88,13 @@ def _decided(name: str, up_m: float, sd_m: float) -> AlignedLine:
     if np.isnan(up_m):
         return AlignedLine(name=name, up_m=0.0, found_m=None, stays=ALONE)
     shift = round(up_m * QUANTA_PER_M) / QUANTA_PER_M if abs(up_m) >= SURE * sd_m else 0.0
-    stays = "" if shift else UNSURE if sd_m else KEPT
-    return AlignedLine(name=name, up_m=shift, found_m=up_m, sd_m=sd_m, stays=stays)
+    return AlignedLine(
+        name=name,
+        up_m=shift,
+        found_m=up_m,
+        sd_m=sd_m,
+        stays="" if shift else UNSURE if sd_m else KEPT,
+    )
 
 
 def _solve(

@@ -72,14 +72,20 @@ class StripPair:
     )
     up_m: Measured = Field(description="The second above the first [m].")
     up_sd_m: Measured = Field(description="Standard deviation of it [m].")
-    east_m: Number = Field(None, description="The second east of the first; null if flat [m].")
-    north_m: Number = Field(None, description="The second north of the first; null if flat [m].")
-    horizontal_sd_m: Number = Field(
-        None, description="Standard deviation of these, in the worst direction [m]."
+    east_m: Number = Field(
+        default=None, description="The second east of the first; null if flat [m]."
     )
-    flat_patches: Count = Field(0, description="Smooth patches of up to 10 degrees [count].")
+    north_m: Number = Field(
+        default=None, description="The second north of the first; null if flat [m]."
+    )
+    horizontal_sd_m: Number = Field(
+        default=None, description="Standard deviation of these, in the worst direction [m]."
+    )
+    flat_patches: Count = Field(
+        default=0, description="Smooth patches of up to 10 degrees [count]."
+    )
     rmsd_z_m: Number = Field(
-        None, description="Root mean square of the vertical differences of these [m]."
+        default=None, description="Root mean square of the vertical differences of these [m]."
     )
     noise_m: Measured = Field(description="Ranging noise: spread about the smoothest patches [m].")
     squares: Count = Field(description="Squares of 100 m that hold the patches [count].")
