@@ -99,11 +99,22 @@ def all_layers(path: Path, *, fields: bool) -> Iterator[Layer]:
 
 
 def read_layers(path: Path, kinds: Sequence[int], *, fields: bool = False) -> Iterator[Layer]:
-    """Layers that hold shapes of some ``kinds`` (types of geometry), and of each only these.
+    """Layers that hold shapes of some kinds, and of each only these.
 
-    Layers of others are left out, and points; lines and collections among polygons, unless wanted,
-    are faults: they may be meant as areas. ``fields``: whether columns are read. InputError where
-    the file cannot be read, or a shape is missing, damaged or nowhere on Earth.
+    Parameters
+    ----------
+    path : Path
+        Any vector format that GDAL reads.
+    kinds : sequence of int
+        Types of geometry that are wanted. Layers of others are left out, and points; lines and
+        collections among polygons, unless wanted, are faults: they may be meant as areas.
+    fields : bool
+        Whether columns are read.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or a shape is missing, damaged or nowhere on Earth.
     """
     for layer in all_layers(path, fields=fields):
         chosen = np.isin(shapely.get_type_id(layer.shapes), kinds) & ~shapely.is_empty(layer.shapes)
@@ -155,10 +166,23 @@ def _as_one_line(path: Path) -> Iterator[None]:
 def in_crs(
     path: Path, shapes: Geometries, own: str | None, crs: CRS | None, *, heights: bool = False
 ) -> Geometries:
-    """Shapes of a file, whose CRS is ``own``, in another CRS; without both, as they are.
+    """Shapes of a file in another CRS.
 
-    ``heights``: whether heights are kept, as they are. InputError where one of both has no CRS, or
-    they cannot be transformed.
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    shapes : (n,) ndarray of Geometry
+        What it holds.
+    own, crs : str and CRS, or None
+        The file's CRS and the one that is wanted; without both, shapes are as they are.
+    heights : bool
+        Whether heights are kept, as they are.
+
+    Raises
+    ------
+    InputError
+        If one of both has no CRS, or they cannot be transformed.
     """
     if own is None and crs is None:
         return shapes

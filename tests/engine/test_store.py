@@ -18,8 +18,10 @@ from spl_batch.engine.store.working_store import (
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.verbs.progress import TRIES, forget_makers
 from spl_batch.errors import StoppedError, WorkflowError
+from spl_batch.formats.files import atomic
 from spl_batch.formats.files.atomic import (
     checksum,
+    is_as_written,
     owned_by,
     replacing,
     scratch_name,
@@ -192,6 +194,31 @@ def test_checksums_see_names_and_bytes(tmp_path: Path) -> None:
 def part(corner: tuple[int, int, int], shape: tuple[int, int, int], seed: int) -> VoxelPart:
     amount = np.random.default_rng(seed).integers(-(2**60), 2**60, shape)
     return VoxelPart(corner, amount)
+
+
+def test_what_is_missing_or_has_no_known_size_is_not_as_written(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    assert not is_as_written(path, -1, None, "")
+    assert not is_as_written(path, -1, 1, "")
+    path.write_bytes(b"1")
+    assert not is_as_written(path, -1, None, checksum(path))
+    assert is_as_written(path, 1, None, "")
+    assert is_as_written(path, 1, 1, checksum(path))
+    assert not is_as_written(path, 1, 1, "")
+
+
+@pytest.mark.parametrize("call", ["size", "checksum"])
+def test_what_cannot_be_read_is_not_as_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    def refuse(_: Path) -> int:
+        raise PermissionError
+
+    path = tmp_path / "a"
+    path.write_bytes(b"1")
+    content = checksum(path)
+    monkeypatch.setattr(atomic, call, refuse)
+    assert not is_as_written(path, 1, 1, content)
 
 
 def test_voxel_parts_add_up_in_any_order(tmp_path: Path) -> None:

@@ -132,14 +132,14 @@ def test_another_need_is_another_key(tmp_path: Path) -> None:
 
 
 def test_a_shelf_keeps_what_later_phases_read() -> None:
-    facts = {"points": 3, "z": [1, 2], "sources": ["7", "9"], "share": 0.1}
+    facts = {"points": 3, "sources": ["7", "9"], "share": 0.1}
     outputs = {"store/tiles/0_0.parquet": "c"}
     given = Receipt("build_tile", "0_0", "key", "0fd", "", outputs, facts, 3, 1.0, 9.0)
-    shelf = Shelf(replace(STEPS["build_tile"], unread=frozenset({"z"})))
+    shelf = Shelf(STEPS["build_tile"])
     shelf.put(given)
     kept = shelf["0_0"]
     assert (kept.digest, shelf.digest("0_0"), kept.points) == ("0fd", "0fd", 3)
-    assert kept.facts == {k: v for k, v in facts.items() if k != "z"}
+    assert kept.facts == facts
     assert (kept.outputs, len(shelf), "0_0" in shelf, "1_0" in shelf) == ({}, 1, True, False)
     delivered = Shelf(STEPS["mosaic"])
     delivered.put(Receipt("mosaic", "dtm", "", "d", "", {"dtm.tif": "c"}, {}, 0, 0.0, 0.0))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, NODATA
-from spl_batch.formats.rasters.parts import Part, read_part
+from spl_batch.formats.rasters.parts import RasterPart, read_part
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True)
-class Raster(Part):
+class Raster(RasterPart):
     """A raster that points are looked up in; nodata :data:`~spl_batch.constants.NODATA`."""
 
     @classmethod

@@ -24,7 +24,15 @@ LATE_MIN: Final = 0.02
 def expected_and_seen(
     part: Mapping[str, NDArray[Any]], law: AfterpulseLaw, noise_per_m: float, within_m: float
 ) -> tuple[float, int]:
-    """Followers behind a stretch's hard planes: expected by the flightline's law, and found."""
+    """Followers behind a stretch's hard planes: expected by the flightline's law, and found.
+
+    Parameters
+    ----------
+    part : dict
+        Result of :func:`~spl_batch.airborne.afterpulse.candidates.observe`.
+    law, noise_per_m
+        Of the flightline; background per metre of beamlet [1/m].
+    """
     _, followers, left = of_hard_planes(added([part]), law.sigma_m)
     low, high = LAG_EDGES_M[:-1], LAG_EDGES_M[1:]
     taken = (high > law.dead_m) & (high <= within_m + 0.5 * STEP_M)

@@ -12,7 +12,7 @@ from spl_batch.airborne.report.profile_strips import WIDTH_M, best_strip, strip_
 from spl_batch.airborne.store.label_tables import read_labelled_tile, units_within
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.formats.rasters.parts import Part
+from spl_batch.formats.rasters.parts import RasterPart
 from spl_batch.formats.verified.parquet_npz import read_table
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, parse_cell, quanta
@@ -142,6 +142,6 @@ def _fullest_strip(table: PointTable, bounds: Bounds) -> tuple[Bounds, int]:
     count = np.bincount(at, minlength=rows * columns).astype(np.float32)
     count = count.reshape(rows, columns)[::-1]
     north = bounds.ymin + rows * edge
-    part = Part(count, bounds.xmin * QUANTUM_M, north * QUANTUM_M, WIDTH_M)
+    part = RasterPart(count, bounds.xmin * QUANTUM_M, north * QUANTUM_M, WIDTH_M)
     strip, points = best_strip(part, strip_sums(part, count))
     return strip, int(points)

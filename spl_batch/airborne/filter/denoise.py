@@ -146,8 +146,14 @@ def independent(
 ) -> Independent:
     """Returns that are judged by themselves; none where nothing filters.
 
-    ``found``: from :func:`resolve`; the rest as for :func:`denoise`, of the table ``x, y, z,
-    flags`` at least.
+    Parameters
+    ----------
+    table : PointTable
+        As for :func:`denoise`; ``x, y, z, flags`` at least.
+    density, query, settings
+        As for :func:`denoise`.
+    found : Echoes
+        From :func:`resolve`.
     """
     echo, dependent = found
     judged = ~table.has(EXCLUDED) & ~echo & ~dependent & (settings.method != "none")
@@ -167,8 +173,21 @@ def judge(
 ) -> NoiseColumns:
     """Decide which points are noise, where it is known which are afterpulses.
 
-    ``chosen, found``: from :func:`independent` and :func:`resolve`; the rest, and what is given,
-    as for :func:`denoise`, of the table :data:`COLUMNS_JUDGED` at least.
+    Parameters
+    ----------
+    table : PointTable
+        As for :func:`denoise`, :data:`COLUMNS_JUDGED` at least.
+    chosen : Independent
+        From :func:`independent`.
+    query, settings
+        As for :func:`denoise`.
+    found : Echoes
+        From :func:`resolve`.
+
+    Returns
+    -------
+    NoiseColumns
+        As from :func:`denoise`.
     """
     echo, dependent = found
     excluded = table.has(EXCLUDED)
@@ -229,7 +248,13 @@ def resolve(
     settings: FilterSettings,
     afterpulse: AfterpulseSettings,
 ) -> afterpulse_decision.Echoes:
-    """Afterpulses, and returns that are no evidence of their own; asked as :func:`denoise` is."""
+    """Afterpulses, and returns that are no evidence of their own.
+
+    Parameters
+    ----------
+    table, density, settings, afterpulse
+        As for :func:`denoise`.
+    """
     if settings.method == "none":
         return afterpulse_decision.believed(table)
     found = afterpulse_decision.resolve(table, density, afterpulse)

@@ -24,7 +24,7 @@ from scipy.sparse.linalg import splu
 
 from spl_batch.airborne.lines.pair_table import HUBER, OWN_M, StripPair
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.engine.report.parts import STRICT, Number
+from spl_batch.engine.report.parts import STRICT, Measured, Number
 
 SURE: Final = 2.0
 """Standard deviations of a shift from which on it is applied."""
@@ -42,14 +42,14 @@ TOO_FAR: Final = "too far"
 """Why a flightline stays."""
 
 
-@dataclass(frozen=True, config=STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class AlignedLine:
     """What was added to the heights of a flightline, and how sure it is."""
 
     name: str = Field(description="The flightline.")
-    up_m: float = Field(description="Added to its heights [m].")
+    up_m: Measured = Field(description="Added to its heights [m].")
     found_m: Number = Field(description="The shift as found; null without a pair [m].")
-    sd_m: Number = Field(description="Standard deviation of it [m].")
+    sd_m: Number = Field(default=None, description="Standard deviation of it [m].")
     stays: Literal["", "kept", "not compared", "not sure", "too far"] = Field(
         description="Why nothing was added: the others are shifted against it; too few planar "
         "patches with others; less than two standard deviations; more than 2 m. Empty where "
@@ -76,7 +76,9 @@ def align_lines(
         worst = int(length.argmax())
         far[names[worst]] = float(up[worst])
     return [
-        AlignedLine(name, 0.0, far[name], None, TOO_FAR) if name in far else _decided(name, *found)
+        AlignedLine(name=name, up_m=0.0, found_m=far[name], stays=TOO_FAR)
+        if name in far
+        else _decided(name, *found)
         for name, *found in zip(names, up.tolist(), sd.tolist(), strict=True)
     ]
 
@@ -84,9 +86,15 @@ def align_lines(
 def _decided(name: str, up_m: float, sd_m: float) -> AlignedLine:
     """What is applied to a flightline."""
     if np.isnan(up_m):
-        return AlignedLine(name, 0.0, None, None, ALONE)
+        return AlignedLine(name=name, up_m=0.0, found_m=None, stays=ALONE)
     shift = round(up_m * QUANTA_PER_M) / QUANTA_PER_M if abs(up_m) >= SURE * sd_m else 0.0
-    return AlignedLine(name, shift, up_m, sd_m, "" if shift else UNSURE if sd_m else KEPT)
+    return AlignedLine(
+        name=name,
+        up_m=shift,
+        found_m=up_m,
+        sd_m=sd_m,
+        stays="" if shift else UNSURE if sd_m else KEPT,
+    )
 
 
 def _solve(

@@ -30,7 +30,7 @@ from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.errors import grouped
-from spl_batch.formats.rasters.parts import Part
+from spl_batch.formats.rasters.parts import RasterPart
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import EXCLUDED, PointTable
 from spl_batch.lattice.tiles import quanta
@@ -136,7 +136,7 @@ def pairs_of(facts: Mapping[str, Any]) -> list[StripPair]:
     return [StripPair(**pair) for pair in facts["pairs"]]
 
 
-def difference_map(context: Context) -> Part | None:
+def difference_map(context: Context) -> RasterPart | None:
     """Map of :func:`strip_pairs` [m]; None where no two flightlines share planar patches.
 
     Raises DamagedError if the file is damaged: who writes a report has it made again.
@@ -144,7 +144,7 @@ def difference_map(context: Context) -> Part | None:
     arrays = read_arrays(context.store.path("overlaps", "map.npz"))
     if not arrays["values"].size:
         return None
-    return Part(arrays["values"], *arrays["place_m"].tolist())
+    return RasterPart(arrays["values"], *arrays["place_m"].tolist())
 
 
 def _returns(cells: Iterable[_Cell]) -> Counter[str]:

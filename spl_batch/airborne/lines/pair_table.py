@@ -18,7 +18,7 @@ from pydantic.dataclasses import dataclass
 from scipy.special import ndtr, stdtrit
 
 from spl_batch.airborne.lines.patches import FLAT, Patches
-from spl_batch.engine.report.parts import STRICT, Count, Number
+from spl_batch.engine.report.parts import STRICT, Count, Measured, Number
 
 FEWEST: Final = 10
 """Patches of a pair that tell something, at least [count]."""
@@ -59,27 +59,35 @@ QUARTER: Final = 0.25
 """Share of the patches that are taken for smooth: the thickest of these is the ranging noise."""
 
 
-@dataclass(frozen=True, config=STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class StripPair:
     """Where a flightline lies against another that overlaps it, from planar patches of both."""
 
     first: str = Field(description="The flightline that is compared with.")
     second: str = Field(description="The one that is compared.")
     patches: Count = Field(description="Planar patches that both have [count].")
-    area_m2: float = Field(description="Area of these patches [m2].")
-    centre_m: tuple[float, float] = Field(description="Easting and northing of their middle [m].")
-    up_m: float = Field(description="The second above the first [m].")
-    up_sd_m: float = Field(description="Standard deviation of it [m].")
-    east_m: Number = Field(description="The second east of the first; null if flat [m].")
-    north_m: Number = Field(description="The second north of the first; null if flat [m].")
+    area_m2: Measured = Field(description="Area of these patches [m2].")
+    centre_m: tuple[Measured, Measured] = Field(
+        description="Easting and northing of their middle [m]."
+    )
+    up_m: Measured = Field(description="The second above the first [m].")
+    up_sd_m: Measured = Field(description="Standard deviation of it [m].")
+    east_m: Number = Field(
+        default=None, description="The second east of the first; null if flat [m]."
+    )
+    north_m: Number = Field(
+        default=None, description="The second north of the first; null if flat [m]."
+    )
     horizontal_sd_m: Number = Field(
-        description="Standard deviation of these, in the worst direction [m]."
+        default=None, description="Standard deviation of these, in the worst direction [m]."
     )
-    flat_patches: Count = Field(description="Smooth patches of up to 10 degrees [count].")
+    flat_patches: Count = Field(
+        default=0, description="Smooth patches of up to 10 degrees [count]."
+    )
     rmsd_z_m: Number = Field(
-        description="Root mean square of the vertical differences of these [m]."
+        default=None, description="Root mean square of the vertical differences of these [m]."
     )
-    noise_m: float = Field(description="Ranging noise: spread about the smoothest patches [m].")
+    noise_m: Measured = Field(description="Ranging noise: spread about the smoothest patches [m].")
     squares: Count = Field(description="Squares of 100 m that hold the patches [count].")
 
     @property
@@ -141,16 +149,16 @@ def _difference(first: str, second: str, patches: Patches) -> StripPair:
     area = patches["edge_m"] ** 2
     x_m, y_m = (float(np.average(patches[axis], weights=area)) for axis in "xy")
     return StripPair(
-        first,
-        second,
-        len(area),
-        float(area.sum()),
-        (x_m, y_m),
-        *fit_shift(patches),
-        len(flat),
-        float(np.sqrt(np.mean(flat**2))) if len(flat) else None,
-        noise,
-        int(_square(patches).max()) + 1,
+        first=first,
+        second=second,
+        patches=len(area),
+        area_m2=float(area.sum()),
+        centre_m=(x_m, y_m),
+        **fit_shift(patches)._asdict(),
+        flat_patches=len(flat),
+        rmsd_z_m=float(np.sqrt(np.mean(flat**2))) if len(flat) else None,
+        noise_m=noise,
+        squares=int(_square(patches).max()) + 1,
     )
 
 

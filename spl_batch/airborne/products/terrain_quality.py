@@ -90,11 +90,21 @@ def scatter_of(
 
 
 def terrain_sigma(means: Grid, cell_m: float, scatter: Scatter | None = None) -> Grid:
-    """Standard deviation of a terrain model that is interpolated between some cells [m].
+    """Standard deviation of a terrain model that is interpolated between some cells.
 
-    NaN where no ring holds enough ground to tell. ``means``: (rows, columns, 3), place and height
-    of the ground in each cell [m], NaN without; ``cell_m``: edge of a cell; ``scatter``: that of
-    the returns of each cell, which has one by default.
+    Parameters
+    ----------
+    means : (rows, columns, 3) float64
+        Place and height of the ground in each cell [m]; NaN without ground.
+    cell_m : float
+        Edge of a cell [m].
+    scatter : Scatter, optional
+        That of the returns of each cell; each cell has one by default.
+
+    Returns
+    -------
+    (rows, columns) float64
+        Standard deviation [m]; NaN where no ring holds enough ground to tell.
     """
     ground = _Ground(means, ~np.isnan(means[:, :, 2]), cell_m)
     radii = rings(cell_m)

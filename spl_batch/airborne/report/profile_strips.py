@@ -12,7 +12,7 @@ from spl_batch.airborne.store.flown_lines import read_shifts
 from spl_batch.airborne.store.label_tables import read_region, units_within
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.formats.rasters.parts import Part
+from spl_batch.formats.rasters.parts import RasterPart
 from spl_batch.lattice.tables import TILE_COLUMNS
 from spl_batch.lattice.tiles import Bounds, cells_touching, quanta
 
@@ -58,7 +58,7 @@ def read_strip(
     )
 
 
-def tallest_strip(height: Part) -> Bounds:
+def tallest_strip(height: RasterPart) -> Bounds:
     """Covered strip with the largest sum of heights above ground; the first of equals.
 
     Heights count in full where the strip also shows :data:`_GROUND_SHARE` of ground: under a closed
@@ -71,14 +71,14 @@ def tallest_strip(height: Part) -> Bounds:
     return best_strip(height, _COVER_M * cover + strip_sums(height, capped) * open_share)[0]
 
 
-def strip_sums(part: Part, values: NDArray[Any]) -> NDArray[np.float64]:
+def strip_sums(part: RasterPart, values: NDArray[Any]) -> NDArray[np.float64]:
     """Sums of values of a raster's cells over the strips that begin in each, (rows, m) float64."""
     length = min(max(round(LENGTH_M / part.cell_m), 1), values.shape[1])
     total = np.cumsum(np.pad(values.astype(np.float64), ((0, 0), (1, 0))), axis=1)
     return np.asarray(total[:, length:] - total[:, :-length])
 
 
-def best_strip(part: Part, score: NDArray[np.float64]) -> tuple[Bounds, float]:
+def best_strip(part: RasterPart, score: NDArray[np.float64]) -> tuple[Bounds, float]:
     """Strip of the highest score, the first of equals, and that score.
 
     ``score``: of the strip that begins in each cell, as :func:`strip_sums` has them.

@@ -57,7 +57,7 @@ from spl_batch.engine.report.run_record import (
     remember,
 )
 from spl_batch.formats.geoid import grid_file
-from spl_batch.formats.rasters.parts import Part, read_overview
+from spl_batch.formats.rasters.parts import RasterPart, read_overview
 
 
 def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
@@ -294,7 +294,7 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
     return provenance(context, inputs)
 
 
-def _parts(done: Receipts, context: Context, found: Comparison | None) -> dict[str, Part]:
+def _parts(done: Receipts, context: Context, found: Comparison | None) -> dict[str, RasterPart]:
     """Rasters that pictures are drawn from, by the names of these."""
     parts = {name: _overview(context.output / f"{name}.tif") for name in OF_PRODUCTS}
     parts["noise_density"] = _overview(context.store.local / "noise.tif")
@@ -303,5 +303,5 @@ def _parts(done: Receipts, context: Context, found: Comparison | None) -> dict[s
     return {name: part for name, part in parts.items() if part is not None}
 
 
-def _overview(path: Path) -> Part | None:
+def _overview(path: Path) -> RasterPart | None:
     return read_overview(path) if path.exists() else None

@@ -185,10 +185,19 @@ class LabelFiles:
     def read(
         self, unit: Unit, tile: CellId, names: Sequence[str], rows: tuple[int, int]
     ) -> dict[str, NDArray[Any]]:
-        """Labels that a unit gave to points of a tile: (m,) each.
+        """Labels that a unit gave to points of a tile.
 
-        And ``row``: which rows of the tile they belong to, increasing. ``rows``: first and last row
-        that are wanted; row groups are read whole.
+        Parameters
+        ----------
+        unit : Unit
+            Its kind and name.
+        rows : (int, int)
+            First and last row of the tile that are wanted; row groups are read whole.
+
+        Returns
+        -------
+        dict of str to (m,) ndarray
+            The labels, and ``row``: which rows of the tile they belong to, increasing.
         """
         with naming_damage(self._store.table(*unit)):
             return self._file(unit).read(tile, names, rows)

@@ -34,7 +34,7 @@ from spl_batch.engine.report.run_record import Receipts, RunFacts
 from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.errors import DamagedError
-from spl_batch.formats.rasters.parts import Part, overview_frame
+from spl_batch.formats.rasters.parts import RasterPart, overview_frame
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, inside, overlap, parse_cell, quanta
@@ -150,7 +150,7 @@ class Comparison:
 
     accuracy: Accuracy
     differences_m: NDArray[np.float32]  #: (n,): every so many-th DTM minus reference by size [m].
-    difference: Part  #: Mean difference by cell [m].
+    difference: RasterPart  #: Mean difference by cell [m].
     own_share: float | None  #: Of those looked at, share that are the survey's own points, 0..1.
 
 
@@ -184,7 +184,7 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
     return Comparison(
         accuracy,
         by_product[0].get("all", Tally()).sample_m(SAMPLE),
-        Part(values, grid.left_m, grid.top_m, grid.cell_m),
+        RasterPart(values, grid.left_m, grid.top_m, grid.cell_m),
         share,
     )
 

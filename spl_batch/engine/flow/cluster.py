@@ -97,10 +97,26 @@ def executor(
 ) -> Iterator[Executor]:
     """Give somewhere to run tasks; workers are started, or looked for, before the first of them.
 
-    ``workers`` of 0 work in this process; ``memory_bytes`` is the limit of each local worker, or
-    what a task may need of those of a ``scheduler`` that runs elsewhere. Before the first task the
-    executor raises :class:`WorkflowError` if the workers cannot do the work, and
-    :class:`StoppedError` if the scheduler cannot be reached.
+    Parameters
+    ----------
+    workers : int
+        Worker processes of a local cluster; 0 works in this process.
+    memory_bytes : int
+        Memory limit of each local worker, or what a task may need of others' workers [byte].
+    scheduler : str or None
+        Address of a running scheduler, which is used instead.
+    observer : Observer
+        Notified of what happens to tasks and workers.
+    handshake : Handshake
+        What every worker has to find: this code, and the shared path.
+    warm_up : WarmUp, optional
+        What local workers do before their first task.
+
+    Yields
+    ------
+    Executor
+        Where to run tasks; before the first one it raises :class:`WorkflowError` if the workers
+        cannot do the work, and :class:`StoppedError` if the scheduler cannot be reached.
     """
     if scheduler is None and workers == 0:
         yield InProcess(observer)

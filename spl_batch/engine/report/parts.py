@@ -9,7 +9,14 @@ import operator
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Final, Literal, SupportsIndex
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    PlainSerializer,
+)
 
 SCHEMA_VERSION: Final = 1
 """Raised when a field of ``report.json`` is renamed or removed."""
@@ -50,6 +57,18 @@ def _plain_integer(value: Any) -> Any:
 Number = Annotated[float | None, BeforeValidator(finite_or_none)]
 
 
+def _nan_if_null(value: Any) -> Any:
+    return math.nan if value is None else value
+
+
+Measured = Annotated[
+    float,
+    BeforeValidator(_nan_if_null),
+    PlainSerializer(finite_or_none, return_type=float | None),
+]
+"""A number that code computes with: finite or null in the report, NaN for null in memory."""
+
+
 Count = Annotated[int, BeforeValidator(_plain_integer), Field(ge=0)]
 
 
@@ -57,7 +76,7 @@ Parameters = Annotated[dict[str, JsonValue], BeforeValidator(finite_or_none)]
 
 
 STRICT: Final = ConfigDict(extra="forbid")
-"""Of a part of the report that is a frozen dataclass of pydantic's, which takes values by place."""
+"""Of a part of the report that is a frozen dataclass of pydantic's."""
 
 
 class Part(BaseModel):

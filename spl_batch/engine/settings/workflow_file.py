@@ -31,7 +31,13 @@ def parse_any(content: Mapping[str, Any], where: str) -> BaseWorkflow:
 
 
 def known_kind(content: Mapping[str, Any], where: str) -> str:
-    """Receiver that a file is for, by its ``kind``; airborne surveys where it has none."""
+    """Receiver that a file is for, by its ``kind``; airborne surveys where it has none.
+
+    Raises
+    ------
+    WorkflowError
+        If there is no such receiver.
+    """
     kind = content.get("kind", IMAGING)
     if kind not in HOMES:
         near = difflib.get_close_matches(str(kind), HOMES, n=1, cutoff=0.0)

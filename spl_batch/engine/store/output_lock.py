@@ -25,10 +25,18 @@ PATIENCE_S: Final = 1.0
 
 @contextmanager
 def locked(output: Path) -> Iterator[str]:
-    """Keep two runs out of one output; WorkflowError where another works or nothing can be written.
+    """Keep two runs out of one output.
 
-    Yields what the lock file holds while the block runs: who works here, and a token that no other
-    run has.
+    Yields
+    ------
+    str
+        What the lock file holds while the block runs: who works here, and a token that no
+        other run has.
+
+    Raises
+    ------
+    WorkflowError
+        If another run works there, or nothing can be written there.
     """
     path = lock_file(output)
     try:

@@ -23,8 +23,7 @@ W = TypeVar("W", bound=BaseWorkflow)
 class Shelf(Mapping[str, Receipt]):
     """Receipts of the finished tasks of one step, by name.
 
-    They lack the key, the cost and the step's unread facts, and the outputs too unless a user sees
-    them.
+    They lack the key and the cost, and the outputs too unless a user sees them.
     """
 
     def __init__(self, step: Step) -> None:
@@ -33,9 +32,8 @@ class Shelf(Mapping[str, Receipt]):
 
     def put(self, receipt: Receipt) -> None:
         """Keep a receipt, in place of an earlier one of that name."""
-        facts = {k: v for k, v in receipt.facts.items() if k not in self._step.unread}
         outputs = dict(receipt.outputs) if self._step.delivers else {}
-        content = [receipt.digest, receipt.points, outputs, facts]
+        content = [receipt.digest, receipt.points, outputs, receipt.facts]
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
         self._kept[receipt.name] = text.encode()
 

@@ -35,8 +35,6 @@ class Step:
     bind: Callable[[Mapping[str, Any], Collection[Need]], Any] | str | None = None
     unit: str = ""  #: What a user calls that which one of its tasks works on, such as ``tile``.
     delivers: bool = False  #: Whether users see what its tasks write.
-    #: Facts that are read from receipts on disk alone: memory does without them.
-    unread: frozenset[str] = frozenset()
     bytes_per_point: int = 0  #: Peak memory by each point that a task holds at once [byte].
     remedy: str = ""  #: What makes its tasks lighter where memory is short.
 

@@ -235,11 +235,17 @@ def size(path: Path) -> int:
 def is_as_written(path: Path, bytes_: int, written_ns: int | None, content: str) -> bool:
     """Whether a file or directory has its size, and its time of writing or else its checksum.
 
-    One without a time is known by its size.
+    One without a time is known by its size. One that is not there, that has no known size
+    (``bytes_`` is negative) or that cannot be read is not as written.
     """
-    if size(path) != bytes_:
+    try:
+        if bytes_ < 0 or size(path) != bytes_:
+            return False
+        if written_ns is None or written_ns == path.stat().st_mtime_ns:
+            return True
+        return checksum(path) == content
+    except OSError:
         return False
-    return written_ns in {None, path.stat().st_mtime_ns} or checksum(path) == content
 
 
 def names_in(folder: Path, suffix: str) -> list[str]:

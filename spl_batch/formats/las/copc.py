@@ -65,7 +65,17 @@ class Cube(NamedTuple):
 
 
 def write_copc(path: Path, frame: Frame, records: NDArray[Any]) -> int:
-    """Write records of a frame's layout, format 6 to 8, as COPC, atomically; their count."""
+    """Write records as COPC, atomically; their count.
+
+    Parameters
+    ----------
+    path : Path
+        Final name.
+    frame : Frame
+        Everything but the points; point format 6 to 8, the same scale on every axis.
+    records : (n,) structured
+        Of the frame's layout.
+    """
     cube, nodes = octree(records)
     with output_file(path) as file:
         _write(file, frame, records, cube, nodes)

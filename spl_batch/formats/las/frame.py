@@ -214,7 +214,14 @@ class Extent:
 def write_laz(path: Path, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
     """Write a LAS 1.4 file atomically, compressed but for point formats 9 and 10; count of points.
 
-    ``chunks``: records of the frame's layout, (n,) each.
+    Parameters
+    ----------
+    path : Path
+        Final name; its folder is made where missing.
+    frame : Frame
+        Everything but the points.
+    chunks : iterable of (n,) structured
+        Records of the frame's layout.
     """
     laz = None if frame.layout.point_format in _UNCOMPRESSED else laz_record(frame.layout)
     with output_file(path) as file:

@@ -18,7 +18,7 @@ from spl_batch.errors import DamagedError
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class RasterPart:
     """Values and where they lie."""
 
     values: NDArray[np.float32]  #: (rows, cols): row 0 northernmost; nodata as in the file.
@@ -37,7 +37,7 @@ class Part:
 
 def read_overview(
     path: Path, largest: int = 1200, bounds_m: tuple[float, float, float, float] | None = None
-) -> Part:
+) -> RasterPart:
     """Raster, averaged so that no side has more cells than ``largest``.
 
     Parameters
@@ -81,7 +81,7 @@ def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, fl
         return (*shape, source.transform.c, source.transform.f, source.transform.a * step)
 
 
-def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Part | None:
+def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> RasterPart | None:
     """Cells that a region touches, and one more around; None where the raster has none.
 
     ``bounds_m``: (float, float, float, float), west, south, east, north [m].
@@ -132,8 +132,8 @@ def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]
     return step, (rows, columns)
 
 
-def _part(source: Any, values: NDArray[Any], rows: range, cols: range, step: int) -> Part:
+def _part(source: Any, values: NDArray[Any], rows: range, cols: range, step: int) -> RasterPart:
     """Values from a row and a column on, each of ``step`` cells of the raster."""
     left, top, cell = source.transform.c, source.transform.f, source.transform.a
     left_m, top_m = left + cols.start * cell, top - rows.start * cell
-    return Part(values.astype(np.float32), left_m, top_m, cell * step)
+    return RasterPart(values.astype(np.float32), left_m, top_m, cell * step)

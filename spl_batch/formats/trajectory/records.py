@@ -65,12 +65,25 @@ _NUMBER: Final = r"^\s*(?P<number>-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*$"
 def read_records(
     path: Path, warn: Callable[[str], object] | None = None
 ) -> Generator[Records, None, None]:
-    """Sound records of a file, in its order: (n,) times and (n, 3) positions as it has them.
+    """Records of a file that can be, in its order.
 
-    CSV (``gps_time,x,y,z``; any order and case, further columns allowed, comma, semicolon or tab),
-    Parquet with the same columns, or SBET (``.out``, ``.sbet``) as longitude and latitude [deg] and
-    height [m]. ``warn`` is called at the end with one sentence on what was left out, if anything.
-    InputError for one that is missing or damaged, or of which more than :data:`MOST_WRONG` is.
+    Parameters
+    ----------
+    path : Path
+        CSV (``gps_time,x,y,z``; any order and case, further columns allowed, comma,
+        semicolon or tab), Parquet with the same columns, or SBET (``.out``, ``.sbet``).
+    warn : callable, optional
+        Called at the end with one sentence on what was left out, where something was.
+
+    Yields
+    ------
+    time_s, position : (n,) and (n, 3) float64
+        As the file has them; of an SBET longitude and latitude [deg] and height [m].
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged, or more than :data:`MOST_WRONG` of its records cannot be.
     """
     sieve = _Sieve(path)
     for time, position in _batches(path, sieve):

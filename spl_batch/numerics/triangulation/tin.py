@@ -66,7 +66,14 @@ def facet_planes(
 ) -> None:
     """Plane z = c + a (x - x0) + b (y - y0) through each triangle, 0 its first corner.
 
-    ``out``, (t, 3), receives a, b [rise/run] and c [m]; a triangle of no area gets the mean height.
+    Parameters
+    ----------
+    xyz : (v, 3) float64
+        Vertices [m].
+    facets : (t, 3) int32
+        Triangles.
+    out : (t, 3) float64
+        a, b [rise/run] and c [m]; a triangle of no area gets the plane z = mean height.
     """
     for t in range(len(facets)):
         i, j, k = facets[t]
@@ -223,9 +230,14 @@ def locate(
     y: NDArray[np.float64],
     out: NDArray[np.int32],
 ) -> None:
-    """Triangle that holds each place [m], or :data:`OUTSIDE`, into ``out`` (n,).
+    """Triangle that holds each place; places near each other should follow each other.
 
-    Places near each other should follow each other.
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Places [m].
+    out : (n,) int32
+        Triangle, or :data:`OUTSIDE`.
     """
     last = 0
     for i in range(len(x)):

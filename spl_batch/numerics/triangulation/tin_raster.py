@@ -28,11 +28,21 @@ def paint_triangles(
     size: float,
     out: NDArray[np.float64],
 ) -> None:
-    """Write the plane through each triangle into the cells of ``size`` whose centres it holds.
+    """Write the plane through each triangle into the cells whose centres it holds.
 
-    ``vertices``, (m, 3), are relative to the raster's south-west corner. A centre on a shared edge
-    takes the triangle that comes first; both give the same height there. Cells of ``out`` outside
-    every triangle keep what they hold, which must be NaN.
+    A centre on a shared edge takes the triangle that comes first; both give the same
+    height there.
+
+    Parameters
+    ----------
+    vertices : (m, 3) float64
+        x, y, z relative to the raster's south-west corner [any one unit].
+    simplices : (t, 3) int32
+        Vertices of each triangle.
+    size : float
+        Edge of a raster cell [unit of the vertices].
+    out : (rows, cols) float64, written
+        Heights; cells outside every triangle keep what they hold, which must be NaN.
     """
     rows, cols = out.shape
     for t in range(len(simplices)):

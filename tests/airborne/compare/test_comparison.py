@@ -179,7 +179,7 @@ def test_stores_share_what_is_finished(
                 "scatter", name, "k", "d", reason, {f"store/voxels/{name}": "x"}, {}, 1, 1.0, 1.0
             ),
         )
-    share_finished(source, target, ["scatter", "gather"])
+    share_finished(source, target, ["scatter", "sights"])
     assert (target.path("voxels", "one") / "c").read_text() == "one"
     assert not target.path("voxels", "two").exists()
     assert read_receipt(target, "scatter", "one") == read_receipt(source, "scatter", "one")

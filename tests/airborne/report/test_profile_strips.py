@@ -5,13 +5,13 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.report.profile_strips import tallest_strip
 from spl_batch.constants import NODATA
-from spl_batch.formats.rasters.parts import Part
+from spl_batch.formats.rasters.parts import RasterPart
 from spl_batch.lattice.tiles import Bounds
 
 
 def strip(values: NDArray[np.float64]) -> Bounds:
     """Strip of a CHM of 1 m cells with its lower left corner at (0, 0) [m]."""
-    found = tallest_strip(Part(values.astype(np.float32), 0.0, float(len(values)), 1.0))
+    found = tallest_strip(RasterPart(values.astype(np.float32), 0.0, float(len(values)), 1.0))
     return Bounds(*(edge // 500 for edge in found))
 
 

@@ -10,7 +10,7 @@ import pytest
 from spl_batch.airborne.products.product_table import PRODUCTS
 from spl_batch.airborne.report import summarise
 from spl_batch.airborne.report.pictures import PICTURES
-from spl_batch.formats.rasters.parts import Part
+from spl_batch.formats.rasters.parts import RasterPart
 
 
 def test_each_raster_with_a_picture_is_read(
@@ -18,8 +18,8 @@ def test_each_raster_with_a_picture_is_read(
 ) -> None:
     numbers = {f"{product.name}.tif": k for k, product in enumerate(PRODUCTS)}
 
-    def overview(path: Path, _: Any = None) -> Part:
-        return Part(np.full((2, 2), numbers[path.name], np.float32), 0.0, 2.0, 1.0)
+    def overview(path: Path, _: Any = None) -> RasterPart:
+        return RasterPart(np.full((2, 2), numbers[path.name], np.float32), 0.0, 2.0, 1.0)
 
     monkeypatch.setattr(summarise, "_overview", overview)
     context: Any = SimpleNamespace(output=tmp_path, store=SimpleNamespace(local=tmp_path))

@@ -88,7 +88,21 @@ class SceneArrays(NamedTuple):
 
 @njit()
 def bilinear(values: NDArray[Any], grid: NDArray[np.float64], x: float, y: float) -> Any:
-    """Value and two slopes of (ny, nx) node values at a place; beyond its edge the edge goes on."""
+    """Value and gradient of a bilinear grid; beyond its edge the edge goes on.
+
+    Parameters
+    ----------
+    values : (ny, nx) float64
+        Node values.
+    grid : (3,) float64
+        x and y of the first node, and the step [m].
+    x, y : float
+        Place [m].
+
+    Returns
+    -------
+    value, dvalue/dx, dvalue/dy : float
+    """
     ny, nx = values.shape
     u = min(max((x - grid[0]) / grid[2], 0.0), nx - 1.000001)
     v = min(max((y - grid[1]) / grid[2], 0.0), ny - 1.000001)
