@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.diagnostics.patches import largest_of_squares
-from spl_batch.airborne.noise.haze_counts import CUBE_M, WINDOW
+from spl_batch.airborne.noise.haze import CUBE_M, WINDOW
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.report.run_record import Receipts

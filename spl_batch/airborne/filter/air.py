@@ -10,13 +10,15 @@ from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.filter import denoise as denoising
 from spl_batch.airborne.filter.expected_noise import Expected, NoiseModel
 from spl_batch.airborne.noise.haze import (
+    CUBE_M,
+    WINDOW,
     Air,
     Layers,
+    count_cubes,
     find_air,
     noise_by_layer,
     noise_with_air,
 )
-from spl_batch.airborne.noise.haze_counts import CUBE_M, WINDOW, count_cubes
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta

@@ -7,13 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.noise import voxel_noise
-from spl_batch.airborne.noise.local_noise import (
-    MARGIN_VOXELS,
-    SQUARES,
-    around,
-    listened,
-    places,
-)
+from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS, SQUARES, around, listened
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.lattice.tables import VoxelPart
 from spl_batch.lattice.tiles import cell_index, quanta, shared_box
@@ -81,8 +75,7 @@ class NoiseModel(NamedTuple):
 
     def listened(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
         """The same, 0 where no flightline is known to listen, as beyond a gate: (n,) [1/m3]."""
-        top = self.box.shape[2] - 1
-        return around(self.heard, *places(xyz, self.box.edge, self.box.corner, top))
+        return around(self.heard, xyz, self.box.edge, self.box.corner)
 
     def mean(
         self, xyz: Sequence[NDArray[np.integer[Any]]], told: NDArray[np.bool_]

@@ -39,10 +39,17 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.airborne.noise.haze_counts import CELL_M, CUBE_M, WINDOW, Axes, Counts
+from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.lattice.tiles import quanta
 
-DOMAIN: Final = "space"
+CUBE_M: Final = 5.0
+"""Edge of a cube [m]: air changes over tens of metres."""
+
+CELL_M: Final = 1.0
+"""Edge of the cells in which clumping is looked for [m]."""
+
+WINDOW: Final = 5
+"""Cubes along the edge of a square that is looked at."""
 
 REACH_M: Final = (WINDOW + 1) * CUBE_M
 """How far a point's noise looks: half a square to its middle, half a square on, one cube beside."""
@@ -87,8 +94,21 @@ flightlines; elsewhere it changes over tens of metres."""
 EXACT: Final = 2.0**20
 """Parts of an expected return: whole ones add up alike in any blocks."""
 
+Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+
 Expected = Callable[[Axes], NDArray[np.float64]]
 """Noise that the model expects at places [quanta]: three (m,) int64 to (m,) [1/m3]."""
+
+
+class Counts(NamedTuple):
+    """Returns of cubes, and their pairs in columns and cells."""
+
+    corner: tuple[int, int]  #: Index of the first cube along x and y on the absolute lattice.
+    layer: NDArray[np.int64]  #: (l,): index of each layer; those without a return are left out.
+    held: NDArray[np.int32]  #: (nx, ny, l): returns [count].
+    #: (nx, ny, l): ordered pairs of them that share a column, and a cell.
+    columns: NDArray[np.int64]
+    cells: NDArray[np.int64]
 
 
 class Air(NamedTuple):
@@ -107,6 +127,55 @@ class Layers(NamedTuple):
     layer: NDArray[np.int64]  #: (l,): index on the absolute lattice.
     returns: NDArray[np.int64]  #: (l,): returns [count].
     expected: NDArray[np.float64]  #: (l,): by the model [count].
+
+
+def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
+    """Returns of each cube, and their pairs; None where nothing counts.
+
+    Half a square of empty cubes lies around: edges of the points and ragged edges within them are
+    treated alike.
+
+    Parameters
+    ----------
+    xyz : three of (n,) integer
+        Absolute coordinates [quanta].
+    counted : (n,) bool
+        Returns that count: independent ones.
+    """
+    rows = np.flatnonzero(counted)
+    if not len(rows):
+        return None
+    half, parts = WINDOW // 2, round(CUBE_M / CELL_M)
+    cell = [axis[rows].astype(np.int64, copy=False) // quanta(CELL_M) for axis in xyz]
+    cube = [axis // parts for axis in cell]
+    low = [int(axis.min()) for axis in cube]
+    nx, ny, nz = (int(axis.max()) - least + 1 for axis, least in zip(cube, low, strict=True))
+    held = np.bincount(cube[2] - low[2], minlength=nz) > 0
+    layer = np.flatnonzero(held)
+    cube[2] = (np.cumsum(held) - 1)[cube[2] - low[2]]
+    corner = (low[0] - half, low[1] - half)
+    shape = (nx + 2 * half, ny + 2 * half, len(layer))
+    # One number for each cell: those of a column follow each other, and those of a cube.
+    number = (cube[0] - corner[0]) * shape[1] + cube[1] - corner[1]
+    number = number * shape[2] + cube[2]
+    for axis in cell:
+        number *= parts
+        number += axis % parts
+    number.sort()
+    starts = run_starts(number)
+    number, in_cell = number[starts[:-1]], np.diff(starts)
+    starts = run_starts(number // parts)[:-1]
+    in_column = np.add.reduceat(in_cell, starts)
+    of_cell, of_column = number // parts**3, number[starts] // parts**3
+    count, columns, cells = (
+        np.bincount(at, values, np.prod(shape)).reshape(shape).astype(np.int64)
+        for at, values in (
+            (of_cell, in_cell),
+            (of_column, in_column * (in_column - 1)),
+            (of_cell, in_cell * (in_cell - 1)),
+        )
+    )
+    return Counts(corner, layer + low[2], count.astype(np.int32), columns, cells)
 
 
 def find_air(counts: Counts, expected: Expected) -> Air | None:

@@ -26,8 +26,6 @@ from spl_batch.airborne.noise.voxel_noise import BEAMLET
 from spl_batch.lattice.tables import VOXEL_FIXED_POINT
 from spl_batch.numerics.compiled import njit
 
-DOMAIN: Final = "space"
-
 SQUARES: Final = 4
 """Squares along the edge of a voxel; (4 nx, 4 ny, nz) in all, layer by layer."""
 
@@ -90,55 +88,37 @@ def listened(
     return density
 
 
-def places(
-    xyz: Sequence[NDArray[np.integer[Any]]], edge: int, corner: Sequence[int], top: int
-) -> tuple[tuple[NDArray[np.int64], ...], tuple[NDArray[np.float64], ...]]:
-    """Squares and layers of points, and how far they lie off the middles of both.
-
-    Parameters
-    ----------
-    xyz : three of (n,) integer
-        Absolute coordinates [quanta].
-    edge : int
-        Edge of a voxel [quanta].
-    corner : (int, int, int)
-        Absolute index of the first voxel.
-    top : int
-        Highest layer: what lies above or below is as silent as the highest or lowest one.
-
-    Returns
-    -------
-    square, offset
-        As for :func:`around`.
-    """
-    square, offset = [], []
-    for axis, first, parts in zip(xyz, corner, (SQUARES, SQUARES, 1), strict=True):
-        at, rest = np.divmod(axis.astype(np.int64) * parts, edge)
-        square.append(at - first * parts)
-        offset.append(rest / edge - 0.5)
-    np.clip(square[2], 0, top, out=square[2])
-    return tuple(square), tuple(offset)
-
-
 def around(
     lines: Sequence[NDArray[np.float32]],
-    square: tuple[NDArray[np.int64], ...],
-    offset: tuple[NDArray[np.float64], ...],
+    xyz: Sequence[NDArray[np.integer[Any]]],
+    edge: int,
+    corner: Sequence[int],
 ) -> NDArray[np.float64]:
     """Noise of all flightlines together at points: (n,) [1/m3].
 
     Parameters
     ----------
     lines : sequence of (i, j, k) float32
-        From :func:`listened`.
-    square : three of (n,) int64
-        Index of each point's square and layer.
-    offset : three of (n,) float64
-        From the centre of both, in squares and in layers [-0.5..0.5].
+        From :func:`listened`, all of one box. What lies above or below it is as silent as its
+        highest or lowest layer.
+    xyz : three of (n,) integer
+        Absolute coordinates [quanta].
+    edge : int
+        Edge of a voxel [quanta].
+    corner : (int, int, int)
+        Absolute index of the first voxel.
     """
-    total = np.zeros(len(offset[0]))
+    total = np.zeros(len(xyz[0]))
+    if not lines:
+        return total
+    square, offset = [], []
+    for axis, first, parts in zip(xyz, corner, (SQUARES, SQUARES, 1), strict=True):
+        at, rest = np.divmod(axis.astype(np.int64) * parts, edge)
+        square.append(at - first * parts)
+        offset.append(rest / edge - 0.5)
+    np.clip(square[2], 0, lines[0].shape[2] - 1, out=square[2])
     for density in lines:
-        add_between(density, square, offset, LEAST, total)
+        add_between(density, tuple(square), tuple(offset), LEAST, total)
     return total
 
 
@@ -231,8 +211,9 @@ def add_between(
 ) -> None:
     """Add the density at points, linear between squares and between layers that both have some.
 
-    ``square``, ``offset``: as for :func:`around`. ``least``: part of the largest of four squares
-    that is left at an edge [0..1].
+    ``square``: index of each point's square and layer; ``offset``: from the centre of both, in
+    squares and in layers [-0.5..0.5]. ``least``: part of the largest of four squares that is left
+    at an edge [0..1].
     """
     nx, ny, layers = density.shape
     for p in range(len(out)):

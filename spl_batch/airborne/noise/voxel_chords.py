@@ -68,69 +68,6 @@ def _count(counts, at, share):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def deposit_beamlet(
-    voxel: NDArray[np.int64],
-    point: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    near: float,
-    far: float,
-    weight: float,
-    edge: float,
-    radius: float,
-    ordinal: int,
-    amount: NDArray[np.int64],
-    shots: NDArray[np.int64],
-    beamlets: NDArray[np.int64],
-    last_shot: NDArray[np.int64],
-    share: int,
-    squares: NDArray[np.uint16],
-) -> None:
-    """Add one beamlet's chords to every sphere that it crosses.
-
-    Only spheres near the line are looked at: in each layer along the axis that the line follows
-    most, those whose centre lies within ``radius / |u|`` of the line.
-
-    ``voxel``: that of the return, relative to the corner of ``amount``; ``point``: the return,
-    relative to its centre; ``near``, ``far``: ends of the gate along the beam, from the return [m].
-    Added to: ``amount`` (nx, ny, nz); ``shots`` and ``beamlets``, which touch each sphere, where
-    not empty; by ``share``, ``squares`` (nx, ny, nz, 16), up to :data:`MOST`; see :func:`cover`.
-    """
-    if squares.size:
-        cover(voxel, point, direction, near, far, edge, radius, share, squares)
-    axis = 2
-    for k in range(2):
-        if abs(direction[k]) > abs(direction[axis]):
-            axis = k
-    p, q = (axis + 1) % 3, (axis + 2) % 3
-    along = direction[axis]
-    reach = radius / abs(along)
-    ends = (point[axis] + near * along, point[axis] + far * along)
-    index = np.empty(3, dtype=np.int64)
-    for layer in range(
-        math.ceil((min(ends) - radius) / edge), math.floor((max(ends) + radius) / edge) + 1
-    ):
-        t = (layer * edge - point[axis]) / along
-        at_p, at_q = point[p] + t * direction[p], point[q] + t * direction[q]
-        index[axis] = voxel[axis] + layer
-        for i in range(math.ceil((at_p - reach) / edge), math.floor((at_p + reach) / edge) + 1):
-            index[p] = voxel[p] + i
-            for j in range(math.ceil((at_q - reach) / edge), math.floor((at_q + reach) / edge) + 1):
-                index[q] = voxel[q] + j
-                chord = chord_length(
-                    at_p - i * edge, at_q - j * edge, 0.0,
-                    direction[p], direction[q], along, near - t, far - t, radius,
-                )  # fmt: skip
-                if chord > 0.0:
-                    x, y, z = index[0], index[1], index[2]
-                    amount[x, y, z] += int(np.rint(weight * chord))
-                    if beamlets.size:
-                        beamlets[x, y, z] += 1
-                        if last_shot[x, y, z] != ordinal:
-                            last_shot[x, y, z] = ordinal
-                            shots[x, y, z] += 1
-
-
-@njit()
 def steepness(edge: float, radius: float) -> float:
     """Vertical part of a direction from which on :func:`deposit_steep` measures every sphere.
 
@@ -155,7 +92,7 @@ def deposit_steep(
     share: NDArray[np.int64],
     squares: NDArray[np.uint16],
 ) -> None:
-    """What :func:`deposit_beamlet` adds, to the last bit, for steep beams and with squares.
+    """What :func:`deposit_beamlets` adds, to the last bit, for steep beams and with squares.
 
     A steep line can touch the four spheres around it in a layer, and of two across from each other
     only the one that it runs deeper in. These two are measured without a branch, so the loop
@@ -231,22 +168,54 @@ def deposit_beamlets(
     share: NDArray[np.int64],
     squares: NDArray[np.uint16],
 ) -> None:
-    """Add every beamlet; rows as the arguments of :func:`deposit_beamlet`."""
+    """Add every beamlet's chords to every sphere that it crosses.
+
+    Only spheres near the line are looked at: in each layer along the axis that the line follows
+    most, those whose centre lies within ``radius / |u|`` of the line.
+
+    ``voxel``: (n, 3), that of the return, relative to the corner of ``amount``; ``point``: the
+    return, relative to its centre; ``near``, ``far``: ends of the gate along the beam, from the
+    return [m]. Added to: ``amount`` (nx, ny, nz); where not empty, ``shots`` and ``beamlets``,
+    which touch each sphere, of shots numbered by ``ordinal``, and, by ``share``, ``squares`` (nx,
+    ny, nz, 16), up to :data:`MOST`; see :func:`cover`.
+    """
     steep = np.zeros(len(weight), np.bool_)
-    least = steepness(edge, radius)
     if squares.size and not beamlets.size:
-        for i in range(len(weight)):
-            across = max(abs(direction[i, 0]), abs(direction[i, 1]))
-            steep[i] = abs(direction[i, 2]) >= max(across, least)
+        across = np.maximum(np.abs(direction[:, 0]), np.abs(direction[:, 1]))
+        steep = np.abs(direction[:, 2]) >= np.maximum(across, steepness(edge, radius))
         deposit_steep(
             np.flatnonzero(steep), voxel, point, direction, near, far, weight, edge, radius,
             amount, share, squares,
         )  # fmt: skip
     last_shot = np.full(beamlets.shape, -1, dtype=np.int64)
-    for row in range(len(steep)):
-        if steep[row]:
-            continue
-        deposit_beamlet(
-            voxel[row], point[row], direction[row], near[row], far[row], weight[row], edge, radius,
-            ordinal[row], amount, shots, beamlets, last_shot, share[row], squares,
-        )  # fmt: skip
+    index = np.empty(3, dtype=np.int64)
+    for row in np.flatnonzero(~steep):
+        at, ray, start, stop = point[row], direction[row], near[row], far[row]
+        if squares.size:
+            cover(voxel[row], at, ray, start, stop, edge, radius, share[row], squares)
+        axis = 2 - np.argmax(np.abs(ray[::-1]))
+        p, q, along = (axis + 1) % 3, (axis + 2) % 3, ray[axis]
+        reach = radius / abs(along)
+        ends = (at[axis] + start * along, at[axis] + stop * along)
+        for layer in range(
+            math.ceil((min(ends) - radius) / edge), math.floor((max(ends) + radius) / edge) + 1
+        ):
+            t = (layer * edge - at[axis]) / along
+            x, y = at[p] + t * ray[p], at[q] + t * ray[q]
+            index[axis] = voxel[row, axis] + layer
+            for i in range(math.ceil((x - reach) / edge), math.floor((x + reach) / edge) + 1):
+                index[p] = voxel[row, p] + i
+                for j in range(math.ceil((y - reach) / edge), math.floor((y + reach) / edge) + 1):
+                    index[q] = voxel[row, q] + j
+                    chord = chord_length(
+                        x - i * edge, y - j * edge, 0.0, ray[p], ray[q], along,
+                        start - t, stop - t, radius,
+                    )  # fmt: skip
+                    if chord <= 0.0:
+                        continue
+                    sphere = (index[0], index[1], index[2])
+                    amount[sphere] += int(np.rint(weight[row] * chord))
+                    if beamlets.size:
+                        beamlets[sphere] += 1
+                        shots[sphere] += last_shot[sphere] != ordinal[row]
+                        last_shot[sphere] = ordinal[row]

@@ -1,6 +1,6 @@
 """Expected background per voxel: the voxel-spherical model.
 
-Sources: [W17] Eq. 5.2-5.3, 6.1-6.2; [W18] Eq. 1-2.
+Domain: time. Sources: [W17] Eq. 5.2-5.3, 6.1-6.2; [W18] Eq. 1-2.
 
 | symbol | name |
 |---|---|
@@ -15,6 +15,7 @@ gate. Where channels are unknown, each return is a beamlet of its shot. The publ
 leaves out the gain of the ground.
 """
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -30,8 +31,6 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import VOXEL_FIXED_POINT, BeamTable, PointTable, VoxelPart
 from spl_batch.lattice.tiles import far_apart, quanta
 
-DOMAIN: Final = "time"
-
 FAR_Q: Final = 1_000_000
 """Empty columns or rows of more than this divide a stretch's voxels into boxes [quanta]."""
 
@@ -39,7 +38,6 @@ BEAMLET: Final = 16
 """What a beamlet over ground of gain 1 adds to the counts of squares."""
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
-COLUMNS_ADDED: Final = ()
 
 
 def sphere_radius_m(voxel_m: float) -> float:
@@ -90,35 +88,32 @@ def deposit(
     ground = np.ones(len(table)) if ground is None else ground[rows]
     per_m = line_density(table, model) if published else seen_density(table, model) * ground
     share = np.clip(np.rint(BEAMLET * ground), 1, MOST).astype(np.int64)
-    if all(np.ptp(table[axis]) <= far_q for axis in "xy"):
-        return [_in_one_box(table, beams, (near, far, per_m, share), settings)]
-    places = np.column_stack((table["x"], table["y"]))
+    boxes: Iterable[NDArray[np.intp] | slice] = [slice(None)]
+    if any(np.ptp(table[axis]) > far_q for axis in "xy"):
+        boxes = map(np.sort, far_apart(np.column_stack((table["x"], table["y"])), far_q))
     return [
         _in_one_box(
-            table.take(rows),
-            beams.take(rows),
-            (near[rows], far[rows], per_m[rows], share[rows]),
-            settings,
+            table.take(own), beams.take(own), near[own], far[own], per_m[own], share[own], settings
         )
-        for rows in map(np.sort, far_apart(places, far_q))
+        for own in boxes
     ]
 
 
 def _in_one_box(
     table: PointTable,
     beams: BeamTable,
-    listened: tuple[
-        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]
-    ],
+    near: NDArray[np.float64],
+    far: NDArray[np.float64],
+    per_m: NDArray[np.float64],
+    share: NDArray[np.int64],
     settings: NoiseSettings,
 ) -> VoxelPart:
     """What beamlets deposit in the voxels around all of them.
 
-    ``listened``: first and last place along each beamlet, from its point [m], noise [1/m], and its
-    share of the squares' counts.
+    ``near``, ``far``: ends of the gate along each beamlet, from its point [m]; ``per_m``: its noise
+    [1/m]; ``share``: what it adds to the squares' counts.
     """
     published = settings.correction == "published"
-    near, far, per_m, share = listened
     edge = quanta(settings.voxel_m)
     place = (table["x"], table["y"], table["z"])
     direction = beams.direction

@@ -62,11 +62,7 @@ def lines() -> tuple[NDArray[np.float32], ...]:
 
 def density(xyz: Floats) -> Floats:
     """Noise expected at places [1/m3]."""
-    inner = xyz + 10.0 * np.array([PAD, PAD + 2, PAD])
-    parts = (2.5, 2.5, 10.0)
-    square = tuple(np.floor(a / p).astype(np.int64) for a, p in zip(inner.T, parts, strict=True))
-    offset = tuple(a / p % 1.0 - 0.5 for a, p in zip(inner.T, parts, strict=True))
-    return around(lines(), square, offset)
+    return around(lines(), np.rint(xyz.T * 1e3).astype(np.int64), 10_000, (-PAD, -PAD - 2, -PAD))
 
 
 def noise(seed: int) -> Floats:

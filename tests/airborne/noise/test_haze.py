@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.noise import haze, haze_counts
+from spl_batch.airborne.noise import haze
 from spl_batch.lattice.tiles import quanta
 
-EDGE = quanta(haze_counts.CUBE_M)
+EDGE = quanta(haze.CUBE_M)
 CORNER = np.array([272_000, 3_290_000, 40]) * 1000
 SIDE_M = 120.0
 
@@ -28,12 +28,12 @@ def found(parts, noise=0.05):
     xyz = np.concatenate(parts)
     axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
     counted = np.ones(len(xyz), np.bool_)
-    counts = haze_counts.count_cubes(axes, counted)
+    counts = haze.count_cubes(axes, counted)
     return axes, haze.find_air(counts, model(noise))
 
 
 def heights(air):
-    return air.cube[air.held, 2] * haze_counts.CUBE_M - 40
+    return air.cube[air.held, 2] * haze.CUBE_M - 40
 
 
 def canopy(rng, per_m2=20.0):
@@ -122,8 +122,8 @@ def some_counts(rng, shape=(9, 8, 24)):
     held = rng.poisson(rng.choice([0.2, 1.0, 30.0], shape[2], p=[0.7, 0.2, 0.1]), shape)
     held[:, :4] += rng.poisson(6, (shape[0], 4, shape[2])) * (layer > 3)
     columns = rng.poisson(held * (held - 1) / 25.0)
-    counts = haze_counts.Counts((-3, 5), layer, held.astype(np.int32), columns, columns)
-    return counts, lambda at: np.where(at[2] > -6 * EDGE, 1.0, 0.0) / haze_counts.CUBE_M**3
+    counts = haze.Counts((-3, 5), layer, held.astype(np.int32), columns, columns)
+    return counts, lambda at: np.where(at[2] > -6 * EDGE, 1.0, 0.0) / haze.CUBE_M**3
 
 
 def squares(counts):
@@ -206,9 +206,9 @@ def test_returns_that_do_not_count_are_not_counted():
     xyz = np.concatenate([box(rng, 0.05, -50, 100), box(rng, 1.0, 50, 80)])
     axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
     nothing = np.zeros(len(xyz), np.bool_)
-    assert haze_counts.count_cubes(axes, nothing) is None
+    assert haze.count_cubes(axes, nothing) is None
     deep = axes[2] < CORNER[2] + 40_000
-    assert haze.find_air(haze_counts.count_cubes(axes, deep), model(0.05)) is None
+    assert haze.find_air(haze.count_cubes(axes, deep), model(0.05)) is None
 
 
 def pairs(values):
@@ -224,8 +224,8 @@ def pairs(values):
 def test_counts_and_pairs_agree_with_counting_them_one_by_one(points, scale):
     xyz = np.array(points, dtype=np.int64) * scale // 900
     axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    counts = haze_counts.count_cubes(axes, np.ones(len(xyz), np.bool_))
-    cell, cube = xyz // quanta(haze_counts.CELL_M), xyz // EDGE
+    counts = haze.count_cubes(axes, np.ones(len(xyz), np.bool_))
+    cell, cube = xyz // quanta(haze.CELL_M), xyz // EDGE
     assert counts.held.sum() == len(xyz)
     for place in np.unique(cube, axis=0):
         inside = (cube == place).all(axis=1)
@@ -248,7 +248,7 @@ def test_noise_does_not_depend_on_what_lies_beyond_its_reach(tapers):
 
     def noise_of(chosen):
         some = tuple(axis[chosen] for axis in axes)
-        counts = haze_counts.count_cubes(some, np.ones(len(some[0]), np.bool_))
+        counts = haze.count_cubes(some, np.ones(len(some[0]), np.bool_))
         return haze.noise_with_air(some, noise[chosen], haze.find_air(counts, model(0.05)))
 
     whole = noise_of(np.ones(len(xyz), np.bool_))
@@ -282,7 +282,7 @@ def test_haze_at_the_edge_of_a_swath_does_not_depend_on_how_far_other_points_rea
     noises, layers = [], []
     for chosen in (xyz, xyz[:n]):
         axes = tuple(np.ascontiguousarray(chosen[:, k]) for k in range(3))
-        counts = haze_counts.count_cubes(axes, np.ones(len(chosen), np.bool_))
+        counts = haze.count_cubes(axes, np.ones(len(chosen), np.bool_))
         air = haze.find_air(counts, model(0.05))
         noises.append(haze.noise_with_air(axes, np.full(len(chosen), 0.05), air)[:n])
         seen = haze.noise_by_layer(counts, air, model(0.05), core)
@@ -298,11 +298,11 @@ def test_layers_that_hold_noise_alone_tell_how_far_the_model_is_off():
     parts.append(box(rng, 1.0, 60, 80))
     xyz = np.concatenate(parts)
     axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    counts = haze_counts.count_cubes(axes, np.ones(len(xyz), np.bool_))
+    counts = haze.count_cubes(axes, np.ones(len(xyz), np.bool_))
     core = (CORNER[0], CORNER[1], CORNER[0] + 120_000, CORNER[1] + 120_000)
     air = haze.find_air(counts, model(0.05))
     seen = haze.noise_by_layer(counts, air, model(0.05), core)
-    height = seen.layer * haze_counts.CUBE_M - 40
+    height = seen.layer * haze.CUBE_M - 40
     for low, high, times in ((-95, -10, 1.0), (85, 120, 1.8)):
         band = (height >= low) & (height < high)
         ratio = seen.returns[band].sum() / seen.expected[band].sum()
@@ -319,7 +319,7 @@ def test_layers_that_the_end_of_a_gate_cuts_are_not_counted():
         [box(rng, 0.05, -100, 42), box(rng, 0.03, 42, 92), box(rng, 2e-4, 92, 130)]
     )
     axes = tuple(np.ascontiguousarray(xyz[:, k]) for k in range(3))
-    counts = haze_counts.count_cubes(axes, np.ones(len(xyz), np.bool_))
+    counts = haze.count_cubes(axes, np.ones(len(xyz), np.bool_))
     core = (CORNER[0], CORNER[1], CORNER[0] + 120_000, CORNER[1] + 120_000)
 
     def heard(at):
@@ -331,7 +331,7 @@ def test_layers_that_the_end_of_a_gate_cuts_are_not_counted():
 
     whole = haze.noise_by_layer(counts, None, believed, core)
     seen = haze.noise_by_layer(counts, None, believed, core, heard)
-    height = seen.layer * haze_counts.CUBE_M - CORNER[2] * 1e-3
+    height = seen.layer * haze.CUBE_M - CORNER[2] * 1e-3
     assert whole.expected[height >= 95].sum() > 0.0
     for low, high in ((-105, -95), (35, 45), (85, 140)):
         band = (height >= low) & (height < high)

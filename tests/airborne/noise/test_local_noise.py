@@ -1,5 +1,7 @@
 """Noise expected where a flightline listens: shares, edges, gaps, and what is out of reach."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -42,10 +44,13 @@ def made(share: np.ndarray, squares: np.ndarray) -> np.ndarray:
 
 def along_x(x_m: np.ndarray, *heard: np.ndarray, z_m: float = 25.0) -> np.ndarray:
     """Density of lines together at places along x."""
-    n = len(x_m)
-    square = (np.floor(x_m / 2.5).astype(int), np.full(n, 17), np.full(n, int(z_m // 10)))
-    offset = (x_m / 2.5 % 1 - 0.5, np.full(n, 0.3), np.full(n, z_m / 10 % 1 - 0.5))
-    return local_noise.around(heard, square, offset)
+    place = np.stack([x_m, np.full(len(x_m), 44.5), np.full(len(x_m), z_m)])
+    return at_places(heard, place)
+
+
+def at_places(heard: Sequence[np.ndarray], place_m: np.ndarray) -> np.ndarray:
+    """Density of lines together at places from the corner of their voxels of 10 m."""
+    return local_noise.around(heard, np.rint(place_m * 1e3).astype(np.int64), 10_000, (0, 0, 0))
 
 
 def up_to(until_m: float, beamlets: float = 200.0) -> np.ndarray:
@@ -135,9 +140,9 @@ def test_what_lies_beyond_the_margin_changes_nothing(seed: int) -> None:
         keep = local_noise.MARGIN_VOXELS - first + 1
         n = found.shape
         cut = (slice(4 * keep, n[0] - 4 * keep), slice(4 * keep, n[1] - 4 * keep))
-        square = tuple(np.stack(np.indices(n), -1)[*cut, keep : n[2] - keep].reshape(-1, 3).T)
-        offset = tuple(np.random.default_rng(1).uniform(-0.5, 0.5, (3, len(square[0]))))
-        return local_noise.around([found], square, offset)
+        square = np.stack(np.indices(n), -1)[*cut, keep : n[2] - keep].reshape(-1, 3)
+        within = np.random.default_rng(1).uniform(0.0, 1.0, square.shape)
+        return at_places([found], ((square + within) * (2.5, 2.5, 10.0)).T)
 
     np.testing.assert_array_equal(density(0), density(1))
 
@@ -228,8 +233,12 @@ def test_a_point_lies_between_the_centres_of_squares_and_of_layers() -> None:
     density = rng.uniform(0.2, 1, shape).astype(np.float32)
     density[rng.random(shape) < 0.1] = 0.0
     place = rng.uniform(0, 1, (3, n)) * np.array(shape)[:, None]
+    # to whole quanta
+    edges = np.array([[2500], [2500], [10_000]])
+    quanta = np.floor(place * edges).astype(np.int64)
+    place = quanta / edges
     square, offset = np.floor(place).astype(np.int64), place % 1 - 0.5
-    found = local_noise.around([density], tuple(square), tuple(offset))
+    found = local_noise.around([density], quanta, 10_000, (0, 0, 0))
     for p in range(n):
         layer = []
         for z in range(shape[2]):
