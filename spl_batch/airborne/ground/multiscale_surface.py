@@ -286,7 +286,8 @@ def ends_within(heights: Squares, reach_m: Float) -> Mask:
     Returns
     -------
     (block rows, block columns) bool
-        Whether a layer as thick above it holds at most :data:`_ENDS` of its points.
+        Whether a layer as thick above it holds at most :data:`_ENDS` of its points; never where
+        both reach beyond what is counted.
     """
     counted = np.cumsum(_around(heights.sums), axis=-1)
     steps = np.rint(reach_m / _DEPTH_M).astype(np.int64)
@@ -294,7 +295,7 @@ def ends_within(heights: Squares, reach_m: Float) -> Mask:
         np.take_along_axis(counted, np.clip(k * steps - 1, 0, _DEPTHS)[..., None], -1)[..., 0]
         for k in (1, 2)
     )
-    ends: Mask = twice - once <= _ENDS * once
+    ends: Mask = (twice - once <= _ENDS * once) & (2 * steps <= _DEPTHS)
     return ends
 
 

@@ -261,7 +261,8 @@ def _grown(xyz: Float, grid: NDArray[np.int64], ground: Mask) -> Mask:
         fresh = up | on
         if not fresh:
             break
-        out, steep, level = out | fresh, steep | fresh, level | on
+        out, level = out | fresh, level | on
+        steep |= {i for i in fresh if free[i]}
     found = ground.copy()
     found[list(out)] = True
     return found

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from spl_batch.airborne.ground.multiscale.node_planes import (
+    FLAT,
     REACH_M,
+    RIDGE,
     above_planes,
     goes_on,
     without_plants,
@@ -35,10 +37,10 @@ def slow_plane(xyz, weight, i, members):
     mean = w @ d / w.sum()
     around = d - mean
     normal = (w * around[:, :2].T) @ around[:, :2] / w.sum()
-    normal += np.eye(2) * (0.02 * np.trace(normal) + 1e-6)
+    normal += np.eye(2) * (RIDGE * np.trace(normal) + 1e-6)
     cross = (w * around[:, :2].T) @ around[:, 2] / w.sum()
     rise = np.linalg.solve(normal, cross)
-    scatter = np.sqrt(max(w @ around[:, 2] ** 2 / w.sum() - rise @ cross, 0.0))
+    scatter = np.sqrt(w @ (around[:, 2] - around[:, :2] @ rise) ** 2 / w.sum())
     return w.sum(), rise @ mean[:2] - mean[2], np.hypot(*rise), scatter
 
 
@@ -70,7 +72,7 @@ def test_planes_of_one_side_are_those_of_the_slow_way():
             side = at[d[:, :2] @ [np.cos(turn), np.sin(turn)] >= 0]
             if len(side):
                 counted, above, slope, scatter = slow_plane(xyz, weight, i, side)
-                flat = scatter <= 0.3 * (spread_m[i] + drift_m[i] * slope)
+                flat = scatter <= FLAT * (spread_m[i] + drift_m[i] * slope)
                 goes |= counted >= 2.5 and flat and above <= 3.0 * spread_m[i]
         expected.append(goes)
     found = goes_on(xyz, nearest(xyz), weight, drift_m, spread_m, np.arange(120))
@@ -118,9 +120,16 @@ def test_the_next_layer_over_grass_is_full_and_over_soil_empty():
     rng = np.random.default_rng(1)
     x, y = rng.uniform(0, 16, (2, 4000))
     reach_m = np.full((1, 1), 0.2)
-    for height, ends in (
-        (np.abs(rng.normal(0, 0.1, 4000)), True),
-        (rng.exponential(0.3, 4000), False),
-    ):
-        counted = depths_below(-height, x, y, no_depths(x, y))
-        assert ends_within(counted, reach_m).all() == ends
+    soil = depths_below(-np.abs(rng.normal(0, 0.1, 4000)), x, y, no_depths(x, y))
+    grass = depths_below(-rng.exponential(0.3, 4000), x, y, no_depths(x, y))
+    assert ends_within(soil, reach_m).all()
+    assert not ends_within(grass, reach_m).any()
+    assert not ends_within(soil, reach_m + 0.06).any()  # twice as much is not counted
+
+
+def test_an_exact_slope_goes_on_to_every_node():
+    xyz = nodes(slope=1.0)
+    everywhere, few = np.arange(len(xyz)), np.full(len(xyz), 0.05)
+    around = nearest(xyz)
+    inner = np.abs(xyz[:, :2] - 15).max(axis=1) < 12
+    assert goes_on(xyz, around, np.ones(len(xyz)), 0 * few, few, everywhere)[inner].all()

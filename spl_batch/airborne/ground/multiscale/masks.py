@@ -100,8 +100,8 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERY
     near = near_surface(surface, (x, y, z), needed(x, y, own, asked, depths))
     at = near.at[own[near.at]]
     depths = noise_below(depths_below(near.off[own[near.at]], x[at], y[at], depths))
-    heights = depths_below(-near.off[own[near.at]], x[at], y[at], no_depths(*evidence[:2]))
-    rough_m = np.where(ends_within(heights, ABOVE_SIGMA * rough_m), rough_m, 0.0)
+    heights = depths_below(-0.5 * near.off[own[near.at]], x[at], y[at], no_depths(*evidence[:2]))
+    rough_m = np.where(ends_within(heights, 0.5 * ABOVE_SIGMA * rough_m), rough_m, 0.0)
     sigma_m = np.maximum(sigma.over(depths.first, depths.sums.shape[:2]), rough_m)
     reach = (
         ABOVE_SIGMA * np.maximum(spread_below(depths, MOST), sigma_m),
