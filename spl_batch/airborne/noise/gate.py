@@ -2,7 +2,8 @@
 
 Source: [W17] 5.2.1 ("data from all the beamlets are truncated with the same range gate") does not
 say how to find it. Here its ends are the extreme returns of absolute windows of intervals, moved
-out by one mean spacing of the noise: the expected shortfall of a uniform sample. A gate may be
+out by one mean spacing of the noise: the expected shortfall of a uniform sample. An end that one or
+two returns alone claim, many spacings beyond all others, is none. A gate may be
 constant in slant range, follow the surface, or be cut at a height: the shortest one that explains
 the same returns is taken.
 """
@@ -14,7 +15,12 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, SUPPORT
+from spl_batch.airborne.noise.line_statistics import (
+    BUFFER_LADDER,
+    LONE_MOST,
+    LONE_SPACINGS,
+    SUPPORT,
+)
 from spl_batch.airborne.noise.noise_intervals import SUMMARY
 from spl_batch.engine.findings import Finding
 
@@ -29,6 +35,9 @@ GATE_MIN_M: Final = 60.0
 
 GATE_ASSUMED_M: Final = 300.0
 """Gate where neither the workflow nor the points tell one [m]."""
+
+LONE_GAPS: Final = (3, 8)
+"""Gaps between the extremes that follow which tell their spacing, at least and at most [count]."""
 
 Kind = Literal["range", "height"]
 Basis = Literal["stated", "estimated", "assumed"]
@@ -77,14 +86,15 @@ def fit_gate(
     column = dict(zip(SUMMARY, summary.T, strict=True))
     tilt = float(np.mean(column["cosine"]))
     half = buffer_m * BUFFER_LADDER[3]
-    noise = np.add.reduceat(outside[:, :, 3].sum(axis=1), starts)
+    noise = np.add.reduceat(outside[:, :, 3], starts)
     offered = (
         ("range", 1.0, column["range_min"], column["range_max"]),
         ("height", tilt, -column["z_max"], -column["z_min"]),
         ("surface", 1.0, column["behind_min"], column["behind_max"]),
     )
     candidates = [
-        _edges((name, scale), starts, noise, half, low, high) for name, scale, low, high in offered
+        _edges((name, scale), starts, noise, half, (low, high))
+        for name, scale, low, high in offered
     ]
     # Of lengths equal within chance the physical one, slant range, wins.
     best = candidates[0]
@@ -116,19 +126,27 @@ def _edges(
     starts: NDArray[np.int64],
     noise: NDArray[np.int64],
     half_m: float,
-    lowest: NDArray[np.float64],
-    highest: NDArray[np.float64],
+    extremes: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> _Edges:
     """Edges of each window; windows with little noise borrow from the flightline.
 
-    ``noise``: (w,), returns more than ``half_m`` from the signal [count].
+    ``noise``: (w, 2), returns above and below the signal [count].
     """
-    low, high = np.minimum.reduceat(lowest, starts), np.maximum.reduceat(highest, starts)
+    whole = extremes[1] - extremes[0]
+    first, of_first = _outermost(extremes[0], whole, starts)
+    last, of_last = _outermost(-extremes[1], whole, starts)
+    within = -last[:, LONE_MOST] - first[:, LONE_MOST]
+    # Of one side alone: behind the surface there may be less of it.
+    above, below = (np.where(side >= SUPPORT, _spacing_m(within, side, half_m), np.nan)
+                    for side in noise.T)  # fmt: skip
+    low = _without_lone(first, of_first - within[:, None], above)
+    high = -_without_lone(last, of_last - within[:, None], below)
     extent = high - low
-    density = noise / np.maximum(extent - 2 * half_m, 0.2 * np.maximum(extent, 1.0))
-    shortfall = 1.0 / np.maximum(density, 1e-9)
-    supported = (noise >= SUPPORT) & (shortfall < 0.1 * extent)
+    total = noise.sum(axis=1)
+    shortfall = _spacing_m(extent, total, half_m)
+    supported = (total >= SUPPORT) & (shortfall < 0.1 * extent)
     if not supported.any():
+        low, high = first[:, 0], -last[:, 0]
         slant = float(np.median(high - low)) / named[1]
         return _Edges(*named, low, high, slant, supported=False)
     low, high = low - shortfall, high + shortfall
@@ -136,6 +154,60 @@ def _edges(
     high[~supported] = np.median(high[supported])
     slant = float(np.median((high - low)[supported])) / named[1]
     return _Edges(*named, low, high, slant, supported=True)
+
+
+def _spacing_m(
+    extent: NDArray[np.float64], noise: NDArray[np.int64], half_m: float
+) -> NDArray[np.float64]:
+    """Mean spacing of the noise of each window, by the returns farther than half_m from the signal.
+
+    ``extent``: (w,) [m]; NaN where it is not known.
+    """
+    density = noise / np.maximum(extent - 2 * half_m, 0.2 * np.maximum(extent, 1.0))
+    return 1.0 / np.maximum(density, 1e-9)
+
+
+def _without_lone(
+    ends: NDArray[np.float64], longer: NDArray[np.float64], spacing: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Lowest value of each window that is not far below all others: (w,).
+
+    Where the gate of an interval lies elsewhere as a whole, the interval is no longer for that.
+
+    ``ends``: (w, k), lowest values of each window, rising; NaN where there are no more. ``longer``:
+    (w, k), by how much the intervals that they are of are longer than the window without them.
+    ``spacing``: (w,), of the noise; NaN where too little shows it. All in metres.
+    """
+    gap, out = np.diff(ends, axis=1), ends[:, 0]
+    least, most = LONE_GAPS
+    for lone in range(1, LONE_MOST + 1):
+        follow = gap[:, lone : lone + most]
+        known = np.count_nonzero(~np.isnan(follow), axis=1)
+        mean = np.nansum(follow, axis=1) / np.maximum(known, 1)
+        far = gap[:, lone - 1] > LONE_SPACINGS * np.maximum(spacing, mean)
+        far &= (longer[:, :lone] > 0.5 * gap[:, lone - 1 : lone]).all(axis=1)
+        out = np.where(far & (known >= least), ends[:, lone], out)
+    return out
+
+
+def _outermost(
+    values: NDArray[np.float64], extent: NDArray[np.float64], starts: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lowest distinct values of each window, rising, and the extents of their intervals: (w, k).
+
+    NaN where there are no more. An interval without returns repeats the values of the one before.
+    """
+    window = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(values))))
+    order = np.lexsort((values, window))
+    values, extent, window = values[order], extent[order], window[order]
+    new = np.diff(values, prepend=np.nan) != 0
+    new[starts] = True
+    values, extent, window = values[new], extent[new], window[new]
+    rank = np.arange(len(values)) - np.searchsorted(window, window)
+    out = np.full((2, len(starts), 1 + LONE_MOST + LONE_GAPS[1]), np.nan)
+    near = rank < out.shape[2]
+    out[:, window[near], rank[near]] = values[near], extent[near]
+    return out[0], out[1]
 
 
 def _length_m(

@@ -1,6 +1,6 @@
 """Line noise density of each beamlet, rho_l [1/m].
 
-Domain: time. Sources: [W17] Eq. 5.1, [W18] 2.2.1.
+Sources: [W17] Eq. 5.1, [W18] 2.2.1.
 
 | symbol | name |
 |---|---|
@@ -40,6 +40,10 @@ from spl_batch.lattice.tables import BeamTable, PointTable
 
 __all__ = ["LineModel", "fit", "gate_of", "line_density", "merge", "observe"]
 
+DOMAIN: Final = "time"
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
+COLUMNS_ADDED: Final = ("line_density",)
+
 SEEN_TARGET: Final = 15.0
 """Seen beamlets that a window of shots should have; exp(-15) of the windows are empty."""
 
@@ -74,19 +78,16 @@ def fit(
         return _nothing(settings, sensor)
     interval, rows, first, last = _fired(merged, settings.interval_shots)
     summary = merged["summary"][rows]
-    column = dict(zip(SUMMARY, summary.T, strict=True))
     present = np.diff(rows, prepend=-1) > 0
     outside = np.where(present[:, None, None], merged["outside"][rows], 0)
     beamlets, gain_active, warnings = active_channels(merged["seen_channel"], sensor.beamlets)
     gate = fit_gate(interval, summary, outside, settings.buffer_m, sensor.gate_m)
     fired = (last - first + 1).astype(np.float64) * beamlets
-    around = _around_signal(gate, column)
-    length = offered_lengths(around, column, settings.buffer_m)
-    whole = float(np.sum(fired * np.maximum(around.sum(axis=0), 0.0)))
-    region = choose_region(outside, fired[:, None, None] * length, whole)
+    length = offered_lengths(gate, summary, settings.buffer_m)
+    region = choose_region(outside, fired[:, None, None] * length, fired, gate, summary)
     use = {"both": [1.0, 1.0], "above": [1.0, 0.0], "below": [0.0, 1.0]}
     if region.side == "none":
-        flat = profile_rate(merged["profile"], around, column["cosine"], fired)
+        flat = profile_rate(merged["profile"], gate, summary, fired)
         rate, gain = np.full(len(interval), flat), gain_active
         cell, of_cell = np.empty(0, np.int64), np.empty(0)
     else:
@@ -138,15 +139,18 @@ class Region(NamedTuple):
 
 
 def offered_lengths(
-    around: NDArray[np.float64], column: dict[str, NDArray[np.float64]], buffer_m: float
+    gate: Gate, summary: NDArray[np.float64], buffer_m: float
 ) -> NDArray[np.float64]:
     """Slant length of gate above and below each buffer: (m, 2, b) float64 [m].
 
     The signal's height varies within an interval: it is the mean of the positive part, for a normal
     spread.
     """
-    buffers = buffer_m * np.array(BUFFER_LADDER) / column["cosine"][:, None]
-    both = np.stack([side[:, None] - buffers for side in around], axis=1)
+    column = dict(zip(SUMMARY, summary.T, strict=True))
+    cosine = column["cosine"][:, None]
+    buffers = buffer_m * np.array(BUFFER_LADDER) / cosine
+    above, below = _around_signal(gate, column)
+    both = np.stack([above[:, None] - buffers, below[:, None] - buffers], axis=1)
     spread = np.maximum(column["signal_sd"] / column["cosine"], 1e-6)[:, None, None]
     ratio = both / spread
     density = np.exp(-0.5 * np.minimum(ratio**2, 1400.0)) / np.sqrt(2 * np.pi)
@@ -154,25 +158,28 @@ def offered_lengths(
     return np.maximum(length, 0.0)
 
 
-def _around_signal(gate: Gate, column: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Slant length of gate in front of and behind the signal: (2, m) [m]."""
+def _around_signal(
+    gate: Gate, column: dict[str, NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Slant length of gate in front of and behind the signal: two (m,) float64 [m]."""
     if gate.kind == "height":
-        z = column["signal_z"]
-        return np.stack([gate.near - z, z - gate.far]) / column["cosine"]
-    return np.stack([column["signal_range"] - gate.near, gate.far - column["signal_range"]])
+        z, cosine = column["signal_z"], column["cosine"]
+        return (gate.near - z) / cosine, (z - gate.far) / cosine
+    return column["signal_range"] - gate.near, gate.far - column["signal_range"]
 
 
 def choose_region(
     outside: NDArray[np.int32],
     exposure: NDArray[np.float64],
-    whole: float,
+    fired: NDArray[np.float64],
+    gate: Gate,
+    summary: NDArray[np.float64],
 ) -> Region:
-    """Largest buffer that leaves a noise region, and the sides of it that agree.
-
-    ``exposure``: (m, 2, b), what was listened to beyond each; ``whole``: all that was [m].
-    """
+    """Largest buffer that leaves a noise region, and the sides of it that agree."""
     counts = outside.sum(axis=0, dtype=np.int64)
     offered = exposure.sum(axis=0)
+    above, below = _around_signal(gate, dict(zip(SUMMARY, summary.T, strict=True)))
+    whole = float(np.sum(fired * np.maximum(above + below, 0.0)))
     wide = np.flatnonzero(offered.sum(axis=0) >= REGION_MIN * whole)
     if whole <= 0 or len(wide) == 0:
         return Region(0, "none", (_NO_REGION,))
@@ -201,8 +208,8 @@ _NO_REGION: Final = Finding("N01", {"kind": "fitted"})
 
 def profile_rate(
     profile: NDArray[np.int64],
-    around: NDArray[np.float64],
-    cosine: NDArray[np.float64],
+    gate: Gate,
+    summary: NDArray[np.float64],
     fired: NDArray[np.float64],
 ) -> float:
     """Uniform part of the histogram of heights around the signal [1/m].
@@ -210,8 +217,10 @@ def profile_rate(
     Signal only adds: the lower quartile of the bins' rates is background wherever signal fills less
     than three quarters of the gate.
     """
-    edges = around * cosine * [[-1.0], [1.0]] + PROFILE_BINS // 2
-    edges = np.clip(edges, 0, PROFILE_BINS - 1)
+    column = dict(zip(SUMMARY, summary.T, strict=True))
+    above, below = _around_signal(gate, column)
+    cosine, half = column["cosine"], PROFILE_BINS // 2
+    edges = np.clip(np.stack([-above * cosine, below * cosine]) + half, 0, PROFILE_BINS - 1)
     step = np.zeros(PROFILE_BINS)
     np.add.at(step, np.ceil(edges[0]).astype(np.int64), fired / cosine)
     np.add.at(step, np.maximum(np.floor(edges[1]), np.ceil(edges[0])).astype(np.int64),

@@ -41,7 +41,7 @@ SUPPORT: Final = 20
 """Returns away from the surface from which on a window tells where its gate ends [count]."""
 
 LONE_MOST: Final = 2
-"""Returns of an interval that may be no end of the gate [count]."""
+"""Returns of an interval, or intervals of a window, that may be no end of the gate [count]."""
 
 LONE_SPACINGS: Final = 12.0
 """They lie farther beyond the next one than so many mean spacings of the noise on their side: fewer

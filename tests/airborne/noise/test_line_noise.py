@@ -12,7 +12,7 @@ from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.beams.shot_runs import interval_rows, lag_behind, run_starts, share_out
 from spl_batch.airborne.noise import line_noise
 from spl_batch.airborne.noise.gains import active_channels
-from spl_batch.airborne.noise.gate import fit_gate
+from spl_batch.airborne.noise.gate import Gate, fit_gate
 from spl_batch.airborne.noise.line_model import LineModel
 from spl_batch.airborne.noise.line_noise import choose_region
 from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER
@@ -320,7 +320,10 @@ def test_windows_count_the_shots_fired_and_the_beamlets_seen(
 def test_a_side_with_more_returns_is_left_out(above: int, more: str) -> None:
     buffers = len(BUFFER_LADDER)
     outside = np.tile(np.array([[above], [1000]], np.int32), (1, 1, buffers)).reshape(1, 2, buffers)
-    region = choose_region(outside, np.full((1, 2, buffers), 50.0), 200.0)
+    summary = np.zeros((1, len(SUMMARY)))
+    summary[0, [SUMMARY.index("signal_range"), SUMMARY.index("cosine")]] = 2000.0, 1.0
+    gate = Gate("range", np.array([1900.0]), np.array([2100.0]), 200.0, (), "stated")
+    region = choose_region(outside, np.full((1, 2, buffers), 50.0), np.ones(1), gate, summary)
     (one,) = region.warnings
     assert one.values["times"] == pytest.approx(2.0)
     assert (one.values["more"], one.values["side"]) == (more, region.side)
