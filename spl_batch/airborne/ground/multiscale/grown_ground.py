@@ -25,11 +25,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
-from spl_batch.airborne.ground.multiscale.node_planes import NEAREST, on_one_side
+from spl_batch.airborne.ground.multiscale.node_planes import NEAREST, nearest_nodes, on_one_side
 from spl_batch.airborne.ground.multiscale_surface import WINDOW_M
 from spl_batch.numerics.compiled import njit
 
@@ -103,7 +102,7 @@ def grown(xyz: Float, grid: Index, nearest: Index, ground: Mask, cell_m: float) 
     if len(index) <= NEAREST:
         return ground
     nodes, known = xyz[index], ground[index]
-    around = np.asarray(cKDTree(nodes[:, :2]).query(nodes[:, :2], NEAREST + 1)[1])
+    around = nearest_nodes(nodes)
     bar = barred(xyz, grid, ground, cell_m)[full]
     other = full.copy()
     other[full] = ~known
@@ -178,22 +177,24 @@ def barred(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
         As :func:`grown` has them.
     """
     out = np.zeros(grid.shape, dtype=np.bool_)
-    if ground.any():
-        x, y, z = xyz.T
-        trend = fit_trend(xyz[ground], x, y)
-        north, east = (
-            trend_at(Trend(np.gradient(trend.height, TREND_M, axis=axis), *trend[1:]), x, y)[grid]
-            for axis in (0, 1)
-        )
-        above = np.where(grid >= 0, (z - trend_at(trend, x, y))[grid], np.nan)
-        # Across a crest that is cut off the trend is that between its rims: no contour.
-        away = ndimage.distance_transform_edt(~((grid >= 0) & ground[grid])) * cell_m
-        asked = (grid >= 0) & (away <= REACH_M) & (above > EAVE_M / 2)
-        edge, far = (round(along / cell_m) for along in (EDGE_M, ASIDE_M))
-        _end_both_ways(above, z[grid], north, east, edge, far, asked, out)
-        tilt = np.where(grid >= 0, np.hypot(north, east), 0.0)
-        out |= ndimage.maximum_filter(tilt, 2 * round(ASIDE_M / cell_m) + 1) <= TILT
-    return out
+    if not ground.any():
+        return out
+    x, y, z = xyz.T
+    trend = fit_trend(xyz[ground], x, y)
+    north, east = (
+        trend_at(Trend(np.gradient(trend.height, TREND_M, axis=axis), *trend[1:]), x, y)[grid]
+        for axis in (0, 1)
+    )
+    full = grid >= 0
+    above = np.where(full, (z - trend_at(trend, x, y))[grid], np.nan)
+    # Across a crest that is cut off the trend is that between its rims: no contour.
+    away = ndimage.distance_transform_edt(~(full & ground[grid])) * cell_m
+    asked = full & (away <= REACH_M) & (above > EAVE_M / 2)
+    edge, far = (round(along / cell_m) for along in (EDGE_M, ASIDE_M))
+    _end_both_ways(above, z[grid], north, east, edge, far, asked, out)
+    tilt = np.where(full, np.hypot(north, east), 0.0)
+    level: Mask = ndimage.maximum_filter(tilt, 2 * far + 1) <= TILT
+    return out | level
 
 
 @njit()
@@ -229,11 +230,13 @@ def _fall_m(
         if fall_m > 0.0:
             fall_m = max(fall_m, height[row, column] - height[r, c])
             continue
+        before = -np.inf
         for back in range(max(step - edge, 0), step):
             i, j = int(np.rint(row + back * north)), int(np.rint(column + back * east))
-            if above[r, c] <= top - EAVE_M and above[r, c] <= above[i, j] - EAVE_M:
-                end = step + edge  # a node half-way down is not the foot yet
-                fall_m = max(height[row, column] - height[r, c], EAVE_M)
+            before = np.fmax(before, above[i, j])  # of cells with a node
+        if above[r, c] <= min(top, before) - EAVE_M:
+            end = step + edge  # a node half-way down is not the foot yet
+            fall_m = max(height[row, column] - height[r, c], EAVE_M)
     return fall_m
 
 
@@ -306,8 +309,8 @@ def _is_corner(
 
 @njit()
 def _drops(
-    height: Float, row: int, column: int, north: float, east: float, edge: int, far: int,
-) -> int:  # fmt: skip
+    height: Float, row: int, column: int, north: float, east: float, edge: int, far: int
+) -> int:
     """After how many cells on the way from one its surface ends in a wall; 0 where it does not.
 
     What rises above the cell by a wall's height stands in the way: the eave of a house is none.

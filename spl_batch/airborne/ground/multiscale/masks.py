@@ -98,9 +98,11 @@ def multiscale_mask(places: Place, own: Mask, asked: Mask, sigma: Spread = EVERY
     rough = depths_below(off, east, north, no_depths(*evidence[:2]))
     rough_m = _ROUGH * spread_below(noise_below(rough), MOST)
     near = near_surface(surface, (x, y, z), needed(x, y, own, asked, depths))
-    at = near.at[own[near.at]]
-    depths = noise_below(depths_below(near.off[own[near.at]], x[at], y[at], depths))
-    heights = depths_below(-0.5 * near.off[own[near.at]], x[at], y[at], no_depths(*evidence[:2]))
+    mine = own[near.at]
+    at, off_m = near.at[mine], near.off[mine]
+    depths = noise_below(depths_below(off_m, x[at], y[at], depths))
+    # Halves of heights: layers of twice the thickness are counted.
+    heights = depths_below(-0.5 * off_m, x[at], y[at], no_depths(*evidence[:2]))
     rough_m = np.where(ends_within(heights, 0.5 * ABOVE_SIGMA * rough_m), rough_m, 0.0)
     sigma_m = np.maximum(sigma.over(depths.first, depths.sums.shape[:2]), rough_m)
     reach = (

@@ -69,7 +69,7 @@ def without_plants(nodes: Float, point_m: Float) -> tuple[Float, Float]:
     """
     if len(nodes) <= NEAREST:
         return nodes, np.zeros(len(nodes))
-    around = np.asarray(cKDTree(nodes[:, :2]).query(nodes[:, :2], NEAREST + 1)[1])
+    around = nearest_nodes(nodes)
     spread_m, drift_m = np.maximum(SPREAD_M, SPREAD * point_m), np.minimum(point_m, SLOPE_M)
     weight = np.ones(len(nodes))
     for _ in range(FITS):
@@ -80,6 +80,11 @@ def without_plants(nodes: Float, point_m: Float) -> tuple[Float, Float]:
     kept[far] = goes_on(nodes, around, weight, drift_m, spread_m, far)
     off = above_planes(nodes, around, kept.astype(np.float64), drift_m)
     return nodes[kept], off[kept]
+
+
+def nearest_nodes(nodes: Float) -> Index:
+    """Those nearest to each of more than :data:`NEAREST` nodes, itself first: (n, NEAREST + 1)."""
+    return np.asarray(cKDTree(nodes[:, :2]).query(nodes[:, :2], NEAREST + 1)[1])
 
 
 @njit()
@@ -182,7 +187,11 @@ def _plane(
     one_side = east != 0.0 or north != 0.0
     total, mx, my, mz, xx, xy, yy, xz, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in around:
-        x, y, z = nodes[j] - nodes[i]
+        x, y, z = (
+            nodes[j, 0] - nodes[i, 0],
+            nodes[j, 1] - nodes[i, 1],
+            nodes[j, 2] - nodes[i, 2],
+        )
         if one_side and (j == i or x * east + y * north < 0.0):
             continue
         w = weight[j] * np.exp(-(x * x + y * y) / REACH_M**2)
