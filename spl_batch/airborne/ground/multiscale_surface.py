@@ -81,8 +81,7 @@ _DEPTHS = 50
 """Depths below a surface are counted by steps of this, so many, and one for all deeper ones [m]."""
 
 _ENDS = 0.25
-"""The next layer holds a third to a half of the points of one over grass of dunes, and an eighth
-over rough soil, steep eucalypt forest and polders."""
+"""Share of the layer's points that the next one may hold: more of grass, fewer of rough soil."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
