@@ -17,8 +17,6 @@ from spl_batch.engine.findings import Finding
 from spl_batch.errors import named
 from spl_batch.lattice.tables import BeamTable, PointTable
 
-DOMAIN: Final = "time"
-
 CLEAR_SIGMA: Final = 3.0
 """Poisson deviations by which a cell may hear more noise between two buffers than beyond both."""
 

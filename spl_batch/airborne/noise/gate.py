@@ -10,7 +10,7 @@ the same returns is taken.
 
 import math
 from collections.abc import Iterator
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,21 +132,16 @@ def _edges(
 
     ``noise``: (w, 2), returns above and below the signal [count].
     """
-    whole = extremes[1] - extremes[0]
-    first, of_first = _outermost(extremes[0], whole, starts)
-    last, of_last = _outermost(-extremes[1], whole, starts)
-    within = -last[:, LONE_MOST] - first[:, LONE_MOST]
-    # Of one side alone: behind the surface there may be less of it.
-    above, below = (np.where(side >= SUPPORT, _spacing_m(within, side, half_m), np.nan)
-                    for side in noise.T)  # fmt: skip
-    low = _without_lone(first, of_first - within[:, None], above)
-    high = -_without_lone(last, of_last - within[:, None], below)
+    windows = (np.split(values, starts[1:]) for values in extremes)
+    ends = [_ends(*window, half_m) for window in zip(*windows, noise, strict=True)]
+    low, high = np.array(ends).T
     extent = high - low
     total = noise.sum(axis=1)
     shortfall = _spacing_m(extent, total, half_m)
     supported = (total >= SUPPORT) & (shortfall < 0.1 * extent)
     if not supported.any():
-        low, high = first[:, 0], -last[:, 0]
+        low = np.minimum.reduceat(extremes[0], starts)
+        high = np.maximum.reduceat(extremes[1], starts)
         slant = float(np.median(high - low)) / named[1]
         return _Edges(*named, low, high, slant, supported=False)
     low, high = low - shortfall, high + shortfall
@@ -156,58 +151,51 @@ def _edges(
     return _Edges(*named, low, high, slant, supported=True)
 
 
-def _spacing_m(
-    extent: NDArray[np.float64], noise: NDArray[np.int64], half_m: float
-) -> NDArray[np.float64]:
-    """Mean spacing of the noise of each window, by the returns farther than half_m from the signal.
-
-    ``extent``: (w,) [m]; NaN where it is not known.
-    """
+def _spacing_m(extent: Any, noise: Any, half_m: float) -> Any:
+    """Mean spacing of the noise in an extent, by returns farther than half_m from the signal."""
     density = noise / np.maximum(extent - 2 * half_m, 0.2 * np.maximum(extent, 1.0))
     return 1.0 / np.maximum(density, 1e-9)
 
 
+def _ends(
+    low: NDArray[np.float64], high: NDArray[np.float64], noise: NDArray[np.int64], half_m: float
+) -> tuple[float, float]:
+    """Lowest and highest end of a window's intervals that is not far beyond all others."""
+    # Distinct ones: an interval without returns repeats the ends of the one before.
+    sides = [np.unique(ends, return_index=True) for ends in (low, -high)]
+    if min(len(ends) for ends, _ in sides) <= LONE_MOST:
+        return float(low.min()), float(high.max())
+    within = -sum(ends[LONE_MOST] for ends, _ in sides)
+    # Of one side alone: behind the surface there may be less noise.
+    first, last = (
+        _without_lone(
+            ends,
+            (high - low - within)[row],
+            _spacing_m(within, count, half_m) if count >= SUPPORT else np.inf,
+        )
+        for (ends, row), count in zip(sides, noise, strict=True)
+    )
+    return first, -last
+
+
 def _without_lone(
-    ends: NDArray[np.float64], longer: NDArray[np.float64], spacing: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Lowest value of each window that is not far below all others: (w,).
+    ends: NDArray[np.float64], longer: NDArray[np.float64], spacing_m: float
+) -> float:
+    """Lowest of rising ends that is not far below all others.
 
     Where the gate of an interval lies elsewhere as a whole, the interval is no longer for that.
 
-    ``ends``: (w, k), lowest values of each window, rising; NaN where there are no more. ``longer``:
-    (w, k), by how much the intervals that they are of are longer than the window without them.
-    ``spacing``: (w,), of the noise; NaN where too little shows it. All in metres.
+    ``longer``: by how much the interval of each is longer than the window without them [m].
     """
-    gap, out = np.diff(ends, axis=1), ends[:, 0]
-    least, most = LONE_GAPS
-    for lone in range(1, LONE_MOST + 1):
-        follow = gap[:, lone : lone + most]
-        known = np.count_nonzero(~np.isnan(follow), axis=1)
-        mean = np.nansum(follow, axis=1) / np.maximum(known, 1)
-        far = gap[:, lone - 1] > LONE_SPACINGS * np.maximum(spacing, mean)
-        far &= (longer[:, :lone] > 0.5 * gap[:, lone - 1 : lone]).all(axis=1)
-        out = np.where(far & (known >= least), ends[:, lone], out)
-    return out
-
-
-def _outermost(
-    values: NDArray[np.float64], extent: NDArray[np.float64], starts: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest distinct values of each window, rising, and the extents of their intervals: (w, k).
-
-    NaN where there are no more. An interval without returns repeats the values of the one before.
-    """
-    window = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(values))))
-    order = np.lexsort((values, window))
-    values, extent, window = values[order], extent[order], window[order]
-    new = np.diff(values, prepend=np.nan) != 0
-    new[starts] = True
-    values, extent, window = values[new], extent[new], window[new]
-    rank = np.arange(len(values)) - np.searchsorted(window, window)
-    out = np.full((2, len(starts), 1 + LONE_MOST + LONE_GAPS[1]), np.nan)
-    near = rank < out.shape[2]
-    out[:, window[near], rank[near]] = values[near], extent[near]
-    return out[0], out[1]
+    gap, lone = np.diff(ends), 0
+    for k in range(1, LONE_MOST + 1):
+        follow = gap[k : k + LONE_GAPS[1]]
+        if len(follow) < LONE_GAPS[0]:
+            break
+        far = gap[k - 1] > LONE_SPACINGS * max(spacing_m, follow.mean())
+        if far and (longer[:k] > 0.5 * gap[k - 1]).all():
+            lone = k
+    return float(ends[lone])
 
 
 def _length_m(

@@ -20,7 +20,6 @@ from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import BeamTable, PointTable
-from spl_batch.numerics.compiled import njit
 
 CELL_M: Final = 2.5
 """Edge of a ground cell: half of a shot's patch [m]."""
@@ -97,39 +96,14 @@ def look_through(
     of_shot = np.diff(np.searchsorted(beamlet, shot))
     share = np.zeros(len(table), np.int64)
     share[beamlet[:-1]] = np.repeat(SHOT // np.maximum(of_shot, 1), of_shot)
-    row, looked, number = np.empty((3, len(table)), np.int64)
-    looks = np.empty(len(signal.groups), np.int64)
-    number_looks(signal.starts, cell, share, row, looks, looked, number)
-    count = int(looks.sum())
-    return row, {"looks": looks, "look_cell": looked[:count], "look_number": number[:count]}
-
-
-@njit()
-def number_looks(
-    starts: NDArray[np.int64],
-    cell: NDArray[np.int64],
-    share: NDArray[np.int64],
-    row: NDArray[np.int64],
-    looks: NDArray[np.int64],
-    looked: NDArray[np.int64],
-    number: NDArray[np.int64],
-) -> None:
-    """Number the ground cells of each interval, and add up the shares of its returns.
-
-    Filled: ``row``, number of each return's interval and cell; ``looks``, (m,), numbers of each
-    interval; ``looked`` and ``number``, as far as numbers go, cell of each and sum of its shares.
-    """
-    count, last = 0, 0
-    for m in range(len(starts) - 1):
-        begin = count
-        for i in range(starts[m], starts[m + 1]):
-            if begin == count or looked[last] != cell[i]:
-                last = begin
-                while last < count and looked[last] != cell[i]:
-                    last += 1
-                if last == count:
-                    looked[count], number[count] = cell[i], 0
-                    count += 1
-            row[i] = last
-            number[last] += share[i]
-        looks[m] = count - begin
+    interval = np.repeat(np.arange(len(signal.groups)), np.diff(signal.starts))
+    order = lexicographic_order([interval, *np.divmod(cell, STRIDE)])
+    starts = run_starts(interval[order], cell[order])
+    row = np.empty(len(table), np.int64)
+    row[order] = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    first = order[starts[:-1]]
+    return row, {
+        "looks": np.bincount(interval[first], minlength=len(signal.groups)),
+        "look_cell": cell[first],
+        "look_number": np.add.reduceat(share[order], starts[:-1]),
+    }

@@ -17,7 +17,7 @@ towards their neighbours (empirical Bayes, gamma prior).
 """
 
 from collections.abc import Iterator
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +40,6 @@ from spl_batch.lattice.tables import BeamTable, PointTable
 
 __all__ = ["LineModel", "fit", "gate_of", "line_density", "merge", "observe"]
 
-DOMAIN: Final = "time"
-COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
-COLUMNS_ADDED: Final = ("line_density",)
-
 SEEN_TARGET: Final = 15.0
 """Seen beamlets that a window of shots should have; exp(-15) of the windows are empty."""
 
@@ -56,8 +52,6 @@ ground: only a third of a gate of 150 m lies beyond the widest one."""
 
 REGION_MIN: Final = 0.2
 """Least share of the gate in a noise region."""
-
-Side = Literal["both", "above", "below", "none"]
 
 
 def fit(
@@ -85,13 +79,12 @@ def fit(
     fired = (last - first + 1).astype(np.float64) * beamlets
     length = offered_lengths(gate, summary, settings.buffer_m)
     region = choose_region(outside, fired[:, None, None] * length, fired, gate, summary)
-    use = {"both": [1.0, 1.0], "above": [1.0, 0.0], "below": [0.0, 1.0]}
-    if region.side == "none":
+    sides = np.array(region.sides)
+    if not sides.any():
         flat = profile_rate(merged["profile"], gate, summary, fired)
         rate, gain = np.full(len(interval), flat), gain_active
         cell, of_cell = np.empty(0, np.int64), np.empty(0)
     else:
-        sides = np.array(use[region.side])
         counted = (outside[:, :, region.buffer] @ sides).astype(np.int64)
         nearer = max(region.buffer, NEARER)
         blinded = np.where(present[:, None, None], merged["blinded"][rows], 0.0)
@@ -134,7 +127,7 @@ class Region(NamedTuple):
     """Buffer and sides of the signal that are counted."""
 
     buffer: int
-    side: Side
+    sides: tuple[float, float]  #: Weights of what lies above and below the signal.
     warnings: tuple[Finding, ...]
 
 
@@ -182,28 +175,24 @@ def choose_region(
     whole = float(np.sum(fired * np.maximum(above + below, 0.0)))
     wide = np.flatnonzero(offered.sum(axis=0) >= REGION_MIN * whole)
     if whole <= 0 or len(wide) == 0:
-        return Region(0, "none", (_NO_REGION,))
+        return Region(0, (0.0, 0.0), (Finding("N01", {"kind": "fitted"}),))
     b = int(wide[0])
-    notes = () if b == 0 else (_short(BUFFER_LADDER[b]),)
+    share = BUFFER_LADDER[b]
+    # The part of the gate taken for signal had to shrink.
+    short = Finding("N01", {"kind": "short", "share": share}, badness=-share)
+    notes = (short,) if b else ()
     (n_up, n_down), (e_up, e_down) = counts[:, b], offered[:, b]
     if min(e_up, e_down) < 0.25 * REGION_MIN * whole:
-        return Region(b, "both", notes)
+        return Region(b, (1.0, 1.0), notes)
     up, down = n_up / e_up, n_down / e_down
     spread = np.sqrt((n_up + 1) / e_up**2 + (n_down + 1) / e_down**2)
     if abs(up - down) <= max(0.15 * min(up, down), 5 * spread):
-        return Region(b, "both", notes)
-    side: Side = "below" if up > down else "above"
-    more, times = ("above", up / down) if up > down else ("below", down / up)
-    values = {"kind": "side", "times": float(times), "more": more, "side": side}
-    return Region(b, side, (*notes, Finding("N01", values, badness=float(times))))
-
-
-def _short(share: float) -> Finding:
-    """The part of the gate taken for signal had to shrink to this share."""
-    return Finding("N01", {"kind": "short", "share": share}, badness=-share)
-
-
-_NO_REGION: Final = Finding("N01", {"kind": "fitted"})
+        return Region(b, (1.0, 1.0), notes)
+    more, side = ("above", "below") if up > down else ("below", "above")
+    times = float(max(up, down) / min(up, down))
+    values = {"kind": "side", "times": times, "more": more, "side": side}
+    used = (0.0, 1.0) if up > down else (1.0, 0.0)
+    return Region(b, used, (*notes, Finding("N01", values, badness=times)))
 
 
 def profile_rate(

@@ -6,8 +6,8 @@ flightline's density is found on squares, 2.5 m wide in voxels of 10 m, and flig
 
 - One beamlet stands for the noise in a sphere over the beamlets that cross it; a square has that
   times its beamlets, each by the gain of its ground (``VoxelPart.squares``).
-- A count is believed as far as the chance of silent beamlets allows, against the squares around and
-  then the mean of the voxel. Gaps of up to two squares are closed.
+- A count is believed as far as the chance of silent beamlets allows, against the squares around.
+  Gaps of up to two squares are closed.
 - A beamlet stands for the same noise in each layer that it crosses, and for less where its gate
   ends. Such a layer takes the noise per beamlet of the layer above or below.
 
@@ -32,29 +32,21 @@ SQUARES: Final = 4
 MARGIN_VOXELS: Final = 2
 """Voxels on each side of a point's that its density depends on."""
 
-PRIOR: Final = 10.0
-"""Beamlets that the squares around are worth against a square's own, and the voxel's mean against
-both [count]. Chance chooses which beamlets are silent: where half of them are seen, a count of 10
-errs by 22 %, less than Poisson's 32 %."""
+PRIOR: Final = 6.0
+"""Beamlets that the squares around are worth against a square's own [count]."""
 
 BLUR: Final = 4.0
 """Weight of a square's own count against a neighbour's along an axis, in a blur."""
 
-SURE: Final = 4.0
-"""Squares whose counts together are as sure as a blurred one."""
-
-RIDGE: Final = 2.0
+RIDGE: Final = 3.0
 """How often a ridge gets back what a blur takes off it: blur and linear interpolation flatten the
 ridges of turning scans along the edges of swaths, and those over the edges of bright ground."""
 
 LEAST: Final = 0.15
 """Share of the density that is left at the edge of a flightline, within a square of it."""
 
-CUT: Final = 2.0
-"""Standard errors by which a beamlet stands for less than in the next layer at a gate's end."""
-
-SLIVER: Final = 0.027
-"""Share of a sphere that sticks out of its voxel on one side: a smaller loss is no end."""
+CUT: Final = 0.07
+"""Share by which a beamlet stands for less than in the next layer where its gate ends."""
 
 ENOUGH: Final = 0.5
 """Share of the next layer's beamlets that shows what a beamlet stands for."""
@@ -82,9 +74,9 @@ def listened(
         return None
     beamlets = unpack(counts) / np.float32(BEAMLET)
     covered = ndimage.minimum_filter(ndimage.maximum_filter(beamlets > 0, (3, 3, 1)), (3, 3, 1))
-    density = _believed(beamlets, covered)
+    density = _believed(beamlets, covered.astype(np.float32))
     each = each_stands_for(amount, beamlets, voxel_m)
-    density *= over_squares(each)
+    density *= each.astype(np.float32).repeat(SQUARES, axis=0).repeat(SQUARES, axis=1)
     return density
 
 
@@ -122,22 +114,14 @@ def around(
     return total
 
 
-def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Beamlets over squares, as far as chance lets their counts tell; 0 beside covered ones."""
-    prior, inside = np.float32(PRIOR), covered.astype(np.float32)
-    area: NDArray[np.float32] = np.maximum(blurred(inside, BLUR), np.float32(1.0))
-    around: NDArray[np.float32] = inside * blurred(beamlets, BLUR) / area
+def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Beamlets over squares, as far as chance lets their counts show; 0 beside covered ones."""
+    area: NDArray[np.float32] = np.maximum(blurred(covered, BLUR), np.float32(1.0))
+    around: NDArray[np.float32] = covered * blurred(beamlets, BLUR) / area
     ridge = around - blurred(around, BLUR) / area
-    own = beamlets / (beamlets + prior)
+    own = around / (around + np.float32(PRIOR))
     number = around + own * (beamlets - around + np.float32(RIDGE) * ridge)
-    np.maximum(number, np.float32(0.5) * around, out=number)
-    known = np.float32(SURE) * number
-    mean = over_squares(ratio(of_voxels(beamlets), of_voxels(covered)))
-    mean *= prior
-    mean += known * number
-    mean *= inside
-    mean /= known + prior
-    return mean
+    return np.maximum(number, np.float32(0.0))
 
 
 def each_stands_for(
@@ -156,9 +140,7 @@ def each_stands_for(
     tells = number >= ENOUGH * tallest(number)
     here = np.where(tells, part, 0.0)
     whole = tallest(here)
-    # Beamlets cross all layers: only those that lean in and out differ, by chance.
-    error = np.maximum(CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2)), SLIVER)
-    return np.where((part < (1.0 - error) * whole) | ~tells, whole, here)
+    return np.where((part < (1.0 - CUT) * whole) | ~tells, whole, here)
 
 
 def tallest(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -174,11 +156,6 @@ def unpack(counts: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
     return apart.astype(np.float32).reshape(nx * SQUARES, ny * SQUARES, nz)
 
 
-def over_squares(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Value of its voxel for each square: (4 nx, 4 ny, nz) float32 from (nx, ny, nz)."""
-    return values.astype(np.float32).repeat(SQUARES, axis=0).repeat(SQUARES, axis=1)
-
-
 def blurred(values: NDArray[Any], own: float = 1.0) -> NDArray[Any]:
     """Sum over each cell and the eight around it; along each axis its own weighs ``own``."""
     for axis in (0, 1):
@@ -186,7 +163,7 @@ def blurred(values: NDArray[Any], own: float = 1.0) -> NDArray[Any]:
     return values
 
 
-def of_voxels(values: NDArray[np.floating[Any]] | NDArray[np.bool_]) -> NDArray[np.float64]:
+def of_voxels(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     """Mean of the squares of each voxel."""
     nx, ny, nz = (n // d for n, d in zip(values.shape, (SQUARES, SQUARES, 1), strict=True))
     blocks = values.reshape(nx, SQUARES, ny, SQUARES, nz)

@@ -170,8 +170,7 @@ def deposit_beamlets(
 ) -> None:
     """Add every beamlet's chords to every sphere that it crosses.
 
-    Only spheres near the line are looked at: in each layer along the axis that the line follows
-    most, those whose centre lies within ``radius / |u|`` of the line.
+    Only spheres near the line are looked at, in each layer along the axis that it follows most.
 
     ``voxel``: (n, 3), that of the return, relative to the corner of ``amount``; ``point``: the
     return, relative to its centre; ``near``, ``far``: ends of the gate along the beam, from the
@@ -195,7 +194,6 @@ def deposit_beamlets(
             cover(voxel[row], at, ray, start, stop, edge, radius, share[row], squares)
         axis = 2 - np.argmax(np.abs(ray[::-1]))
         p, q, along = (axis + 1) % 3, (axis + 2) % 3, ray[axis]
-        reach = radius / abs(along)
         ends = (at[axis] + start * along, at[axis] + stop * along)
         for layer in range(
             math.ceil((min(ends) - radius) / edge), math.floor((max(ends) + radius) / edge) + 1
@@ -203,19 +201,18 @@ def deposit_beamlets(
             t = (layer * edge - at[axis]) / along
             x, y = at[p] + t * ray[p], at[q] + t * ray[q]
             index[axis] = voxel[row, axis] + layer
-            for i in range(math.ceil((x - reach) / edge), math.floor((x + reach) / edge) + 1):
-                index[p] = voxel[row, p] + i
-                for j in range(math.ceil((y - reach) / edge), math.floor((y + reach) / edge) + 1):
-                    index[q] = voxel[row, q] + j
-                    chord = chord_length(
-                        x - i * edge, y - j * edge, 0.0, ray[p], ray[q], along,
-                        start - t, stop - t, radius,
-                    )  # fmt: skip
-                    if chord <= 0.0:
-                        continue
-                    sphere = (index[0], index[1], index[2])
-                    amount[sphere] += int(np.rint(weight[row] * chord))
-                    if beamlets.size:
-                        beamlets[sphere] += 1
-                        shots[sphere] += last_shot[sphere] != ordinal[row]
-                        last_shot[sphere] = ordinal[row]
+            # The line reaches no sphere beyond the eight around the nearest one: along its main
+            # axis it leaves none of them more than sqrt(3) radii to the side.
+            for side in range(9):
+                i, j = round(x / edge) + side // 3 - 1, round(y / edge) + side % 3 - 1
+                index[p], index[q] = voxel[row, p] + i, voxel[row, q] + j
+                chord = chord_length(
+                    x - i * edge, y - j * edge, 0.0, ray[p], ray[q], along,
+                    start - t, stop - t, radius,
+                )  # fmt: skip
+                sphere = (index[0], index[1], index[2])
+                amount[sphere] += int(np.rint(weight[row] * chord))
+                if chord > 0.0 and beamlets.size:
+                    beamlets[sphere] += 1
+                    shots[sphere] += last_shot[sphere] != ordinal[row]
+                    last_shot[sphere] = ordinal[row]
