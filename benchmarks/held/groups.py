@@ -69,6 +69,7 @@ GROUPS: Final[Mapping[str, Callable[[Given], Iterator[Figure]]]] = MappingProxyT
         "wires": labels.conductors,
         "afterpulse": labels.afterpulse,
         "noise": noise.strata,
+        "uneven": noise.kept,
         "ground": terrain.ground,
         "stages": speed.stages,
         "kernels": speed.kernels,

@@ -13,15 +13,17 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
-from benchmarks.held.figures import Figure, figure
+from benchmarks.held.figures import Figure, Worse, figure
 from benchmarks.held.surveys import Given, simulated
-from benchmarks.held.truth import Grid, Mask
+from benchmarks.held.truth import NOISE, Grid, Mask, share
 from spl_batch import api, filter_points
 from spl_batch.airborne.filter.ellipsoid.null_distribution import repeated
 from spl_batch.airborne.noise import voxel_noise
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.airborne.settings.workflow import load_workflow
+from spl_batch.airborne.simulate.scene.ray_trace import KINDS
 from spl_batch.airborne.store.voxel_parts import StoredVoxels
 
 VOXEL_M: Final = 10.0
@@ -49,6 +51,9 @@ def _uneven(zenith_deg: float = 45, **parts: Any) -> Mapping[str, Any]:
     return {"sky": sky, "acquisition": {"prf_hz": 10_000, "gate_m": 150}, **parts}
 
 
+SHADOWS: Final[Mapping[str, Any]] = _uneven(
+    buildings={"count": 8, "eave_m": [10, 25]}, trees={"cover": 0.2}, zenith_deg=65
+)
 SCENES: Final[Mapping[str, Mapping[str, Any]]] = {
     "edges": {
         "flights": [{"heading_deg": 0, "offset_m": 610}, {"heading_deg": 0, "offset_m": -630}],
@@ -99,9 +104,8 @@ SCENES: Final[Mapping[str, Mapping[str, Any]]] = {
     "shoreline": _uneven(
         water=[{"ring_m": [[-60, -60], [110, -60], [130, 120], [100, 300], [-60, 300]]}]
     ),
-    "shadows": _uneven(
-        buildings={"count": 8, "eave_m": [10, 25]}, trees={"cover": 0.2}, zenith_deg=65
-    ),
+    "shadows": SHADOWS,
+    "shadows, even rate": {**SHADOWS, "sky": {"background_per_m3": 0.1}},
     "slopes": _uneven(terrain={"relief_m": 60, "wavelength_m": 120}, zenith_deg=70),
     "low": {
         "flights": [*CROSSING, {"heading_deg": 180, "offset_m": 320}],
@@ -179,22 +183,13 @@ def voxels(folder: Path, overrides: tuple[str, ...]) -> Voxels:
     output = "_".join(["out", *(o.split("=")[0].split(".")[-1] for o in overrides)])
     settings = (*overrides, f"output={output}")
     api.run(folder / "workflow.yaml", workers=0, until="shuffle", overrides=settings)
-    with np.load(folder / "truth" / "noise_density.npz") as stored:
-        corner = tuple(int(c) - PAD for c in stored["corner"])
-        truth = np.pad(stored["density"], PAD)
+    corner, truth, scene, (x, y, z) = _lattice(folder)
     totals = {"amount": np.zeros(truth.shape, dtype=np.int64)}
     for part in sorted((folder / output / "store" / "voxels").glob("*/*.zarr")):
         StoredVoxels(part).add((corner[0], corner[1], corner[2]), totals)
     noise = load_workflow(folder / "workflow.yaml", settings).noise
     density = voxel_noise.density(totals["amount"], noise)
-    scene = json.loads((folder / "truth" / "scene.json").read_text(encoding="utf-8"))["scene"]
-    centre = [
-        (np.arange(n) + c + 0.5) * VOXEL_M - o
-        for n, c, o in zip(truth.shape, corner, scene["origin_m"], strict=True)
-    ]
-    x, y, z = np.meshgrid(*centre, indexing="ij")
-    east, north = scene["extent_m"]
-    core = np.minimum(np.minimum(x, east - x), np.minimum(y, north - y)) > 25.0
+    core = _core(x, y, scene)
     edge, covers = _swaths(x, y, z, scene)
     end, middle = _gate_ends(truth)
     true = _true_counts(folder, corner, truth.shape)
@@ -202,6 +197,25 @@ def voxels(folder: Path, overrides: tuple[str, ...]) -> Voxels:
     usual = float(np.median(truth[inner])) if inner.any() else 0.0
     bright, dark = inner & (truth > BRIGHTER * usual), inner & (truth < usual / BRIGHTER)
     return Voxels(density * VOXEL_M**3, true, core, end, middle, edge, bright, dark, covers)
+
+
+def _lattice(folder: Path) -> tuple[tuple[int, ...], Grid, dict[str, Any], list[Grid]]:
+    """First voxel, true noise of all, the scene, and centres of voxels from its corner [m]."""
+    with np.load(folder / "truth" / "noise_density.npz") as stored:
+        corner = tuple(int(c) - PAD for c in stored["corner"])
+        truth = np.pad(stored["density"], PAD)
+    scene = json.loads((folder / "truth" / "scene.json").read_text(encoding="utf-8"))["scene"]
+    centre = [
+        (np.arange(n) + c + 0.5) * VOXEL_M - o
+        for n, c, o in zip(truth.shape, corner, scene["origin_m"], strict=True)
+    ]
+    return corner, truth, scene, np.meshgrid(*centre, indexing="ij")
+
+
+def _core(x: Grid, y: Grid, scene: Mapping[str, Any]) -> Mask:
+    """Voxels more than 25 m within the scene."""
+    east, north = scene["extent_m"]
+    return np.minimum(np.minimum(x, east - x), np.minimum(y, north - y)) > 25.0
 
 
 def _true_counts(folder: Path, corner: tuple[int, ...], shape: tuple[int, ...]) -> Grid:
@@ -251,6 +265,72 @@ def _gate_ends(truth: Grid) -> tuple[Mask, Mask]:
         end[i, j, high - 1 : high + 3] = True
         middle[i, j, low + 3 : high - 2] = True
     return end, middle
+
+
+SEEDS: Final = {"shadows": 3, "shadows, even rate": 3, "classes": 3, "parcels": 1, "shoreline": 1,
+                "slopes": 1}  # fmt: skip
+"""Scenes of which the kept noise is counted, and how many seeds each has."""
+
+MIDDLE_M, FAR_M = 65.0, 5.0
+"""Half of the square in which returns count; least distance of far noise from what is true."""
+
+
+def kept(given: Given) -> Iterator[Figure]:
+    """Far noise and true returns that are kept: mean and standard error of seeds."""
+    for scene, seeds in SEEDS.items():
+        found = []
+        for seed in range(1, seeds + 1):
+            content = {"name": "uneven", **BASE, **SCENES[scene], "seed": seed}
+            found.append(_kept(simulated(content, given.scratch / "uneven" / f"{scene} {seed}")))
+        for what in found[0]:
+            values = np.array([one[what] for one in found])
+            moves: tuple[Worse, float] = ("more", 0.05) if "noise" in what else ("less", 0.2)
+            yield figure(f"{scene}, kept: {what}", float(values.mean()), "%", *moves)
+            if seeds > 1:
+                error = float(values.std(ddof=1) / seeds**0.5)
+                yield figure(f"{scene}, standard error: {what}", error, "%", "more", 0.1)
+
+
+def _kept(folder: Path) -> dict[str, float]:
+    """Kept shares of a survey, by kind, and of far noise by how bright the ground is [%]."""
+    xyz, kind, shots = _returns(folder)
+    workflow = load_workflow(folder / "workflow.yaml", ())
+    facts = {"acquisition": workflow.acquisition.model_dump(exclude_none=True)}
+    labels = filter_points(xyz, **shots, settings=facts)
+    corner, rate, scene, (x, y, _) = _lattice(folder)
+    inner = _core(x, y, scene) & _gate_ends(rate)[1]
+    usual = float(np.median(rate[inner]))
+    middle = np.array(scene["origin_m"][:2]) + np.array(scene["extent_m"]) / 2
+    counted = (np.abs(xyz[:, :2] - middle) < MIDDLE_M).all(axis=1)
+    xyz, kind, signal = xyz[counted], kind[counted], labels.signal[counted]
+    at = np.clip(np.floor(xyz / VOXEL_M).astype(np.int64) - corner, 0, np.array(rate.shape) - 1)
+    relative, known = rate[tuple(at.T)] / usual, inner[tuple(at.T)]
+    true = ~np.isin(kind, NOISE)
+    distance = KDTree(xyz[true]).query(xyz, distance_upper_bound=FAR_M)[0]
+    far = (kind == KINDS.index("background")) & np.isinf(distance) & known
+    found = {
+        "far noise": far,
+        "far noise, bright": far & (relative > BRIGHTER),
+        "far noise, dark": far & (relative < 1.0 / BRIGHTER),
+        **{name: kind == KINDS.index(name) for name in ("vegetation", "ground", "roof")},
+    }
+    return {name: share(signal, rows) for name, rows in found.items() if rows.any()}
+
+
+def _returns(folder: Path) -> tuple[Grid, NDArray[np.uint8], dict[str, NDArray[Any]]]:
+    """Places of a survey's returns, their kinds, and what filter_points asks of their shots."""
+    time, *sensor = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1).T[:4]
+    lines = sorted((folder / "truth").glob("line_*.parquet"))
+    clouds = [laspy.read(folder / "flightlines" / f"{line.stem}.laz") for line in lines]
+    kind = np.concatenate([pq.read_table(line)["kind"].to_numpy() for line in lines])
+    x, y, z, *columns = (
+        np.concatenate([np.asarray(cloud[name]) for cloud in clouds])
+        for name in ("x", "y", "z", "gps_time", "channel", "return_number", "point_source_id")
+    )
+    names = ("gps_time", "channel", "return_number", "flightline")
+    shots = dict(zip(names, columns, strict=True))
+    origin = [np.interp(shots["gps_time"], time, axis) for axis in sensor]
+    return np.column_stack([x, y, z]), kind, {**shots, "beam_origin": np.column_stack(origin)}
 
 
 DENSITIES: Final = (0.02, 0.1, 0.4, 1.0)
