@@ -199,7 +199,7 @@ def voxels(folder: Path, overrides: tuple[str, ...]) -> Voxels:
     return Voxels(density * VOXEL_M**3, true, core, end, middle, edge, bright, dark, covers)
 
 
-def _lattice(folder: Path) -> tuple[tuple[int, ...], Grid, dict[str, Any], list[Grid]]:
+def _lattice(folder: Path) -> tuple[tuple[int, ...], Grid, dict[str, Any], tuple[Grid, ...]]:
     """First voxel, true noise of all, the scene, and centres of voxels from its corner [m]."""
     with np.load(folder / "truth" / "noise_density.npz") as stored:
         corner = tuple(int(c) - PAD for c in stored["corner"])
@@ -209,13 +209,14 @@ def _lattice(folder: Path) -> tuple[tuple[int, ...], Grid, dict[str, Any], list[
         (np.arange(n) + c + 0.5) * VOXEL_M - o
         for n, c, o in zip(truth.shape, corner, scene["origin_m"], strict=True)
     ]
-    return corner, truth, scene, np.meshgrid(*centre, indexing="ij")
+    return corner, truth, scene, tuple(np.meshgrid(*centre, indexing="ij"))
 
 
 def _core(x: Grid, y: Grid, scene: Mapping[str, Any]) -> Mask:
     """Voxels more than 25 m within the scene."""
     east, north = scene["extent_m"]
-    return np.minimum(np.minimum(x, east - x), np.minimum(y, north - y)) > 25.0
+    core: Mask = np.minimum(np.minimum(x, east - x), np.minimum(y, north - y)) > 25.0
+    return core
 
 
 def _true_counts(folder: Path, corner: tuple[int, ...], shape: tuple[int, ...]) -> Grid:
@@ -317,7 +318,7 @@ def _kept(folder: Path) -> dict[str, float]:
     return {name: share(signal, rows) for name, rows in found.items() if rows.any()}
 
 
-def _returns(folder: Path) -> tuple[Grid, NDArray[np.uint8], dict[str, NDArray[Any]]]:
+def _returns(folder: Path) -> tuple[Grid, NDArray[np.uint8], dict[str, Any]]:
     """Places of a survey's returns, their kinds, and what filter_points asks of their shots."""
     time, *sensor = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1).T[:4]
     lines = sorted((folder / "truth").glob("line_*.parquet"))

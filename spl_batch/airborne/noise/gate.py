@@ -132,9 +132,9 @@ def _edges(
 
     ``noise``: (w, 2), returns above and below the signal [count].
     """
-    windows = (np.split(values, starts[1:]) for values in extremes)
-    ends = [_ends(*window, half_m) for window in zip(*windows, noise, strict=True)]
-    low, high = np.array(ends).T
+    lowest, highest = (np.split(values, starts[1:]) for values in extremes)
+    windows = zip(lowest, highest, noise, strict=True)
+    low, high = np.array([_ends(*window, half_m) for window in windows]).T
     extent = high - low
     total = noise.sum(axis=1)
     shortfall = _spacing_m(extent, total, half_m)
