@@ -25,8 +25,7 @@ from spl_batch.airborne.arrays.empty_space import EmptySpace, empty_space
 from spl_batch.airborne.arrays.labels import Basis, ExpectedNoise, Labels
 from spl_batch.airborne.arrays.time_domain import Assessed, assess
 from spl_batch.airborne.filter import denoise
-from spl_batch.airborne.filter.air import look_at_air, noise_in_air
-from spl_batch.airborne.filter.expected_noise import Expected
+from spl_batch.airborne.filter.air import NoiseInAir, look_at_air
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.errors import InputError, grouped
@@ -170,8 +169,8 @@ def expected_noise(
         return ExpectedNoise(found.density, found.density, "cloud", _doubts(found, len(table)))
     known = assess(table, origin, chosen)
     places = known.table if at is None else points_of(at)
-    noise = _expected(places, known, chosen)
-    return ExpectedNoise(noise.local, noise.mean, _basis(known), known.warnings)
+    noise = NoiseInAir(known.model([places[axis] for axis in "xyz"], chosen))
+    return ExpectedNoise(noise.local(places), noise.mean(places), _basis(known), known.warnings)
 
 
 def _settings(
@@ -260,18 +259,17 @@ def _filtered(
     basis: Basis = "given"
     warnings = () if known is None else known.warnings
     if given is not None:
-        tested = told = mean = given[order]
+        told = mean = given[order]
     elif known is not None:
-        noise = _expected(ordered, known, settings, air=True)
-        by_voxel = denoise.asks_for_means(settings.filter)
-        told, mean, basis = noise.local, noise.mean, _basis(known)
-        tested = mean if by_voxel else told
+        noise = _expected(ordered, known, settings)
+        told, mean, basis = noise.local(ordered), noise.mean(ordered), _basis(known)
         space = empty_space(*(ordered[axis] for axis in "xyz"))
         warnings += _contradiction(space, told)
     else:
         found = empty_space(*(ordered[axis] for axis in "xyz"))
-        tested = told = mean = found.density
+        told = mean = found.density
         basis, warnings = "cloud", _doubts(found, n)
+    tested = mean if denoise.asks_for_means(settings.filter) else told
     columns = denoise.denoise(
         ordered, told, everything, settings.filter, settings.afterpulse, tested=tested
     )
@@ -289,17 +287,12 @@ def _filtered(
     )  # fmt: skip
 
 
-def _expected(
-    places: PointTable, known: Assessed, settings: Workflow, *, air: bool = False
-) -> Expected:
-    """Noise expected at places by beams; with the air's that holds more, where they are points."""
-    xyz, found = [places[axis] for axis in "xyz"], None
-    model = known.model(xyz, settings)
-    if air:
-        ends = [int(end) for k in (0, 1) for end in (xyz[k].min(), xyz[k].max() + 1)]
-        region = Bounds(ends[0], ends[2], ends[1], ends[3])
-        found = look_at_air(places, model, settings, region).air
-    return noise_in_air(places, np.ones(len(places), np.bool_), model, found)
+def _expected(places: PointTable, known: Assessed, settings: Workflow) -> NoiseInAir:
+    """Noise by the beams and by what the air over points holds."""
+    x, y, z = (places[axis] for axis in "xyz")
+    model = known.model([x, y, z], settings)
+    region = Bounds(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
+    return NoiseInAir(model, look_at_air(places, model, settings, region).air)
 
 
 def _basis(known: Assessed) -> Basis:

@@ -1,6 +1,6 @@
 """Noise of a block: as the model has it, and as it is where haze or cloud fills the air."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.filter import denoise as denoising
-from spl_batch.airborne.filter.expected_noise import Expected, NoiseModel
+from spl_batch.airborne.filter.expected_noise import NoiseModel
 from spl_batch.airborne.noise.haze import (
     CUBE_M,
     WINDOW,
     Air,
+    Axes,
     Layers,
     count_cubes,
     find_air,
@@ -54,29 +55,27 @@ def look_at_air(
     return Look(core, air, noise_by_layer(counts, air, model.local, core, heard))
 
 
-def noise_in_air(
-    table: PointTable, told: NDArray[np.bool_], model: NoiseModel | None, air: Air | None
-) -> Expected:
-    """Noise expected at points, the larger of the model's and the air's.
+class NoiseInAir(NamedTuple):
+    """Noise expected in a region, the larger of the model's and the air's."""
 
-    Parameters
-    ----------
-    table : PointTable
-        Points with ``x, y, z``.
-    told : (n,) bool
-        Points whose voxels' mean is wanted.
-    model, air
-        From :func:`~spl_batch.airborne.filter.expected_noise.noise_model` and :func:`look_at_air`.
-    """
-    if model is None:
-        return Expected(np.zeros(np.count_nonzero(told)), np.zeros(len(table)))
-    xyz = [table[axis] for axis in "xyz"]
-    mean, local = model.mean(xyz, told), model.local(xyz)
-    if air is not None:
-        x, y, z = (axis.astype(np.int64, copy=False) for axis in xyz)
-        local = noise_with_air((x, y, z), local, air)
-        mean = noise_with_air((x[told], y[told], z[told]), mean, air)
-    return Expected(mean, local)
+    model: NoiseModel | None
+    air: Air | None = None  #: From :func:`look_at_air`.
+
+    def local(self, table: PointTable) -> NDArray[np.float64]:
+        """Noise around points, of what is listened to; they are tested with it: (n,) [1/m3]."""
+        return self._larger(table, lambda model, xyz: model.local(xyz))
+
+    def mean(self, table: PointTable) -> NDArray[np.float64]:
+        """Noise of the whole voxels around points, silence included: (n,) [1/m3]."""
+        return self._larger(table, lambda model, xyz: model.mean(xyz))
+
+    def _larger(
+        self, table: PointTable, of_model: Callable[[NoiseModel, Axes], NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        if self.model is None:
+            return np.zeros(len(table))
+        xyz = (table["x"], table["y"], table["z"])
+        return noise_with_air(xyz, of_model(self.model, xyz), self.air)
 
 
 def facts_of(look: Look) -> dict[str, Any]:

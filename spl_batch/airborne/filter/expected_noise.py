@@ -26,14 +26,6 @@ class Share(Protocol):
         """Add it to a box of voxels, in place: first voxel, and the box's sums by name."""
 
 
-class Expected(NamedTuple):
-    """Noise density at points [1/m3]."""
-
-    mean: NDArray[np.float64]  #: (m,): of the whole voxel of each point that it was asked for.
-    #: (n,): of the part of it that is listened to; points are tested with it.
-    local: NDArray[np.float64]
-
-
 class _Box(NamedTuple):
     """Voxels of points with those around: an edge here may show in none of them alone.
 
@@ -77,16 +69,12 @@ class NoiseModel(NamedTuple):
         """The same, 0 where no flightline is known to listen, as beyond a gate: (n,) [1/m3]."""
         return around(self.heard, xyz, self.box.edge, self.box.corner)
 
-    def mean(
-        self, xyz: Sequence[NDArray[np.integer[Any]]], told: NDArray[np.bool_]
-    ) -> NDArray[np.float64]:
-        """Mean noise of the voxels of the m places told: (m,) [1/m3]."""
-        found = [np.zeros(0)]
-        for some in _batches(len(told)):
-            chosen = np.flatnonzero(told[some])
-            voxel = self.box.voxels([axis[some][chosen] for axis in xyz])
-            found.append(self.density[voxel])
-        return np.concatenate(found)
+    def mean(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
+        """Mean noise of the voxels around places: (n,) [1/m3]."""
+        out = np.empty(len(xyz[0]))
+        for some in _batches(len(out)):
+            out[some] = self.density[self.box.voxels([axis[some] for axis in xyz])]
+        return out
 
 
 def noise_model(
