@@ -4,7 +4,7 @@ A label names its point by tile and row in the tile's file, so units that are cu
 otherwise than the tiles (ground cells, blocks) need no join to find their points.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.store.flown_lines import Shifts
+from spl_batch.engine.report.run_record import Receipts
 from spl_batch.engine.store.working_store import Store
-from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.tasks.task import Need
 from spl_batch.formats.verified.parquet_npz import (
     groups_between,
     ranges_of,
@@ -31,26 +32,29 @@ from spl_batch.lattice.tiles import Bounds, CellId, overlap
 class Label(NamedTuple):
     """A column that units give to points; the others lie in the tiles."""
 
-    kind: str  #: Of the units that give it.
+    step: str  #: Whose tasks are the units that give it.
     default: float  #: Of a point that no unit has labelled.
 
 
 LABELS: Final[Mapping[str, Label]] = {
-    "noise_class": Label("noise", 255),
-    "p_value": Label("noise", float("nan")),
-    "noise_density": Label("noise", float("nan")),
-    "wire": Label("noise", 0),
+    "noise_class": Label("denoise", 255),
+    "p_value": Label("denoise", float("nan")),
+    "noise_density": Label("denoise", float("nan")),
+    "wire": Label("denoise", 0),
     "ground": Label("ground", 0),
-    "classification": Label("classes", 255),
-    "set_flags": Label("classes", 0),
+    "classification": Label("surface", 255),
+    "set_flags": Label("surface", 0),
 }
 """All of them."""
 
 GROUP_ROWS: Final = 65_536
 """Most rows of a row group [count]: a halo is read from few."""
 
-Unit = tuple[str, str]
-"""Kind and name of what has labelled some points."""
+Unit = Need
+"""Task that has labelled some points."""
+
+SHIFTED: Final[Need] = ("align", "all")
+"""Task that finds by how much heights are shifted."""
 
 
 class Origin(NamedTuple):
@@ -321,13 +325,35 @@ def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArr
     return found
 
 
+def labelled(args: Mapping[str, Any], found: Collection[Need]) -> dict[str, Any]:
+    """Arguments of a task with the units that labelled points, and whether heights are shifted.
+
+    Points of a task that has failed have no labels; the rest goes on.
+    """
+    steps = sorted({label.step for label in LABELS.values()})
+    labels = {step: sorted(name for made_by, name in found if made_by == step) for step in steps}
+    return {**args, "labels": labels, "aligned": SHIFTED in found}
+
+
+def on_ground(args: Mapping[str, Any], found: Collection[Need]) -> dict[str, Any] | None:
+    """Those of a cell likewise; None, which leaves it out, without its ground."""
+    return labelled(args, found) if ("ground", args["cell"]) in found else None
+
+
 def units_of(args: Mapping[str, Any], names: Iterable[str]) -> dict[str, list[Unit]]:
-    """Units that may give a task's points some labels, by label, as its arguments name them."""
-    kinds = {name: LABELS[name].kind for name in names}
-    return {name: [(kind, unit) for unit in args["labels"][kind]] for name, kind in kinds.items()}
+    """Units that may give a task's points some labels, by label; of :func:`labelled` arguments."""
+    steps = {name: LABELS[name].step for name in names}
+    return {name: [(step, unit) for unit in args["labels"][step]] for name, step in steps.items()}
 
 
-def units_within(region: Bounds, kind: str, done: Mapping[str, Receipt]) -> list[Unit]:
-    """Finished units that label points of a region; ``done``: receipts of those of the kind."""
-    cores = ((name, Bounds(*receipt.facts["core"])) for name, receipt in done.items())
-    return [(kind, name) for name, core in cores if overlap(core, region)]
+def units_within(region: Bounds, names: Iterable[str], done: Receipts) -> dict[str, list[Unit]]:
+    """Finished units that may give points of a region some labels, by label."""
+    steps = {name: LABELS[name].step for name in names}
+    return {
+        name: [
+            (step, unit)
+            for unit, receipt in done.get(step, {}).items()
+            if overlap(Bounds(*receipt.facts["core"]), region)
+        ]
+        for name, step in steps.items()
+    }

@@ -55,7 +55,7 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
         afterpulse=workflow.afterpulse,
     )
     labels = {**decided, "noise_density": mean}
-    path = context.store.table("noise", args["cell"])
+    path = context.store.table("denoise", args["cell"])
     write_labels(path, place, labels)
     return Produced([path], {"core": list(core), **facts_of(look)}, len(mean))
 

@@ -185,9 +185,12 @@ def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:
 
 def test_units_of_a_region_are_those_that_own_some_of_it() -> None:
     cores = {"a": [0, 0, 100, 100], "b": [100, 0, 200, 100], "c": [200, 0, 300, 100]}
-    done = {
+    receipts = {
         name: Receipt("ground", name, "", "", "", {}, {"core": core}, 0, 0.0, 0.0)
         for name, core in cores.items()
     }
-    assert units_within(Bounds(50, 10, 101, 20), "ground", done) == [("ground", k) for k in "ab"]
-    assert units_within(Bounds(100, 10, 200, 20), "ground", done) == [("ground", "b")]
+    done = {"ground": receipts}
+    assert units_within(Bounds(50, 10, 101, 20), ["ground"], done)["ground"] == [
+        ("ground", k) for k in "ab"
+    ]
+    assert units_within(Bounds(100, 10, 200, 20), ["ground"], done) == {"ground": [("ground", "b")]}
