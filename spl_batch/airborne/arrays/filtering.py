@@ -25,7 +25,7 @@ from spl_batch.airborne.arrays.empty_space import EmptySpace, empty_space
 from spl_batch.airborne.arrays.labels import Basis, ExpectedNoise, Labels
 from spl_batch.airborne.arrays.time_domain import Assessed, assess
 from spl_batch.airborne.filter import denoise
-from spl_batch.airborne.filter.air import NoiseInAir, look_at_air
+from spl_batch.airborne.filter.expected_noise import NoiseInAir, look_at_air
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.errors import InputError, grouped

@@ -48,7 +48,7 @@ from spl_batch.airborne.beams.differential_cell_count import dcc_keep
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.filter.cube_counts import cube_counts
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import count_inside
-from spl_batch.airborne.filter.ellipsoid.evidence import shape_of
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import shape_of
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict, without_p
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import QUANTA_PER_M

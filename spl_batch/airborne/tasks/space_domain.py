@@ -9,9 +9,13 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.diagnostics.air_fill import float_facts
 from spl_batch.airborne.diagnostics.noise_fit import P_VALUES
 from spl_batch.airborne.filter import denoise as denoising
-from spl_batch.airborne.filter.air import COLUMNS_NEEDED as AIR_COLUMNS
-from spl_batch.airborne.filter.air import NoiseInAir, facts_of, look_at_air
-from spl_batch.airborne.filter.expected_noise import noise_model
+from spl_batch.airborne.filter.expected_noise import (
+    COLUMNS_OF_AIR,
+    NoiseInAir,
+    facts_of,
+    look_at_air,
+    noise_model,
+)
 from spl_batch.airborne.filter.stray_returns import bare_cells
 from spl_batch.airborne.ground import ground_methods as grounding
 from spl_batch.airborne.products import surface_points
@@ -31,7 +35,7 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     cell, workflow = Cell.of(args, context), context.workflow
     core = cell.core
     # Air is looked for farther around than the filter looks, and in fewer columns.
-    seen = cell.read(grow(core, args["halo"]), AIR_COLUMNS)[0]
+    seen = cell.read(grow(core, args["halo"]), COLUMNS_OF_AIR)[0]
     shares = stored_by_line(context.store, args["voxels"])
     model = noise_model([seen[axis] for axis in "xyz"], shares, args["beamlets"], workflow.noise)
     look = look_at_air(seen, model, workflow, core)

@@ -27,7 +27,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.ellipsoid.evidence import Evidence, evidence
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import Evidence, evidence
 from spl_batch.airborne.filter.ellipsoid.null_distribution import null_table
 from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict

@@ -31,7 +31,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.ellipsoid.evidence import evidence
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import evidence
 from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, value_of
 from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.settings import FilterSettings
