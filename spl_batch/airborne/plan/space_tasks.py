@@ -11,11 +11,10 @@ from spl_batch.airborne.accuracy.evidence import LEVELS
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
 from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.grid import Unit
-from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.file_positions import FAR_M
 from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
-from spl_batch.airborne.plan.task_memory import cell_bytes, refusal
+from spl_batch.airborne.plan.task_memory import cell_bytes, refusal, surface_reach_m
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
 from spl_batch.airborne.store.label_tables import SHIFTED
 from spl_batch.constants import QUANTA_PER_M
