@@ -21,13 +21,10 @@ from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.store.flown_lines import Pass, line_of
 from spl_batch.airborne.store.voxel_parts import write_voxels
 from spl_batch.airborne.tasks import lines_of_sight
-from spl_batch.airborne.tasks.index import CHUNK_POINTS
-from spl_batch.airborne.tasks.stretches import read_stretch, repeats, without_copies
+from spl_batch.airborne.tasks.stretches import read_kept, read_stretch, repeats, without_copies
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.formats.gps_clock import usable_times
-from spl_batch.formats.las.reader import iter_points
 from spl_batch.formats.verified.parquet_npz import (
     read_arrays,
     read_table,
@@ -37,7 +34,6 @@ from spl_batch.formats.verified.parquet_npz import (
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import (
     CANONICAL_ORDER,
-    EXCLUDED,
     SOURCE_COLUMNS,
     TILE_COLUMNS,
     BeamTable,
@@ -93,7 +89,7 @@ def _spans_s(args: Mapping[str, Any]) -> list[tuple[float, float]]:
 def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     """Line noise density, voxel deposits and afterpulses of a stretch; points by tile."""
     if args["timeless"]:
-        table, copies = _run_of_points(args, context), None
+        table, copies = read_kept(args["kept"], context, _POINT_COLUMNS), None
         passes = [Pass(*one) for one in args["passes"]]
         line = line_of(table["point_source_id"], table["gps_time"], passes)
     else:
@@ -235,18 +231,3 @@ def _mark_places(table: PointTable, context: Context) -> PointTable:
         if name is not None and len(table):
             flags[context.within(name, table["x"], table["y"]) == within] |= np.uint8(flag)
     return table.with_columns(flags=flags)
-
-
-def _run_of_points(args: Mapping[str, Any], context: Context) -> PointTable:
-    """Points of a part of an input file, which is as it was when it was indexed."""
-    path = Path(args["path"])
-    with unchanged(path, as_indexed("index_file", args, context)):
-        chunks = iter_points(
-            path,
-            channel_dimension=context.workflow.survey.channel_dimension,
-            source=int(args["source"]),
-            start=args["start"],
-            stop=args["stop"],
-            chunk=CHUNK_POINTS,
-        )
-        return concat([table.take(~table.has(EXCLUDED)) for table in chunks], SOURCE_COLUMNS)
