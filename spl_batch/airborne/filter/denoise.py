@@ -22,7 +22,7 @@ from spl_batch.airborne.afterpulse import afterpulse_decision
 from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow
 from spl_batch.airborne.filter import published
 from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
-from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
+from spl_batch.airborne.filter.filter_interface import Cloud, Verdict, near_box
 from spl_batch.airborne.filter.wires import wire_null, wire_scan
 from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings, NoiseSettings
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -232,17 +232,7 @@ def _with_parents(
     table: PointTable, query: NDArray[np.bool_], dependent: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Points to decide, and those that one of them may depend on: (n,) bool."""
-    asked = np.flatnonzero(query & dependent)
-    if not len(asked):
-        return query
-    margin = quanta(LAG_M)
-    parents = np.ones(len(table), np.bool_)
-    for name in "xy":
-        values = table[name]
-        parents &= (values >= values[asked].min() - margin) & (
-            values <= values[asked].max() + margin
-        )
-    return query | parents
+    return query | near_box([table["x"], table["y"]], query & dependent, quanta(LAG_M))
 
 
 def _independent(settings: FilterSettings) -> bool:

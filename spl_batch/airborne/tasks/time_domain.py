@@ -89,7 +89,8 @@ def _spans_s(args: Mapping[str, Any]) -> list[tuple[float, float]]:
 def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     """Line noise density, voxel deposits and afterpulses of a stretch; points by tile."""
     if args["timeless"]:
-        table, copies = read_kept(args["kept"], context, _POINT_COLUMNS), None
+        columns = (*_POINT_COLUMNS, "point_source_id")
+        table, copies = read_kept(args["kept"], context, columns), None
         passes = [Pass(*one) for one in args["passes"]]
         line = line_of(table["point_source_id"], table["gps_time"], passes)
     else:
