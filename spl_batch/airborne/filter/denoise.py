@@ -13,7 +13,7 @@ one is no evidence either, and shares its label
 
 from collections.abc import Callable
 from types import MappingProxyType
-from typing import Final, NamedTuple, TypedDict
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,12 +61,8 @@ METHODS: Final = MappingProxyType(
 """The filters of the space domain by the name that ``filter.method`` has."""
 
 
-class NoiseColumns(TypedDict):
-    """Columns that the filter gives for the query points, in table order."""
-
-    noise_class: NDArray[np.uint8]
-    p_value: NDArray[np.float32]
-    wire: NDArray[np.uint8]
+NoiseColumns = dict[str, NDArray[Any]]
+"""Columns that the filter gives for the query points, in table order."""
 
 
 def reach_m(settings: FilterSettings) -> float:
