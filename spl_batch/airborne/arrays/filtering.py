@@ -118,7 +118,7 @@ def filter_points(
     >>> bool(labels.signal[:20_000].mean() > 0.99 and labels.signal[20_000:].mean() < 0.03)
     True
     """
-    chosen = _settings(settings, sensor, alpha, method)
+    chosen = settings_of(settings, sensor, filter={"alpha": alpha, "method": method})
     table = _table(xyz, gps_time, channel, flightline, return_number, water)
     origin = _origins(beam_origin, table, timed=gps_time is not None)
     given = None if noise_density is None else densities(noise_density, len(table))
@@ -157,7 +157,7 @@ def expected_noise(
     InputError
         As for :func:`filter_points`, and where ``at`` is given without times.
     """
-    chosen = _settings(settings, sensor, None, None)
+    chosen = settings_of(settings, sensor)
     table = _table(xyz, gps_time, channel, flightline)
     origin = _origins(beam_origin, table, timed=gps_time is not None)
     if gps_time is None or not len(table):
@@ -171,18 +171,6 @@ def expected_noise(
     places = known.table if at is None else points_of(at)
     noise = NoiseInAir(known.model([places[axis] for axis in "xyz"], chosen))
     return ExpectedNoise(noise.local(places), noise.mean(places), _basis(known), known.warnings)
-
-
-def _settings(
-    sections: Mapping[str, Any] | None, sensor: Any, alpha: float | None, method: str | None
-) -> Workflow:
-    """Settings with the two that have arguments of their own."""
-    named = (("alpha", alpha), ("method", method))
-    given = {key: value for key, value in named if value is not None}
-    merged = dict(sections or {})
-    if given:
-        merged["filter"] = {**merged.get("filter", {}), **given}
-    return settings_of(merged, sensor)
 
 
 def _table(

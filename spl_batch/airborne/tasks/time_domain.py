@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spl_batch.airborne import shots
 from spl_batch.airborne.afterpulse import afterpulse_law
@@ -31,6 +30,7 @@ from spl_batch.formats.verified.parquet_npz import (
     write_arrays,
     write_table,
 )
+from spl_batch.lattice.distinct import distinct
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import (
     CANONICAL_ORDER,
@@ -158,18 +158,10 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
         "points": len(table),
         "outside_aoi": int(np.count_nonzero(table.has(PointFlag.OUTSIDE_AOI))),
         "no_beam": int(np.count_nonzero(table.has(PointFlag.NO_BEAM))),
-        "sources": sorted({str(s) for piece in pieces for s in _different(piece["source"])}),
+        "sources": sorted({str(s) for piece in pieces for s in distinct(piece["source"])[0]}),
         "copies": [[*map(str, p), n] for p, n in zip(pairs.tolist(), counts.tolist(), strict=True)],
     }
     return Produced(outputs, facts, len(table))
-
-
-def _different(values: NDArray[np.uint64]) -> list[int]:
-    """Different values; mostly there is one."""
-    if not len(values) or (values == values[0]).all():
-        return [int(value) for value in values[:1]]
-    found: list[int] = np.unique(values).tolist()
-    return found
 
 
 def _assess(
