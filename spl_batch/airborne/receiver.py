@@ -167,7 +167,7 @@ class Imaging(Receiver[Survey, Context]):
         return [
             *super().decisive(prepared),
             [[str(path), *stamp_if_there(path)] for path in files],
-            *([*map(list, found)] for found in (inputs.polygons, inputs.breaklines, inputs.geoid)),
+            [*map(list, inputs.beside)],
         ]
 
     def not_read(self, ledger: Survey) -> int:

@@ -123,7 +123,7 @@ def surface(survey: Survey) -> Iterator[Task]:
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
             "halo": halo,
-            "polygons": [*survey.inputs.polygons, *survey.inputs.breaklines],
+            "polygons": survey.inputs.checksums("aoi", "water", "breaklines"),
             "fired": parts,
         }
         needs = labels_of(survey, cell.tiles, "denoise", "ground")
@@ -247,7 +247,8 @@ def geoid(survey: Survey) -> Iterator[Task]:
     for product in ABOVE_GEOID:
         source = product.name.removesuffix("_geoid")
         if source in survey.of("mosaic"):
-            args = {**product._asdict(), "source": source, "grid": [*survey.inputs.geoid]}
+            grid = survey.inputs.checksums("outputs.geoid.grid")
+            args = {**product._asdict(), "source": source, "grid": grid}
             yield Task("deliver_geoid", product.name, args, (("mosaic", source),))
 
 

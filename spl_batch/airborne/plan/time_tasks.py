@@ -187,7 +187,7 @@ def scatter(survey: Survey) -> Iterator[Task]:
             args = {**_stretch_args(survey, line, name, k), "timeless": False}
             args["of_shots"] = of_shots
             args["positions"] = _near(positions, line, k)
-            args["polygons"] = list(survey.inputs.polygons)
+            args["polygons"] = survey.inputs.checksums("aoi", "water")
             needs = (*_files(line), ("observe", name), ("fit_line", line.name))
             needs += _path_needs(survey, line)
             yield Task("scatter", name, args, needs, survey.of("observe")[name].points)
@@ -208,7 +208,7 @@ def _ranges(survey: Survey) -> Iterator[Task]:
                 "kept": part_name(key, part),
                 "timeless": True,
                 "passes": again,
-                "polygons": list(survey.inputs.polygons),
+                "polygons": survey.inputs.checksums("aoi", "water"),
             }
             start, stop = part_range(points, part)
             yield Task("scatter", name, args, (("index_file", key),), stop - start)
