@@ -38,8 +38,6 @@ from spl_batch.engine.settings.base import Section
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.neighbours.kdtree import build
 
-DOMAIN: Final = "space"
-
 FILE: Final = "null_table.json"
 
 IRRELEVANT: Final = frozenset(

@@ -24,8 +24,6 @@ from spl_batch.airborne.filter.wires.wire_scan import scan
 from spl_batch.airborne.settings import FilterSettings, WireSettings
 from spl_batch.lattice.tiles import quanta
 
-DOMAIN: Final = "space"
-
 FILE: Final = "wire_null.json"
 
 IRRELEVANT: Final = frozenset({"enabled", "classify"})
