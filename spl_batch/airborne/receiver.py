@@ -14,7 +14,6 @@ from spl_batch.airborne.lines.comparison import (
     shifts_of,
 )
 from spl_batch.airborne.plan.cost import SurveyCost, estimate
-from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.findings import (
     beams_without_trajectory,
     copies,
@@ -28,6 +27,7 @@ from spl_batch.airborne.plan.inputs.findings import (
 from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.plan.strip_tasks import is_one_flightline
 from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.plan.task_memory import surface_reach_m
 from spl_batch.airborne.precompile import compile_share
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, NAMES, PRODUCTS
 from spl_batch.airborne.report.model import Report
@@ -167,7 +167,7 @@ class Imaging(Receiver[Survey, Context]):
         return [
             *super().decisive(prepared),
             [[str(path), *stamp_if_there(path)] for path in files],
-            *([*map(list, found)] for found in (inputs.polygons, inputs.breaklines, inputs.geoid)),
+            [*map(list, inputs.beside)],
         ]
 
     def not_read(self, ledger: Survey) -> int:

@@ -21,8 +21,6 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable
 
-DOMAIN: Final = "time"
-
 COLUMNS_ADDED: Final = (
     "line_density", "afterpulse", "afterpulse_rate", "afterpulse_share", "range_sigma",
 )  # fmt: skip

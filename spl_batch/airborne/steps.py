@@ -25,7 +25,7 @@ _CLASSES: Final = ("outputs.classes", "classes.overlap", "classes.withheld")
 
 _HOME: Final = "spl_batch.airborne"
 
-_LABELLED: Final = f"{_HOME}.tasks.bindings:labelled"
+_LABELLED: Final = f"{_HOME}.store.label_tables:labelled"
 """A task has the labels of what is finished, and goes without those of what has failed."""
 
 
@@ -183,7 +183,7 @@ STEPS: Final[Steps] = table(
         bytes_per_point=225,
         remedy="lower ground.cell_m or products.void_max_m",
         after=_SHUFFLED,
-        bind=f"{_HOME}.tasks.bindings:on_ground",
+        bind=f"{_HOME}.store.label_tables:on_ground",
     ),
     _step(
         "strip_pairs",

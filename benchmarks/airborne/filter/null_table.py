@@ -34,11 +34,6 @@ ALIKE = 2.0
 """Shares of the scan that differ by more have a step between them [ratio]."""
 
 
-def tell(density: float) -> None:
-    """Say what is drawn now."""
-    print(f"{density:9.5f} /m3", flush=True)
-
-
 def write(package: str, name: str, content: Mapping[str, Any]) -> None:
     """Write one file of the package, a row of numbers a line."""
     path = Path(str(resources.files(package).joinpath(name)))
@@ -52,7 +47,7 @@ def scores(points: int) -> None:
     settings = FilterSettings()
     densities = null.DENSITIES
     usual = (densities > USUAL[0]) & (densities < USUAL[1])
-    table = null.draw_table(settings, np.where(usual, points, points // 4), tell=tell, workers=2)
+    table = null.draw_table(settings, np.where(usual, points, points // 4))
     content = {
         "about": f"null distribution of the noise test; {points} noise points per density, a "
         f"fourth beyond {USUAL[0]:g}-{USUAL[1]:g} per m3; made by "
@@ -81,9 +76,9 @@ def wires(points: int) -> None:
     """Table of the scan for conductors."""
     settings = FilterSettings().wires
     stricter = settings.model_copy(update={"alpha": settings.alpha * STRICTER})
-    share = wire_null.draw_shares(settings, points, tell=tell, workers=2).round(6)
+    share = wire_null.draw_shares(settings, points).round(6)
     # for one number, all densities together
-    less = wire_null.draw_shares(stricter, points // 8, tell=tell, workers=2)
+    less = wire_null.draw_shares(stricter, points // 8)
     power = float(np.log(share.sum() / less.sum()) / -np.log(STRICTER))
     smooth = smoothed_between_steps(share)
     print(

@@ -160,7 +160,7 @@ def surface_differences(dsm: Raster, reference: Reference) -> Differences:
     class of the highest reference point. A cell counts where that point does.
     """
     reference = reference.without_noise()
-    row, col, held = dsm.place(reference.xyz_m[:, :2])
+    row, col, held = dsm.grid.place(reference.xyz_m[:, :2])
     rows, cols = dsm.values.shape
     picked = np.flatnonzero(held)
     cell = row[picked] * cols + col[picked]

@@ -50,15 +50,9 @@ class Raster(RasterPart):
         rows, columns = self.values.shape
         return Grid(rows, columns, self.left_m, self.top_m, self.cell_m)
 
-    def place(
-        self, xy_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-        """Row and column of each point, and whether the raster reaches there."""
-        return self.grid.place(xy_m)
-
     def at(self, xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Value of the cell that each point lies in: (n,) float64; NaN where there is none."""
-        row, col, held = self.place(xy_m)
+        row, col, held = self.grid.place(xy_m)
         out = np.full(len(xy_m), np.nan)
         out[held] = known(self.values[row[held], col[held]])
         return out

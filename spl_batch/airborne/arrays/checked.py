@@ -41,12 +41,18 @@ FEWEST: Final = 10
 Numbers = NDArray[Any]
 
 
-def settings_of(sections: Mapping[str, Any] | None, sensor: Any = "spl100") -> Workflow:
+def settings_of(
+    sections: Mapping[str, Any] | None, sensor: Any = "spl100", **named: Mapping[str, Any]
+) -> Workflow:
     """Settings by the sections of a workflow file that arrays have a use for, and the instrument.
 
+    ``named``: keys of sections that have an argument of their own; None leaves them as they are.
     Raises WorkflowError if a section or key is unknown, or a value is wrong.
     """
     given = dict(sections or {})
+    for section, keys in named.items():
+        chosen = {key: value for key, value in keys.items() if value is not None}
+        given |= {section: {**given.get(section, {}), **chosen}} if chosen else {}
     known = {"filter", "noise", "afterpulse", "acquisition", "ground", "products"}
     if unknown := sorted(set(given) - known):
         raise WorkflowError(

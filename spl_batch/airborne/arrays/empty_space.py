@@ -28,8 +28,6 @@ from spl_batch.airborne.arrays.checked import refuse_large
 from spl_batch.errors import grouped
 from spl_batch.lattice.tiles import quanta
 
-DOMAIN: Final = "space"
-
 SQUARE_M: Final = 30.0
 """Edge of a square with a density of its own [m]."""
 

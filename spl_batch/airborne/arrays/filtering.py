@@ -25,8 +25,7 @@ from spl_batch.airborne.arrays.empty_space import EmptySpace, empty_space
 from spl_batch.airborne.arrays.labels import Basis, ExpectedNoise, Labels
 from spl_batch.airborne.arrays.time_domain import Assessed, assess
 from spl_batch.airborne.filter import denoise
-from spl_batch.airborne.filter.air import look_at_air, noise_in_air
-from spl_batch.airborne.filter.expected_noise import Expected
+from spl_batch.airborne.filter.expected_noise import NoiseInAir, look_at_air
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.errors import InputError, grouped
@@ -119,7 +118,7 @@ def filter_points(
     >>> bool(labels.signal[:20_000].mean() > 0.99 and labels.signal[20_000:].mean() < 0.03)
     True
     """
-    chosen = _settings(settings, sensor, alpha, method)
+    chosen = settings_of(settings, sensor, filter={"alpha": alpha, "method": method})
     table = _table(xyz, gps_time, channel, flightline, return_number, water)
     origin = _origins(beam_origin, table, timed=gps_time is not None)
     given = None if noise_density is None else densities(noise_density, len(table))
@@ -158,7 +157,7 @@ def expected_noise(
     InputError
         As for :func:`filter_points`, and where ``at`` is given without times.
     """
-    chosen = _settings(settings, sensor, None, None)
+    chosen = settings_of(settings, sensor)
     table = _table(xyz, gps_time, channel, flightline)
     origin = _origins(beam_origin, table, timed=gps_time is not None)
     if gps_time is None or not len(table):
@@ -170,20 +169,8 @@ def expected_noise(
         return ExpectedNoise(found.density, found.density, "cloud", _doubts(found, len(table)))
     known = assess(table, origin, chosen)
     places = known.table if at is None else points_of(at)
-    noise = _expected(places, known, chosen)
-    return ExpectedNoise(noise.local, noise.mean, _basis(known), known.warnings)
-
-
-def _settings(
-    sections: Mapping[str, Any] | None, sensor: Any, alpha: float | None, method: str | None
-) -> Workflow:
-    """Settings with the two that have arguments of their own."""
-    named = (("alpha", alpha), ("method", method))
-    given = {key: value for key, value in named if value is not None}
-    merged = dict(sections or {})
-    if given:
-        merged["filter"] = {**merged.get("filter", {}), **given}
-    return settings_of(merged, sensor)
+    noise = NoiseInAir(known.model([places[axis] for axis in "xyz"], chosen))
+    return ExpectedNoise(noise.local(places), noise.mean(places), _basis(known), known.warnings)
 
 
 def _table(
@@ -260,18 +247,17 @@ def _filtered(
     basis: Basis = "given"
     warnings = () if known is None else known.warnings
     if given is not None:
-        tested = told = mean = given[order]
+        told = mean = given[order]
     elif known is not None:
-        noise = _expected(ordered, known, settings, air=True)
-        by_voxel = denoise.asks_for_means(settings.filter)
-        told, mean, basis = noise.local, noise.mean, _basis(known)
-        tested = mean if by_voxel else told
+        noise = _expected(ordered, known, settings)
+        told, mean, basis = noise.local(ordered), noise.mean(ordered), _basis(known)
         space = empty_space(*(ordered[axis] for axis in "xyz"))
         warnings += _contradiction(space, told)
     else:
         found = empty_space(*(ordered[axis] for axis in "xyz"))
-        tested = told = mean = found.density
+        told = mean = found.density
         basis, warnings = "cloud", _doubts(found, n)
+    tested = mean if denoise.asks_for_means(settings.filter) else told
     columns = denoise.denoise(
         ordered, told, everything, settings.filter, settings.afterpulse, tested=tested
     )
@@ -289,17 +275,12 @@ def _filtered(
     )  # fmt: skip
 
 
-def _expected(
-    places: PointTable, known: Assessed, settings: Workflow, *, air: bool = False
-) -> Expected:
-    """Noise expected at places by beams; with the air's that holds more, where they are points."""
-    xyz, found = [places[axis] for axis in "xyz"], None
-    model = known.model(xyz, settings)
-    if air:
-        ends = [int(end) for k in (0, 1) for end in (xyz[k].min(), xyz[k].max() + 1)]
-        region = Bounds(ends[0], ends[2], ends[1], ends[3])
-        found = look_at_air(places, model, settings, region).air
-    return noise_in_air(places, np.ones(len(places), np.bool_), model, found)
+def _expected(places: PointTable, known: Assessed, settings: Workflow) -> NoiseInAir:
+    """Noise by the beams and by what the air over points holds."""
+    x, y, z = (places[axis] for axis in "xyz")
+    model = known.model([x, y, z], settings)
+    region = Bounds(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
+    return NoiseInAir(model, look_at_air(places, model, settings, region).air)
 
 
 def _basis(known: Assessed) -> Basis:

@@ -132,10 +132,7 @@ def ground_points(
     WorkflowError
         If a setting is unknown or wrong.
     """
-    merged = dict(settings or {})
-    if method is not None:
-        merged["ground"] = {**merged.get("ground", {}), "method": method}
-    workflow = settings_of(merged)
+    workflow = settings_of(settings, ground={"method": method})
     table = _labelled(xyz, labels, water)
     found = np.zeros(len(table), np.bool_)
     for core, rows in _cells(table, workflow, quanta(workflow.ground.buffer_m)):
@@ -183,10 +180,7 @@ def rasterize(
     WorkflowError
         If a setting is unknown or wrong.
     """
-    merged = dict(settings or {})
-    if cell_m is not None:
-        merged["products"] = {**merged.get("products", {}), "cell_m": cell_m}
-    workflow = settings_of(merged)
+    workflow = settings_of(settings, products={"cell_m": cell_m})
     table = _labelled(xyz, labels, water)
     if not len(table):
         raise InputError("xyz", "no point, so there is nothing to make rasters of")

@@ -18,8 +18,6 @@ from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.compiled import njit
 
-DOMAIN: Final = "space"
-
 DEPENDENT_MIN: Final = 0.3
 """Afterpulse probability from which a return is no evidence of its own."""
 

@@ -1,5 +1,7 @@
 """Beam geometry of each point, and what is estimated where the survey does not say it.
 
+Domain: time.
+
 Sources: [W17] 6.2.2 and [W18] 2.2.2: the line of sight joins the return with the trajectory at the
 shot's time.
 
@@ -20,10 +22,6 @@ from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, Trajectory
-
-DOMAIN: Final = "time"
-COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "scan_angle")
-COLUMNS_ADDED: Final = ()
 
 STAND_IN_HEIGHT_M: Final = 10_000.0
 """Height of stand-in origins [m]; above every terrain and every survey flight."""
@@ -73,7 +71,7 @@ def beams(
     Parameters
     ----------
     table : PointTable
-        Needs :data:`COLUMNS_NEEDED`; times are finite.
+        With ``x, y, z, gps_time, scan_angle``; times are finite.
     trajectory : Trajectory or None
         Sensor positions; where they do not cover a time the beam is not known, nor is that of a
         return that no sensor there can have seen: it is not below it, or farther than

@@ -1,5 +1,7 @@
 """Path of the sensor, from the points alone: where lines of sight meet.
 
+Domain: time.
+
 Returns of one beamlet lie on one line; all lines of a shot, and of those around it, meet at the
 sensor. [W17] 6.2.2 and [W18] 2.2.2 take its position from the trajectory, and do not say what to do
 without one. Here
@@ -29,10 +31,6 @@ from scipy.linalg import solveh_banded
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.constants import FOOT_M, QUANTUM_M
 from spl_batch.lattice.tables import PointTable, Trajectory
-
-DOMAIN: Final = "time"
-COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
-COLUMNS_ADDED: Final = ()
 
 PER_INTERVAL: Final = 2
 """Lines kept of each interval of shots: those with the largest spread [count]."""
@@ -97,7 +95,7 @@ def collect(table: PointTable, beamlets: int, interval_shots: int) -> dict[str, 
     Parameters
     ----------
     table : PointTable
-        Rows of one stretch, sorted by (gps_time, channel, ...).
+        Rows of one stretch, with ``x, y, z, shot``, sorted by (gps_time, channel, ...).
     beamlets : int
         Beamlets of a shot; with one, a shot's returns make one line.
     interval_shots : int

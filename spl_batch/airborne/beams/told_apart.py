@@ -44,8 +44,6 @@ def number_beamlets(
             number[i] = best + 1
 
 
-DOMAIN: Final = "time"
-
 SAME: Final = 0.25
 """Directions of one beamlet differ by less [pitches of the array]."""
 

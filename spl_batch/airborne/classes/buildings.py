@@ -30,8 +30,6 @@ from spl_batch.lattice.tiles import Bounds, quanta
 
 Heights = NDArray[np.int64]
 
-COLUMNS_NEEDED: Final = ("x", "y", "z", "ground")
-
 STANDS_M: Final = 2.0
 """Buildings stand so high above the ground, at least [m]."""
 
@@ -127,9 +125,9 @@ class Floor:
 def buildings(table: PointTable, usable: NDArray[np.bool_], floor: Floor) -> NDArray[np.bool_]:
     """Which returns are of buildings: (n,) bool.
 
-    ``table``: those that are judged and :data:`REACH_M` around them, in any order; ``usable``:
-    signal, the others are no building and tell nothing; ``floor``: the ground of the whole region.
-    Returns nearer to its edge than :data:`REACH_M` lack neighbours.
+    ``table``: those that are judged and :data:`REACH_M` around them, with ``x, y, z, ground``, in
+    any order; ``usable``: signal, the others are no building and tell nothing; ``floor``: the
+    ground of the whole region. Returns nearer to its edge than :data:`REACH_M` lack neighbours.
     """
     found = np.zeros(len(table), np.bool_)
     if not floor.held:

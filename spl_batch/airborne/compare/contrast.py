@@ -87,7 +87,7 @@ def _classes(runs: Sequence[Outcome], tile: CellId) -> Iterator[NDArray[np.uint8
     for run in runs:
         if str(tile) in run.done.get("build_tile", {}):
             region = cell_bounds(tile, quanta(run.context.workflow.tiling.tile_m))
-            labels = {"noise_class": units_within(region, "noise", run.done.get("denoise", {}))}
+            labels = units_within(region, ["noise_class"], run.done)
             table = read_labelled_tile(run.context.store, tile, ("x",), labels)
             yield table["noise_class"]
 

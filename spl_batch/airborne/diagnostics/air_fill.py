@@ -34,8 +34,6 @@ from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
 from spl_batch.numerics.compiled import njit
 
-COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class")
-
 PLACE_M: Final = 10.0
 COLUMN_M: Final = 2.0
 """Edges of a place and of its columns [m]."""
@@ -111,7 +109,8 @@ def filled_blocks(
     """Blocks of air that signals fill evenly: (rows, columns, blocks) bool, or None.
 
     By place from the south-west and lowest metre; squares of the absolute grid that lie in the cell
-    are places, and there may be none. ``highest``: :func:`highest_ground`, north up.
+    are places, and there may be none. ``table``: with ``x, y, z, noise_class``; ``highest``:
+    :func:`highest_ground`, north up.
     """
     west, south = -(-part.xmin // _EDGE), -(-part.ymin // _EDGE)
     columns, rows = int(part.xmax // _EDGE - west), int(part.ymax // _EDGE - south)

@@ -13,7 +13,7 @@ one is no evidence either, and shares its label
 
 from collections.abc import Callable
 from types import MappingProxyType
-from typing import Final, NamedTuple, TypedDict
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from spl_batch.airborne.afterpulse import afterpulse_decision
 from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow
 from spl_batch.airborne.filter import published
 from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
-from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
+from spl_batch.airborne.filter.filter_interface import Cloud, Verdict, near_box
 from spl_batch.airborne.filter.wires import wire_null, wire_scan
 from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings, NoiseSettings
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -32,9 +32,8 @@ from spl_batch.lattice.tiles import quanta
 COLUMNS_NEEDED: Final = afterpulse_decision.COLUMNS_NEEDED
 """Columns of a table to filter."""
 
-COLUMNS_JUDGED: Final = ("z", "gps_time", "channel", "flags")
-"""Those that :func:`judge` looks at."""
-
+_JUDGED: Final = ("z", "gps_time", "channel", "flags")
+"""Those that are looked at when it is known which returns are independent."""
 
 _GIVEN: Final = PointFlag.WITHHELD | PointFlag.VENDOR_NOISE
 """What the vendor has judged is not judged again."""
@@ -62,19 +61,8 @@ METHODS: Final = MappingProxyType(
 """The filters of the space domain by the name that ``filter.method`` has."""
 
 
-class Independent(NamedTuple):
-    """Returns that are judged by themselves, and columns for that."""
-
-    rows: NDArray[np.int32]  #: (m,): where they are in the table, ascending.
-    cloud: Cloud
-
-
-class NoiseColumns(TypedDict):
-    """Columns that the filter gives for the query points, in table order."""
-
-    noise_class: NDArray[np.uint8]
-    p_value: NDArray[np.float32]
-    wire: NDArray[np.uint8]
+NoiseColumns = dict[str, NDArray[Any]]
+"""Columns that the filter gives for the query points, in table order."""
 
 
 def reach_m(settings: FilterSettings) -> float:
@@ -111,10 +99,12 @@ def denoise(
 ) -> NoiseColumns:
     """Decide which points are noise.
 
+    Columns and densities that a caller does not hold are freed as soon as they are used.
+
     Parameters
     ----------
     table : PointTable
-        Points of a block and its halo in canonical order.
+        Points of a cell and its margin in canonical order, with :data:`COLUMNS_NEEDED`.
     density : (n,) float64
         Expected noise at each point [1/m3]; finite, >= 0. It must be right in the
         halo too, as far as links reach.
@@ -131,64 +121,42 @@ def denoise(
         Of the m query points: ``noise_class`` (m,) uint8; ``p_value`` (m,) float32, P(as much
         evidence | noise), NaN where not assessed; ``wire`` (m,) uint8, 1 for a sure conductor.
     """
-    found = resolve(table, density, settings, afterpulse)
-    tested = density if tested is None else tested
-    chosen = independent(table, tested, query, found, settings)
-    return judge(table, chosen, query, found, settings)
+    found = _resolve(table, density, settings, afterpulse)
+    density = density if tested is None else tested
+    del tested
+    table = table.select(("x", "y", *_JUDGED))
+    rows, cloud = _alone(table, density, query, found, settings)
+    del density
+    table = table.select(_JUDGED)
+    return _judge(table, rows, cloud, query, found, settings)
 
 
-def independent(
+def _alone(
     table: PointTable,
     density: NDArray[np.float64],
     query: NDArray[np.bool_],
     found: afterpulse_decision.Echoes,
     settings: FilterSettings,
-) -> Independent:
-    """Returns that are judged by themselves; none where nothing filters.
-
-    Parameters
-    ----------
-    table : PointTable
-        As for :func:`denoise`; ``x, y, z, flags`` at least.
-    density, query, settings
-        As for :func:`denoise`.
-    found : Echoes
-        From :func:`resolve`.
-    """
+) -> tuple[NDArray[np.int32], Cloud]:
+    """Rows of the returns that are judged by themselves, and their cloud; none without a filter."""
     echo, dependent = found
     judged = ~table.has(EXCLUDED) & ~echo & ~dependent & (settings.method != "none")
     rows = np.flatnonzero(judged).astype(np.int32)
     # A parent outside the area of interest is judged for its followers.
     wanted = _with_parents(table, query & ~table.has(UNFILTERED), dependent)
     wanted &= ~table.has(EXCLUDED | PointFlag.NO_BEAM)
-    return Independent(rows, _cloud(table, rows, density, wanted))
+    return rows, _cloud(table, rows, density, wanted)
 
 
-def judge(
+def _judge(
     table: PointTable,
-    chosen: Independent,
+    rows: NDArray[np.int32],
+    cloud: Cloud,
     query: NDArray[np.bool_],
     found: afterpulse_decision.Echoes,
     settings: FilterSettings,
 ) -> NoiseColumns:
-    """Decide which points are noise, where it is known which are afterpulses.
-
-    Parameters
-    ----------
-    table : PointTable
-        As for :func:`denoise`, :data:`COLUMNS_JUDGED` at least.
-    chosen : Independent
-        From :func:`independent`.
-    query, settings
-        As for :func:`denoise`.
-    found : Echoes
-        From :func:`resolve`.
-
-    Returns
-    -------
-    NoiseColumns
-        As from :func:`denoise`.
-    """
+    """Decide which points are noise, where it is known which are afterpulses."""
     echo, dependent = found
     excluded = table.has(EXCLUDED)
     noise_class = np.full(len(table), NOISE_NOT_ASSESSED, dtype=np.uint8)
@@ -197,9 +165,8 @@ def judge(
     if settings.method == "none":
         noise_class[~table.has(_GIVEN)] = NOISE_SIGNAL
     else:
-        cloud = chosen.cloud
-        verdict, conductor = verdict_on(cloud, settings)
-        rows = chosen.rows[cloud.asked]
+        verdict, conductor = _verdict_on(cloud, settings)
+        rows = rows[cloud.asked]
         wire[rows] = conductor
         signal = verdict.signal & ~cloud.shot_noise[cloud.asked]
         noise_class[rows] = np.where(signal, NOISE_SIGNAL, NOISE_BACKGROUND)
@@ -219,7 +186,7 @@ def judge(
     return {"noise_class": noise_class[query], "p_value": p_value[query], "wire": wire[query]}
 
 
-def verdict_on(cloud: Cloud, settings: FilterSettings) -> tuple[Verdict, NDArray[np.bool_]]:
+def _verdict_on(cloud: Cloud, settings: FilterSettings) -> tuple[Verdict, NDArray[np.bool_]]:
     """Verdict of the method, with what the scan for conductors keeps; (m,) bool, its sure ones.
 
     Test and scan share alpha, and p: a share x of pure noise has p <= x by either. So what the scan
@@ -242,19 +209,13 @@ def verdict_on(cloud: Cloud, settings: FilterSettings) -> tuple[Verdict, NDArray
     return Verdict(verdict.signal | found.signal, np.fmin(both, found.p_value)), found.wire
 
 
-def resolve(
+def _resolve(
     table: PointTable,
     density: NDArray[np.float64],
     settings: FilterSettings,
     afterpulse: AfterpulseSettings,
 ) -> afterpulse_decision.Echoes:
-    """Afterpulses, and returns that are no evidence of their own.
-
-    Parameters
-    ----------
-    table, density, settings, afterpulse
-        As for :func:`denoise`.
-    """
+    """Afterpulses, and returns that are no evidence of their own."""
     if settings.method == "none":
         return afterpulse_decision.believed(table)
     found = afterpulse_decision.resolve(table, density, afterpulse)
@@ -267,17 +228,7 @@ def _with_parents(
     table: PointTable, query: NDArray[np.bool_], dependent: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Points to decide, and those that one of them may depend on: (n,) bool."""
-    asked = np.flatnonzero(query & dependent)
-    if not len(asked):
-        return query
-    margin = quanta(LAG_M)
-    parents = np.ones(len(table), np.bool_)
-    for name in "xy":
-        values = table[name]
-        parents &= (values >= values[asked].min() - margin) & (
-            values <= values[asked].max() + margin
-        )
-    return query | parents
+    return query | near_box([table["x"], table["y"]], query & dependent, quanta(LAG_M))
 
 
 def _independent(settings: FilterSettings) -> bool:

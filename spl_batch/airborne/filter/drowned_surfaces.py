@@ -22,8 +22,6 @@ from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.poisson import noise_tail_probability
 
-DOMAIN: Final = "space"
-
 CROWDED: Final = 20
 """Refused returns of a 5 m cell, in the mean of a square, from which on noise is dense: 0.16 per m3
 [count]."""

@@ -1,9 +1,23 @@
 """Interface of the noise filters of the space domain: what each is given and gives back."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+def near_box(
+    axes: Sequence[NDArray[np.integer[Any]]], chosen: NDArray[np.bool_], margin: int
+) -> NDArray[np.bool_]:
+    """Points within ``margin`` of the box of the chosen ones, by their coordinates: (n,) bool."""
+    rows = np.flatnonzero(chosen)
+    near = np.full(len(chosen), len(rows) > 0)
+    for values in axes if len(rows) else ():
+        low, high = int(values[rows].min()) - margin, int(values[rows].max()) + margin
+        near &= (values >= low) & (values <= high)
+    return near
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,16 +39,7 @@ class Cloud:
 
     def around(self, margin: int, axes: tuple[int, ...]) -> NDArray[np.bool_]:
         """Points within ``margin`` of the box of all asked for, along some axes: (n,) bool."""
-        if not self.asked.any():
-            return self.asked
-        around = np.ones(len(self.xyz), np.bool_)
-        for axis in axes:
-            values = self.xyz[:, axis]
-            chosen = values[self.asked]
-            around &= (values >= int(chosen.min()) - margin) & (
-                values <= int(chosen.max()) + margin
-            )
-        return around
+        return near_box([self.xyz[:, axis] for axis in axes], self.asked, margin)
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,7 @@ from spl_batch.airborne.beams.differential_cell_count import dcc_keep
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.filter.cube_counts import cube_counts
 from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import count_inside
-from spl_batch.airborne.filter.ellipsoid.evidence import shape_of
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import shape_of
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict, without_p
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import QUANTA_PER_M
@@ -215,19 +215,10 @@ def numbered(cloud: Cloud, edges: tuple[int, ...]) -> tuple[NDArray[np.int64], N
 def _numbers(index: list[NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Different combinations of indices numbered from 0 on: of each point, and how often each is.
 
-    Raises
-    ------
-    ValueError
-        If there are more of them than keys.
+    Raises ValueError if there are more of them than keys.
     """
-    low = [int(along.min(initial=0)) for along in index]
-    size = [int(along.max(initial=0)) + 1 - first for along, first in zip(index, low, strict=True)]
-    if math.prod(size) >= 2**62:
-        raise ValueError(f"{size} voxels are too many for a region; choose larger ones")
-    key = np.zeros(len(index[0]), np.int64)
-    for along, first, cells in zip(index, low, size, strict=True):
-        key *= cells
-        key += along - first
+    above = [along - along.min(initial=0) for along in index]
+    key = np.ravel_multi_index(above, [int(along.max(initial=0)) + 1 for along in above])
     _, number, count = np.unique(key, return_inverse=True, return_counts=True)
     return number.astype(np.int64), count
 

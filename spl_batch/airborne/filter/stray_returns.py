@@ -1,5 +1,7 @@
 """Stray returns: kept where nothing stands, so that no surface may rest on them.
 
+Domain: space.
+
 The test keeps a stated share of pure noise, in clusters. Off the edge of a survey or over dark
 water such a cluster would be the only ground for tens of metres. There kept returns are few beside
 refused ones. Our own rule asks twice:
@@ -27,8 +29,6 @@ from spl_batch.airborne.filter.drowned_surfaces import around, below_surfaces, d
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
-
-DOMAIN: Final = "space"
 
 CELL_M: Final = 5.0
 """Edge of the cells in which returns are counted [m]."""

@@ -25,8 +25,6 @@ from spl_batch.engine.findings import Finding
 from spl_batch.formats.breaklines import CentreLine, Water
 from spl_batch.lattice.tiles import Bounds
 
-DOMAIN: Final = "space"
-
 ABOVE_M: Final = 0.25
 """Water that stands higher than the terrain beside it by more than this floods its bank [m]."""
 

@@ -9,10 +9,9 @@ from typing import Final
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import reference_tasks
 from spl_batch.airborne.plan.grid import tiles_along
-from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Source
 from spl_batch.airborne.plan.survey_ledger import Survey
-from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, needs
+from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, halo_m, needs
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of

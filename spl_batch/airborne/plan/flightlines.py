@@ -11,7 +11,7 @@ from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN
 from spl_batch.airborne.pulses.swaths import SwathTotals, by_flightline
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.flown_lines import Pass, numbers
-from spl_batch.airborne.tasks.file_tally import most_points
+from spl_batch.airborne.tasks.file_tally import chained, most_points
 from spl_batch.airborne.tasks.pulses import SWATHS
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.lattice.tables import ShotClock
@@ -96,26 +96,12 @@ def find_flightlines(receipts: Mapping[str, Receipt], workflow: Workflow) -> lis
     lifts = [
         (psid, lift)
         for psid, listed in sorted(spans.items())
-        for lift in _lifts(sorted(listed), workflow.survey.gap_s)
+        for lift in chained(sorted(listed), workflow.survey.gap_s)
     ]
     return [
         _flightline(number, psid, lift, receipts, workflow)
         for number, (psid, lift) in zip(numbers([p for p, _ in lifts]), lifts, strict=True)
     ]
-
-
-def _lifts(
-    spans: list[tuple[float, float, int, str]], gap_s: float
-) -> list[list[tuple[float, float, int, str]]]:
-    """Spans, sorted by start, put together where they lie no farther apart than the gap."""
-    lifts: list[list[tuple[float, float, int, str]]] = []
-    end = -math.inf
-    for span in spans:
-        if span[0] - end > gap_s:
-            lifts.append([])
-        lifts[-1].append(span)
-        end = max(end, span[1])
-    return lifts
 
 
 def _flightline(

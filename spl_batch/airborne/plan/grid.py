@@ -16,8 +16,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple, Self
 
-from spl_batch.airborne.plan.halo import halo_m
-from spl_batch.airborne.plan.task_memory import task_bytes
+from spl_batch.airborne.plan.task_memory import halo_m, task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.tasks.task import Receipt

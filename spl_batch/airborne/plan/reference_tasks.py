@@ -71,7 +71,7 @@ def accuracy(survey: Survey) -> Iterator[Task]:
         }
         needs = [*(("reference", name) for name in files[square])]
         needs += [("mosaic", name) for name in rasters]
-        needs += labels_of(survey, tiles, "noise")
+        needs += labels_of(survey, tiles, "denoise")
         refused = refusal("accuracy", points[square], survey.memory_bytes)
         yield Task("accuracy", square, args, tuple(needs), points[square], refused)
 

@@ -11,13 +11,12 @@ from spl_batch.airborne.accuracy.evidence import LEVELS
 from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
 from spl_batch.airborne.plan.flightlines import swath_totals
 from spl_batch.airborne.plan.grid import Unit
-from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.file_positions import FAR_M
 from spl_batch.airborne.plan.inputs.survey_inputs import Source, source_args
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
-from spl_batch.airborne.plan.task_memory import cell_bytes, refusal
+from spl_batch.airborne.plan.task_memory import cell_bytes, refusal, surface_reach_m
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
-from spl_batch.airborne.tasks.bindings import MADE_BY, SHIFTED
+from spl_batch.airborne.store.label_tables import SHIFTED
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Need, Task
@@ -111,7 +110,7 @@ def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
     halo = quanta(survey.workflow.ground.buffer_m)
     for cell in survey.ground_cells(halo):
-        needs = labels_of(survey, cell.tiles, "noise")
+        needs = labels_of(survey, cell.tiles, "denoise")
         yield cell_task("ground", cell, survey, {"halo": halo}, needs)
 
 
@@ -124,10 +123,10 @@ def surface(survey: Survey) -> Iterator[Task]:
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
             "halo": halo,
-            "polygons": [*survey.inputs.polygons, *survey.inputs.breaklines],
+            "polygons": survey.inputs.checksums("aoi", "water", "breaklines"),
             "fired": parts,
         }
-        needs = labels_of(survey, cell.tiles, "noise", "ground")
+        needs = labels_of(survey, cell.tiles, "denoise", "ground")
         needs += [("scatter", n) for n in parts or ()]
         yield cell_task("surface", cell, survey, args, needs)
 
@@ -180,7 +179,7 @@ def deliver(survey: Survey) -> Iterator[Task]:
             "spans": receipt.facts["spans"],
         }
         needs = [("build_tile", tile) for tile in tiles]
-        needs += labels_of(survey, tiles_of.get(key, ()), "noise", "classes")
+        needs += labels_of(survey, tiles_of.get(key, ()), "denoise", "surface")
         yield Task("deliver_file", key, args, tuple(needs), receipt.points)
 
 
@@ -200,7 +199,7 @@ def deliver_tiles(survey: Survey) -> Iterator[Task]:
     if survey.workflow.outputs.tiles == "none":
         return
     for tile, count in survey.counts.items():
-        needs = (("build_tile", str(tile)), *labels_of(survey, [tile], "noise", "classes"))
+        needs = (("build_tile", str(tile)), *labels_of(survey, [tile], "denoise", "surface"))
         yield Task("deliver_tile", str(tile), {"tile": str(tile)}, needs, count)
 
 
@@ -248,7 +247,8 @@ def geoid(survey: Survey) -> Iterator[Task]:
     for product in ABOVE_GEOID:
         source = product.name.removesuffix("_geoid")
         if source in survey.of("mosaic"):
-            args = {**product._asdict(), "source": source, "grid": [*survey.inputs.geoid]}
+            grid = survey.inputs.checksums("outputs.geoid.grid")
+            args = {**product._asdict(), "source": source, "grid": grid}
             yield Task("deliver_geoid", product.name, args, (("mosaic", source),))
 
 
@@ -263,13 +263,11 @@ def aligned(survey: Survey) -> tuple[Need, ...]:
     return (SHIFTED,) if SHIFTED[1] in survey.of(SHIFTED[0]) else ()
 
 
-def labels_of(survey: Survey, tiles: Collection[CellId], *kinds: str) -> list[Need]:
-    """Tasks that may label points of some tiles, and the one that shifts their heights."""
-    grids = {kind: survey.denoise_grid if kind == "noise" else survey.grid for kind in kinds}
+def labels_of(survey: Survey, tiles: Collection[CellId], *steps: str) -> list[Need]:
+    """Tasks of steps that may label points of some tiles, and the one that shifts their heights."""
+    grids = {step: survey.denoise_grid if step == "denoise" else survey.grid for step in steps}
     needs = [
-        (MADE_BY[kind], unit)
-        for kind, grid in grids.items()
-        for unit in grid.owners(tiles, survey.tile_q)
+        (step, unit) for step, grid in grids.items() for unit in grid.owners(tiles, survey.tile_q)
     ]
     return [*needs, *aligned(survey)]
 

@@ -51,7 +51,7 @@ def _patches(kind: str, survey: Survey) -> Iterator[Task]:
     if is_one_flightline(survey):
         return
     for cell in survey.ground_cells(quanta(SQUARE_M)):
-        needs = labels_of(survey, cell.tiles, "noise")
+        needs = labels_of(survey, cell.tiles, "denoise")
         task = cell_task(kind, cell, survey, {"lines": _lines(survey)}, needs)
         yield replace(task, points=0)
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.airborne.plan.grid import Grid, Unit, tile_counts, tiles_along
-from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
+from spl_batch.airborne.plan.task_memory import halo_m
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import part_name
 from spl_batch.engine.tasks.ledger import Ledger

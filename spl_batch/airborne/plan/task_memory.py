@@ -1,4 +1,7 @@
-"""What tasks hold in memory, and which of them cannot fit into a worker.
+"""What tasks read around a cell and hold in memory, and which of them cannot fit into a worker.
+
+A chain of neighbourhood steps is exact at a seam only with the sum of their reaches. Each step
+states its own reach; tasks carry the margin of their cell in their arguments.
 
 A task's need is that of a worker that has loaded its kernels and the points that the task holds
 times the bytes of each; ``benchmarks/memory.py`` measures them.
@@ -9,7 +12,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from spl_batch.airborne.plan.halo import halo_m, surface_reach_m
+from spl_batch.airborne.classes import buildings
+from spl_batch.airborne.filter import denoise
+from spl_batch.airborne.noise import haze
+from spl_batch.airborne.products import surface_rasters
+from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.steps import STEPS
 from spl_batch.airborne.tasks.delivery import PASS_POINTS
@@ -52,6 +59,18 @@ RECORD_BYTES: Final[Mapping[str, int]] = MappingProxyType(
 
 CSV_RECORD_BYTES: Final = 30
 """The same where a record is a line of text [byte]."""
+
+
+def halo_m(workflow: Workflow) -> float:
+    """Margin of a cell of ``denoise``: reaches of the filter and of noise in air, added up [m]."""
+    air = denoise.asks_for_air(workflow.filter, workflow.noise)
+    return denoise.reach_m(workflow.filter) + (haze.REACH_M if air else 0.0)
+
+
+def surface_reach_m(workflow: Workflow) -> float:
+    """Margin that a ground cell's rasters read [m]."""
+    reaches = [surface_rasters.reach_m(workflow.products), reflectance.reach_m(workflow.products)]
+    return max(*reaches, buildings.REACH_M if workflow.classes.building else 0.0)
 
 
 def task_bytes(kind: str, points: float) -> int:

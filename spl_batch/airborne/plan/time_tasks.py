@@ -13,13 +13,10 @@ from spl_batch.airborne.filter.published import OF_SHOTS
 from spl_batch.airborne.plan.flightlines import Flightline
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
 from spl_batch.airborne.plan.survey_ledger import Survey
-from spl_batch.airborne.tasks.index import POSITIONS_S, part_range, parts_of
+from spl_batch.airborne.tasks.index import POSITIONS_S, part_name, part_range, parts_of
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
-
-RANGE_POINTS = 2_000_000
-"""Points of a piece of a file without times [count]."""
 
 POSITIONS_MARGIN_S = 30.0
 """More than the longest gap of a trajectory that is interpolated over, and leap seconds [s]."""
@@ -190,7 +187,7 @@ def scatter(survey: Survey) -> Iterator[Task]:
             args = {**_stretch_args(survey, line, name, k), "timeless": False}
             args["of_shots"] = of_shots
             args["positions"] = _near(positions, line, k)
-            args["polygons"] = list(survey.inputs.polygons)
+            args["polygons"] = survey.inputs.checksums("aoi", "water")
             needs = (*_files(line), ("observe", name), ("fit_line", line.name))
             needs += _path_needs(survey, line)
             yield Task("scatter", name, args, needs, survey.of("observe")[name].points)
@@ -199,23 +196,21 @@ def scatter(survey: Survey) -> Iterator[Task]:
 
 
 def _ranges(survey: Survey) -> Iterator[Task]:
-    """Runs of points of the files, where nothing filters, to be shared among tiles."""
+    """Parts of the files, where nothing filters, to be shared among tiles."""
     # Their id and time tell which flightline they are of.
     again = [[*line.as_pass] for line in survey.flown if line.number != line.psid]
     for source in survey.inputs.sources:
         key, points = str(source.key), source.facts.n_points
-        for start in range(0, points if key in survey.of("index_file") else 0, RANGE_POINTS):
-            stop = min(start + RANGE_POINTS, points)
-            name = f"file_{key}/{start}"
+        for part in range(parts_of(points) if key in survey.of("index_file") else 0):
+            name = f"file_{key}/{part}"
             args = {
-                **source_args(source),
                 "stretch": name,
-                "start": start,
-                "stop": stop,
+                "kept": part_name(key, part),
                 "timeless": True,
                 "passes": again,
-                "polygons": list(survey.inputs.polygons),
+                "polygons": survey.inputs.checksums("aoi", "water"),
             }
+            start, stop = part_range(points, part)
             yield Task("scatter", name, args, (("index_file", key),), stop - start)
 
 

@@ -39,10 +39,7 @@ def read_strip(
     tile_q = quanta(context.workflow.tiling.tile_m)
     built = done.get("build_tile", {})
     tiles = [t for t in cells_touching(strip, tile_q) if str(t) in built]
-    labels = {
-        "noise_class": units_within(strip, "noise", done.get("denoise", {})),
-        "classification": units_within(strip, "classes", done.get("surface", {})),
-    }
+    labels = units_within(strip, ["noise_class", "classification"], done)
     shifts = read_shifts({"aligned": bool(done.get("align"))}, context.store)
     table, _ = read_region(context.store, tiles, strip, TILE_COLUMNS, labels, shifts=shifts)
     if not len(table):

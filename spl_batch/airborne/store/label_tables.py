@@ -4,21 +4,20 @@ A label names its point by tile and row in the tile's file, so units that are cu
 otherwise than the tiles (ground cells, blocks) need no join to find their points.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack, nullcontext
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from spl_batch.airborne.store.flown_lines import Shifts
+from spl_batch.engine.report.run_record import Receipts
 from spl_batch.engine.store.working_store import Store
-from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.tasks.task import Need
 from spl_batch.formats.verified.parquet_npz import (
     groups_between,
-    naming_damage,
     ranges_of,
     read_groups,
     read_table,
@@ -33,29 +32,29 @@ from spl_batch.lattice.tiles import Bounds, CellId, overlap
 class Label(NamedTuple):
     """A column that units give to points; the others lie in the tiles."""
 
-    kind: str  #: Of the units that give it.
+    step: str  #: Whose tasks are the units that give it.
     default: float  #: Of a point that no unit has labelled.
 
 
 LABELS: Final[Mapping[str, Label]] = {
-    "noise_class": Label("noise", 255),
-    "p_value": Label("noise", float("nan")),
-    "noise_density": Label("noise", float("nan")),
-    "wire": Label("noise", 0),
+    "noise_class": Label("denoise", 255),
+    "p_value": Label("denoise", float("nan")),
+    "noise_density": Label("denoise", float("nan")),
+    "wire": Label("denoise", 0),
     "ground": Label("ground", 0),
-    "classification": Label("classes", 255),
-    "set_flags": Label("classes", 0),
+    "classification": Label("surface", 255),
+    "set_flags": Label("surface", 0),
 }
 """All of them."""
 
 GROUP_ROWS: Final = 65_536
 """Most rows of a row group [count]: a halo is read from few."""
 
-Unit = tuple[str, str]
-"""Kind and name of what has labelled some points."""
+Unit = Need
+"""Task that has labelled some points."""
 
-OPEN_FILES: Final = 8
-"""Files of labels that are open at once [count]."""
+SHIFTED: Final[Need] = ("align", "all")
+"""Task that finds by how much heights are shifted."""
 
 
 class Origin(NamedTuple):
@@ -114,83 +113,33 @@ def _of_tile(
     return {"tile_i": place[0], "tile_j": place[1], **columns}
 
 
-class _LabelFile:
-    """An open file of :func:`write_labels` that knows where its row groups belong."""
+class LabelFile:
+    """Where the row groups of a file of :func:`write_labels` belong, by its footer.
 
-    def __init__(self, file: pq.ParquetFile) -> None:
-        footer = file.metadata
-        self.file = file
-        i, j, self.rows = (
-            np.array(ranges_of(footer, name), np.int64).reshape(-1, 2)
+    Raises DamagedError if the file is missing or damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with reading(path) as file:
+            self._footer = file.metadata
+        i, j, self._rows = (
+            np.array(ranges_of(self._footer, name), np.int64).reshape(-1, 2)
             for name in ("tile_i", "tile_j", "row")
         )
-        self.tile = np.stack([i[:, 0], j[:, 0]], axis=1)
-        self.count = np.array([footer.row_group(g).num_rows for g in range(len(self.rows))])
-
-    def tiles(self) -> set[tuple[int, int]]:
-        """Columns and rows of the tiles that it labels points of."""
-        return {(i, j) for i, j in self.tile[self.count > 0].tolist()}
+        self._tile = np.stack([i[:, 0], j[:, 0]], axis=1)
+        counts = [self._footer.row_group(g).num_rows for g in range(len(self._rows))]
+        self._count = np.array(counts)
+        #: Columns and rows of the tiles that it labels points of.
+        self.tiles = {(i, j) for i, j in self._tile[self._count > 0].tolist()}
 
     def read(
         self, tile: CellId, names: Sequence[str], rows: tuple[int, int]
     ) -> dict[str, NDArray[Any]]:
-        """What :meth:`LabelFiles.read` gives."""
-        meets = (self.tile == tile).all(axis=1) & (self.count > 0)
-        meets &= (self.rows[:, 0] <= rows[1]) & (self.rows[:, 1] >= rows[0])
-        wanted = np.flatnonzero(meets)
-        low, high = self.rows[wanted].T
-        if np.any(high - low + 1 != self.count[wanted]):
-            return read_groups(self.file, ["row", *names], wanted.tolist())
-        # No row is left out: which they are need not be read.
-        held = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
-        row = np.concatenate(held) if held else np.arange(0)
-        return {"row": row, **read_groups(self.file, names, wanted.tolist())}
-
-
-class LabelFiles:
-    """Files of labels that are read tile by tile, a few of them open; a context manager."""
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self._open: dict[Unit, tuple[ExitStack, _LabelFile]] = {}
-        self._tiles: dict[Unit, set[tuple[int, int]]] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        while self._open:
-            self._close_oldest()
-
-    def _close_oldest(self) -> None:
-        self._open.pop(next(iter(self._open)))[0].close()
-
-    def _file(self, unit: Unit) -> _LabelFile:
-        """The file of a unit, opened if need be."""
-        if unit not in self._open:
-            if len(self._open) >= OPEN_FILES:
-                self._close_oldest()
-            stack = ExitStack()
-            file = _LabelFile(stack.enter_context(reading(self._store.table(*unit))))
-            self._open[unit] = stack, file
-            self._tiles[unit] = file.tiles()
-        return self._open[unit][1]
-
-    def holds(self, unit: Unit, tile: CellId) -> bool:
-        """Whether a unit has labelled points of a tile; its file is opened once to know all."""
-        if unit not in self._tiles:
-            self._file(unit)
-        return tile in self._tiles[unit]
-
-    def read(
-        self, unit: Unit, tile: CellId, names: Sequence[str], rows: tuple[int, int]
-    ) -> dict[str, NDArray[Any]]:
-        """Labels that a unit gave to points of a tile.
+        """Labels of the points of a tile.
 
         Parameters
         ----------
-        unit : Unit
-            Its kind and name.
         rows : (int, int)
             First and last row of the tile that are wanted; row groups are read whole.
 
@@ -199,8 +148,26 @@ class LabelFiles:
         dict of str to (m,) ndarray
             The labels, and ``row``: which rows of the tile they belong to, increasing.
         """
-        with naming_damage(self._store.table(*unit)):
-            return self._file(unit).read(tile, names, rows)
+        meets = (self._tile == tile).all(axis=1) & (self._count > 0)
+        meets &= (self._rows[:, 0] <= rows[1]) & (self._rows[:, 1] >= rows[0])
+        wanted = np.flatnonzero(meets)
+        low, high = self._rows[wanted].T
+        with reading(self._path, self._footer) as file:
+            if np.any(high - low + 1 != self._count[wanted]):
+                return read_groups(file, ["row", *names], wanted.tolist())
+            # No row is left out: which they are need not be read.
+            held = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
+            row = np.concatenate(held) if held else np.arange(0)
+            return {"row": row, **read_groups(file, names, wanted.tolist())}
+
+
+Files = Callable[[Unit], LabelFile]
+"""Files of labels by unit, each of whose footers is read once."""
+
+
+def label_files(store: Store) -> Files:
+    """Files of labels of a store."""
+    return cache(lambda unit: LabelFile(store.table(*unit)))
 
 
 def read_labelled_tile(
@@ -208,7 +175,7 @@ def read_labelled_tile(
     tile: CellId,
     columns: Sequence[str],
     labels: Mapping[str, Sequence[Unit]],
-    files: LabelFiles | None = None,
+    files: Files | None = None,
     shifts: Shifts | None = None,
 ) -> PointTable:
     """One tile's points with the labels that some units gave them.
@@ -217,20 +184,20 @@ def read_labelled_tile(
     ----------
     labels : mapping of str to sequence of (str, str)
         Label -> units that may hold it.
-    files : LabelFiles, optional
-        Of the same store, where more tiles are read.
+    files : Files, optional
+        From :func:`label_files`, where more tiles are read.
     shifts : Shifts, optional
         Shifts of flightlines that are added to the heights.
     """
     table = read_table(store.table("tiles", str(tile)), _read_for(columns, shifts))
     if shifts is not None:
         table = PointTable(shifts.shifted(table.columns)).select(columns)
-    with LabelFiles(store) if files is None else nullcontext(files) as opened:
-        return table.with_columns(**_labels_of(opened, tile, np.arange(len(table)), labels))
+    found = _labels_of(files or label_files(store), tile, np.arange(len(table)), labels)
+    return table.with_columns(**found)
 
 
 def _labels_of(
-    files: LabelFiles,
+    files: Files,
     tile: CellId,
     rows: NDArray[np.int64],
     labels: Mapping[str, Sequence[Unit]],
@@ -244,10 +211,10 @@ def _labels_of(
         return filled
     for name, units in labels.items():
         for unit in units:
-            if files.holds(unit, tile):
+            if tile in files(unit).tiles:
                 wanted.setdefault(unit, []).append(name)
     for unit, names in wanted.items():
-        part = files.read(unit, tile, names, (int(rows[0]), int(rows[-1])))
+        part = files(unit).read(tile, names, (int(rows[0]), int(rows[-1])))
         mine, at = _met(rows, part["row"])
         for name in names:
             filled[name][mine] = part[name].take(at)
@@ -315,22 +282,22 @@ def read_region(
     joined["row"] = np.empty(room, np.uint32)
     joined["owner"] = np.empty(room, np.min_scalar_type(len(held)))
     end = 0
-    with LabelFiles(store) as files:
-        for k, tile in enumerate(held):
-            values, row = parts[k].read(read)
-            if shifts is not None:
-                values = shifts.shifted(values)
-            chosen = _within(values["x"], values["y"], bounds)
-            row = row[chosen]
-            found = _labels_of(files, tile, row, labels)
-            values = {name: values[name][chosen] for name in columns}
-            wanted = slice(None) if keep is None else rows_of(keep(PointTable({**values, **found})))
-            row = row[wanted]
-            start, end = end, end + len(row)
-            joined["row"][start:end], joined["owner"][start:end] = row, k
-            for part in (values, found):
-                for name in list(part):
-                    joined[name][start:end] = part.pop(name)[wanted]
+    files = label_files(store)
+    for k, tile in enumerate(held):
+        values, row = parts[k].read(read)
+        if shifts is not None:
+            values = shifts.shifted(values)
+        chosen = _within(values["x"], values["y"], bounds)
+        row = row[chosen]
+        found = _labels_of(files, tile, row, labels)
+        values = {name: values[name][chosen] for name in columns}
+        wanted = slice(None) if keep is None else rows_of(keep(PointTable({**values, **found})))
+        row = row[wanted]
+        start, end = end, end + len(row)
+        joined["row"][start:end], joined["owner"][start:end] = row, k
+        for part in (values, found):
+            for name in list(part):
+                joined[name][start:end] = part.pop(name)[wanted]
     joined = {name: values[:end] for name, values in joined.items()}
     if ordered:
         # Tiles are in canonical order, and points of different ones differ in x or, where their
@@ -358,13 +325,35 @@ def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArr
     return found
 
 
+def labelled(args: Mapping[str, Any], found: Collection[Need]) -> dict[str, Any]:
+    """Arguments of a task with the units that labelled points, and whether heights are shifted.
+
+    Points of a task that has failed have no labels; the rest goes on.
+    """
+    steps = sorted({label.step for label in LABELS.values()})
+    labels = {step: sorted(name for made_by, name in found if made_by == step) for step in steps}
+    return {**args, "labels": labels, "aligned": SHIFTED in found}
+
+
+def on_ground(args: Mapping[str, Any], found: Collection[Need]) -> dict[str, Any] | None:
+    """Those of a cell likewise; None, which leaves it out, without its ground."""
+    return labelled(args, found) if ("ground", args["cell"]) in found else None
+
+
 def units_of(args: Mapping[str, Any], names: Iterable[str]) -> dict[str, list[Unit]]:
-    """Units that may give a task's points some labels, by label, as its arguments name them."""
-    kinds = {name: LABELS[name].kind for name in names}
-    return {name: [(kind, unit) for unit in args["labels"][kind]] for name, kind in kinds.items()}
+    """Units that may give a task's points some labels, by label; of :func:`labelled` arguments."""
+    steps = {name: LABELS[name].step for name in names}
+    return {name: [(step, unit) for unit in args["labels"][step]] for name, step in steps.items()}
 
 
-def units_within(region: Bounds, kind: str, done: Mapping[str, Receipt]) -> list[Unit]:
-    """Finished units that label points of a region; ``done``: receipts of those of the kind."""
-    cores = ((name, Bounds(*receipt.facts["core"])) for name, receipt in done.items())
-    return [(kind, name) for name, core in cores if overlap(core, region)]
+def units_within(region: Bounds, names: Iterable[str], done: Receipts) -> dict[str, list[Unit]]:
+    """Finished units that may give points of a region some labels, by label."""
+    steps = {name: LABELS[name].step for name in names}
+    return {
+        name: [
+            (step, unit)
+            for unit, receipt in done.get(step, {}).items()
+            if overlap(Bounds(*receipt.facts["core"]), region)
+        ]
+        for name, step in steps.items()
+    }

@@ -18,7 +18,7 @@ from spl_batch.airborne.products.cell_values import shape_of
 from spl_batch.airborne.products.wide_voids import Void, void_findings, wide_voids
 from spl_batch.airborne.pulses.swaths import Outlined, outlines
 from spl_batch.airborne.store.flown_lines import read_shifts
-from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile, units_of
+from spl_batch.airborne.store.label_tables import label_files, read_labelled_tile, units_of
 from spl_batch.airborne.store.raster_cells import stored_blocks
 from spl_batch.airborne.tasks import index, pulses
 from spl_batch.airborne.tasks.stretches import Copies
@@ -110,13 +110,13 @@ class _FileLabels:
         """Points of each tile that count, and their copies with the same labels."""
         store, columns = self.context.store, ("source", "index")
         labels = units_of(self.args, self.names)
-        with LabelFiles(store) as files:
-            for tile in self.args["tiles"]:
-                table = read_labelled_tile(store, parse_cell(tile), columns, labels, files)
-                yield table, False
-                if tile in self.args["copies"]:
-                    copies = Copies(**read_arrays(store.path("copies", f"{tile}.npz")))
-                    yield copies.of(table), True
+        files = label_files(store)
+        for tile in self.args["tiles"]:
+            table = read_labelled_tile(store, parse_cell(tile), columns, labels, files)
+            yield table, False
+            if tile in self.args["copies"]:
+                copies = Copies(**read_arrays(store.path("copies", f"{tile}.npz")))
+                yield copies.of(table), True
 
 
 def _keep(

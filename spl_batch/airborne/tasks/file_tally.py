@@ -1,8 +1,8 @@
 """What is in an input file, counted chunk by chunk; counts of its parts add up to those of all."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
 
 Track = dict[str, NDArray[np.int64]]
+
+S = TypeVar("S", bound=Sequence[Any])
 
 _COUNTED: Final = (
     "points", "timeless", "withheld", "withheld_unclassified", "vendor_noise", "excluded",
@@ -254,14 +256,20 @@ def _without_scattered(found: _Spans, left: int) -> _Spans:
 
 def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:
     """Join time spans ``[first, last, points]`` that lie no farther apart than a gap [s]."""
-    merged: list[list[float]] = []
-    for first, last, points in sorted(spans):
-        if merged and first - merged[-1][1] <= gap_s:
-            merged[-1][1] = max(merged[-1][1], last)
-            merged[-1][2] += points
-        else:
-            merged.append([first, last, points])
-    return merged
+    joined = (zip(*chain, strict=True) for chain in chained(sorted(spans), gap_s))
+    return [[first[0], max(last), sum(points)] for first, last, points in joined]
+
+
+def chained(spans: Iterable[S], gap_s: float) -> list[list[S]]:
+    """Spans ``(first, last, ...)``, sorted, together where they lie no farther apart than a gap."""
+    chains: list[list[S]] = []
+    end = -math.inf
+    for span in spans:
+        if span[0] - end > gap_s:
+            chains.append([])
+        chains[-1].append(span)
+        end = max(end, span[1])
+    return chains
 
 
 class Rate:

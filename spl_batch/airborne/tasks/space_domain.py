@@ -4,15 +4,18 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.diagnostics.air_fill import float_facts
 from spl_batch.airborne.diagnostics.noise_fit import P_VALUES
 from spl_batch.airborne.filter import denoise as denoising
-from spl_batch.airborne.filter.air import COLUMNS_NEEDED as AIR_COLUMNS
-from spl_batch.airborne.filter.air import facts_of, look_at_air, noise_in_air
-from spl_batch.airborne.filter.expected_noise import noise_model
+from spl_batch.airborne.filter.expected_noise import (
+    COLUMNS_OF_AIR,
+    NoiseInAir,
+    facts_of,
+    look_at_air,
+    noise_model,
+)
 from spl_batch.airborne.filter.stray_returns import bare_cells
 from spl_batch.airborne.ground import ground_methods as grounding
 from spl_batch.airborne.products import surface_points
@@ -32,38 +35,31 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     cell, workflow = Cell.of(args, context), context.workflow
     core = cell.core
     # Air is looked for farther around than the filter looks, and in fewer columns.
-    seen = cell.read(grow(core, args["halo"]), AIR_COLUMNS)[0]
+    seen = cell.read(grow(core, args["halo"]), COLUMNS_OF_AIR)[0]
     shares = stored_by_line(context.store, args["voxels"])
     model = noise_model([seen[axis] for axis in "xyz"], shares, args["beamlets"], workflow.noise)
     look = look_at_air(seen, model, workflow, core)
     del seen
+    noise = NoiseInAir(model, look.air)
     near = grow(core, min(args["halo"], quanta(denoising.reach_m(workflow.filter))))
-    table, origin = cell.read(near, denoising.COLUMNS_NEEDED, ordered=True)
-    owned = inside(table["x"], table["y"], core)
+    points, origin = cell.read(near, denoising.COLUMNS_NEEDED, ordered=True)
+    owned = inside(points["x"], points["y"], core)
     place = origin.of(owned)
-    del origin
+    mean = noise.mean(points.select("xyz").take(owned)).astype(np.float32)
+    # Given up here, so that what is judged is not held beside what decided on the afterpulses.
+    given = [points]
+    del points, origin
     by_voxel = denoising.asks_for_means(workflow.filter)
-    noise = noise_in_air(
-        table, np.ones(len(table), np.bool_) if by_voxel else owned, model, look.air
+    decided = denoising.denoise(
+        density=noise.local(given[0]),
+        tested=noise.mean(given[0]) if by_voxel else None,
+        table=given.pop(),
+        query=owned,
+        settings=workflow.filter,
+        afterpulse=workflow.afterpulse,
     )
-    mean = (noise.mean[owned] if by_voxel else noise.mean).astype(np.float32)
-    local, density = noise.local, noise.mean if by_voxel else noise.local
-    del model, noise
-    found = denoising.resolve(table, local, workflow.filter, workflow.afterpulse)
-    del local
-    # What decided on the afterpulses and the noise is not held while the rest is judged.
-    table = table.select(("x", "y", *denoising.COLUMNS_JUDGED))
-    chosen = denoising.independent(table, density, owned, found, workflow.filter)
-    table = table.select(denoising.COLUMNS_JUDGED)
-    del density
-    decided = denoising.judge(table, chosen, owned, found, workflow.filter)
-    labels: dict[str, NDArray[Any]] = {
-        "noise_class": decided["noise_class"],
-        "p_value": decided["p_value"],
-        "wire": decided["wire"],
-        "noise_density": mean,
-    }
-    path = context.store.table("noise", args["cell"])
+    labels = {**decided, "noise_density": mean}
+    path = context.store.table("denoise", args["cell"])
     write_labels(path, place, labels)
     return Produced([path], {"core": list(core), **facts_of(look)}, len(mean))
 

@@ -6,13 +6,13 @@ needed, with the columns that are.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.formats.gps_clock import usable_times
 from spl_batch.formats.verified.parquet_npz import GroupWriter, group_ranges, read_table
 from spl_batch.lattice.row_order import in_order, lexicographic_order
 from spl_batch.lattice.tables import (
@@ -49,11 +49,11 @@ MIXED_RUN_POINTS: Final = 16_384
 def add_points(writer: GroupWriter, table: PointTable) -> None:
     """Keep a chunk of an input file in time order, but for what no computation looks at.
 
-    Row groups are short, and their footers tell their times.
+    Row groups are short, and their footers tell their times; points without any come last.
     """
     time = table["gps_time"]
     mixed = bool(np.any(time[1:] < time[:-1]))
-    table = _in_time_order(table.take(rows_of(usable_times(time) & ~table.has(EXCLUDED))))
+    table = _in_time_order(table.take(rows_of(~table.has(EXCLUDED))))
     step = MIXED_RUN_POINTS if mixed else RUN_POINTS
     for start in range(0, len(table), step):
         writer.write(table.take(slice(start, start + step)).columns)
@@ -136,15 +136,26 @@ def _pieces(
     kept: str, window_s: tuple[float, float], context: Context, names: Sequence[str]
 ) -> Iterator[PointTable]:
     """Row groups of a file, or of a part of one, that can hold points of a time span."""
-    path = context.store.path("points", f"{kept}.parquet")
-    source = np.uint64(int(kept.partition("-")[0]))
+    path = _path(kept, context)
     ranges = np.array(group_ranges(path, "gps_time"), dtype=np.float64).reshape(-1, 2)
     hits = np.flatnonzero((ranges[:, 0] <= window_s[1]) & (ranges[:, 1] >= window_s[0]))
-    columns = [name for name in names if name != "source"]
     for run in np.split(hits, np.flatnonzero(np.diff(hits) > 1) + 1):
         if len(run):
-            table = read_table(path, columns, run.tolist())
-            yield table.with_columns(source=np.full(len(table), source))
+            yield read_kept(kept, context, names, run.tolist())
+
+
+def read_kept(
+    kept: str, context: Context, names: Sequence[str], groups: Sequence[int] | None = None
+) -> PointTable:
+    """Columns of what is kept of a file, or of a part of one; some of its row groups, or all."""
+    columns = [name for name in names if name != "source"]
+    table = read_table(_path(kept, context), columns, groups)
+    source = np.uint64(int(kept.partition("-")[0]))
+    return table.with_columns(source=np.full(len(table), source))
+
+
+def _path(kept: str, context: Context) -> Path:
+    return context.store.path("points", f"{kept}.parquet")
 
 
 def _of_stretch(table: PointTable, args: Mapping[str, Any], clock: ShotClock) -> PointTable:

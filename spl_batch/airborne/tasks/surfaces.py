@@ -195,7 +195,7 @@ def _classes(cell: Cell, arrays: Rasters, swaths: Swaths) -> tuple[Path, dict[st
         highest = air_fill.highest_ground(dtm)
         air = air_fill.filled_blocks(mine, cell.core, highest, noise_m3)
         facts = {} if air is None else air_fill.fill_facts(air, cell.core)
-    path = cell.context.store.table("classes", cell.args["cell"])
+    path = cell.context.store.table("surface", cell.args["cell"])
     write_labels(path, origin.of(owned), labels)
     return path, facts, len(mine)
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spl_batch.airborne import shots
 from spl_batch.airborne.afterpulse import afterpulse_law
@@ -21,23 +20,20 @@ from spl_batch.airborne.products.reflectance import fired_beamlets
 from spl_batch.airborne.store.flown_lines import Pass, line_of
 from spl_batch.airborne.store.voxel_parts import write_voxels
 from spl_batch.airborne.tasks import lines_of_sight
-from spl_batch.airborne.tasks.index import CHUNK_POINTS
-from spl_batch.airborne.tasks.stretches import read_stretch, repeats, without_copies
+from spl_batch.airborne.tasks.stretches import read_kept, read_stretch, repeats, without_copies
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.formats.gps_clock import usable_times
-from spl_batch.formats.las.reader import iter_points
 from spl_batch.formats.verified.parquet_npz import (
     read_arrays,
     read_table,
     write_arrays,
     write_table,
 )
+from spl_batch.lattice.distinct import distinct
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import (
     CANONICAL_ORDER,
-    EXCLUDED,
     SOURCE_COLUMNS,
     TILE_COLUMNS,
     BeamTable,
@@ -93,7 +89,8 @@ def _spans_s(args: Mapping[str, Any]) -> list[tuple[float, float]]:
 def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     """Line noise density, voxel deposits and afterpulses of a stretch; points by tile."""
     if args["timeless"]:
-        table, copies = _run_of_points(args, context), None
+        columns = (*_POINT_COLUMNS, "point_source_id")
+        table, copies = read_kept(args["kept"], context, columns), None
         passes = [Pass(*one) for one in args["passes"]]
         line = line_of(table["point_source_id"], table["gps_time"], passes)
     else:
@@ -161,18 +158,10 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
         "points": len(table),
         "outside_aoi": int(np.count_nonzero(table.has(PointFlag.OUTSIDE_AOI))),
         "no_beam": int(np.count_nonzero(table.has(PointFlag.NO_BEAM))),
-        "sources": sorted({str(s) for piece in pieces for s in _different(piece["source"])}),
+        "sources": sorted({str(s) for piece in pieces for s in distinct(piece["source"])[0]}),
         "copies": [[*map(str, p), n] for p, n in zip(pairs.tolist(), counts.tolist(), strict=True)],
     }
     return Produced(outputs, facts, len(table))
-
-
-def _different(values: NDArray[np.uint64]) -> list[int]:
-    """Different values; mostly there is one."""
-    if not len(values) or (values == values[0]).all():
-        return [int(value) for value in values[:1]]
-    found: list[int] = np.unique(values).tolist()
-    return found
 
 
 def _assess(
@@ -235,18 +224,3 @@ def _mark_places(table: PointTable, context: Context) -> PointTable:
         if name is not None and len(table):
             flags[context.within(name, table["x"], table["y"]) == within] |= np.uint8(flag)
     return table.with_columns(flags=flags)
-
-
-def _run_of_points(args: Mapping[str, Any], context: Context) -> PointTable:
-    """Points of a part of an input file, which is as it was when it was indexed."""
-    path = Path(args["path"])
-    with unchanged(path, as_indexed("index_file", args, context)):
-        chunks = iter_points(
-            path,
-            channel_dimension=context.workflow.survey.channel_dimension,
-            source=int(args["source"]),
-            start=args["start"],
-            stop=args["stop"],
-            chunk=CHUNK_POINTS,
-        )
-        return concat([table.take(~table.has(EXCLUDED)) for table in chunks], SOURCE_COLUMNS)

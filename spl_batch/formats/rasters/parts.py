@@ -1,11 +1,11 @@
 """Parts and overviews of delivered rasters, for statistics and pictures."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import rasterio
@@ -15,6 +15,9 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from spl_batch.errors import DamagedError
+
+LARGEST: Final = 1200
+"""Cells that a side of an overview may have [count]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,41 +38,8 @@ class RasterPart:
         return (self.left_m, right, bottom, self.top_m)
 
 
-def read_overview(
-    path: Path, largest: int = 1200, bounds_m: tuple[float, float, float, float] | None = None
-) -> RasterPart:
+def read_overview(path: Path, largest: int = LARGEST) -> RasterPart:
     """Raster, averaged so that no side has more cells than ``largest``.
-
-    Parameters
-    ----------
-    largest : int
-        Cells that a side may have [count].
-    bounds_m : (float, float, float, float), optional
-        West, south, east, north of the part that is read, which the raster must touch; by default
-        the whole [m].
-
-    Raises
-    ------
-    DamagedError
-        If the raster cannot be read: it can be made again.
-    """
-    with opened(path) as source:
-        rows, cols = _touched(source, bounds_m or tuple(source.bounds))
-        step, shape = _reduced((max(len(rows), 1), max(len(cols), 1)), largest)
-        # A window beyond the edge keeps cells square where the step does not divide it.
-        values = source.read(
-            1,
-            window=Window(cols.start, rows.start, shape[1] * step, shape[0] * step),
-            out_shape=shape,
-            boundless=step > 1,
-            fill_value=source.nodata,
-            resampling=Resampling.average if step > 1 else Resampling.nearest,
-        )
-        return _part(source, values, rows, cols, step)
-
-
-def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, float, float]:
-    """Rows, columns, left and upper edge and edge of a cell of :func:`read_overview` [count, m].
 
     Raises
     ------
@@ -78,6 +48,28 @@ def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, fl
     """
     with opened(path) as source:
         step, shape = _reduced(source.shape, largest)
+        # A window beyond the edge keeps cells square where the step does not divide it.
+        values = source.read(
+            1,
+            window=Window(0, 0, shape[1] * step, shape[0] * step),
+            out_shape=shape,
+            boundless=step > 1,
+            fill_value=source.nodata,
+            resampling=Resampling.average if step > 1 else Resampling.nearest,
+        )
+        return _part(source, values, (0, 0), step)
+
+
+def overview_frame(path: Path) -> tuple[int, int, float, float, float]:
+    """Rows, columns, left and upper edge and edge of a cell of :func:`read_overview` [count, m].
+
+    Raises
+    ------
+    DamagedError
+        If the raster cannot be read: it can be made again.
+    """
+    with opened(path) as source:
+        step, shape = _reduced(source.shape, LARGEST)
         return (*shape, source.transform.c, source.transform.f, source.transform.a * step)
 
 
@@ -92,11 +84,15 @@ def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Raster
         If the raster cannot be read: it can be made again.
     """
     with opened(path) as source:
-        rows, cols = _touched(source, bounds_m, around=1)
-        if not rows or not cols:
+        left, top, cell = source.transform.c, source.transform.f, source.transform.a
+        west, south, east, north = bounds_m
+        row, col = (max(math.floor(side / cell) - 1, 0) for side in (top - north, west - left))
+        rows = min(math.ceil((top - south) / cell) + 1, source.height) - row
+        cols = min(math.ceil((east - left) / cell) + 1, source.width) - col
+        if rows < 1 or cols < 1:
             return None
-        values = source.read(1, window=Window(cols.start, rows.start, len(cols), len(rows)))
-        return _part(source, values, rows, cols, 1)
+        values = source.read(1, window=Window(col, row, cols, rows))
+        return _part(source, values, (row, col), 1)
 
 
 @contextmanager
@@ -115,16 +111,6 @@ def opened(path: Path, **options: int) -> Iterator[Any]:
         raise DamagedError(path, error) from error
 
 
-def _touched(source: Any, bounds_m: Sequence[float], around: int = 0) -> tuple[range, range]:
-    """Rows and columns of the cells that a region touches, and of so many around."""
-    left, top, cell = source.transform.c, source.transform.f, source.transform.a
-    west, south, east, north = bounds_m
-    first_col, first_row = math.floor((west - left) / cell), math.floor((top - north) / cell)
-    col, row = math.ceil((east - left) / cell), math.ceil((top - south) / cell)
-    rows = range(max(first_row - around, 0), min(row + around, source.height))
-    return rows, range(max(first_col - around, 0), min(col + around, source.width))
-
-
 def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]:
     """Cells along a side of one of an overview's, and the overview's shape."""
     step = max(1, math.ceil(max(size) / largest))
@@ -132,8 +118,8 @@ def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]
     return step, (rows, columns)
 
 
-def _part(source: Any, values: NDArray[Any], rows: range, cols: range, step: int) -> RasterPart:
+def _part(source: Any, values: NDArray[Any], first: tuple[int, int], step: int) -> RasterPart:
     """Values from a row and a column on, each of ``step`` cells of the raster."""
     left, top, cell = source.transform.c, source.transform.f, source.transform.a
-    left_m, top_m = left + cols.start * cell, top - rows.start * cell
+    left_m, top_m = left + first[1] * cell, top - first[0] * cell
     return RasterPart(values.astype(np.float32), left_m, top_m, cell * step)

@@ -13,8 +13,8 @@ from spl_batch.airborne.accuracy.differences import surface_differences, terrain
 from spl_batch.airborne.accuracy.error_tally import Tallies, accuracy_report, tallies
 from spl_batch.airborne.accuracy.raster_and_reference import Raster, Reference
 from spl_batch.airborne.plan import reference_tasks as planned
+from spl_batch.airborne.store.label_tables import labelled
 from spl_batch.airborne.tasks.accuracy import compared
-from spl_batch.airborne.tasks.bindings import labelled
 from spl_batch.constants import NODATA
 from spl_batch.engine.tasks.runner import run_task
 from spl_batch.engine.tasks.task import Receipt

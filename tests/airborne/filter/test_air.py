@@ -1,4 +1,4 @@
-"""Air of a block does not depend on the strips that it is looked at in."""
+"""What a cell shows of the air that it holds."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spl_batch.airborne.filter import air as looking
+from spl_batch.airborne.filter import expected_noise as looking
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, inside

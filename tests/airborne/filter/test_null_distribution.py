@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from spl_batch.airborne.filter.ellipsoid import null_distribution
-from spl_batch.airborne.filter.ellipsoid.evidence import evidence, shape_of
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import evidence
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import shape_of
 from spl_batch.airborne.filter.ellipsoid.null_distribution import (
     DENSITIES,
     draw_table,

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.airborne.plan.grid import MOST_TILES, Grid, tile_counts, tiles_along
-from spl_batch.airborne.plan.halo import halo_m
-from spl_batch.airborne.plan.task_memory import task_bytes
+from spl_batch.airborne.plan.task_memory import halo_m, task_bytes
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.worker_memory import usable_bytes
 from spl_batch.engine.tasks.task import Receipt

@@ -45,7 +45,7 @@ def test_a_task_reads_as_far_as_its_plan_says(
     context = Context(workflow, tmp_path, tmp_path / "out", "", "code")
     args = {
         "core": list(CORE), "tiles": [], "halo": halo, "cell": "0_0",
-        "labels": {"noise": [], "ground": []}, "aligned": False,
+        "labels": {"denoise": [], "ground": []}, "aligned": False,
         "fired": None, "voxels": [], "beamlets": 1,
     }  # fmt: skip
     with pytest.raises(ReadError):

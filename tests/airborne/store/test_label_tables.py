@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.store.label_tables import (
     GROUP_ROWS,
-    OPEN_FILES,
-    LabelFiles,
     Origin,
+    label_files,
     read_labelled_tile,
     read_region,
     units_within,
@@ -147,8 +146,7 @@ def labelled(
 def labels_of(
     store: Store, unit: str, tile: CellId, rows: tuple[int, int] = (0, 2**32)
 ) -> dict[str, NDArray[Any]]:
-    with LabelFiles(store) as files:
-        return files.read(("ground", unit), tile, ["ground"], rows)
+    return label_files(store)(("ground", unit)).read(tile, ["ground"], rows)
 
 
 def test_of_a_long_tile_only_the_rows_in_question_are_read(tmp_path: Path) -> None:
@@ -167,18 +165,17 @@ def test_of_a_long_tile_only_the_rows_in_question_are_read(tmp_path: Path) -> No
             assert len(back["row"]) <= 2 * GROUP_ROWS
 
 
-def test_more_units_than_files_that_may_be_open(tmp_path: Path) -> None:
+def test_each_footer_is_read_once(tmp_path: Path) -> None:
     store, tile = Store(tmp_path), CellId(0, 0)
-    units = [f"u{k}" for k in range(OPEN_FILES + 2)]
-    for k, unit in enumerate(units):
-        label = labelled(np.array([tile]), np.array([0]), np.array([k]))
-        write_labels(store.table("ground", unit), *label)
-    with LabelFiles(store) as files:
-        assert all(files.holds(("ground", unit), tile) for unit in units)
-        assert not files.holds(("ground", units[0]), CellId(0, 1))
-        for k, unit in [*enumerate(units), *enumerate(units)]:
-            back = files.read(("ground", unit), tile, ["ground"], (0, 0))
-            assert back["ground"].tolist() == [k]
+    files = label_files(store)
+    for k in range(3):
+        path = store.table("ground", f"u{k}")
+        write_labels(path, *labelled(np.array([tile]), np.array([0]), np.array([k])))
+    for k in (0, 1, 2, 0):
+        found = files(("ground", f"u{k}"))
+        assert found is files(("ground", f"u{k}"))
+        assert found.tiles == {tile}
+        assert found.read(tile, ["ground"], (0, 0))["ground"].tolist() == [k]
 
 
 def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:
@@ -188,9 +185,12 @@ def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:
 
 def test_units_of_a_region_are_those_that_own_some_of_it() -> None:
     cores = {"a": [0, 0, 100, 100], "b": [100, 0, 200, 100], "c": [200, 0, 300, 100]}
-    done = {
+    receipts = {
         name: Receipt("ground", name, "", "", "", {}, {"core": core}, 0, 0.0, 0.0)
         for name, core in cores.items()
     }
-    assert units_within(Bounds(50, 10, 101, 20), "ground", done) == [("ground", k) for k in "ab"]
-    assert units_within(Bounds(100, 10, 200, 20), "ground", done) == [("ground", "b")]
+    done = {"ground": receipts}
+    assert units_within(Bounds(50, 10, 101, 20), ["ground"], done)["ground"] == [
+        ("ground", k) for k in "ab"
+    ]
+    assert units_within(Bounds(100, 10, 200, 20), ["ground"], done) == {"ground": [("ground", "b")]}

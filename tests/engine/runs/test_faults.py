@@ -22,12 +22,12 @@ from tests.clusters import Plan, fault
 def test_a_failure_is_named_and_its_traceback_is_in_the_log(
     small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(*_: object) -> None:
+    def broken(**_: object) -> None:
         raise RuntimeError("broken on purpose")
 
     surveys.run(small, "filter.alpha=0.001", until="shuffle")
     with monkeypatch.context() as patch:
-        patch.setattr(denoise, "judge", broken)
+        patch.setattr(denoise, "denoise", broken)
         result = surveys.run(small, "filter.alpha=0.001")
     assert result.exit_status == 1
     assert result.report is not None

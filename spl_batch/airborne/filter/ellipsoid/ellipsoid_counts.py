@@ -12,12 +12,16 @@ outermost of the k inside lies. For points strewn evenly in an ellipsoid
 
 is uniform, with f the flags of Eq. 5; a signal's are nearer the middle.
 
+How strongly a neighbourhood speaks against noise is the :class:`Evidence` by which
+:mod:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_test` decides, and which
+:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution` draws under the null.
+
 Counting stops at the critical count. Most points reach it among the neighbours that shaped the
 ellipsoid, without walking the tree.
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +34,12 @@ from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import (
     lone_body,
     no_bodies,
     offsets,
+    shape_of,
 )
 from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, measure, spacing_scratch, walk
+from spl_batch.airborne.settings import FilterSettings
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import (
     LEAF,
@@ -42,6 +50,7 @@ from spl_batch.numerics.neighbours.kdtree import (
     U4,
     U5,
     KdTree,
+    build,
     check_cap,
     leaf_of,
     leaf_slots,
@@ -66,6 +75,57 @@ CHUNK: Final = 2048
 
 LOGS: Final = 256
 """Factorials whose logarithms are kept [count]."""
+
+
+class Evidence(NamedTuple):
+    """What is known about n points."""
+
+    #: (n,): small means unlikely to be noise; 1 where not asked. See :func:`count_inside`.
+    score: NDArray[np.float64]
+    #: (n,): neighbours counted, at most the critical count [count]; empty where not wanted.
+    inside: NDArray[np.int32]
+    #: (n,): noise points expected inside the ellipsoid [count]; empty where not wanted.
+    expected: NDArray[np.float64]
+    #: (n,): squared spacing of the points asked for, and of some others, by slot of the tree;
+    #: negative where it is not known; all zero for the published test [quanta2].
+    spacing: NDArray[np.float64]
+    tree: KdTree
+
+
+def evidence(
+    xyz: NDArray[np.int32],
+    density: NDArray[np.float64],
+    asked: NDArray[np.bool_],
+    settings: FilterSettings,
+    stop: float | NDArray[np.float64],
+    *,
+    at_most: float = 1.0,
+    scores_only: bool = False,
+    tree: KdTree | None = None,
+) -> Evidence:
+    """Scores of the points asked for, in canonical order [quanta; noise 1/m3].
+
+    The published test counts every neighbour, the calibrated one peers only, and breaks the ties of
+    counts. Counting stops once the score is no larger than ``stop``, or ``at_most`` if less.
+    """
+    spacing = np.full(len(xyz), 0.0 if settings.test == "published" else -1.0)
+    tree = build(xyz) if tree is None else tree
+    count, expected, score = count_inside(
+        xyz,
+        tree,
+        asked,
+        density,
+        shape_of(settings, settings.neighbours, settings.radius_m),
+        alpha=stop,
+        at_most=at_most,
+        unit=QUANTA_PER_M,
+        spacing=spacing,
+        rule=Spacing(settings.spacing_neighbours, quanta(settings.spacing_cap_m)),
+        peer_ratio=settings.peer_ratio,
+        tie=settings.test == "calibrated",
+        scores_only=scores_only,
+    )
+    return Evidence(score, count, expected, spacing, tree)
 
 
 def count_inside(

@@ -21,6 +21,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.settings import FilterSettings
+from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2, U3, U4, U5
 from spl_batch.numerics.planes.eigen import eigen_symmetric
@@ -40,6 +42,18 @@ class Shape(NamedTuple):
     axis_cap: float
     neighbour_cap: int
     power: float  #: 1 for eigenvalues [W18 Eq. 3], 0.5 for their roots.
+
+
+def shape_of(settings: FilterSettings, neighbours: int, radius_m: float) -> Shape:
+    """How neighbours become an ellipsoid, in quanta."""
+    return Shape(
+        neighbours=neighbours,
+        radius=float(quanta(radius_m)),
+        floor=float(quanta(settings.eigen_floor_m)),
+        axis_cap=float(quanta(settings.axis_cap_m)),
+        neighbour_cap=quanta(settings.neighbour_cap_m),
+        power=1.0 if settings.axis_power == "eigenvalue" else 0.5,
+    )
 
 
 @njit(fastmath={"reassoc"})

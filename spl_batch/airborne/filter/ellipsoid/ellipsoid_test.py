@@ -1,5 +1,7 @@
 """Point-wise test of the adaptive ellipsoid [W18 2.2.3; W17 5.2.2, 6.2.3].
 
+Domain: space.
+
 ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 11-26 % of pure noise.
 ``calibrated``, the default, deviates in three points:
 
@@ -27,7 +29,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.ellipsoid.evidence import Evidence, evidence
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import Evidence, evidence
 from spl_batch.airborne.filter.ellipsoid.null_distribution import null_table
 from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
@@ -35,8 +37,6 @@ from spl_batch.airborne.settings import FilterSettings
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.neighbours.kdtree import build
 from spl_batch.numerics.poisson import noise_tail_probability
-
-DOMAIN: Final = "space"
 
 HARDLY_EXPECTED: Final = 0.05
 """Noise points expected within the neighbours' cap below which a lone return is real [points]."""

@@ -21,7 +21,6 @@ over the last decade. Accuracy: ``python -m benchmarks.held --only alpha``.
 import json
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -31,15 +30,13 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.ellipsoid.evidence import evidence
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import evidence
 from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, value_of
 from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.engine.settings.base import Section
 from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.neighbours.kdtree import build
-
-DOMAIN: Final = "space"
 
 FILE: Final = "null_table.json"
 
@@ -193,8 +190,6 @@ def draw_table(
     settings: FilterSettings,
     points: int | NDArray[np.int64],
     densities: NDArray[np.float64] = DENSITIES,
-    tell: Callable[[float], None] = lambda _: None,
-    workers: int = 1,
 ) -> NullTable:
     """Draw the null distribution.
 
@@ -206,18 +201,11 @@ def draw_table(
         Noise points per density [count].
     densities : (d,) float64
         [1/m3], evenly spaced in logarithm.
-    tell : callable
-        Called with each density before it is drawn.
     """
     settings = settings.model_copy(update={"test": "calibrated"})
-    numbers = np.broadcast_to(points, densities.shape)
-
-    def one(i: int) -> _Drawn:
-        tell(float(densities[i]))
-        return _drawn(settings, i, float(densities[i]), int(numbers[i]))
-
-    with ThreadPoolExecutor(workers) as pool:
-        drawn = list(pool.map(one, range(len(densities))))
+    numbers = np.broadcast_to(points, densities.shape).tolist()
+    wanted = enumerate(zip(densities.tolist(), numbers, strict=True))
+    drawn = [_drawn(settings, i, density, number) for i, (density, number) in wanted]
     own, link = np.moveaxis(np.log(np.array([d.links for d in drawn])), 2, 0)
     smooth = _smooth(np.array([d.score for d in drawn]))
     return NullTable(

@@ -10,8 +10,7 @@ The default settings' table ships (``wire_null.json``, written by
 ``python -m benchmarks.airborne.filter.null_table``); others draw a coarser one on first use.
 """
 
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any, Final
@@ -24,8 +23,6 @@ from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.filter.wires.wire_scan import scan
 from spl_batch.airborne.settings import FilterSettings, WireSettings
 from spl_batch.lattice.tiles import quanta
-
-DOMAIN: Final = "space"
 
 FILE: Final = "wire_null.json"
 
@@ -123,18 +120,12 @@ def draw_shares(
     wires: WireSettings,
     points: int,
     densities: NDArray[np.float64] = DENSITIES,
-    tell: Callable[[float], None] = lambda _: None,
-    workers: int = 1,
 ) -> NDArray[np.float64]:
     """Share of uniform noise of some densities [1/m3] that the scan keeps: (d,)."""
     wires = wires.model_copy(update={"enabled": True})
-
-    def one(i: int) -> float:
-        tell(float(densities[i]))
-        return _share(np.random.default_rng([i, points]), float(densities[i]), points, wires)
-
-    with ThreadPoolExecutor(workers) as pool:
-        return np.array(list(pool.map(one, range(len(densities)))))
+    seeds = (np.random.default_rng([i, points]) for i in range(len(densities)))
+    drawn = zip(seeds, densities.tolist(), strict=True)
+    return np.array([_share(rng, density, points, wires) for rng, density in drawn])
 
 
 def _share(rng: np.random.Generator, density: float, points: int, wires: WireSettings) -> float:

@@ -48,8 +48,6 @@ from spl_batch.lattice.tiles import quanta
 from spl_batch.numerics.neighbours.lattice_columns import Columns, columns
 from spl_batch.numerics.poisson import noise_tail_probability
 
-DOMAIN: Final = "space"
-
 CELL_M: Final = 1.0
 """Cell of the density that tells a surface [m]; 27 of them are counted."""
 

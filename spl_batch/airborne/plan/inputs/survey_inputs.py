@@ -3,7 +3,7 @@
 import difflib
 import glob
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,12 +86,14 @@ class Inputs:
     reference: ReferenceFiles  #: Files of reference points.
     crs: CRS | None
     warnings: tuple[Finding, ...]  #: What a user should know before the work starts.
-    #: Key and checksum of each polygon file, or of all the files that it is made of.
-    polygons: tuple[tuple[str, str], ...] = ()
+    #: Key and checksum of each file of shapes, or of all that it is made of, and of the geoid's.
+    beside: tuple[tuple[str, str], ...] = ()
     checkpoints: CheckpointFile | None = None  #: Checkpoints of a field survey.
-    breaklines: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the file of breaklines.
-    geoid: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the grid of the geoid.
     no_trajectory: tuple[InputError, ...] = ()  #: Files of ``trajectory`` that cannot be read.
+
+    def checksums(self, *keys: str) -> list[tuple[str, str]]:
+        """Key and checksum of the files that some keys name, where they do."""
+        return [one for one in self.beside if one[0] in keys]
 
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
@@ -108,15 +110,13 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     reference_names = workflow.reference.points if workflow.reference else None
     reference = expand(reference_names, base, "reference.points", faults)
     checkpoints = named_file(workflow.reference, base)
-    for key, name in (
-        ("aoi", workflow.aoi),
-        ("water", workflow.water),
-        ("breaklines", workflow.breaklines),
-        ("reference.checkpoints", workflow.reference.checkpoints if workflow.reference else None),
-    ):
-        if name is not None and (fault := url_fault(name)):
+    beside = _shapes(workflow)
+    if workflow.reference and workflow.reference.checkpoints is not None:
+        beside["reference.checkpoints"] = workflow.reference.checkpoints
+    for key, name in beside.items():
+        if fault := url_fault(name):
             faults.append(f"{key}: {name}: {fault}")
-        elif name is not None and not (base / name).exists():
+        elif not (base / name).exists():
             faults.append(f"{key}: {base / name} does not exist; {CHECK}")
     refuse_own(paths, output, "survey.flightlines", faults)
     if faults:
@@ -162,12 +162,16 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         checked_reference(reference, workflow.reference, crs, mismatched),
         crs,
         tuple(warnings),
-        tuple(_checksums(base, {"aoi": workflow.aoi, "water": workflow.water})),
+        tuple(_checksums(workflow, base)),
         checkpoints,
-        tuple(_checksums(base, {"breaklines": workflow.breaklines})),
-        _geoid_checksum(workflow, base),
         _unreadable(trajectory),
     )
+
+
+def _shapes(workflow: Workflow) -> dict[str, str]:
+    """Files of shapes that a workflow names, by key."""
+    given = {key: getattr(workflow, key) for key in ("aoi", "water", "breaklines")}
+    return {key: name for key, name in given.items() if name is not None}
 
 
 def _check_shapes(
@@ -183,19 +187,14 @@ def _check_shapes(
     survey = shapely.box(
         *np.transpose([[*f.mins_m[:2], *f.maxs_m[:2]] for f in files if f.n_points])
     )
-    for key, name, read in (
-        ("aoi", workflow.aoi, check_polygons),
-        ("water", workflow.water, check_polygons),
-        ("breaklines", workflow.breaklines, read_breaklines),
-    ):
-        if name is None:
-            continue
+    for key, name in _shapes(workflow).items():
         try:
             with as_input_fault(base / name):
-                found = read(base / name, crs)
-            shapes = np.array(
-                [getattr(one, "area", one) if key == "breaklines" else one for one in found]
-            )
+                shapes = np.array(
+                    [water.area for water in read_breaklines(base / name, crs)]
+                    if key == "breaklines"
+                    else check_polygons(base / name, crs)
+                )
             met = shapely.STRtree(survey).query(shapes, "intersects")
             if len(survey) and not met.size:
                 drawn, flown = (extent(shapely.get_coordinates(s)) for s in (shapes, survey))
@@ -262,20 +261,16 @@ def _without_time(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> 
     ]
 
 
-def _geoid_checksum(workflow: Workflow, base: Path) -> tuple[tuple[str, str], ...]:
+def _checksums(workflow: Workflow, base: Path) -> Iterable[tuple[str, str]]:
+    files = {key: base / name for key, name in _shapes(workflow).items()}
     geoid = workflow.outputs.geoid
-    file = None if geoid is None else grid_file(geoid.grid, base / geoid.grid)
-    return () if file is None else (("outputs.geoid.grid", checksum(file)),)
-
-
-def _checksums(base: Path, files: Mapping[str, str | None]) -> Iterable[tuple[str, str]]:
-    for key, name in files.items():
-        if name is not None:
-            path = base / name
-            # A shapefile's corners, table and CRS lie in files of the same stem.
-            parts = path.parent.glob(f"{glob.escape(path.stem)}.*")
-            whole = sorted(parts) if path.suffix.lower() == ".shp" else [path]
-            yield key, " ".join(checksum(part) for part in whole)
+    if geoid is not None and (grid := grid_file(geoid.grid, base / geoid.grid)) is not None:
+        files["outputs.geoid.grid"] = grid
+    for key, path in files.items():
+        # A shapefile's corners, table and CRS lie in files of the same stem.
+        parts = path.parent.glob(f"{glob.escape(path.stem)}.*")
+        whole = sorted(parts) if path.suffix.lower() == ".shp" else [path]
+        yield key, " ".join(checksum(part) for part in whole)
 
 
 def source_args(source: Source) -> dict[str, str]:
