@@ -140,6 +140,11 @@ class OutputSettings(StoreSettings):
     copc: bool = Field(
         False, description="Each classified cloud once more as COPC, in the folder copc."
     )
+    crs: str | None = Field(
+        None,
+        description="CRS in which clouds and rasters are written once more, in the folder "
+        "reprojected, e.g. EPSG:6344+5703; with a vertical part heights are transformed as well.",
+    )
     catalogue: bool = Field(
         True,
         description="STAC catalogue, virtual point cloud, index.gpkg.",
