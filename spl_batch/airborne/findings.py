@@ -100,6 +100,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "local": "the CRS that files name, {crs}, does not say where on earth it is",
                 "vertical": "no vertical CRS in the file; its heights are taken as {crs}, as of "
                 "others",
+                "unit": "nothing states the unit of heights; they are taken in {unit}, as "
+                "eastings are",
             },
             "rasters and clouds name none, or that one, or that of others",
             "write `crs: EPSG:...` or `vertical_crs: EPSG:...` under survey",

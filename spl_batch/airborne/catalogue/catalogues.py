@@ -26,6 +26,7 @@ from spl_batch.airborne.catalogue.delivered_files import (
 from spl_batch.errors import plain
 from spl_batch.formats.crs import crs_name
 from spl_batch.formats.files.atomic import replacing, scratch_folder
+from spl_batch.formats.units import Units
 
 REMEDY: Final = "; name it in survey.crs"
 """Where no CRS is known."""
@@ -65,7 +66,7 @@ def write_catalogues(
         ``clouds`` (``href``, ``span_s``), ``rasters``, ``flightlines`` (``id, points, first_s,
         last_s, files``) and ``checkpoints``, as the plan gives them.
     outlines : mapping of str to MultiPolygon
-        Where flightlines lie, by their names; others lie in the boxes of their files.
+        Where flightlines lie, by their names [m]; others lie in the boxes of their files.
     publisher : Publisher
         Who delivers.
 
@@ -76,10 +77,13 @@ def write_catalogues(
     remarks : list of str
         What could not be written, and why.
     """
-    clouds = [read_cloud(output, one["href"], _span(one["span_s"])) for one in args["clouds"]]
+    units = Units.of(crs)
+    clouds = [
+        read_cloud(output, one["href"], _span(one["span_s"]), units) for one in args["clouds"]
+    ]
     rasters = [read_raster_file(output, href) for href in args["rasters"]]
     text = None if crs is None else crs.to_wkt()
-    written = [write_layers(output / INDEX, list(_layers(args, clouds, outlines)), text)]
+    written = [write_layers(output / INDEX, list(_layers(args, clouds, outlines, units)), text)]
     held = [cloud for cloud in clouds if cloud.points]
     reason = _why_without_places(crs, held, rasters)
     if crs is not None and not reason:
@@ -111,18 +115,21 @@ def _layers(
     args: Mapping[str, Any],
     clouds: Sequence[Cloud],
     outlines: Mapping[str, shapely.MultiPolygon],
+    units: Units,
 ) -> Iterator[Layer]:
     """Topmost first."""
     points = args["checkpoints"]
+    places = np.array([(one["x_m"], one["y_m"], one["z_m"]) for one in points]).reshape(-1, 3)
     yield Layer(
         "checkpoints",
-        [shapely.Point(one["x_m"], one["y_m"], one["z_m"]) for one in points],
+        list(shapely.points(places / units.xyz_m)),
         {key: [one[key] for one in points] for key in ("id", "surface", "accuracy_m", "error_m")},
     )
-    boxes = {cloud.href: shapely.box(*cloud.box_m) for cloud in clouds}
+    boxes = {cloud.href: shapely.box(*cloud.box) for cloud in clouds}
     lines = args["flightlines"]
     flown = [
-        outlines.get(one["id"]) or _together([boxes[href] for href in one["files"]])
+        _in_units(outlines.get(one["id"]), units)
+        or _together([boxes[href] for href in one["files"]])
         for one in lines
     ]
     keys = ("id", "points", "first_s", "last_s", "area_m2", "per_m2")
@@ -136,6 +143,13 @@ def _layers(
             "per_m2": [cloud.per_m2 for cloud in clouds],
         },
     )
+
+
+def _in_units(shape: shapely.MultiPolygon | None, units: Units) -> shapely.MultiPolygon | None:
+    """A shape in metres, in the units of the survey's CRS."""
+    if shape is None or units.are_metres:
+        return shape
+    return shapely.transform(shape, lambda xy: xy / units.horizontal_m)
 
 
 def _together(boxes: Sequence[shapely.Geometry]) -> shapely.Geometry:

@@ -65,12 +65,22 @@ class Flightline(Part):
     noise_per_m: Number = Field(None, description="Mean noise returns per metre of beamlet [1/m].")
 
 
+class DeliveredUnits(Part):
+    """Units of clouds and rasters; the numbers of this report are in metres, as their names say."""
+
+    horizontal: str = Field("metre", description="Of eastings and northings, by PROJ's name.")
+    horizontal_m: Number = Field(1.0, description="Metres in one of these.")
+    vertical: str = Field("metre", description="Of heights.")
+    vertical_m: Number = Field(1.0, description="Metres in one of these.")
+
+
 class Survey(Part):
     """What was processed."""
 
     name: str = Field(description="Title of the report.")
     crs: str | None = Field(None, description="CRS of everything delivered, e.g. EPSG:32615.")
     crs_name: str | None = Field(None, description="Its name in words.")
+    units: DeliveredUnits = DeliveredUnits()
     sensor: str | None = Field(None, description="Name of the instrument.")
     area_km2: Number = Field(
         None,

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 from typing import Any, cast
@@ -30,6 +31,7 @@ from spl_batch.airborne.report.model import (
     Basis,
     ClientTile,
     Counts,
+    DeliveredUnits,
     Flightline,
     Noise,
     NoiseFit,
@@ -129,6 +131,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
         name=workflow.survey.name,
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
+        units=DeliveredUnits(**asdict(context.units)),
         sensor=workflow.sensor.name if workflow.filtering else None,
         area_km2=area_km2(done, context),
         extent_m=(low[0], high[0], low[1], high[1]),

@@ -31,7 +31,7 @@ class SurveySettings(Section):
     crs: str | None = Field(None, description="CRS for LAS files that carry none, e.g. EPSG:32615.")
     vertical_crs: str | None = Field(
         None,
-        description="Vertical CRS of the heights, in metres, where the files name none, e.g. "
+        description="Vertical CRS of the heights, where the files name none, e.g. "
         "EPSG:5703: clouds, rasters and catalogues get a compound CRS. No height changes.",
     )
     flightlines: str | tuple[str, ...] = Field(
@@ -134,7 +134,8 @@ class GeoidSettings(Section):
         "knows, or a path relative to this file."
     )
     crs: str | None = Field(
-        None, description="Vertical CRS of heights above it, in metres, e.g. EPSG:5703."
+        None,
+        description="Vertical CRS of heights above it, in the unit of heights, e.g. EPSG:5703.",
     )
 
 

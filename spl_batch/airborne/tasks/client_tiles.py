@@ -24,7 +24,8 @@ from spl_batch.formats.las.copc import copy_as_copc
 from spl_batch.formats.las.cut import Piece, write_cut
 from spl_batch.formats.named_areas import lies_in
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import opened
+from spl_batch.formats.rasters.parts import opened, place_m
+from spl_batch.formats.units import metres_in
 from spl_batch.formats.verified.parquet_npz import read_arrays
 
 BLOCK: Final = 1024
@@ -72,6 +73,7 @@ def _cut_cloud(
             whole,
             pieces,
             partial(lies_in, area),
+            units=context.units,
             records_of_file=[] if record is None else [record],
         )
         if points and copc:
@@ -100,36 +102,39 @@ def _ranges(source: str, area: shapely.Geometry, context: Context) -> list[tuple
 def _cut_raster(source: Path, target: Path, area: shapely.Geometry) -> bool:
     """Cells of a raster whose centres lie in an area; whether there are any."""
     with opened(source) as model:
-        place, (rows, columns) = model.transform, model.shape
+        (left_m, top_m, cell_m), (rows, columns) = place_m(model), model.shape
+        unit_m = metres_in(model.units[0] or "")
         west, south, east, north = shapely.bounds(area).tolist()
-        first_col = max(math.floor((west - place.c) / place.a + EVEN), 0)
-        last_col = min(math.ceil((east - place.c) / place.a - EVEN), columns)
-        first_row = max(math.floor((north - place.f) / place.e + EVEN), 0)
-        last_row = min(math.ceil((south - place.f) / place.e - EVEN), rows)
+        first_col = max(math.floor((west - left_m) / cell_m + EVEN), 0)
+        last_col = min(math.ceil((east - left_m) / cell_m - EVEN), columns)
+        first_row = max(math.floor((top_m - north) / cell_m + EVEN), 0)
+        last_row = min(math.ceil((top_m - south) / cell_m - EVEN), rows)
 
-        def blocks() -> Iterator[tuple[int, int, NDArray[np.float32]]]:
+        def blocks() -> Iterator[tuple[int, int, NDArray[Any]]]:
             for row in range(first_row, last_row, BLOCK):
                 for col in range(first_col, last_col, BLOCK):
                     size = min(BLOCK, last_col - col), min(BLOCK, last_row - row)
                     values = model.read(1, window=Window(col, row, *size))
-                    x = place.c + (col + np.arange(size[0]) + 0.5) * place.a
-                    y = place.f + (row + np.arange(size[1]) + 0.5) * place.e
+                    x = left_m + (col + np.arange(size[0]) + 0.5) * cell_m
+                    y = top_m - (row + np.arange(size[1]) + 0.5) * cell_m
                     x, y = np.meshgrid(x * QUANTA_PER_M, y * QUANTA_PER_M)
                     inside = lies_in(area, x.ravel(), y.ravel()).reshape(values.shape)
-                    kept = np.where(inside, values, np.float32(NODATA))
+                    inside &= values != np.float32(NODATA)
+                    # 64 bits until they are in the file's unit again: no value changes.
+                    kept = np.where(inside, values * np.float64(unit_m or 1.0), NODATA)
                     yield row - first_row, col - first_col, kept
 
-        if not any((values != np.float32(NODATA)).any() for *_, values in blocks()):
+        if not any((values != NODATA).any() for *_, values in blocks()):
             return False
         write_cog(
             target,
             blocks(),
             shape=(last_row - first_row, last_col - first_col),
-            origin_xy_m=(place.c + first_col * place.a, place.f + first_row * place.e),
-            cell_m=place.a,
+            origin_xy_m=(left_m + first_col * cell_m, top_m - first_row * cell_m),
+            cell_m=cell_m,
             crs=model.crs.to_wkt() if model.crs else None,
             description=model.descriptions[0] or source.name,
-            unit=model.units[0] or "",
+            unit=model.units[0] or "" if unit_m is None else "m",
         )
     return True
 

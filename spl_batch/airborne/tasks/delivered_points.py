@@ -43,7 +43,7 @@ class Terrain:
         self._squares = {square for core in cores for square in cells_touching(core, self._edge)}
 
     def heights_above(self, tile: CellId, table: PointTable) -> NDArray[np.float32]:
-        """Heights of a tile's points above the terrain, (n,) [m]; NaN where it is void.
+        """Heights of a tile's points above the terrain, (n,) in the delivered unit; NaN at voids.
 
         The terrain is bilinear between cell centres; beside a void it is that of the point's cell.
         """
@@ -64,8 +64,9 @@ class Terrain:
         place = np.column_stack([table["x"], table["y"]]) * QUANTUM_M
         surface = terrain.bilinear(place)
         surface = np.where(np.isnan(surface), terrain.at(place), surface)
-        above: NDArray[np.float32] = (table["z"] * QUANTUM_M - surface).astype(np.float32)
-        return above
+        above = (table["z"] * QUANTUM_M - surface) / self._context.units.vertical_m
+        found: NDArray[np.float32] = above.astype(np.float32)
+        return found
 
 
 def gone(

@@ -49,7 +49,7 @@ from spl_batch.formats.las.writer import (
     write_points,
 )
 from spl_batch.formats.rasters.geotiff import write_cog
-from spl_batch.formats.rasters.parts import opened
+from spl_batch.formats.rasters.parts import opened, place_m
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
@@ -329,23 +329,24 @@ def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
         for row, col in product(range(0, rows, BLOCK), range(0, columns, BLOCK)):
             size = min(BLOCK, columns - col), min(BLOCK, rows - row)
             heights = model.read(1, window=Window(col, row, *size))
-            east = place.c + (col + np.arange(heights.shape[1]) + 0.5) * place.a
-            north = place.f - (row + np.arange(heights.shape[0]) + 0.5) * place.a
+            east = left_m + (col + np.arange(heights.shape[1]) + 0.5) * cell_m
+            north = top_m - (row + np.arange(heights.shape[0]) + 0.5) * cell_m
             x, y = (side.ravel() for side in np.meshgrid(east, north))
-            above = heights - geoid.heights(x, y).reshape(heights.shape)
+            height_m = heights * context.units.vertical_m
+            above = height_m - geoid.heights(x, y).reshape(heights.shape)
             known = heights != np.float32(NODATA)
             beyond += int(np.count_nonzero(known & np.isnan(above)))
             kept = np.where(known & ~np.isnan(above), above, NODATA)
             yield row, col, kept.astype(np.float32)
 
     with opened(source) as model:
-        place = model.transform
+        left_m, top_m, cell_m = place_m(model)
         write_cog(
             target,
             blocks(),
             shape=model.shape,
-            origin_xy_m=(place.c, place.f),
-            cell_m=place.a,
+            origin_xy_m=(left_m, top_m),
+            cell_m=cell_m,
             crs=geoid.crs_above(named.crs).to_wkt(),
             description=args["meaning"],
             unit=args["unit"],

@@ -188,6 +188,7 @@ def _read(args: Mapping[str, Any], context: Context, header: LasFacts, part: int
             stop=stop,
             chunk=CHUNK_POINTS,
             watch=watch,
+            units=context.units,
         ):
             found.tally.add(table)
             add_points(writer, table)

@@ -248,5 +248,6 @@ def _run_of_points(args: Mapping[str, Any], context: Context) -> PointTable:
             start=args["start"],
             stop=args["stop"],
             chunk=CHUNK_POINTS,
+            units=context.units,
         )
         return concat([table.take(~table.has(EXCLUDED)) for table in chunks], SOURCE_COLUMNS)

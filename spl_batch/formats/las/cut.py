@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 from spl_batch.errors import InputError
 from spl_batch.formats.las.chunks import RecordReader
 from spl_batch.formats.las.frame import Frame, preamble, wkt_vlr, write_laz
-from spl_batch.formats.las.header import ADJUSTED_BIT, LasHeader, Vlr, read_header
-from spl_batch.formats.las.known_records import header_crs
-from spl_batch.formats.las.reader import coordinate
-from spl_batch.formats.las.records import (
-    ExtraDimension,
-    RecordLayout,
-    record_layout,
+from spl_batch.formats.las.header import (
+    ADJUSTED_BIT,
+    LasHeader,
+    Vlr,
+    read_header,
     standard_dtype,
 )
+from spl_batch.formats.las.known_records import header_crs
+from spl_batch.formats.las.reader import coordinate
+from spl_batch.formats.las.records import ExtraDimension, RecordLayout, record_layout
+from spl_batch.formats.units import METRES, Units
 
 Within = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
 """Which places, (n,) each [quanta], lie in the area."""
@@ -43,7 +45,12 @@ class Piece(NamedTuple):
 
 
 def write_cut(
-    dst: Path, pieces: Sequence[Piece], within: Within, *, records_of_file: Sequence[Vlr] = ()
+    dst: Path,
+    pieces: Sequence[Piece],
+    within: Within,
+    *,
+    units: Units = METRES,
+    records_of_file: Sequence[Vlr] = (),
 ) -> int:
     """Write the points of some clouds that lie in an area; their number.
 
@@ -53,6 +60,8 @@ def write_cut(
         LAZ file, replaced only by a finished one.
     pieces : sequence of Piece
         One at least.
+    units : Units
+        Of the clouds.
     records_of_file : sequence of Vlr
         Records of its header beside the CRS, which is that of the first cloud.
 
@@ -78,7 +87,7 @@ def write_cut(
             with RecordReader(header) as reader:
                 for start, stop in piece.ranges:
                     given = reader.read(start, stop)
-                    x, y = (coordinate(given, header, axis, start) for axis in range(2))
+                    x, y = (coordinate(given, header, axis, start, units) for axis in range(2))
                     yield _converted(given[within(x, y)], reader.layout, header, frame)
 
     return write_laz(dst, frame, chunks())

@@ -55,6 +55,7 @@ from spl_batch.formats.las.records import (
     given_classes,
     new_dimension,
 )
+from spl_batch.formats.units import Units
 from spl_batch.lattice.tables import PointFlag, PointTable
 
 Labels = Callable[[int, int], Mapping[str, NDArray[Any]]]
@@ -189,7 +190,7 @@ def write_classified(
                 given = reader.read(start, stop)
                 out = convert.records(given)
                 if shifted is not None:
-                    _shift(out, given, header, shifted)
+                    _shift(out, given, header, shifted, Units.of(crs).vertical_m)
                 before = given_classes(given, reader.layout)
                 values = labels(start, stop)
                 _label(out, convert.layout, before, values, names)
@@ -229,12 +230,14 @@ def write_classified(
         return write_packed(dst, frame, copy.laz, decoded.extent, packed(decoded, copy))
 
 
-def _shift(records: NDArray[Any], given: NDArray[Any], header: LasHeader, shifted: Shifted) -> None:
+def _shift(
+    records: NDArray[Any], given: NDArray[Any], header: LasHeader, shifted: Shifted, unit_m: float
+) -> None:
     """Add shifts to the heights of records; the flightlines are those of what was given."""
     timed = "gps_time" in (given.dtype.names or ())
     time = given["gps_time"] if timed else np.full(len(given), np.nan)
     up_q = shifted.up_q(given["point_source_id"], time)
-    z = records["Z"] + np.rint(up_q / (header.scales[2] * QUANTA_PER_M)).astype(np.int64)
+    z = records["Z"] + np.rint(up_q / (header.scales[2] * unit_m * QUANTA_PER_M)).astype(np.int64)
     if len(z) and not _INT32.min <= z.min() <= z.max() <= _INT32.max:
         raise WorkflowError(
             f"{header.path}: with its shift z of some points does not fit into the file's "
@@ -282,9 +285,9 @@ def write_points(
     aggregate_bit: bool = False,
     records_of_file: Sequence[Vlr] = (),
 ) -> int:
-    """Write a table as LAZ or COPC, point format 6, on the survey's lattice.
+    """Write a table as LAZ or COPC, point format 6, to a thousandth of the CRS's unit.
 
-    The beamlet number goes to ``user_data``.
+    In metres that is the survey's lattice. The beamlet number goes to ``user_data``.
 
     Parameters
     ----------
@@ -319,7 +322,7 @@ def write_points(
     ]
     layout = conversion(RecordLayout(_POINT_FORMAT, ()), described).layout
     records = np.zeros(len(table), dtype=layout.dtype)
-    offsets = [_place(records, table, axis, path) for axis in range(3)]
+    offsets = [_place(records, table, k, u, path) for k, u in enumerate(Units.of(crs).xyz_m)]
     _fill(records, table)
     if aggregate:
         records["bit_fields"] = _ONLY_RETURN
@@ -344,16 +347,17 @@ def write_points(
     return write_copc(path, frame, records) if copc else write_laz(path, frame, [records])
 
 
-def _place(records: NDArray[Any], table: PointTable, axis: int, path: Path) -> float:
-    """Put one axis into the records; gives its offset [m], a whole number of kilometres."""
-    values = table["xyz"[axis]].astype(np.int64)
+def _place(records: NDArray[Any], table: PointTable, axis: int, unit_m: float, path: Path) -> float:
+    """Put one axis into the records; gives its offset, a whole number of thousand units."""
+    values = np.rint(table["xyz"[axis]] / unit_m).astype(np.int64)
     if not len(values):
         return 0.0
     low, high = int(values.min()), int(values.max())
     fits = _INT32.min <= low and high <= _INT32.max
     origin = 0 if fits else low // _ORIGIN_STEP * _ORIGIN_STEP
     if high - origin > _INT32.max:
-        raise WorkflowError(f"{path}: {'xyz'[axis]} spans more than 2000 km; write it in parts")
+        span = f"{2000 * unit_m:.0f} km"
+        raise WorkflowError(f"{path}: {'xyz'[axis]} spans more than {span}; write it in parts")
     records["XYZ"[axis]] = values - origin
     return float(origin // QUANTA_PER_M)
 

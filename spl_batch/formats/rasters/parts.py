@@ -1,4 +1,7 @@
-"""Parts and overviews of delivered rasters, for statistics and pictures."""
+"""Parts and overviews of delivered rasters in metres, for statistics and pictures.
+
+A file says itself what its units are: by its CRS those of its cells, by its band those of values.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -10,11 +13,13 @@ from typing import Any
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from pyproj import CRS
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from spl_batch.errors import DamagedError
+from spl_batch.formats.units import Units, metres_in
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +59,8 @@ def read_overview(
         If the raster cannot be read: it can be made again.
     """
     with opened(path) as source:
-        rows, cols = _touched(source, bounds_m or tuple(source.bounds))
+        every = range(source.height), range(source.width)
+        rows, cols = every if bounds_m is None else _touched(source, bounds_m)
         step, shape = _reduced((max(len(rows), 1), max(len(cols), 1)), largest)
         # A window beyond the edge keeps cells square where the step does not divide it.
         values = source.read(
@@ -78,7 +84,8 @@ def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, fl
     """
     with opened(path) as source:
         step, shape = _reduced(source.shape, largest)
-        return (*shape, source.transform.c, source.transform.f, source.transform.a * step)
+        left_m, top_m, cell_m = place_m(source)
+        return (*shape, left_m, top_m, cell_m * step)
 
 
 def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> RasterPart | None:
@@ -117,7 +124,7 @@ def opened(path: Path, **options: int) -> Iterator[Any]:
 
 def _touched(source: Any, bounds_m: Sequence[float], around: int = 0) -> tuple[range, range]:
     """Rows and columns of the cells that a region touches, and of so many around."""
-    left, top, cell = source.transform.c, source.transform.f, source.transform.a
+    left, top, cell = place_m(source)
     west, south, east, north = bounds_m
     first_col, first_row = math.floor((west - left) / cell), math.floor((top - north) / cell)
     col, row = math.ceil((east - left) / cell), math.ceil((top - south) / cell)
@@ -134,6 +141,19 @@ def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]
 
 def _part(source: Any, values: NDArray[Any], rows: range, cols: range, step: int) -> RasterPart:
     """Values from a row and a column on, each of ``step`` cells of the raster."""
-    left, top, cell = source.transform.c, source.transform.f, source.transform.a
+    left, top, cell = place_m(source)
     left_m, top_m = left + cols.start * cell, top - rows.start * cell
+    unit_m = metres_in(source.units[0] or "") or 1.0
+    if unit_m != 1.0:
+        values = np.where(values == source.nodata, source.nodata, values * np.float64(unit_m))
     return RasterPart(values.astype(np.float32), left_m, top_m, cell * step)
+
+
+def place_m(source: Any) -> tuple[float, float, float]:
+    """Left and upper edge of a raster and edge of its cells, in metres on its axes [m]."""
+    placed = source.transform.c, source.transform.f, source.transform.a
+    crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None
+    unit_m = Units.of(crs).horizontal_m
+    # Edges are whole millimetres; what a factor and its inverse leave of one is not.
+    left, top, cell = placed if unit_m == 1.0 else (round(v * unit_m, 6) for v in placed)
+    return left, top, cell

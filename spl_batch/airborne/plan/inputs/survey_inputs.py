@@ -55,6 +55,7 @@ from spl_batch.formats.las.copc import copc_fault
 from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.named_areas import NamedArea, read_named_areas
 from spl_batch.formats.trajectory.records import has_records
+from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import check_polygons
 
 NO_POINTS = "the file holds no points; name files that hold some, or copy it again"
@@ -138,6 +139,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         good = []
     if workflow.survey.vertical_crs is not None and good:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
+    good = [facts.in_metres(Units.of(crs)) for facts in good]
     apart: list[Finding] = []
     if good:
         apart = _check_shapes(workflow, base, crs, good)
