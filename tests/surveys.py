@@ -132,6 +132,22 @@ def write_cloud(
     return path
 
 
+def in_feet(path: Path, target: Path, crs: str, units_m: Sequence[float]) -> Path:
+    """The same cloud in another CRS: raw coordinates stay, scale and offset are divided."""
+    las = laspy.read(path)
+    raw = {axis: np.array(las[axis]) for axis in "XYZ"}
+    las.header.vlrs = [v for v in las.header.vlrs if v.user_id != "LASF_Projection"]
+    las.header.scales = np.array(las.header.scales) / units_m
+    las.header.offsets = np.array(las.header.offsets) / units_m
+    las.header.add_crs(CRS.from_user_input(crs))
+    las.points.scales, las.points.offsets = las.header.scales, las.header.offsets
+    for axis, values in raw.items():
+        las.points.array[axis] = values
+    target.parent.mkdir(parents=True, exist_ok=True)
+    las.write(target)
+    return target
+
+
 def write_trajectory(
     path: Path, *, start_s: float = START_S - 1, stop_s: float = START_S + 10, shift_m: float = 0.0
 ) -> Path:

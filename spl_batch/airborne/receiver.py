@@ -62,7 +62,7 @@ class Imaging(Receiver[Survey, Context]):
     workflow: ClassVar[type[BaseWorkflow]] = Workflow
     noun: ClassVar[str] = "airborne survey"
     delivered: ClassVar[tuple[str, ...]] = (
-        *("laz/**/*", "tiles/*", "copc/**/*", f"{STAC}/*.json"),
+        *("laz/**/*", "tiles/*", "copc/**/*", "reprojected/**/*", f"{STAC}/*.json"),
         *(VIRTUAL, INDEX, CONTOURS, f"{CLIENT_TILES}/*"),
         *(f"{p.name}.tif" for p in (*PRODUCTS, *ABOVE_GEOID) if p.delivered),
     )

@@ -259,6 +259,21 @@ STEPS: Final[Steps] = table(
         remedy="set outputs.client_tiles.format: laz",
         after=("deliver_file", "mosaic", "deliver_geoid", "align"),
     ),
+    _delivery(
+        "reproject_file",
+        run="tasks.reprojection:reproject_file",
+        tasks="reprojection_tasks:files",
+        settings=("outputs.crs",),
+        unit="file",
+        after=("deliver_file",),
+    ),
+    _delivery(
+        "reproject_raster",
+        run="tasks.reprojection:reproject_raster",
+        tasks="reprojection_tasks:rasters",
+        settings=("outputs.crs", "outputs.cell", "products.cell_m"),
+        after=("mosaic",),
+    ),
     _step(
         "accuracy",
         "report",

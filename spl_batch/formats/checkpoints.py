@@ -276,7 +276,9 @@ def _transformed(
     ends = (source, crs) if whole else (horizontal(source), horizontal(crs))
     try:
         # Without the grid of a geoid PROJ would leave heights as they are and keep silent.
-        transformer = Transformer.from_crs(*ends, always_xy=True, only_best=whole)
+        transformer = Transformer.from_crs(
+            *ends, always_xy=True, only_best=whole, allow_ballpark=not whole
+        )
         x, y, z = xyz.T
         x, y, z = transformer.transform(x, y, z, errcheck=whole and len(xyz) == 1)
     except ProjError as error:

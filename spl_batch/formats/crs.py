@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image, TiffTags
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from pyproj import CRS, Proj
@@ -326,13 +326,13 @@ def _stretches(crs: CRS, by: str) -> str:
     )
 
 
-def stretch_problem(crs: CRS, places_m: Sequence[Sequence[float]]) -> list[str]:
+def stretch_problem(crs: CRS, places_m: ArrayLike) -> list[str]:
     """Why a projection is not for these places, (n, 2) [m]; none where it is."""
     lengths, _ = scale_there(crs, places_m)
     return [_stretches(crs, f"{lengths:.2f}")] if abs(lengths - 1.0) > LENGTHS_APART else []
 
 
-def scale_there(crs: CRS, places_m: Sequence[Sequence[float]]) -> tuple[float, float]:
+def scale_there(crs: CRS, places_m: ArrayLike) -> tuple[float, float]:
     """Scale of lengths, which is farthest from 1, and of areas, at the truest of some places.
 
     ``places_m``: (n, 2), corners of a survey, of which one may lie astray [m]. Both scales are 1

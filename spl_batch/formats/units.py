@@ -69,7 +69,8 @@ METRES: Final = Units()
 def _of_wkt(wkt: str) -> tuple[str, float, str, float]:
     """Fields of :class:`Units` by a CRS, of which a survey has few."""
     crs = CRS.from_wkt(wkt)
-    flat, upright = [], []
+    flat: list[tuple[str, float]] = []
+    upright: list[tuple[str, float]] = []
     for axis in crs.axis_info:
         kind = upright if axis.direction in {"up", "down"} else flat
         kind.append(_named(axis.unit_name, axis.unit_conversion_factor))

@@ -203,8 +203,10 @@ def in_crs(
     transformer = Transformer.from_crs(horizontal(source), horizontal(crs), always_xy=True)
 
     def move(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
-        flat = xyz[:, :2].T if known else transformer.transform(*xyz.T[:2], errcheck=True)
-        return units.metres(np.column_stack([*flat, xyz[:, 2:]]))
+        x, y = xyz[:, 0], xyz[:, 1]
+        if not known:
+            x, y = transformer.transform(x, y, errcheck=True)
+        return units.metres(np.column_stack([x, y, xyz[:, 2:]]))
 
     try:
         moved: Geometries = shapely.transform(shapes, move, include_z=heights)

@@ -192,6 +192,18 @@ class OutputSettings(StoreSettings):
         description="CRS in which clouds and rasters are written once more, in the folder "
         "reprojected, e.g. EPSG:6344+5703; with a vertical part heights are transformed as well.",
     )
+    cell: Positive | None = Field(
+        None,
+        description="Edge of a raster cell there, in the unit of crs, such as 3 for 3 feet; by "
+        "default products.cell_m in that unit.",
+    )
+
+    @model_validator(mode="after")
+    def _cell_of_something(self) -> Self:
+        if self.cell is not None and self.crs is None:
+            raise ValueError("cell is that of rasters in another CRS: name crs as well")
+        return self
+
     catalogue: bool = Field(
         True,
         description="STAC catalogue, virtual point cloud, index.gpkg.",

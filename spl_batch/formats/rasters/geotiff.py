@@ -37,8 +37,9 @@ def write_cog(
     blocks: NDArray[np.float32] | Blocks,
     *,
     shape: tuple[int, int],
-    origin_xy_m: tuple[float, float],
-    cell_m: float,
+    origin_xy_m: tuple[float, float] = (0.0, 0.0),
+    cell_m: float = 1.0,
+    place: Affine | None = None,
     crs: str | None,
     description: str,
     unit: str = "",
@@ -56,8 +57,10 @@ def write_cog(
         Rows and columns, both > 0.
     origin_xy_m : (float, float)
         Easting and northing of the upper left corner, in metres on the axes of the CRS [m].
+    place : Affine, optional
+        Corner and cells in the units of the CRS, in place of these.
     crs : str, optional
-        Anything that GDAL understands as a CRS: EPSG code, WKT. The file is in its units: place,
+        Anything that GDAL understands as a CRS: EPSG code, WKT. The file is in its units: corner,
         cells and values in ``m`` are converted.
     unit : str
         Unit of its values, as GDAL's unit type; empty where they have none.
@@ -85,7 +88,7 @@ def write_cog(
         "dtype": "float32",
         "nodata": nodata,
         "crs": known_crs,
-        "transform": Affine(cell, 0.0, left, 0.0, -cell, top),
+        "transform": place or Affine(cell, 0.0, left, 0.0, -cell, top),
     }
     try:
         with (

@@ -33,15 +33,16 @@ OUTPUTS: dict[str, Any] = {
     "client_tiles": {"polygons": "tiles.gpkg", "name": "tile"},
     "contour_interval": 0.1,
 }
+FEET = "EPSG:2278+6360"
 SURVEY = {"organisation": "Survey <Ltd>", "contact": "maps@example.org", "licence": "CC-BY-4.0"}
 
 
-def write_tiles(path: Path, tiles: dict[str, Any], field: str = "tile") -> Path:
+def write_tiles(
+    path: Path, tiles: dict[str, Any], field: str = "tile", crs: str = surveys.CRS_NAME
+) -> Path:
     shapes = shapely.to_wkb(np.array(list(tiles.values()), object))
     names = [np.array(list(tiles), object)]
-    pyogrio.raw.write(
-        path, shapes, names, [field], driver="GPKG", geometry_type="Polygon", crs=surveys.CRS_NAME
-    )
+    pyogrio.raw.write(path, shapes, names, [field], driver="GPKG", geometry_type="Polygon", crs=crs)
     return path
 
 
@@ -229,6 +230,37 @@ def test_a_tile_that_cannot_be_written_fails_alone(tmp_path: Path) -> None:
         result.report.failures
     )
     assert [one.name for one in result.report.client_tiles] == ["B-2", "far away"]
+
+
+@pytest.mark.slow
+def test_a_survey_in_feet_has_the_same_tiles(tmp_path: Path) -> None:
+    unit_m, outputs = 1200 / 3937, []
+    for name, factor in (("metres", 1.0), ("feet", unit_m)):
+        folder = tmp_path / name
+        workflow = surveys.small_survey(folder, outputs={**OUTPUTS, "drop": []})
+        shapes = {k: shapely.transform(v, lambda xy, f=factor: xy / f) for k, v in TILES.items()}
+        crs = surveys.CRS_NAME if name == "metres" else FEET
+        write_tiles(folder / "tiles.gpkg", shapes, crs=crs)
+        if name == "feet":
+            for path in sorted((folder / "lines").iterdir()):
+                surveys.in_feet(path, path, FEET, [unit_m] * 3)
+        outputs.append(surveys.run(workflow).output)
+    for name in ("A", "B-2"):
+        ours, theirs = (laspy.read(out / "client_tiles" / f"{name}.laz") for out in outputs)
+        assert np.allclose(ours.xyz, theirs.xyz * unit_m, rtol=0, atol=1e-6)
+        height = [np.asarray(las["HeightAboveGround"]) for las in (ours, theirs)]
+        assert np.allclose(height[0], height[1] * unit_m, atol=2e-4, equal_nan=True)
+        paths = [out / "client_tiles" / f"{name}_dtm.tif" for out in outputs]
+        with rasterio.open(paths[0]) as a, rasterio.open(paths[1]) as b:
+            known = a.read(1) != a.nodata
+            assert np.array_equal(known, b.read(1) != b.nodata)
+            assert np.allclose(a.read(1)[known], b.read(1)[known] * unit_m, atol=1e-4)
+            assert b.units[0] == "US survey foot"
+        with rasterio.open(outputs[1] / "dtm.tif") as whole, rasterio.open(paths[1]) as cut:
+            window = rasterio.windows.from_bounds(*cut.bounds, whole.transform).round_offsets()
+            same = whole.read(1, window=window.round_lengths())
+            found = cut.read(1)
+            assert np.array_equal(found[known], same[known])
 
 
 @pytest.mark.parametrize(
