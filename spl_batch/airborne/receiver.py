@@ -4,7 +4,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from spl_batch.airborne.catalogue.delivered_files import INDEX, STAC, VIRTUAL
+from spl_batch.airborne.catalogue.delivered_files import (
+    CLIENT_TILES,
+    CONTOURS,
+    INDEX,
+    STAC,
+    VIRTUAL,
+)
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.lines.comparison import (
     done_sentence,
@@ -57,7 +63,7 @@ class Imaging(Receiver[Survey, Context]):
     noun: ClassVar[str] = "airborne survey"
     delivered: ClassVar[tuple[str, ...]] = (
         *("laz/**/*", "tiles/*", "copc/**/*", "reprojected/**/*", f"{STAC}/*.json"),
-        *(VIRTUAL, INDEX),
+        *(VIRTUAL, INDEX, CONTOURS, f"{CLIENT_TILES}/*"),
         *(f"{p.name}.tif" for p in (*PRODUCTS, *ABOVE_GEOID) if p.delivered),
     )
 
@@ -167,7 +173,10 @@ class Imaging(Receiver[Survey, Context]):
         return [
             *super().decisive(prepared),
             [[str(path), *stamp_if_there(path)] for path in files],
-            *([*map(list, found)] for found in (inputs.polygons, inputs.breaklines, inputs.geoid)),
+            *(
+                [*map(list, found)]
+                for found in (inputs.polygons, inputs.breaklines, inputs.geoid, inputs.tiles)
+            ),
         ]
 
     def not_read(self, ledger: Survey) -> int:

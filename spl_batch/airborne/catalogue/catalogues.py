@@ -12,8 +12,10 @@ from pyproj import CRS
 from spl_batch.airborne.catalogue.delivered_files import (
     INDEX,
     UNKNOWN_SPAN,
+    UNNAMED,
     Cloud,
     Delivery,
+    Publisher,
     RasterFile,
     Span,
     leads_to_degrees,
@@ -54,6 +56,7 @@ def write_catalogues(
     crs: CRS | None,
     args: Mapping[str, Any],
     outlines: Mapping[str, shapely.MultiPolygon] = MappingProxyType({}),
+    publisher: Publisher = UNNAMED,
 ) -> tuple[list[Path], list[str]]:
     """Write every catalogue of the clouds and rasters of a run.
 
@@ -64,6 +67,8 @@ def write_catalogues(
         last_s, files``) and ``checkpoints``, as the plan gives them.
     outlines : mapping of str to MultiPolygon
         Where flightlines lie, by their names [m]; others lie in the boxes of their files.
+    publisher : Publisher
+        Who delivers.
 
     Returns
     -------
@@ -77,13 +82,14 @@ def write_catalogues(
         read_cloud(output, one["href"], _span(one["span_s"]), units) for one in args["clouds"]
     ]
     rasters = [read_raster_file(output, href) for href in args["rasters"]]
-    written = [_write_index(output, list(_layers(args, clouds, outlines, units)), crs)]
+    text = None if crs is None else crs.to_wkt()
+    written = [write_layers(output / INDEX, list(_layers(args, clouds, outlines, units)), text)]
     held = [cloud for cloud in clouds if cloud.points]
     reason = _why_without_places(crs, held, rasters)
     if crs is not None and not reason:
         from spl_batch.airborne.catalogue.stac import write_stac  # noqa: PLC0415 - loads pystac
 
-        written += write_stac(output, Delivery(plain(name), crs, held, rasters))
+        written += write_stac(output, Delivery(plain(name), crs, held, rasters, publisher))
     remark = f"{reason}: no STAC and no virtual point cloud are written"
     return written, [f"{remark}{REMEDY if crs is None else ''}"] if reason else []
 
@@ -152,18 +158,17 @@ def _together(boxes: Sequence[shapely.Geometry]) -> shapely.Geometry:
     return found if found.geom_type == "MultiPolygon" else shapely.MultiPolygon([found])
 
 
-def _write_index(output: Path, layers: Sequence[Layer], crs: CRS | None) -> Path:
-    """Write ``index.gpkg``; layers without features are left out.
+def write_layers(path: Path, layers: Sequence[Layer], crs: str | None) -> Path:
+    """Write a GeoPackage; layers without features are left out, the same content is equal bytes.
 
-    ``crs``: of the coordinates; :data:`UNDEFINED` where it is None.
+    ``crs``: of the coordinates, as WKT; :data:`UNDEFINED` where it is None.
     """
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
-    path = output / INDEX
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": WRITTEN})
     try:
         with replacing(path) as target, scratch_folder(path) as folder:
-            whole = folder / INDEX  # GDAL keeps its journal beside the file
+            whole = folder / path.name  # GDAL keeps its journal beside the file
             for layer in layers:
                 if len(layer.shapes):
                     _write(whole, layer, crs)
@@ -173,7 +178,7 @@ def _write_index(output: Path, layers: Sequence[Layer], crs: CRS | None) -> Path
     return path
 
 
-def _write(path: Path, layer: Layer, crs: CRS | None) -> None:
+def _write(path: Path, layer: Layer, crs: str | None) -> None:
     import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
 
     shapes = np.asarray(layer.shapes, object)
@@ -186,7 +191,7 @@ def _write(path: Path, layer: Layer, crs: CRS | None) -> None:
         layer=layer.name,
         driver="GPKG",
         geometry_type=f"{kinds.pop()}{' Z' if layer.shapes[0].has_z else ''}",
-        crs=UNDEFINED if crs is None else crs.to_wkt(),
+        crs=UNDEFINED if crs is None else crs,
         append=path.exists(),
     )
 

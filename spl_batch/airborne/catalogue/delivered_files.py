@@ -27,6 +27,12 @@ STAC: Final = "stac"
 VIRTUAL: Final = "survey.vpc"
 """Virtual point cloud, below the output."""
 
+CONTOURS: Final = "contours.gpkg"
+"""Contours of the terrain, below the output."""
+
+CLIENT_TILES: Final = "client_tiles"
+"""Folder of what a client's polygons cut out, below the output."""
+
 GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
 """Where GPS time begins; it stands for a time that nothing tells."""
 
@@ -134,6 +140,18 @@ def read_raster_file(output: Path, href: str) -> RasterFile:
     return RasterFile(href, tuple(bounds), shape, cell, cell_m, meaning, unit, crs)
 
 
+class Publisher(NamedTuple):
+    """Who delivers, and by what terms, as far as the workflow says."""
+
+    organisation: str | None = None
+    contact: str | None = None
+    licence: str | None = None  #: Identifier of SPDX, or a URL.
+
+
+UNNAMED: Final = Publisher()
+"""Where the workflow says nothing."""
+
+
 @dataclass(frozen=True)
 class Delivery:
     """Everything that catalogues list."""
@@ -142,6 +160,7 @@ class Delivery:
     crs: CRS
     clouds: Sequence[Cloud]
     rasters: Sequence[RasterFile]
+    publisher: Publisher = UNNAMED
 
     @property
     def span(self) -> Span:

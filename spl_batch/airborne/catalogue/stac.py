@@ -29,10 +29,12 @@ from spl_batch.airborne.catalogue.delivered_files import (
     Box,
     Cloud,
     Delivery,
+    Publisher,
     RasterFile,
     outline,
     plain_name,
 )
+from spl_batch.errors import plain
 from spl_batch.formats.files.atomic import write_bytes
 
 LONGEST_ID: Final = 200
@@ -89,8 +91,9 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
         extent=pystac.Extent(
             pystac.SpatialExtent([whole]), pystac.TemporalExtent([list(delivery.span)])
         ),
-        license="other",
+        license=_licence(delivery.publisher),
         providers=[
+            *_producer(delivery.publisher),
             pystac.Provider(SOFTWARE, roles=[pystac.ProviderRole.PROCESSOR]),
         ],
     )
@@ -105,6 +108,8 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
         collection.links.append(pystac.Link("item", f"./{item.id}.json", "application/geo+json"))
     collection.links = [link for link in collection.links if link.rel != "root"]
     collection.links.insert(0, pystac.Link("root", "./collection.json", "application/json"))
+    if (licence := delivery.publisher.licence) and _is_url(licence):
+        collection.links.append(pystac.Link("license", licence))
     # Links are as they stand: nothing is to be resolved, or made absolute.
     records = [item.to_dict(include_self_link=False, transform_hrefs=False) for item in items]
     written = {folder / f"{record['id']}.json": _text(record) for record in records}
@@ -122,6 +127,25 @@ def write_stac(output: Path, delivery: Delivery) -> list[Path]:
         # Thousands of items, and a receipt that knows their sizes: a disk's time for each is saved.
         write_bytes(path, f"{text}\n".encode(), durable=False)
     return list(texts)
+
+
+def _is_url(licence: str) -> bool:
+    return "://" in licence
+
+
+def _licence(publisher: Publisher) -> str:
+    """What STAC takes; a URL is a link beside it."""
+    known = publisher.licence is not None and not _is_url(publisher.licence)
+    return str(publisher.licence) if known else "other"
+
+
+def _producer(publisher: Publisher) -> list[pystac.Provider]:
+    """Who delivers, as far as it is known."""
+    name = publisher.organisation or publisher.contact
+    if name is None:
+        return []
+    contact = None if publisher.contact is None else f"Contact: {plain(publisher.contact)}"
+    return [pystac.Provider(plain(name), contact, [pystac.ProviderRole.PRODUCER])]
 
 
 def _virtual(cloud: Cloud, record: dict[str, Any], crs: CRS) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_bounds
 from spl_batch.airborne.plan.task_memory import cell_bytes, refusal
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
 from spl_batch.airborne.tasks.bindings import MADE_BY, SHIFTED
+from spl_batch.airborne.tasks.delivered_points import terrain_margin_q
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Need, Task
@@ -180,7 +181,8 @@ def deliver(survey: Survey) -> Iterator[Task]:
             "spans": receipt.facts["spans"],
         }
         needs = [("build_tile", tile) for tile in tiles]
-        needs += labels_of(survey, tiles_of.get(key, ()), "noise", "classes")
+        margin = terrain_margin_q(survey.workflow)
+        needs += labels_of(survey, tiles_of.get(key, ()), "noise", "classes", margin=margin)
         yield Task("deliver_file", key, args, tuple(needs), receipt.points)
 
 
@@ -200,7 +202,10 @@ def deliver_tiles(survey: Survey) -> Iterator[Task]:
     if survey.workflow.outputs.tiles == "none":
         return
     for tile, count in survey.counts.items():
-        needs = (("build_tile", str(tile)), *labels_of(survey, [tile], "noise", "classes"))
+        labels = labels_of(
+            survey, [tile], "noise", "classes", margin=terrain_margin_q(survey.workflow)
+        )
+        needs = (("build_tile", str(tile)), *labels)
         yield Task("deliver_tile", str(tile), {"tile": str(tile)}, needs, count)
 
 
@@ -263,13 +268,18 @@ def aligned(survey: Survey) -> tuple[Need, ...]:
     return (SHIFTED,) if SHIFTED[1] in survey.of(SHIFTED[0]) else ()
 
 
-def labels_of(survey: Survey, tiles: Collection[CellId], *kinds: str) -> list[Need]:
-    """Tasks that may label points of some tiles, and the one that shifts their heights."""
+def labels_of(
+    survey: Survey, tiles: Collection[CellId], *kinds: str, margin: int = 0
+) -> list[Need]:
+    """Tasks that may label points of some tiles, and the one that shifts their heights.
+
+    ``margin``: of the tiles [quanta].
+    """
     grids = {kind: survey.denoise_grid if kind == "noise" else survey.grid for kind in kinds}
     needs = [
         (MADE_BY[kind], unit)
         for kind, grid in grids.items()
-        for unit in grid.owners(tiles, survey.tile_q)
+        for unit in grid.owners(tiles, survey.tile_q, margin)
     ]
     return [*needs, *aligned(survey)]
 

@@ -98,6 +98,9 @@ class Survey(Part):
     )
     cell_m: Number = Field(None, description="Edge of a raster cell [m].")
     flightlines: tuple[Flightline, ...] = ()
+    organisation: str | None = Field(None, description="Who delivers the results.")
+    contact: str | None = Field(None, description="Person or address to ask.")
+    licence: str | None = Field(None, description="Licence of the results: SPDX, or a URL.")
 
 
 class Counts(Part):
@@ -128,6 +131,19 @@ class Counts(Part):
         0,
         description="Header records of input files that no reader parses, or that stand there "
         "once more than they count: named in the warnings, left out of the copies [count].",
+    )
+    classes: dict[str, Count] = Field(
+        {}, description="Delivered points by their classification; together points_out [count]."
+    )
+    dropped: dict[str, Count] = Field(
+        {},
+        description="Points that outputs.drop left out of the clouds, by the first reason that "
+        "holds: noise, withheld, outside; points_out and these are points_in [count].",
+    )
+    in_no_client_tile: Count | None = Field(
+        None,
+        description="Delivered points that lie in none of the client's tiles that were written; "
+        "null where none are asked for [count].",
     )
 
 
@@ -235,6 +251,13 @@ class Swath(Part):
     )
 
 
+class ClientTile(Part):
+    """A tile that a client has named."""
+
+    name: str = Field(description="Its name.")
+    points: Count = Field(description="Points in its cloud; none is written without any [count].")
+
+
 class Report(Part):
     """Everything that ``report.json`` holds and ``report.html`` shows."""
 
@@ -264,6 +287,9 @@ class Report(Part):
         description="Shifts in height that were applied; none without survey.align. Of flightlines "
         "that overlap one is kept as it is: the one to which the others, weighted by their "
         "returns, come by the shortest way. strips has what is left.",
+    )
+    client_tiles: tuple[ClientTile, ...] = Field(
+        (), description="Tiles of outputs.client_tiles, but for those that failed."
     )
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")

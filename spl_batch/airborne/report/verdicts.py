@@ -107,6 +107,8 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
     if photon_counting(report):
         noise = [("background noise", counts.background), ("afterpulses", counts.afterpulse)]
         classes = [("signal", counts.signal), *noise, *classes]
+    dropped = sum(counts.dropped.values())
+    not_read += f", {number(dropped)} dropped" if dropped else ""
     rows = [
         ("points", f"{number(counts.points_in)} in, {number(counts.points_out)} out{not_read}"),
         *((label, _with_share(count, counts.points_in)) for label, count in classes),
@@ -178,9 +180,9 @@ def _conservation_verdict(report: Report) -> Verdict:
     counts = report.counts
     if counts.points_in == 0:
         return Verdict("bad", "No points were read.")
-    if counts.points_in == counts.points_out:
+    gap = counts.points_in - counts.points_out - sum(counts.dropped.values())
+    if not gap:
         return _all_delivered(report)
-    gap = counts.points_in - counts.points_out
     change = f"{number(abs(gap))} points {'fewer' if gap > 0 else 'more'} out than in"
     return Verdict("bad", f"{change}: do not use the clouds before this is explained.")
 
@@ -197,6 +199,10 @@ def _all_delivered(report: Report) -> Verdict:
         missing = f"about {number(counts.not_read)} in files that cannot be read are not"
         text = f"Every point that could be read is delivered, {points} in and out; {missing}."
         return Verdict("attention", text)
+    if counts.dropped:
+        left_out = ", ".join(f"{number(n)} {kind}" for kind, n in counts.dropped.items())
+        text = f"Every point is accounted for: {points} in, {number(counts.points_out)} out"
+        return Verdict("good", f"{text}; outputs.drop left out {left_out}.")
     return Verdict("good", f"Every point is delivered: {points} in and out.")
 
 

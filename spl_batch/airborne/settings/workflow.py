@@ -113,6 +113,8 @@ class Workflow(BaseWorkflow):
                 "classes.vegetation: roofs become high vegetation where the input has no class 6; "
                 "write classes.building: true"
             )
+        if "outside" in self.outputs.drop and self.aoi is None:
+            yield "outputs.drop: outside is without effect, as no aoi is named"
         if self.outputs.diagnostics and method != "vsaes":
             yield f"outputs.diagnostics: p_value is NaN everywhere, as {chosen} knows none"
 

@@ -39,7 +39,10 @@ _CONCERNS_EVERYTHING: Final = {
     "where it fits",
 }
 _OWNER: Final[ContextVar[tuple[str, str] | None]] = ContextVar("owner", default=None)
-_NOT_ALLOWED: Final = {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
+_NOT_ALLOWED: Final = {
+    *(errno.EACCES, errno.EROFS, errno.EPERM),
+    *(errno.ENOTDIR, errno.EISDIR, errno.EEXIST),
+}
 
 
 def scratch_name(path: Path) -> Path:

@@ -191,7 +191,7 @@ def iter_points(
             records = reader.read(first, min(first + chunk, end))
             if watch is not None:
                 watch(records, layout)
-            x, y, z = (_coordinate(records, header, axis, first, units) for axis in range(3))
+            x, y, z = (coordinate(records, header, axis, first, units) for axis in range(3))
             channel = _channel(records, header, layout, channel_dimension, first)
             places = {"x": x, "y": y, "z": z, "channel": channel}
             places["source"] = np.full(len(records), source, dtype=np.uint64)
@@ -254,7 +254,7 @@ def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
         pieces, layout, header = reader.read_ends(count), reader.layout, reader.header
     for first, some in pieces:
         for axis in range(3):
-            _coordinate(some, header, axis, first)
+            coordinate(some, header, axis, first)
     channel = np.concatenate(
         [_channel(some, header, layout, channel_dimension, first) for first, some in pieces]
     )
@@ -319,7 +319,7 @@ def _whole(scale: float, offset: float) -> tuple[int, int] | None:
     return whole_step, whole_base
 
 
-def _coordinate(
+def coordinate(
     records: NDArray[Any], header: LasHeader, axis: int, first: int, units: Units = METRES
 ) -> NDArray[np.int64]:
     """Coordinates of one axis on the lattice [quanta]: (n,) int64.
