@@ -244,6 +244,21 @@ STEPS: Final[Steps] = table(
         after=("mosaic",),
     ),
     _delivery(
+        "reproject_file",
+        run="tasks.reprojection:reproject_file",
+        tasks="reprojection_tasks:files",
+        settings=("outputs.crs",),
+        unit="file",
+        after=("deliver_file",),
+    ),
+    _delivery(
+        "reproject_raster",
+        run="tasks.reprojection:reproject_raster",
+        tasks="reprojection_tasks:rasters",
+        settings=("outputs.crs", "outputs.cell", "products.cell_m"),
+        after=("mosaic",),
+    ),
+    _delivery(
         "deliver_contours",
         run="tasks.client_tiles:deliver_contours",
         tasks="client_tasks:contours",
@@ -258,21 +273,6 @@ STEPS: Final[Steps] = table(
         bytes_per_point=280,
         remedy="set outputs.client_tiles.format: laz",
         after=("deliver_file", "mosaic", "deliver_geoid", "align"),
-    ),
-    _delivery(
-        "reproject_file",
-        run="tasks.reprojection:reproject_file",
-        tasks="reprojection_tasks:files",
-        settings=("outputs.crs",),
-        unit="file",
-        after=("deliver_file",),
-    ),
-    _delivery(
-        "reproject_raster",
-        run="tasks.reprojection:reproject_raster",
-        tasks="reprojection_tasks:rasters",
-        settings=("outputs.crs", "outputs.cell", "products.cell_m"),
-        after=("mosaic",),
     ),
     _step(
         "accuracy",

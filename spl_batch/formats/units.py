@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.database import get_units_map
 
-from spl_batch.constants import FOOT_M
+from spl_batch.constants import FOOT_M, US_FOOT_M
 
 METRE: Final = "metre"
 US_FOOT: Final = "US survey foot"
 
-_COMMON: Final = {METRE: 1.0, "foot": FOOT_M, US_FOOT: 1200.0 / 3937.0}
+_COMMON: Final = {METRE: 1.0, "foot": FOOT_M, US_FOOT: US_FOOT_M}
 """Units of deliveries by PROJ's names [m]; files name them in many ways, with as many digits."""
 
 _SAME_UNIT: Final = 5e-7
@@ -50,6 +50,11 @@ class Units:
     def xyz_m(self) -> tuple[float, float, float]:
         """Metres in a unit of easting, northing and height."""
         return self.horizontal_m, self.horizontal_m, self.vertical_m
+
+    @property
+    def of_heights(self) -> tuple[str, float]:
+        """Unit of heights as pages write it, and the metres in it."""
+        return "ft" if self.vertical.endswith("foot") else self.vertical, self.vertical_m
 
     def of_values(self, unit: str) -> tuple[str, float]:
         """Unit in which a raster's values [``unit``] are delivered, and ``unit`` in one of it."""

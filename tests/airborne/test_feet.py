@@ -1,12 +1,16 @@
 """A survey in feet: the same labels and the same terrain as of its twin in metres."""
 
 import json
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pyogrio
 import pytest
 import rasterio
+import shapely
+import yaml
 from pyproj import CRS
 
 from spl_batch import api
@@ -15,6 +19,7 @@ from tests import surveys
 
 pytestmark = pytest.mark.slow
 
+ROOT = Path(__file__).parents[2]
 FEET, US_M = "EPSG:2278+6360", 1200 / 3937
 HEIGHTS = ("dtm", "dsm", "chm", "dtm_quality")
 
@@ -115,4 +120,56 @@ def test_one_file_in_feet(twins: tuple[Path, Path], tmp_path: Path) -> None:
         np.testing.assert_array_equal(given[axis], made[axis])
     with rasterio.open(dtm) as raster:
         assert raster.units[0] == "US survey foot"
-    assert surveys.command("init", source.parent).status == 0
+    shutil.copytree(source.parent, tmp_path / "lines")
+    assert surveys.command("init", tmp_path / "lines").status == 0
+
+
+def test_the_workflow_of_a_us_county(twins: tuple[Path, Path], tmp_path: Path) -> None:
+    crs, feet = "EPSG:6588+6360", twins[1].parent
+    for path in (feet / "lines").glob("*.laz"):
+        las = surveys.laspy.read(path)
+        las.header.vlrs = [v for v in las.header.vlrs if v.user_id != "LASF_Projection"]
+        las.header.add_crs(CRS.from_user_input(crs))
+        (tmp_path / "points").mkdir(exist_ok=True)
+        las.write(tmp_path / "points" / path.name)
+    shutil.copy(feet / "checkpoints.csv", tmp_path)
+    shutil.copy(feet / "trajectory.csv", tmp_path)
+    x, y = np.array(surveys.ORIGIN_M) / US_M
+    areas = {
+        "A1": shapely.box(x - 50, y - 99, x + 9, y + 99),
+        "A2": shapely.box(x + 9, y - 99, x + 20, y + 99),
+    }
+    for name, field, shapes in (
+        ("county.gpkg", "name", {"county": shapely.unary_union(list(areas.values()))}),
+        ("county_tiles.gpkg", "tile", areas),
+    ):
+        wkb = shapely.to_wkb(np.array(list(shapes.values()), object))
+        pyogrio.raw.write(
+            tmp_path / name, wkb, [np.array(list(shapes), object)], [field],
+            geometry_type="Polygon", crs=crs,
+        )  # fmt: skip
+    content = yaml.safe_load((ROOT / "workflows" / "us_county.yaml").read_text())
+    content["survey"]["trajectory"] = "trajectory.csv"
+    content["ground"] = {"cell_m": 50, "buffer_m": 20}
+    content["acquisition"] = {"prf_hz": surveys.PRF_HZ, "gate_m": surveys.GATE_M}
+    workflow = tmp_path / "us_county.yaml"
+    workflow.write_text(yaml.safe_dump(content))
+    done = surveys.run(workflow)
+    assert done.exit_status == 0, done.report.failures
+    counts, out = done.report.counts, done.output
+    assert counts.points_in == counts.points_out + sum(counts.dropped.values())
+    assert done.report.survey.units.vertical == "US survey foot"
+    found = done.report.requirements[0].found.replace("\N{NARROW NO-BREAK SPACE}", " ")
+    assert re.fullmatch(r"RMSE_V \d\.\d{3} ft \(\d+\.\d cm\) at 1 checkpoints", found)
+    tiles = [surveys.laspy.read(out / "client_tiles" / f"{name}.copc.laz") for name in areas]
+    assert sum(len(tile) for tile in tiles) == counts.points_out
+    for tile, area in zip(tiles, areas.values(), strict=True):
+        assert shapely.contains_xy(area.buffer(0.02), tile.x, tile.y).all()
+    with rasterio.open(out / "dtm.tif") as source:
+        (terrain,) = source.sample([(tiles[0].x[0], tiles[0].y[0])])
+    above = tiles[0].z[0] - terrain[0]
+    assert tiles[0]["HeightAboveGround"][0] == pytest.approx(above, abs=0.5)
+    with rasterio.open(out / "reprojected" / "dtm.tif") as source:
+        assert source.transform.a == 3.0
+    _, _, _, (heights,) = pyogrio.raw.read(out / "contours.gpkg", columns=["height"])
+    assert set(heights % 2) == {0.0}

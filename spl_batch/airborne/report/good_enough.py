@@ -79,6 +79,7 @@ def judged(done: Receipts, context: Context) -> tuple[Requirement, ...]:
         has_crs=crs is not None,
         vertical_datum=None if datum is None else datum.name,
         time_standard=_time_standard(flown),
+        units=context.units,
     )
     return requirements(known)
 

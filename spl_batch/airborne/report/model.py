@@ -13,6 +13,7 @@ from spl_batch.airborne.accuracy.error_tally import Accuracy
 from spl_batch.airborne.accuracy.requirements import Requirement
 from spl_batch.airborne.lines.alignment import AlignedLine
 from spl_batch.airborne.lines.pair_table import StripPair
+from spl_batch.engine.report.number_format import height
 from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
@@ -23,6 +24,7 @@ from spl_batch.engine.report.parts import (
     Performance,
     Provenance,
 )
+from spl_batch.formats.units import Units
 
 Basis = Literal["given", "sensor", "estimated", "assumed", "none"]
 """Where a number comes from."""
@@ -72,6 +74,10 @@ class DeliveredUnits(Part):
     horizontal_m: Number = Field(1.0, description="Metres in one of these.")
     vertical: str = Field("metre", description="Of heights.")
     vertical_m: Number = Field(1.0, description="Metres in one of these.")
+
+    def height(self, metres: float | None) -> str:
+        """A small height as screen and page show it."""
+        return height(metres, Units(**self.model_dump()).of_heights)
 
 
 class Survey(Part):

@@ -204,8 +204,8 @@ def _cards(report: Report) -> list[tuple[str, str, str]]:
     cards = []
     if terrain is not None:
         name, statistics = terrain
-        remark = f"on {text.surface_name(name)}, mean {text.centimetres(statistics.mean)}"
-        cards.append(("DTM RMSE", text.centimetres(statistics.rmse), remark))
+        remark = f"on {text.surface_name(name)}, mean {report.survey.units.height(statistics.mean)}"
+        cards.append(("DTM RMSE", report.survey.units.height(statistics.rmse), remark))
     cards.append(
         ("Points in", text.large(counts.points_in), f"{text.number(counts.points_out)} out")
     )

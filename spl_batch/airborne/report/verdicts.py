@@ -6,7 +6,6 @@ from typing import Any, Final
 from spl_batch.airborne.report.model import Counts, Report
 from spl_batch.engine.report.number_format import (
     as_ascii,
-    centimetres,
     number,
     of_all,
     percent,
@@ -82,11 +81,11 @@ def terrain_accuracy(report: Report) -> str | None:
     if terrain is None or report.accuracy is None:
         return None
     name, statistics = terrain
-    said = f"RMSE {centimetres(statistics.rmse)} on {surface_name(name)}"
+    said = f"RMSE {report.survey.units.height(statistics.rmse)} on {surface_name(name)}"
     overall = report.accuracy.dtm.get("all")
     if name == "all" or overall is None or overall.rmse is None:
         return said
-    return f"{said} ({centimetres(overall.rmse)} on all surfaces)"
+    return f"{said} ({report.survey.units.height(overall.rmse)} on all surfaces)"
 
 
 def mostly_unfiltered(counts: Counts, method: str) -> str:
@@ -151,10 +150,10 @@ def _accuracy_verdict(report: Report) -> Verdict:
         if rmse <= limit:
             return Verdict(
                 "good",
-                f"{opening}within the {centimetres(limit)} that USGS {level} allows at "
-                "checkpoints.",
+                f"{opening}within the {report.survey.units.height(limit)} that USGS {level} "
+                "allows at checkpoints.",
             )
-    least = centimetres(USGS_LIMITS[-1][0])
+    least = report.survey.units.height(USGS_LIMITS[-1][0])
     return Verdict("attention", f"{opening}above the {least} that USGS QL3 allows at checkpoints.")
 
 
@@ -174,7 +173,7 @@ def _at_checkpoints(report: Report) -> str | None:
     if report.checkpoints is None or report.checkpoints.nva.rmse_v1_m is None:
         return None
     nva = report.checkpoints.nva
-    return f"RMSE {centimetres(nva.rmse_v1_m)} at {number(nva.n)} open checkpoints"
+    return f"RMSE {report.survey.units.height(nva.rmse_v1_m)} at {number(nva.n)} open checkpoints"
 
 
 def _conservation_verdict(report: Report) -> Verdict:

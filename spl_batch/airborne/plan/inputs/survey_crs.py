@@ -12,7 +12,7 @@ from pyproj import CRS
 from spl_batch.airborne.plan.inputs.file_positions import usable, without_degrees
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.crs import (
     compound,
     crs_name,
@@ -26,7 +26,9 @@ from spl_batch.formats.crs import (
     stretch_problem,
     vertical,
 )
+from spl_batch.formats.las.header import WAVEFORM_FORMATS
 from spl_batch.formats.las.reader import LasFacts
+from spl_batch.formats.reprojection import Reprojection
 from spl_batch.formats.units import Units
 
 AREAS_APART: Final = 0.01
@@ -64,6 +66,16 @@ def survey_crs(
     problems = stretch_problem(given, Units.of(given).metres(_corners(good)))
     good, stretched = usable(good, lambda _: problems)
     return horizontal(given), good, bad + elsewhere + stretched
+
+
+def check_reprojection(named: str, crs: CRS | None, files: Sequence[LasFacts]) -> None:
+    """Refuse a CRS for outputs that the survey's corners, or waveforms, cannot be brought to."""
+    ends = [end for facts in files if facts.n_points for end in (facts.mins_m, facts.maxs_m)]
+    Reprojection(crs, named).check(np.array(ends) / Units.of(crs).xyz_m)
+    if waves := [facts for facts in files if facts.point_format in WAVEFORM_FORMATS]:
+        raise WorkflowError(
+            f"outputs.crs: {waves[0].path}: directions of waveforms are not converted; leave it out"
+        )
 
 
 def _corners(files: Iterable[LasFacts]) -> NDArray[np.float64]:

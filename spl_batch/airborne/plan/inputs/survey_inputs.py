@@ -27,7 +27,12 @@ from spl_batch.airborne.plan.inputs.reference_files import (
     looked_into,
     named_file,
 )
-from spl_batch.airborne.plan.inputs.survey_crs import crs_findings, survey_crs, with_heights
+from spl_batch.airborne.plan.inputs.survey_crs import (
+    check_reprojection,
+    crs_findings,
+    survey_crs,
+    with_heights,
+)
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.findings import Finding
 from spl_batch.engine.plan.input_files import (
@@ -53,10 +58,8 @@ from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.las.convert import copied_format
 from spl_batch.formats.las.copc import copc_fault
-from spl_batch.formats.las.header import WAVEFORM_FORMATS
 from spl_batch.formats.las.reader import LasFacts
 from spl_batch.formats.named_areas import NamedArea
-from spl_batch.formats.reprojection import Reprojection
 from spl_batch.formats.trajectory.records import has_records
 from spl_batch.formats.units import Units
 from spl_batch.formats.vector_files import check_polygons
@@ -148,7 +151,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         geoid = workflow.outputs.geoid
         Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
     if workflow.outputs.crs is not None and good:
-        _check_reprojection(workflow.outputs.crs, crs, good)
+        check_reprojection(workflow.outputs.crs, crs, good)
     _refuse_no_copc(workflow, good, base)
     untimed = _without_time(workflow, good, base)
     warnings = [*(Finding("I06", {"what": text}) for text in workflow.remarks()), *apart, *untimed]
@@ -229,16 +232,6 @@ def _check_shapes(
     if faults:
         raise WorkflowError("; ".join(faults))
     return warnings
-
-
-def _check_reprojection(named: str, crs: CRS | None, files: Sequence[LasFacts]) -> None:
-    """Refuse a CRS for outputs that the survey's corners, or waveforms, cannot be brought to."""
-    ends = [end for facts in files if facts.n_points for end in (facts.mins_m, facts.maxs_m)]
-    Reprojection(crs, named).check(np.array(ends) / Units.of(crs).xyz_m)
-    if waves := [facts for facts in files if facts.point_format in WAVEFORM_FORMATS]:
-        raise WorkflowError(
-            f"outputs.crs: {waves[0].path}: directions of waveforms are not converted; leave it out"
-        )
 
 
 def _refuse_no_copc(workflow: Workflow, files: Sequence[LasFacts], base: Path) -> None:
