@@ -12,6 +12,7 @@ import rasterio
 import shapely
 from scipy.interpolate import RegularGridInterpolator
 
+from spl_batch.airborne.tasks import client_tiles, delivered_points, index
 from tests import surveys
 
 EAST, NORTH = surveys.ORIGIN_M
@@ -50,7 +51,7 @@ class Runs(NamedTuple):
     plain: Path
     asked: Path
     report: Any
-    other: Path  #: The same with other tiles of work, and octrees.
+    other: Path  #: The same with other tiles of work, short chunks, and octrees.
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +83,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
                 las.grade = np.arange(len(las.points)) + 1
                 las.change_scaling(offsets=[EAST, NORTH, 0.0])
             las.write(path)
-        found[name] = surveys.run(workflow)
+        with pytest.MonkeyPatch.context() as patched:
+            for module in (index, delivered_points, client_tiles) * (name == "other"):
+                patched.setattr(module, "CHUNK_POINTS", 500)
+            found[name] = surveys.run(workflow)
         assert found[name].exit_status == 0, found[name].report.failures
     asked = found["asked"]
     return Runs(found["plain"].output, asked.output, asked.report, found["other"].output)
