@@ -310,7 +310,8 @@ CODES: Final[Mapping[str, Code]] = MappingProxyType(
                 "checkpoint {error_cm:.1f} cm; they count in every RMSE, so correct them, or look "
                 "at the terrain there",
                 "feet": "the heights of {count} checkpoints are {ratio:.3f} times those of the "
-                "terrain, as heights in feet are: give them in metres",
+                "terrain, as where one is in feet and the other in metres: name the CRS of their "
+                "heights, reference.checkpoints_crs: EPSG:...+5703",
             },
             noun="file",
         ),
