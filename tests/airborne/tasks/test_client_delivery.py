@@ -10,6 +10,7 @@ import pyogrio
 import pytest
 import rasterio
 import shapely
+from contourpy import contour_generator
 from scipy.interpolate import RegularGridInterpolator
 
 from spl_batch.airborne.tasks import client_tiles, delivered_points, index
@@ -25,6 +26,7 @@ TILES = {
             (EAST + 5, NORTH + 30), (EAST + 3, NORTH + 30),
         ]
     ),
+    "c": shapely.box(EAST + 6.1, NORTH - 30, EAST + 6.4, NORTH + 30),
     "far away": shapely.box(EAST + 500, NORTH, EAST + 600, NORTH + 100),
 }  # fmt: skip
 KEYS = ("X", "Y", "Z", "gps_time", "channel", "user_data", "point_source_id", "classification")
@@ -86,6 +88,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
         with pytest.MonkeyPatch.context() as patched:
             for module in (index, delivered_points, client_tiles) * (name == "other"):
                 patched.setattr(module, "CHUNK_POINTS", 500)
+            patched.setattr(client_tiles, "BLOCK", 3 if name == "other" else 1024)
             found[name] = surveys.run(workflow)
         assert found[name].exit_status == 0, found[name].report.failures
     asked = found["asked"]
@@ -129,17 +132,20 @@ def test_every_point_is_delivered_or_counted_as_dropped(runs: Runs) -> None:
 
 def test_a_point_lies_in_one_tile_or_in_none(runs: Runs) -> None:
     folder = runs.asked / "client_tiles"
-    assert sorted(p.name for p in folder.glob("*.laz")) == ["A.laz", "B-2.laz"]
+    assert sorted(p.name for p in folder.glob("*.laz")) == ["A.laz", "B-2.laz", "c.laz"]
     whole = together((runs.asked / "laz").rglob("*.laz"))
     x, y = whole[:, 0] / 1000, whole[:, 1] / 1000
     in_a = x < EAST + 3
     in_b = ~in_a & shapely.contains_xy(TILES["B-2"], x + 1e-5, y)
-    assert min(in_a.sum(), in_b.sum(), (~in_a & ~in_b).sum(), (x == EAST + 3).sum()) > 0
+    in_c = (x >= EAST + 6.1) & (x < EAST + 6.4)
+    in_none = ~(in_a | in_b | in_c)
+    assert min(in_a.sum(), in_b.sum(), in_c.sum(), in_none.sum(), (x == EAST + 3).sum()) > 0
     assert np.array_equal(together([folder / "A.laz"]), whole[in_a])
     assert np.array_equal(together([folder / "B-2.laz"]), whole[in_b])
+    assert np.array_equal(together([folder / "c.laz"]), whole[in_c])
     tiles = {one.name: one.points for one in runs.report.client_tiles}
-    assert tiles == {"A": in_a.sum(), "B-2": in_b.sum(), "far away": 0}
-    assert runs.report.counts.in_no_client_tile == (~in_a & ~in_b).sum()
+    assert tiles == {"A": in_a.sum(), "B-2": in_b.sum(), "c": in_c.sum(), "far away": 0}
+    assert runs.report.counts.in_no_client_tile == in_none.sum()
     cut = laspy.read(folder / "A.laz")
     first, second = (cut.points[cut.point_source_id == k] for k in (1, 2))
     assert not np.any(first["grade"])
@@ -149,7 +155,7 @@ def test_a_point_lies_in_one_tile_or_in_none(runs: Runs) -> None:
 def test_tiles_do_not_depend_on_the_tiles_of_work(runs: Runs) -> None:
     for path in sorted((runs.asked / "client_tiles").glob("*.tif")):
         assert path.read_bytes() == (runs.other / "client_tiles" / path.name).read_bytes()
-    for name in ("A", "B-2"):
+    for name in ("A", "B-2", "c"):
         octree = runs.other / "client_tiles" / f"{name}.copc.laz"
         assert np.array_equal(together([runs.asked / "client_tiles" / f"{name}.laz"]),
                               together([octree]))  # fmt: skip
@@ -199,6 +205,16 @@ def test_contours_lie_at_their_heights(runs: Runs) -> None:
     assert meta["crs"] == surveys.CRS_NAME
     with rasterio.open(runs.asked / "dtm.tif") as source:
         dtm, place = source.read(1, masked=True).filled(np.nan).astype(float), source.transform
+    whole = contour_generator(z=np.ma.masked_invalid(dtm))
+    lengths = {}
+    for output in (runs.asked, runs.other):
+        _, _, found, (of_found,) = pyogrio.raw.read(output / "contours.gpkg")
+        for line, height in zip(shapely.from_wkb(found), of_found, strict=True):
+            key = output, round(height * 10)
+            lengths[key] = lengths.get(key, 0.0) + line.length
+    for (_, tenth), length in lengths.items():
+        expected = sum(shapely.LineString(one).length for one in whole.lines(tenth * 0.1))
+        assert length == pytest.approx(expected, rel=1e-6)
     assert np.allclose(heights / 0.1, np.rint(heights / 0.1))
     assert set(np.rint(heights * 10)) == {200, 201, 202}
     terrain = RegularGridInterpolator(
@@ -233,7 +249,7 @@ def test_a_tile_that_cannot_be_written_fails_alone(tmp_path: Path) -> None:
     assert ["client_tiles/A.laz" in one.reason for one in result.report.failures] == [True], (
         result.report.failures
     )
-    assert [one.name for one in result.report.client_tiles] == ["B-2", "far away"]
+    assert [one.name for one in result.report.client_tiles] == ["B-2", "c", "far away"]
 
 
 @pytest.mark.slow
